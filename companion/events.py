@@ -1,0 +1,277 @@
+"""What enters the heart (events) and what leaves it (commands): one frozen value each.
+
+They are `msgspec` structs (frozen, slotted, compared by value) so that the recorder writes them and the
+replay reads them without a second description of the same thing. Units are SI; vectors are local NED;
+"unknown" is `None`. Times called `time_boot_s` are the autopilot's own clock.
+"""
+
+from __future__ import annotations
+
+import enum
+
+import msgspec
+
+from companion.remote_id.messages import Message
+
+Vec3 = tuple[float, float, float]
+"""North, east, down (m or m/s)."""
+
+
+class Event(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
+    """Something that entered the heart."""
+
+
+class Command(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
+    """Something that left the heart."""
+
+
+class Firmware(enum.Enum):
+    """Whose manners the vehicle has."""
+
+    ARDUPILOT = "ardupilot"
+    PX4 = "px4"
+
+
+class FlightMode(enum.Enum):
+    """What the companion has to tell apart among an autopilot's modes; everything else is OTHER."""
+
+    EXTERNAL = "external"
+    """Flies velocity setpoints: ArduPilot GUIDED, PX4 OFFBOARD."""
+    MISSION = "mission"
+    """Flies its stored mission: ArduPilot AUTO, PX4 AUTO.MISSION."""
+    HOLD = "hold"
+    """Holds position: ArduPilot LOITER and BRAKE, PX4 AUTO.LOITER."""
+    OTHER = "other"
+
+
+class Landed(enum.Enum):
+    """EXTENDED_SYS_STATE.landed_state."""
+
+    UNDEFINED = "undefined"
+    ON_GROUND = "on_ground"
+    IN_AIR = "in_air"
+    TAKEOFF = "takeoff"
+    LANDING = "landing"
+
+
+class Severity(enum.IntEnum):
+    """MAV_SEVERITY, the part that the companion uses."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+# ---------------------------------------------------------------- from the autopilot
+
+
+class Heartbeat(Event):
+    """HEARTBEAT of the autopilot (component 1) of our vehicle."""
+
+    system_id: int
+    firmware: Firmware
+    vehicle_type: int
+    """MAV_TYPE."""
+    custom_mode: int
+    mode: FlightMode
+    armed: bool
+
+
+class GlobalPosition(Event):
+    """GLOBAL_POSITION_INT: the fused own position and velocity."""
+
+    time_boot_s: float
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+    height_above_home_m: float
+    velocity_ned_mps: Vec3
+
+
+class LocalPosition(Event):
+    """LOCAL_POSITION_NED: own position from the autopilot's local origin, and own velocity at full resolution."""
+
+    time_boot_s: float
+    position_ned_m: Vec3
+    velocity_ned_mps: Vec3
+
+
+class GnssFix(Event):
+    """GPS_RAW_INT: quality of the GNSS solution."""
+
+    fix_type: int
+    """GPS_FIX_TYPE; 3 and above is a 3D fix."""
+    lat_deg: float
+    lon_deg: float
+    alt_msl_m: float
+    alt_ellipsoid_m: float | None = None
+    """Above WGS84; None where the autopilot does not fill the extension."""
+    horizontal_accuracy_m: float | None = None
+    vertical_accuracy_m: float | None = None
+    speed_accuracy_mps: float | None = None
+    satellites: int | None = None
+
+
+class VehicleTime(Event):
+    """SYSTEM_TIME: the autopilot's UTC, when it knows it."""
+
+    time_boot_s: float
+    utc_s: float | None = None
+
+
+class LandedState(Event):
+    """EXTENDED_SYS_STATE."""
+
+    landed: Landed
+
+
+class ModeRefused(Event):
+    """A mode that we commanded was refused, or never confirmed by a heartbeat after all retries."""
+
+    mode: FlightMode
+    reason: str
+
+
+class MissionItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One MISSION_ITEM_INT as downloaded."""
+
+    seq: int
+    command: int
+    """MAV_CMD."""
+    frame: int
+    """MAV_FRAME."""
+    params: tuple[float | None, float | None, float | None, float | None] = (0.0, 0.0, 0.0, 0.0)
+    """Params 1-4; None stands for NaN."""
+    lat_deg: float = 0.0
+    lon_deg: float = 0.0
+    alt_m: float = 0.0
+
+
+class MissionDownloaded(Event):
+    """The whole mission as the vehicle holds it (ArduPilot's home item 0 left out)."""
+
+    items: tuple[MissionItem, ...]
+
+
+class MissionCurrent(Event):
+    """MISSION_CURRENT."""
+
+    seq: int
+
+
+class VehicleText(Event):
+    """STATUSTEXT of the autopilot."""
+
+    severity: int
+    text: str
+
+
+# ---------------------------------------------------------------- from the radio
+
+
+class RemoteIdHeard(Event):
+    """One frame with Remote ID messages, as received."""
+
+    transport: str
+    address: str
+    """Transmitter's radio address."""
+    messages: tuple[Message, ...]
+    rssi_dbm: float | None = None
+
+
+# ---------------------------------------------------------------- to the autopilot
+
+
+class VelocitySetpoint(Command):
+    """Fly this velocity (local NED); yaw and yaw rate are left to the autopilot."""
+
+    velocity_ned_mps: Vec3
+
+
+class SetMode(Command):
+    """Ask for a flight mode; the link retries until the heartbeat confirms it, or reports ModeRefused."""
+
+    mode: FlightMode
+
+
+class DownloadMission(Command):
+    """Fetch the vehicle's mission; answered by MissionDownloaded."""
+
+
+class Say(Command):
+    """STATUSTEXT to the ground station."""
+
+    severity: Severity
+    text: str
+
+
+# ---------------------------------------------------------------- to the radio
+
+
+class Broadcast(Command):
+    """Send these messages once, now."""
+
+    transport: str
+    messages: tuple[Message, ...]
+
+
+# ---------------------------------------------------------------- to the log
+
+
+class AuthorityChanged(Command):
+    """The authority state machine moved."""
+
+    previous: str
+    state: str
+    trigger: str
+    reason: str
+
+
+class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """How the law saw one track at a decision."""
+
+    track_id: str
+    position_ned_m: Vec3
+    """Predicted to now."""
+    velocity_ned_mps: Vec3
+    age_s: float
+    radius_m: float
+    """Combined radius used (horizontal)."""
+    conflict: bool
+    """True when the wanted velocity would break this track's volume."""
+    time_to_closest_s: float
+    closest_m: float
+
+
+class Decision(Command):
+    """One cycle of the law, for the log: what it saw, wanted and chose. Frame: the heart's local NED."""
+
+    origin: Vec3
+    """lat_deg, lon_deg, alt_msl_m of the local frame."""
+    position_ned_m: Vec3
+    velocity_ned_mps: Vec3
+    wanted_ned_mps: Vec3
+    chosen_ned_mps: Vec3
+    feasible: bool
+    path_ned_m: Vec3 | None = None
+    """The timed path's point for now."""
+    tracks: tuple[TrackView, ...] = ()
+
+
+AnyEvent = (
+    Heartbeat
+    | GlobalPosition
+    | LocalPosition
+    | GnssFix
+    | VehicleTime
+    | LandedState
+    | ModeRefused
+    | MissionDownloaded
+    | MissionCurrent
+    | VehicleText
+    | RemoteIdHeard
+)
+
+AnyCommand = VelocitySetpoint | SetMode | DownloadMission | Say | Broadcast | AuthorityChanged | Decision

@@ -1,0 +1,1 @@
+"""Desk tools: inspection, conformance checks, campaigns."""
