@@ -6,14 +6,11 @@ the file points to (the trajectory), so that a resolved configuration stands alo
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
-from companion.errors import ConfigError
 from companion.remote_id.messages import IdType, UaType
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
@@ -23,7 +20,7 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Common to all sections."""
 
 
-class VehicleConfig(_Section):
+class VehicleConfig(_Section, frozen=True):
     """The link to the autopilot."""
 
     link: str = "udpin:127.0.0.1:14540"
@@ -37,7 +34,7 @@ class VehicleConfig(_Section):
     """Own position older than this ends authority (fault)."""
 
 
-class IdentityConfig(_Section):
+class IdentityConfig(_Section, frozen=True):
     """Who we are on the air."""
 
     uas_id: Annotated[str, Meta(min_length=1, max_length=20)]
@@ -45,7 +42,7 @@ class IdentityConfig(_Section):
     ua_type: UaType = UaType.HELICOPTER_OR_MULTIROTOR
 
 
-class FlightConfig(_Section):
+class FlightConfig(_Section, frozen=True):
     """What to fly and who may fly it."""
 
     use: Literal["watch", "fly"] = "watch"
@@ -63,7 +60,7 @@ class FlightConfig(_Section):
     setpoint_rate_hz: Annotated[float, Meta(ge=5, le=50)] = 20.0
 
 
-class LimitsConfig(_Section):
+class LimitsConfig(_Section, frozen=True):
     """What no command ever exceeds."""
 
     max_speed_mps: Annotated[float, Meta(gt=0, le=50)] = 5.0
@@ -77,7 +74,7 @@ class LimitsConfig(_Section):
     ceiling_height_m: float | None = None
 
 
-class AvoidanceConfig(_Section):
+class AvoidanceConfig(_Section, frozen=True):
     """The law. Defaults: the reference flight tests; "paper": the published law to the letter."""
 
     law: Literal["dmuca", "paper", "none"] = "dmuca"
@@ -93,7 +90,7 @@ class AvoidanceConfig(_Section):
     """Closer to the timed point than this counts as back on the path."""
 
 
-class TrafficConfig(_Section):
+class TrafficConfig(_Section, frozen=True):
     """Tracks of other aircraft."""
 
     max_tracks: Annotated[int, Meta(ge=1, le=10000)] = 200
@@ -103,7 +100,7 @@ class TrafficConfig(_Section):
     """A message that claims or implies more is not believed."""
 
 
-class RemoteIdConfig(_Section):
+class RemoteIdConfig(_Section, frozen=True):
     """What goes on the air."""
 
     transport: Literal["ble4", "ble5", "wifi"] = "wifi"
@@ -111,7 +108,7 @@ class RemoteIdConfig(_Section):
     """psi: messages per GNSS cycle of 1 s."""
 
 
-class RadioConfig(_Section):
+class RadioConfig(_Section, frozen=True):
     """The radio."""
 
     backend: Literal["null", "ether"] = "null"
@@ -119,7 +116,7 @@ class RadioConfig(_Section):
     """ether: HOST:PORT of the simulated air."""
 
 
-class RecordConfig(_Section):
+class RecordConfig(_Section, frozen=True):
     """The run folder."""
 
     folder: str = "runs"
@@ -144,7 +141,7 @@ class TrajectoryFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     waypoint: Annotated[tuple[Waypoint, ...], Meta(min_length=2)]
 
 
-class Config(_Section):
+class Config(_Section, frozen=True):
     """Everything. `path` holds the resolved trajectory; it is filled by `load`, not typed by a user."""
 
     identity: IdentityConfig

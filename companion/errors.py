@@ -6,4 +6,4 @@ class ConfigError(Exception):
 
 
 class PeerDataError(Exception):
-    """A peer sent bytes that break its protocol: the message names the field or offset. Never fatal in flight."""
+    """A peer sent bytes that break its protocol: names the field or offset. Never fatal in flight."""

@@ -67,7 +67,7 @@ class Severity(enum.IntEnum):
 # ---------------------------------------------------------------- from the autopilot
 
 
-class Heartbeat(Event):
+class Heartbeat(Event, frozen=True):
     """HEARTBEAT of the autopilot (component 1) of our vehicle."""
 
     system_id: int
@@ -79,7 +79,7 @@ class Heartbeat(Event):
     armed: bool
 
 
-class GlobalPosition(Event):
+class GlobalPosition(Event, frozen=True):
     """GLOBAL_POSITION_INT: the fused own position and velocity."""
 
     time_boot_s: float
@@ -90,15 +90,15 @@ class GlobalPosition(Event):
     velocity_ned_mps: Vec3
 
 
-class LocalPosition(Event):
-    """LOCAL_POSITION_NED: own position from the autopilot's local origin, and own velocity at full resolution."""
+class LocalPosition(Event, frozen=True):
+    """LOCAL_POSITION_NED: own position from the local origin, and own velocity at full resolution."""
 
     time_boot_s: float
     position_ned_m: Vec3
     velocity_ned_mps: Vec3
 
 
-class GnssFix(Event):
+class GnssFix(Event, frozen=True):
     """GPS_RAW_INT: quality of the GNSS solution."""
 
     fix_type: int
@@ -114,20 +114,20 @@ class GnssFix(Event):
     satellites: int | None = None
 
 
-class VehicleTime(Event):
+class VehicleTime(Event, frozen=True):
     """SYSTEM_TIME: the autopilot's UTC, when it knows it."""
 
     time_boot_s: float
     utc_s: float | None = None
 
 
-class LandedState(Event):
+class LandedState(Event, frozen=True):
     """EXTENDED_SYS_STATE."""
 
     landed: Landed
 
 
-class ModeRefused(Event):
+class ModeRefused(Event, frozen=True):
     """A mode that we commanded was refused, or never confirmed by a heartbeat after all retries."""
 
     mode: FlightMode
@@ -149,19 +149,19 @@ class MissionItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     alt_m: float = 0.0
 
 
-class MissionDownloaded(Event):
+class MissionDownloaded(Event, frozen=True):
     """The whole mission as the vehicle holds it (ArduPilot's home item 0 left out)."""
 
     items: tuple[MissionItem, ...]
 
 
-class MissionCurrent(Event):
+class MissionCurrent(Event, frozen=True):
     """MISSION_CURRENT."""
 
     seq: int
 
 
-class VehicleText(Event):
+class VehicleText(Event, frozen=True):
     """STATUSTEXT of the autopilot."""
 
     severity: int
@@ -171,7 +171,7 @@ class VehicleText(Event):
 # ---------------------------------------------------------------- from the radio
 
 
-class RemoteIdHeard(Event):
+class RemoteIdHeard(Event, frozen=True):
     """One frame with Remote ID messages, as received."""
 
     transport: str
@@ -184,23 +184,23 @@ class RemoteIdHeard(Event):
 # ---------------------------------------------------------------- to the autopilot
 
 
-class VelocitySetpoint(Command):
+class VelocitySetpoint(Command, frozen=True):
     """Fly this velocity (local NED); yaw and yaw rate are left to the autopilot."""
 
     velocity_ned_mps: Vec3
 
 
-class SetMode(Command):
+class SetMode(Command, frozen=True):
     """Ask for a flight mode; the link retries until the heartbeat confirms it, or reports ModeRefused."""
 
     mode: FlightMode
 
 
-class DownloadMission(Command):
+class DownloadMission(Command, frozen=True):
     """Fetch the vehicle's mission; answered by MissionDownloaded."""
 
 
-class Say(Command):
+class Say(Command, frozen=True):
     """STATUSTEXT to the ground station."""
 
     severity: Severity
@@ -210,7 +210,7 @@ class Say(Command):
 # ---------------------------------------------------------------- to the radio
 
 
-class Broadcast(Command):
+class Broadcast(Command, frozen=True):
     """Send these messages once, now."""
 
     transport: str
@@ -220,7 +220,7 @@ class Broadcast(Command):
 # ---------------------------------------------------------------- to the log
 
 
-class AuthorityChanged(Command):
+class AuthorityChanged(Command, frozen=True):
     """The authority state machine moved."""
 
     previous: str
@@ -245,7 +245,7 @@ class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     closest_m: float
 
 
-class Decision(Command):
+class Decision(Command, frozen=True):
     """One cycle of the law, for the log: what it saw, wanted and chose. Frame: the heart's local NED."""
 
     origin: Vec3

@@ -78,7 +78,7 @@ class _Message(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_default
     """Common to all messages."""
 
 
-class BasicId(_Message):
+class BasicId(_Message, frozen=True):
     """Who: one identity of the aircraft."""
 
     id_type: IdType
@@ -86,7 +86,7 @@ class BasicId(_Message):
     uas_id: str
 
 
-class Location(_Message):
+class Location(_Message, frozen=True):
     """Where and how fast, at one moment."""
 
     status: Status = Status.UNDECLARED
@@ -112,7 +112,7 @@ class Location(_Message):
     timestamp_accuracy_s: float | None = None
 
 
-class Authentication(_Message):
+class Authentication(_Message, frozen=True):
     """One page of authentication data. Pages are assembled by the receiver."""
 
     auth_type: int
@@ -127,14 +127,14 @@ class Authentication(_Message):
     """Page 0 only."""
 
 
-class SelfId(_Message):
+class SelfId(_Message, frozen=True):
     """Free text about the flight."""
 
     description_type: int
     text: str
 
 
-class System(_Message):
+class System(_Message, frozen=True):
     """Where the operator is, and the area of a group flight."""
 
     operator_location_type: OperatorLocationType = OperatorLocationType.TAKEOFF
@@ -151,7 +151,7 @@ class System(_Message):
     timestamp_utc_s: float | None = None
 
 
-class OperatorId(_Message):
+class OperatorId(_Message, frozen=True):
     """Registration of the operator."""
 
     operator_id_type: int
