@@ -144,15 +144,22 @@ class MissionItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     """MAV_FRAME."""
     params: tuple[float | None, float | None, float | None, float | None] = (0.0, 0.0, 0.0, 0.0)
     """Params 1-4; None stands for NaN."""
-    lat_deg: float = 0.0
-    lon_deg: float = 0.0
-    alt_m: float = 0.0
+    lat_deg: float | None = 0.0
+    lon_deg: float | None = 0.0
+    alt_m: float | None = 0.0
+    """Position, or params 5-7 of a command without one; None where left open (NaN, INT32_MAX)."""
 
 
 class MissionDownloaded(Event, frozen=True):
     """The whole mission as the vehicle holds it (ArduPilot's home item 0 left out)."""
 
     items: tuple[MissionItem, ...]
+
+
+class MissionRefused(Event, frozen=True):
+    """A mission download that failed: refused, or not finished after all retries."""
+
+    reason: str
 
 
 class MissionCurrent(Event, frozen=True):
@@ -269,6 +276,7 @@ AnyEvent = (
     | LandedState
     | ModeRefused
     | MissionDownloaded
+    | MissionRefused
     | MissionCurrent
     | VehicleText
     | RemoteIdHeard

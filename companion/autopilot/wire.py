@@ -1,23 +1,40 @@
-"""MAVLink frames: cut a byte stream into frames, decode them, encode ours.
+"""MAVLink frames: cut a byte stream into checked frames, decode them, encode ours.
 
-pymavlink is the codec (message layouts, checksums); the framing is ours because a stream that never blocks
-and counts what it drops is ours to answer for. No socket and no clock in here.
+pymavlink knows the message layouts; the framing is ours because a stream that never blocks, counts what it
+drops and costs microseconds is ours to answer for. No socket and no clock in here.
+
+Frame layouts and the checksum (CRC-16/MCRF4XX over everything behind the magic byte, then one byte that
+stands for the layout) are those of the MAVLink 1 and 2 serialisation guide. Signatures are stepped over,
+not verified.
 """
 
 from __future__ import annotations
 
+import re
+import struct
+from binascii import crc_hqx
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 MavlinkMessage = Any
 """A decoded pymavlink message: the library has no types of its own."""
 
-_MAGIC_V1 = 0xFE
-_MAGIC_V2 = 0xFD
+MAGIC_V1 = 0xFE
+MAGIC_V2 = 0xFD
+MAX_FRAME_BYTES = 10 + 255 + 2 + 13
+"""Longest frame: MAVLink 2 header, payload, checksum, signature."""
+
+_MAGIC = re.compile(rb"[\xfd\xfe]")
 _SIGNATURE_BYTES = 13
 _SIGNED = 0x01
+_HEAD_V2 = struct.Struct("<BBBBBBBHB")
+
+# The standard library computes the bit-reversed twin of MAVLink's checksum: reversing the bits of every byte
+# going in and of the result coming out turns one into the other, at C speed.
+_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+_CRC_EXTRA = {i: bytes([_REVERSED[m.crc_extra]]) for i, m in mavlink.mavlink_map.items()}
 
 
 @dataclass(slots=True)
@@ -25,7 +42,7 @@ class WireCounts:
     """What a reader has met so far."""
 
     messages: int = 0
-    """Frames decoded to a known message."""
+    """Frames of a known message with a right checksum."""
     unknown: int = 0
     """Well-formed frames of a message id outside the dialect."""
     corrupt: int = 0
@@ -34,59 +51,147 @@ class WireCounts:
     """Bytes outside any frame."""
 
 
-class MavlinkReader:
-    """Bytes to messages. Feed it pieces of any size; it keeps an unfinished frame for the next piece."""
+class Frame(NamedTuple):
+    """One frame of a known message whose checksum is right."""
+
+    message_id: int
+    system_id: int
+    component_id: int
+    payload: bytes
+    """As sent: MAVLink 2 cuts trailing zeros."""
+    raw: bytes
+
+
+def checksum(body: bytes, message_id: int) -> int:
+    """Checksum of a frame's bytes between the magic byte and the checksum; the message must be known."""
+    crc = crc_hqx(_CRC_EXTRA[message_id], crc_hqx(body.translate(_REVERSED), 0xFFFF))
+    return _REVERSED[crc & 0xFF] << 8 | _REVERSED[crc >> 8]
+
+
+def frame_length(buffer: bytes, at: int) -> int:
+    """Length that the header at `at` announces; 0 while too little of it is there, -1 if it is no header."""
+    magic = buffer[at]
+    if len(buffer) - at < 3:
+        return 0
+    if magic == MAGIC_V1:
+        return buffer[at + 1] + 8
+    if magic != MAGIC_V2 or buffer[at + 2] & ~_SIGNED:
+        return -1
+    return buffer[at + 1] + 12 + (_SIGNATURE_BYTES if buffer[at + 2] & _SIGNED else 0)
+
+
+def message_id_of(raw: bytes) -> int:
+    """Message id in a frame's header."""
+    if raw[0] == MAGIC_V1:
+        return raw[5]
+    return raw[7] | raw[8] << 8 | raw[9] << 16
+
+
+def is_known(message_id: int) -> bool:
+    """Whether the dialect has this message, so that its checksum can be verified."""
+    return message_id in _CRC_EXTRA
+
+
+def checked_frame(raw: bytes) -> Frame | None:
+    """One whole frame of a known message, or None when its checksum is wrong."""
+    if raw[0] == MAGIC_V1:
+        _, size, _, system, component, message_id = raw[:6]
+        start = 6
+    else:
+        _, size, _, _, _, system, component, low, high = _HEAD_V2.unpack_from(raw)
+        message_id = low | high << 16
+        start = 10
+    stop = start + size
+    if raw[stop] | raw[stop + 1] << 8 != checksum(raw[1:stop], message_id):
+        return None
+    return Frame(message_id, system, component, raw[start:stop], raw)
+
+
+class FrameScanner:
+    """Bytes to checked frames. Feed it pieces of any size; however they are cut, the frames are the same."""
 
     def __init__(self) -> None:
         self.counts = WireCounts()
-        self._buffer = bytearray()
+        self._rest = b""
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes of an unfinished frame kept for the next piece; never more than `MAX_FRAME_BYTES`."""
+        return len(self._rest)
+
+    def frames(self, data: bytes) -> list[Frame]:
+        """Return the frames of known messages completed by `data`; the rest is counted and left out."""
+        buffer = self._rest + data
+        counts = self.counts
+        found: list[Frame] = []
+        at, end = 0, len(buffer)
+        while at < end:
+            if buffer[at] != MAGIC_V2 and buffer[at] != MAGIC_V1:
+                match = _MAGIC.search(buffer, at)
+                start = match.start() if match else end
+                counts.skipped_bytes += start - at
+                at = start
+                continue
+            length = frame_length(buffer, at)
+            if length == 0 or at + length > end:
+                break
+            taken = self._take(buffer, at, length, found)
+            if taken == 0:
+                break
+            if taken < 0:
+                # The magic byte may have been payload: look for the next one behind it.
+                counts.corrupt += 1
+                counts.skipped_bytes += 1
+                taken = 1
+            at += taken
+        self._rest = buffer[at:]
+        return found
+
+    def _take(self, buffer: bytes, at: int, length: int, found: list[Frame]) -> int:
+        """Bytes used up by the frame at `at`; 0: more are needed to tell; -1: it is none."""
+        if length < 0:
+            return -1
+        raw = buffer[at : at + length]
+        if is_known(message_id_of(raw)):
+            frame = checked_frame(raw)
+            if frame is None:
+                return -1
+            self.counts.messages += 1
+            found.append(frame)
+            return length
+        # Its checksum cannot be verified, so it must at least end where another frame begins: damaged bytes
+        # that only look like a frame must not swallow a good one.
+        if at + length == len(buffer):
+            return 0
+        if buffer[at + length] != MAGIC_V2 and buffer[at + length] != MAGIC_V1:
+            return -1
+        self.counts.unknown += 1
+        return length
+
+
+class MavlinkReader:
+    """Bytes to pymavlink messages. Feed it pieces of any size."""
+
+    def __init__(self) -> None:
+        self._scanner = FrameScanner()
         self._decoder = mavlink.MAVLink(None)
+
+    @property
+    def counts(self) -> WireCounts:
+        """What has been read and dropped so far."""
+        return self._scanner.counts
 
     def feed(self, data: bytes) -> list[MavlinkMessage]:
         """Return the messages completed by `data`; corrupt and unknown ones are counted and left out."""
-        self._buffer += data
-        buffer = self._buffer
         messages: list[MavlinkMessage] = []
-        at = 0
-        end = len(buffer)
-        while at < end:
-            magic = buffer[at]
-            if magic not in (_MAGIC_V1, _MAGIC_V2):
-                at += 1
-                self.counts.skipped_bytes += 1
-                continue
-            if end - at < 3:
-                break
-            length = buffer[at + 1] + 8
-            if magic == _MAGIC_V2:
-                length += 4 + (_SIGNATURE_BYTES if buffer[at + 2] & _SIGNED else 0)
-            if end - at < length:
-                break
-            message = self._decode(buffer[at : at + length])
-            if message is None:
-                # The magic byte may have been payload: look for the next one behind it.
-                at += 1
-                self.counts.skipped_bytes += 1
-                continue
-            at += length
-            if message.get_msgId() < 0 or message.get_type().startswith("UNKNOWN"):
-                self.counts.unknown += 1
-                continue
-            self.counts.messages += 1
-            messages.append(message)
-        del buffer[:at]
+        for frame in self._scanner.frames(data):
+            try:
+                messages.append(self._decoder.decode(bytearray(frame.raw)))
+            except (mavlink.MAVError, ValueError):
+                # ValueError: text fields that are not ASCII.
+                self.counts.messages -= 1
+                self.counts.corrupt += 1
         return messages
-
-    def _decode(self, frame: bytearray) -> MavlinkMessage | None:
-        if frame[0] == _MAGIC_V2 and frame[2] & ~_SIGNED:
-            self.counts.corrupt += 1
-            return None
-        try:
-            return self._decoder.decode(frame)
-        except (mavlink.MAVError, ValueError):
-            # ValueError: text fields that are not ASCII in a frame whose checksum is right by accident.
-            self.counts.corrupt += 1
-            return None
 
 
 class MavlinkWriter:
@@ -100,3 +205,22 @@ class MavlinkWriter:
         packed: bytes = message.pack(self.encoder)
         self.encoder.seq = (self.encoder.seq + 1) % 256
         return packed
+
+    def pack_payload(self, message_id: int, payload: bytes) -> bytes:
+        """Frame a payload that is already laid out, with the next sequence number; the quick way."""
+        encoder = self.encoder
+        body = payload.rstrip(b"\0") or payload[:1]
+        head = _HEAD_V2.pack(
+            MAGIC_V2,
+            len(body),
+            0,
+            0,
+            encoder.seq,
+            encoder.srcSystem,
+            encoder.srcComponent,
+            message_id & 0xFFFF,
+            message_id >> 16,
+        )
+        encoder.seq = (encoder.seq + 1) % 256
+        frame = head + body
+        return frame + checksum(frame[1:], message_id).to_bytes(2, "little")

@@ -1,0 +1,179 @@
+"""MAVLink payloads to events: one small function per message, in one table.
+
+A reader gets the message's fields in wire order (as `struct` unpacks them; the tests hold that order against
+pymavlink's). It returns None when the message says "not known yet" and raises `PeerDataError` for values that
+no honest vehicle sends; nothing non-finite or out of range becomes an event.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.errors import PeerDataError
+from companion.events import (
+    Event,
+    FlightMode,
+    GlobalPosition,
+    GnssFix,
+    Heartbeat,
+    Landed,
+    LandedState,
+    LocalPosition,
+    MissionCurrent,
+    VehicleTime,
+)
+
+from .dialect import ARMED, DIALECTS, FIRMWARES, refusal
+
+Fields = tuple[Any, ...]
+"""A payload's fields in wire order."""
+
+MAX_ALTITUDE_M = 50_000.0
+MIN_ALTITUDE_M = -1_000.0
+MAX_SPEED_MPS = 327.0
+"""Largest velocity believed: beyond it GLOBAL_POSITION_INT's 16-bit centimetres are saturated."""
+MAX_LOCAL_M = 1_000_000.0
+UTC_RANGE_S = (1_420_070_400.0, 4_102_444_800.0)
+"""2015 to 2100: an autopilot whose clock says otherwise does not know the time."""
+
+_MAX_FIX_TYPE = 8
+_UINT32_MAX = 0xFFFF_FFFF
+_LANDED = dict(enumerate(Landed))
+_UNPACKERS: dict[int, struct.Struct] = {i: m.unpacker for i, m in mavlink.mavlink_map.items()}
+
+
+def unpack(message_id: int, payload: bytes) -> Fields:
+    """A payload's fields in wire order; cut zeros are put back, extensions newer than ours left off."""
+    unpacker = _UNPACKERS[message_id]
+    return unpacker.unpack(payload.ljust(unpacker.size, b"\0")[: unpacker.size])
+
+
+def _position(lat_e7: int, lon_e7: int) -> tuple[float, float]:
+    if not (-900_000_000 <= lat_e7 <= 900_000_000 and -1_800_000_000 <= lon_e7 <= 1_800_000_000):
+        raise PeerDataError(f"position {lat_e7 / 1e7}, {lon_e7 / 1e7} is not on Earth")
+    return lat_e7 / 1e7, lon_e7 / 1e7
+
+
+def _altitude(name: str, millimetres: int) -> float:
+    metres = millimetres / 1e3
+    if not MIN_ALTITUDE_M <= metres <= MAX_ALTITUDE_M:
+        raise PeerDataError(f"{name} {metres} m is outside {MIN_ALTITUDE_M} to {MAX_ALTITUDE_M}")
+    return metres
+
+
+def _unless(unknown: tuple[int, ...], value: int, scale: float) -> float | None:
+    return None if value in unknown else value / scale
+
+
+def heartbeat(system_id: int, fields: Fields) -> Heartbeat:
+    """HEARTBEAT of an autopilot that we know.
+
+    Raises:
+        PeerDataError: the autopilot is neither ArduPilot nor PX4.
+    """
+    custom_mode, vehicle_type, autopilot, base_mode, _status, _version = fields
+    firmware = FIRMWARES.get(autopilot)
+    if firmware is None:
+        raise PeerDataError(f"MAV_AUTOPILOT {autopilot} is neither ArduPilot (3) nor PX4 (12)")
+    mode = FlightMode.OTHER
+    if refusal(firmware, vehicle_type) is None:
+        mode = DIALECTS[firmware].mode(base_mode, custom_mode)
+    return Heartbeat(
+        system_id=system_id,
+        firmware=firmware,
+        vehicle_type=vehicle_type,
+        custom_mode=custom_mode,
+        mode=mode,
+        armed=bool(base_mode & ARMED),
+    )
+
+
+def global_position(fields: Fields) -> GlobalPosition | None:
+    """GLOBAL_POSITION_INT; None at exactly 0, 0, which autopilots send before they know where they are."""
+    time_ms, lat_e7, lon_e7, alt_mm, height_mm, vx, vy, vz, _heading = fields
+    if lat_e7 == 0 and lon_e7 == 0:
+        return None
+    lat_deg, lon_deg = _position(lat_e7, lon_e7)
+    if not (abs(vx) < 32_700 and abs(vy) < 32_700 and abs(vz) < 32_700):
+        raise PeerDataError(f"velocity {vx}, {vy}, {vz} cm/s is saturated")
+    return GlobalPosition(
+        time_boot_s=time_ms / 1e3,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_msl_m=_altitude("altitude", alt_mm),
+        height_above_home_m=_altitude("height above home", height_mm),
+        velocity_ned_mps=(vx / 100, vy / 100, vz / 100),
+    )
+
+
+def local_position(fields: Fields) -> LocalPosition:
+    """LOCAL_POSITION_NED."""
+    time_ms, x, y, z, vx, vy, vz = fields
+    # NaN and infinity fail these comparisons too.
+    if not (abs(x) <= MAX_LOCAL_M and abs(y) <= MAX_LOCAL_M and abs(z) <= MAX_LOCAL_M):
+        raise PeerDataError(f"local position {x}, {y}, {z} m is out of range")
+    if not (abs(vx) <= MAX_SPEED_MPS and abs(vy) <= MAX_SPEED_MPS and abs(vz) <= MAX_SPEED_MPS):
+        raise PeerDataError(f"velocity {vx}, {vy}, {vz} m/s is out of range")
+    return LocalPosition(time_boot_s=time_ms / 1e3, position_ned_m=(x, y, z), velocity_ned_mps=(vx, vy, vz))
+
+
+def gnss_fix(fields: Fields) -> GnssFix:
+    """GPS_RAW_INT. Extensions that are 0 are not filled in (MAVLink 1 has none of them)."""
+    _usec, lat_e7, lon_e7, alt_mm, _eph, _epv, _vel, _cog, fix_type, satellites, ellipsoid_mm = fields[:11]
+    h_acc, v_acc, vel_acc = fields[11:14]
+    if fix_type > _MAX_FIX_TYPE:
+        raise PeerDataError(f"GPS_FIX_TYPE {fix_type} is not defined")
+    lat_deg, lon_deg = _position(lat_e7, lon_e7)
+    unknown = (0, _UINT32_MAX)
+    return GnssFix(
+        fix_type=fix_type,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_msl_m=_altitude("altitude", alt_mm),
+        alt_ellipsoid_m=_altitude("ellipsoid altitude", ellipsoid_mm) if ellipsoid_mm else None,
+        horizontal_accuracy_m=_unless(unknown, h_acc, 1e3),
+        vertical_accuracy_m=_unless(unknown, v_acc, 1e3),
+        speed_accuracy_mps=_unless(unknown, vel_acc, 1e3),
+        satellites=None if satellites == 255 else satellites,
+    )
+
+
+def vehicle_time(fields: Fields) -> VehicleTime:
+    """SYSTEM_TIME."""
+    unix_usec, boot_ms = fields
+    utc_s = unix_usec / 1e6
+    known = UTC_RANGE_S[0] <= utc_s <= UTC_RANGE_S[1]
+    return VehicleTime(time_boot_s=boot_ms / 1e3, utc_s=utc_s if known else None)
+
+
+def landed_state(fields: Fields) -> LandedState:
+    """EXTENDED_SYS_STATE."""
+    landed = _LANDED.get(fields[1])
+    if landed is None:
+        raise PeerDataError(f"MAV_LANDED_STATE {fields[1]} is not defined")
+    return LandedState(landed=landed)
+
+
+def mission_current(fields: Fields) -> MissionCurrent:
+    """MISSION_CURRENT; on ArduPilot item 0 is home, so the first item flown is 1."""
+    return MissionCurrent(seq=fields[0])
+
+
+READERS: dict[int, Callable[[Fields], Event | None]] = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: local_position,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gnss_fix,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: vehicle_time,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: landed_state,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
+}
+
+
+def finite_or_none(value: float) -> float | None:
+    """None for NaN and infinity, which stand for "not given" in mission params."""
+    return value if math.isfinite(value) else None
