@@ -11,7 +11,30 @@ import enum
 import msgspec
 
 
-class IdType(enum.IntEnum):
+class WireCode(enum.IntEnum):
+    """An enumeration as wide as its bits on the wire.
+
+    A number that the standard reserves is kept as a member named `RESERVED_n`, so that a newer peer's message
+    is neither lost nor altered; a number that does not fit the bits raises ValueError.
+    """
+
+    @classmethod
+    def _highest(cls) -> int:
+        """Greatest number that fits the field."""
+        return 15
+
+    @classmethod
+    def _missing_(cls, value: object) -> WireCode | None:
+        if not isinstance(value, int) or not 0 <= value <= cls._highest():
+            return None
+        member = int.__new__(cls, value)
+        member._name_ = f"RESERVED_{value}"
+        member._value_ = value
+        cls._value2member_map_[value] = member  # one object per number, as for named members
+        return member
+
+
+class IdType(WireCode):
     """What a Basic ID holds."""
 
     NONE = 0
@@ -21,7 +44,7 @@ class IdType(enum.IntEnum):
     SPECIFIC_SESSION = 4
 
 
-class UaType(enum.IntEnum):
+class UaType(WireCode):
     """Kind of aircraft."""
 
     NONE = 0
@@ -42,7 +65,7 @@ class UaType(enum.IntEnum):
     OTHER = 15
 
 
-class Status(enum.IntEnum):
+class Status(WireCode):
     """Operational status in a Location."""
 
     UNDECLARED = 0
@@ -52,29 +75,43 @@ class Status(enum.IntEnum):
     REMOTE_ID_SYSTEM_FAILURE = 4
 
 
-class HeightType(enum.IntEnum):
+class HeightType(WireCode):
     """What `Location.height_m` is measured from."""
 
     ABOVE_TAKEOFF = 0
     ABOVE_GROUND = 1
 
+    @classmethod
+    def _highest(cls) -> int:
+        return 1
 
-class OperatorLocationType(enum.IntEnum):
+
+class OperatorLocationType(WireCode):
     """Where `System`'s operator position comes from."""
 
     TAKEOFF = 0
     LIVE_GNSS = 1
     FIXED = 2
 
+    @classmethod
+    def _highest(cls) -> int:
+        return 3
 
-class ClassificationType(enum.IntEnum):
+
+class ClassificationType(WireCode):
     """Whose categories `System` carries."""
 
     UNDECLARED = 0
     EU = 1
 
+    @classmethod
+    def _highest(cls) -> int:
+        return 7
 
-class _Message(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
+
+class _Message(
+    msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True
+):
     """Common to all messages."""
 
 
@@ -84,6 +121,8 @@ class BasicId(_Message, frozen=True):
     id_type: IdType
     ua_type: UaType
     uas_id: str
+    """Serial number and CAA registration: text. Every other type: up to 20 raw bytes, one character (Latin-1)
+    for each, without the padding behind them."""
 
 
 class Location(_Message, frozen=True):
@@ -118,7 +157,7 @@ class Authentication(_Message, frozen=True):
     auth_type: int
     page: int
     data: bytes
-    """Page 0: up to 17 bytes; others: up to 23."""
+    """Page 0: up to 17 bytes; others: up to 23. As received: with the padding, which `length` tells apart."""
     last_page: int | None = None
     """Page 0 only."""
     length: int | None = None
