@@ -1,0 +1,132 @@
+"""What the companion says on MAVLink, as payloads laid out in wire order: (message id, payload).
+
+Laid out here with prepared `struct`s instead of through pymavlink's message objects, because the setpoint
+leaves twenty times a second per aircraft and many aircraft share one thread in simulation. The tests hold
+every layout against pymavlink's.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.events import Vec3
+
+from .dialect import AUTOPILOT_INVALID, FRAME_LOCAL_NED, VELOCITY_MASK
+
+Outgoing = tuple[int, bytes]
+"""Message id and payload."""
+
+AUTOPILOT_COMPONENT = 1
+MAX_SETPOINT_MPS = 100.0
+"""No supported vehicle is ever asked for more: a larger number is a bug of ours."""
+TEXT_BYTES = 50
+"""STATUSTEXT's text field."""
+_MAX_CHUNKS = 10
+
+_TYPE_ONBOARD_CONTROLLER = 18
+_STATE_ACTIVE = 4
+_MAVLINK_VERSION = 3
+_HEARTBEAT = struct.Struct("<IBBBBB")
+_SETPOINT = struct.Struct("<I11fHBBB")
+_COMMAND_LONG = struct.Struct("<7fHBBB")
+_STATUSTEXT = struct.Struct("<B50sHB")
+_LIST = struct.Struct("<BBB")
+_REQUEST = struct.Struct("<HBBB")
+_ACK = struct.Struct("<BBBB")
+
+
+def heartbeat() -> Outgoing:
+    """HEARTBEAT of a companion computer that is no autopilot."""
+    return mavlink.MAVLINK_MSG_ID_HEARTBEAT, _HEARTBEAT.pack(
+        0, _TYPE_ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, _STATE_ACTIVE, _MAVLINK_VERSION
+    )
+
+
+def check_velocity(velocity_ned_mps: Vec3) -> None:
+    """Refuse a velocity that no vehicle may be asked for.
+
+    Raises:
+        ValueError: a component is not finite, or the speed is above `MAX_SETPOINT_MPS`: a bug of ours.
+    """
+    north, east, down = velocity_ned_mps
+    # NaN fails the comparison, infinity exceeds it.
+    if not math.hypot(north, east, down) <= MAX_SETPOINT_MPS:
+        raise ValueError(
+            f"velocity setpoint {velocity_ned_mps} m/s is not finite or above {MAX_SETPOINT_MPS}"
+        )
+
+
+def velocity_setpoint(velocity_ned_mps: Vec3, time_boot_ms: int, system_id: int) -> Outgoing:
+    """SET_POSITION_TARGET_LOCAL_NED: velocity north, east, down (m/s), everything else left to the autopilot.
+
+    Raises:
+        ValueError: see `check_velocity`.
+    """
+    check_velocity(velocity_ned_mps)
+    north, east, down = velocity_ned_mps
+    return mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED, _SETPOINT.pack(
+        time_boot_ms & 0xFFFF_FFFF,
+        0.0,
+        0.0,
+        0.0,
+        north,
+        east,
+        down,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        VELOCITY_MASK,
+        system_id,
+        AUTOPILOT_COMPONENT,
+        FRAME_LOCAL_NED,
+    )
+
+
+def command_long(command: int, params: tuple[float, ...], system_id: int, confirmation: int = 0) -> Outgoing:
+    """COMMAND_LONG to the autopilot; params that are not given are 0."""
+    seven = (*params, *(0.0,) * (7 - len(params)))
+    return mavlink.MAVLINK_MSG_ID_COMMAND_LONG, _COMMAND_LONG.pack(
+        *seven, command, system_id, AUTOPILOT_COMPONENT, confirmation
+    )
+
+
+def statustext(severity: int, text: str, text_id: int) -> list[Outgoing]:
+    """STATUSTEXT; longer text goes in chunks under `text_id` (1-65535), cut at ten of them.
+
+    Characters outside ASCII become "?": ground stations differ in what else they show.
+    """
+    data = text.encode("ascii", "replace").replace(b"\0", b"?")
+    if len(data) <= TEXT_BYTES:
+        return [(mavlink.MAVLINK_MSG_ID_STATUSTEXT, _STATUSTEXT.pack(severity, data, 0, 0))]
+    # A zero byte ends the text, so text that fills its last chunk would need an empty one behind it.
+    data = data[: TEXT_BYTES * _MAX_CHUNKS - 1]
+    return [
+        (
+            mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+            _STATUSTEXT.pack(severity, data[at : at + TEXT_BYTES], text_id, at // TEXT_BYTES),
+        )
+        for at in range(0, len(data) + 1, TEXT_BYTES)
+    ]
+
+
+def mission_request_list(system_id: int) -> Outgoing:
+    """MISSION_REQUEST_LIST: how many items are there?"""
+    return mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST, _LIST.pack(system_id, AUTOPILOT_COMPONENT, 0)
+
+
+def mission_request(seq: int, system_id: int, *, as_int: bool) -> Outgoing:
+    """MISSION_REQUEST_INT, or the older MISSION_REQUEST, for one item."""
+    message_id = (
+        mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT if as_int else mavlink.MAVLINK_MSG_ID_MISSION_REQUEST
+    )
+    return message_id, _REQUEST.pack(seq, system_id, AUTOPILOT_COMPONENT, 0)
+
+
+def mission_ack(system_id: int) -> Outgoing:
+    """MISSION_ACK: the download is complete."""
+    return mavlink.MAVLINK_MSG_ID_MISSION_ACK, _ACK.pack(system_id, AUTOPILOT_COMPONENT, 0, 0)

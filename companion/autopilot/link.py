@@ -1,0 +1,406 @@
+"""The MAVLink link to one vehicle: bytes in, events out; commands in, bytes out.
+
+A pure state machine: time is an argument, nothing here reads a clock or a socket. The caller's cycle is
+
+    events = link.receive(data, now_s)      # as often as bytes come
+    events = link.advance(now_s)            # every cycle: heartbeat, retries, timeouts
+    link.send(command, now_s)               # what the heart decided
+    socket.send(link.drain())               # whole frames; what leaves is what was drained
+
+Who is listened to: component 1 of one system, the configured one or the first that sends an autopilot's
+HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out.
+
+Who we are: before the vehicle is known (a `udpout` link must speak first) our heartbeat carries the
+configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground station and
+watches for failsafes. From then on the vehicle's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.config import VehicleConfig
+from companion.errors import PeerDataError
+from companion.events import (
+    Command,
+    DownloadMission,
+    Event,
+    Firmware,
+    FlightMode,
+    GlobalPosition,
+    LocalPosition,
+    MissionDownloaded,
+    MissionRefused,
+    ModeRefused,
+    Say,
+    SetMode,
+    VehicleTime,
+    VelocitySetpoint,
+)
+
+from . import encoders
+from .dialect import (
+    AUTOPILOT_INVALID,
+    CMD_DO_SET_MODE,
+    CMD_SET_MESSAGE_INTERVAL,
+    DIALECTS,
+    refusal,
+)
+from .mission_download import MissionDownload
+from .mode_request import ModeRequest
+from .readers import READERS, Fields, heartbeat, unpack
+from .statustext import TextAssembler
+from .streams import Streams
+from .wire import Frame, FrameScanner, MavlinkWriter, WireCounts
+
+HEARTBEAT_PERIOD_S = 1.0
+LOST_AFTER_S = 3.0
+"""Heartbeats further apart than this: the link dropped, or the vehicle restarted."""
+REBOOT_STEP_S = 1.0
+"""The vehicle's clock going back by more than this is a reboot; less is messages that overtook each other."""
+MAX_QUEUED_BYTES = 65536
+"""What waits to be drained; a caller that never drains loses it rather than the memory."""
+_DEFAULT_SYSTEM_ID = 1
+_EPSILON_S = 1e-6
+_GOOD_RESULTS = (0, 5)
+_GROUND_STATION = 6
+_HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """The vehicle at the other end."""
+
+    system_id: int
+    firmware: Firmware
+    vehicle_type: int
+    """MAV_TYPE."""
+    refusal: str | None
+    """Why it cannot be commanded, in words; None when it can. Telemetry is read either way."""
+
+
+@dataclass(slots=True)
+class LinkCounts:
+    """What the link has met and done so far."""
+
+    wire: WireCounts
+    """Framing: messages, unknown, corrupt, skipped bytes."""
+    taken: int = 0
+    """Messages of our vehicle that were decoded."""
+    unneeded: int = 0
+    """Messages of our vehicle that nothing here needs: checked, not decoded."""
+    foreign: int = 0
+    """Messages of other systems and components, or answers meant for them."""
+    bad_values: int = 0
+    """Messages with values that no honest vehicle sends."""
+    no_position: int = 0
+    """GLOBAL_POSITION_INT before the vehicle knew where it is."""
+    acks_accepted: int = 0
+    acks_refused: int = 0
+    reboots: int = 0
+    drops: int = 0
+    """Gaps between heartbeats of more than `LOST_AFTER_S`."""
+    stream_requests: int = 0
+    mode_requests: int = 0
+    setpoints: int = 0
+    setpoints_dropped: int = 0
+    """Setpoints not sent: no vehicle, one that cannot be commanded, or replaced before they were drained."""
+    overflows: int = 0
+    """Times the undrained queue was thrown away."""
+
+
+class AutopilotLink:
+    """See the module. One object per vehicle; give it every byte of the link."""
+
+    def __init__(self, config: VehicleConfig) -> None:
+        self._config = config
+        self._scanner = FrameScanner()
+        self.counts = LinkCounts(wire=self._scanner.counts)
+        self.last_bad: str | None = None
+        """The latest bad value in words, for the status line."""
+        self._writer = MavlinkWriter(config.system_id or _DEFAULT_SYSTEM_ID, config.component_id)
+        self._vehicle: Vehicle | None = None
+        self._custom_mode = 0
+        self._boot_s: float | None = None
+        self._boot_heard_s = 0.0
+        self._heartbeat_heard_s: float | None = None
+        self._heartbeat_sent_s: float | None = None
+        self._streams = Streams()
+        self._texts = TextAssembler()
+        self._text_id = 0
+        self._mode: ModeRequest | None = None
+        self._download: MissionDownload | None = None
+        self._events: list[Event] = []
+        self._out = bytearray()
+        self._setpoint: encoders.Outgoing | None = None
+        self._handlers: dict[int, Callable[[Frame, Fields, float], None]] = {
+            _HEARTBEAT_ID: self._on_heartbeat,
+            mavlink.MAVLINK_MSG_ID_STATUSTEXT: self._on_statustext,
+            mavlink.MAVLINK_MSG_ID_COMMAND_ACK: self._on_command_ack,
+            mavlink.MAVLINK_MSG_ID_MISSION_COUNT: self._on_mission_count,
+            mavlink.MAVLINK_MSG_ID_MISSION_ITEM: self._on_mission_item,
+            mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT: self._on_mission_item,
+            mavlink.MAVLINK_MSG_ID_MISSION_ACK: self._on_mission_ack,
+        }
+
+    @property
+    def vehicle(self) -> Vehicle | None:
+        """The vehicle, once its first heartbeat has come."""
+        return self._vehicle
+
+    # ------------------------------------------------------------ in
+
+    def receive(self, data: bytes, now_s: float) -> list[Event]:
+        """Take bytes of the link; return what they told. Damaged or senseless input is counted, not raised."""
+        for frame in self._scanner.frames(data):
+            if not self._ours(frame):
+                self.counts.foreign += 1
+                continue
+            try:
+                self._take(frame, now_s)
+            except PeerDataError as error:
+                self.counts.bad_values += 1
+                self.last_bad = str(error)
+        return self._take_events()
+
+    def _ours(self, frame: Frame) -> bool:
+        if frame.component_id != encoders.AUTOPILOT_COMPONENT:
+            return False
+        if self._vehicle is not None:
+            return frame.system_id == self._vehicle.system_id
+        wanted = self._config.system_id
+        return frame.message_id == _HEARTBEAT_ID and (wanted == 0 or frame.system_id == wanted)
+
+    def _take(self, frame: Frame, now_s: float) -> None:
+        message_id = frame.message_id
+        reader = READERS.get(message_id)
+        if reader is None:
+            handler = self._handlers.get(message_id)
+            if handler is None:
+                self.counts.unneeded += 1
+                return
+            self.counts.taken += 1
+            handler(frame, unpack(message_id, frame.payload), now_s)
+            return
+        self.counts.taken += 1
+        # Counted before it is judged: a stream of bad values still arrives, asking again would not mend it.
+        self._streams.received(message_id)
+        event = reader(unpack(message_id, frame.payload))
+        if event is None:
+            self.counts.no_position += 1
+            return
+        if isinstance(event, GlobalPosition | LocalPosition | VehicleTime):
+            self._on_boot_time(event.time_boot_s, now_s)
+        self._events.append(event)
+
+    def _on_boot_time(self, time_boot_s: float, now_s: float) -> None:
+        """Follow the vehicle's clock; when it begins anew, so have its stream rates."""
+        if self._boot_s is not None and time_boot_s < self._boot_s - REBOOT_STEP_S:
+            self.counts.reboots += 1
+            self._streams.restart(now_s)
+        self._boot_s = time_boot_s
+        self._boot_heard_s = now_s
+
+    def _on_heartbeat(self, frame: Frame, fields: Fields, now_s: float) -> None:
+        system_id = frame.system_id
+        if fields[1] == _GROUND_STATION or fields[2] == AUTOPILOT_INVALID:
+            self.counts.foreign += 1
+            return
+        event = heartbeat(system_id, fields)
+        last_s = self._heartbeat_heard_s
+        self._heartbeat_heard_s = now_s
+        if self._vehicle is None:
+            self._writer.encoder.srcSystem = system_id
+            self._streams.restart(now_s)
+        elif last_s is not None and now_s - last_s > LOST_AFTER_S:
+            self.counts.drops += 1
+            self._streams.restart(now_s)
+        if self._vehicle is None or self._vehicle.vehicle_type != event.vehicle_type:
+            self._vehicle = Vehicle(
+                system_id=system_id,
+                firmware=event.firmware,
+                vehicle_type=event.vehicle_type,
+                refusal=refusal(event.firmware, event.vehicle_type),
+            )
+        self._custom_mode = event.custom_mode
+        self._events.append(event)
+        if self._mode is not None:
+            self._mode.on_heartbeat(event.custom_mode)
+            self._settle_mode()
+
+    def _on_statustext(self, _frame: Frame, fields: Fields, now_s: float) -> None:
+        for text in self._texts.feed(fields, now_s):
+            self._events.append(text)
+            if self._mode is not None:
+                self._mode.on_text(text.text)
+
+    def _on_command_ack(self, _frame: Frame, fields: Fields, _now_s: float) -> None:
+        command, result, _progress, _param2, target_system, target_component = fields
+        if not self._for_us(target_system, target_component):
+            return
+        if result in _GOOD_RESULTS:
+            self.counts.acks_accepted += 1
+        else:
+            self.counts.acks_refused += 1
+        if command == CMD_DO_SET_MODE and self._mode is not None:
+            self._mode.on_ack(result)
+
+    def _on_mission_count(self, _frame: Frame, fields: Fields, now_s: float) -> None:
+        if self._download is not None and self._for_us(fields[1], fields[2]):
+            self._download.on_count(fields, now_s)
+            self._move_download(now_s)
+
+    def _on_mission_item(self, frame: Frame, fields: Fields, now_s: float) -> None:
+        if self._download is not None and self._for_us(fields[9], fields[10]):
+            try:
+                self._download.on_item(frame.message_id, fields, now_s)
+            finally:
+                self._move_download(now_s)
+
+    def _on_mission_ack(self, _frame: Frame, fields: Fields, now_s: float) -> None:
+        if self._download is not None and self._for_us(fields[0], fields[1]):
+            self._download.on_ack(fields)
+            self._move_download(now_s)
+
+    def _for_us(self, target_system: int, target_component: int) -> bool:
+        """Whether an answer is meant for us; 0 is everybody, and what MAVLink 1 has no field for."""
+        encoder = self._writer.encoder
+        ours = target_system in (0, encoder.srcSystem) and target_component in (0, encoder.srcComponent)
+        if not ours:
+            self.counts.foreign += 1
+        return ours
+
+    # ------------------------------------------------------------ time
+
+    def advance(self, now_s: float) -> list[Event]:
+        """Do what time makes due: our heartbeat, requests for streams, retries; return what came of it."""
+        last_s = self._heartbeat_sent_s
+        if last_s is None or now_s - last_s >= HEARTBEAT_PERIOD_S - _EPSILON_S:
+            self._heartbeat_sent_s = now_s
+            self._queue(encoders.heartbeat())
+        vehicle = self._vehicle
+        if vehicle is not None and self._connected(now_s):
+            for message_id, interval_us in self._streams.due(now_s):
+                self.counts.stream_requests += 1
+                params = (float(message_id), float(interval_us))
+                self._queue(encoders.command_long(CMD_SET_MESSAGE_INTERVAL, params, vehicle.system_id))
+        self._move_mode(now_s)
+        self._move_download(now_s)
+        self._events += self._texts.overdue(now_s)
+        return self._take_events()
+
+    def _connected(self, now_s: float) -> bool:
+        return self._heartbeat_heard_s is not None and now_s - self._heartbeat_heard_s <= LOST_AFTER_S
+
+    # ------------------------------------------------------------ out
+
+    def send(self, command: Command, now_s: float) -> None:
+        """Queue one command; what cannot be done is told by an event of the next `receive` or `advance`.
+
+        Commands that are not for the autopilot (radio, log) are a bug of the caller.
+
+        Raises:
+            ValueError: a setpoint that is not finite or absurdly fast, a mode that cannot be commanded, a
+                command that is not the autopilot's: all bugs of ours.
+        """
+        match command:
+            case VelocitySetpoint():
+                self._send_setpoint(command, now_s)
+            case SetMode():
+                self._send_mode(command.mode, now_s)
+            case DownloadMission():
+                self._send_download(now_s)
+            case Say():
+                self._text_id = self._text_id % 0xFFFF + 1
+                for chunk in encoders.statustext(int(command.severity), command.text, self._text_id):
+                    self._queue(chunk)
+            case _:
+                raise ValueError(f"{type(command).__name__} is not a command for the autopilot")
+
+    def drain(self) -> bytes:
+        """What must be sent now: whole frames, the newest setpoint last."""
+        if self._setpoint is not None:
+            self._out += self._writer.pack_payload(*self._setpoint)
+            self._setpoint = None
+            self.counts.setpoints += 1
+        out = bytes(self._out)
+        self._out.clear()
+        return out
+
+    def _send_setpoint(self, command: VelocitySetpoint, now_s: float) -> None:
+        encoders.check_velocity(command.velocity_ned_mps)
+        vehicle = self._vehicle
+        if vehicle is None or vehicle.refusal is not None:
+            self.counts.setpoints_dropped += 1
+            return
+        if self._setpoint is not None:
+            self.counts.setpoints_dropped += 1
+        boot_ms = 0
+        if self._boot_s is not None:
+            boot_ms = round((self._boot_s + max(0.0, now_s - self._boot_heard_s)) * 1e3)
+        self._setpoint = encoders.velocity_setpoint(command.velocity_ned_mps, boot_ms, vehicle.system_id)
+
+    def _send_mode(self, mode: FlightMode, now_s: float) -> None:
+        vehicle = self._vehicle
+        if vehicle is None:
+            self._events.append(ModeRefused(mode=mode, reason="no vehicle has been heard yet"))
+        elif vehicle.refusal is not None:
+            self._events.append(ModeRefused(mode=mode, reason=vehicle.refusal))
+        else:
+            dialect = DIALECTS[vehicle.firmware]
+            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode)
+            self._move_mode(now_s)
+
+    def _move_mode(self, now_s: float) -> None:
+        if self._mode is None:
+            return
+        outgoing = self._mode.due(now_s)
+        if outgoing is not None:
+            self.counts.mode_requests += 1
+            self._queue(outgoing)
+        self._settle_mode()
+
+    def _settle_mode(self) -> None:
+        request = self._mode
+        if request is None or not (request.confirmed or request.refused):
+            return
+        if request.refused:
+            self._events.append(ModeRefused(mode=request.mode, reason=request.refused))
+        self._mode = None
+
+    def _send_download(self, now_s: float) -> None:
+        vehicle = self._vehicle
+        if vehicle is None:
+            self._events.append(MissionRefused(reason="no vehicle has been heard yet"))
+            return
+        # ArduPilot's item 0 is its home, not a part of the mission.
+        skip_home = vehicle.firmware is Firmware.ARDUPILOT
+        self._download = MissionDownload(vehicle.system_id, now_s, skip_home=skip_home)
+        self._move_download(now_s)
+
+    def _move_download(self, now_s: float) -> None:
+        download = self._download
+        if download is None:
+            return
+        outgoing = download.due(now_s)
+        if outgoing is not None:
+            self._queue(outgoing)
+        if download.failed is not None:
+            self._events.append(MissionRefused(reason=download.failed))
+            self._download = None
+        elif download.items is not None:
+            self._events.append(MissionDownloaded(items=download.items))
+            self._download = None
+
+    def _queue(self, outgoing: encoders.Outgoing) -> None:
+        if len(self._out) > MAX_QUEUED_BYTES:
+            self._out.clear()
+            self.counts.overflows += 1
+        self._out += self._writer.pack_payload(*outgoing)
+
+    def _take_events(self) -> list[Event]:
+        events, self._events = self._events, []
+        return events

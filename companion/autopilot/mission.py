@@ -1,0 +1,146 @@
+"""A timed path from the vehicle's own mission.
+
+What is flown: NAV_WAYPOINT with its hold time, at the speed of the last DO_CHANGE_SPEED. The clock starts at the
+place where the companion takes the vehicle, and every leg is straight at constant speed. The companion takes over
+in the air, so a leading NAV_TAKEOFF is the pilot's or the autopilot's and is left out; NAV_LAND and
+NAV_RETURN_TO_LAUNCH end the path and are not flown. Everything else is refused: a mission flown in part is
+another mission.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.config import TrajectoryFile, Waypoint
+from companion.errors import ConfigError
+from companion.events import MissionItem, Vec3
+from companion.geometry import LocalFrame
+
+NAV_WAYPOINT = 16
+NAV_RETURN_TO_LAUNCH = 20
+NAV_LAND = 21
+NAV_TAKEOFF = 22
+DO_CHANGE_SPEED = 178
+
+MAX_SPEED_MPS = 100.0
+MAX_HOLD_S = 3600.0
+MAX_LEG_M = 100_000.0
+SAME_PLACE_M = 0.01
+"""Points closer than this are one: times on a path rise strictly."""
+
+_MSL_FRAMES = frozenset({0, 5})
+_HOME_FRAMES = frozenset({3, 6})
+_SPEED_KINDS = (0.0, 1.0)
+"""DO_CHANGE_SPEED param 1: airspeed and ground speed, one thing to a multirotor."""
+_ALLOWED = "NAV_WAYPOINT, NAV_TAKEOFF as the first item, DO_CHANGE_SPEED, and NAV_LAND or NAV_RETURN_TO_LAUNCH as the end"
+_NAMES: dict[int, str] = {
+    number: entry.name.removeprefix("MAV_CMD_") for number, entry in mavlink.enums["MAV_CMD"].items()
+}
+
+
+def path_from_mission(
+    items: Sequence[MissionItem], *, speed_mps: float, start: Vec3, home_alt_msl_m: float | None
+) -> TrajectoryFile:
+    """The mission as a timed path above home.
+
+    Args:
+        items: As downloaded, ArduPilot's home item left out.
+        speed_mps: Speed along the legs until a DO_CHANGE_SPEED.
+        start: Latitude (deg), longitude (deg), height above home (m) where the clock starts.
+        home_alt_msl_m: Home above mean sea level; needed by items that give altitudes above mean sea level.
+
+    Raises:
+        ConfigError: an item that cannot be flown (names its number, its command and what is allowed), or no
+            waypoint at all.
+    """
+    builder = _Builder(speed_mps, start, home_alt_msl_m)
+    for position, item in enumerate(items):
+        if item.command in (NAV_LAND, NAV_RETURN_TO_LAUNCH):
+            break
+        if item.command == NAV_TAKEOFF and position == 0:
+            continue
+        if item.command == NAV_WAYPOINT:
+            builder.waypoint(item)
+        elif item.command == DO_CHANGE_SPEED:
+            builder.change_speed(item)
+        else:
+            raise _refused(item, f"cannot be flown; allowed are {_ALLOWED}")
+    if len(builder.waypoints) < 2:
+        raise ConfigError(f"mission: no waypoint to fly in its {len(items)} items; allowed are {_ALLOWED}")
+    return TrajectoryFile(altitude="home", waypoint=tuple(builder.waypoints))
+
+
+def _refused(item: MissionItem, why: str) -> ConfigError:
+    name = _NAMES.get(item.command, "unknown command")
+    return ConfigError(f"mission item {item.seq}: {name} ({item.command}): {why}")
+
+
+class _Builder:
+    """The path so far and the speed that applies."""
+
+    def __init__(self, speed_mps: float, start: Vec3, home_alt_msl_m: float | None) -> None:
+        if not 0 < speed_mps <= MAX_SPEED_MPS:
+            raise ConfigError(f"mission speed {speed_mps} m/s: allowed is above 0 to {MAX_SPEED_MPS}")
+        self._speed_mps = speed_mps
+        self._home_alt_msl_m = home_alt_msl_m
+        self.waypoints = [Waypoint(t_s=0.0, lat_deg=start[0], lon_deg=start[1], alt_m=start[2])]
+
+    def change_speed(self, item: MissionItem) -> None:
+        kind, speed_mps = item.params[0], item.params[1]
+        if kind not in _SPEED_KINDS:
+            raise _refused(item, f"speed type {kind}; allowed are 0 (airspeed) and 1 (ground speed)")
+        if speed_mps == -1.0:
+            return
+        if speed_mps is None or not 0 < speed_mps <= MAX_SPEED_MPS:
+            raise _refused(
+                item, f"speed {speed_mps} m/s; allowed is above 0 to {MAX_SPEED_MPS}, or -1 for no change"
+            )
+        self._speed_mps = speed_mps
+
+    def waypoint(self, item: MissionItem) -> None:
+        lat_deg, lon_deg, alt_m = self._position(item)
+        hold_s = item.params[0]
+        if hold_s is None:
+            hold_s = 0.0
+        if not 0 <= hold_s <= MAX_HOLD_S:
+            raise _refused(item, f"hold time {hold_s} s; allowed is 0 to {MAX_HOLD_S}")
+        last = self.waypoints[-1]
+        north, east, down = LocalFrame(last.lat_deg, last.lon_deg, last.alt_m).to_ned(lat_deg, lon_deg, alt_m)
+        length_m = math.hypot(north, east, down)
+        if length_m > MAX_LEG_M:
+            raise _refused(
+                item, f"{length_m / 1e3:.0f} km from the point before; allowed is {MAX_LEG_M / 1e3:.0f}"
+            )
+        if length_m > SAME_PLACE_M:
+            self._add(length_m / self._speed_mps, lat_deg, lon_deg, alt_m)
+        if hold_s > 0:
+            self._add(hold_s, lat_deg, lon_deg, alt_m)
+
+    def _add(self, after_s: float, lat_deg: float, lon_deg: float, alt_m: float) -> None:
+        t_s = self.waypoints[-1].t_s + after_s
+        self.waypoints.append(Waypoint(t_s=t_s, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
+
+    def _position(self, item: MissionItem) -> Vec3:
+        """Latitude, longitude, height above home of a waypoint."""
+        if item.frame not in _MSL_FRAMES | _HOME_FRAMES:
+            raise _refused(
+                item,
+                f"MAV_FRAME {item.frame}; allowed are 0 and 5 (above mean sea level), 3 and 6 (above home)",
+            )
+        lat_deg, lon_deg, alt_m = item.lat_deg, item.lon_deg, item.alt_m
+        if lat_deg is None or lon_deg is None or alt_m is None:
+            raise _refused(item, "latitude, longitude or altitude left open; all three are needed")
+        if lat_deg == 0 and lon_deg == 0:
+            raise _refused(
+                item, "0, 0 stands for the current position; a latitude and a longitude are needed"
+            )
+        if item.frame in _HOME_FRAMES:
+            return lat_deg, lon_deg, alt_m
+        if self._home_alt_msl_m is None:
+            raise _refused(
+                item, "altitude above mean sea level, and home's is not known; allowed are 3 and 6"
+            )
+        return lat_deg, lon_deg, alt_m - self._home_alt_msl_m

@@ -1,0 +1,130 @@
+"""Fetching the vehicle's mission, item by item.
+
+MISSION_REQUEST_LIST -> MISSION_COUNT -> (MISSION_REQUEST_INT -> MISSION_ITEM_INT) per item -> MISSION_ACK,
+each request repeated when its answer does not come; later tries use MISSION_REQUEST; either form of item is taken.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.errors import PeerDataError
+from companion.events import MissionItem
+
+from .encoders import Outgoing, mission_ack, mission_request, mission_request_list
+from .readers import Fields, finite_or_none
+
+RETRY_S = 1.0
+MAX_TRIES = 5
+INT_TRIES = 3
+"""Tries with MISSION_REQUEST_INT before the older MISSION_REQUEST."""
+TOTAL_S = 60.0
+MAX_ITEMS = 2000
+
+GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
+"""MAV_FRAMEs whose x and y are latitude and longitude."""
+_INT32_MAX = 0x7FFF_FFFF
+_MISSION = 0
+_RESULTS: dict[int, str] = {
+    number: entry.name.removeprefix("MAV_MISSION_").lower().replace("_", " ")
+    for number, entry in mavlink.enums["MAV_MISSION_RESULT"].items()
+}
+
+
+def item_from_int(fields: Fields) -> MissionItem:
+    """MISSION_ITEM_INT in wire order."""
+    x, y = fields[4:6]
+    scale = 1e7 if fields[11] in GLOBAL_FRAMES else 1.0
+    return _item(fields, *(None if v == _INT32_MAX else v / scale for v in (x, y)))
+
+
+def item_from_float(fields: Fields) -> MissionItem:
+    """MISSION_ITEM in wire order: degrees in single precision, some metres coarse."""
+    return _item(fields, finite_or_none(fields[4]), finite_or_none(fields[5]))
+
+
+def _item(fields: Fields, x: float | None, y: float | None) -> MissionItem:
+    p1, p2, p3, p4, _x, _y, z, seq, command, _system, _component, frame = fields[:12]
+    if frame in GLOBAL_FRAMES and (abs(x or 0.0) > 90.0 or abs(y or 0.0) > 180.0):
+        raise PeerDataError(f"mission item {seq}: position {x}, {y} is not on Earth")
+    if math.isinf(z):
+        raise PeerDataError(f"mission item {seq}: altitude is infinite")
+    return MissionItem(
+        seq=seq,
+        command=command,
+        frame=frame,
+        params=(finite_or_none(p1), finite_or_none(p2), finite_or_none(p3), finite_or_none(p4)),
+        lat_deg=x,
+        lon_deg=y,
+        alt_m=finite_or_none(z),
+    )
+
+
+class MissionDownload:
+    """One download: `due` says what to send; ends with `items` or with `failed` (a reason)."""
+
+    def __init__(self, system_id: int, now_s: float, *, skip_home: bool) -> None:
+        self.items: tuple[MissionItem, ...] | None = None
+        self.failed: str | None = None
+        self._system_id = system_id
+        self._skip_home = skip_home
+        self._started_s = now_s
+        self._count: int | None = None
+        self._got: list[MissionItem] = []
+        self._tries = 0
+        self._next_s = now_s
+
+    def due(self, now_s: float) -> Outgoing | None:
+        """What to send now; past the last try or the total time the download has failed."""
+        if self.failed is not None:
+            return None
+        if self._count is not None and len(self._got) == self._count:
+            self.items = tuple(self._got[1:] if self._skip_home else self._got)
+            return mission_ack(self._system_id)
+        if now_s < self._next_s:
+            return None
+        what = "MISSION_COUNT" if self._count is None else f"item {len(self._got)} of {self._count}"
+        if self._tries == MAX_TRIES or now_s - self._started_s > TOTAL_S:
+            self.failed = f"{what} did not come after {self._tries} tries"
+            return None
+        self._tries += 1
+        self._next_s = now_s + RETRY_S
+        if self._count is None:
+            return mission_request_list(self._system_id)
+        return mission_request(len(self._got), self._system_id, as_int=self._tries <= INT_TRIES)
+
+    def on_count(self, fields: Fields, now_s: float) -> None:
+        """MISSION_COUNT in wire order; another number than before means another mission: begin again."""
+        count, mission_type = fields[0], fields[3]
+        if mission_type != _MISSION or count == self._count:
+            return
+        if count > MAX_ITEMS:
+            self.failed = f"{count} items are more than the {MAX_ITEMS} that are allowed"
+        self._count = count
+        self._got = []
+        self._progress(now_s)
+
+    def on_item(self, message_id: int, fields: Fields, now_s: float) -> None:
+        """MISSION_ITEM_INT or MISSION_ITEM in wire order; any but the awaited one is left out."""
+        if fields[14] != _MISSION or self._count is None or fields[7] != len(self._got):
+            return
+        as_int = message_id == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT
+        try:
+            item = item_from_int(fields) if as_int else item_from_float(fields)
+        except PeerDataError as error:
+            self.failed = str(error)
+            raise
+        self._got.append(item)
+        self._progress(now_s)
+
+    def on_ack(self, fields: Fields) -> None:
+        """MISSION_ACK in wire order: anything but "accepted" ends the download."""
+        result, mission_type = fields[2], fields[3]
+        if mission_type == _MISSION and result != 0:
+            self.failed = f"the vehicle answered: {_RESULTS.get(result, f'result {result}')}"
+
+    def _progress(self, now_s: float) -> None:
+        self._tries = 0
+        self._next_s = now_s

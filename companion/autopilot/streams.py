@@ -1,0 +1,75 @@
+"""Which telemetry the companion needs, and asking for it until it comes.
+
+A fresh ArduPilot link carries only heartbeats, and rates are forgotten at a reboot; PX4 streams unasked. So
+each message is asked for once, its rate is watched, and it is asked for again when it falls short, ever more
+rarely: a vehicle that refuses is not flooded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+STREAM_RATES_HZ: dict[int, float] = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+}
+"""What is asked for; HEARTBEAT and STATUSTEXT come by themselves."""
+
+ENOUGH = 0.5
+"""Share of the asked rate below which a stream is asked for again."""
+FIRST_CHECK_S = 2.0
+LONGEST_CHECK_S = 30.0
+
+
+@dataclass(slots=True)
+class _Stream:
+    rate_hz: float
+    received: int = 0
+    since_s: float = 0.0
+    check_s: float = 0.0
+    wait_s: float = FIRST_CHECK_S
+    asked: bool = False
+
+
+class Streams:
+    """Counts what arrives and says what to ask for."""
+
+    def __init__(self) -> None:
+        self._streams = {message_id: _Stream(rate) for message_id, rate in STREAM_RATES_HZ.items()}
+
+    def restart(self, now_s: float) -> None:
+        """The vehicle is new or has forgotten its rates: ask for everything at once."""
+        for stream in self._streams.values():
+            stream.received, stream.since_s, stream.check_s = 0, now_s, now_s
+            stream.wait_s, stream.asked = FIRST_CHECK_S, False
+
+    def received(self, message_id: int) -> None:
+        """One message has arrived."""
+        self._streams[message_id].received += 1
+
+    def due(self, now_s: float) -> list[tuple[int, int]]:
+        """Message ids to ask for now, each with its interval (microseconds)."""
+        return [
+            (message_id, round(1e6 / stream.rate_hz))
+            for message_id, stream in self._streams.items()
+            if now_s >= stream.check_s and self._short(stream, now_s)
+        ]
+
+    @staticmethod
+    def _short(stream: _Stream, now_s: float) -> bool:
+        """Close the stream's window; True when it has to be asked for (again)."""
+        wanted = stream.rate_hz * (now_s - stream.since_s) * ENOUGH
+        short = not stream.asked or stream.received < wanted
+        if not short:
+            stream.wait_s = FIRST_CHECK_S
+        elif stream.asked:
+            stream.wait_s = min(stream.wait_s * 2, LONGEST_CHECK_S)
+        stream.asked = True
+        stream.received, stream.since_s, stream.check_s = 0, now_s, now_s + stream.wait_s
+        return short
