@@ -7,14 +7,15 @@
 
 | kind | direction | body |
 |---|---|---|
-| 1 JOIN | client -> air | name, UTF-8, 1 to 40 bytes. Repeated every few seconds: who is silent for 10 s has left |
+| 1 JOIN | client -> air | name, UTF-8, 1 to 80 bytes. Repeated every 2 s: who is silent for 10 s has left |
 | 2 LEAVE | client -> air | empty |
 | 3 SEND | client -> air | transport, address, frame |
 | 4 HEARD | air -> client | transport, address, frame |
 | 5 WELCOME | air -> client | clients now on the air, u16 little-endian. Answers every JOIN |
 
 transport: 1 BLE 4, 2 BLE 5, 3 Wi-Fi beacon. address: 6 bytes as they are written, most significant first.
-frame: 1 to 1,000 bytes. Any valid datagram of an unknown client joins it; without a JOIN its name is its port.
+frame: 1 to 1,000 bytes. Any valid datagram of an unknown client joins it; without
+a JOIN its name is its port.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from companion.errors import ConfigError, PeerDataError
 from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
 
 MAX_DATAGRAM = 1100
-MAX_NAME_BYTES = 40
+MAX_NAME_BYTES = 80
 MAX_FRAME_BYTES = 1000
 SILENCE_S = 10.0
 """A client that sent nothing for this long has left."""

@@ -55,7 +55,7 @@ def test_any_frame_comes_back(frame: bytes, transport: str) -> None:
         "4541 01 01",
         "4541 01 01 ff",
         "4541 01 01 0a",
-        "4541 01 01" + "61" * 41,
+        "4541 01 01" + "61" * 81,
         "4541 01 02 00",
         "4541 01 03",
         "4541 01 03 01 c20102030405",
@@ -84,7 +84,7 @@ def test_any_bytes_are_a_datagram_or_the_peers_error(data: bytes) -> None:
     "datagram",
     [
         Join(""),
-        Join("n" * 41),
+        Join("n" * 81),
         Send("nan", ADDRESS, b"x"),
         Send("wifi", "c2:00", b"x"),
         Send("wifi", ADDRESS, b""),

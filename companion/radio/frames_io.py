@@ -1,0 +1,120 @@
+"""Messages to the frames of each transport and back: the pure part of every radio that handles raw frames.
+
+BLE 4 carries one message per frame; BLE 5 and the Wi-Fi beacon carry a pack. Counters and the radio address
+stay steady per transmitter, because receivers tell aircraft and lost frames apart by them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+from companion.errors import PeerDataError
+from companion.events import RemoteIdHeard
+from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.remote_id.codec import PACK_MAX_MESSAGES, encode, encode_pack, read_payload
+from companion.remote_id.frames import (
+    Counters,
+    NotRemoteIdError,
+    build_beacon,
+    build_ble4,
+    build_ble5,
+    parse_frame,
+)
+from companion.remote_id.messages import Message
+
+TRANSPORTS = frozenset((BLE4, BLE5, WIFI_BEACON))
+
+
+def radio_address(identity: str) -> str:
+    """A radio address (six hex octets with colons) that is always the same for an identity.
+
+    The two highest bits make it a BLE random static address, the two lowest of the first octet a locally
+    administered unicast MAC address: one address serves all transports.
+    """
+    digest = bytearray(hashlib.sha256(identity.encode()).digest()[:6])
+    digest[0] = (digest[0] & 0b0011_1100) | 0b1100_0010
+    return digest.hex(":")
+
+
+class FrameSender:
+    """Frames of one transmitter, numbered per transport.
+
+    Args:
+        address: radio address of the transmitter; a beacon carries it, BLE advertising data does not.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._counters = Counters()
+
+    def frames(self, transport: str, messages: Sequence[Message]) -> list[bytes]:
+        """The frames that bring these messages once, in order; none for no messages.
+
+        Raises:
+            ValueError: a transport outside `TRANSPORTS`, or messages that cannot be sent.
+        """
+        if transport not in TRANSPORTS:
+            raise ValueError(f"transport is {transport!r}; allowed: {', '.join(sorted(TRANSPORTS))}")
+        if transport == BLE4:
+            payloads = [encode(message) for message in messages]
+            return [build_ble4(payload, self._counters.next(BLE4, payload)) for payload in payloads]
+        packs = [
+            encode_pack(messages[start : start + PACK_MAX_MESSAGES])
+            for start in range(0, len(messages), PACK_MAX_MESSAGES)
+        ]
+        return [self._pack_frame(transport, pack, self._counters.next(transport, pack)) for pack in packs]
+
+    def _pack_frame(self, transport: str, pack: bytes, counter: int) -> bytes:
+        if transport == BLE5:
+            return build_ble5(pack, counter)
+        return build_beacon(pack, counter, self._address)
+
+
+class FrameReceiver:
+    """What a radio heard, as events; what is wrong with it, as counts."""
+
+    def __init__(self) -> None:
+        self.heard = 0
+        """Frames with at least one message that could be read."""
+        self.bad = 0
+        """Frames that broke the protocol, in part or wholly."""
+        self.foreign = 0
+        """Sound frames of somebody else's, without Remote ID."""
+        self.last_error: str | None = None
+        """What was wrong with the last bad frame."""
+
+    def receive(
+        self, transport: str, address: str, frame: bytes, rssi_dbm: float | None = None
+    ) -> RemoteIdHeard | None:
+        """The event of one frame; None where it holds no message that can be read.
+
+        Of a damaged pack the sound messages are given, so that one bad message does not hide an aircraft.
+
+        Args:
+            transport: one of `TRANSPORTS`; another one raises ValueError.
+            address: transmitter as the radio reports it. A beacon's own source address goes before it.
+            frame: the bytes as the radio reports them.
+            rssi_dbm: signal strength, where the radio reports it.
+        """
+        try:
+            parsed = parse_frame(transport, frame)
+            messages, faults = read_payload(parsed.payload)
+        except NotRemoteIdError:
+            self.foreign += 1
+            return None
+        except PeerDataError as error:
+            self._note(str(error))
+            return None
+        if faults:
+            self._note(faults[0])
+        if not messages:
+            return None
+        self.heard += 1
+        return RemoteIdHeard(
+            transport=transport, address=parsed.address or address, messages=messages, rssi_dbm=rssi_dbm
+        )
+
+    def _note(self, error: str) -> None:
+        self.bad += 1
+        self.last_error = error
