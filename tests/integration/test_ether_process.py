@@ -1,0 +1,223 @@
+"""The simulated air as a real process: clients hear each other over loopback, hostile bytes are survived."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from companion.errors import ConfigError
+from companion.events import RemoteIdHeard
+from companion.radio import ether_wire
+from companion.radio.ether import EtherTransport
+from companion.radio.ether_wire import SILENCE_S, Heard, Join, Leave, Send, Welcome
+from companion.radio.frames_io import FrameSender, radio_address
+from companion.remote_id.messages import Location, SelfId
+from sitl_mocks.channel.simple import SimpleChannel
+from sitl_mocks.ether_server import MAX_CLIENTS, EtherServer
+
+PROGRAM = """
+import argparse, sys
+from sitl_mocks import ether_server
+parser = argparse.ArgumentParser()
+ether_server.add_arguments(parser)
+sys.exit(ether_server.run(parser.parse_args()))
+"""
+GENEROUS_S = 30.0
+MESSAGES = (SelfId(description_type=0, text="survey"), Location(lat_deg=47.5, lon_deg=8.5))
+
+
+def start(*arguments: str) -> tuple[subprocess.Popen[str], str]:
+    """The process, and where it listens."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "--listen", "127.0.0.1:0", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line.startswith("ether on 127.0.0.1:"), process.communicate()[1]
+    return process, line.removeprefix("ether on ").strip()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for something that happens in another process."""
+    deadline = time.monotonic() + GENEROUS_S
+    while not condition():
+        assert time.monotonic() < deadline, "did not happen"
+        time.sleep(0.01)
+
+
+def answered(radio: EtherTransport) -> bool:
+    now = time.monotonic()
+    radio.heard(now)
+    return radio.health(now).ok
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_two_clients_hear_each_other_and_the_air_ends_cleanly(number: signal.Signals) -> None:
+    process, endpoint = start("--delay", "0.01", "0.02", "--seed", "3")
+    radios = {name: EtherTransport(endpoint, name, radio_address(name)) for name in ("a", "b")}
+    heard: dict[str, list[RemoteIdHeard]] = {"a": [], "b": []}
+    try:
+        for radio in radios.values():
+            until(lambda radio=radio: answered(radio))  # type: ignore[misc]
+        stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        host, port = endpoint.split(":")
+        for data in (b"", b"EA", b"EA\x01\x63", b"EA\x01\x04" + b"\x00" * 40, b"\xff" * 5000):
+            stranger.sendto(data, (host, int(port)))
+        stranger.close()
+        for _ in range(5):
+            radios["a"].broadcast("wifi", MESSAGES, time.monotonic())
+            radios["b"].broadcast("ble4", MESSAGES, time.monotonic())
+
+        def all_heard() -> bool:
+            for name, radio in radios.items():
+                heard[name] += radio.heard(time.monotonic())
+            return len(heard["a"]) >= 10 and len(heard["b"]) >= 5
+
+        until(all_heard)
+    finally:
+        for radio in radios.values():
+            radio.close()
+        process.send_signal(number)
+        out, err = process.communicate(timeout=GENEROUS_S)
+    assert process.returncode == 0, err
+    assert {(e.transport, e.address, len(e.messages)) for e in heard["b"]} == {
+        ("wifi", radio_address("a"), 2)
+    }
+    assert {(e.transport, e.address, len(e.messages)) for e in heard["a"]} == {
+        ("ble4", radio_address("b"), 1)
+    }
+    statistics = json.loads(out.splitlines()[-1])
+    assert statistics["bad_datagrams"] == 5
+    assert statistics["pairs"]["a>b"]["delivered"] == 5
+    assert statistics["pairs"]["b>a"]["delivered"] == 10
+    assert 0.01 <= statistics["pairs"]["a>b"]["age_min_s"] <= statistics["pairs"]["a>b"]["age_max_s"]
+
+
+# ------------------------------------------------------- the server itself, with a clock of the test's own
+
+
+@pytest.fixture
+def server() -> Iterator[EtherServer]:
+    air = EtherServer("127.0.0.1", 0, SimpleChannel(), np.random.default_rng(0))
+    yield air
+    air.close()
+
+
+@pytest.fixture
+def clients(server: EtherServer) -> Iterator[list[socket.socket]]:
+    sockets = []
+    for _ in range(3):
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sock.connect(server.endpoint)
+        sock.settimeout(GENEROUS_S)
+        sockets.append(sock)
+    yield sockets
+    for sock in sockets:
+        sock.close()
+
+
+def send(server: EtherServer, now_s: float, client: socket.socket, *datagrams: ether_wire.Datagram) -> None:
+    for datagram in datagrams:
+        client.send(ether_wire.encode(datagram))
+    # Loopback has delivered by the time send returns.
+    server.step(now_s)
+
+
+def receive(client: socket.socket) -> ether_wire.Datagram:
+    return ether_wire.decode(client.recv(2000))
+
+
+def test_a_client_joins_by_any_datagram_and_is_named(
+    server: EtherServer, clients: list[socket.socket]
+) -> None:
+    one, two, three = clients
+    frame = Send("wifi", "c2:01:02:03:04:05", b"frame")
+    send(server, 0.0, one, Join("a"))
+    assert receive(one) == Welcome(1)
+    send(server, 0.0, two, Join("a"))
+    assert receive(two) == Welcome(2)
+    send(server, 0.0, three, frame)
+    ports = [sock.getsockname()[1] for sock in clients]
+    assert server.clients == ("a", f"a@{ports[1]}", str(ports[2]))
+    assert receive(one) == receive(two) == Heard("wifi", "c2:01:02:03:04:05", b"frame")
+
+
+def test_a_client_leaves_by_goodbye_or_silence(server: EtherServer, clients: list[socket.socket]) -> None:
+    one, two, three = clients
+    send(server, 0.0, one, Join("a"))
+    send(server, 0.0, two, Join("b"))
+    send(server, 0.0, three, Join("c"))
+    send(server, 1.0, one, Leave())
+    assert server.clients == ("b", "c")
+    send(server, SILENCE_S, two, Join("b"))
+    assert server.clients == ("b", "c")
+    server.step(SILENCE_S + 0.1)
+    assert server.clients == ("b",)
+    send(server, SILENCE_S + 0.2, three, Join("c"))
+    assert server.clients == ("b", "c")
+
+
+def test_a_client_may_not_speak_as_the_air(server: EtherServer, clients: list[socket.socket]) -> None:
+    send(server, 0.0, clients[0], Welcome(9), Heard("wifi", "c2:01:02:03:04:05", b"x"))
+    assert server.clients == ()
+    assert server.counts.bad_datagrams == 2
+
+
+def test_a_client_that_vanished_does_not_stop_the_air(
+    server: EtherServer, clients: list[socket.socket]
+) -> None:
+    one, two, three = clients
+    for name, client in zip("abc", clients, strict=True):
+        send(server, 0.0, client, Join(name))
+    receive(one)
+    two.close()
+    for _ in range(5):
+        send(server, 0.1, three, Send("wifi", "c2:01:02:03:04:05", b"x"))
+        assert receive(one) == Heard("wifi", "c2:01:02:03:04:05", b"x")
+
+
+def test_the_number_of_clients_is_bounded(
+    server: EtherServer, clients: list[socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert MAX_CLIENTS >= 50
+    monkeypatch.setattr("sitl_mocks.ether_server.MAX_CLIENTS", 2)
+    for name, client in zip("abc", clients, strict=True):
+        send(server, 0.0, client, Join(name))
+    assert server.clients == ("a", "b")
+    assert server.counts.refused_clients == 1
+
+
+def test_a_carried_position_sets_the_range(clients: list[socket.socket]) -> None:
+    """Over UDP nobody tells positions: the range holds by those in the frames."""
+    air = EtherServer("127.0.0.1", 0, SimpleChannel(range_m=500.0), np.random.default_rng(0))
+    for client in clients:
+        client.connect(air.endpoint)
+    for name, lat, client in zip("abc", (0.0, 0.004, 0.005), clients, strict=True):
+        place = Location(lat_deg=lat, lon_deg=8.5, alt_geodetic_m=100.0)
+        (frame,) = FrameSender(radio_address(name)).frames("wifi", (place,))
+        send(air, 0.0, client, Join(name), Send("wifi", radio_address(name), frame))
+    pairs = air.ether.stats
+    assert (pairs["b", "a"].delivered, pairs["b", "a"].lost) == (1, 0)
+    assert (pairs["c", "b"].delivered, pairs["c", "b"].lost) == (1, 0)
+    assert (pairs["c", "a"].delivered, pairs["c", "a"].lost) == (0, 1)
+    air.close()
+
+
+def test_a_port_in_use_is_a_configuration_error(server: EtherServer) -> None:
+    with pytest.raises(ConfigError, match=f"{server.endpoint[1]}: already in use"):
+        EtherServer(*server.endpoint, SimpleChannel(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "example.invalid", ""])
+def test_the_air_listens_on_loopback_only(host: str) -> None:
+    with pytest.raises(ConfigError, match="endpoint"):
+        EtherServer(host, 0, SimpleChannel(), np.random.default_rng(0))
