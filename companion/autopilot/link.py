@@ -11,8 +11,8 @@ Who is listened to: component 1 of one system, the configured one or the first t
 HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out.
 
 Who we are: before the vehicle is known (a `udpout` link must speak first) our heartbeat carries the
-configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground station and
-watches for failsafes. From then on the vehicle's own.
+configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground
+station and watches for failsafes. From then on the vehicle's own.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class AutopilotLink:
     # ------------------------------------------------------------ in
 
     def receive(self, data: bytes, now_s: float) -> list[Event]:
-        """Take bytes of the link; return what they told. Damaged or senseless input is counted, not raised."""
+        """Take bytes of the link; return what they told. Damaged or senseless input is only counted."""
         for frame in self._scanner.frames(data):
             if not self._ours(frame):
                 self.counts.foreign += 1

@@ -1,10 +1,10 @@
 """A timed path from the vehicle's own mission.
 
-What is flown: NAV_WAYPOINT with its hold time, at the speed of the last DO_CHANGE_SPEED. The clock starts at the
-place where the companion takes the vehicle, and every leg is straight at constant speed. The companion takes over
-in the air, so a leading NAV_TAKEOFF is the pilot's or the autopilot's and is left out; NAV_LAND and
-NAV_RETURN_TO_LAUNCH end the path and are not flown. Everything else is refused: a mission flown in part is
-another mission.
+What is flown: NAV_WAYPOINT with its hold time, at the speed of the last DO_CHANGE_SPEED. The clock starts at
+the place where the companion takes the vehicle, and every leg is straight at constant speed. The companion
+takes over in the air, so a NAV_TAKEOFF before the first waypoint is the pilot's or the autopilot's and is left
+out; NAV_LAND and NAV_RETURN_TO_LAUNCH end the path and are not flown. Everything else is refused: a mission
+flown in part is another mission.
 """
 
 from __future__ import annotations
@@ -35,7 +35,10 @@ _MSL_FRAMES = frozenset({0, 5})
 _HOME_FRAMES = frozenset({3, 6})
 _SPEED_KINDS = (0.0, 1.0)
 """DO_CHANGE_SPEED param 1: airspeed and ground speed, one thing to a multirotor."""
-_ALLOWED = "NAV_WAYPOINT, NAV_TAKEOFF as the first item, DO_CHANGE_SPEED, and NAV_LAND or NAV_RETURN_TO_LAUNCH as the end"
+_ALLOWED = (
+    "NAV_WAYPOINT, DO_CHANGE_SPEED, NAV_TAKEOFF before the first waypoint, "
+    "and NAV_LAND or NAV_RETURN_TO_LAUNCH as the end"
+)
 _NAMES: dict[int, str] = {
     number: entry.name.removeprefix("MAV_CMD_") for number, entry in mavlink.enums["MAV_CMD"].items()
 }
@@ -57,10 +60,10 @@ def path_from_mission(
             waypoint at all.
     """
     builder = _Builder(speed_mps, start, home_alt_msl_m)
-    for position, item in enumerate(items):
+    for item in items:
         if item.command in (NAV_LAND, NAV_RETURN_TO_LAUNCH):
             break
-        if item.command == NAV_TAKEOFF and position == 0:
+        if item.command == NAV_TAKEOFF and len(builder.waypoints) == 1:
             continue
         if item.command == NAV_WAYPOINT:
             builder.waypoint(item)

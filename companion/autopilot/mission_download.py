@@ -1,7 +1,8 @@
 """Fetching the vehicle's mission, item by item.
 
 MISSION_REQUEST_LIST -> MISSION_COUNT -> (MISSION_REQUEST_INT -> MISSION_ITEM_INT) per item -> MISSION_ACK,
-each request repeated when its answer does not come; later tries use MISSION_REQUEST; either form of item is taken.
+each request repeated when its answer does not come; later tries use MISSION_REQUEST; either form of item is
+taken.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class WireCounts:
 
 
 class Frame(NamedTuple):
-    """One frame of a known message whose checksum is right."""
+    """One frame, cut into its parts."""
 
     message_id: int
     system_id: int
@@ -94,24 +94,27 @@ def is_known(message_id: int) -> bool:
 
 def checked_frame(raw: bytes) -> Frame | None:
     """One whole frame of a known message, or None when its checksum is wrong."""
+    frame = _frame(raw)
+    stop = len(frame.payload) + (6 if raw[0] == MAGIC_V1 else 10)
+    if raw[stop] | raw[stop + 1] << 8 != checksum(raw[1:stop], frame.message_id):
+        return None
+    return frame
+
+
+def _frame(raw: bytes) -> Frame:
     if raw[0] == MAGIC_V1:
         _, size, _, system, component, message_id = raw[:6]
-        start = 6
-    else:
-        _, size, _, _, _, system, component, low, high = _HEAD_V2.unpack_from(raw)
-        message_id = low | high << 16
-        start = 10
-    stop = start + size
-    if raw[stop] | raw[stop + 1] << 8 != checksum(raw[1:stop], message_id):
-        return None
-    return Frame(message_id, system, component, raw[start:stop], raw)
+        return Frame(message_id, system, component, raw[6 : 6 + size], raw)
+    _, size, _, _, _, system, component, low, high = _HEAD_V2.unpack_from(raw)
+    return Frame(low | high << 16, system, component, raw[10 : 10 + size], raw)
 
 
 class FrameScanner:
     """Bytes to checked frames. Feed it pieces of any size; however they are cut, the frames are the same."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, keep_unknown: bool = False) -> None:
         self.counts = WireCounts()
+        self._keep_unknown = keep_unknown
         self._rest = b""
 
     @property
@@ -120,7 +123,11 @@ class FrameScanner:
         return len(self._rest)
 
     def frames(self, data: bytes) -> list[Frame]:
-        """Return the frames of known messages completed by `data`; the rest is counted and left out."""
+        """Return the frames completed by `data`; damaged ones are counted and left out.
+
+        Frames of unknown messages are counted, and left out unless the scanner was made to keep them: a
+        record of a link must not lose what a newer dialect can read.
+        """
         buffer = self._rest + data
         counts = self.counts
         found: list[Frame] = []
@@ -166,6 +173,8 @@ class FrameScanner:
         if buffer[at + length] != MAGIC_V2 and buffer[at + length] != MAGIC_V1:
             return -1
         self.counts.unknown += 1
+        if self._keep_unknown:
+            found.append(_frame(raw))
         return length
 
 
