@@ -45,7 +45,7 @@ class FrameSender:
     """
 
     def __init__(self, address: str) -> None:
-        self._address = address
+        self.address = address
         self._counters = Counters()
 
     def frames(self, transport: str, messages: Sequence[Message]) -> list[bytes]:
@@ -68,7 +68,7 @@ class FrameSender:
     def _pack_frame(self, transport: str, pack: bytes, counter: int) -> bytes:
         if transport == BLE5:
             return build_ble5(pack, counter)
-        return build_beacon(pack, counter, self._address)
+        return build_beacon(pack, counter, self.address)
 
 
 class FrameReceiver:
