@@ -1,0 +1,360 @@
+"""Checks the codec and the frames against a file of reference vectors (`companion remote-id check`).
+
+The file comes from the public reference implementation (opendroneid-core-c): JSON with groups of vectors,
+each with an `id`, a `type`, whether the reference accepted it, and the bytes. Where a vector says that its
+values do not lie on the wire's steps (`on_grid` false) the fields that the reference truncates, and we round,
+may differ by one step; everything else has to agree to the bit. Both directions are checked, and so is that
+the file's bytes and its own decoding of them agree.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from companion.errors import ConfigError, PeerDataError
+from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.remote_id import frames
+from companion.remote_id.codec import (
+    MESSAGE_SIZE,
+    PACK_HEADER_SIZE,
+    PACK_TYPE,
+    decode,
+    decode_pack,
+    encode,
+    encode_pack,
+)
+from companion.remote_id.messages import Message
+from companion.remote_id.vector_fields import (
+    HIGHEST_CATEGORY,
+    TRUNCATED_STEPS,
+    Fields,
+    as_received,
+    bytes_of,
+    integer_of,
+    message_of,
+    stated,
+    text_of,
+)
+
+_NEAR: Final = 1e-8
+"""Decimal rounding in the file, far below every wire step."""
+
+
+@dataclass
+class Report:
+    """What a check found."""
+
+    checked: Counter[str] = field(default_factory=Counter)
+    """Vectors checked, by type."""
+    not_checked: Counter[str] = field(default_factory=Counter)
+    """Vectors of transports that this version does not build, by type."""
+    differences: list[str] = field(default_factory=list)
+    """One line each, naming the vector."""
+
+
+def check_file(path: Path) -> Report:
+    """Check every vector of a file (plain or gzip). Raises ConfigError where it is not a vector file."""
+    try:
+        data = path.read_bytes()
+        content = json.loads(gzip.decompress(data) if path.suffix == ".gz" else data)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from error
+    except (ValueError, EOFError, RecursionError) as error:
+        raise ConfigError(f"{path}: not JSON: {error}") from error
+    try:
+        return check_vectors(content)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: not a vector file: {error}") from error
+
+
+def check_vectors(content: object) -> Report:
+    """Check the parsed content of a vector file. Raises ConfigError where it is none."""
+    groups = content.get("vectors") if isinstance(content, dict) else None
+    if not isinstance(groups, dict) or not all(isinstance(group, list) for group in groups.values()):
+        raise ConfigError("no 'vectors' with lists of vectors in it")
+    report = Report()
+    for group in groups.values():
+        for vector in group:
+            _check_into(report, _fields(vector))
+    if not report.checked and not report.not_checked:
+        raise ConfigError("it holds no vectors")
+    return report
+
+
+def _check_into(report: Report, vector: Fields) -> None:
+    name, kind = text_of(vector, "id"), text_of(vector, "type")
+    if kind in _NOT_IMPLEMENTED:
+        report.not_checked[kind] += 1
+        return
+    checker = _CHECKERS.get(kind)
+    report.checked[kind] += 1
+    if checker is None:
+        report.differences.append(f"{name}: vector type {kind!r} is not known")
+        return
+    try:
+        report.differences.extend(f"{name}: {difference}" for difference in checker(vector))
+    except ConfigError as error:
+        raise ConfigError(f"vector {name}: {error}") from error
+
+
+def _fields(value: object) -> Fields:
+    if not isinstance(value, dict):
+        raise ConfigError(f"{str(value)[:40]!r} stands where an object was expected")
+    return value
+
+
+def _list(vector: Fields, name: str) -> list[Fields]:
+    value = vector.get(name)
+    if not isinstance(value, list):
+        raise ConfigError(f"field {name!r} is not a list")
+    return [_fields(item) for item in value]
+
+
+def _accepted(vector: Fields) -> bool:
+    accepted = vector.get("accepted")
+    if not isinstance(accepted, bool):
+        raise ConfigError(f"field 'accepted' is {accepted!r}, expected true or false")
+    return accepted
+
+
+# ---------------------------------------------------------------- single messages
+
+
+def _check_message(vector: Fields) -> Iterator[str]:
+    """Encoding of `input`, and decoding of the reference's bytes."""
+    kind = text_of(vector, "type")
+    try:
+        ours = encode(message_of(kind, _fields(vector.get("input"))))
+    except ValueError as error:
+        if _accepted(vector):
+            yield f"refused ({error}), the reference encodes it"
+        return
+    if not _accepted(vector):
+        yield f"encoded as {ours.hex()}, the reference refuses it"
+        return
+    theirs = bytes_of(vector, "hex")
+    yield from _compare_bytes(ours, theirs, exact=vector.get("on_grid", True) is not False)
+    yield from _compare_decoding(kind, theirs, _fields(vector.get("decoded")))
+
+
+def _compare_bytes(ours: bytes, theirs: bytes, *, exact: bool) -> Iterator[str]:
+    """Our 25 bytes against the reference's, field by field where they may differ."""
+    if ours == theirs:
+        return
+    if len(ours) != len(theirs) or ours[0] != theirs[0]:
+        yield f"encoded as {ours.hex()}, expected {theirs.hex()}"
+        return
+    (_, our_fields), (_, their_fields) = stated(ours), stated(theirs)
+    explained = False
+    for name, expected in their_fields.items():
+        value = our_fields.get(name)
+        if value == expected:
+            continue
+        explained = True
+        unknown_for_reserved = value == 0 and _reserved(name, expected)
+        if not unknown_for_reserved and (exact or not _within_step(name, value, expected)):
+            yield f"encoded {name} as {value!r}, expected {expected!r}"
+    if not explained:
+        yield f"encoded as {ours.hex()}, expected {theirs.hex()}: reserved bits differ"
+
+
+def _reserved(name: str, value: object) -> bool:
+    return name in HIGHEST_CATEGORY and isinstance(value, int) and value > HIGHEST_CATEGORY[name]
+
+
+def _within_step(name: str, ours: object, theirs: object) -> bool:
+    if not isinstance(ours, int | float) or not isinstance(theirs, int | float):
+        return False
+    return abs(ours - theirs) <= TRUNCATED_STEPS.get(name, 0.0)
+
+
+def _compare_decoding(kind: str, data: bytes, decoded: Fields) -> Iterator[str]:
+    """Our decoding of the reference's bytes, and the file's own, against its `decoded`."""
+    try:
+        ours = decode(data)
+    except PeerDataError as error:
+        yield f"refused to decode ({error}), the reference decodes it"
+        return
+    their_kind, fields = stated(data)
+    if their_kind != kind:
+        yield f"decoded as {their_kind}, expected {kind}"
+        return
+    for name, value in decoded.items():
+        if not _same(fields.get(name), value):
+            yield f"bytes hold {name} {fields.get(name)!r}, expected {value!r}"
+    try:
+        yield from _compare_messages(ours, message_of(kind, as_received(decoded)))
+    except ValueError as error:
+        yield f"states a decoding that no message can hold ({error})"
+
+
+def _same(value: object, expected: object) -> bool:
+    if isinstance(value, int | float) and isinstance(expected, int | float):
+        return abs(value - expected) <= _NEAR
+    return value == expected
+
+
+def _compare_messages(ours: Message, expected: Message) -> Iterator[str]:
+    if type(ours) is not type(expected):
+        yield f"decoded as {type(ours).__name__}, expected {type(expected).__name__}"
+        return
+    for info in msgspec.structs.fields(ours):
+        value, wanted = getattr(ours, info.name), getattr(expected, info.name)
+        if not _same(value, wanted):
+            yield f"decoded {info.name} {value!r}, expected {wanted!r}"
+
+
+# ---------------------------------------------------------------- packs, and bytes to decode
+
+
+def _check_pack(vector: Fields) -> Iterator[str]:
+    """Building a pack and reading it. A refused one has to be refused both ways."""
+    parts = _list(vector, "messages")
+    size = integer_of(vector, "single_message_size") if "single_message_size" in vector else MESSAGE_SIZE
+    count = integer_of(vector, "message_count") if "message_count" in vector else len(parts)
+    accepted = _accepted(vector)
+    sendable = size == MESSAGE_SIZE and count == len(parts) and all("input" in part for part in parts)
+    if accepted or sendable:
+        yield from _check_pack_encoding(vector, parts, accepted=accepted)
+    if accepted:
+        yield from _check_pack_decoding(bytes_of(vector, "hex"), _list(vector, "decoded_messages"))
+    elif 0 <= size <= 0xFF and 0 <= count <= 0xFF:
+        # Length and number that our encoder cannot be asked for are put before our decoder.
+        pack = bytes((0xF2, size, count)) + b"".join(bytes_of(part, "hex") for part in parts)
+        yield from _check_refusal(pack, decode_pack)
+
+
+def _check_pack_encoding(vector: Fields, parts: list[Fields], *, accepted: bool) -> Iterator[str]:
+    try:
+        ours = encode_pack([message_of(text_of(part, "type"), _fields(part.get("input"))) for part in parts])
+    except ValueError as error:
+        if accepted:
+            yield f"refused ({error}), the reference encodes it"
+        return
+    if not accepted:
+        yield f"encoded as {ours.hex()}, the reference refuses it"
+        return
+    theirs = bytes_of(vector, "hex")
+    if len(ours) != len(theirs) or ours[:PACK_HEADER_SIZE] != theirs[:PACK_HEADER_SIZE]:
+        yield f"encoded as {ours.hex()}, expected {theirs.hex()}"
+        return
+    for index, part in enumerate(parts):
+        at = slice(PACK_HEADER_SIZE + index * MESSAGE_SIZE, PACK_HEADER_SIZE + (index + 1) * MESSAGE_SIZE)
+        exact = part.get("on_grid", True) is not False
+        for difference in _compare_bytes(ours[at], theirs[at], exact=exact):
+            yield f"message {index + 1}: {difference}"
+        if theirs[at] != bytes_of(part, "hex"):
+            yield f"message {index + 1}: the pack holds {theirs[at].hex()}, expected {part['hex']}"
+
+
+def _check_pack_decoding(data: bytes, expected: list[Fields]) -> Iterator[str]:
+    try:
+        ours = decode_pack(data)
+    except PeerDataError as error:
+        yield f"refused to decode ({error}), the reference decodes it"
+        return
+    if len(ours) != len(expected):
+        yield f"decoded {len(ours)} messages, expected {len(expected)}"
+        return
+    for index, item in enumerate(expected):
+        part = data[PACK_HEADER_SIZE + index * MESSAGE_SIZE :][:MESSAGE_SIZE]
+        for difference in _compare_decoding(text_of(item, "type"), part, _fields(item.get("fields"))):
+            yield f"message {index + 1}: {difference}"
+        if ours[index] != decode(part):
+            yield f"message {index + 1}: read differently inside the pack"
+
+
+def _check_refusal(data: bytes, reader: Callable[[bytes], object]) -> Iterator[str]:
+    try:
+        reader(data)
+    except PeerDataError:
+        return
+    yield f"decoded {data.hex()}, the reference refuses it"
+
+
+def _check_decode(vector: Fields) -> Iterator[str]:
+    """Bytes that are only decoded."""
+    data = bytes_of(vector, "hex")
+    is_pack = bool(data) and data[0] >> 4 == PACK_TYPE
+    if not _accepted(vector):
+        yield from _check_refusal(data, decode_pack if is_pack else decode)
+    elif is_pack:
+        yield from _check_pack_decoding(data, _list(vector, "decoded_messages"))
+    else:
+        yield from _compare_decoding(text_of(vector, "message_type"), data, _fields(vector.get("decoded")))
+
+
+# ---------------------------------------------------------------- transport frames
+
+
+def _check_frame(
+    vector: Fields,
+    transport: str,
+    payload_name: str,
+    build: Callable[[bytes, int], bytes],
+    address: str | None,
+) -> Iterator[str]:
+    """Building a frame and reading it."""
+    payload, counter, theirs = (
+        bytes_of(vector, payload_name),
+        integer_of(vector, "counter"),
+        bytes_of(vector, "hex"),
+    )
+    try:
+        ours = build(payload, counter)
+    except ValueError as error:
+        yield f"refused ({error})"
+        return
+    if ours != theirs:
+        yield f"built {ours.hex()}, expected {theirs.hex()}"
+    try:
+        frame = frames.parse_frame(transport, theirs)
+    except PeerDataError as error:
+        yield f"refused to read ({error})"
+        return
+    expected = frames.Frame(transport=transport, address=address, counter=counter, payload=payload)
+    if frame != expected:
+        yield f"read {frame}, expected {expected}"
+
+
+def _check_ble4(vector: Fields) -> Iterator[str]:
+    return _check_frame(vector, BLE4, "message_hex", frames.build_ble4, None)
+
+
+def _check_ble5(vector: Fields) -> Iterator[str]:
+    return _check_frame(vector, BLE5, "pack_hex", frames.build_ble5, None)
+
+
+def _check_beacon(vector: Fields) -> Iterator[str]:
+    address, ssid = bytes_of(vector, "mac").hex(":"), text_of(vector, "ssid")
+    interval_tu = integer_of(vector, "beacon_interval_tu")
+
+    def build(pack: bytes, counter: int) -> bytes:
+        return frames.build_beacon(pack, counter, address, ssid=ssid, interval_tu=interval_tu)
+
+    return _check_frame(vector, WIFI_BEACON, "pack_hex", build, address)
+
+
+_CHECKERS: Final[Mapping[str, Callable[[Fields], Iterator[str]]]] = {
+    "basic_id": _check_message,
+    "location": _check_message,
+    "auth": _check_message,
+    "self_id": _check_message,
+    "system": _check_message,
+    "operator_id": _check_message,
+    "message_pack": _check_pack,
+    "decode": _check_decode,
+    "ble_legacy_adv_data": _check_ble4,
+    "ble_extended_adv_data": _check_ble5,
+    "wifi_beacon_frame": _check_beacon,
+}
+_NOT_IMPLEMENTED: Final = frozenset({"wifi_nan_action_frame", "wifi_nan_sync_beacon_frame"})
+"""Wi-Fi NAN is not a transport of this version."""
