@@ -1,0 +1,461 @@
+"""The numeric law: half-spaces, linear programs and one decision, compiled by numba in double precision.
+
+One neighbour's half-space is ORCA's (paper section II, the equations of VO, u and the ORCA set; van den Berg
+et al., "Reciprocal n-body collision avoidance", in three dimensions). With p = p_other - p_self,
+v = v_self - v_other and R the combined radius, the velocity obstacle is a cone around p cut off by a sphere
+of radius R / tau at p / tau. The cone's outward normal is n = cos(theta) e - sin(theta) p / |p|, where
+sin(theta) = R / |p| and e is the unit vector of v across p; so u . n = sin(theta) v.p / |p| -
+cos(theta) |p x v| / |p|. This is the textbook form with sqrt(b^2 - a c) = |p x v| R / sqrt(|p|^2 - R^2) put
+in: nothing cancels near a head-on encounter.
+
+Planes are rows (n, d) that ask for n . v >= d. The programs look for a velocity in a ball: program 1 on a
+line, 2 on a plane, 3 in the ball, 4 the least of the largest violations when there is none; hard planes come
+first and program 4 keeps them whole.
+
+Every function works on arrays that the caller owns and keeps no state, so that a compiled loop over many
+aircraft calls `decide` as it is; it runs uncompiled too. All of them stand in this one file because numba's
+cache looks only at the file of the function that is called: a change elsewhere would go unnoticed.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_compiled = njit(cache=True, error_model="numpy")
+
+EPSILON = 1e-9
+"""Violations and gaps (m/s) up to this are rounding."""
+PARALLEL = 1e-14
+"""Square of the sine under which two planes count as parallel."""
+HEAD_ON = 1e-6
+"""Angle (rad) between p and v under which the way out is a convention: to the right."""
+
+# Columns of a row of `neighbours`.
+N_POSITION, N_VELOCITY, N_AGE, N_SIGMA, N_VERTICAL, NEIGHBOUR_COLUMNS = 0, 3, 6, 7, 8, 9
+# Entries of `own`: position, preferred velocity, least and greatest down speed, sigma, time.
+O_POSITION, O_PREFERRED, O_LEAST_DOWN, O_MOST_DOWN, O_SIGMA, O_NOW, OWN_ENTRIES = 0, 3, 6, 7, 8, 9, 10
+# Entries of `settings`.
+(
+    S_RADIUS,  # both conflict radii, m
+    S_LEAST_MARGIN,  # m
+    S_SIGMAS,  # margin in standard deviations of the relative error
+    S_AGE_MARGIN,  # m for each second of age
+    S_VERTICAL,  # factor on vertical distances: under 1 the volume is taller than wide
+    S_HORIZON,  # tau, s
+    S_OVERLAP,  # time in which to leave a volume, s
+    S_LOOK,  # s, window of the conflict test
+    S_RIGHT,  # rad, turn to the right when in conflict
+    S_SPEED,  # greatest speed, m/s
+    SETTINGS_ENTRIES,
+) = range(11)
+# Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time, distance at the closest.
+V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE, VIEW_COLUMNS = 0, 3, 4, 5, 6, 7
+
+HARD = 2
+"""Hard planes of a decision: the least and the greatest down speed."""
+
+
+@_compiled
+def half_space(
+    px: float,
+    py: float,
+    pz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    radius: float,
+    tau: float,
+    overlap: float,
+) -> tuple[float, float, float, float]:
+    """Outward normal n and signed length s of u = s n for one neighbour (s > 0: v is inside the obstacle).
+
+    Args:
+        px, py, pz: p_other - p_self, m.
+        vx, vy, vz: v_self - v_other, m/s.
+        radius: combined radius R, m, above 0.
+        tau: horizon, s.
+        overlap: time in which to separate when |p| <= R already, s.
+
+    Returns:
+        n (unit) and s (m/s). The neighbour that sees (-p, -v) gets exactly -n, and the same s.
+    """
+    p2 = px * px + py * py + pz * pz
+    r2 = radius * radius
+    if p2 <= r2:
+        return _sphere(px, py, pz, vx, vy, vz, radius, overlap)
+    wx, wy, wz = vx - px / tau, vy - py / tau, vz - pz / tau
+    wp = wx * px + wy * py + wz * pz
+    if wp < 0.0 and wp * wp > r2 * (wx * wx + wy * wy + wz * wz):
+        return _sphere(px, py, pz, vx, vy, vz, radius, tau)
+    length = math.sqrt(p2)
+    cx, cy, cz = py * vz - pz * vy, pz * vx - px * vz, px * vy - py * vx
+    cross = math.sqrt(cx * cx + cy * cy + cz * cz)
+    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
+    if cross > HEAD_ON * length * speed:
+        k = 1.0 / (cross * length)
+        ex, ey, ez = (cy * pz - cz * py) * k, (cz * px - cx * pz) * k, (cx * py - cy * px) * k
+    else:
+        ex, ey, ez = _right_of(px, py, pz)
+    sine = radius / length
+    cosine = math.sqrt((length - radius) * (length + radius)) / length
+    along = (px * vx + py * vy + pz * vz) / length
+    k = sine / length
+    nx, ny, nz = cosine * ex - k * px, cosine * ey - k * py, cosine * ez - k * pz
+    return nx, ny, nz, sine * along - cosine * cross / length
+
+
+@_compiled
+def _sphere(
+    px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, window: float
+) -> tuple[float, float, float, float]:
+    """The sphere of radius R / window at p / window: n = w / |w|, s = R / window - |w|."""
+    wx, wy, wz = vx - px / window, vy - py / window, vz - pz / window
+    length = math.sqrt(wx * wx + wy * wy + wz * wz)
+    if length > 1e-9:
+        return wx / length, wy / length, wz / length, radius / window - length
+    # In the very centre every way out is as long: straight away from the other.
+    length = math.sqrt(px * px + py * py + pz * pz)
+    if length > 1e-9:
+        return -px / length, -py / length, -pz / length, radius / window
+    # Same place and same velocity: nothing in the data tells the two apart.
+    return 1.0, 0.0, 0.0, radius / window
+
+
+@_compiled
+def _right_of(px: float, py: float, pz: float) -> tuple[float, float, float]:
+    """Unit vector across p, to the right seen from above (NED: north turns to east).
+
+    Odd in p, so that the two aircraft part; straight above or below, north for the upper one's neighbour.
+    """
+    level = math.sqrt(px * px + py * py)
+    if level > 1e-9 * abs(pz):
+        return -py / level, px / level, 0.0
+    if pz > 0.0:
+        return 1.0, 0.0, 0.0
+    return -1.0, 0.0, 0.0
+
+
+@_compiled
+def _line(
+    planes: Array,
+    count: int,
+    qx: float,
+    qy: float,
+    qz: float,
+    lx: float,
+    ly: float,
+    lz: float,
+    radius: float,
+    ox: float,
+    oy: float,
+    oz: float,
+    towards: bool,
+) -> tuple[bool, float, float, float]:
+    """Program 1: on the line q + t l (q nearest to 0, l unit), in the ball and the first `count` planes."""
+    room = radius * radius - (qx * qx + qy * qy + qz * qz)
+    if room < -EPSILON:
+        return False, 0.0, 0.0, 0.0
+    most = math.sqrt(max(room, 0.0))
+    least = -most
+    for j in range(count):
+        slope = planes[j, 0] * lx + planes[j, 1] * ly + planes[j, 2] * lz
+        need = planes[j, 3] - (planes[j, 0] * qx + planes[j, 1] * qy + planes[j, 2] * qz)
+        if slope * slope <= PARALLEL:
+            if need > EPSILON:
+                return False, 0.0, 0.0, 0.0
+            continue
+        t = need / slope
+        if slope > 0.0:
+            least = max(least, t)
+        else:
+            most = min(most, t)
+        if least > most + EPSILON:
+            return False, 0.0, 0.0, 0.0
+    wish = ox * lx + oy * ly + oz * lz
+    if towards:
+        t = most if wish > 0.0 else least
+    else:
+        t = min(max(wish, least), most)
+    return True, qx + t * lx, qy + t * ly, qz + t * lz
+
+
+@_compiled
+def _plane(
+    planes: Array, i: int, radius: float, ox: float, oy: float, oz: float, towards: bool
+) -> tuple[bool, float, float, float]:
+    """Program 2: on plane i, inside the ball and the planes before it."""
+    nx, ny, nz, d = planes[i, 0], planes[i, 1], planes[i, 2], planes[i, 3]
+    if abs(d) > radius:
+        return False, 0.0, 0.0, 0.0
+    # The point in the plane nearest to the wish (or the wish's direction along the plane).
+    away = ox * nx + oy * ny + oz * nz
+    gx, gy, gz = ox - away * nx, oy - away * ny, oz - away * nz
+    length = math.sqrt(gx * gx + gy * gy + gz * gz)
+    disc = math.sqrt(max(radius * radius - d * d, 0.0))
+    if towards:
+        k = disc / length if length > 1e-9 else 0.0
+    else:
+        k = disc / length if length > disc else 1.0
+    x, y, z = d * nx + k * gx, d * ny + k * gy, d * nz + k * gz
+    for j in range(i):
+        mx, my, mz, f = planes[j, 0], planes[j, 1], planes[j, 2], planes[j, 3]
+        if mx * x + my * y + mz * z >= f - EPSILON:
+            continue
+        lx, ly, lz = ny * mz - nz * my, nz * mx - nx * mz, nx * my - ny * mx
+        sine2 = lx * lx + ly * ly + lz * lz
+        if sine2 <= PARALLEL:
+            return False, 0.0, 0.0, 0.0
+        # From plane i's own point along the plane: exact on plane i however small the angle.
+        k = (f - d * (nx * mx + ny * my + nz * mz)) / sine2
+        gx, gy, gz = ly * nz - lz * ny, lz * nx - lx * nz, lx * ny - ly * nx
+        qx, qy, qz = d * nx + k * gx, d * ny + k * gy, d * nz + k * gz
+        k = 1.0 / math.sqrt(sine2)
+        ok, x, y, z = _line(planes, j, qx, qy, qz, lx * k, ly * k, lz * k, radius, ox, oy, oz, towards)
+        if not ok:
+            return False, 0.0, 0.0, 0.0
+    return True, x, y, z
+
+
+@_compiled
+def _ball(
+    planes: Array, count: int, radius: float, ox: float, oy: float, oz: float, towards: bool
+) -> tuple[int, float, float, float]:
+    """Program 3: how many planes are kept (`count`: all); the velocity nearest to or farthest towards o."""
+    length = math.sqrt(ox * ox + oy * oy + oz * oz)
+    k = 1.0
+    if towards or length > radius:
+        k = radius / length
+    x, y, z = ox * k, oy * k, oz * k
+    for i in range(count):
+        if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z < planes[i, 3] - EPSILON:
+            ok, tx, ty, tz = _plane(planes, i, radius, ox, oy, oz, towards)
+            if not ok:
+                return i, x, y, z
+            x, y, z = tx, ty, tz
+    return count, x, y, z
+
+
+@_compiled
+def _least_violation(
+    planes: Array,
+    hard: int,
+    count: int,
+    radius: float,
+    x: float,
+    y: float,
+    z: float,
+    first: int,
+    scratch: Array,
+) -> tuple[float, float, float]:
+    """Program 4: from plane `first` on, lower the largest violation; the `hard` first planes stay whole."""
+    for j in range(hard):
+        for c in range(4):
+            scratch[j, c] = planes[j, c]
+    largest = 0.0
+    for i in range(max(first, hard), count):
+        nx, ny, nz, d = planes[i, 0], planes[i, 1], planes[i, 2], planes[i, 3]
+        if d - (nx * x + ny * y + nz * z) <= largest + EPSILON:
+            continue
+        # Where plane i is violated at least as much as plane j: (n_j - n_i) . v >= d_j - d_i.
+        kept = hard
+        for j in range(hard, i):
+            bx, by, bz = planes[j, 0] - nx, planes[j, 1] - ny, planes[j, 2] - nz
+            length = math.sqrt(bx * bx + by * by + bz * bz)
+            if length > 1e-7:
+                scratch[kept, 0], scratch[kept, 1], scratch[kept, 2] = bx / length, by / length, bz / length
+                scratch[kept, 3] = (planes[j, 3] - d) / length
+                kept += 1
+        done, tx, ty, tz = _ball(scratch, kept, radius, nx, ny, nz, True)
+        if done == kept:
+            x, y, z = tx, ty, tz
+        largest = d - (nx * x + ny * y + nz * z)
+    return x, y, z
+
+
+@_compiled
+def solve(
+    planes: Array, hard: int, count: int, radius: float, wish: Array, scratch: Array, out: Array
+) -> bool:
+    """Velocity nearest to `wish` in the ball and every plane; if there is none, of least largest violation.
+
+    Args:
+        planes: shape (at least count, 4), rows (n, d): n unit, n . v >= d in m/s. The `hard` first ones must
+            be possible together.
+        radius: greatest speed, m/s.
+        wish: shape (3,), m/s.
+        scratch: shape (at least count, 4); written.
+        out: shape (at least 3,); the velocity is written into its first three entries.
+
+    Returns:
+        True when every plane is kept.
+    """
+    kept, x, y, z = _ball(planes, count, radius, wish[0], wish[1], wish[2], False)
+    if kept < count:
+        x, y, z = _least_violation(planes, hard, count, radius, x, y, z, kept, scratch)
+    out[0], out[1], out[2] = x, y, z
+    return bool(kept == count)
+
+
+@_compiled
+def closest(
+    px: float, py: float, pz: float, vx: float, vy: float, vz: float, window: float
+) -> tuple[float, float]:
+    """Time (s, in [0, window]) and square of the least distance (m^2) while p - v t closes or opens."""
+    t = 0.0
+    v2 = vx * vx + vy * vy + vz * vz
+    if v2 > 0.0:
+        t = min(max((px * vx + py * vy + pz * vz) / v2, 0.0), window)
+    dx, dy, dz = px - vx * t, py - vy * t, pz - vz * t
+    return t, dx * dx + dy * dy + dz * dz
+
+
+@_compiled
+def own_velocity_at(times: Array, velocities: Array, count: int, t: float) -> tuple[float, float, float]:
+    """Own velocity at a time, between the samples of the history; its first or last one outside of it."""
+    if t <= times[0]:
+        return velocities[0, 0], velocities[0, 1], velocities[0, 2]
+    low, high = 0, count - 1
+    if t >= times[high]:
+        return velocities[high, 0], velocities[high, 1], velocities[high, 2]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if times[middle] <= t:
+            low = middle
+        else:
+            high = middle
+    k = (t - times[low]) / (times[high] - times[low])
+    return (
+        velocities[low, 0] + k * (velocities[high, 0] - velocities[low, 0]),
+        velocities[low, 1] + k * (velocities[high, 1] - velocities[low, 1]),
+        velocities[low, 2] + k * (velocities[high, 2] - velocities[low, 2]),
+    )
+
+
+@_compiled
+def decide(
+    neighbours: Array,
+    count: int,
+    own: Array,
+    settings: Array,
+    history_times: Array,
+    history_velocities: Array,
+    history_count: int,
+    planes: Array,
+    scratch: Array,
+    view: Array,
+    out: Array,
+) -> tuple[bool, bool]:
+    """One aircraft's decision: predict the others, build the half-spaces, keep right, solve.
+
+    Args:
+        neighbours: shape (at least count, NEIGHBOUR_COLUMNS); NED, m and m/s, at each message's own time.
+        own: OWN_ENTRIES values.
+        settings: SETTINGS_ENTRIES values.
+        history_times, history_velocities: shapes (H,) and (H, 3); own velocities (NED) at rising times; the
+            first `history_count` (at least one) are used. A plane takes the own velocity at the time of the
+            neighbour's sample.
+        planes, scratch: shape (at least HARD + count, 4); written.
+        view: shape (at least count, VIEW_COLUMNS); written.
+        out: shape (3,); the velocity, NED, m/s.
+
+    Returns:
+        Whether every plane is kept, and whether flying the preferred velocity breaks any volume.
+    """
+    planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = 0.0, 0.0, 1.0, own[O_LEAST_DOWN]
+    planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3] = 0.0, 0.0, -1.0, -own[O_MOST_DOWN]
+    wn, we, wd = own[O_PREFERRED], own[O_PREFERRED + 1], own[O_PREFERRED + 2]
+    scale = settings[S_VERTICAL]
+    conflict = False
+    for j in range(count):
+        age, level = neighbours[j, N_AGE], neighbours[j, N_VERTICAL] == 0.0
+        vn, ve, vd = neighbours[j, N_VELOCITY], neighbours[j, N_VELOCITY + 1], neighbours[j, N_VELOCITY + 2]
+        pn = neighbours[j, N_POSITION] + age * vn - own[O_POSITION]
+        pe = neighbours[j, N_POSITION + 1] + age * ve - own[O_POSITION + 1]
+        pd = neighbours[j, N_POSITION + 2] + age * vd - own[O_POSITION + 2]
+        an, ae, ad = own_velocity_at(history_times, history_velocities, history_count, own[O_NOW] - age)
+        rd, wish_d = ad - vd, wd - vd
+        if level:  # an unknown height is no way out
+            pd, rd, wish_d = 0.0, 0.0, 0.0
+        sigma = math.sqrt(own[O_SIGMA] ** 2 + neighbours[j, N_SIGMA] ** 2)
+        margin = max(settings[S_LEAST_MARGIN], settings[S_SIGMAS] * sigma)
+        radius = settings[S_RADIUS] + margin + settings[S_AGE_MARGIN] * age
+
+        _, near2 = closest(pn, pe, scale * pd, wn - vn, we - ve, scale * wish_d, settings[S_LOOK])
+        breaks = near2 < radius * radius
+        conflict = conflict or breaks
+        t, near2 = closest(pn, pe, pd, wn - vn, we - ve, wish_d, 1e6)
+        view[j, 0], view[j, 1] = own[O_POSITION] + pn, own[O_POSITION + 1] + pe
+        view[j, 2] = own[O_POSITION + 2] + pd
+        view[j, V_RADIUS], view[j, V_CONFLICT] = radius, 1.0 if breaks else 0.0
+        view[j, V_TIME], view[j, V_DISTANCE] = t, math.sqrt(near2)
+
+        # The plane is built where the volume is a ball; its normal is mapped back.
+        nn, ne, nd, s = half_space(
+            pn, pe, scale * pd, an - vn, ae - ve, scale * rd, radius, settings[S_HORIZON], settings[S_OVERLAP]
+        )
+        nd *= scale
+        length = math.sqrt(nn * nn + ne * ne + nd * nd)
+        row = HARD + j
+        planes[row, 0], planes[row, 1], planes[row, 2] = nn / length, ne / length, nd / length
+        planes[row, 3] = (nn * an + ne * ae + nd * ad + 0.5 * s) / length
+    out[0], out[1], out[2] = wn, we, wd
+    if conflict and settings[S_RIGHT] != 0.0:
+        c, s = math.cos(settings[S_RIGHT]), math.sin(settings[S_RIGHT])
+        out[0], out[1] = c * wn - s * we, s * wn + c * we
+    feasible = solve(planes, HARD, HARD + count, settings[S_SPEED], out, scratch, out)
+    return feasible, conflict
+
+
+@_compiled
+def limit(
+    wanted: Array, previous: Array, most_change: float, least_down: float, most_down: float, speed: float
+) -> tuple[float, float, float]:
+    """The command nearest to `wanted` on the way from `previous`: change, down speed and speed limited.
+
+    The bounds on the down speed may move faster than the change allows (a jump in altitude at the ceiling);
+    then they win, and the change is what it has to be.
+    """
+    dn, de, dd = wanted[0] - previous[0], wanted[1] - previous[1], wanted[2] - previous[2]
+    most_change *= 1.0 - 1e-9  # rounding stays under the limit
+    change = math.sqrt(dn * dn + de * de + dd * dd)
+    k = most_change / change if change > most_change else 1.0
+    d = previous[2] + k * dd
+    down = min(max(d, least_down), most_down)
+    if down != d:  # what the vertical needs is taken from the horizontal
+        left = math.sqrt(max(most_change * most_change - (down - previous[2]) ** 2, 0.0))
+        level = math.sqrt(dn * dn + de * de)
+        k = left / level if level > left else 1.0
+    n, e = previous[0] + k * dn, previous[1] + k * de
+    most = speed * (1.0 - 1e-12)
+    down = min(max(down, -most), most)
+    level, room = math.sqrt(n * n + e * e), math.sqrt(max(most * most - down * down, 0.0))
+    if level > room:
+        n, e = n * room / level, e * room / level
+    return n, e, down
+
+
+def warm_up() -> float:
+    """Compile (or load from the cache) everything that a decision calls; seconds that it took.
+
+    To be called before the vehicle is asked to obey: the first compilation takes many seconds, and a vehicle
+    that waits for setpoints meanwhile goes into its failsafe.
+    """
+    began = time.perf_counter()
+    neighbours = np.zeros((2, NEIGHBOUR_COLUMNS))
+    neighbours[0, :2] = neighbours[1, :2] = 3.0
+    settings = np.ones(SETTINGS_ENTRIES)
+    own = np.zeros(OWN_ENTRIES)
+    planes, scratch = np.zeros((HARD + 2, 4)), np.zeros((HARD + 2, 4))
+    out = np.zeros(3)
+    decide(
+        neighbours, 2, own, settings, np.zeros(1), np.zeros((1, 3)), 1, planes, scratch,
+        np.zeros((2, VIEW_COLUMNS)), out,
+    )  # fmt: skip
+    limit(out, out, 1.0, -1.0, 1.0, 1.0)
+    return time.perf_counter() - began

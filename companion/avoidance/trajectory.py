@@ -1,0 +1,156 @@
+"""The timed path that an aircraft is to fly: straight legs between waypoints in local NED.
+
+Times are on the path's own clock (seconds). Before the start and after the end the path stands still at its
+first and last point. The paper calls it p_traj(t) (section II, "Decide").
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.config import LimitsConfig
+from companion.errors import ConfigError
+from companion.events import Vec3
+
+_TOLERANCE_MPS = 1e-6
+"""A leg that is planned exactly at a limit passes in spite of rounding."""
+
+_STILL: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Trajectory:
+    """A timed piecewise-linear path. Immutable; `delayed` gives a later copy."""
+
+    __slots__ = ("_legs", "_points", "_points_array", "_times", "_times_array")
+
+    def __init__(self, times_s: Sequence[float], points_ned_m: Sequence[Vec3]) -> None:
+        """Check and keep the waypoints.
+
+        Args:
+            times_s: at least two, strictly rising, on the path's clock.
+            points_ned_m: one NED point (m) for each time.
+
+        Raises:
+            ConfigError: names the waypoint (counted from 0) that is wrong.
+        """
+        times = tuple(float(t) for t in times_s)
+        points = tuple((float(n), float(e), float(d)) for n, e, d in points_ned_m)
+        if len(times) != len(points) or len(times) < 2:
+            raise ConfigError(
+                f"path: {len(times)} times and {len(points)} points; it needs two or more of each"
+            )
+        for number, (t, point) in enumerate(zip(times, points, strict=True)):
+            if not all(map(math.isfinite, (t, *point))):
+                raise ConfigError(
+                    f"path: waypoint[{number}]: {(t, *point)} holds a number that is not finite"
+                )
+            if number and t <= times[number - 1]:
+                raise ConfigError(
+                    f"path: waypoint[{number}]: {t:g} s is not after the one before it "
+                    f"({times[number - 1]:g} s)"
+                )
+        self._times = times
+        self._points = points
+        self._times_array = np.array(times)
+        self._points_array = np.array(points)
+        self._legs = tuple(
+            _leg_velocity(points[k], points[k + 1], times[k + 1] - times[k]) for k in range(len(times) - 1)
+        )
+
+    @classmethod
+    def from_rows(cls, rows: NDArray[np.float64]) -> Trajectory:
+        """From an array of shape (K, 4): rows of time (s), north, east, down (m)."""
+        return cls(rows[:, 0].tolist(), [(r[1], r[2], r[3]) for r in rows.tolist()])
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        """Waypoint times."""
+        return self._times
+
+    @property
+    def points_ned_m(self) -> tuple[Vec3, ...]:
+        """Waypoints."""
+        return self._points
+
+    @property
+    def legs_ned_mps(self) -> tuple[Vec3, ...]:
+        """Velocity on each leg."""
+        return self._legs
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first waypoint."""
+        return self._times[0]
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last waypoint: the expected arrival."""
+        return self._times[-1]
+
+    def position(self, t_s: float) -> Vec3:
+        """Point of the path at a time; the first or last point outside the path's own time."""
+        if t_s <= self._times[0]:
+            return self._points[0]
+        if t_s >= self._times[-1]:
+            return self._points[-1]
+        k = bisect.bisect_right(self._times, t_s) - 1
+        n, e, d = self._points[k]
+        vn, ve, vd = self._legs[k]
+        dt = t_s - self._times[k]
+        return (n + vn * dt, e + ve * dt, d + vd * dt)
+
+    def velocity(self, t_s: float) -> Vec3:
+        """Velocity of the path at a time (at a waypoint: of the leg that begins); zero outside the path."""
+        if not self._times[0] <= t_s < self._times[-1]:
+            return _STILL
+        return self._legs[bisect.bisect_right(self._times, t_s) - 1]
+
+    def nearest(self, position_ned_m: Vec3) -> tuple[float, Vec3]:
+        """Time and place of the path's point nearest to a position; the earliest of equally near ones."""
+        start, step = self._points_array[:-1], np.diff(self._points_array, axis=0)
+        to_position = np.asarray(position_ned_m) - start
+        length2 = np.einsum("ij,ij->i", step, step)
+        along = np.einsum("ij,ij->i", to_position, step)
+        share = np.clip(np.divide(along, length2, out=np.zeros_like(along), where=length2 > 0.0), 0.0, 1.0)
+        gap = to_position - share[:, None] * step
+        k = int(np.argmin(np.einsum("ij,ij->i", gap, gap)))
+        t_s = self._times[k] + float(share[k]) * (self._times[k + 1] - self._times[k])
+        n, e, d = (start[k] + share[k] * step[k]).tolist()
+        return t_s, (n, e, d)
+
+    def max_speed(self) -> float:
+        """Speed of the fastest leg (m/s)."""
+        return max(math.hypot(*leg) for leg in self._legs)
+
+    def delayed(self, delay_s: float) -> Trajectory:
+        """The same places, every one of them `delay_s` later."""
+        return Trajectory([t + delay_s for t in self._times], self._points)
+
+
+def check_speeds(trajectory: Trajectory, limits: LimitsConfig, name: str = "path") -> None:
+    """Check that the aircraft is allowed to fly every leg as fast as it is planned.
+
+    Raises:
+        ConfigError: names the leg (between two waypoints counted from 0), its speed and the limit.
+    """
+    for number, (n, e, d) in enumerate(trajectory.legs_ned_mps):
+        for what, speed, key, limit in (
+            ("horizontal speed", math.hypot(n, e), "limits.max_speed_mps", limits.max_speed_mps),
+            ("climb", -d, "limits.max_climb_mps", limits.max_climb_mps),
+            ("descent", d, "limits.max_descent_mps", limits.max_descent_mps),
+            ("total speed", math.hypot(n, e, d), "limits.max_speed_mps", limits.max_speed_mps),
+        ):
+            if speed > limit + _TOLERANCE_MPS:
+                raise ConfigError(
+                    f"{name}: leg from waypoint[{number}] to waypoint[{number + 1}]: {what} {speed:.3f} m/s "
+                    f"is above {key} {limit:g}"
+                )
+
+
+def _leg_velocity(a: Vec3, b: Vec3, duration_s: float) -> Vec3:
+    return ((b[0] - a[0]) / duration_s, (b[1] - a[1]) / duration_s, (b[2] - a[2]) / duration_s)
