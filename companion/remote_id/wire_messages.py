@@ -135,7 +135,7 @@ def _encode_location(m: Location) -> bytes:
         refuse("Location.height_type", height_type, "0 to 1")
     east_west, direction = direction_to_wire("Location.direction_deg", m.direction_deg)
     multiplier, speed = speed_to_wire("Location.speed_mps", m.speed_mps)
-    lat, lon = position_to_wire("Location.lat_deg, lon_deg", m.lat_deg, m.lon_deg)
+    lat, lon = position_to_wire("Location.", m.lat_deg, m.lon_deg)
     horizontal = HORIZONTAL_ACCURACY_M.category("Location.horizontal_accuracy_m", m.horizontal_accuracy_m)
     vertical = VERTICAL_ACCURACY_M.category("Location.vertical_accuracy_m", m.vertical_accuracy_m)
     baro = VERTICAL_ACCURACY_M.category("Location.baro_accuracy_m", m.baro_accuracy_m)
@@ -248,8 +248,7 @@ def _decode_self_id(data: bytes) -> SelfId:
 def _encode_system(m: System) -> bytes:
     location_type = check_integer("System.operator_location_type", m.operator_location_type, 3)
     classification = check_integer("System.classification_type", m.classification_type, 7)
-    fields = "System.operator_lat_deg, operator_lon_deg"
-    lat, lon = position_to_wire(fields, m.operator_lat_deg, m.operator_lon_deg)
+    lat, lon = position_to_wire("System.operator_", m.operator_lat_deg, m.operator_lon_deg)
     category = check_integer("System.category_eu", m.category_eu, 15)
     return _SYSTEM.pack(
         0x40 | PROTOCOL_VERSION,

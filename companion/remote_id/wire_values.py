@@ -68,16 +68,19 @@ def altitude_from_wire(raw: int) -> float | None:
 # ---------------------------------------------------------------- position: 1e-7 degrees
 
 
-def position_to_wire(fields: str, lat_deg: float | None, lon_deg: float | None) -> tuple[int, int]:
-    """Latitude and longitude (degrees) as two i32; unknown is 0, 0. Half a position is refused."""
+def position_to_wire(prefix: str, lat_deg: float | None, lon_deg: float | None) -> tuple[int, int]:
+    """Latitude and longitude (degrees) as two i32; unknown is 0, 0. Half a position is refused.
+
+    `prefix` stands before `lat_deg` and `lon_deg` in the names of the fields.
+    """
     if lat_deg is None or lon_deg is None:
         if lat_deg is not lon_deg:
-            refuse(fields, (lat_deg, lon_deg), "both known or both None")
+            refuse(f"{prefix}lat_deg, {prefix}lon_deg", (lat_deg, lon_deg), "both known or both None")
         return 0, 0
     if not -90.0 <= lat_deg <= 90.0:
-        refuse(f"latitude of {fields}", lat_deg, "-90 to 90 degrees")
+        refuse(f"{prefix}lat_deg", lat_deg, "-90 to 90 degrees")
     if not -180.0 <= lon_deg <= 180.0:
-        refuse(f"longitude of {fields}", lon_deg, "-180 to 180 degrees")
+        refuse(f"{prefix}lon_deg", lon_deg, "-180 to 180 degrees")
     return round(lat_deg * 1e7), round(lon_deg * 1e7)
 
 
