@@ -6,11 +6,18 @@ the file points to (the trajectory), so that a resolved configuration stands alo
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import itertools
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import msgspec
+import tomli_w
 from msgspec import Meta
 
+from companion.errors import ConfigError
 from companion.remote_id.messages import IdType, UaType
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
@@ -154,3 +161,151 @@ class Config(_Section, frozen=True):
     radio: RadioConfig = RadioConfig()
     record: RecordConfig = RecordConfig()
     path: TrajectoryFile | None = None
+
+
+def load(path: Path) -> Config:
+    """Read, check and resolve a configuration file.
+
+    Raises:
+        ConfigError: names the file, the key, what it holds and what is allowed.
+    """
+    config = decode_toml(path, Config)
+    if config.path is not None:
+        raise ConfigError(f"{path}: path: filled in by the program; name a file with flight.trajectory")
+    trajectory = config.flight.trajectory
+    if trajectory is not None and trajectory != "mission":
+        config = msgspec.structs.replace(config, path=load_trajectory(path.parent / trajectory))
+    check(config, str(path))
+    return config
+
+
+def load_resolved(path: Path) -> Config:
+    """Read back a configuration written by `dump` (its trajectory stands inside)."""
+    config = decode_toml(path, Config)
+    check(config, str(path))
+    return config
+
+
+def load_trajectory(path: Path) -> TrajectoryFile:
+    """Read and check a trajectory file.
+
+    Raises:
+        ConfigError: names the file and the waypoint.
+    """
+    trajectory = decode_toml(path, TrajectoryFile)
+    for number, (a, b) in enumerate(itertools.pairwise(trajectory.waypoint), start=1):
+        if b.t_s <= a.t_s:
+            raise ConfigError(
+                f"{path}: waypoint[{number}].t_s: {b.t_s:g} s is not after the one before it ({a.t_s:g} s)"
+            )
+    return trajectory
+
+
+def dump(config: Config) -> bytes:
+    """The configuration as TOML; `load_resolved` reads it back equal."""
+    return tomli_w.dumps(without_none(msgspec.to_builtins(config))).encode()
+
+
+def check(config: Config, name: str) -> None:
+    """Check what no single key can say.
+
+    Raises:
+        ConfigError: names the keys.
+    """
+    flight, limits, radio = config.flight, config.limits, config.radio
+    if flight.use == "fly" and flight.trajectory is None and config.path is None:
+        raise ConfigError(f'{name}: flight.trajectory: missing; use = "fly" needs a file or "mission"')
+    if flight.trajectory == "mission" and flight.mission_speed_mps is None:
+        raise ConfigError(f'{name}: flight.mission_speed_mps: missing; trajectory = "mission" needs it')
+    if flight.start == "utc" and flight.start_utc_s is None:
+        raise ConfigError(f'{name}: flight.start_utc_s: missing; start = "utc" needs it (Unix seconds)')
+    speed = flight.mission_speed_mps
+    if speed is not None and speed > limits.max_speed_mps:
+        raise ConfigError(
+            f"{name}: flight.mission_speed_mps: {speed:g} is above limits.max_speed_mps "
+            f"{limits.max_speed_mps:g}"
+        )
+    floor, ceiling = limits.floor_height_m, limits.ceiling_height_m
+    if floor is not None and ceiling is not None and ceiling - floor < 5.0:
+        raise ConfigError(
+            f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"
+        )
+    if radio.backend == "ether" and radio.address is None:
+        raise ConfigError(f'{name}: radio.address: missing; backend = "ether" needs HOST:PORT')
+
+
+T = TypeVar("T")
+
+
+def decode_toml(path: Path, kind: type[T]) -> T:
+    """Read a TOML file into a struct.
+
+    Raises:
+        ConfigError: names the file, the key, what it holds and what is allowed.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    _refuse_non_finite(raw, str(path), "")
+    try:
+        return msgspec.convert(raw, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{path}: {_explain(str(error), raw, kind)}") from error
+
+
+def _refuse_non_finite(value: object, name: str, key: str) -> None:
+    if isinstance(value, dict):
+        for k, v in value.items():
+            _refuse_non_finite(v, name, f"{key}.{k}" if key else k)
+    elif isinstance(value, list):
+        for i, v in enumerate(value):
+            _refuse_non_finite(v, name, f"{key}[{i}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{name}: {key}: {value} is not a finite number")
+
+
+def _explain(text: str, raw: object, kind: type) -> str:
+    """Turn msgspec's words ("Expected `float` <= 50.0 - at `$.limits.max_speed_mps`") into ours."""
+    what, _, where = text.partition(" - at `$")
+    key = where.rstrip("`").lstrip(".")
+    if "unknown field" in what:
+        field = what.split("`")[1]
+        full = f"{key}.{field}" if key else field
+        names = (f.name for f in msgspec.structs.fields(_struct_at(kind, key)))
+        allowed = ", ".join(n for n in names if n != "path")
+        return f"{full}: unknown key; allowed here: {allowed}"
+    if "missing required field" in what:
+        field = what.split("`")[1]
+        return f"{key}.{field}: missing" if key else f"{field}: missing"
+    value = raw
+    for part in re.findall(r"[^.\[\]]+", key):
+        value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
+    if what.startswith("Invalid enum value"):
+        *section, field = re.findall(r"[^.\[\]]+", key)
+        hint = get_type_hints(_struct_at(kind, ".".join(section)))[field]
+        allowed = ", ".join(repr(getattr(a, "value", a)) for a in (get_args(hint) or tuple(hint)))
+        return f"{key}: {value!r}: allowed are {allowed}"
+    return f"{key}: {value!r}: {what[0].lower()}{what[1:]}".replace("`", "")
+
+
+def _struct_at(kind: type, key: str) -> type:
+    """The struct that describes the section `key` leads to."""
+    for part in re.findall(r"[^.\[\]]+", key):
+        if part.isdigit():
+            continue
+        hint = get_type_hints(kind)[part]
+        nested = [hint, *get_args(hint), *(a for h in get_args(hint) for a in get_args(h))]
+        kind = next(a for a in nested if isinstance(a, type) and issubclass(a, msgspec.Struct))
+    return kind
+
+
+def without_none(value: object) -> Any:
+    """Plain data as TOML can hold it: keys whose value is None left out."""
+    if isinstance(value, dict):
+        return {k: without_none(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [without_none(v) for v in value]
+    return value

@@ -1,0 +1,80 @@
+"""Who flies. One table; a pair (state, trigger) that is not in it changes nothing.
+
+Rules, in the order they are judged at every step (the first trigger that the table knows is taken):
+
+1. The pilot wins. A mode that we did not command, seen while we hold the vehicle, ends our authority at
+   once, and nothing but `REARM` brings it back.
+2. Without a fit own state, or after a late loop, nothing is commanded (`FAULT`). The fault ends when the
+   cause has been gone for a while, and then in standby, never straight back in control.
+3. A vehicle that is disarmed or on the ground is released.
+4. Control is taken only from standby and only of a vehicle that is ready: armed, in the air, fit, with a
+   path, and in a mode we may take it from.
+5. Among the states that hold the vehicle, the law's conflict decides.
+"""
+
+from __future__ import annotations
+
+import enum
+
+
+class State(enum.Enum):
+    """Who flies, and to what end."""
+
+    STANDBY = "standby"
+    """Not in control; waiting for a vehicle that is ready."""
+    GUARDING = "guarding"
+    """In control, on the path, no conflict."""
+    AVOIDING = "avoiding"
+    """In control; a conflict shapes the velocity."""
+    RECOVERING = "recovering"
+    """In control; no conflict, on the way back to the timed path."""
+    YIELDED = "yielded"
+    """The pilot took over."""
+    FAULT = "fault"
+    """Own state unfit or loop late: no setpoints."""
+
+
+class Trigger(enum.Enum):
+    """What moves the table, in the order judged."""
+
+    PILOT = "pilot"
+    UNFIT = "unfit"
+    RELEASE = "release"
+    REARM = "rearm"
+    HEALTHY = "healthy"
+    READY = "ready"
+    CONFLICT = "conflict"
+    CLEAR = "clear"
+    REGAINED = "regained"
+
+
+HOLDING = frozenset({State.GUARDING, State.AVOIDING, State.RECOVERING})
+"""States in which setpoints leave."""
+
+TRANSITIONS: dict[tuple[State, Trigger], State] = {
+    (State.STANDBY, Trigger.READY): State.GUARDING,
+    (State.GUARDING, Trigger.PILOT): State.YIELDED,
+    (State.AVOIDING, Trigger.PILOT): State.YIELDED,
+    (State.RECOVERING, Trigger.PILOT): State.YIELDED,
+    (State.GUARDING, Trigger.UNFIT): State.FAULT,
+    (State.AVOIDING, Trigger.UNFIT): State.FAULT,
+    (State.RECOVERING, Trigger.UNFIT): State.FAULT,
+    (State.GUARDING, Trigger.RELEASE): State.STANDBY,
+    (State.AVOIDING, Trigger.RELEASE): State.STANDBY,
+    (State.RECOVERING, Trigger.RELEASE): State.STANDBY,
+    (State.FAULT, Trigger.PILOT): State.YIELDED,
+    (State.FAULT, Trigger.HEALTHY): State.STANDBY,
+    (State.YIELDED, Trigger.REARM): State.STANDBY,
+    (State.GUARDING, Trigger.CONFLICT): State.AVOIDING,
+    (State.RECOVERING, Trigger.CONFLICT): State.AVOIDING,
+    (State.AVOIDING, Trigger.CLEAR): State.RECOVERING,
+    (State.RECOVERING, Trigger.REGAINED): State.GUARDING,
+}
+
+
+def next_state(state: State, triggers: frozenset[Trigger]) -> tuple[State, Trigger] | None:
+    """The move that `triggers` cause in `state`, or None."""
+    for trigger in Trigger:
+        if trigger in triggers and (state, trigger) in TRANSITIONS:
+            return TRANSITIONS[state, trigger], trigger
+    return None

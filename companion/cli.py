@@ -1,0 +1,156 @@
+"""The `companion` command."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+
+from companion import __version__, record, replay
+from companion import config as configuration
+from companion.autopilot.tlog import read_tlog
+from companion.errors import ConfigError, PeerDataError
+from companion.remote_id import command as remote_id_command
+from companion.runtime.check import check
+from companion.runtime.flight import Flight
+
+_EXAMPLES = """examples:
+  companion check --config config/companion.toml
+  companion run --config config/companion.toml --dry-run
+  companion replay runs/20260101T000000Z-demo
+  companion replay flight.tlog --json
+  echo 0212... | companion remote-id decode
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
+    arguments = _parser().parse_args(argv)
+    try:
+        code: int = arguments.run(arguments)
+    except (ConfigError, PeerDataError) as error:
+        print(f"companion: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="companion",
+        description="Flight software for a companion computer: hear Remote ID, keep apart, fly timed paths.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"dmuca {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    run = commands.add_parser(
+        "run", help="fly with an autopilot", epilog="companion run --config config/companion.toml"
+    )
+    run.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
+    run.add_argument(
+        "--dry-run", action="store_true", help="listen and decide, but command nothing and send nothing"
+    )
+    run.set_defaults(run=_run)
+
+    checked = commands.add_parser(
+        "check",
+        help="validate a configuration, probe link and radio",
+        epilog="companion check --config my.toml",
+    )
+    checked.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
+    checked.set_defaults(run=lambda a: check(configuration.load(a.config), print))
+
+    again = commands.add_parser(
+        "replay", help="feed a run or a tlog to the heart again", epilog="companion replay runs/NAME"
+    )
+    again.add_argument("path", type=Path, help="run folder, .events file or .tlog file")
+    again.add_argument("--json", action="store_true", help="one JSON object a line")
+    again.set_defaults(run=_replay)
+
+    remote_id = commands.add_parser("remote-id", help="encode, decode, check Remote ID messages")
+    remote_id_command.add_arguments(
+        remote_id.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    )
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    def say(line: str) -> None:
+        print(line, flush=True)
+
+    Flight(configuration.load(arguments.config), say, dry_run=arguments.dry_run).run()
+    return 0
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    path: Path = arguments.path
+    if path.is_dir():
+        files = sorted(path.glob("*.events"))
+        if not files:
+            raise ConfigError(f"{path}: no run folder: no .events file in it")
+        return max([_replay_events(file, path, as_json=arguments.json) for file in files])
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file or folder")
+    if path.suffix == ".events":
+        return _replay_events(path, path.parent, as_json=arguments.json)
+    return _replay_tlog(path, as_json=arguments.json)
+
+
+def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
+    tolerance = 0.0 if _same_software(folder / "manifest.json") else replay.ELSEWHERE
+    with path.open("rb") as stream:
+        result = replay.replay_record(record.read(stream, str(path)), str(path), tolerance)
+    if as_json:
+        print(msgspec.json.encode(result).decode(), flush=True)
+    else:
+        how = "bit for bit" if tolerance == 0.0 else f"to {tolerance:g} (other machine or versions)"
+        print(
+            f"{result.aircraft}: {result.steps} steps, {result.commands} commands, "
+            f"{result.differences} steps differ ({how})"
+        )
+    if result.first is not None:
+        print(result.first, file=sys.stderr)
+    return 1 if result.differences else 0
+
+
+def _same_software(manifest: Path) -> bool:
+    try:
+        facts = json.loads(manifest.read_text())
+        return facts["dmuca"] == __version__ and all(
+            metadata.version(name) == version for name, version in facts["versions"].items()
+        )
+    except (OSError, ValueError, KeyError, TypeError, metadata.PackageNotFoundError):
+        return False
+
+
+def _replay_tlog(path: Path, *, as_json: bool) -> int:
+    with path.open("rb") as stream:
+        result, locations = replay.replay_tlog(read_tlog(stream, str(path)))
+        for location in locations:
+            replay.on_air(location)
+    if as_json:
+        print(msgspec.json.encode(result).decode(), flush=True)
+        return 0
+    print(f"{path}: {result.vehicle or 'no vehicle'}; {result.duration_s:.1f} s, {result.frames} frames")
+    print(f"  GNSS states {result.gnss_states} (GPS_RAW_INT {result.gnss_fixes})")
+    for name, where in (("first", result.first), ("last", result.last)):
+        if where is not None:
+            print(f"  {name} position {where[0]:.7f} {where[1]:.7f}, {where[2]:.2f} m above mean sea level")
+    print(f"  Remote ID broadcasts {result.broadcasts}, {result.locations_with_position} with a position")
+    print("  " + ", ".join(f"{key} {value}" for key, value in result.counts.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""One companion, whole but for its sockets: MAVLink bytes and heard frames in, bytes and broadcasts out.
+
+The flight loop and the lock-step simulation run this same object; the record of its steps is what a replay
+feeds back to the heart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+from companion.autopilot.link import AutopilotLink
+from companion.autopilot.tlog import TlogWriter
+from companion.config import Config
+from companion.core import Companion
+from companion.events import (
+    AnyCommand,
+    AnyEvent,
+    Broadcast,
+    DownloadMission,
+    Event,
+    FlightMode,
+    RemoteIdHeard,
+    Say,
+    SetMode,
+    VelocitySetpoint,
+)
+from companion.record import Step
+
+
+class Onboard:
+    """The heart with its MAVLink link."""
+
+    def __init__(
+        self,
+        config: Config,
+        record: Callable[[Step], None] | None = None,
+        *,
+        commanding: bool = True,
+        tlog: TlogWriter | None = None,
+        utc_guess_s: float = 0.0,
+    ) -> None:
+        """Build it.
+
+        Args:
+            record: takes every step of the heart.
+            commanding: False leaves the vehicle alone; the heart works all the same.
+            tlog: takes the MAVLink of both directions.
+            utc_guess_s: UTC minus monotonic time for the tlog until the vehicle tells it.
+        """
+        self.commanding = commanding
+        self.tlog = tlog
+        self._utc_guess_s = utc_guess_s
+        self.heart = Companion(config)
+        self.link = AutopilotLink(config.vehicle)
+        self._record = record
+        self._events: list[Event] = []
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Bytes from the autopilot's link."""
+        if self.tlog is not None:
+            self.tlog.received(self._utc_s(now_s), data)
+        self._events += self.link.receive(data, now_s)
+
+    def hear(self, heard: RemoteIdHeard) -> None:
+        """A frame from the radio."""
+        self._events.append(heard)
+
+    def tick(self, now_s: float) -> list[Broadcast]:
+        """One step of the heart on all that arrived. Returns what the radio must send; bytes for the
+        autopilot wait in `drain`."""
+        self._events += self.link.advance(now_s)
+        events, self._events = self._events, []
+        commands = self.heart.step(now_s, events)
+        for command in commands:
+            if isinstance(command, DownloadMission | Say) or (
+                self.commanding and isinstance(command, VelocitySetpoint | SetMode)
+            ):
+                self.link.send(command, now_s)
+        if self._record is not None:
+            self._record(
+                Step(
+                    now_s=now_s,
+                    events=cast("tuple[AnyEvent, ...]", tuple(events)),
+                    commands=cast("tuple[AnyCommand, ...]", tuple(commands)),
+                )
+            )
+        return [c for c in commands if isinstance(c, Broadcast)]
+
+    def drain(self, now_s: float) -> bytes:
+        """Bytes to send to the autopilot now."""
+        data = self.link.drain()
+        if self.tlog is not None and data:
+            self.tlog.sent(self._utc_s(now_s), data)
+        return data
+
+    def _utc_s(self, now_s: float) -> float:
+        known = self.heart.own.utc_offset_s
+        return now_s + (self._utc_guess_s if known is None else known)
+
+    def let_go(self, now_s: float) -> None:
+        """Ask the vehicle to hold; the heart is not stepped any more after this."""
+        self.link.send(SetMode(mode=FlightMode.HOLD), now_s)
+
+    def idle(self, now_s: float) -> None:
+        """Keep the link alive, and the own state current, without stepping the heart."""
+        for event in [*self._events, *self.link.advance(now_s)]:
+            self.heart.own.take(event, now_s)
+        self._events = []

@@ -1,0 +1,183 @@
+"""Feed recorded input to the heart again.
+
+An event record holds what entered the heart and what it commanded: the same input must give the same
+commands, bit for bit where software and machine are the same. A tlog holds a vehicle's MAVLink: it goes
+through the link and the heart as if that vehicle flew now, with nothing commanded.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import msgspec
+
+from companion.autopilot.link import LinkCounts
+from companion.config import Config, IdentityConfig
+from companion.core import Companion
+from companion.errors import PeerDataError
+from companion.events import Broadcast, Command, GlobalPosition, GnssFix
+from companion.onboard import Onboard
+from companion.record import Header, Record, Step
+from companion.remote_id import codec
+from companion.remote_id.messages import Location
+
+STEP_S = 0.05
+ELSEWHERE = 1e-9
+"""Largest relative difference of a number that another machine or version may show."""
+
+
+@dataclass(slots=True)
+class RecordReplay:
+    """What came of replaying one event record."""
+
+    aircraft: str = ""
+    steps: int = 0
+    commands: int = 0
+    differences: int = 0
+    """Steps whose commands differ beyond the tolerance."""
+    inexact: int = 0
+    """Steps whose commands differ, but within the tolerance."""
+    first: str | None = None
+    """The first difference, in words."""
+
+
+def replay_record(records: Iterable[Record], name: str, tolerance: float) -> RecordReplay:
+    """Run the heart on a record's input and compare with what it commanded then.
+
+    Args:
+        records: from `companion.record.read`.
+        name: of the file, for messages.
+        tolerance: relative difference of a number that still counts as equal; 0 for bit for bit.
+
+    Raises:
+        PeerDataError: the record does not begin with its header.
+    """
+    result = RecordReplay()
+    heart: Companion | None = None
+    for item in records:
+        if isinstance(item, Header):
+            heart, result.aircraft = Companion(item.config), item.aircraft
+            continue
+        if heart is None:
+            raise PeerDataError(f"{name}: the first record is not a header")
+        commands = tuple(heart.step(item.now_s, item.events))
+        result.steps += 1
+        result.commands += len(commands)
+        if commands == item.commands:
+            continue
+        if _close(msgspec.to_builtins(commands), msgspec.to_builtins(item.commands), tolerance):
+            result.inexact += 1
+            continue
+        result.differences += 1
+        if result.first is None:
+            result.first = f"{name}: step {result.steps} at {item.now_s:.3f} s: {_differing(item, commands)}"
+    return result
+
+
+def _differing(step: Step, now: tuple[Command, ...]) -> str:
+    for then_command, now_command in zip(step.commands, now, strict=False):
+        if then_command != now_command:
+            return f"then {then_command}, now {now_command}"
+    return f"then {len(step.commands)} commands, now {len(now)}"
+
+
+def _close(a: object, b: object, tolerance: float) -> bool:
+    if isinstance(a, float) and isinstance(b, float):
+        return math.isclose(a, b, rel_tol=tolerance, abs_tol=tolerance)
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_close(a[k], b[k], tolerance) for k in a)
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(_close(x, y, tolerance) for x, y in zip(a, b, strict=True))
+    return a == b
+
+
+@dataclass(slots=True)
+class TlogReplay:
+    """What came of flying a recorded vehicle's MAVLink through the heart."""
+
+    vehicle: str | None = None
+    duration_s: float = 0.0
+    frames: int = 0
+    gnss_states: int = 0
+    """GLOBAL_POSITION_INT taken in."""
+    gnss_fixes: int = 0
+    """GPS_RAW_INT taken in."""
+    first: tuple[float, float, float] | None = None
+    """Latitude, longitude (deg), altitude (m, mean sea level)."""
+    last: tuple[float, float, float] | None = None
+    broadcasts: int = 0
+    locations_with_position: int = 0
+    counts: dict[str, int] = field(default_factory=dict)
+
+
+def replay_tlog(frames: Iterable[tuple[float, bytes]]) -> tuple[TlogReplay, Iterator[Location]]:
+    """Feed (utc_s, frame) pairs to link and heart.
+
+    Returns:
+        The result, complete once the second value is exhausted, and the Location messages that would have
+        gone on the air.
+    """
+    result = TlogReplay()
+    return result, _fly_tlog(frames, result)
+
+
+def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iterator[Location]:
+    steps: list[Step] = []
+    onboard = Onboard(Config(identity=IdentityConfig(uas_id="REPLAY")), steps.append, commanding=False)
+    start_s: float | None = None
+    now_s = next_s = 0.0
+    for utc_s, frame in frames:
+        if start_s is None:
+            start_s, now_s, next_s = utc_s, utc_s, utc_s + STEP_S
+        # Time stamps of a log may jump back; the heart's clock never does.
+        now_s = max(now_s, utc_s)
+        result.frames += 1
+        if now_s >= next_s:
+            next_s = now_s + STEP_S
+            onboard.tick(now_s)
+            onboard.drain(now_s)
+            yield from _note(steps, result)
+        onboard.receive(frame, now_s)
+    if start_s is not None:
+        onboard.tick(now_s)
+        onboard.drain(now_s)
+        yield from _note(steps, result)
+        result.duration_s = now_s - start_s
+    vehicle = onboard.link.vehicle
+    result.vehicle = None if vehicle is None else str(vehicle)
+    result.counts = _flat(onboard.link.counts)
+
+
+def _flat(counts: LinkCounts) -> dict[str, int]:
+    plain = dataclasses.asdict(counts)
+    wire = plain.pop("wire")
+    return {**wire, **plain}
+
+
+def _note(steps: list[Step], result: TlogReplay) -> Iterator[Location]:
+    for step in steps:
+        for event in step.events:
+            if isinstance(event, GlobalPosition):
+                result.gnss_states += 1
+                result.last = (event.lat_deg, event.lon_deg, event.alt_msl_m)
+                result.first = result.first or result.last
+            elif isinstance(event, GnssFix):
+                result.gnss_fixes += 1
+        for command in step.commands:
+            if isinstance(command, Broadcast):
+                result.broadcasts += 1
+                for message in command.messages:
+                    if isinstance(message, Location):
+                        result.locations_with_position += message.lat_deg is not None
+                        yield message
+    steps.clear()
+
+
+def on_air(location: Location) -> Location:
+    """A Location as a receiver reads it: encoded and decoded."""
+    decoded = codec.decode(codec.encode(location))
+    assert isinstance(decoded, Location)
+    return decoded

@@ -1,0 +1,65 @@
+"""`companion check`: validate, probe the link and the radio, say in plain words what is missing."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable
+
+from companion.autopilot.link import AutopilotLink
+from companion.avoidance.path import check_path
+from companion.config import Config
+from companion.runtime.flight import open_radio
+from companion.runtime.links import open_link
+
+_RADIO_S = 2.5
+
+
+def check(config: Config, say: Callable[[str], None]) -> int:
+    """Probe what the configuration names. Returns 0 when all is there, 1 otherwise.
+
+    Raises:
+        ConfigError: the link or the radio cannot be opened.
+    """
+    check_path(config, "configuration")
+    say("configuration: valid")
+    vehicle = _probe_link(config, say)
+    radio = _probe_radio(config, say)
+    return 0 if vehicle and radio else 1
+
+
+def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
+    link = open_link(config.vehicle.link)
+    protocol = AutopilotLink(config.vehicle)
+    end = time.monotonic() + config.vehicle.wait_s
+    try:
+        while (now := time.monotonic()) < end and protocol.vehicle is None:
+            select.select([link], [], [], 0.1)
+            protocol.receive(link.receive(), now)
+            protocol.advance(now)
+            link.send(protocol.drain())
+    finally:
+        link.close()
+    if protocol.vehicle is None:
+        say(f"vehicle: {config.vehicle.link}: no vehicle within {config.vehicle.wait_s:g} s")
+        return False
+    say(f"vehicle: {protocol.vehicle}")
+    return protocol.vehicle.refusal is None
+
+
+def _probe_radio(config: Config, say: Callable[[str], None]) -> bool:
+    radio = open_radio(config, dry_run=False)
+    wanted = config.remote_id.transport
+    try:
+        if wanted not in radio.capabilities:
+            say(f"radio: {config.radio.backend} cannot send on {wanted}")
+            return False
+        end = time.monotonic() + _RADIO_S
+        while time.monotonic() < end and not radio.health(time.monotonic()).ok:
+            radio.heard(time.monotonic())
+            time.sleep(0.05)
+        health = radio.health(time.monotonic())
+        say(f"radio: {health.text}")
+        return health.ok
+    finally:
+        radio.close()

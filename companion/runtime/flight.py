@@ -1,0 +1,233 @@
+"""The flight loop: one thread, one rate, sockets in and out; a watchdog that ends a hung process.
+
+What the loop cannot do in time it does not do late: a missed deadline is skipped and counted, and the heart,
+which sees the gap, commands nothing until it is fit again.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import select
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+
+from companion import __version__
+from companion import config as configuration
+from companion.autopilot.tlog import TlogWriter
+from companion.avoidance.authority import HOLDING
+from companion.avoidance.kernels import warm_up
+from companion.avoidance.path import check_path
+from companion.config import Config
+from companion.errors import ConfigError
+from companion.events import AuthorityChanged, FlightMode
+from companion.onboard import Onboard
+from companion.radio.ether import EtherTransport
+from companion.radio.frames_io import radio_address
+from companion.radio.null import NullTransport
+from companion.radio.transport import Transport
+from companion.record import Header, Step
+from companion.runtime.links import Link, open_link
+from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
+
+_WATCHDOG_S = 1.5
+_STATUS_S = 5.0
+_LET_GO_S = 2.0
+
+
+class Flight:
+    """Everything one `companion run` holds. Use as a context manager; `run` blocks until told to stop."""
+
+    def __init__(self, config: Config, say: Callable[[str], None], *, dry_run: bool) -> None:
+        self.config = config
+        self._say = say
+        self._stop = False
+        self._late = 0
+        self._ticks = 0
+        check_path(config, "configuration")
+        say(f"compiling the avoidance kernels ... {warm_up():.1f} s")
+        self.link: Link = open_link(config.vehicle.link)
+        try:
+            self.radio: Transport = open_radio(config, dry_run=dry_run)
+        except ConfigError:
+            self.link.close()
+            raise
+        guess = time.time() - time.monotonic()
+        self.onboard = Onboard(config, self._record, commanding=not dry_run, utc_guess_s=guess)
+        self.folder: Path | None = None
+        self._recorder: FlightRecorder | None = None
+        self._early: list[Step] = []
+        self._status_s = time.monotonic()
+
+    def stop(self, _signal: int = 0, _frame: FrameType | None = None) -> None:
+        """Ask `run` to end (also a signal handler)."""
+        self._stop = True
+
+    def run(self) -> None:
+        """Find the vehicle, then fly until stopped.
+
+        Raises:
+            ConfigError: no vehicle within `vehicle.wait_s`, or one that cannot be flown.
+        """
+        signal.signal(signal.SIGINT, self.stop)
+        signal.signal(signal.SIGTERM, self.stop)
+        try:
+            self._find_vehicle()
+            if self._stop:
+                return
+            self._open_recorder()
+            self._loop()
+            self._let_go()
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+            self._close()
+
+    # ------------------------------------------------------------ phases
+
+    def _find_vehicle(self) -> None:
+        wait_s = self.config.vehicle.wait_s
+        self._say(f"waiting for a vehicle on {self.config.vehicle.link} ...")
+        give_up = time.monotonic() + wait_s
+        while self.onboard.link.vehicle is None and not self._stop:
+            now = time.monotonic()
+            if now > give_up:
+                raise ConfigError(
+                    f"{self.config.vehicle.link}: no vehicle within {wait_s:g} s: is the autopilot sending "
+                    "MAVLink to this address, and is vehicle.link right?"
+                )
+            self._wait(now + 1.0 / self.config.flight.setpoint_rate_hz)
+            self._tick(time.monotonic())
+        vehicle = self.onboard.link.vehicle
+        if vehicle is not None and vehicle.refusal is not None and self.config.flight.use == "fly":
+            raise ConfigError(f"{self.config.vehicle.link}: {vehicle.refusal}")
+
+    def _wait(self, deadline_s: float) -> None:
+        """Take in the autopilot's bytes until the deadline."""
+        while (left := deadline_s - time.monotonic()) > 0:
+            select.select([self.link], [], [], left)
+            self._exchange(time.monotonic())
+
+    def _open_recorder(self) -> None:
+        utc_s = time.time()
+        config, name = self.config, self.config.identity.uas_id
+        aircraft = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+        self.folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
+        (self.folder / "config.toml").write_bytes(configuration.dump(config))
+        vehicle = self.onboard.link.vehicle
+        write_manifest(
+            self.folder, "companion run", aircraft=[aircraft], started_utc_s=utc_s, vehicle=str(vehicle)
+        )
+        header = Header(aircraft=aircraft, software=__version__, config=config)
+        self._recorder = FlightRecorder(self.folder, header, config.record.sync_period_s)
+        # The record begins with the heart's first step, or a replay would not meet the same state.
+        for step in self._early:
+            self._recorder.step(step)
+        self._early.clear()
+        self.onboard.tlog = TlogWriter(self._recorder)
+        self._say(f"vehicle {vehicle}; recording to {self.folder}")
+
+    def _loop(self) -> None:
+        period = 1.0 / self.config.flight.setpoint_rate_hz
+        deadline = time.monotonic() + period
+        armed_at = 0.0
+        while not self._stop:
+            now = time.monotonic()
+            if now - armed_at > 0.25:
+                armed_at = now
+                # Runs in a thread of C code: it ends the process even when this loop never comes back.
+                faulthandler.dump_traceback_later(_WATCHDOG_S, exit=True)
+            self._wait(deadline)
+            now = time.monotonic()
+            missed = int((now - deadline) / period)
+            self._late += missed
+            deadline += (missed + 1) * period
+            self._tick(now)
+
+    def _tick(self, now_s: float) -> None:
+        self._ticks += 1
+        self._exchange(now_s)
+        for heard in self.radio.heard(now_s):
+            self.onboard.hear(heard)
+        broadcasts = self.onboard.tick(now_s)
+        self.link.send(self.onboard.drain(now_s))
+        for broadcast in broadcasts:
+            self.radio.broadcast(broadcast.transport, broadcast.messages, now_s)
+        if now_s - self._status_s > _STATUS_S:
+            self._status_s = now_s
+            self._say(self.status(now_s))
+
+    def _exchange(self, now_s: float) -> None:
+        data = self.link.receive()
+        if data:
+            self.onboard.receive(data, now_s)
+
+    def _let_go(self) -> None:
+        """Leave the vehicle standing still, not drifting into its setpoint timeout."""
+        if self.onboard.heart.state not in HOLDING or not self.onboard.commanding:
+            return
+        self._say("stopping: asking the vehicle to hold")
+        end = time.monotonic() + _LET_GO_S
+        self.onboard.let_go(time.monotonic())
+        while (now := time.monotonic()) < end and self.onboard.heart.own.mode is not FlightMode.HOLD:
+            self._wait(now + 0.05)
+            self.onboard.idle(time.monotonic())
+            self.link.send(self.onboard.drain(time.monotonic()))
+
+    def _close(self) -> None:
+        if self._recorder is not None and self.folder is not None:
+            self._recorder.close()
+            write_json(self.folder / "summary.json", self.summary())
+            self._say(f"run folder {self.folder}")
+        self.radio.close()
+        self.link.close()
+
+    # ------------------------------------------------------------ words
+
+    def status(self, now_s: float) -> str:
+        """One line: who flies, what is heard, what is wrong."""
+        heart, health = self.onboard.heart, self.radio.health(now_s)
+        mode = heart.own.mode.value if heart.own.mode is not None else "unknown"
+        unfit = heart.own.unfit(now_s, self.config.vehicle.stale_after_s)
+        return (
+            f"{heart.state.value}; vehicle mode {mode}, {'armed' if heart.own.armed else 'disarmed'}; "
+            f"{unfit or 'own state fit'}; {len(heart.traffic.tracks)} tracks; radio: {health.text}; "
+            f"sent {health.frames_sent}, heard {health.frames_heard}; late {self._late}"
+        )
+
+    def summary(self) -> dict[str, object]:
+        """What stands in `summary.json`."""
+        health = self.radio.health(time.monotonic())
+        recorder = self._recorder
+        return {
+            "ticks": self._ticks,
+            "late_ticks": self._late,
+            "state": self.onboard.heart.state.value,
+            "frames_sent": health.frames_sent,
+            "frames_heard": health.frames_heard,
+            "bad_frames": health.bad_frames,
+            "records_dropped": 0 if recorder is None else recorder.dropped,
+            "recorder_error": None if recorder is None else recorder.error,
+        }
+
+    def _record(self, step: Step) -> None:
+        for command in step.commands:
+            if isinstance(command, AuthorityChanged):
+                self._say(f"{command.previous} -> {command.state}: {command.reason}")
+        if self._recorder is not None:
+            self._recorder.step(step)
+        else:
+            self._early.append(step)
+
+
+def open_radio(config: Config, *, dry_run: bool) -> Transport:
+    """The radio that the configuration names; none in a dry run.
+
+    Raises:
+        ConfigError: it cannot be opened.
+    """
+    if dry_run or config.radio.backend == "null" or config.radio.address is None:
+        return NullTransport()
+    uas_id = config.identity.uas_id
+    return EtherTransport(config.radio.address, uas_id, radio_address(uas_id))

@@ -1,0 +1,52 @@
+"""The `sitl-mocks` command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from companion import __version__
+from companion.errors import ConfigError, PeerDataError
+from sitl_mocks import demo, ether_server, swarm, vehicle_server
+
+_EXAMPLES = """examples:
+  sitl-mocks demo
+  sitl-mocks demo --seeds 1-20 --delay 2 3 --json
+  sitl-mocks serve --help
+  sitl-mocks swarm --duration 120
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
+    parser = argparse.ArgumentParser(
+        prog="sitl-mocks",
+        description="What stands in for hardware: vehicles, the air, whole encounters.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"dmuca {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, module, words in (
+        ("demo", demo, "an encounter in virtual time, with and without avoidance"),
+        ("serve", vehicle_server, "one MAVLink vehicle on UDP or TCP"),
+        ("ether", ether_server, "the simulated air between aircraft, on UDP"),
+        ("swarm", swarm, "vehicles, companions and air as processes, in real time"),
+    ):
+        command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    arguments = parser.parse_args(argv)
+    try:
+        code: int = arguments.run(arguments)
+    except (ConfigError, PeerDataError) as error:
+        print(f"sitl-mocks: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

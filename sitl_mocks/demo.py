@@ -1,0 +1,353 @@
+"""`sitl-mocks demo`: fly an encounter in virtual time, with and without avoidance, and say how it went."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import queue
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import ExitStack
+from dataclasses import dataclass
+from multiprocessing.queues import Queue
+from pathlib import Path
+
+import msgspec
+import tomli_w
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from companion import __version__, record
+from companion.avoidance.kernels import warm_up
+from companion.config import Config, without_none
+from companion.errors import ConfigError
+from companion.runtime.recorder import EventFile, create_run_folder, write_json, write_manifest
+from sitl_mocks import settings
+from sitl_mocks.lockstep import TICK_S, Run, fly, paths_of
+from sitl_mocks.settings import Scenario
+from sitl_mocks.verdict import Deviation, Pair, deviations_of, on_path_limit_m, pairs_of
+
+_EXAMPLE = "example: sitl-mocks demo --delay 1 2 --seed 7; sitl-mocks demo --seeds 1-20 --delay 2 3 --json"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One flight of one seed, reduced to what the verdict needs."""
+
+    seed: int
+    avoided: bool
+    pairs: list[Pair]
+    deviations: list[Deviation]
+    wall_s: float
+    simulated_s: float
+    messages: dict[str, int]
+
+    @property
+    def min_separation_m(self) -> float:
+        """Least separation of any pair."""
+        return min(p.min_separation_m for p in self.pairs)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One seed, both flights."""
+
+    seed: int
+    scenario: Scenario
+    avoided: Outcome
+    unavoided: Outcome
+
+    @property
+    def limit_m(self) -> float:
+        """Separation that must hold: both conflict radii."""
+        return 2.0 * self.scenario.avoidance.conflict_radius_m
+
+    @property
+    def ok(self) -> bool:
+        """Every pair kept apart, and everyone back on the path at the end."""
+        back = max(d.final_m for d in self.avoided.deviations) <= on_path_limit_m(self.scenario)
+        return self.avoided.min_separation_m > self.limit_m and back
+
+    def as_dict(self) -> dict[str, object]:
+        """One JSON object."""
+        deviations = self.avoided.deviations
+        return {
+            "seed": self.seed,
+            "delay_s": list(self.scenario.air.delay_s),
+            "aircraft": len(deviations),
+            "min_separation_m": round(self.avoided.min_separation_m, 3),
+            "unavoided_min_separation_m": round(self.unavoided.min_separation_m, 3),
+            "max_deviation_m": round(max(d.largest_m for d in deviations), 3),
+            "final_deviation_m": round(max(d.final_m for d in deviations), 3),
+            "ok": self.ok,
+        }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `sitl-mocks demo`."""
+    parser.epilog = _EXAMPLE
+    parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: five aircraft, S2")
+    parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
+    parser.add_argument("--delay", type=float, nargs=2, metavar=("LOW", "HIGH"), help="message delay (s)")
+    parser.add_argument("--law", choices=("dmuca", "paper", "none"), help="avoidance law")
+    seeds = parser.add_mutually_exclusive_group()
+    seeds.add_argument("--seed", type=int, default=1, help="what chance draws from (default 1)")
+    seeds.add_argument("--seeds", metavar="A-B", help="several seeds, on all cores, without a run folder")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder goes")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line for each seed")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly and judge. Returns 0 when every seed is ok, 1 when one is not.
+
+    Raises:
+        ConfigError: an option or the scenario file is wrong.
+    """
+    scenario = _scenario(arguments)
+    console = Console(stderr=arguments.json)
+    seconds = warm_up()
+    if seconds > 1.0:
+        console.print(f"compiled the avoidance kernels in {seconds:.1f} s (kept for the next time)")
+    if arguments.seeds is not None:
+        return _many(scenario, _parse_seeds(arguments.seeds), console, as_json=arguments.json)
+    folder = create_run_folder(arguments.runs, "demo", time.time())
+    (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(scenario))))
+    verdict = next(_fly_all(scenario, [arguments.seed], console, folder))
+    write_manifest(
+        folder,
+        "sitl-mocks demo",
+        seed=arguments.seed,
+        aircraft=[d.name for d in verdict.avoided.deviations],
+        conflict_limit_m=verdict.limit_m,
+    )
+    write_json(folder / "summary.json", {**verdict.as_dict(), "pairs": _pair_rows(verdict)})
+    if arguments.json:
+        print(json.dumps(verdict.as_dict()))
+    else:
+        _show(verdict, folder, console)
+    return 0 if verdict.ok else 1
+
+
+def _scenario(arguments: argparse.Namespace) -> Scenario:
+    scenario = Scenario() if arguments.scenario is None else settings.load(arguments.scenario)
+    if arguments.aircraft is not None:
+        if scenario.geometry is None:
+            raise ConfigError("--aircraft: the scenario file gives the paths, and with them the number")
+        if not 2 <= arguments.aircraft <= 100:
+            raise ConfigError(f"--aircraft: {arguments.aircraft}: allowed 2 to 100")
+        scenario = msgspec.structs.replace(scenario, aircraft=arguments.aircraft)
+    if arguments.delay is not None:
+        low, high = arguments.delay
+        if not 0.0 <= low <= high <= 60.0:
+            raise ConfigError(f"--delay: {low:g} {high:g}: allowed 0 <= LOW <= HIGH <= 60")
+        air = msgspec.structs.replace(scenario.air, delay_s=(low, high))
+        scenario = msgspec.structs.replace(scenario, air=air)
+    if arguments.law is not None:
+        avoidance = msgspec.structs.replace(scenario.avoidance, law=arguments.law)
+        scenario = msgspec.structs.replace(scenario, avoidance=avoidance)
+    return scenario
+
+
+def _parse_seeds(text: str) -> list[int]:
+    first, _, last = text.partition("-")
+    if not first.isdigit() or (last and not last.isdigit()) or (last and int(last) < int(first)):
+        raise ConfigError(f"--seeds: {text!r}: expected A-B, for instance 1-20")
+    return list(range(int(first), int(last or first) + 1))
+
+
+def _many(scenario: Scenario, seeds: list[int], console: Console, *, as_json: bool) -> int:
+    started = time.monotonic()
+    verdicts = []
+    for verdict in _fly_all(scenario, seeds, console, None):
+        verdicts.append(verdict)
+        if as_json:
+            print(json.dumps(verdict.as_dict()), flush=True)
+    if not as_json:
+        console.print(_seed_table(verdicts))
+    good = sum(v.ok for v in verdicts)
+    simulated = sum(v.avoided.simulated_s + v.unavoided.simulated_s for v in verdicts)
+    wall = time.monotonic() - started
+    console.print(
+        f"{good} of {len(verdicts)} ok; {simulated:.0f} simulated seconds in {wall:.1f} s "
+        f"({simulated / wall:.0f} times real time on {_workers(seeds)} processes)"
+    )
+    return 0 if good == len(verdicts) else 1
+
+
+# ---------------------------------------------------------------- flying, by process
+
+_progress: Queue[tuple[int, float]] | None = None
+
+
+def _initialise(progress: Queue[tuple[int, float]]) -> None:
+    global _progress
+    _progress = progress
+
+
+def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder: Path | None) -> Outcome:
+    """One flight, in a worker process."""
+    started = time.monotonic()
+    paths = paths_of(scenario, seed)
+
+    def progress(share: float) -> None:
+        if _progress is not None:
+            _progress.put((task, share))
+
+    with ExitStack() as files:
+
+        def recorder(name: str, config: Config) -> Callable[[record.Step], None]:
+            assert folder is not None
+            header = record.Header(aircraft=name, software=__version__, config=config)
+            file = EventFile(folder / f"{name}.events", header)
+            files.callback(file.close)
+            return file.step
+
+        result: Run = fly(
+            scenario,
+            seed,
+            law=None if avoided else "none",
+            record=recorder if folder is not None else None,
+            progress=progress,
+        )
+    sent = sum(p.sent for p in result.air.values())
+    return Outcome(
+        seed=seed,
+        avoided=avoided,
+        pairs=pairs_of(result),
+        deviations=deviations_of(result, paths, on_path_limit_m(scenario)),
+        wall_s=time.monotonic() - started,
+        simulated_s=len(result.time_s) * TICK_S,
+        messages={"sent": sent, "delivered": sum(p.delivered for p in result.air.values())},
+    )
+
+
+def _workers(seeds: list[int]) -> int:
+    return min(2 * len(seeds), os.cpu_count() or 1)
+
+
+def _fly_all(
+    scenario: Scenario, seeds: list[int], console: Console, folder: Path | None
+) -> Iterator[Verdict]:
+    """Both flights of every seed, on all cores; verdicts in the order of the seeds."""
+    context = multiprocessing.get_context("spawn")
+    shared: Queue[tuple[int, float]] = context.Queue()
+    with (
+        Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
+        ProcessPoolExecutor(_workers(seeds), context, _initialise, (shared,)) as pool,
+    ):
+        tasks: dict[Future[Outcome], int] = {}
+        for seed in seeds:
+            for avoided in (True, False):
+                what = "with avoidance" if avoided else "without"
+                task = bar.add_task(f"seed {seed}, {what}", total=1.0, visible=len(seeds) <= 4)
+                where = folder if folder is None or avoided else folder / "unavoided"
+                if where is not None:
+                    where.mkdir(exist_ok=True)
+                future = pool.submit(_fly_one, scenario, seed, task, avoided=avoided, folder=where)
+                tasks[future] = int(task)
+        outcomes: dict[tuple[int, bool], Outcome] = {}
+        waiting = list(seeds)
+        for future in _completed(tasks, shared, bar):
+            outcome = future.result()
+            outcomes[outcome.seed, outcome.avoided] = outcome
+            while waiting and {(waiting[0], True), (waiting[0], False)} <= outcomes.keys():
+                seed = waiting.pop(0)
+                yield Verdict(seed, scenario, outcomes[seed, True], outcomes[seed, False])
+
+
+def _completed(
+    tasks: dict[Future[Outcome], int], shared: Queue[tuple[int, float]], bar: Progress
+) -> Iterator[Future[Outcome]]:
+    left = set(tasks)
+    while left:
+        try:
+            for future in as_completed(left, timeout=0.2):
+                bar.update(tasks[future], completed=1.0)  # type: ignore[arg-type]
+                left.discard(future)
+                yield future
+        except TimeoutError:
+            pass
+        while True:
+            try:
+                task, share = shared.get_nowait()
+            except queue.Empty:
+                break
+            bar.update(task, completed=share)  # type: ignore[arg-type]
+
+
+# ---------------------------------------------------------------- words
+
+
+def _pair_rows(verdict: Verdict) -> list[dict[str, object]]:
+    before = {(p.first, p.second): p for p in verdict.unavoided.pairs}
+    return [
+        {
+            "pair": [p.first, p.second],
+            "min_separation_m": round(p.min_separation_m, 3),
+            "at_s": round(p.at_s, 2),
+            "unavoided_min_separation_m": round(before[p.first, p.second].min_separation_m, 3),
+        }
+        for p in verdict.avoided.pairs
+    ]
+
+
+def _show(verdict: Verdict, folder: Path, console: Console) -> None:
+    limit = verdict.limit_m
+    table = Table(title=f"Least separation of each pair (must stay above {limit:g} m)")
+    table.add_column("pair")
+    for name in ("without avoidance", "with avoidance", "at"):
+        table.add_column(name, justify="right")
+    for row in _pair_rows(verdict):
+        before, after = float(str(row["unavoided_min_separation_m"])), float(str(row["min_separation_m"]))
+        mark = "green" if after > limit else "red"
+        table.add_row(
+            " - ".join(verdict_name for verdict_name in row["pair"]),  # type: ignore[attr-defined]
+            f"[{'red' if before <= limit else 'default'}]{before:.2f} m[/]",
+            f"[{mark}]{after:.2f} m[/]",
+            f"{row['at_s']} s",
+        )
+    console.print(table)
+    paths = Table(
+        title=f"Return to the timed path (on the path: within {on_path_limit_m(verdict.scenario):g} m)"
+    )
+    paths.add_column("aircraft")
+    for name in ("largest deviation", "back after", "at the end"):
+        paths.add_column(name, justify="right")
+    for d in verdict.avoided.deviations:
+        back = "-" if d.back_s is None else f"{d.back_s:.1f} s"
+        paths.add_row(d.name, f"{d.largest_m:.1f} m", back, f"{d.final_m:.1f} m")
+    console.print(paths)
+    a = verdict.avoided
+    console.print(
+        f"{a.simulated_s:.0f} simulated seconds in {a.wall_s:.1f} s ({a.simulated_s / a.wall_s:.0f} times "
+        f"real time on one core); Remote ID: {a.messages['sent']} sent, {a.messages['delivered']} delivered"
+    )
+    word = "[bold green]OK[/]" if verdict.ok else "[bold red]FAILED[/]"
+    console.print(
+        f"{word}: least separation {a.min_separation_m:.2f} m with avoidance, "
+        f"{verdict.unavoided.min_separation_m:.2f} m without; limit {limit:g} m"
+    )
+    console.print(f"run folder: {folder}", soft_wrap=True)
+    console.print(f"look at it: ground-tools inspect {folder}", soft_wrap=True)
+
+
+def _seed_table(verdicts: list[Verdict]) -> Table:
+    table = Table()
+    for name in ("seed", "without", "with", "largest deviation", "at the end", "ok"):
+        table.add_column(name, justify="right")
+    for v in verdicts:
+        row = v.as_dict()
+        table.add_row(
+            str(v.seed),
+            f"{row['unavoided_min_separation_m']:.2f} m",
+            f"{row['min_separation_m']:.2f} m",
+            f"{row['max_deviation_m']:.1f} m",
+            f"{row['final_deviation_m']:.1f} m",
+            "yes" if v.ok else "NO",
+        )
+    return table

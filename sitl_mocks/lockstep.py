@@ -1,0 +1,209 @@
+"""Several aircraft in virtual time, in one thread: vehicle, link, heart and air of each, over real bytes.
+
+Everything that crosses between two parts crosses as it would in flight: MAVLink frames between vehicle and
+companion, Remote ID frames between companions. Time is a number that this loop counts up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.config import (
+    Config,
+    FlightConfig,
+    IdentityConfig,
+    RemoteIdConfig,
+    TrajectoryFile,
+    VehicleConfig,
+    Waypoint,
+)
+from companion.events import Firmware
+from companion.geometry import LocalFrame
+from companion.onboard import Onboard
+from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
+from companion.record import Step
+from sitl_mocks.autopilot import MockVehicle
+from sitl_mocks.channel.simple import SimpleChannel
+from sitl_mocks.ether import Ether, PairStats
+from sitl_mocks.scenario import encounter
+from sitl_mocks.settings import Scenario
+from sitl_mocks.vehicle_options import VehicleOptions
+
+TICK_S = 0.05
+UTC_AT_START_S = 1_767_225_590.0
+"""2025-12-31 23:59:50 UTC: the hour of the Remote ID timestamp wraps ten seconds into every run."""
+HOME = LocalFrame(47.397, 8.545, 400.0)
+SETTLE_S = 3.0
+"""Time for the companions to find their vehicles and take them, before the paths' clock starts."""
+
+Points = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Flown:
+    """What one aircraft did: true positions at every tick."""
+
+    name: str
+    position_ned_m: Points
+    """Shape (ticks, 3), local NED at home."""
+
+
+@dataclass(slots=True)
+class Run:
+    """One lock-step run."""
+
+    aircraft: list[Flown]
+    air: dict[tuple[str, str], PairStats]
+    time_s: NDArray[np.float64]
+    """Path time of every tick."""
+
+
+class Aircraft:
+    """One vehicle with its companion and radio."""
+
+    def __init__(
+        self,
+        name: str,
+        options: VehicleOptions,
+        config: Config,
+        rng: np.random.Generator,
+        record: Callable[[Step], None] | None,
+    ) -> None:
+        self.name = name
+        self.config = config
+        self.vehicle = MockVehicle(options, rng)
+        self.onboard = Onboard(config, record)
+        self.sender = FrameSender(radio_address(name))
+        self.receiver = FrameReceiver()
+
+
+def paths_of(scenario: Scenario, seed: int) -> list[Points]:
+    """Timed paths of all aircraft, each of shape (points, 4): time (s), north, east, down (m)."""
+    if scenario.geometry is not None:
+        return [np.asarray(p, float) for p in encounter(scenario.geometry, scenario.aircraft, seed)]
+    return [np.asarray(p.points, float) for p in scenario.path]
+
+
+def names_of(scenario: Scenario, seed: int) -> list[str]:
+    """Names of the aircraft, which are their identities on the air."""
+    return [f"DMUCA{number:03d}" for number in range(1, len(paths_of(scenario, seed)) + 1)]
+
+
+def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOptions:
+    """The mock vehicle that begins airborne at a path's start."""
+    v, limits = scenario.vehicle, scenario.limits
+    firmware = Firmware.PX4 if number % 2 else Firmware.ARDUPILOT
+    if v.firmware != "mixed":
+        firmware = Firmware(v.firmware)
+    return VehicleOptions(
+        firmware=firmware,
+        system_id=number + 1,
+        home_lat_deg=HOME.lat_deg,
+        home_lon_deg=HOME.lon_deg,
+        home_alt_msl_m=HOME.alt_m,
+        airborne=True,
+        start_position_ned_m=(float(path[0, 1]), float(path[0, 2]), float(path[0, 3])),
+        utc_at_zero_s=UTC_AT_START_S,
+        max_horizontal_speed_mps=2.0 * limits.max_speed_mps,
+        max_climb_mps=limits.max_climb_mps,
+        max_descent_mps=limits.max_descent_mps,
+        max_acceleration_mps2=v.max_acceleration_mps2,
+        velocity_lag_s=v.lag_s,
+        wind_ned_mps=v.wind_ned_mps,
+        gnss_horizontal_sigma_m=v.gnss_horizontal_sigma_m,
+        gnss_vertical_sigma_m=v.gnss_vertical_sigma_m,
+        gnss_velocity_sigma_mps=v.gnss_velocity_sigma_mps,
+        gnss_correlation_s=v.gnss_correlation_s,
+    )
+
+
+def companion_config(scenario: Scenario, name: str, path: Points, law: str | None) -> Config:
+    """The companion's configuration for one aircraft; `law` replaces the scenario's."""
+    waypoints = []
+    for t, north, east, down in path:
+        lat, lon, alt = HOME.to_geodetic(float(north), float(east), float(down))
+        waypoints.append(Waypoint(t_s=float(t), lat_deg=lat, lon_deg=lon, alt_m=alt))
+    avoidance = scenario.avoidance
+    if law is not None:
+        avoidance = msgspec.structs.replace(avoidance, law=law)
+    return Config(
+        identity=IdentityConfig(uas_id=name),
+        vehicle=VehicleConfig(),
+        flight=FlightConfig(use="fly", start="utc", start_utc_s=UTC_AT_START_S + SETTLE_S),
+        limits=scenario.limits,
+        avoidance=avoidance,
+        remote_id=RemoteIdConfig(transport=scenario.air.transport, rate=scenario.air.rate),
+        path=TrajectoryFile(altitude="msl", waypoint=tuple(waypoints)),
+    )
+
+
+def fly(
+    scenario: Scenario,
+    seed: int,
+    *,
+    law: str | None = None,
+    record: Callable[[str, Config], Callable[[Step], None]] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Fly a scenario once.
+
+    Args:
+        seed: fixes paths (drawn geometries), navigation errors and the channel.
+        law: replaces the scenario's law ("none" is the unavoided baseline).
+        record: called once per aircraft with its name and configuration; returns where its steps go.
+        progress: called with the share done, about once per simulated second.
+    """
+    paths = paths_of(scenario, seed)
+    streams = np.random.SeedSequence(seed).spawn(len(paths) + 1)
+    fleet = []
+    for number, (name, path) in enumerate(zip(names_of(scenario, seed), paths, strict=True)):
+        config = companion_config(scenario, name, path, law)
+        sink = None if record is None else record(name, config)
+        options = vehicle_options(scenario, number, path)
+        fleet.append(Aircraft(name, options, config, np.random.default_rng(streams[number]), sink))
+    air = scenario.air
+    channel = SimpleChannel(delay_s=air.delay_s, loss=air.loss, range_m=air.range_m)
+    ether = Ether(channel, np.random.default_rng(streams[-1]))
+    for aircraft in fleet:
+        ether.join(aircraft.name)
+    end_s = scenario.duration_s or max(float(p[-1, 0]) for p in paths)
+    ticks = math.ceil((end_s + SETTLE_S) / TICK_S) + 1
+    truth = np.empty((len(fleet), ticks, 3))
+    by_name = {aircraft.name: aircraft for aircraft in fleet}
+    for tick in range(ticks):
+        now_s = tick * TICK_S
+        _tick(now_s, fleet, by_name, ether)
+        for number, aircraft in enumerate(fleet):
+            truth[number, tick] = aircraft.vehicle.position_ned_m
+        if progress is not None and tick % 20 == 0:
+            progress(tick / ticks)
+    flown = [Flown(a.name, truth[number]) for number, a in enumerate(fleet)]
+    time_s = np.arange(ticks, dtype=np.float64) * TICK_S - SETTLE_S
+    return Run(flown, ether.stats, time_s)
+
+
+def _tick(now_s: float, fleet: list[Aircraft], by_name: dict[str, Aircraft], ether: Ether) -> None:
+    for aircraft in fleet:
+        aircraft.vehicle.advance(now_s)
+        data = aircraft.vehicle.drain()
+        if data:
+            aircraft.onboard.receive(data, now_s)
+        ether.place(aircraft.name, aircraft.vehicle.position_ned_m)
+    for delivery in ether.due(now_s):
+        receiver = by_name[delivery.receiver]
+        heard = receiver.receiver.receive(delivery.transport, delivery.address, delivery.frame)
+        if heard is not None:
+            receiver.onboard.hear(heard)
+    for aircraft in fleet:
+        for broadcast in aircraft.onboard.tick(now_s):
+            for frame in aircraft.sender.frames(broadcast.transport, broadcast.messages):
+                ether.transmit(
+                    now_s, aircraft.name, broadcast.transport, frame, address=aircraft.sender.address
+                )
+        aircraft.vehicle.receive(aircraft.onboard.drain(now_s), now_s)

@@ -1,0 +1,89 @@
+"""A scenario file: who flies where, in what air, with what errors. Every key is checked.
+
+The keys of the command line (`--aircraft`, `--delay`, `--seed`) replace the file's.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from companion.config import AvoidanceConfig, LimitsConfig, decode_toml
+from companion.errors import ConfigError
+
+Positive = Annotated[float, Meta(gt=0, le=1e6)]
+NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Common to all sections."""
+
+
+class VehicleSettings(_Section, frozen=True):
+    """The simulated aircraft and its navigation errors."""
+
+    firmware: Literal["ardupilot", "px4", "mixed"] = "mixed"
+    lag_s: Annotated[float, Meta(ge=0.01, le=10)] = 0.5
+    max_acceleration_mps2: Positive = 2.5
+    wind_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gnss_horizontal_sigma_m: NotNegative = 1.5
+    gnss_vertical_sigma_m: NotNegative = 1.5
+    gnss_velocity_sigma_mps: NotNegative = 0.3
+    gnss_correlation_s: Positive = 30.0
+
+
+class AirSettings(_Section, frozen=True):
+    """The radio channel between them."""
+
+    delay_s: tuple[NotNegative, NotNegative] = (0.0, 1.0)
+    """Uniform, drawn for each message and receiver."""
+    loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    range_m: Positive | None = None
+    transport: Literal["ble4", "ble5", "wifi"] = "wifi"
+    rate: Annotated[int, Meta(ge=1, le=10)] = 1
+
+
+class PathSettings(_Section, frozen=True):
+    """One aircraft's timed path: rows of time (s), north, east, down (m)."""
+
+    points: Annotated[tuple[tuple[float, float, float, float], ...], Meta(min_length=2)]
+
+
+class Scenario(_Section, frozen=True):
+    """Everything that decides a run, but the seed's luck."""
+
+    geometry: Literal["S1", "S2", "S3"] | None = "S2"
+    """Drawn paths; None when `path` gives them."""
+    aircraft: Annotated[int, Meta(ge=2, le=100)] = 5
+    path: tuple[PathSettings, ...] = ()
+    duration_s: Positive | None = None
+    """The end of the last path when left out."""
+    vehicle: VehicleSettings = VehicleSettings()
+    air: AirSettings = AirSettings()
+    limits: LimitsConfig = LimitsConfig()
+    avoidance: AvoidanceConfig = AvoidanceConfig()
+
+
+def load(path: Path) -> Scenario:
+    """Read and check a scenario file.
+
+    Raises:
+        ConfigError: names the file and the key.
+    """
+    scenario = decode_toml(path, Scenario)
+    if (scenario.geometry is None) == (not scenario.path):
+        raise ConfigError(f"{path}: give either geometry or path tables, and one of them")
+    if scenario.path and len(scenario.path) < 2:
+        raise ConfigError(f"{path}: path: one path; an encounter needs at least 2")
+    for number, given in enumerate(scenario.path):
+        for a, b in itertools.pairwise(given.points):
+            if b[0] <= a[0]:
+                raise ConfigError(f"{path}: path[{number}].points: time {b[0]:g} s is not after {a[0]:g} s")
+            if not all(math.isfinite(v) for v in b):
+                raise ConfigError(f"{path}: path[{number}].points: not a finite number in {b}")
+    return scenario
