@@ -1,0 +1,233 @@
+"""The messages that the mock vehicle sends by itself, each built from the present state.
+
+A message id that is not in `Telemetry.builders` is one that the vehicle does not know.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.wire import MavlinkMessage
+from companion.events import Landed, Vec3
+from sitl_mocks.vehicle_flight import Flight
+from sitl_mocks.vehicle_manners import Manners
+from sitl_mocks.vehicle_mission import MissionBook
+from sitl_mocks.vehicle_navigation import Globe, NavigationError
+from sitl_mocks.vehicle_options import VehicleOptions
+
+Builder = Callable[[float], MavlinkMessage]
+
+_LANDED = {
+    Landed.ON_GROUND: mavlink.MAV_LANDED_STATE_ON_GROUND,
+    Landed.IN_AIR: mavlink.MAV_LANDED_STATE_IN_AIR,
+    Landed.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
+    Landed.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
+}
+# Gyroscope, accelerometer, compass, barometer, GPS, rate and attitude control, motor outputs, AHRS.
+_SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x8000 | 0x200000
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+_MIN_ACCURACY_M = 0.3
+_MIN_SPEED_ACCURACY_MPS = 0.1
+_GRAVITY = 9.81
+
+
+class Telemetry:
+    """Builds messages at a time (the caller's `now_s`, at which the flight state holds)."""
+
+    def __init__(
+        self,
+        options: VehicleOptions,
+        manners: Manners,
+        flight: Flight,
+        book: MissionBook,
+        errors: NavigationError,
+        boot_s: float,
+    ) -> None:
+        self.boot_s = boot_s
+        """now_s at which the vehicle's own clock read 0."""
+        self._options = options
+        self._manners = manners
+        self._flight = flight
+        self._book = book
+        self._errors = errors
+        self._globe = Globe(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
+        self.builders: Mapping[int, Builder] = {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._origin,
+            mavlink.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
+        }
+
+    def boot_ns(self, now_s: float) -> int:
+        """The vehicle's own clock (ns)."""
+        return round((now_s - self.boot_s) * 1e9)
+
+    def position_ned_m(self) -> Vec3:
+        """Where the vehicle believes it is."""
+        body, error = self._flight.body, self._errors.errors
+        return body.north + error[0], body.east + error[1], body.down + error[2]
+
+    def velocity_ned_mps(self) -> Vec3:
+        """How the vehicle believes it moves."""
+        body, error = self._flight.body, self._errors.errors
+        return body.vn + error[3], body.ve + error[4], body.vd + error[5]
+
+    def heartbeat(self, now_s: float) -> MavlinkMessage:
+        """HEARTBEAT."""
+        flight, manners = self._flight, self._manners
+        base = manners.base_modes[flight.mode] | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if flight.armed else 0)
+        if flight.failsafe:
+            status = mavlink.MAV_STATE_CRITICAL
+        elif flight.on_ground:
+            status = mavlink.MAV_STATE_STANDBY
+        else:
+            status = mavlink.MAV_STATE_ACTIVE
+        mode = manners.custom_modes[flight.mode]
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_QUADROTOR, manners.autopilot_id, base, mode, status, 3
+        )
+
+    def home_position(self, now_s: float) -> MavlinkMessage:
+        """HOME_POSITION: the origin of the local frame."""
+        lat, lon, alt = self._home()
+        nan = math.nan
+        usec = round((now_s - self.boot_s) * 1e6)
+        return mavlink.MAVLink_home_position_message(
+            lat, lon, alt, 0.0, 0.0, 0.0, [nan, nan, nan, nan], 0.0, 0.0, 0.0, usec
+        )
+
+    def _home(self) -> tuple[int, int, int]:
+        options = self._options
+        lat, lon = round(options.home_lat_deg * 1e7), round(options.home_lon_deg * 1e7)
+        return lat, lon, round(options.home_alt_msl_m * 1e3)
+
+    def _boot_ms(self, now_s: float) -> int:
+        return round((now_s - self.boot_s) * 1e3) & 0xFFFFFFFF
+
+    def _global_position(self, now_s: float) -> MavlinkMessage:
+        lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
+        vn, ve, vd = self.velocity_ned_mps()
+        heading = round(math.degrees(self._flight.body.yaw) % 360.0 * 100.0) % 36000
+        return mavlink.MAVLink_global_position_int_message(
+            self._boot_ms(now_s),
+            round(lat * 1e7),
+            round(lon * 1e7),
+            round(alt * 1e3),
+            round((alt - self._options.home_alt_msl_m) * 1e3),
+            round(vn * 1e2),
+            round(ve * 1e2),
+            round(vd * 1e2),
+            heading,
+        )
+
+    def _local_position(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_local_position_ned_message(
+            self._boot_ms(now_s), *self.position_ned_m(), *self.velocity_ned_mps()
+        )
+
+    def _gps_raw(self, now_s: float) -> MavlinkMessage:
+        options = self._options
+        lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
+        vn, ve, _ = self.velocity_ned_mps()
+        speed = math.hypot(vn, ve)
+        course = round(math.degrees(math.atan2(ve, vn)) % 360.0 * 100.0) % 36000 if speed > 0.05 else 0
+        return mavlink.MAVLink_gps_raw_int_message(
+            round((now_s - self.boot_s) * 1e6),
+            self._manners.gps_fix_type,
+            round(lat * 1e7),
+            round(lon * 1e7),
+            round(alt * 1e3),
+            121,
+            200,
+            round(speed * 1e2),
+            course,
+            10,
+            round((alt + options.geoid_separation_m) * 1e3),
+            round(max(options.gnss_horizontal_sigma_m, _MIN_ACCURACY_M) * 1e3),
+            round(max(options.gnss_vertical_sigma_m, _MIN_ACCURACY_M) * 1e3),
+            round(max(options.gnss_velocity_sigma_mps, _MIN_SPEED_ACCURACY_MPS) * 1e3),
+        )
+
+    def _attitude(self, now_s: float) -> MavlinkMessage:
+        """Lean of a multicopter that accelerates as this one does; rates are not modelled."""
+        body = self._flight.body
+        north, east = body.ramp_n - body.vn, body.ramp_e - body.ve
+        cos, sin = math.cos(body.yaw), math.sin(body.yaw)
+        lag = self._options.velocity_lag_s
+        forward, right = (cos * north + sin * east) / lag, (cos * east - sin * north) / lag
+        roll, pitch = math.atan2(right, _GRAVITY), -math.atan2(forward, _GRAVITY)
+        return mavlink.MAVLink_attitude_message(self._boot_ms(now_s), roll, pitch, body.yaw, 0.0, 0.0, 0.0)
+
+    def _vfr_hud(self, now_s: float) -> MavlinkMessage:
+        body = self._flight.body
+        vn, ve, vd = self.velocity_ned_mps()
+        speed = math.hypot(vn, ve)
+        heading = round(math.degrees(body.yaw)) % 360
+        throttle = 0 if self._flight.on_ground else 50
+        altitude = self._options.home_alt_msl_m - self.position_ned_m()[2]
+        return mavlink.MAVLink_vfr_hud_message(speed, speed, heading, throttle, altitude, -vd)
+
+    def _sys_status(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_sys_status_message(
+            _SENSORS, _SENSORS, _SENSORS, 100, 12600, 0, 100, 0, 0, 0, 0, 0, 0
+        )
+
+    def _system_time(self, now_s: float) -> MavlinkMessage:
+        utc = self._options.utc_at_zero_s
+        usec = 0 if utc is None else round((utc + now_s) * 1e6)
+        return mavlink.MAVLink_system_time_message(usec, self._boot_ms(now_s))
+
+    def _extended_sys_state(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_extended_sys_state_message(
+            self._manners.vtol_state, _LANDED[self._flight.landed]
+        )
+
+    def _mission_current(self, now_s: float) -> MavlinkMessage:
+        flight, total = self._flight, self._book.flown_count
+        if not total:
+            state = mavlink.MISSION_STATE_NO_MISSION
+            total = 0 if self._manners.home_is_item_zero else 65535
+        elif flight.runner.complete:
+            state = mavlink.MISSION_STATE_COMPLETE
+        elif flight.mode.value == "mission":
+            state = mavlink.MISSION_STATE_ACTIVE
+        elif flight.runner.seq > self._book.first_seq:
+            state = mavlink.MISSION_STATE_PAUSED
+        else:
+            state = mavlink.MISSION_STATE_NOT_STARTED
+        return mavlink.MAVLink_mission_current_message(flight.runner.seq, total, state, 0)
+
+    def _timesync(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_timesync_message(0, self.boot_ns(now_s))
+
+    def _origin(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_gps_global_origin_message(*self._home(), round((now_s - self.boot_s) * 1e6))
+
+    def _autopilot_version(self, now_s: float) -> MavlinkMessage:
+        encode = (
+            mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+            if self._manners.param_bytewise
+            else mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+        )
+        none = [0] * 8
+        return mavlink.MAVLink_autopilot_version_message(
+            _CAPABILITIES | encode, 0, 0, 0, 0, none, none, none, 0, 0, self._options.system_id
+        )
