@@ -37,7 +37,7 @@ _CHECK_EXAMPLE: Final = """example:
 
 
 def add_arguments(subparsers: Subparsers) -> None:
-    """Add `encode`, `decode` and `check` to the subparsers of `remote-id`; each parses to `run` and its needs."""
+    """Add `encode`, `decode` and `check` to the subparsers of `remote-id`; each sets `run`."""
 
     def action(name: str, text: str, example: str) -> argparse.ArgumentParser:
         parser = subparsers.add_parser(
