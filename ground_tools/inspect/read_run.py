@@ -1,0 +1,100 @@
+"""Reading a run folder: `manifest.json`, `summary.json` where there is one, every aircraft's event record.
+
+A run that was killed is read as far as it was written. What could not be read is said in `problems`, and what
+was read stands beside it. A folder `unavoided` inside holds the same encounter flown without avoidance.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from companion import record
+from companion.errors import ConfigError, PeerDataError
+from companion.record import Header, Step
+
+
+@dataclass(frozen=True, slots=True)
+class AircraftRecord:
+    """What entered and left one heart, in order."""
+
+    name: str
+    header: Header | None
+    """None where the file was cut off before it."""
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run folder."""
+
+    folder: Path
+    manifest: dict[str, Any] | None
+    """None where there is none, or none that can be read."""
+    summary: dict[str, Any] | None
+    """Like `manifest`."""
+    aircraft: tuple[AircraftRecord, ...]
+    problems: tuple[str, ...]
+    """What is damaged or missing, one line each."""
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.folder.resolve().name
+
+
+def read_unavoided(folder: Path) -> Run | None:
+    """The run without avoidance that belongs to a run folder; None where there is none."""
+    inner = folder / "unavoided"
+    return read_run(inner) if inner.is_dir() else None
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run folder.
+
+    Raises:
+        ConfigError: there is no such folder, or no event record in it.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such run folder")
+    problems: list[str] = []
+    manifest = _json(folder / "manifest.json", problems)
+    summary = _json(folder / "summary.json", problems)
+    aircraft = [_aircraft(path, problems) for path in sorted(folder.glob("*.events"))]
+    if not aircraft:
+        raise ConfigError(f"{folder}: no event record (*.events) in this folder")
+    return Run(folder, manifest, summary, tuple(aircraft), tuple(problems))
+
+
+def _json(path: Path, problems: list[str]) -> dict[str, Any] | None:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        problems.append(f"{path.name}: {error}")
+        return None
+    if not isinstance(value, dict):
+        problems.append(f"{path.name}: not a JSON object")
+        return None
+    return value
+
+
+def _aircraft(path: Path, problems: list[str]) -> AircraftRecord:
+    header: Header | None = None
+    steps: list[Step] = []
+    name = path.name.removesuffix(".events")
+    with path.open("rb") as stream:
+        try:
+            for entry in record.read(stream, path.name):
+                if isinstance(entry, Header):
+                    header = header or entry
+                else:
+                    steps.append(entry)
+        except PeerDataError as error:
+            problems.append(f"{error}; read up to there")
+    if header is None:
+        problems.append(f"{path.name}: no header")
+    return AircraftRecord(name, header, tuple(steps))

@@ -1,0 +1,289 @@
+"""A run as a Rerun recording (.rrd): all aircraft in one 3D view, their separations, authority and events.
+
+The recording is written in columns (`send_columns`), not call by call: a long run converts in seconds. The
+local frame is drawn as x east, y north, z up (m). rerun is imported on use: its import takes seconds, and it
+is an optional dependency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.errors import ConfigError
+from companion.events import (
+    AuthorityChanged,
+    Decision,
+    GnssFix,
+    ModeRefused,
+    RemoteIdHeard,
+    Say,
+    Severity,
+    Vec3,
+    VehicleText,
+)
+from companion.remote_id.messages import Location
+from ground_tools.inspect.flown import Array, Flown, Separation, flown, from_frame, separations, to_ned
+from ground_tools.inspect.palette import LIMIT, colour
+from ground_tools.inspect.read_run import AircraftRecord, Run
+
+TIMELINE = "time"
+MAX_PAIRS_DRAWN = 45
+"""Closest pairs with a line of their own: ten aircraft in full."""
+
+LogLine = tuple[float, str, str]
+"""Time (s), level, text."""
+
+
+def write(run: Run, path: Path) -> None:
+    """Write the recording of `run` to `path`.
+
+    Raises:
+        ConfigError: rerun is not installed, no aircraft recorded a position, or `path` cannot be written.
+    """
+    ways = flown(run)
+    pairs = [pair for pair in separations(ways.paths) if pair.minimum_m is not None][:MAX_PAIRS_DRAWN]
+    rr = _rerun()
+    stream = rr.RecordingStream("dmuca", recording_id=run.name)
+    try:
+        stream.save(path, default_blueprint=_blueprint(pairs))
+    except (OSError, RuntimeError) as error:
+        raise ConfigError(f"{path}: cannot be written: {error}") from error
+    writer = _Writer(rr, stream, ways)
+    writer.world()
+    for index, record in enumerate(run.aircraft):
+        writer.aircraft(record, colour(index))
+    for index, pair in enumerate(pairs):
+        writer.separation(pair, colour(index))
+    # Without this the end of the file is written at some later time, or never if the process is killed.
+    stream.disconnect()
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ImportError as error:
+        raise ConfigError("rerun is not installed: pip install 'dmuca[inspect]'") from error
+    return rerun
+
+
+def _blueprint(pairs: Sequence[Separation]) -> Any:
+    import rerun.blueprint as rrb
+
+    last_second = rrb.VisibleTimeRange(
+        TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-3.0),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    required = max((pair.required_m for pair in pairs), default=10.0)
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(
+                name="Flown, heard, predicted",
+                origin="/",
+                contents=["/world/**", "/aircraft/**"],
+                # Reports and predictions of the last seconds only; the flown path itself is static.
+                time_ranges=last_second,
+            ),
+            rrb.Vertical(
+                rrb.TimeSeriesView(
+                    name="Separation (m)",
+                    origin="/separation",
+                    axis_y=rrb.ScalarAxis(range=(0.0, 6.0 * required), zoom_lock=False),
+                ),
+                rrb.StateTimelineView(name="Authority", origin="/authority"),
+                rrb.TextLogView(name="Events", origin="/events"),
+                row_shares=[3, 1, 2],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
+        rrb.SelectionPanel(state="hidden"),
+    )
+
+
+class _Writer:
+    """Puts the parts of one run into one recording."""
+
+    def __init__(self, rr: Any, stream: Any, ways: Flown) -> None:
+        self._rr = rr
+        self._stream = stream
+        self._ways = ways
+
+    def world(self) -> None:
+        """Directions, and what the time line is."""
+        rr = self._rr
+        self._stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        lat, lon, alt = self._ways.origin
+        words = f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. Time line: {self._ways.clock}."
+        self._stream.log("/events/run", rr.TextLog(words, level="INFO"), static=True)
+
+    def aircraft(self, record: AircraftRecord, rgb: tuple[int, int, int]) -> None:
+        """Everything of one aircraft."""
+        rr = self._rr
+        root = f"/aircraft/{self._part(record.name)}"
+        path = next((p for p in self._ways.paths if p.name == record.name), None)
+        if path is not None:
+            strip = rr.LineStrips3D([_enu(path.position_ned_m)], colors=[rgb], radii=[-1.5])
+            self._stream.log(f"{root}/flown", strip, static=True)
+            self._points(f"{root}/own", path.time_s, path.position_ned_m, rgb, 2.0, record.name)
+        offset = self._ways.offsets_s[record.name]
+        for sender, time, position in _heard(record, self._ways.origin):
+            label = f"{sender} as {record.name} heard it"
+            self._points(
+                f"{root}/heard/{self._part(sender)}", time + offset, position, _pale(rgb), 1.0, label
+            )
+        for track, time, position in _predicted(record, self._ways.origin):
+            label = f"{track} as {record.name} predicts it"
+            self._points(f"{root}/predicted/{self._part(track)}", time + offset, position, rgb, 0.7, label)
+        self._authority(record, offset)
+        self._log(record, offset)
+
+    def separation(self, pair: Separation, rgb: tuple[int, int, int]) -> None:
+        """One pair's distance and the distance that it must keep."""
+        rr = self._rr
+        known = ~np.isnan(pair.distance_m)
+        name = f"{pair.first} - {pair.second}"
+        entity = f"/separation/{self._part(name)}"
+        self._stream.log(entity, rr.SeriesLines(colors=[rgb], widths=[2.0], names=[name]), static=True)
+        self._scalars(entity, pair.time_s[known], pair.distance_m[known])
+        limit = "/separation/" + self._part(f"required {pair.required_m:g} m")
+        line = rr.SeriesLines(colors=[LIMIT], widths=[2.0], names=[f"{pair.required_m:g} m"])
+        self._stream.log(limit, line, static=True)
+        self._scalars(limit, pair.time_s[[0, -1]], np.full(2, pair.required_m))
+
+    def _points(
+        self,
+        entity: str,
+        time_s: Array,
+        position_ned_m: Array,
+        rgb: tuple[int, int, int],
+        radius_m: float,
+        label: str,
+    ) -> None:
+        rr = self._rr
+        style = rr.Points3D.from_fields(colors=[rgb], radii=[radius_m], labels=[label], show_labels=False)
+        self._stream.log(entity, style, static=True)
+        self._columns(entity, time_s, rr.Points3D.columns(positions=_enu(position_ned_m)))
+
+    def _part(self, name: str) -> str:
+        part: str = self._rr.escape_entity_path_part(name)
+        return part
+
+    def _scalars(self, entity: str, time_s: Array, values: Array) -> None:
+        self._columns(entity, time_s, self._rr.Scalars.columns(scalars=values))
+
+    def _authority(self, record: AircraftRecord, offset_s: float) -> None:
+        changes = [
+            (step.now_s, command)
+            for step in record.steps
+            for command in step.commands
+            if isinstance(command, AuthorityChanged)
+        ]
+        if not changes:
+            return
+        # The state before the first change is known from that change.
+        time = np.array([record.steps[0].now_s, *(now for now, _ in changes)]) + offset_s
+        states = [changes[0][1].previous, *(change.state for _, change in changes)]
+        self._columns(
+            f"/authority/{self._part(record.name)}", time, self._rr.StateChange.columns(state=states)
+        )
+
+    def _log(self, record: AircraftRecord, offset_s: float) -> None:
+        lines = list(_log_lines(record))
+        if lines:
+            time = np.array([line[0] for line in lines]) + offset_s
+            columns = self._rr.TextLog.columns(
+                text=[line[2] for line in lines], level=[line[1] for line in lines]
+            )
+            self._columns(f"/events/{self._part(record.name)}", time, columns)
+
+    def _columns(self, entity: str, time_s: Array, columns: Any) -> None:
+        self._stream.send_columns(entity, [self._rr.TimeColumn(TIMELINE, duration=time_s)], columns)
+
+
+def _heard(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, Array]]:
+    """By transmitter's address: times (n,) and reported positions (n, 3) in the common frame."""
+    rows: dict[str, list[tuple[float, ...]]] = {}
+    for step in record.steps:
+        for event in step.events:
+            if isinstance(event, RemoteIdHeard):
+                for place in event.messages:
+                    if (
+                        isinstance(place, Location)
+                        and place.lat_deg is not None
+                        and place.lon_deg is not None
+                    ):
+                        # Without an altitude it is drawn at the origin's.
+                        altitude = origin[2] if place.alt_geodetic_m is None else place.alt_geodetic_m
+                        row = (step.now_s, place.lat_deg, place.lon_deg, altitude)
+                        rows.setdefault(event.address, []).append(row)
+    for address, found in rows.items():
+        table = np.asarray(found)
+        yield address, table[:, 0], to_ned(table[:, 1:], origin)
+
+
+def _undulation_m(record: AircraftRecord) -> float:
+    """Height of mean sea level above the ellipsoid where the aircraft flies; 0 where its GNSS does not say.
+
+    Reports carry ellipsoid altitudes and the frame is one of mean sea level.
+    """
+    differences = [
+        event.alt_ellipsoid_m - event.alt_msl_m
+        for step in record.steps
+        for event in step.events
+        if isinstance(event, GnssFix) and event.alt_ellipsoid_m is not None
+    ]
+    return float(np.median(differences)) if differences else 0.0
+
+
+def _predicted(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, Array]]:
+    """By track: times (n,) and positions (n, 3) that the law took it for, in the common frame."""
+    rows: dict[tuple[str, Vec3], list[tuple[float, ...]]] = {}
+    for step in record.steps:
+        for command in step.commands:
+            if isinstance(command, Decision):
+                for track in command.tracks:
+                    row = (step.now_s, *track.position_ned_m)
+                    rows.setdefault((track.track_id, command.origin), []).append(row)
+    for (track_id, frame), found in rows.items():
+        table = np.asarray(found)
+        yield track_id, table[:, 0], from_frame(table[:, 1:], frame, origin)
+
+
+def _log_lines(record: AircraftRecord) -> Iterable[LogLine]:
+    for step in record.steps:
+        for item in (*step.events, *step.commands):
+            match item:
+                case AuthorityChanged():
+                    words = f"authority {item.previous} -> {item.state} on {item.trigger}: {item.reason}"
+                    yield step.now_s, "INFO", words
+                case Say():
+                    yield step.now_s, _level(item.severity), f"says: {item.text}"
+                case VehicleText():
+                    yield step.now_s, _level(item.severity), f"autopilot: {item.text}"
+                case ModeRefused():
+                    yield step.now_s, "WARN", f"mode {item.mode.value} refused: {item.reason}"
+                case _:
+                    pass
+
+
+def _level(severity: int) -> str:
+    if severity <= Severity.CRITICAL:
+        return "CRITICAL"
+    return {Severity.ERROR: "ERROR", Severity.WARNING: "WARN"}.get(Severity(min(severity, 6)), "INFO")
+
+
+def _enu(position_ned_m: Array) -> NDArray[np.float32]:
+    return np.column_stack([position_ned_m[:, 1], position_ned_m[:, 0], -position_ned_m[:, 2]]).astype(
+        np.float32
+    )
+
+
+def _pale(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
+    red, green, blue = ((c + 255) // 2 for c in rgb)
+    return red, green, blue

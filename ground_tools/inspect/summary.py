@@ -1,0 +1,83 @@
+"""A run in figures: closest approaches, what each aircraft sent, heard and decided, what is damaged."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from companion.events import AuthorityChanged, Broadcast, Decision, RemoteIdHeard
+from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.read_run import AircraftRecord, Run
+
+
+def describe(run: Run) -> dict[str, Any]:
+    """Figures of a run, ready for JSON.
+
+    Raises:
+        ConfigError: no aircraft recorded a position.
+    """
+    ways = flown(run)
+    return {
+        "run": run.name,
+        "clock": ways.clock,
+        "aircraft": [_aircraft(record) for record in run.aircraft],
+        "separations": [
+            {
+                "pair": [pair.first, pair.second],
+                "minimum_m": pair.minimum_m,
+                "minimum_time_s": pair.minimum_time_s,
+                "required_m": pair.required_m,
+                "kept": None if pair.minimum_m is None else pair.minimum_m >= pair.required_m,
+            }
+            for pair in separations(ways.paths)
+        ],
+        "problems": list(run.problems),
+    }
+
+
+def text(figures: dict[str, Any]) -> str:
+    """The figures of `describe` as lines a person reads."""
+    lines = [f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}"]
+    lines += [_aircraft_line(one) for one in figures["aircraft"]]
+    lines += [_pair_line(pair) for pair in figures["separations"]]
+    lines += [f"  problem: {problem}" for problem in figures["problems"]]
+    return "\n".join(lines)
+
+
+def _aircraft_line(one: dict[str, Any]) -> str:
+    return (
+        f"  {one['name']}: {one['duration_s']:.1f} s, {one['broadcasts']} broadcasts sent, "
+        f"{one['heard']} frames heard, {one['decisions']} decisions "
+        f"({one['conflicts']} with a conflict, {one['infeasible']} infeasible), "
+        f"authority {one['authority'] or 'never changed'}"
+    )
+
+
+def _pair_line(pair: dict[str, Any]) -> str:
+    names = " - ".join(pair["pair"])
+    if pair["minimum_m"] is None:
+        return f"  {names}: positions never known at one time"
+    verdict = "kept" if pair["kept"] else "LOST"
+    return (
+        f"  {names}: closest {pair['minimum_m']:.2f} m at {pair['minimum_time_s']:.2f} s "
+        f"({pair['required_m']:g} m {verdict})"
+    )
+
+
+def _aircraft(record: AircraftRecord) -> dict[str, Any]:
+    steps = record.steps
+    commands = [command for step in steps for command in step.commands]
+    decisions = [command for command in commands if isinstance(command, Decision)]
+    authority = [command.state for command in commands if isinstance(command, AuthorityChanged)]
+    ages = [track.age_s for decision in decisions for track in decision.tracks]
+    return {
+        "name": record.name,
+        "steps": len(steps),
+        "duration_s": steps[-1].now_s - steps[0].now_s if steps else 0.0,
+        "broadcasts": sum(isinstance(command, Broadcast) for command in commands),
+        "heard": sum(isinstance(event, RemoteIdHeard) for step in steps for event in step.events),
+        "decisions": len(decisions),
+        "conflicts": sum(any(track.conflict for track in decision.tracks) for decision in decisions),
+        "infeasible": sum(not decision.feasible for decision in decisions),
+        "oldest_track_s": max(ages, default=None),
+        "authority": authority[-1] if authority else None,
+    }

@@ -1,0 +1,167 @@
+"""A run folder made of synthetic steps: two aircraft that cross, with everything that a record may hold."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from companion import record
+from companion.config import AvoidanceConfig, Config, IdentityConfig
+from companion.events import (
+    AnyCommand,
+    AnyEvent,
+    AuthorityChanged,
+    Broadcast,
+    Decision,
+    FlightMode,
+    GlobalPosition,
+    ModeRefused,
+    RemoteIdHeard,
+    Say,
+    Severity,
+    TrackView,
+    Vec3,
+    VehicleText,
+    VehicleTime,
+)
+from companion.geometry import LocalFrame
+from companion.record import Header, Step
+from companion.remote_id.messages import Location
+
+HOME = LocalFrame(47.397, 8.545, 400.0)
+UTC_S = 1_767_225_590.0
+Motion = Callable[[float], Vec3]
+
+
+def northbound(t: float) -> Vec3:
+    """Through the crossing at 30 s, at 5 m/s."""
+    return (5.0 * (t - 30.0), 0.0, -50.0)
+
+
+@functools.cache
+def eastbound(miss_m: float) -> Motion:
+    """Crosses the northbound path `miss_m` north of where the other then is: closest at miss / sqrt(2)."""
+    return lambda t: (miss_m, 5.0 * (t - 30.0), -50.0)
+
+
+def position_event(position: Vec3, t: float) -> GlobalPosition:
+    lat, lon, alt = HOME.to_geodetic(*position)
+    return GlobalPosition(
+        time_boot_s=t,
+        lat_deg=lat,
+        lon_deg=lon,
+        alt_msl_m=alt,
+        height_above_home_m=-position[2],
+        velocity_ned_mps=(0.0, 0.0, 0.0),
+    )
+
+
+@functools.cache
+def steps(
+    me: Motion,
+    other: Motion,
+    clock_s: float = 0.0,
+    *,
+    utc: bool = True,
+    positions: bool = True,
+    end_s: float = 60.0,
+) -> list[Step]:
+    """Steps at 10 Hz; decisions at 5 Hz in a frame whose origin is not the common one."""
+    origin = HOME.to_geodetic(20.0, -30.0, 0.0)
+    frame = LocalFrame(*origin)
+    found = []
+    for tick in range(int(end_s * 10) + 1):
+        t = tick / 10
+        events: list[AnyEvent] = []
+        commands: list[AnyCommand] = []
+        if positions:
+            events.append(position_event(me(t), t))
+        if tick % 10 == 0:
+            lat, lon, alt = HOME.to_geodetic(*other(max(t - 0.5, 0.0)))
+            place = Location(lat_deg=lat, lon_deg=lon, alt_geodetic_m=alt)
+            events.append(RemoteIdHeard(transport="wifi", address="c2:00:00:00:00:02", messages=(place,)))
+            commands.append(Broadcast(transport="wifi", messages=(Location(lat_deg=lat, lon_deg=lon),)))
+            if utc:
+                events.append(VehicleTime(time_boot_s=t, utc_s=UTC_S + t))
+        if tick % 2 == 0:
+            commands.append(decision(frame, me(t), other(t)))
+        if tick == 50:
+            commands.append(
+                AuthorityChanged(
+                    previous="watching", state="flying", trigger="engaged", reason="mode confirmed"
+                )
+            )
+            commands.append(Say(severity=Severity.NOTICE, text="companion flies"))
+        if tick == 100:
+            events.append(VehicleText(severity=2, text="battery low"))
+            events.append(ModeRefused(mode=FlightMode.EXTERNAL, reason="denied"))
+        found.append(Step(now_s=t + clock_s, events=tuple(events), commands=tuple(commands)))
+    return found
+
+
+def decision(frame: LocalFrame, me: Vec3, other: Vec3) -> Decision:
+    still = (0.0, 0.0, 0.0)
+    track = TrackView(
+        track_id="DMUCA002",
+        position_ned_m=frame.to_ned(*HOME.to_geodetic(*other)),
+        velocity_ned_mps=still,
+        age_s=0.5,
+        radius_m=10.0,
+        conflict=math.dist(me, other) < 20.0,
+        time_to_closest_s=1.0,
+        closest_m=3.0,
+    )
+    return Decision(
+        origin=(frame.lat_deg, frame.lon_deg, frame.alt_m),
+        position_ned_m=frame.to_ned(*HOME.to_geodetic(*me)),
+        velocity_ned_mps=still,
+        wanted_ned_mps=still,
+        chosen_ned_mps=still,
+        feasible=True,
+        tracks=(track,),
+    )
+
+
+def write_events(folder: Path, name: str, found: list[Step], radius_m: float = 5.0) -> Path:
+    """`<name>.events` in `folder`, which is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    config = Config(
+        identity=IdentityConfig(uas_id=name), avoidance=AvoidanceConfig(conflict_radius_m=radius_m)
+    )
+    header = Header(aircraft=name, software="test", config=config)
+    path = folder / f"{name}.events"
+    path.write_bytes(record.MAGIC + b"".join(record.encode(r) for r in (header, *found)))
+    return path
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Closest 20 / sqrt(2) m with avoidance, 2 / sqrt(2) m without. Not to be changed: see `run_folder`."""
+    folder = tmp_path_factory.mktemp("built")
+    for where, miss in ((folder, 20.0), (folder / "unavoided", 2.0)):
+        write_events(where, "DMUCA001", steps(northbound, eastbound(miss)))
+        write_events(where, "DMUCA002", steps(eastbound(miss), northbound))
+    (folder / "manifest.json").write_text(json.dumps({"what": "test", "seed": 1}))
+    (folder / "summary.json").write_text(json.dumps({"ok": True}))
+    return folder
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path, built: Path) -> Path:
+    """A run folder of the test's own."""
+    return Path(shutil.copytree(built, tmp_path / "20260101T000000Z-demo"))
+
+
+@pytest.fixture
+def made() -> SimpleNamespace:
+    """The parts that a run folder of a test's own is made of."""
+    return SimpleNamespace(
+        steps=steps, write_events=write_events, northbound=northbound, eastbound=eastbound, home=HOME
+    )
