@@ -1,0 +1,208 @@
+"""The reference vectors hold, an altered vector is noticed, and the command says so."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import gzip
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.errors import ConfigError
+from companion.remote_id import command
+from companion.remote_id.conformance import check_file, check_vectors
+
+VECTORS = Path(__file__).resolve().parents[2] / "data" / "vectors.json.gz"
+Content = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def content() -> Content:
+    loaded: Content = json.loads(gzip.decompress(VECTORS.read_bytes()))
+    return loaded
+
+
+def run(*arguments: str) -> int:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser.add_subparsers(required=True))
+    args = parser.parse_args(arguments)
+    status: int = args.run(args)
+    return status
+
+
+def test_every_vector_holds() -> None:
+    report = check_file(VECTORS)
+    assert report.differences == []
+    assert report.checked.total() == 701
+    assert report.not_checked == {"wifi_nan_action_frame": 15, "wifi_nan_sync_beacon_frame": 15}
+
+
+def one(content: Content, name: str) -> Content:
+    """A file of a single vector, free to be altered."""
+    group = next(g for g in content["vectors"].values() for v in g if v["id"] == name)
+    return {"vectors": {"only": [copy.deepcopy(next(v for v in group if v["id"] == name))]}}
+
+
+def first(content: Content, group: str, **wanted: Any) -> str:
+    """The first vector of a group with these values."""
+    vectors = content["vectors"][group]
+    name: str = next(v["id"] for v in vectors if all(v.get(key) == value for key, value in wanted.items()))
+    return name
+
+
+def test_every_changed_number_and_bit_is_noticed(content: Content) -> None:
+    """One wrong nibble of a vector's bytes, or one wrong decoded value, never passes."""
+    missed = []
+    groups = ("basic_id", "location", "auth", "self_id", "system", "operator_id")
+    for group in groups:
+        for kind in ("typical", "edge", "off_grid"):
+            for vector in [v for v in content["vectors"][group] if v["kind"] == kind and v["accepted"]][:6]:
+                for name, value in vector["decoded"].items():
+                    altered = copy.deepcopy(vector)
+                    altered["decoded"][name] = value + 1 if not isinstance(value, str) else value + "41"
+                    if not check_vectors({"vectors": {"x": [altered]}}).differences:
+                        missed.append((vector["id"], name))
+                for nibble in range(50):
+                    altered = copy.deepcopy(vector)
+                    digit = f"{int(vector['hex'][nibble], 16) ^ 1:x}"
+                    altered["hex"] = vector["hex"][:nibble] + digit + vector["hex"][nibble + 1 :]
+                    if not check_vectors({"vectors": {"x": [altered]}}).differences:
+                        missed.append((vector["id"], nibble))
+    assert missed == []
+
+
+ALTERATIONS: list[tuple[str, dict[str, Any], Callable[[Content], None]]] = [
+    ("location", {"accepted": False}, lambda v: v.update(accepted=True)),
+    ("location", {"accepted": True}, lambda v: v.update(accepted=False)),
+    ("location", {"kind": "off_grid"}, lambda v: v["input"].update(altitude_geo_m=3000.25)),
+    ("location", {"kind": "typical"}, lambda v: v["input"].update(latitude_deg=1.0)),
+    ("auth", {"accepted": False}, lambda v: v.update(accepted=True)),
+    ("message_pack", {"accepted": False}, lambda v: v.update(accepted=True)),
+    ("message_pack", {"accepted": True}, lambda v: v.update(accepted=False)),
+    ("message_pack", {"accepted": True}, lambda v: v["messages"].reverse()),
+    ("message_pack", {"accepted": True}, lambda v: v["decoded_messages"].pop()),
+    ("message_pack", {"accepted": True}, lambda v: v.update(hex=v["hex"][:-2] + "77")),
+    ("decode", {"kind": "reject"}, lambda v: v.update(accepted=True)),
+    ("decode", {"kind": "reject"}, lambda v: v.update(hex="32" + v["hex"][2:])),
+    ("decode", {"kind": "version"}, lambda v: v.update(accepted=False)),
+    ("decode", {"kind": "version"}, lambda v: v.update(message_type="system")),
+    ("decode", {"kind": "version"}, lambda v: v.update(hex="6" + v["hex"][1:])),
+    ("transport", {"type": "ble_legacy_adv_data"}, lambda v: v.update(counter=v["counter"] ^ 1)),
+    ("transport", {"type": "ble_extended_adv_data"}, lambda v: v.update(hex=v["hex"][:-2])),
+    ("transport", {"type": "wifi_beacon_frame"}, lambda v: v.update(mac="000000000000")),
+    ("transport", {"type": "wifi_beacon_frame"}, lambda v: v.update(type="smoke_signal")),
+]
+
+
+@pytest.mark.parametrize(("group", "wanted", "alter"), ALTERATIONS)
+def test_an_altered_vector_is_noticed(
+    content: Content, group: str, wanted: dict[str, Any], alter: Callable[[Content], None]
+) -> None:
+    name = first(content, group, **wanted)
+    altered = one(content, name)
+    assert check_vectors(altered).differences == []
+    alter(altered["vectors"]["only"][0])
+    differences = check_vectors(altered).differences
+    assert differences
+    assert all(line.startswith(f"{name}: ") for line in differences)
+
+
+def test_off_the_grid_one_step_is_allowed_and_two_are_not(content: Content) -> None:
+    file = one(content, first(content, "location", kind="off_grid"))
+    vector = file["vectors"]["only"][0]
+    start = vector["decoded"]["altitude_geo_m"]
+    for off, differs in ((0.0, False), (0.5, False), (1.0, True), (-1.0, True)):
+        vector["input"]["altitude_geo_m"] = start + off
+        assert bool(check_vectors(file).differences) is differs
+    vector["input"]["altitude_geo_m"] = start + 0.5
+    vector["on_grid"] = True
+    assert check_vectors(file).differences
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        [],
+        {},
+        {"vectors": []},
+        {"vectors": {}},
+        {"vectors": {"location": 3}},
+        {"vectors": {"location": [3]}},
+        {"vectors": {"location": [{"id": "a"}]}},
+        {"vectors": {"location": [{"id": "a", "type": "location"}]}},
+        {"vectors": {"location": [{"id": "a", "type": "location", "accepted": True, "input": {}}]}},
+        {"vectors": {"decode": [{"id": "a", "type": "decode", "accepted": True, "hex": "xx"}]}},
+        {"vectors": {"decode": [{"id": "a", "type": "decode", "accepted": "yes", "hex": "12"}]}},
+    ],
+)
+def test_what_is_no_vector_file_is_refused(content: object) -> None:
+    with pytest.raises(ConfigError):
+        check_vectors(content)
+
+
+def test_check_exits_by_what_it_found(
+    tmp_path: Path, content: Content, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("check", str(VECTORS)) == 0
+    assert "701 vectors checked" in capsys.readouterr().out
+
+    name = first(content, "system", kind="typical")
+    altered = one(content, name)
+    altered["vectors"]["only"][0]["decoded"]["area_count"] += 1
+    file = tmp_path / "altered.json"
+    file.write_text(json.dumps(altered))
+    assert run("check", str(file)) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"{name}: ")
+    assert "area_count" in lines[0]
+
+    for text in ("", "{", "[1]", '{"vectors": {}}'):
+        file.write_text(text)
+        assert run("check", str(file)) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+    assert run("check", str(tmp_path / "absent.json")) == 2
+
+
+MESSAGE = '{"type":"OperatorId","operator_id_type":0,"operator_id":"FIN87astrdge12k8"}'
+HEX = "520046494e38376173747264676531326b3800000000000000"
+
+
+def test_encode_and_decode_are_each_others_inverse(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(f"{MESSAGE}\n\n"))
+    assert run("encode") == 0
+    assert capsys.readouterr().out == f"{HEX}\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(f"{HEX}\n"))
+    assert run("decode") == 0
+    assert capsys.readouterr().out == f"{MESSAGE}\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(MESSAGE))
+    assert run("encode", "--pack") == 0
+    assert capsys.readouterr().out == f"f21901{HEX}\n"
+
+
+@pytest.mark.parametrize(
+    ("action", "line"),
+    [
+        ("decode", "zz"),
+        ("decode", "6200"),
+        ("decode", "f21900"),
+        ("encode", "{"),
+        ("encode", '{"type":"Location","lat_deg":95.0,"lon_deg":0.0}'),
+        ("encode", '{"type":"Location","latt_deg":9.0}'),
+    ],
+)
+def test_a_bad_line_is_named_and_the_rest_goes_on(
+    action: str, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = HEX if action == "decode" else MESSAGE
+    monkeypatch.setattr("sys.stdin", io.StringIO(f"{line}\n{good}\n"))
+    assert run(action) == 1
+    captured = capsys.readouterr()
+    assert captured.err.startswith("line 1: ")
+    assert len(captured.out.splitlines()) == 1
