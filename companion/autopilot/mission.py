@@ -2,9 +2,9 @@
 
 What is flown: NAV_WAYPOINT with its hold time, at the speed of the last DO_CHANGE_SPEED. The clock starts at
 the place where the companion takes the vehicle, and every leg is straight at constant speed. The companion
-takes over in the air, so a NAV_TAKEOFF before the first waypoint is the pilot's or the autopilot's and is left
-out; NAV_LAND and NAV_RETURN_TO_LAUNCH end the path and are not flown. Everything else is refused: a mission
-flown in part is another mission.
+takes over in the air, so a NAV_TAKEOFF before the first waypoint is the pilot's or the autopilot's and is
+left out; NAV_LAND and NAV_RETURN_TO_LAUNCH end the path and are not flown. Everything else is refused: a
+mission flown in part is another mission.
 """
 
 from __future__ import annotations

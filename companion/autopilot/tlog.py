@@ -1,8 +1,8 @@
 """Telemetry logs as ground stations write them.
 
-A log repeats [8-byte big-endian Unix microseconds][one MAVLink frame]. Logs of real flights are damaged: radio
-noise between frames, a tail torn off by a power cut. The reader finds its way back to the next good frame and
-counts what it stepped over; only a file that is no log at all is an error.
+A log repeats [8-byte big-endian Unix microseconds][one MAVLink frame]. Logs of real flights are damaged:
+radio noise between frames, a tail torn off by a power cut. The reader finds its way back to the next good
+frame and counts what it stepped over; only a file that is no log at all is an error.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 from companion.errors import PeerDataError
 
@@ -50,10 +50,18 @@ class TlogCounts:
     """Bytes behind the last record that belong to none."""
 
 
+class ByteSink(Protocol):
+    """Where bytes go: a file, or a queue in front of one."""
+
+    def write(self, data: bytes, /) -> object:
+        """Take bytes."""
+        ...
+
+
 class TlogWriter:
     """Writes a log of one link. Received bytes may come cut anywhere: each frame becomes one record."""
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: ByteSink) -> None:
         self._stream = stream
         self._received = FrameScanner(keep_unknown=True)
         self._sent = FrameScanner(keep_unknown=True)
@@ -186,9 +194,10 @@ class _Reader:
             self._fill_more()
 
     def _find_frame(self, stop: int) -> tuple[int, int, int | None] | None:
-        """First good frame that begins before `stop`: where, how long, and its time where one stands before it.
+        """First good frame that begins before `stop`: where, how long, and its time if it has one.
 
-        Before the first record a frame needs a time: files of other kinds hold chance frames, too.
+        The first record behind a damaged head needs a time and another record after it: files of other kinds
+        hold chance frames, too, and a stream without times holds nothing else.
         """
         for match in _MAGIC.finditer(self._buffer, self._at, max(stop, self._at)):
             frame_at = match.start()
@@ -197,7 +206,8 @@ class _Reader:
                 continue
             if frame_at - self._at >= _STAMP.size:
                 own_us = self._stamp(frame_at - _STAMP.size)
-                if self._believable(own_us):
+                first = self._stamp_us is None
+                if self._believable(own_us) and not (first and self._record(frame_at + length) == 0):
                     return frame_at, length, own_us
             if self._stamp_us is not None:
                 return frame_at, length, None

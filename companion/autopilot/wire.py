@@ -169,8 +169,10 @@ class FrameScanner:
         # Its checksum cannot be verified, so it must at least end where another frame begins: damaged bytes
         # that only look like a frame must not swallow a good one.
         if at + length == len(buffer):
-            return 0
-        if buffer[at + length] != MAGIC_V2 and buffer[at + length] != MAGIC_V1:
+            if not self._keep_unknown:
+                return 0
+            # Kept for a record, where its time counts: not held back until the next frame.
+        elif buffer[at + length] != MAGIC_V2 and buffer[at + length] != MAGIC_V1:
             return -1
         self.counts.unknown += 1
         if self._keep_unknown:
