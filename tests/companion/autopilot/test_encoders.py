@@ -1,0 +1,71 @@
+"""Every layout of ours against pymavlink's own encoding of the same message."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot import encoders
+from companion.autopilot.wire import MavlinkWriter
+
+CASES: list[tuple[encoders.Outgoing, Any]] = [
+    (encoders.heartbeat(), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)),
+    (
+        encoders.velocity_setpoint((1.5, -2.0, 0.25), 123456, 7),
+        mavlink.MAVLink_set_position_target_local_ned_message(
+            123456, 7, 1, 1, 0xDC7, 0, 0, 0, 1.5, -2.0, 0.25, 0, 0, 0, 0, 0
+        ),
+    ),
+    (
+        encoders.command_long(176, (1.0, 4.0), 7, confirmation=3),
+        mavlink.MAVLink_command_long_message(7, 1, 176, 3, 1, 4, 0, 0, 0, 0, 0),
+    ),
+    (encoders.mission_request_list(7), mavlink.MAVLink_mission_request_list_message(7, 1, 0)),
+    (
+        encoders.mission_request(300, 7, as_int=True),
+        mavlink.MAVLink_mission_request_int_message(7, 1, 300, 0),
+    ),
+    (encoders.mission_request(300, 7, as_int=False), mavlink.MAVLink_mission_request_message(7, 1, 300, 0)),
+    (encoders.mission_ack(7), mavlink.MAVLink_mission_ack_message(7, 1, 0, 0)),
+    (encoders.statustext(4, "avoiding", 9)[0], mavlink.MAVLink_statustext_message(4, b"avoiding", 0, 0)),
+    (encoders.statustext(4, "x" * 60, 9)[1], mavlink.MAVLink_statustext_message(4, b"x" * 10, 9, 1)),
+]
+
+
+@pytest.mark.parametrize(("ours", "theirs"), CASES, ids=[m.get_type() for _, m in CASES])
+def test_layout_is_pymavlinks(ours: encoders.Outgoing, theirs: Any) -> None:
+    assert MavlinkWriter(1, 191).pack_payload(*ours) == MavlinkWriter(1, 191).pack(theirs)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 101.0, 1e39])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_setpoints_that_must_never_leave(bad: float, axis: int) -> None:
+    velocity = [0.0, 0.0, 0.0]
+    velocity[axis] = bad
+    with pytest.raises(ValueError, match="not finite or above"):
+        encoders.velocity_setpoint((velocity[0], velocity[1], velocity[2]), 0, 1)
+
+
+@pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 99, 100, 101, 150, 499, 500, 2000])
+def test_long_texts_come_in_chunks_that_end_with_a_zero(length: int) -> None:
+    chunks = [MavlinkWriter(1, 191).pack_payload(*c) for c in encoders.statustext(6, "y" * length, 5)]
+    texts = [mavlink.MAVLink(None).decode(bytearray(c)) for c in chunks]
+    assert "".join(t.text for t in texts) == "y" * min(length, 499)
+    assert [t.chunk_seq for t in texts] == list(range(len(texts)))
+    if length > 50:
+        assert {t.id for t in texts} == {5}
+        assert len(texts[-1].text) < 50
+    else:
+        assert [t.id for t in texts] == [0]
+
+
+def test_other_alphabets_become_question_marks() -> None:
+    (_, payload), *_ = encoders.statustext(6, "höhe\0 5 m", 1)
+    assert payload[1:11] == b"h?he? 5 m\0"
+
+
+def test_boot_time_wraps_instead_of_failing() -> None:
+    assert encoders.velocity_setpoint((0.0, 0.0, 0.0), 2**32 + 5, 1)[1][:4] == (5).to_bytes(4, "little")

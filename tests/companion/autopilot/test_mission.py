@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from companion.autopilot.mission import path_from_mission
+from companion.config import TrajectoryFile
+from companion.errors import ConfigError
+from companion.events import MissionItem
+from companion.geometry import LocalFrame
+
+START = (47.397, 8.545, 30.0)
+FRAME = LocalFrame(47.397, 8.545, 0.0)
+
+
+def waypoint(
+    seq: int, north_m: float, height_m: float = 30.0, hold_s: float = 0.0, **over: Any
+) -> MissionItem:
+    lat_deg, lon_deg, _ = FRAME.to_geodetic(north_m, 0.0, 0.0)
+    values = {
+        "frame": 3,
+        "params": (hold_s, 0.0, 0.0, None),
+        "lat_deg": lat_deg,
+        "lon_deg": lon_deg,
+        "alt_m": height_m,
+    }
+    return MissionItem(seq=seq, command=16, **(values | over))
+
+
+def simple(seq: int, command: int, *params: float) -> MissionItem:
+    one, two, three, four = (*params, 0.0, 0.0, 0.0, 0.0)[:4]
+    return MissionItem(seq=seq, command=command, frame=2, params=(one, two, three, four))
+
+
+def fly(*items: MissionItem, home: float | None = 400.0, speed: float = 5.0) -> TrajectoryFile:
+    return path_from_mission(items, speed_mps=speed, start=START, home_alt_msl_m=home)
+
+
+def times(path: TrajectoryFile) -> list[float]:
+    return [w.t_s for w in path.waypoint]
+
+
+def test_legs_are_timed_by_their_length() -> None:
+    path = fly(waypoint(1, 100.0), waypoint(2, 100.0, height_m=55.0))
+    assert path.altitude == "home"
+    assert times(path) == pytest.approx([0.0, 20.0, 25.0], abs=0.01)
+    assert [w.alt_m for w in path.waypoint] == [30.0, 30.0, 55.0]
+
+
+def test_hold_time_is_flown() -> None:
+    path = fly(waypoint(1, 50.0, hold_s=7.0), waypoint(2, 100.0))
+    assert times(path) == pytest.approx([0.0, 10.0, 17.0, 27.0], abs=0.01)
+    assert path.waypoint[1].lat_deg == path.waypoint[2].lat_deg
+
+
+def test_speed_changes_are_honoured() -> None:
+    path = fly(
+        waypoint(1, 50.0),
+        simple(2, 178, 1.0, 10.0),
+        waypoint(3, 100.0),
+        simple(4, 178, 1.0, -1.0),
+        waypoint(5, 0.0),
+    )
+    assert times(path) == pytest.approx([0.0, 10.0, 15.0, 25.0], abs=0.01)
+
+
+def test_a_waypoint_at_the_start_adds_no_time() -> None:
+    path = fly(waypoint(1, 0.0), waypoint(2, 50.0))
+    assert times(path) == pytest.approx([0.0, 10.0], abs=0.01)
+
+
+@pytest.mark.parametrize("frame", [0, 5])
+def test_altitudes_above_sea_level_become_heights(frame: int) -> None:
+    path = fly(waypoint(1, 50.0, height_m=435.0, frame=frame))
+    assert path.waypoint[1].alt_m == 35.0
+
+
+@pytest.mark.parametrize("frame", [3, 6])
+def test_heights_above_home_need_no_home_altitude(frame: int) -> None:
+    assert fly(waypoint(1, 50.0, frame=frame), home=None).waypoint[1].alt_m == 30.0
+
+
+def test_takeoff_before_the_first_waypoint_is_left_out() -> None:
+    path = fly(simple(1, 178, 1.0, 5.0), simple(2, 22), waypoint(3, 50.0))
+    assert len(path.waypoint) == 2
+
+
+@pytest.mark.parametrize("end", [20, 21])
+def test_the_path_ends_where_landing_begins(end: int) -> None:
+    path = fly(waypoint(1, 50.0), simple(2, end), waypoint(3, 500.0))
+    assert len(path.waypoint) == 2
+
+
+@pytest.mark.parametrize(
+    ("item", "words"),
+    [
+        (simple(4, 82), ["item 4", "NAV_SPLINE_WAYPOINT (82)", "allowed are NAV_WAYPOINT"]),
+        (simple(4, 177), ["DO_JUMP"]),
+        (simple(4, 19), ["NAV_LOITER_TIME"]),
+        (simple(4, 22), ["NAV_TAKEOFF", "before the first waypoint"]),
+        (simple(4, 60000), ["unknown command (60000)"]),
+        (simple(4, 178, 2.0, 5.0), ["speed type 2.0", "allowed are 0"]),
+        (simple(4, 178, 1.0, 0.0), ["speed 0.0 m/s", "allowed is above 0"]),
+        (simple(4, 178, 1.0, -2.0), ["speed -2.0 m/s"]),
+        (waypoint(4, 9.0, frame=10), ["MAV_FRAME 10", "allowed are 0 and 5"]),
+        (waypoint(4, 9.0, frame=1), ["MAV_FRAME 1"]),
+        (waypoint(4, 9.0, lat_deg=0.0, lon_deg=0.0), ["current position"]),
+        (waypoint(4, 9.0, alt_m=None), ["left open"]),
+        (waypoint(4, 9.0, lat_deg=None), ["left open"]),
+        (waypoint(4, 9.0, hold_s=-1.0), ["hold time -1.0 s", "allowed is 0 to"]),
+        (waypoint(4, 9.0, lat_deg=10.0), ["km from the point before"]),
+    ],
+)
+def test_what_cannot_be_flown_is_named(item: MissionItem, words: list[str]) -> None:
+    with pytest.raises(ConfigError) as error:
+        fly(waypoint(3, 5.0), item)
+    assert "mission item 4" in str(error.value)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_sea_level_without_home_is_refused() -> None:
+    with pytest.raises(ConfigError, match="home's is not known"):
+        fly(waypoint(1, 50.0, frame=0), home=None)
+
+
+@pytest.mark.parametrize("items", [[], [simple(1, 22)], [simple(1, 21)]])
+def test_a_mission_without_a_waypoint_is_refused(items: list[MissionItem]) -> None:
+    with pytest.raises(ConfigError, match="no waypoint"):
+        fly(*items)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, 1000.0])
+def test_absurd_speeds_are_refused(speed: float) -> None:
+    with pytest.raises(ConfigError, match="mission speed"):
+        fly(waypoint(1, 50.0), speed=speed)
