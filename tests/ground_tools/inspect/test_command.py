@@ -1,0 +1,108 @@
+"""`ground-tools inspect` and `ground-tools picture`: files written, figures printed, wrong input refused."""
+
+import argparse
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.errors import ConfigError
+from ground_tools.inspect import command, picture
+
+
+def inspect(*arguments: object) -> int:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return command.run(parser.parse_args([str(a) for a in arguments]))
+
+
+def draw(*arguments: object) -> int:
+    parser = argparse.ArgumentParser()
+    picture.add_arguments(parser)
+    return picture.run(parser.parse_args([str(a) for a in arguments]))
+
+
+def pixels(path: Path) -> np.ndarray:
+    from matplotlib.image import imread
+
+    return np.asarray(imread(path))
+
+
+def test_a_recording_is_written_into_the_run_and_named(
+    run_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rerun")
+    assert inspect(run_folder) == 0
+    assert (run_folder / "inspect.rrd").stat().st_size > 10_000
+    out = capsys.readouterr().out
+    assert "closest 14.14 m" in out
+    assert f"rerun {run_folder / 'inspect.rrd'}" in out
+
+
+def test_a_recording_goes_where_it_is_told(run_folder: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    assert inspect(run_folder, "--save", tmp_path / "x.rrd") == 0
+    assert (tmp_path / "x.rrd").exists()
+    assert not (run_folder / "inspect.rrd").exists()
+
+
+def test_summary_writes_no_recording(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert inspect(run_folder, "--summary") == 0
+    assert "DMUCA001 - DMUCA002: closest 14.14 m at 32.00 s (10 m kept)" in capsys.readouterr().out
+    assert not (run_folder / "inspect.rrd").exists()
+
+
+def test_json_is_one_object_a_line(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert inspect(run_folder, run_folder / "unavoided", "--json") == 0
+    avoided, unavoided = map(json.loads, capsys.readouterr().out.splitlines())
+    assert (avoided["separations"][0]["kept"], unavoided["separations"][0]["kept"]) == (True, False)
+
+
+@pytest.mark.parametrize("extra", [["--summary"], ["--json"], ["second"]])
+def test_save_goes_with_one_recording(run_folder: Path, extra: list[str]) -> None:
+    with pytest.raises(ConfigError, match="--save"):
+        inspect(run_folder, *extra, "--save", "x.rrd")
+
+
+def test_missing_rerun_is_one_line_of_advice(run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ConfigError, match=r"pip install 'dmuca\[inspect\]'"):
+        inspect(run_folder)
+    assert inspect(run_folder, "--summary") == 0
+
+
+def test_the_picture_shows_both_runs(run_folder: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    assert draw(run_folder, "--out", tmp_path / "both.png") == 0
+    both = pixels(tmp_path / "both.png")
+    assert both.shape[1] > both.shape[0] > 600
+    moved = Path(shutil.move(run_folder / "unavoided", tmp_path / "other"))
+    draw(run_folder, "--out", tmp_path / "one.png")
+    draw(run_folder, "--unavoided", moved, "--out", tmp_path / "given.png")
+    assert (pixels(tmp_path / "given.png") == both).all()
+    one = pixels(tmp_path / "one.png")
+    assert one.shape != both.shape or (one != both).any()
+
+
+def test_one_aircraft_makes_no_picture(run_folder: Path, tmp_path: Path) -> None:
+    (run_folder / "DMUCA002.events").unlink()
+    with pytest.raises(ConfigError, match="no two aircraft"):
+        draw(run_folder, "--out", tmp_path / "p.png")
+
+
+@pytest.mark.parametrize("name", ["no/such/folder.png", "picture.unknown"])
+def test_a_picture_that_cannot_be_written_is_said(run_folder: Path, tmp_path: Path, name: str) -> None:
+    pytest.importorskip("matplotlib")
+    with pytest.raises(ConfigError, match="cannot be written"):
+        draw(run_folder, "--out", tmp_path / name)
+
+
+def test_missing_matplotlib_is_one_line_of_advice(
+    run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ConfigError, match=r"pip install 'dmuca\[inspect\]'"):
+        draw(run_folder, "--out", tmp_path / "p.png")
