@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -74,15 +75,20 @@ def check_file(path: Path) -> Report:
     """Check every vector of a file (plain or gzip). Raises ConfigError where it is not a vector file."""
     try:
         data = path.read_bytes()
-        content = json.loads(gzip.decompress(data) if path.suffix == ".gz" else data)
+        content = json.loads(gzip.decompress(data) if path.suffix == ".gz" else data, parse_int=_integer)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, EOFError, RecursionError) as error:
+    except (ValueError, EOFError, RecursionError, zlib.error) as error:
         raise ConfigError(f"{path}: not JSON: {error}") from error
     try:
         return check_vectors(content)
     except ConfigError as error:
         raise ConfigError(f"{path}: not a vector file: {error}") from error
+
+
+def _integer(digits: str) -> int | float:
+    """A JSON integer; one beyond every field as a float, which compares with others without overflow."""
+    return int(digits) if len(digits) < 20 else float(digits)
 
 
 def check_vectors(content: object) -> Report:

@@ -273,9 +273,8 @@ def test_an_accuracy_that_is_none_is_refused(field: str, value: float) -> None:
 
 
 def auth(**changes: Any) -> Authentication:
-    return Authentication(
-        **({"auth_type": 1, "page": 0, "data": b"", "last_page": 1, "length": 40} | changes)
-    )
+    fields: dict[str, Any] = {"auth_type": 1, "page": 0, "data": b"", "last_page": 1, "length": 40}
+    return Authentication(**(fields | changes))
 
 
 REFUSED: list[tuple[str, Message]] = [
@@ -333,12 +332,24 @@ def test_values_that_no_standard_allows_are_unknown() -> None:
     assert heard == Location(alt_geodetic_m=500.0)
 
 
-def test_a_direction_beyond_half_the_circle_in_the_byte_is_read() -> None:
+@pytest.mark.parametrize(
+    ("east_west", "byte", "degrees"),
+    [(0, 179, 179.0), (0, 235, 235.0), (1, 0, 180.0), (1, 180, 0.0), (1, 181, None), (1, 250, None)],
+)
+def test_every_way_to_write_a_direction_is_read(east_west: int, byte: int, degrees: float | None) -> None:
     data = bytearray(encode(Location(direction_deg=0.0)))
-    data[2] = 235
+    data[1] |= east_west << 1
+    data[2] = byte
     heard = decode(bytes(data))
     assert isinstance(heard, Location)
-    assert heard.direction_deg == 235.0
+    assert heard.direction_deg == degrees
+
+
+def test_a_receiver_without_fix_says_unknown() -> None:
+    heard = decode(encode(Location(lat_deg=0.0, lon_deg=0.0, alt_geodetic_m=-1000.0)))
+    assert heard == Location(speed_mps=None)
+    on_the_equator = Location(lat_deg=0.0, lon_deg=8.5)
+    assert decode(encode(on_the_equator)) == on_the_equator
 
 
 @pytest.mark.parametrize(

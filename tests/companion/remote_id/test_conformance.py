@@ -161,11 +161,15 @@ def test_check_exits_by_what_it_found(
     assert lines[0].startswith(f"{name}: ")
     assert "area_count" in lines[0]
 
-    for text in ("", "{", "[1]", '{"vectors": {}}'):
+    huge = json.dumps(altered).replace('"area_count": ', '"area_count": ' + "9" * 400)
+    for text in ("", "{", "[1]", '{"vectors": {}}', huge):
         file.write_text(text)
         assert run("check", str(file)) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
-    assert run("check", str(tmp_path / "absent.json")) == 2
+    torn = tmp_path / "torn.json.gz"
+    torn.write_bytes(VECTORS.read_bytes()[:5000])
+    for path in (torn, tmp_path, tmp_path / "absent.json"):
+        assert run("check", str(path)) == 2
 
 
 MESSAGE = '{"type":"OperatorId","operator_id_type":0,"operator_id":"FIN87astrdge12k8"}'
