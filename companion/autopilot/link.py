@@ -351,7 +351,7 @@ class AutopilotLink:
             self._events.append(ModeRefused(mode=mode, reason=vehicle.refusal))
         else:
             dialect = DIALECTS[vehicle.firmware]
-            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode)
+            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode, self._mode)
             self._move_mode(now_s)
 
     def _move_mode(self, now_s: float) -> None:

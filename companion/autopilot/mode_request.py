@@ -2,7 +2,8 @@
 
 An acknowledgement proves nothing (PX4 accepts modes that it then does not enter), so only `custom_mode`
 confirms; acknowledgements and the vehicle's texts are kept for the reason. When the vehicle goes to a third
-mode meanwhile, the pilot or a failsafe has acted: the request ends there and is never sent against them.
+mode meanwhile, the pilot or a failsafe has acted: the request ends there. It is repeated only after a
+heartbeat has shown that nobody has, so it is never sent against a pilot whose choice has not been heard yet.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from .encoders import Outgoing, command_long
 
 RETRY_S = 1.0
 MAX_TRIES = 5
+SILENCE_S = 3.0
+"""Without a heartbeat for this long after a try, the request is given up."""
 
 _RESULTS: dict[int, str] = {
     number: entry.name.removeprefix("MAV_RESULT_").lower().replace("_", " ")
@@ -31,7 +34,14 @@ def result_words(result: int) -> str:
 class ModeRequest:
     """Asks for one mode until `confirmed` or `refused` (a reason)."""
 
-    def __init__(self, mode: FlightMode, dialect: Dialect, system_id: int, from_mode: int) -> None:
+    def __init__(
+        self,
+        mode: FlightMode,
+        dialect: Dialect,
+        system_id: int,
+        from_mode: int,
+        replaced: ModeRequest | None = None,
+    ) -> None:
         self.mode = mode
         self.confirmed = False
         self.refused: str | None = None
@@ -39,6 +49,11 @@ class ModeRequest:
         self._command = dialect.command(mode)
         self._system_id = system_id
         self._from_mode = from_mode
+        self._expected = frozenset({from_mode, self._command.custom_mode})
+        if replaced is not None:
+            # The vehicle may still be on its way to what was asked for before.
+            self._expected |= replaced._expected
+        self._heard = True
         self._tries = 0
         self._next_s = 0.0
         self._ack: int | None = None
@@ -48,9 +63,12 @@ class ModeRequest:
         """The command, when it is time to send it; after the last try the request is refused."""
         if self._tries and now_s < self._next_s:
             return None
-        if self._tries == MAX_TRIES:
+        if self._tries == MAX_TRIES or (not self._heard and now_s >= self._next_s - RETRY_S + SILENCE_S):
             self.refused = self._reason()
             return None
+        if not self._heard:
+            return None
+        self._heard = False
         self._next_s = now_s + RETRY_S
         self._tries += 1
         command = self._command
@@ -59,9 +77,10 @@ class ModeRequest:
 
     def on_heartbeat(self, custom_mode: int) -> None:
         """The vehicle says which mode it is in."""
+        self._heard = True
         if custom_mode == self._command.custom_mode:
             self.confirmed = True
-        elif custom_mode != self._from_mode:
+        elif custom_mode not in self._expected:
             name = self._dialect.name
             self.refused = (
                 f"the vehicle went from {name(self._from_mode)} to {name(custom_mode)} while "
@@ -80,5 +99,9 @@ class ModeRequest:
         answer = "no answer" if self._ack is None else f"the vehicle answered: {result_words(self._ack)}"
         text = f'; it said: "{self._text}"' if self._text else ""
         name = self._dialect.name(self._command.custom_mode)
-        still = self._dialect.name(self._from_mode)
-        return f"{name} not entered after {MAX_TRIES} tries ({answer}{text}); the last heartbeat said {still}"
+        heard = (
+            f"still in {self._dialect.name(self._from_mode)}"
+            if self._heard
+            else "no heartbeat since the last"
+        )
+        return f"{name} not entered, tries: {self._tries} ({answer}{text}); {heard}"

@@ -255,6 +255,7 @@ def test_hold_on_ardupilot_is_brake(ardupilot: Scripted) -> None:
 
 def test_a_heartbeat_confirms_and_ends_the_retries(ardupilot: Scripted) -> None:
     ardupilot.link.send(EXTERNAL, ardupilot.now_s)
+    ardupilot.heartbeat()
     ardupilot.after(1.0)
     assert [m.confirmation for m in mode_requests(ardupilot)] == [0, 1]
     assert [type(e) for e in ardupilot.heartbeat(GUIDED)] == [Heartbeat]
@@ -297,6 +298,17 @@ def test_silence_is_refused_as_no_answer(ardupilot: Scripted) -> None:
     assert "no answer" in refused.reason
 
 
+def test_no_retry_without_a_heartbeat_that_shows_nobody_else_has_chosen(ardupilot: Scripted) -> None:
+    ardupilot.link.send(EXTERNAL, ardupilot.now_s)
+    assert len(mode_requests(ardupilot)) == 1
+    for _ in range(29):
+        assert ardupilot.after(0.1) == []
+    assert mode_requests(ardupilot) == []
+    (refused,) = ardupilot.after(0.2)
+    assert isinstance(refused, ModeRefused)
+    assert "no heartbeat" in refused.reason
+
+
 def test_the_pilots_choice_ends_a_request_at_once(ardupilot: Scripted) -> None:
     ardupilot.link.send(EXTERNAL, ardupilot.now_s)
     mode_requests(ardupilot)
@@ -311,6 +323,8 @@ def test_a_newer_mode_replaces_an_older(ardupilot: Scripted) -> None:
     ardupilot.link.send(EXTERNAL, ardupilot.now_s)
     ardupilot.link.send(SetMode(mode=FlightMode.HOLD), ardupilot.now_s)
     mode_requests(ardupilot)
+    # The older request took effect first: that is nobody else's choice.
+    assert len(ardupilot.heartbeat(GUIDED)) == 1
     ardupilot.after(1.0)
     assert [m.param2 for m in mode_requests(ardupilot)] == [BRAKE]
     assert len(ardupilot.heartbeat(BRAKE)) == 1
