@@ -120,7 +120,8 @@ class _Writer:
         self._stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         lat, lon, alt = self._ways.origin
         words = f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. Time line: {self._ways.clock}."
-        self._stream.log("/events/run", rr.TextLog(words, level="INFO"), static=True)
+        start = min(path.time_s[0] for path in self._ways.paths)
+        self._columns("/events/run", np.array([start]), rr.TextLog.columns(text=[words], level=["INFO"]))
 
     def aircraft(self, record: AircraftRecord, rgb: tuple[int, int, int]) -> None:
         """Everything of one aircraft."""

@@ -1,0 +1,84 @@
+"""The Rerun recording: sound by rerun's own check, and holding what the run holds."""
+
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from companion.errors import ConfigError
+from ground_tools.inspect import recording
+from ground_tools.inspect.read_run import read_run
+
+pytest.importorskip("rerun")
+
+
+def chunks(path: Path) -> dict[str, int]:
+    """Rows with a time, by entity path."""
+    from rerun.chunk import RrdReader
+
+    rows: dict[str, int] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        if not chunk.is_static:
+            rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + chunk.num_rows
+    return rows
+
+
+@pytest.fixture
+def saved(run_folder: Path) -> Path:
+    path = run_folder / "inspect.rrd"
+    recording.write(read_run(run_folder), path)
+    return path
+
+
+def test_the_file_is_sound(saved: Path) -> None:
+    program = Path(sys.executable).with_name("rerun")
+    result = subprocess.run(
+        [program, "rrd", "verify", saved], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_the_check_would_notice_a_file_cut_off(saved: Path) -> None:
+    saved.write_bytes(saved.read_bytes()[:-2000])
+    program = Path(sys.executable).with_name("rerun")
+    result = subprocess.run([program, "rrd", "verify", saved], capture_output=True, timeout=60, check=False)
+    assert result.returncode != 0
+
+
+def test_every_part_of_the_run_is_in_it(saved: Path) -> None:
+    rows = chunks(saved)
+    heard = "/aircraft/DMUCA001/heard/c2\\:00\\:00\\:00\\:00\\:02"
+    assert rows["/aircraft/DMUCA001/own"] == 601
+    assert rows[heard] == 61
+    assert rows["/aircraft/DMUCA001/predicted/DMUCA002"] == 301
+    assert rows["/authority/DMUCA002"] == 2
+    assert rows["/events/DMUCA001"] == 4
+    assert rows["/separation/DMUCA001\\ -\\ DMUCA002"] > 1000
+    assert rows["/separation/required\\ 10\\ m"] == 2
+
+
+def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, made: SimpleNamespace) -> None:
+    made.write_events(tmp_path, "Åse's 1: x", made.steps(made.northbound, made.eastbound(20.0)))
+    recording.write(read_run(tmp_path), tmp_path / "one.rrd")
+    assert any("own" in entity for entity in chunks(tmp_path / "one.rrd"))
+
+
+def test_a_place_that_cannot_be_written_is_said(run_folder: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be written"):
+        recording.write(read_run(run_folder), run_folder / "no" / "such" / "folder.rrd")
+
+
+def test_north_east_down_is_drawn_east_north_up() -> None:
+    drawn = recording._enu(np.array([[1.0, 2.0, -3.0]]))
+    assert drawn.tolist() == [[2.0, 1.0, 3.0]]
+
+
+@pytest.mark.parametrize(
+    ("severity", "level"),
+    [(0, "CRITICAL"), (2, "CRITICAL"), (3, "ERROR"), (4, "WARN"), (6, "INFO"), (7, "INFO")],
+)
+def test_severities(severity: int, level: str) -> None:
+    assert recording._level(severity) == level
