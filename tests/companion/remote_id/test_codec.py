@@ -176,6 +176,7 @@ def assert_near(name: str, sent: Any, heard: Any) -> None:
             limit = 0.25 if sent >= -999.75 else 0.5
         elif name == "timestamp_utc_s" and sent < EPOCH + 0.5:
             limit = 1.0
+        assert limit is not None
         assert off <= limit + SLACK * max(1.0, abs(sent) * 1e-6), (name, sent, heard)
     elif isinstance(sent, bytes):
         assert heard[: len(sent)] == sent
