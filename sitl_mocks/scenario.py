@@ -34,7 +34,7 @@ HEIGHT_M = 100.0
 CROSSING_BALL_M = {"S1": 30.0, "S2": 8.0}
 CLIMB_M = 25.0
 APART_M = 60.0
-_MOST_DRAWS = 10_000
+_MOST_DRAWS = 1_000
 
 
 def encounter(kind: Kind, aircraft: int, seed: int) -> tuple[Rows, ...]:

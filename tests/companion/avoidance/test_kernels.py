@@ -1,0 +1,239 @@
+"""The kernels: the oracle's planes, every known trap by name, the programs against brute force."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.avoidance import kernels as k
+
+ORACLE = Path(__file__).parents[2] / "data" / "orca_cases.json.gz"
+
+
+def half_space(p: Any, v: Any, radius: float = 10.0, tau: float = 20.0, overlap: float = 2.0) -> np.ndarray:
+    """n (3) and s."""
+    return np.array(k.half_space(*map(float, p), *map(float, v), radius, tau, overlap))
+
+
+def solve(planes: Any, wish: Any, speed: float = 5.0, hard: int = 0) -> tuple[bool, np.ndarray]:
+    rows = np.array(planes, dtype=float).reshape(-1, 4)
+    out = np.zeros(3)
+    ok = k.solve(rows, hard, len(rows), speed, np.array(wish, dtype=float), np.zeros_like(rows), out)
+    return ok, out
+
+
+def unit(v: Any) -> np.ndarray:
+    return np.asarray(v, dtype=float) / np.linalg.norm(v)
+
+
+def test_warm_up_compiles_once() -> None:
+    assert k.warm_up() >= 0.0
+    assert k.warm_up() < 0.05
+
+
+def test_planes_of_the_oracle() -> None:
+    cases = json.loads(gzip.decompress(ORACLE.read_bytes()))["cases"]
+    compared = 0
+    for case in cases:
+        agent = case["agent"]
+        if len(case["planes"]) != len(case["neighbours"]) or case["conditioning"] == "degenerate":
+            continue
+        for plane, other in zip(case["planes"], case["neighbours"], strict=True):
+            p = np.subtract(other["position"], agent["position"])
+            v = np.subtract(agent["velocity"], other["velocity"])
+            *n, s = half_space(
+                p, v, agent["radius"] + other["radius"], agent["time_horizon"], agent["time_step"]
+            )
+            np.testing.assert_allclose(n, plane["normal"], atol=1e-6, err_msg=case["id"])
+            offset = np.dot(plane["normal"], plane["point"])
+            assert np.dot(n, agent["velocity"]) + 0.5 * s == pytest.approx(offset, abs=1e-5), case["id"]
+            compared += 1
+    assert compared > 1000
+
+
+# ---------------------------------------------------------------- known traps
+
+
+@pytest.mark.parametrize("bearing_deg", range(0, 360, 15))
+@pytest.mark.parametrize("speed", [2.0, 8.0, 30.0])
+def test_trap_exact_head_on_goes_to_the_right(bearing_deg: int, speed: float) -> None:
+    ahead = np.array([math.cos(math.radians(bearing_deg)), math.sin(math.radians(bearing_deg)), 0.0])
+    right = np.array([-ahead[1], ahead[0], 0.0])  # north turns to east
+    *n, s = half_space(60.0 * ahead, 2.0 * speed * ahead)
+    assert np.isfinite([*n, s]).all()
+    assert np.dot(n, right) > 0.9
+    assert s > 0.0
+
+
+def test_trap_near_head_on_does_not_cancel() -> None:
+    """A centimetre beside the line, and far less: the plane stays where geometry puts it."""
+    for offset in (1.0, 1e-2, 1e-3, 1e-4):
+        *n, s = half_space((60.0, -offset, 0.0), (10.0, 0.0, 0.0))
+        sine = 10.0 / math.hypot(60.0, offset)
+        cross = 10.0 * offset / math.hypot(60.0, offset)
+        along = 600.0 / math.hypot(60.0, offset)
+        assert s == pytest.approx(sine * along - math.sqrt(1.0 - sine * sine) * cross, rel=1e-12)
+        assert n[1] > 0.9  # the other is a little to the left: pass on the right
+
+
+def test_trap_both_choose_sides_that_part() -> None:
+    """The exchanged view has exactly the opposite normal and the same length, in every kind of geometry."""
+    rng = np.random.default_rng(1)
+    special = [
+        ((0, 0, 40), (0, 0, 9)),
+        ((40, 0, 0), (9, 0, 0)),
+        ((5, 0, 0), (2.5, 0, 0)),
+        ((5, 1, 2), (0, 0, 0)),
+    ]
+    drawn = [(rng.normal(0, 30, 3), rng.normal(0, 6, 3)) for _ in range(500)]
+    for p, v in [*special, *drawn]:
+        here, there = half_space(p, v), half_space(np.negative(p), np.negative(v))
+        np.testing.assert_array_equal(here[:3], -there[:3])
+        assert here[3] == there[3]
+
+
+def test_trap_straight_above_is_not_a_hole() -> None:
+    *n, s = half_space((0, 0, 40), (0, 0, 9))
+    assert np.isfinite([*n, s]).all()
+    assert np.linalg.norm(n) == pytest.approx(1.0)
+    assert s > 0.0
+
+
+def test_trap_relative_velocity_in_the_centre_of_the_sphere() -> None:
+    """w = 0: at p / tau (cut-off) and at p / overlap (inside the volume)."""
+    *n, s = half_space((40.0, 0, 0), (2.0, 0, 0))
+    assert n[1] > 0.9
+    assert s == pytest.approx(0.5)
+    *n, s = half_space((5.0, 0, 0), (2.5, 0, 0))
+    assert n == [-1.0, 0.0, 0.0]
+    assert s == pytest.approx(5.0)
+
+
+def test_trap_same_place_same_velocity_is_finite() -> None:
+    *n, s = half_space((0, 0, 0), (0, 0, 0))
+    assert np.linalg.norm(n) == pytest.approx(1.0)
+    assert s == pytest.approx(5.0)
+
+
+def test_trap_opposing_planes() -> None:
+    """Two walls that leave nothing between: the middle, not a NaN; two that leave a slit: inside of it."""
+    ok, v = solve([(1, 0, 0, 2), (-1, 0, 0, -1)], (0, 3, 0))
+    assert not ok
+    assert v[0] == pytest.approx(1.5)
+    ok, v = solve([(1, 0, 0, 1), (-1, 0, 0, -2)], (0, 3, 0))
+    assert ok
+    assert v == pytest.approx([1, 3, 0])
+
+
+def test_trap_the_same_plane_twice() -> None:
+    n = unit((1, 2, 3))
+    ok, v = solve([(*n, 1.0), (*n, 1.0), (*n, 1.0 + 1e-13)], (-4, 0, 0))
+    assert ok
+    assert n @ v == pytest.approx(1.0)
+
+
+def test_trap_hard_planes_stay_whole_when_infeasible() -> None:
+    """Neighbours press upward harder than the climb limit allows: the limit holds to rounding."""
+    hard = [(0, 0, 1, -2.0), (0, 0, -1, -1.5)]
+    up, side = unit((0.1, 0, -1)), unit((-0.1, 0, -1))
+    ok, v = solve([*hard, (*up, 4.0), (*side, 4.5), (0, 0, 1, 3.0)], (1, 1, 0), hard=2)
+    assert not ok
+    assert -2.0 - 1e-9 <= v[2] <= 1.5 + 1e-9
+    assert np.linalg.norm(v) <= 5.0 + 1e-9
+
+
+# ---------------------------------------------------------------- meaning of the half-space
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.tuples(*[st.floats(-80, 80)] * 3),
+    st.tuples(*[st.floats(-12, 12)] * 3),
+    st.floats(1.0, 20.0),
+    st.floats(2.0, 40.0),
+)
+def test_u_is_the_way_to_the_boundary(p: Any, v: Any, radius: float, tau: float) -> None:
+    """v + s n lies on the boundary: a little further out it misses, a little further in it hits."""
+    if np.linalg.norm(p) <= radius * 1.001:
+        return
+    *n, s = half_space(p, v, radius, tau)
+    n = np.array(n)
+    assert np.isfinite([*n, s]).all()
+    assert np.linalg.norm(n) == pytest.approx(1.0, abs=1e-9)
+    for side, misses in ((1e-3, True), (-1e-3, False)):
+        w = np.array(v) + (s + side) * n
+        _, near2 = k.closest(*p, *w.tolist(), tau)
+        assert (math.sqrt(near2) > radius - 1e-6) == misses or abs(math.sqrt(near2) - radius) < 1e-5
+    _, near2 = k.closest(*p, *v, tau)
+    if abs(s) > 1e-6:
+        assert (s > 0.0) == (near2 < radius * radius)
+
+
+# ---------------------------------------------------------------- programs against brute force
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_programs_against_brute_force(seed: int) -> None:
+    """No point of a dense sample does better than the program, feasible or not."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 12))
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = rng.uniform(-3.0, 3.0 if seed % 2 else 0.5, count)
+    hard = [(0, 0, 1, -2.0), (0, 0, -1, -1.0)]
+    planes = np.vstack([hard, np.column_stack([normals, offsets])])
+    wish = rng.normal(size=3) * 4.0
+    ok, v = solve(planes, wish, hard=2)
+    assert np.linalg.norm(v) <= 5.0 + 1e-9
+    assert -2.0 - 1e-8 <= v[2] <= 1.0 + 1e-8
+    points = rng.normal(size=(60_000, 3))
+    points *= (5.0 * rng.uniform(size=(60_000, 1)) ** (1 / 3)) / np.linalg.norm(points, axis=1, keepdims=True)
+    points = np.vstack([points, v + 0.05 * rng.normal(size=(20_000, 3))])
+    points = points[(np.linalg.norm(points, axis=1) <= 5.0) & (points[:, 2] >= -2.0) & (points[:, 2] <= 1.0)]
+    worst = (offsets - points @ normals.T).max(axis=1)
+    own = float((offsets - normals @ v).max())
+    if ok:
+        assert own <= 1e-8
+        inside = points[worst <= 0.0]
+        if len(inside):
+            assert np.linalg.norm(v - wish) <= np.linalg.norm(inside - wish, axis=1).min() + 1e-7
+    else:
+        assert worst.min() > 0.0
+        assert own <= worst.min() + 1e-7
+
+
+def test_own_velocity_history() -> None:
+    times = np.array([0.0, 1.0, 3.0, 99.0])
+    velocities = np.array([[0.0, 0, 0], [2, 0, 0], [2, 4, 0], [9, 9, 9]])
+    for t, expected in [(-1, (0, 0, 0)), (0.5, (1, 0, 0)), (2, (2, 2, 0)), (3, (2, 4, 0)), (50, (2, 4, 0))]:
+        assert k.own_velocity_at(times, velocities, 3, float(t)) == pytest.approx(expected)
+    assert k.own_velocity_at(times, velocities, 1, 7.0) == pytest.approx((0, 0, 0))
+
+
+def test_uncompiled_gives_the_same_numbers() -> None:
+    """The kernels run as plain Python and say the same."""
+    program = (
+        "import numpy as np\nfrom companion.avoidance import kernels as k\n"
+        "print(repr(tuple(map(float, k.half_space(30., 2., 1., 3., -1., .5, 10., 20., 2.)))))\n"
+        "assert k.warm_up() < 5.0\n"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", program],
+        env={"NUMBA_DISABLE_JIT": "1", "PATH": "/usr/bin:/bin"},
+        cwd=Path(__file__).parents[3],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    here = k.half_space(30.0, 2.0, 1.0, 3.0, -1.0, 0.5, 10.0, 20.0, 2.0)
+    assert eval(out) == pytest.approx(here, abs=1e-14)
