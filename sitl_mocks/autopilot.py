@@ -19,13 +19,14 @@ import numpy
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkMessage
+from companion.errors import ConfigError
 from companion.events import Landed, Vec3
 from sitl_mocks.vehicle_commands import CommandDesk, read_command
 from sitl_mocks.vehicle_dynamics import STEP_S
 from sitl_mocks.vehicle_flight import Flight
 from sitl_mocks.vehicle_links import Link
 from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
-from sitl_mocks.vehicle_mission import MissionBook, StoredItem, stored
+from sitl_mocks.vehicle_mission import MissionBook, StoredItem, fault_of, stored
 from sitl_mocks.vehicle_navigation import NOISE_STEPS, NavigationError
 from sitl_mocks.vehicle_options import VehicleOptions
 from sitl_mocks.vehicle_params import ParamBook
@@ -58,7 +59,10 @@ _DATA_STREAMS = {
 
 
 class MockVehicle:
-    """One vehicle on any number of links. `start_s` is the now_s at which its motion begins."""
+    """One vehicle on any number of links. `start_s` is the now_s at which its motion begins.
+
+    Raises ConfigError for a mission in the options that cannot be flown.
+    """
 
     def __init__(self, options: VehicleOptions, rng: numpy.random.Generator, start_s: float = 0.0) -> None:
         self.options = options
@@ -90,6 +94,9 @@ class MockVehicle:
             self._manners, system_id=options.system_id, legacy_names=options.legacy_parameter_names
         )
         items = tuple(stored(item) for item in options.mission)
+        for seq, item in enumerate(items):
+            if (fault := fault_of(item)) is not None:
+                raise ConfigError(f"mission item {seq} cannot be flown (MAV_MISSION_RESULT {fault})")
         self._book = MissionBook(self._manners, home_item(options), items)
         self._boot(options, start_s, boot_s=-options.boot_time_offset_s)
         self.open_link(0)

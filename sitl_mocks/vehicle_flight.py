@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.events import Landed, Vec3
 from companion.geometry import LocalFrame
-from sitl_mocks.vehicle_dynamics import Body
+from sitl_mocks.vehicle_dynamics import STEP_S, Body
 from sitl_mocks.vehicle_guidance import HOVER, Homecoming, MissionRunner, Steering
 from sitl_mocks.vehicle_manners import Manners, VehicleMode
 from sitl_mocks.vehicle_mission import MissionBook
@@ -211,7 +211,7 @@ class Flight:
             if not self.on_ground and body.fall():
                 self._touch(now_s)
             return
-        self._watch_stream(now_s)
+        self._watch_stream(now_s + STEP_S)
         if self.on_ground:
             self._stand(now_s)
             return

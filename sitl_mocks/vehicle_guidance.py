@@ -243,6 +243,9 @@ class MissionRunner:
         return None if now_s - self._arrived_s >= seconds else HOVER
 
     def _height_m(self, item: StoredItem) -> float:
+        """Height over home; an item without one keeps the present height."""
+        if not math.isfinite(item.z):
+            return -self._body.down
         return item.z if item.frame in _RELATIVE_FRAMES else item.z - self._frame.alt_m
 
     def _place(self, item: StoredItem) -> Vec3:

@@ -32,6 +32,11 @@ NAV_COMMANDS = frozenset(
         mavlink.MAV_CMD_NAV_DELAY,
     }
 )
+_PLACED_COMMANDS = NAV_COMMANDS - {
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+    mavlink.MAV_CMD_NAV_LAND,
+    mavlink.MAV_CMD_NAV_DELAY,
+}
 _GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
 _FRAMES = _GLOBAL_FRAMES | {int(mavlink.MAV_FRAME_MISSION)}
 
@@ -179,7 +184,7 @@ class MissionBook:
                 return [self._ask(upload, now_s)]
             return [self._ack(partner, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
         item = _from_wire(message)
-        fault = _fault(item)
+        fault = fault_of(item)
         if fault is not None:
             self._upload = None
             return [self._ack(partner, fault)]
@@ -239,17 +244,20 @@ def _from_wire(message: MavlinkMessage) -> StoredItem:
     return StoredItem(message.command, message.frame, params, x, y, message.z, message.autocontinue)
 
 
-def _fault(item: StoredItem) -> int | None:
+def fault_of(item: StoredItem) -> int | None:
     """MAV_MISSION_RESULT of an item that cannot be flown, else None."""
     if item.frame not in _FRAMES:
         return int(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
     if item.command < mavlink.MAV_CMD_NAV_LAST and item.command not in NAV_COMMANDS:
         return int(mavlink.MAV_MISSION_UNSUPPORTED)
-    if item.command in NAV_COMMANDS and item.frame in _GLOBAL_FRAMES and item.placed:
+    if item.command in _PLACED_COMMANDS:
+        if item.frame not in _GLOBAL_FRAMES:
+            return int(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
+        if not math.isfinite(item.z):
+            return int(mavlink.MAV_MISSION_INVALID_PARAM7)
+    if item.command in NAV_COMMANDS and item.placed:
         if abs(item.x) > 900_000_000:
             return int(mavlink.MAV_MISSION_INVALID_PARAM5_X)
         if abs(item.y) > 1_800_000_000:
             return int(mavlink.MAV_MISSION_INVALID_PARAM6_Y)
-        if not math.isfinite(item.z):
-            return int(mavlink.MAV_MISSION_INVALID_PARAM7)
     return None
