@@ -209,27 +209,28 @@ class _Writer:
 
 def _heard(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, Array]]:
     """By transmitter's address: times (n,) and reported positions (n, 3) in the common frame."""
+    undulation = _undulation_m(record)
     rows: dict[str, list[tuple[float, ...]]] = {}
-    for step in record.steps:
-        for event in step.events:
-            if isinstance(event, RemoteIdHeard):
-                for place in event.messages:
-                    if (
-                        isinstance(place, Location)
-                        and place.lat_deg is not None
-                        and place.lon_deg is not None
-                    ):
-                        # Without an altitude it is drawn at the origin's.
-                        altitude = origin[2] if place.alt_geodetic_m is None else place.alt_geodetic_m
-                        row = (step.now_s, place.lat_deg, place.lon_deg, altitude)
-                        rows.setdefault(event.address, []).append(row)
+    heard = (
+        (step.now_s, event.address, place)
+        for step in record.steps
+        for event in step.events
+        if isinstance(event, RemoteIdHeard)
+        for place in event.messages
+        if isinstance(place, Location)
+    )
+    for now, address, place in heard:
+        if place.lat_deg is not None and place.lon_deg is not None:
+            # Without an altitude it is drawn at the origin's.
+            altitude = origin[2] if place.alt_geodetic_m is None else place.alt_geodetic_m - undulation
+            rows.setdefault(address, []).append((now, place.lat_deg, place.lon_deg, altitude))
     for address, found in rows.items():
         table = np.asarray(found)
         yield address, table[:, 0], to_ned(table[:, 1:], origin)
 
 
 def _undulation_m(record: AircraftRecord) -> float:
-    """Height of mean sea level above the ellipsoid where the aircraft flies; 0 where its GNSS does not say.
+    """How far mean sea level lies above the ellipsoid at the aircraft (m); 0 where its GNSS does not say.
 
     Reports carry ellipsoid altitudes and the frame is one of mean sea level.
     """
