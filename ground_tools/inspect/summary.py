@@ -36,7 +36,10 @@ def describe(run: Run) -> dict[str, Any]:
 
 def text(figures: dict[str, Any]) -> str:
     """The figures of `describe` as lines a person reads."""
-    lines = [f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}"]
+    lines = [
+        f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
+        "distances by the aircraft's own positions"
+    ]
     lines += [_aircraft_line(one) for one in figures["aircraft"]]
     lines += [_pair_line(pair) for pair in figures["separations"]]
     lines += [f"  problem: {problem}" for problem in figures["problems"]]
