@@ -1,0 +1,42 @@
+# make demo | test | lint | bench: each sets up what it needs in .venv first, by pip.
+
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test lint bench picture clean
+
+demo: .venv/base.stamp
+	$(BIN)/sitl-mocks demo
+
+test: .venv/dev.stamp
+	$(BIN)/pytest -n auto --dist loadfile
+
+lint: .venv/dev.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: .venv/dev.stamp
+	$(BIN)/python -m bench
+
+picture: .venv/dev.stamp
+	$(BIN)/sitl-mocks demo --runs runs/picture
+	$(BIN)/ground-tools picture "$$(ls -d runs/picture/* | tail -n 1)" --out docs/demo.png
+
+clean:
+	rm -rf .venv
+
+.venv/bin/python:
+	@echo "making a Python environment in .venv"
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed; name one with make PYTHON=...")'
+	$(PYTHON) -m venv .venv
+
+.venv/base.stamp: pyproject.toml | .venv/bin/python
+	@echo "installing dmuca into .venv (once; a minute or two)"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+.venv/dev.stamp: pyproject.toml | .venv/bin/python
+	@echo "installing dmuca with its test and inspection tools into .venv (once; a few minutes)"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,inspect]'
+	@touch .venv/base.stamp $@
