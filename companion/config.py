@@ -149,7 +149,7 @@ class TrajectoryFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Config(_Section, frozen=True):
-    """Everything. `path` holds the resolved trajectory; it is filled by `load`, not typed by a user."""
+    """Everything. `path` is the trajectory itself; `load` fills it from the file that flight.trajectory names."""
 
     identity: IdentityConfig
     vehicle: VehicleConfig = VehicleConfig()
@@ -170,18 +170,11 @@ def load(path: Path) -> Config:
         ConfigError: names the file, the key, what it holds and what is allowed.
     """
     config = decode_toml(path, Config)
-    if config.path is not None:
-        raise ConfigError(f"{path}: path: filled in by the program; name a file with flight.trajectory")
     trajectory = config.flight.trajectory
-    if trajectory is not None and trajectory != "mission":
+    if config.path is not None:
+        _check_times(config.path, f"{path}: path")
+    elif trajectory is not None and trajectory != "mission":
         config = msgspec.structs.replace(config, path=load_trajectory(path.parent / trajectory))
-    check(config, str(path))
-    return config
-
-
-def load_resolved(path: Path) -> Config:
-    """Read back a configuration written by `dump` (its trajectory stands inside)."""
-    config = decode_toml(path, Config)
     check(config, str(path))
     return config
 
@@ -193,16 +186,20 @@ def load_trajectory(path: Path) -> TrajectoryFile:
         ConfigError: names the file and the waypoint.
     """
     trajectory = decode_toml(path, TrajectoryFile)
-    for number, (a, b) in enumerate(itertools.pairwise(trajectory.waypoint), start=1):
-        if b.t_s <= a.t_s:
-            raise ConfigError(
-                f"{path}: waypoint[{number}].t_s: {b.t_s:g} s is not after the one before it ({a.t_s:g} s)"
-            )
+    _check_times(trajectory, str(path))
     return trajectory
 
 
+def _check_times(trajectory: TrajectoryFile, name: str) -> None:
+    for number, (a, b) in enumerate(itertools.pairwise(trajectory.waypoint), start=1):
+        if b.t_s <= a.t_s:
+            raise ConfigError(
+                f"{name}: waypoint[{number}].t_s: {b.t_s:g} s is not after the one before it ({a.t_s:g} s)"
+            )
+
+
 def dump(config: Config) -> bytes:
-    """The configuration as TOML; `load_resolved` reads it back equal."""
+    """The configuration as TOML that stands alone; `load` reads it back equal."""
     return tomli_w.dumps(without_none(msgspec.to_builtins(config))).encode()
 
 
@@ -213,6 +210,8 @@ def check(config: Config, name: str) -> None:
         ConfigError: names the keys.
     """
     flight, limits, radio = config.flight, config.limits, config.radio
+    if not (config.identity.uas_id.isascii() and config.identity.uas_id.isprintable()):
+        raise ConfigError(f"{name}: identity.uas_id: {config.identity.uas_id!r}: printable ASCII, up to 20")
     if flight.use == "fly" and flight.trajectory is None and config.path is None:
         raise ConfigError(f'{name}: flight.trajectory: missing; use = "fly" needs a file or "mission"')
     if flight.trajectory == "mission" and flight.mission_speed_mps is None:
@@ -275,7 +274,7 @@ def _explain(text: str, raw: object, kind: type) -> str:
         field = what.split("`")[1]
         full = f"{key}.{field}" if key else field
         names = (f.name for f in msgspec.structs.fields(_struct_at(kind, key)))
-        allowed = ", ".join(n for n in names if n != "path")
+        allowed = ", ".join(names)
         return f"{full}: unknown key; allowed here: {allowed}"
     if "missing required field" in what:
         field = what.split("`")[1]

@@ -49,7 +49,7 @@ _LATE_S = 0.5
 _HEALTHY_AFTER_S = 2.0
 _REFUSED_PAUSE_S = 8.0
 """After a refused mode change, before the vehicle is asked again."""
-_CLEAR_AFTER_S = 1.0
+_CLEAR_AFTER_S = 3.0
 _QUIET_LOG_S = 1.0
 """Decisions are logged at least this often; while avoiding or recovering each one is."""
 _ECHOES = 32

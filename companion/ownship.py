@@ -27,7 +27,8 @@ SIGMA_UNKNOWN_M = 5.0
 _HEARTBEAT_LOST_S = 3.0
 _GNSS_LOST_S = 3.0
 _CLOCK_DRIFT = 1e-3
-_CLOCK_JUMP_S = 1.0
+_CLOCK_JUMP_S = 5.0
+"""SYSTEM_TIME that reads late by more than this was not delayed: the vehicle's clock was set back."""
 
 
 @dataclass(slots=True)
@@ -48,6 +49,7 @@ class Ownship:
     """Where the aircraft was last seen on the ground."""
     separation_m: float | None = None
     """Geoid above the ellipsoid (m), from the GNSS receiver's two altitudes."""
+    _sample_ned_m: Vec3 = (0.0, 0.0, 0.0)
     frame: LocalFrame | None = None
     """Local NED: origin at the first position, altitude datum mean sea level; fixed for the flight."""
     utc_offset_s: float | None = None
@@ -87,13 +89,14 @@ class Ownship:
             self.takeoff = event
         if self.frame is None:
             self.frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
+        self._sample_ned_m = self.frame.to_ned(event.lat_deg, event.lon_deg, event.alt_msl_m)
 
     def _take_time(self, event: VehicleTime, now_s: float) -> None:
         if event.utc_s is None:
             return
         self.boot_to_utc_s = event.utc_s - event.time_boot_s
         offset = event.utc_s - now_s
-        if self.utc_offset_s is not None and abs(offset - self.utc_offset_s) < _CLOCK_JUMP_S:
+        if self.utc_offset_s is not None and offset > self.utc_offset_s - _CLOCK_JUMP_S:
             # Link delay only ever makes the offset read too small: keep the largest, less the clocks' drift.
             drift = _CLOCK_DRIFT * (now_s - self.utc_offset_at_s)
             offset = max(offset, self.utc_offset_s - drift)
@@ -128,10 +131,8 @@ class Ownship:
 
     def position_ned_m(self, now_s: float) -> Vec3:
         """Position at `now_s` in the local frame (m), carried on with the own velocity. Needs a position."""
-        assert self.position is not None
-        assert self.frame is not None
-        p = self.frame.to_ned(self.position.lat_deg, self.position.lon_deg, self.position.alt_msl_m)
-        age, v = now_s - self.sample_s(), self.velocity_ned_mps
+        p, v = self._sample_ned_m, self.velocity_ned_mps
+        age = now_s - self.sample_s()
         return p[0] + age * v[0], p[1] + age * v[1], p[2] + age * v[2]
 
     @property

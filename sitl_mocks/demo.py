@@ -90,16 +90,20 @@ class Verdict:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `sitl-mocks demo`."""
     parser.epilog = _EXAMPLE
-    parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: five aircraft, S2")
-    parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
-    parser.add_argument("--delay", type=float, nargs=2, metavar=("LOW", "HIGH"), help="message delay (s)")
-    parser.add_argument("--law", choices=("dmuca", "paper", "none"), help="avoidance law")
+    add_scenario_arguments(parser)
     seeds = parser.add_mutually_exclusive_group()
     seeds.add_argument("--seed", type=int, default=1, help="what chance draws from (default 1)")
     seeds.add_argument("--seeds", metavar="A-B", help="several seeds, on all cores, without a run folder")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder goes")
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each seed")
-    parser.set_defaults(run=run)
+
+
+def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that choose and change a scenario."""
+    parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: five aircraft, S2")
+    parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
+    parser.add_argument("--delay", type=float, nargs=2, metavar=("LOW", "HIGH"), help="message delay (s)")
+    parser.add_argument("--law", choices=("dmuca", "paper", "none"), help="avoidance law")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -108,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option or the scenario file is wrong.
     """
-    scenario = _scenario(arguments)
+    scenario = scenario_of(arguments)
     console = Console(stderr=arguments.json)
     seconds = warm_up()
     if seconds > 1.0:
@@ -133,8 +137,13 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if verdict.ok else 1
 
 
-def _scenario(arguments: argparse.Namespace) -> Scenario:
-    scenario = Scenario() if arguments.scenario is None else settings.load(arguments.scenario)
+def scenario_of(arguments: argparse.Namespace) -> Scenario:
+    """The scenario that the options name.
+
+    Raises:
+        ConfigError: an option or the scenario file is wrong.
+    """
+    scenario = settings.DEFAULT if arguments.scenario is None else settings.load(arguments.scenario)
     if arguments.aircraft is not None:
         if scenario.geometry is None:
             raise ConfigError("--aircraft: the scenario file gives the paths, and with them the number")

@@ -57,8 +57,8 @@ class PathSettings(_Section, frozen=True):
 class Scenario(_Section, frozen=True):
     """Everything that decides a run, but the seed's luck."""
 
-    geometry: Literal["S1", "S2", "S3"] | None = "S2"
-    """Drawn paths; None when `path` gives them."""
+    geometry: Literal["S1", "S2", "S3"] | None = None
+    """Drawn paths; without it `path` gives them."""
     aircraft: Annotated[int, Meta(ge=2, le=100)] = 5
     path: tuple[PathSettings, ...] = ()
     duration_s: Positive | None = None
@@ -67,6 +67,10 @@ class Scenario(_Section, frozen=True):
     air: AirSettings = AirSettings()
     limits: LimitsConfig = LimitsConfig()
     avoidance: AvoidanceConfig = AvoidanceConfig()
+
+
+DEFAULT = Scenario(geometry="S2")
+"""Five aircraft crossing in an 8 m ball."""
 
 
 def load(path: Path) -> Scenario:

@@ -1,0 +1,415 @@
+"""`sitl-mocks swarm`: an encounter in real time; every vehicle, every companion and the air is a process.
+
+MAVLink and the air's datagrams go over UDP on loopback. Positions come from the vehicles' own truth files, so
+that the verdict does not rest on what the companions believe.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from itertools import combinations
+from pathlib import Path
+from typing import IO
+
+import msgspec
+import numpy as np
+import tomli_w
+from rich.console import Console
+from rich.table import Table
+
+from companion import config as configuration
+from companion import record
+from companion.config import RadioConfig, RecordConfig, VehicleConfig, without_none
+from companion.errors import ConfigError
+from companion.events import RemoteIdHeard
+from companion.radio.frames_io import radio_address
+from companion.runtime.recorder import create_run_folder, write_json, write_manifest
+from sitl_mocks import demo
+from sitl_mocks.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
+from sitl_mocks.settings import Scenario
+
+_EXAMPLE = "example: sitl-mocks swarm --duration 120 --delay 0 1"
+START_S = 15.0
+"""From starting the processes to the paths' time 0: interpreters and kernels load on few cores."""
+_END_S = 15.0
+_GOOD_GAP_S = 0.1
+_WORST_GAP_S = 0.5
+_GOOD_SHARE = 0.999
+
+
+@dataclass(slots=True)
+class Process:
+    """One child and what it prints."""
+
+    name: str
+    child: subprocess.Popen[str]
+    log: Path
+    lines: list[str] = field(default_factory=list)
+
+    def expect(self, pattern: str) -> str:
+        """Read on until a line matches; returns its first group.
+
+        Raises:
+            ConfigError: the process ended before.
+        """
+        assert self.child.stdout is not None
+        for line in self.child.stdout:
+            self.lines.append(line.rstrip())
+            found = re.search(pattern, line)
+            if found:
+                return found.group(1) if found.groups() else found.group(0)
+        self.child.wait()
+        raise ConfigError(f"{self.name} ended with code {self.child.returncode}; see {self.log}")
+
+    def last_json(self) -> dict[str, object]:
+        """The JSON object on the last line; empty when there is none."""
+        assert self.child.stdout is not None
+        self.lines += [line.rstrip() for line in self.child.stdout]
+        try:
+            value = json.loads(self.lines[-1])
+        except (IndexError, ValueError):
+            return {}
+        return value if isinstance(value, dict) else {}
+
+
+class Swarm:
+    """The processes of one run. `close` ends whatever still runs."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.processes: list[Process] = []
+        self._logs: list[IO[str]] = []
+
+    def start(self, name: str, *arguments: str, piped: bool) -> Process:
+        """Start one of our commands; its errors (and its output, unless piped) go to NAME.log."""
+        path = self.folder / f"{name}.log"
+        log = path.open("w")
+        self._logs.append(log)
+        child = subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            stdout=subprocess.PIPE if piped else log,
+            stderr=log,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            # Ctrl-C is for us: the children are ended in order, companions first.
+            start_new_session=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+        process = Process(name, child, path)
+        self.processes.append(process)
+        return process
+
+    def end(self, processes: list[Process]) -> list[str]:
+        """Ask processes to end and wait; names of those that did not end well."""
+        for process in processes:
+            if process.child.poll() is None:
+                process.child.send_signal(signal.SIGINT)
+        bad = []
+        deadline = time.monotonic() + _END_S
+        for process in processes:
+            try:
+                code = process.child.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.child.kill()
+                code = process.child.wait()
+            if code != 0:
+                bad.append(f"{process.name} (exit code {code})")
+        return bad
+
+    def close(self) -> None:
+        """Kill what is left and close the logs."""
+        for process in self.processes:
+            if process.child.poll() is None:
+                process.child.kill()
+                process.child.wait()
+            if process.child.stdout is not None:
+                process.child.stdout.close()
+        for log in self._logs:
+            log.close()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `sitl-mocks swarm`."""
+    parser.epilog = _EXAMPLE
+    demo.add_scenario_arguments(parser)
+    parser.add_argument("--seed", type=int, default=1, help="what chance draws from (default 1)")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        default=120.0,
+        help="seconds flown around the middle of the paths (default 120)",
+    )
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder goes")
+    parser.add_argument("--json", action="store_true", help="print the verdict as one JSON object")
+
+
+def window(path: Points, duration_s: float) -> Points:
+    """The middle `duration_s` of a timed path, its clock beginning at 0; rows of time, north, east, down."""
+    start = max(0.0, 0.5 * (float(path[-1, 0]) - duration_s))
+    end = min(start + duration_s, float(path[-1, 0]))
+    inside = path[(path[:, 0] > start) & (path[:, 0] < end), 0]
+    times = np.concatenate([[start], inside, [end]])
+    columns = [np.interp(times, path[:, 0], path[:, k]) for k in (1, 2, 3)]
+    return np.column_stack([times - start, *columns])
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly in real time and judge. Returns 0 when all held, 1 when something did not.
+
+    Raises:
+        ConfigError: an option or the scenario is wrong, or a process could not start.
+    """
+    if not 10.0 <= arguments.duration <= 3600.0:
+        raise ConfigError(f"--duration: {arguments.duration:g}: allowed 10 to 3600")
+    scenario = demo.scenario_of(arguments)
+    console = Console(stderr=arguments.json)
+    folder = create_run_folder(arguments.runs, "swarm", time.time())
+    (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(scenario))))
+    names = names_of(scenario, arguments.seed)
+    write_manifest(
+        folder, "sitl-mocks swarm", seed=arguments.seed, aircraft=names, conflict_limit_m=_limit(scenario)
+    )
+    swarm = Swarm(folder)
+    try:
+        report = _fly(swarm, scenario, arguments, console)
+    finally:
+        swarm.close()
+    write_json(folder / "summary.json", report)
+    if arguments.json:
+        print(json.dumps(report))
+    else:
+        _show(report, console)
+    console.print(f"run folder: {folder}", soft_wrap=True)
+    console.print(f"look at it: ground-tools inspect {folder}/*-DMUCA*", soft_wrap=True)
+    return 0 if report["ok"] else 1
+
+
+def _limit(scenario: Scenario) -> float:
+    return 2.0 * scenario.avoidance.conflict_radius_m
+
+
+def _fly(
+    swarm: Swarm, scenario: Scenario, arguments: argparse.Namespace, console: Console
+) -> dict[str, object]:
+    paths = [window(p, arguments.duration) for p in paths_of(scenario, arguments.seed)]
+    names = names_of(scenario, arguments.seed)
+    air = scenario.air
+    ether_options = ["--delay", str(air.delay_s[0]), str(air.delay_s[1]), "--loss", str(air.loss)]
+    if air.range_m is not None:
+        ether_options += ["--range", str(air.range_m)]
+    ether = swarm.start(
+        "ether", "sitl_mocks.cli", "ether", "--listen", "127.0.0.1:0", "--seed", str(arguments.seed),
+        *ether_options, piped=True,
+    )  # fmt: skip
+    radio = "127.0.0.1:" + ether.expect(r"ether on .*:(\d+)")
+    vehicles = [_start_vehicle(swarm, scenario, n, name, paths[n]) for n, name in enumerate(names)]
+    ports = [vehicle.expect(r"link udpin:.*:(\d+)") for vehicle in vehicles]
+    start_utc_s = time.time() + START_S
+    companions = []
+    for name, path, port in zip(names, paths, ports, strict=True):
+        config = companion_config(scenario, name, path, None)
+        config = msgspec.structs.replace(
+            config,
+            vehicle=VehicleConfig(link=f"udpout:127.0.0.1:{port}"),
+            flight=msgspec.structs.replace(config.flight, start_utc_s=start_utc_s),
+            radio=RadioConfig(backend="ether", address=radio),
+            record=RecordConfig(folder=str(swarm.folder), name=name),
+        )
+        file = swarm.folder / f"{name}.toml"
+        file.write_bytes(configuration.dump(config))
+        companions.append(swarm.start(name, "companion.cli", "run", "--config", str(file), piped=False))
+    interrupted = _watch(swarm, start_utc_s, arguments.duration, console)
+    bad = swarm.end(companions) + swarm.end(vehicles) + swarm.end([ether])
+    return _report(swarm, scenario, names, vehicles, ether, bad, start_utc_s, interrupted=interrupted)
+
+
+def _start_vehicle(swarm: Swarm, scenario: Scenario, number: int, name: str, path: Points) -> Process:
+    options = vehicle_options(scenario, number, path)
+    north, east, down = options.start_position_ned_m
+    return swarm.start(
+        f"vehicle-{name}", "sitl_mocks.cli", "serve",
+        "--firmware", options.firmware.value, "--system-id", str(options.system_id),
+        "--link", "udpin:127.0.0.1:0", "--home", str(HOME.lat_deg), str(HOME.lon_deg), str(HOME.alt_m),
+        "--airborne", str(-down), "--start", str(north), str(east), "--seed", str(number),
+        "--gnss-sigma", str(options.gnss_horizontal_sigma_m), str(options.gnss_vertical_sigma_m),
+        str(options.gnss_velocity_sigma_mps), "--truth", str(swarm.folder / f"{name}.truth.csv"),
+        piped=True,
+    )  # fmt: skip
+
+
+def _watch(swarm: Swarm, start_utc_s: float, duration_s: float, console: Console) -> bool:
+    """Wait for the end; True when interrupted by Ctrl-C.
+
+    Raises:
+        ConfigError: a process ended by itself.
+    """
+    told_s = -1e9
+    try:
+        while (now_s := time.time() - start_utc_s) < duration_s:
+            for process in swarm.processes:
+                if process.child.poll() is not None:
+                    raise ConfigError(
+                        f"{process.name} ended with code {process.child.returncode}; see {process.log}"
+                    )
+            if now_s - told_s >= 10.0:
+                told_s = now_s
+                word = (
+                    f"starts in {-now_s:.0f} s" if now_s < 0 else f"{now_s:.0f} of {duration_s:.0f} s flown"
+                )
+                console.print(f"{len(swarm.processes)} processes; {word}")
+            time.sleep(0.2)
+    except KeyboardInterrupt:
+        console.print("stopping")
+        return True
+    return False
+
+
+# ---------------------------------------------------------------- what came of it
+
+
+def _report(
+    swarm: Swarm,
+    scenario: Scenario,
+    names: list[str],
+    vehicles: list[Process],
+    ether: Process,
+    bad: list[str],
+    start_utc_s: float,
+    *,
+    interrupted: bool,
+) -> dict[str, object]:
+    separation = _separations(swarm.folder, names, start_utc_s)
+    gaps = {name: _gaps(vehicle) for name, vehicle in zip(names, vehicles, strict=True)}
+    air = _air(swarm.folder, names, ether.last_json(), scenario.air.loss)
+    least = min((float(str(row["min_separation_m"])) for row in separation), default=None)
+    good_gaps = all(
+        g["share_under_100ms"] >= _GOOD_SHARE and g["largest_s"] <= _WORST_GAP_S for g in gaps.values()
+    )
+    ok = (
+        not bad
+        and not interrupted
+        and least is not None
+        and least > _limit(scenario)
+        and good_gaps
+        and all(row["ok"] for row in air)
+    )
+    return {
+        "ok": ok,
+        "interrupted": interrupted,
+        "ended_badly": bad,
+        "min_separation_m": least,
+        "separations": separation,
+        "setpoint_gaps": gaps,
+        "air": air,
+    }
+
+
+def _separations(folder: Path, names: list[str], start_utc_s: float) -> list[dict[str, object]]:
+    truth = {}
+    for name in names:
+        rows = np.loadtxt(folder / f"{name}.truth.csv", delimiter=",", skiprows=1, ndmin=2)
+        truth[name] = rows[rows[:, 0] >= start_utc_s]
+    found: list[dict[str, object]] = []
+    for a, b in combinations(names, 2):
+        first, second = truth[a], truth[b]
+        if not len(first) or not len(second):
+            continue
+        other = np.column_stack([np.interp(first[:, 0], second[:, 0], second[:, k]) for k in (1, 2, 3)])
+        distance = np.linalg.norm(first[:, 1:4] - other, axis=1)
+        at = int(np.argmin(distance))
+        found.append(
+            {
+                "pair": [a, b],
+                "min_separation_m": round(float(distance[at]), 3),
+                "at_s": round(float(first[at, 0]) - start_utc_s, 2),
+            }
+        )
+    return found
+
+
+def _gaps(vehicle: Process) -> dict[str, float]:
+    left = vehicle.last_json()
+    received = int(str(left.get("setpoints_received", 0)))
+    late = int(str(left.get("setpoint_gaps_over_100ms", 0)))
+    largest = float(str(left.get("largest_setpoint_gap_s", "inf")))
+    share = 0.0 if received < 2 else 1.0 - late / (received - 1)
+    return {"setpoints": received, "share_under_100ms": round(share, 6), "largest_s": largest}
+
+
+def _air(
+    folder: Path, names: list[str], statistics: dict[str, object], loss: float
+) -> list[dict[str, object]]:
+    """Sent by the air's count, heard by each companion's own record; per ordered pair."""
+    addresses = {radio_address(name): name for name in names}
+    pairs: dict[str, dict[str, int]] = statistics.get("pairs", {})  # type: ignore[assignment]
+    found: list[dict[str, object]] = []
+    for receiver in names:
+        heard = _heard(folder, receiver, addresses)
+        for sender in names:
+            row = pairs.get(f"{sender}>{receiver}")
+            if sender == receiver or row is None:
+                continue
+            count = row["sent"]
+            share = 1.0 - heard.get(sender, 0) / count if count else 1.0
+            # Three standard deviations of the channel's own luck, and two messages under way at the end.
+            allowed = loss + 3.0 * (loss * (1.0 - loss) / max(count, 1)) ** 0.5 + 3.0 / max(count, 1)
+            found.append(
+                {
+                    "sender": sender,
+                    "receiver": receiver,
+                    "sent": count,
+                    "heard": heard.get(sender, 0),
+                    "lost_share": round(share, 4),
+                    "ok": share <= allowed,
+                }
+            )
+    return found
+
+
+def _heard(folder: Path, receiver: str, addresses: dict[str, str]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for file in folder.glob(f"*-{receiver}/*.events"):
+        with file.open("rb") as stream:
+            for item in record.read(stream, str(file)):
+                if isinstance(item, record.Step):
+                    for event in item.events:
+                        if isinstance(event, RemoteIdHeard):
+                            name = addresses.get(event.address, event.address)
+                            counts[name] = counts.get(name, 0) + 1
+    return counts
+
+
+def _show(report: dict[str, object], console: Console) -> None:
+    pairs = Table(title="Least separation of each pair")
+    pairs.add_column("pair")
+    pairs.add_column("separation", justify="right")
+    pairs.add_column("at", justify="right")
+    for row in report["separations"]:  # type: ignore[attr-defined]
+        pairs.add_row(" - ".join(row["pair"]), f"{row['min_separation_m']:.2f} m", f"{row['at_s']} s")
+    console.print(pairs)
+    gaps = Table(title="Setpoints at the vehicle")
+    for name in ("aircraft", "received", "gaps under 100 ms", "largest gap"):
+        gaps.add_column(name, justify="left" if name == "aircraft" else "right")
+    for name, gap in report["setpoint_gaps"].items():  # type: ignore[attr-defined]
+        gaps.add_row(
+            name,
+            f"{gap['setpoints']}",
+            f"{100 * gap['share_under_100ms']:.2f} %",
+            f"{gap['largest_s']:.3f} s",
+        )
+    console.print(gaps)
+    lost = [row["lost_share"] for row in report["air"]]  # type: ignore[attr-defined]
+    if lost:
+        console.print(f"Remote ID: {len(lost)} pairs, largest share lost {100 * max(lost):.1f} %")
+    for name in report["ended_badly"]:  # type: ignore[attr-defined]
+        console.print(f"[red]did not end well:[/] {name}")
+    word = "[bold green]OK[/]" if report["ok"] else "[bold red]FAILED[/]"
+    console.print(f"{word}: least separation {report['min_separation_m']} m")

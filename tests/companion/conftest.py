@@ -1,0 +1,154 @@
+"""A vehicle made of events, to drive the heart without bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+import pytest
+
+from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, Waypoint
+from companion.core import Companion
+from companion.events import (
+    Command,
+    Event,
+    Firmware,
+    FlightMode,
+    GlobalPosition,
+    GnssFix,
+    Heartbeat,
+    Landed,
+    LandedState,
+    SetMode,
+    VehicleTime,
+    VelocitySetpoint,
+)
+
+UTC_AT_ZERO_S = 1_767_225_600.0
+LAT, LON, ALT_MSL = 47.397, 8.545, 450.0
+STEP_S = 0.05
+
+
+def straight_path(speed_mps: float = 3.0) -> TrajectoryFile:
+    """Due north from the vehicle's place, 400 s long."""
+    north_deg = 400.0 * speed_mps / 111_194.9
+    return TrajectoryFile(
+        altitude="msl",
+        waypoint=(
+            Waypoint(t_s=0.0, lat_deg=LAT, lon_deg=LON, alt_m=ALT_MSL),
+            Waypoint(t_s=400.0, lat_deg=LAT + north_deg, lon_deg=LON, alt_m=ALT_MSL),
+        ),
+    )
+
+
+def config(**flight: object) -> Config:
+    """A companion that flies the straight path; keywords replace [flight] keys."""
+    made = Config(identity=IdentityConfig(uas_id="OWN"), path=straight_path())
+    return msgspec.structs.replace(made, flight=FlightConfig(**{"use": "fly", **flight}))  # type: ignore[arg-type]
+
+
+@dataclass
+class Bench:
+    """Drives one heart; every attribute may be changed between steps."""
+
+    heart: Companion
+    now_s: float = 0.0
+    mode: FlightMode = FlightMode.HOLD
+    armed: bool = True
+    landed: Landed = Landed.IN_AIR
+    north_m: float = 0.0
+    east_m: float = 0.0
+    velocity_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    fix_type: int = 3
+    obeys: bool = True
+    """Follows SetMode."""
+    silent: bool = False
+    """Sends nothing."""
+    stuck_position: bool = False
+    """Heartbeats, but no position."""
+    extra: list[Event] = field(default_factory=list)
+    commands: list[Command] = field(default_factory=list)
+    """Of the last step."""
+    log: list[tuple[float, Command]] = field(default_factory=list)
+
+    def events(self) -> list[Event]:
+        if self.silent:
+            return []
+        found: list[Event] = [
+            Heartbeat(
+                system_id=1,
+                firmware=Firmware.ARDUPILOT,
+                vehicle_type=2,
+                custom_mode=0,
+                mode=self.mode,
+                armed=self.armed,
+            ),
+            LandedState(landed=self.landed),
+            GnssFix(
+                fix_type=self.fix_type,
+                lat_deg=LAT,
+                lon_deg=LON,
+                alt_msl_m=ALT_MSL,
+                alt_ellipsoid_m=ALT_MSL + 47.0,
+                horizontal_accuracy_m=1.0,
+            ),
+            VehicleTime(time_boot_s=self.now_s + 100.0, utc_s=UTC_AT_ZERO_S + self.now_s),
+        ]
+        if not self.stuck_position:
+            found.append(
+                GlobalPosition(
+                    time_boot_s=self.now_s + 100.0,
+                    lat_deg=LAT + self.north_m / 111_194.9,
+                    lon_deg=LON + self.east_m / 75_370.0,
+                    alt_msl_m=ALT_MSL,
+                    height_above_home_m=50.0,
+                    velocity_ned_mps=self.velocity_ned_mps,
+                )
+            )
+        return found
+
+    def step(self, count: int = 1, gap_s: float = STEP_S) -> list[Command]:
+        """Advance by `count` steps; returns all commands of them."""
+        all_commands: list[Command] = []
+        for _ in range(count):
+            self.now_s = round(self.now_s + gap_s, 6)
+            events = self.events() + self.extra
+            self.extra = []
+            self.commands = self.heart.step(self.now_s, events)
+            all_commands += self.commands
+            self.log += [(self.now_s, c) for c in self.commands]
+            for command in self.commands:
+                if isinstance(command, SetMode) and self.obeys:
+                    self.mode = command.mode
+        return all_commands
+
+    def until(self, done: Callable[[], bool], limit: int = 400) -> None:
+        """Step until `done`, or fail."""
+        for _ in range(limit):
+            if done():
+                return
+            self.step()
+        raise AssertionError(f"not reached in {limit} steps; state {self.heart.state}")
+
+    def setpoints(self, commands: Sequence[Command] | None = None) -> list[VelocitySetpoint]:
+        """Setpoints among commands (of the last step by default)."""
+        return [
+            c for c in (self.commands if commands is None else commands) if isinstance(c, VelocitySetpoint)
+        ]
+
+
+@pytest.fixture
+def make_bench() -> Callable[..., Bench]:
+    """Build a bench; keywords replace [flight] keys of the configuration."""
+
+    def build(**flight: object) -> Bench:
+        return Bench(Companion(config(**flight)))
+
+    return build
+
+
+@pytest.fixture
+def make_config() -> Callable[..., Config]:
+    """Build the configuration that `make_bench` uses."""
+    return config

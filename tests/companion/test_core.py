@@ -1,0 +1,287 @@
+"""The heart: who flies, when setpoints leave, what goes on the air."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.avoidance.authority import HOLDING, TRANSITIONS, State, Trigger, next_state
+from companion.events import (
+    AuthorityChanged,
+    Broadcast,
+    FlightMode,
+    Landed,
+    ModeRefused,
+    RemoteIdHeard,
+    SetMode,
+    VelocitySetpoint,
+)
+from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+
+UTC_IN_HOUR_S = 1_767_225_600.0 % 3600.0
+"""Of the bench's time 0."""
+
+
+def intruder(bench, north_m, speed_mps, *, uas_id="OTHER", east_m=0.0, timestamp_s=None):
+    """A head-on aircraft as heard: `north_m` ahead of the bench's origin, flying south."""
+    stamp = (UTC_IN_HOUR_S + bench.now_s) % 3600.0 if timestamp_s is None else timestamp_s
+    return RemoteIdHeard(
+        transport="wifi",
+        address=uas_id,
+        messages=(
+            BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id=uas_id),
+            Location(
+                status=Status.AIRBORNE,
+                lat_deg=47.397 + north_m / 111_194.9,
+                lon_deg=8.545 + east_m / 75_300.0,
+                alt_geodetic_m=497.0,
+                direction_deg=180.0,
+                speed_mps=speed_mps,
+                vertical_speed_mps=0.0,
+                horizontal_accuracy_m=3.0,
+                timestamp_s=round(math.floor(stamp * 10) / 10, 1),
+            ),
+        ),
+    )
+
+
+@pytest.fixture
+def flying(make_bench):
+    """A bench whose heart holds the vehicle and whose vehicle is in the external mode."""
+    bench = make_bench()
+    bench.until(lambda: bench.heart.state is State.GUARDING and bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    return bench
+
+
+def changes(commands):
+    return [c for c in commands if isinstance(c, AuthorityChanged)]
+
+
+def test_takes_a_ready_vehicle_streams_before_asking_and_flies_the_path(make_bench):
+    bench = make_bench()
+    bench.until(lambda: any(isinstance(c, SetMode) for _, c in bench.log))
+    first_mode = next(t for t, c in bench.log if isinstance(c, SetMode))
+    first_setpoint = next(t for t, c in bench.log if isinstance(c, VelocitySetpoint))
+    # PX4 enters OFFBOARD only while setpoints already stream.
+    assert first_mode - first_setpoint >= 0.4
+    bench.step(100)
+    north, east, down = bench.setpoints()[-1].velocity_ned_mps
+    assert north > 2.5
+    assert abs(east) < 0.1
+    assert abs(down) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "value"),
+    [
+        ("armed", False),
+        ("landed", Landed.ON_GROUND),
+        ("landed", Landed.TAKEOFF),
+        ("mode", FlightMode.OTHER),
+        ("fix_type", 2),
+        ("stuck_position", True),
+    ],
+)
+def test_a_vehicle_that_is_not_ready_is_not_taken(make_bench, change, value):
+    bench = make_bench()
+    setattr(bench, change, value)
+    commands = bench.step(100)
+    assert bench.heart.state is State.STANDBY
+    assert not bench.setpoints(commands)
+    assert not any(isinstance(c, SetMode) for c in commands)
+
+
+def test_watch_never_commands(make_bench):
+    bench = make_bench(use="watch")
+    commands = bench.step(200)
+    assert not bench.setpoints(commands)
+    assert not any(isinstance(c, SetMode) for c in commands)
+    assert any(isinstance(c, Broadcast) for c in commands)
+
+
+def test_the_pilot_wins_at_once_and_for_good(flying):
+    flying.mode = FlightMode.OTHER
+    assert not flying.setpoints(flying.step())
+    assert flying.heart.state is State.YIELDED
+    flying.mode = FlightMode.EXTERNAL
+    assert not flying.setpoints(flying.step(200))
+    assert flying.heart.state is State.YIELDED
+
+
+def test_the_pilot_who_lands_and_disarms_gives_authority_back(flying):
+    flying.mode = FlightMode.OTHER
+    flying.step(5)
+    flying.landed, flying.armed = Landed.ON_GROUND, False
+    flying.step(5)
+    assert flying.heart.state is State.STANDBY
+    flying.landed, flying.armed, flying.mode = Landed.IN_AIR, True, FlightMode.HOLD
+    flying.until(lambda: flying.heart.state is State.GUARDING)
+
+
+def test_rearm_by_mode_needs_the_pilot_to_select_the_external_mode(make_bench):
+    bench = make_bench(rearm="mode")
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    bench.mode = FlightMode.HOLD
+    bench.step(100)
+    assert bench.heart.state is State.YIELDED
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(2)
+    assert bench.heart.state in HOLDING
+
+
+def test_rearm_never_survives_a_landing(make_bench):
+    bench = make_bench(rearm="never")
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    bench.mode = FlightMode.HOLD
+    bench.step(5)
+    bench.armed = False
+    bench.step(5)
+    bench.armed = True
+    bench.step(100)
+    assert bench.heart.state is State.YIELDED
+
+
+@pytest.mark.parametrize(
+    ("change", "value", "within_s"),
+    [("stuck_position", True, 1.2), ("silent", True, 1.2), ("fix_type", 1, 0.1)],
+)
+def test_a_stale_own_state_ends_the_setpoints(flying, change, value, within_s):
+    setattr(flying, change, value)
+    flying.step(round(within_s / 0.05))
+    assert flying.heart.state is State.FAULT
+    assert not flying.setpoints(flying.step(100))
+
+
+def test_a_fault_that_has_gone_leads_through_standby(flying):
+    flying.stuck_position = True
+    flying.step(40)
+    flying.stuck_position = False
+    flying.until(lambda: flying.heart.state in HOLDING)
+    moves = [(c.previous, c.state) for c in changes([c for _, c in flying.log])]
+    assert moves[-3:] == [("guarding", "fault"), ("fault", "standby"), ("standby", "guarding")]
+
+
+def test_a_late_loop_commands_nothing_in_that_step(flying):
+    assert not flying.setpoints(flying.step(gap_s=0.8))
+    assert flying.heart.state is State.FAULT
+
+
+def test_a_vehicle_on_the_ground_is_released(flying):
+    flying.landed = Landed.ON_GROUND
+    assert not flying.setpoints(flying.step())
+    assert flying.heart.state is State.STANDBY
+
+
+def test_a_refused_mode_is_a_fault_and_is_asked_again_later(make_bench):
+    bench = make_bench()
+    bench.obeys = False
+    bench.until(lambda: any(isinstance(c, SetMode) for _, c in bench.log))
+    bench.extra = [ModeRefused(mode=FlightMode.EXTERNAL, reason="denied by the vehicle")]
+    bench.step()
+    assert bench.heart.state is State.FAULT
+    assert "denied" in changes([c for _, c in bench.log])[-1].reason
+    asked = sum(isinstance(c, SetMode) for c in bench.step(100))
+    assert asked == 0
+    bench.obeys = True
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+
+
+def test_head_on_traffic_is_avoided_then_the_path_is_regained(flying):
+    apart, position = [], 300.0
+    for tick in range(1600):
+        if tick % 20 == 0:
+            flying.extra.append(intruder(flying, position, 3.0))
+        flying.step()
+        velocity = flying.setpoints()[-1].velocity_ned_mps
+        flying.north_m += 0.05 * velocity[0]
+        flying.east_m += 0.05 * velocity[1]
+        flying.velocity_ned_mps = (velocity[0], velocity[1], 0.0)
+        position -= 0.05 * 3.0
+        apart.append(math.hypot(position - flying.north_m, flying.east_m))
+    states = [c.state for c in changes([c for _, c in flying.log])]
+    assert "avoiding" in states
+    assert min(apart) > 10.0
+    assert abs(flying.east_m) < 5.0
+    assert states[-1] == "guarding"
+
+
+def test_two_benches_with_the_same_events_command_the_same(make_bench):
+    a, b = make_bench(), make_bench()
+    for tick in range(300):
+        if tick % 20 == 0:
+            for bench in (a, b):
+                bench.extra.append(intruder(bench, 200.0 - 0.15 * tick, 3.0))
+        assert a.step() == b.step()
+
+
+def test_broadcast_rate_and_content(flying):
+    commands = flying.step(200)
+    broadcasts = [c for c in commands if isinstance(c, Broadcast)]
+    assert len(broadcasts) == 10
+    _, location, system = broadcasts[0].messages
+    assert location.alt_geodetic_m == pytest.approx(497.0)
+    assert location.height_m == pytest.approx(50.0)
+    assert location.timestamp_s == pytest.approx((UTC_IN_HOUR_S + flying.now_s) % 3600.0, abs=11.0)
+    assert system.operator_lat_deg is None
+
+
+def test_a_lost_own_position_is_broadcast_as_a_failure_not_as_silence(flying):
+    flying.stuck_position = True
+    flying.step(40)
+    broadcast = next(c for c in flying.step(40) if isinstance(c, Broadcast))
+    location = broadcast.messages[1]
+    assert location.status is Status.REMOTE_ID_SYSTEM_FAILURE
+    assert location.lat_deg is None
+
+
+def test_own_echo_is_not_traffic(flying):
+    broadcast = next(c for c in flying.step(40) if isinstance(c, Broadcast))
+    from companion.replay import on_air
+
+    messages = tuple(on_air(m) if isinstance(m, Location) else m for m in broadcast.messages)
+    flying.extra = [RemoteIdHeard(transport="wifi", address="02:00", messages=messages)]
+    flying.step()
+    assert not flying.heart.traffic.tracks
+    assert flying.heart.traffic.counts.own_echo == 1
+
+
+def test_time_running_backwards_is_our_bug(flying):
+    with pytest.raises(ValueError, match="after one at"):
+        flying.heart.step(flying.now_s - 1.0, [])
+
+
+# ---------------------------------------------------------------- the authority table
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("trigger", Trigger)
+def test_every_pair_of_state_and_trigger(state, trigger):
+    """What the table says is done; what it does not know changes nothing."""
+    expected = TRANSITIONS.get((state, trigger))
+    moved = next_state(state, frozenset({trigger}))
+    assert moved == (None if expected is None else (expected, trigger))
+
+
+def test_rules_of_the_table():
+    for state in HOLDING:
+        assert TRANSITIONS[state, Trigger.PILOT] is State.YIELDED
+        assert TRANSITIONS[state, Trigger.UNFIT] is State.FAULT
+        assert TRANSITIONS[state, Trigger.RELEASE] is State.STANDBY
+    assert {t for s, t in TRANSITIONS if s is State.YIELDED} == {Trigger.REARM}
+    assert {s for (s, _), to in TRANSITIONS.items() if to is State.GUARDING} == {
+        State.STANDBY,
+        State.RECOVERING,
+    }
+    assert all(
+        s in {State.GUARDING, State.RECOVERING} for (s, _), to in TRANSITIONS.items() if to is State.AVOIDING
+    )
+
+
+def test_the_pilot_is_judged_before_everything_else():
+    everything = frozenset(Trigger)
+    for state in HOLDING | {State.FAULT}:
+        assert next_state(state, everything) == (State.YIELDED, Trigger.PILOT)

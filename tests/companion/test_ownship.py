@@ -1,0 +1,73 @@
+"""Own state: clocks, freshness, what it refuses to be flown on."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.events import GlobalPosition, GnssFix, LocalPosition, VehicleTime
+from companion.ownship import Ownship
+
+
+def position(time_boot_s, lat_deg=47.0, velocity=(1.0, 0.0, 0.0)):
+    return GlobalPosition(
+        time_boot_s=time_boot_s,
+        lat_deg=lat_deg,
+        lon_deg=8.0,
+        alt_msl_m=450.0,
+        height_above_home_m=50.0,
+        velocity_ned_mps=velocity,
+    )
+
+
+def test_utc_is_unknown_until_the_vehicle_knows_it():
+    own = Ownship()
+    own.take(VehicleTime(time_boot_s=5.0, utc_s=None), 1.0)
+    assert own.utc_offset_s is None
+    own.take(VehicleTime(time_boot_s=6.0, utc_s=1000.0), 2.0)
+    assert own.utc_offset_s == 998.0
+
+
+def test_a_delayed_time_does_not_set_the_clock_back():
+    own = Ownship()
+    own.take(VehicleTime(time_boot_s=0.0, utc_s=1000.0), 10.0)
+    own.take(VehicleTime(time_boot_s=1.0, utc_s=1001.0), 11.8)
+    assert own.utc_offset_s == pytest.approx(990.0, abs=0.01)
+    own.take(VehicleTime(time_boot_s=2.0, utc_s=900.0), 12.0)
+    assert own.utc_offset_s == pytest.approx(888.0)
+
+
+def test_a_position_is_dated_by_the_autopilots_clock_not_by_its_arrival():
+    own = Ownship()
+    own.take(VehicleTime(time_boot_s=0.0, utc_s=1000.0), 10.0)
+    own.take(position(0.5), 10.9)
+    assert own.sample_s() == pytest.approx(10.5, abs=0.01)
+    assert own.age_s(11.0) == pytest.approx(0.5, abs=0.01)
+    assert own.position_ned_m(11.0)[0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_reboot_begins_a_new_clock():
+    own = Ownship()
+    own.take(VehicleTime(time_boot_s=500.0, utc_s=1000.0), 10.0)
+    own.take(LocalPosition(time_boot_s=500.0, position_ned_m=(0, 0, 0), velocity_ned_mps=(9.0, 0, 0)), 10.0)
+    own.take(position(500.0), 10.0)
+    own.take(position(1.0), 20.0)
+    assert own.velocity_ned_mps == (1.0, 0.0, 0.0)
+    assert own.age_s(20.1) == pytest.approx(0.1)
+
+
+def test_the_newer_velocity_counts():
+    own = Ownship()
+    own.take(position(1.0), 1.0)
+    own.take(LocalPosition(time_boot_s=1.1, position_ned_m=(0, 0, 0), velocity_ned_mps=(2.0, 0, 0)), 1.1)
+    assert own.velocity_ned_mps == (2.0, 0.0, 0.0)
+    own.take(LocalPosition(time_boot_s=0.9, position_ned_m=(0, 0, 0), velocity_ned_mps=(3.0, 0, 0)), 1.2)
+    assert own.velocity_ned_mps == (2.0, 0.0, 0.0)
+
+
+def test_geoid_separation_only_where_the_receiver_gives_both_altitudes():
+    own = Ownship()
+    fix = {"fix_type": 3, "lat_deg": 47.0, "lon_deg": 8.0, "alt_msl_m": 400.0}
+    own.take(GnssFix(**fix), 1.0)
+    assert own.separation_m is None
+    own.take(GnssFix(**fix, alt_ellipsoid_m=447.5), 2.0)
+    assert own.separation_m == 47.5

@@ -1,0 +1,203 @@
+"""Tracks: identity, age, plausibility, bounds."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.config import TrafficConfig
+from companion.events import RemoteIdHeard
+from companion.geometry import LocalFrame
+from companion.remote_id.messages import BasicId, IdType, Location, UaType
+from companion.traffic.tracks import SIGMA_UNKNOWN_M, Traffic
+
+FRAME = LocalFrame(47.397, 8.545, 400.0)
+SEPARATION_M = 47.0
+UTC_OFFSET_S = 1_767_225_600.0
+"""A full hour: a timestamp equals the time since then."""
+
+
+class Listener:
+    """A Traffic with the arguments that do not change."""
+
+    def __init__(self, utc_offset_s=UTC_OFFSET_S, separation_m=SEPARATION_M, **config):
+        self.traffic = Traffic(TrafficConfig(**config), "OWN")
+        self.utc_offset_s = utc_offset_s
+        self.separation_m = separation_m
+
+    def hear(self, now_s, *messages, address="a", transport="wifi", sent=frozenset()):
+        heard = RemoteIdHeard(transport=transport, address=address, messages=messages)
+        self.traffic.hear(heard, now_s, self.utc_offset_s, FRAME, self.separation_m, (0.0, 0.0, 0.0), sent)
+
+    @property
+    def tracks(self):
+        return self.traffic.tracks
+
+
+def basic(uas_id, id_type=IdType.SERIAL_NUMBER):
+    return BasicId(id_type=id_type, ua_type=UaType.AEROPLANE, uas_id=uas_id)
+
+
+def location(north_m=100.0, east_m=0.0, timestamp_s=10.0, speed_mps=5.0, direction_deg=90.0, **more):
+    lat, lon, _ = FRAME.to_geodetic(north_m, east_m, 0.0)
+    values = {"alt_geodetic_m": 447.0, "vertical_speed_mps": 1.0, "horizontal_accuracy_m": 3.0}
+    return Location(
+        lat_deg=lat,
+        lon_deg=lon,
+        timestamp_s=timestamp_s,
+        speed_mps=speed_mps,
+        direction_deg=direction_deg,
+        **{**values, **more},
+    )
+
+
+def test_position_velocity_accuracy_and_age():
+    listener = Listener()
+    listener.hear(10.7, basic("X"), location(timestamp_s=10.0))
+    (neighbour,) = listener.traffic.neighbours(11.0)
+    assert neighbour.track_id == "X"
+    assert neighbour.position_ned_m == pytest.approx((100.0, 0.0, 0.0), abs=0.01)
+    assert neighbour.velocity_ned_mps == pytest.approx((0.0, 5.0, -1.0), abs=1e-9)
+    assert neighbour.age_s == pytest.approx(1.0)
+    assert neighbour.sigma_m == 1.5
+    assert neighbour.vertical_known
+
+
+def test_age_across_the_full_hour():
+    listener = Listener()
+    listener.hear(3600.4, basic("X"), location(timestamp_s=3599.8))
+    assert listener.traffic.neighbours(3600.4)[0].age_s == pytest.approx(0.6)
+
+
+def test_an_older_message_that_comes_later_changes_nothing():
+    listener = Listener()
+    listener.hear(11.0, basic("X"), location(north_m=100.0, timestamp_s=10.5))
+    listener.hear(11.2, location(north_m=90.0, timestamp_s=9.5))
+    assert listener.tracks["X"].position_ned_m[0] == pytest.approx(100.0, abs=0.01)
+    assert listener.traffic.counts.old == 1
+
+
+def test_a_clock_that_leads_is_estimated_and_bounded():
+    listener = Listener(max_clock_offset_s=5.0)
+    for k in range(5):
+        # Sent with a clock 2 s ahead, delay 0.5 s: reads 1.5 s into the future.
+        listener.hear(10.0 + k, basic("X"), location(timestamp_s=11.5 + k))
+    assert listener.traffic.neighbours(14.0)[0].age_s == pytest.approx(0.0, abs=0.1)
+    listener.hear(15.0, basic("Y"), location(timestamp_s=30.0), address="b")
+    assert listener.traffic.counts.clock == 1
+    assert listener.tracks["Y"].sample_s == 15.0
+
+
+def test_without_utc_the_time_of_reception_counts():
+    listener = Listener(utc_offset_s=None)
+    listener.hear(10.0, basic("X"), location(timestamp_s=7.0))
+    assert listener.traffic.neighbours(10.5)[0].age_s == pytest.approx(0.5)
+
+
+def test_expiry():
+    listener = Listener(expire_after_s=15.0)
+    listener.hear(10.0, basic("X"), location(timestamp_s=10.0))
+    listener.traffic.expire(24.9)
+    assert "X" in listener.tracks
+    listener.traffic.expire(25.1)
+    assert not listener.tracks
+    listener.hear(30.0, location(timestamp_s=14.0))
+    assert not listener.tracks
+
+
+def test_identity_follows_the_address_and_renames_the_nameless_track():
+    listener = Listener()
+    listener.hear(10.0, location(timestamp_s=10.0), transport="ble4")
+    assert list(listener.tracks) == ["ble4/a"]
+    listener.hear(10.1, basic("X"), transport="ble4")
+    assert list(listener.tracks) == ["X"]
+    listener.hear(11.0, location(timestamp_s=11.0), transport="ble4")
+    assert list(listener.tracks) == ["X"]
+
+
+def test_one_aircraft_on_two_transports_is_one_track():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(timestamp_s=10.0), transport="wifi", address="w")
+    listener.hear(11.0, basic("X"), location(east_m=5.0, timestamp_s=11.0), transport="ble5", address="b")
+    assert list(listener.tracks) == ["X"]
+
+
+def test_a_copied_identity_hides_nobody():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(north_m=100.0, timestamp_s=10.0), address="a")
+    listener.hear(10.5, basic("X"), location(north_m=-900.0, timestamp_s=10.5), address="b")
+    assert len(listener.tracks) == 2
+    assert {round(t.position_ned_m[0]) for t in listener.tracks.values()} == {100, -900}
+
+
+def test_a_second_identity_of_one_address_does_not_rename_it():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), basic("REG", IdType.CAA_REGISTRATION), location(timestamp_s=10.0))
+    listener.hear(11.0, basic("REG", IdType.CAA_REGISTRATION), location(timestamp_s=11.0))
+    assert list(listener.tracks) == ["X"]
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        location(north_m=60_000.0),
+        location(speed_mps=130.0),
+    ],
+)
+def test_what_cannot_be_is_not_believed(bad):
+    listener = Listener()
+    listener.hear(10.0, basic("X"), bad)
+    assert not listener.tracks
+    assert listener.traffic.counts.implausible == 1
+
+
+def test_a_jump_is_not_believed_until_it_is_repeated():
+    listener = Listener(max_speed_mps=120.0)
+    listener.hear(10.0, basic("X"), location(north_m=100.0, timestamp_s=10.0))
+    for k, believed in ((1, False), (2, False), (3, True)):
+        listener.hear(10.0 + k, location(north_m=2000.0, timestamp_s=10.0 + k))
+        assert (listener.tracks["X"].position_ned_m[0] > 1000.0) is believed
+
+
+def test_no_position_no_track():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), Location(timestamp_s=10.0))
+    assert not listener.tracks
+    assert listener.traffic.counts.no_position == 1
+
+
+@pytest.mark.parametrize(("altitude", "separation"), [(None, SEPARATION_M), (447.0, None)])
+def test_height_is_unknown_when_either_side_lacks_it(altitude, separation):
+    listener = Listener(separation_m=separation)
+    listener.hear(10.0, basic("X"), location(alt_geodetic_m=altitude))
+    assert not listener.tracks["X"].vertical_known
+
+
+def test_undeclared_accuracy_and_velocity():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(speed_mps=None, horizontal_accuracy_m=None))
+    track = listener.tracks["X"]
+    assert track.sigma_m == SIGMA_UNKNOWN_M
+    assert track.velocity_ned_mps == (0.0, 0.0, 0.0)
+    listener.hear(12.0, location(east_m=8.0, timestamp_s=12.0, speed_mps=None))
+    assert track.velocity_ned_mps[:2] == pytest.approx((0.0, 4.0), abs=0.01)
+
+
+def test_a_flood_of_far_ghosts_does_not_push_out_the_near():
+    listener = Listener(max_tracks=10)
+    listener.hear(10.0, basic("NEAR"), location(north_m=50.0), address="near")
+    for k in range(500):
+        listener.hear(10.0, basic(f"G{k}"), location(north_m=5_000.0 + k), address=f"g{k}")
+    assert len(listener.tracks) == 10
+    assert "NEAR" in listener.tracks
+    listener.hear(10.0, basic("CLOSE"), location(north_m=60.0), address="close")
+    assert "CLOSE" in listener.tracks
+    assert len(listener.traffic._identity) <= 40
+
+
+def test_every_number_of_a_neighbour_is_finite():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(direction_deg=None, speed_mps=3.0))
+    (n,) = listener.traffic.neighbours(10.0)
+    assert all(map(math.isfinite, (*n.position_ned_m, *n.velocity_ned_mps, n.age_s, n.sigma_m)))
