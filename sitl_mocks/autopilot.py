@@ -70,6 +70,7 @@ class MockVehicle:
         """SET_POSITION_TARGET_LOCAL_NED addressed to this vehicle, flown or not."""
         self.largest_setpoint_gap_s = 0.0
         """Longest time between two of them."""
+        self.setpoint_gaps_over_100ms = 0
         self.reboots = 0
         self._manners = MANNERS[options.firmware]
         self._last_setpoint_s: float | None = None
@@ -314,7 +315,9 @@ class MockVehicle:
     def _take_setpoint(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         self.setpoints_received += 1
         if self._last_setpoint_s is not None:
-            self.largest_setpoint_gap_s = max(self.largest_setpoint_gap_s, now_s - self._last_setpoint_s)
+            gap_s = now_s - self._last_setpoint_s
+            self.largest_setpoint_gap_s = max(self.largest_setpoint_gap_s, gap_s)
+            self.setpoint_gaps_over_100ms += gap_s > 0.1
         self._last_setpoint_s = now_s
         setpoint = interpret(message, self._manners, self.position_ned_m, self.yaw_rad)
         if setpoint is not None:

@@ -12,7 +12,8 @@ import json
 import selectors
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FrameType
 
 import numpy
@@ -24,6 +25,7 @@ from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions
 from sitl_mocks.vehicle_ports import Airframe, Port, open_port
 
+_TRUTH_PERIOD_S = 0.1
 _EXAMPLE = """examples:
   sitl-mocks serve --firmware px4 --link udpout:127.0.0.1:14540
   sitl-mocks serve --link tcpin:127.0.0.1:5760 --link udpin:127.0.0.1:0 --airborne 50 --gnss-sigma 1.5 2.5 0.1
@@ -121,6 +123,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="navigation errors: horizontal and vertical (m), speed (m/s)")  # fmt: skip
     add("--no-rc", action="store_true", help="no pilot's radio: ArduPilot's LOITER descends")
     add("--seed", type=int, default=0, help="seed of the navigation errors")
+    add("--truth", type=Path, metavar="FILE", help="write the true positions here (CSV, ten a second)")
 
 
 def options_of(args: argparse.Namespace) -> VehicleOptions:
@@ -161,12 +164,39 @@ def run(args: argparse.Namespace) -> int:
                 print(f"link {name}", flush=True)
             print("ready", flush=True)
             start_s = time.monotonic()
-            while not ended:
-                now_s = time.monotonic() - start_s
-                server.wait(server.vehicle.now_s + STEP_S - now_s)
-                server.turn(time.monotonic() - start_s)
+            with _truth(args.truth) as truth:
+                while not ended:
+                    now_s = time.monotonic() - start_s
+                    server.wait(server.vehicle.now_s + STEP_S - now_s)
+                    server.turn(time.monotonic() - start_s)
+                    truth(server.vehicle)
             print(json.dumps(_left(server.vehicle)), flush=True)
     return 0
+
+
+@contextlib.contextmanager
+def _truth(path: Path | None) -> Iterator[Callable[[MockVehicle], None]]:
+    """A function that notes a vehicle's true position ten times a second: UTC (s), north, east, down (m)."""
+    if path is None:
+        yield lambda vehicle: None
+        return
+    try:
+        file = path.open("w")
+    except OSError as error:
+        raise ConfigError(f"--truth: {path}: cannot be written: {error.strerror}") from error
+    with file:
+        file.write("utc_s,north_m,east_m,down_m\n")
+        noted_s = -1.0
+
+        def note(vehicle: MockVehicle) -> None:
+            nonlocal noted_s
+            if vehicle.now_s - noted_s >= _TRUTH_PERIOD_S:
+                noted_s = vehicle.now_s
+                utc_s = (vehicle.options.utc_at_zero_s or 0.0) + vehicle.now_s
+                north, east, down = vehicle.position_ned_m
+                file.write(f"{utc_s:.3f},{north:.3f},{east:.3f},{down:.3f}\n")
+
+        yield note
 
 
 def _left(vehicle: MockVehicle) -> dict[str, object]:
@@ -177,6 +207,7 @@ def _left(vehicle: MockVehicle) -> dict[str, object]:
         "armed": vehicle.armed,
         "setpoints_received": vehicle.setpoints_received,
         "largest_setpoint_gap_s": round(vehicle.largest_setpoint_gap_s, 3),
+        "setpoint_gaps_over_100ms": vehicle.setpoint_gaps_over_100ms,
     }
 
 

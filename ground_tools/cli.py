@@ -1,0 +1,57 @@
+"""The `ground-tools` command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from companion import __version__
+from companion.errors import ConfigError, PeerDataError
+from ground_tools import orca_check
+from ground_tools.inspect import command as inspect_command
+from ground_tools.inspect import picture
+
+_EXAMPLES = """examples:
+  ground-tools inspect runs/20260101T000000Z-demo
+  ground-tools picture runs/20260101T000000Z-demo --out demo.png
+  ground-tools orca check cases.json
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
+    parser = argparse.ArgumentParser(
+        prog="ground-tools",
+        description="Desk tools: look at runs, check the law against an oracle.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"dmuca {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, module, words in (
+        ("inspect", inspect_command, "a run folder as a Rerun recording, or its summary"),
+        ("picture", picture, "a run folder as one PNG"),
+    ):
+        command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    orca = commands.add_parser("orca", help="the avoidance kernels")
+    check = orca.add_subparsers(title="commands", required=True, metavar="COMMAND").add_parser(
+        "check", help="compare with an oracle's answers"
+    )
+    orca_check.add_arguments(check)
+    check.set_defaults(run=orca_check.run)
+    arguments = parser.parse_args(argv)
+    try:
+        code: int = arguments.run(arguments)
+    except (ConfigError, PeerDataError) as error:
+        print(f"ground-tools: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
