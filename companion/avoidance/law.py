@@ -159,8 +159,12 @@ class _Common:
 
     def __init__(self, avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> None:
         self._avoidance = avoidance
-        self._limits = limits
         self._trajectory = trajectory
+        # Plain floats: a whole number in the limits would compile a kernel anew, in flight.
+        self._speed = float(limits.max_speed_mps)
+        self._climb = min(float(limits.max_climb_mps), self._speed)
+        self._descent = min(float(limits.max_descent_mps), self._speed)
+        self._acceleration = float(limits.max_acceleration_mps2)
         self._settings = self._make_settings()
         self._history = _History()
         self._own = np.zeros(k.OWN_ENTRIES)
@@ -187,7 +191,7 @@ class _Common:
         settings[k.S_OVERLAP] = OVERLAP_S
         settings[k.S_LOOK] = LOOK_S
         settings[k.S_RIGHT] = KEEP_RIGHT_RAD
-        settings[k.S_SPEED] = self._limits.max_speed_mps
+        settings[k.S_SPEED] = self._speed
         return settings
 
     def _room(self, count: int) -> None:
@@ -208,10 +212,11 @@ class _Common:
             ],
             dtype=np.float64,
         )
-        good = (np.abs(rows) < _BELIEVABLE).all(axis=1)  # False for NaN too
+        good = np.abs(rows) < _BELIEVABLE  # False for NaN too
         if not good.all():
-            rows = rows[good]
-            usable = [usable[i] for i in np.flatnonzero(good)]
+            kept = good.all(axis=1)
+            rows = rows[kept]
+            usable = [usable[i] for i in np.flatnonzero(kept)]
         if len(usable) > len(self._neighbours):
             self._room(2 * len(usable))
         self._neighbours[: len(usable)] = rows
@@ -219,21 +224,34 @@ class _Common:
 
     def _begin(self, s: Situation) -> tuple[float, float]:
         """Check the own state, note it; the least and the greatest down speed."""
-        if not all(
-            map(math.isfinite, (s.now_s, s.path_time_s, s.sigma_m, *s.position_ned_m, *s.velocity_ned_mps))
-        ):
-            raise ValueError(f"own state is not finite: {s}")
+        state = (*s.position_ned_m, *s.velocity_ned_mps, s.sigma_m)
+        if not (math.isfinite(s.now_s) and math.isfinite(s.path_time_s)):
+            raise ValueError(f"time is not finite: now {s.now_s} s, path {s.path_time_s} s")
+        if not all(-_BELIEVABLE < x < _BELIEVABLE for x in state):  # NaN fails too
+            raise ValueError(f"own state is not a finite place and velocity: {state}")
         self._history.note(s.now_s, s.velocity_ned_mps)
-        least, most = _down_speeds(s, self._limits)
-        own = self._own
-        own[k.O_POSITION : k.O_POSITION + 3] = s.position_ned_m
-        own[k.O_LEAST_DOWN], own[k.O_MOST_DOWN] = least, most
-        own[k.O_SIGMA], own[k.O_NOW] = s.sigma_m, s.now_s
+        return self._down_speeds(s)
+
+    def _down_speeds(self, s: Situation) -> tuple[float, float]:
+        """Climb, descent, and what still stops before floor and ceiling."""
+        least, most = -self._climb, self._descent
+        floor, ceiling, down = s.floor_down_m, s.ceiling_down_m, s.position_ned_m[2]
+        if floor is not None:
+            if not math.isfinite(floor) or (ceiling is not None and ceiling >= floor):
+                raise ValueError(f"floor (down {floor} m) must be finite and below the ceiling ({ceiling} m)")
+            most = min(max(_closing(floor - down, self._acceleration), least), most)
+        if ceiling is not None:
+            if not math.isfinite(ceiling):
+                raise ValueError(f"ceiling (down {ceiling} m) is not finite")
+            least = min(max(-_closing(down - ceiling, self._acceleration), -self._climb), self._descent)
         return least, most
 
-    def _avoid(self, wish: Vec3, usable: list[Neighbour]) -> tuple[bool, bool, tuple[TrackView, ...]]:
-        """Run the kernel; its velocity is left in `_out`."""
-        self._own[k.O_PREFERRED : k.O_PREFERRED + 3] = wish
+    def _avoid(
+        self, s: Situation, wish: Vec3, least: float, most: float
+    ) -> tuple[bool, bool, tuple[TrackView, ...]]:
+        """Run the kernel: whether feasible, whether in conflict, the tracks; its velocity is in `_out`."""
+        usable = self._take(s.neighbours)
+        self._own[:] = (*s.position_ned_m, *wish, least, most, s.sigma_m, s.now_s)
         history = self._history
         feasible, conflict = k.decide(
             self._neighbours,
@@ -249,20 +267,18 @@ class _Common:
             self._out,
         )
         view = self._view[: len(usable)].tolist()
-        return feasible, conflict, tuple(_track(n, v) for n, v in zip(usable, view, strict=True))
+        return feasible, conflict, tuple(map(_track, usable, view))
 
     def _limited(self, s: Situation, least: float, most: float) -> Vec3:
         """The velocity in `_out` within every limit, seen from the last command; becomes the last command."""
-        limits, period = self._limits, self._avoidance.period_s
-        speed = limits.max_speed_mps
+        period = float(self._avoidance.period_s)
         dt = period if self._commanded_s is None else s.now_s - self._commanded_s
         if self._commanded_s is None or dt > max(_RESTART_S, 5.0 * period):
             n, e, d = s.velocity_ned_mps
-            d = min(max(d, -limits.max_climb_mps), limits.max_descent_mps)
-            self._previous[:] = _clipped((n, e, d), speed)
+            self._previous[:] = _clipped((n, e, min(max(d, -self._climb), self._descent)), self._speed)
             dt = period
-        change = limits.max_acceleration_mps2 * max(dt, 0.0)
-        chosen: Vec3 = k.limit(self._out, self._previous, change, least, most, speed)
+        change = self._acceleration * max(float(dt), 0.0)
+        chosen: Vec3 = k.limit(self._out, self._previous, change, least, most, self._speed)
         self._previous[:] = chosen
         self._commanded_s = s.now_s
         return chosen
@@ -273,7 +289,7 @@ class _Common:
         target, velocity = path.position(s.path_time_s), path.velocity(s.path_time_s)
         gain = 1.0 / self._avoidance.recovery_time_s
         n, e, d = (v + gain * (p - q) for v, p, q in zip(velocity, target, s.position_ned_m, strict=True))
-        return _clipped((n, e, min(max(d, least), most)), self._limits.max_speed_mps)
+        return _clipped((n, e, min(max(d, least), most)), self._speed)
 
     def _off_path(self, s: Situation) -> bool:
         target = self._trajectory.position(s.path_time_s)
@@ -287,7 +303,7 @@ class DmucaLaw(_Common):
         """One decision. Raises ValueError as `Law.decide` says."""
         least, most = self._begin(situation)
         wanted = self._preferred(situation, least, most)
-        feasible, conflict, tracks = self._avoid(wanted, self._take(situation.neighbours))
+        feasible, conflict, tracks = self._avoid(situation, wanted, least, most)
         chosen = self._limited(situation, least, most)
         recovering = not conflict and self._off_path(situation)
         return LawResult(wanted, chosen, feasible, conflict, recovering, tracks)
@@ -300,7 +316,7 @@ class NoAvoidance(_Common):
         """One decision. Raises ValueError as `Law.decide` says."""
         least, most = self._begin(situation)
         wanted = self._preferred(situation, least, most)
-        _, conflict, tracks = self._avoid(wanted, self._take(situation.neighbours))
+        _, conflict, tracks = self._avoid(situation, wanted, least, most)
         self._out[:] = wanted
         chosen = self._limited(situation, least, most)
         return LawResult(wanted, chosen, True, conflict, self._off_path(situation), tracks)
@@ -323,18 +339,17 @@ class PaperLaw(_Common):
         settings[k.S_VERTICAL] = 1.0
         settings[k.S_HORIZON] = settings[k.S_LOOK] = self._avoidance.horizon_s
         settings[k.S_OVERLAP] = self._avoidance.period_s
-        settings[k.S_SPEED] = self._limits.max_speed_mps
+        settings[k.S_SPEED] = self._speed
         return settings
 
     def decide(self, situation: Situation) -> LawResult:
         """One decision. Raises ValueError as `Law.decide` says."""
         least, most = self._begin(situation)
-        usable = self._take(situation.neighbours)
         # The current velocity is both what is tested for conflict and what is to be kept.
         wanted = situation.velocity_ned_mps
         self._history.count = 0
         self._history.note(situation.now_s, wanted)
-        feasible, conflict, tracks = self._avoid(wanted, usable)
+        feasible, conflict, tracks = self._avoid(situation, wanted, least, most)
         self._quiet_cycles = 0 if conflict else self._quiet_cycles + 1
         recovering = self._quiet_cycles >= self._avoidance.n_noncollide
         if recovering:
@@ -352,7 +367,7 @@ class PaperLaw(_Common):
         else:
             target, within = self._trajectory.position(t), self._avoidance.recovery_time_s
         gap = math.dist(target, s.position_ned_m)
-        speed = self._limits.max_speed_mps
+        speed = self._speed
         if gap > speed * within:
             self._trajectory = self._trajectory.delayed(gap / speed - within)
             within = gap / speed
@@ -378,30 +393,6 @@ def _clipped(v: Vec3, speed: float) -> Vec3:
     if length <= speed:
         return v
     return (v[0] * speed / length, v[1] * speed / length, v[2] * speed / length)
-
-
-def _down_speeds(s: Situation, limits: LimitsConfig) -> tuple[float, float]:
-    """Least and greatest down speed: climb, descent, and what still stops before floor and ceiling.
-
-    Raises:
-        ValueError: a boundary is not finite, or the ceiling lies below the floor.
-    """
-    least, most = (
-        -min(limits.max_climb_mps, limits.max_speed_mps),
-        min(limits.max_descent_mps, limits.max_speed_mps),
-    )
-    floor, ceiling = s.floor_down_m, s.ceiling_down_m
-    down = s.position_ned_m[2]
-    if not all(map(math.isfinite, (floor or 0.0, ceiling or 0.0))):
-        raise ValueError(f"floor {floor} or ceiling {ceiling} is not finite")
-    if floor is not None and ceiling is not None and ceiling >= floor:
-        raise ValueError(f"the ceiling (down {ceiling:g} m) lies below the floor (down {floor:g} m)")
-    highest, lowest = least, most
-    if floor is not None:
-        most = min(max(_closing(floor - down, limits.max_acceleration_mps2), highest), lowest)
-    if ceiling is not None:
-        least = min(max(-_closing(down - ceiling, limits.max_acceleration_mps2), highest), lowest)
-    return least, most
 
 
 def _closing(room_m: float, acceleration: float) -> float:

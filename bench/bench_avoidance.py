@@ -1,0 +1,118 @@
+"""What a decision costs: `python bench/bench_avoidance.py` prints two tables.
+
+The first is one aircraft's whole `decide()` from Python (table of neighbours, kernel, report of every track).
+The second is the kernel alone (half-spaces and programs) in a compiled loop, beside RVO2-3D in C++ (-O3,
+float32, one thread); those figures were measured elsewhere, on another machine, and are quoted.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+
+import numpy as np
+from numba import njit
+
+from companion.avoidance import kernels
+from companion.avoidance.law import Neighbour, Situation, make_law
+from companion.avoidance.trajectory import Trajectory
+from companion.config import AvoidanceConfig, LimitsConfig
+
+COUNTS = (1, 5, 10, 20, 50, 100)
+REFERENCE_US = {
+    "sparse": {1: 0.085, 5: 0.36, 10: 0.69, 20: 1.4, 50: 3.4, 100: 10.5},
+    "dense": {10: 1.3, 20: 1.9, 50: 7.0, 100: 9.6},
+}
+SPREAD_M = {"sparse": 300.0, "dense": 60.0}
+SCENES, REPEATS = 200, 50
+
+
+def scene(count: int, spread_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Relative positions (m) and velocities (m/s) of neighbours, shape (count, 3) each; none overlaps."""
+    direction = rng.normal(size=(count, 3)) * [1.0, 1.0, 0.3]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    distance = rng.uniform(12.0, spread_m, (count, 1))
+    return direction * distance, rng.normal(0.0, 2.0, (count, 3))
+
+
+def time_decide(count: int, rng: np.random.Generator) -> tuple[float, float]:
+    """Median and 99th percentile (us) of `decide()`."""
+    path = Trajectory([0.0, 1000.0], [(0.0, 0.0, -50.0), (2000.0, 0.0, -50.0)])
+    took = []
+    for _ in range(10):
+        law = make_law(AvoidanceConfig(), LimitsConfig(), path)
+        positions, velocities = scene(count, SPREAD_M["sparse"], rng)
+        others = [
+            Neighbour(f"uas-{i}", (p[0], p[1], p[2] - 50.0), (v[0], v[1], v[2]), 0.5, 1.5)
+            for i, (p, v) in enumerate(zip(positions.tolist(), velocities.tolist(), strict=True))
+        ]
+        for step in range(200):
+            t = 0.2 * step
+            own = Situation(t, t, (2.0 * t, 0.0, -50.0), (2.0, 0.0, 0.0), 1.5, others, -20.0, -100.0)
+            began = time.perf_counter()
+            law.decide(own)
+            took.append(time.perf_counter() - began)
+    return statistics.median(took) * 1e6, float(np.percentile(took, 99)) * 1e6
+
+
+@njit(error_model="numpy")
+def _repeat(
+    positions: np.ndarray,
+    velocities: np.ndarray,
+    planes: np.ndarray,
+    scratch: np.ndarray,
+    own: np.ndarray,
+    out: np.ndarray,
+    repeats: int,
+) -> float:
+    """Plain ORCA for one aircraft, `repeats` times."""
+    total = 0.0
+    count = positions.shape[0]
+    for repeat in range(repeats):
+        own[0] = 2.0 + 1e-9 * repeat  # so that nothing is taken out of the loop
+        for j in range(count):
+            px, py, pz = positions[j, 0], positions[j, 1], positions[j, 2]
+            vx, vy, vz = own[0] - velocities[j, 0], own[1] - velocities[j, 1], own[2] - velocities[j, 2]
+            nx, ny, nz, s = kernels.half_space(px, py, pz, vx, vy, vz, 10.0, 20.0, 0.2)
+            planes[j, 0], planes[j, 1], planes[j, 2] = nx, ny, nz
+            planes[j, 3] = nx * own[0] + ny * own[1] + nz * own[2] + 0.5 * s
+        kernels.solve(planes, 0, count, 5.0, own, scratch, out)
+        total += out[0]
+    return total
+
+
+def time_kernel(count: int, spread_m: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Median (us) over scenes of planes and programs, and the share of scenes without a solution."""
+    planes, scratch = np.zeros((count, 4)), np.zeros((count, 4))
+    own, out, took, infeasible = np.array([2.0, 0.0, 0.0]), np.zeros(3), [], 0
+    for _ in range(SCENES):
+        positions, velocities = scene(count, spread_m, rng)
+        _repeat(positions, velocities, planes, scratch, own, out, 1)
+        began = time.perf_counter()
+        _repeat(positions, velocities, planes, scratch, own, out, REPEATS)
+        took.append((time.perf_counter() - began) / REPEATS)
+        infeasible += bool((planes[:, 3] - planes[:, :3] @ out).max() > 1e-6)
+    return statistics.median(took) * 1e6, infeasible / SCENES
+
+
+def main() -> None:
+    """Print the tables."""
+    rng = np.random.default_rng(1)
+    print(f"warm-up {kernels.warm_up():.2f} s (compiled before: from the cache)\n")
+    print("decide() from Python, us")
+    print("neighbours   median      p99")
+    for count in COUNTS:
+        median, p99 = time_decide(count, rng)
+        print(f"{count:10d} {median:8.1f} {p99:8.1f}")
+    print("\nplanes and programs, float64, us (median); RVO2-3D: C++ -O3, float32, quoted, another machine")
+    print("scene   neighbours     here  infeasible  RVO2-3D    ratio")
+    for name, reference in REFERENCE_US.items():
+        for count, quoted in reference.items():
+            median, infeasible = time_kernel(count, SPREAD_M[name], rng)
+            print(
+                f"{name:7s} {count:10d} {median:8.3f} {infeasible:10.0%} {quoted:8.3f} {median / quoted:8.2f}"
+            )
+
+
+if __name__ == "__main__":
+    main()
