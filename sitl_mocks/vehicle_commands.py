@@ -26,7 +26,6 @@ _WARNING = int(mavlink.MAV_SEVERITY_WARNING)
 _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 _CUSTOM = int(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _REBOOT_AUTOPILOT = 1
-_DEFAULT_TAKEOFF_M = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +129,6 @@ class CommandDesk:
         altitude = command.params[6]
         if self._manners.takeoff_altitude_is_amsl:
             altitude -= self._home_alt_msl_m
-            if math.isnan(altitude):
-                altitude = _DEFAULT_TAKEOFF_M - self._flight.body.down
         refusal = self._flight.take_off(altitude)
         return ACCEPTED if refusal is None else self._manners.failure_result
 

@@ -149,7 +149,9 @@ class Flight:
         return None
 
     def take_off(self, height_m: float) -> str | None:
-        """Climb to a height over home (m); return None, or why not."""
+        """Climb to a height over home (m; NaN: the firmware's own climb); return None, or why not."""
+        if math.isnan(height_m):
+            height_m = self._default_takeoff_m()
         if not math.isfinite(height_m):
             return "Takeoff altitude is not a number"
         if self._manners.takeoff_in_external:
@@ -299,7 +301,11 @@ class Flight:
         elif mode is VehicleMode.MISSION:
             self.runner.resume()
         elif mode is VehicleMode.TAKEOFF:
-            self._takeoff_down = min(self.body.down, 0.0) - 2.5
+            self._takeoff_down = -self._default_takeoff_m()
+
+    def _default_takeoff_m(self) -> float:
+        name = self._manners.takeoff_param
+        return math.nan if name is None else self._params.get(name) - self.body.down
 
     # ------------------------------------------------------------ modes
 

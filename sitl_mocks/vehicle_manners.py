@@ -81,6 +81,8 @@ class Manners:
     # take-off
     takeoff_in_external: bool
     takeoff_altitude_is_amsl: bool
+    takeoff_param: str | None
+    """Holds the height (m) of a take-off whose command names none; None: such a command is refused."""
     spin_up_s: float
     takeoff_speed_mps: float
     # setpoints
@@ -228,6 +230,7 @@ ARDUPILOT = Manners(
     disarm_preflight_s=None,
     takeoff_in_external=True,
     takeoff_altitude_is_amsl=False,
+    takeoff_param=None,
     spin_up_s=4.0,
     takeoff_speed_mps=2.5,
     setpoint_frames=frozenset({1, 7, 8, 9}),
@@ -329,6 +332,7 @@ PX4 = Manners(
     disarm_preflight_s=10.0,
     takeoff_in_external=False,
     takeoff_altitude_is_amsl=True,
+    takeoff_param="MIS_TAKEOFF_ALT",
     spin_up_s=4.5,
     takeoff_speed_mps=2.3,
     setpoint_frames=frozenset({1, 8}),

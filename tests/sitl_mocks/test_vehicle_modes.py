@@ -166,6 +166,18 @@ def test_spin_up_keeps_it_on_the_ground(bench, firmware):
     assert b.vehicle.landed is Landed.TAKEOFF
 
 
+def test_px4_take_off_without_an_altitude_takes_the_parameters(bench):
+    b = bench(PX4)
+    b.send(mavlink.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 6.0, 9))
+    _up(b, math.nan)
+    b.run(15.0)
+    assert b.vehicle.position_ned_m[2] == pytest.approx(-6.0, abs=0.5)
+
+
+def test_ardupilot_take_off_without_an_altitude_is_refused(bench):
+    assert _up(bench(AP), math.nan) == [4]
+
+
 def test_ardupilot_velocity_setpoint_after_lift_off_cancels_the_take_off(bench):
     b = bench(AP)
     _up(b)

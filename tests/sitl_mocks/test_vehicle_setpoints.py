@@ -1,4 +1,4 @@
-"""Velocity setpoints: what each firmware flies, ignores and stops at, and what it does when they stop coming."""
+"""Velocity setpoints: what each firmware flies, ignores and stops at, and what follows their loss."""
 
 from __future__ import annotations
 
