@@ -18,13 +18,13 @@ from collections.abc import Callable
 import numpy
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.wire import MavlinkMessage
+from companion.autopilot.wire import Frame, MavlinkMessage
 from companion.errors import ConfigError
 from companion.events import Landed, Vec3
 from sitl_mocks.vehicle_commands import CommandDesk, read_command
 from sitl_mocks.vehicle_dynamics import STEP_S
 from sitl_mocks.vehicle_flight import Flight
-from sitl_mocks.vehicle_links import Link
+from sitl_mocks.vehicle_links import Link, SetpointMessage
 from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
 from sitl_mocks.vehicle_mission import MissionBook, StoredItem, fault_of, stored
 from sitl_mocks.vehicle_navigation import NOISE_STEPS, NavigationError
@@ -81,7 +81,6 @@ class MockVehicle:
         self._links: dict[int, Link] = {}
         self._routes: dict[tuple[int, int], int] = {}
         self._handlers: dict[str, Callable[[MavlinkMessage, Link, float], None]] = {
-            "SET_POSITION_TARGET_LOCAL_NED": self._take_setpoint,
             "COMMAND_LONG": self._take_command,
             "COMMAND_INT": self._take_command,
             "SET_MODE": self._take_set_mode,
@@ -196,16 +195,19 @@ class MockVehicle:
         if link not in self._links:
             self.open_link(link)
         endpoint = self._links[link]
-        messages = endpoint.reader.feed(data)
+        messages = endpoint.feed(data)
         if now_s < self._down_until_s:
             return
-        for message in messages:
+        for frame, message in messages:
             if len(self._links) > 1 and self._manners.forwards:
-                self._forward(message, link)
+                self._forward(frame, message, link)
             system = getattr(message, "target_system", 0)
             component = getattr(message, "target_component", 0)
             if system in (0, self.options.system_id) and component in (0, COMPONENT):
-                self._handle(message, endpoint, link, now_s)
+                if isinstance(message, SetpointMessage):
+                    self._take_setpoint(message, now_s)
+                else:
+                    self._handle(message, endpoint, link, now_s)
         self._after_change()
 
     def advance(self, now_s: float) -> None:
@@ -270,20 +272,19 @@ class MockVehicle:
     def _send_text(self, severity: int, text: str) -> None:
         self._broadcast(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
 
-    def _forward(self, message: MavlinkMessage, link: int) -> None:
+    def _forward(self, frame: Frame, message: MavlinkMessage | SetpointMessage, link: int) -> None:
         """Pass a frame on: to everybody when it has no target, else to where its target was heard."""
-        self._routes[message.get_srcSystem(), message.get_srcComponent()] = link
+        self._routes[frame.system_id, frame.component_id] = link
         target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
         if target == (self.options.system_id, COMPONENT):
             return
-        frame = bytes(message.get_msgbuf())
         for other, endpoint in self._links.items():
             known = any(
                 via == other and target[0] in (0, system) and target[1] in (0, component)
                 for (system, component), via in self._routes.items()
             )
             if other != link and (target[0] == 0 or known):
-                endpoint.pass_on(frame)
+                endpoint.pass_on(frame.raw)
 
     def _wake(self, at_s: float) -> None:
         """After a reboot: where it stood, with its stored mission and parameters, and nothing asked for."""
@@ -312,7 +313,7 @@ class MockVehicle:
                 endpoint.send(answer)
             self._flight.runner.sync()
 
-    def _take_setpoint(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+    def _take_setpoint(self, message: SetpointMessage, now_s: float) -> None:
         self.setpoints_received += 1
         if self._last_setpoint_s is not None:
             gap_s = now_s - self._last_setpoint_s

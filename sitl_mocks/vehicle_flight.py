@@ -92,6 +92,7 @@ class Flight:
             VehicleMode.BRAKE: lambda now_s: HOVER,
             VehicleMode.MANUAL: lambda now_s: HOVER,
         }
+        self._steer_now = self._steer[self.mode]
         if options.airborne and self.mode is VehicleMode.EXTERNAL:
             self.setpoint = Setpoint(options.start_velocity_ned_mps)
             self._setpoint_s = start_s
@@ -217,7 +218,7 @@ class Flight:
         if self.on_ground:
             self._stand(now_s)
             return
-        north, east, down = self._steer[self.mode](now_s)
+        north, east, down = self._steer_now(now_s)
         if body.step(north, east, down):
             self._touch(now_s)
             return
@@ -296,6 +297,7 @@ class Flight:
         if mode is VehicleMode.EXTERNAL and self.mode is not mode and not self._manners.external_needs_stream:
             self.setpoint = None
         self.mode = mode
+        self._steer_now = self._steer[mode]
         if mode is VehicleMode.RTL:
             self._home.begin()
         elif mode is VehicleMode.MISSION:

@@ -1,22 +1,63 @@
-"""One MAVLink link of the mock vehicle: bytes in, bytes out, and what is due on it when."""
+"""One MAVLink link of the mock vehicle: bytes in, bytes out, and what is due on it when.
+
+The few messages that come and go many times a second are laid out here and in the telemetry as plain structs;
+all others go through pymavlink.
+"""
 
 from __future__ import annotations
 
 import math
+import struct
 from collections import deque
 from collections.abc import Mapping
+from typing import NamedTuple
 
-from companion.autopilot.wire import MavlinkMessage, MavlinkReader, MavlinkWriter
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.wire import Frame, FrameScanner, MavlinkMessage, MavlinkWriter
 
 _MAX_WAITING_BYTES = 1 << 18
 _EPSILON_S = 1e-9
+
+
+_SETPOINT_ID = int(mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
+_SETPOINT = struct.Struct("<I11fHBBB")
+
+
+class Payload(NamedTuple):
+    """A message that is already laid out."""
+
+    message_id: int
+    body: bytes
+
+
+class SetpointMessage(NamedTuple):
+    """SET_POSITION_TARGET_LOCAL_NED in its order on the wire (m, m/s, rad; NED or body by the frame)."""
+
+    time_boot_ms: int
+    x: float
+    y: float
+    z: float
+    vx: float
+    vy: float
+    vz: float
+    afx: float
+    afy: float
+    afz: float
+    yaw: float
+    yaw_rate: float
+    type_mask: int
+    target_system: int
+    target_component: int
+    coordinate_frame: int
 
 
 class Link:
     """Streams are per link, as on the real ones. Bytes that nobody drains are bounded."""
 
     def __init__(self, system_id: int, streams: Mapping[int, float], now_s: float) -> None:
-        self.reader = MavlinkReader()
+        self._scanner = FrameScanner()
+        self._decoder = mavlink.MAVLink(None)
         self.bytes_dropped = 0
         self.params_due: deque[int] = deque()
         """Indices of PARAM_VALUE still to send."""
@@ -64,9 +105,27 @@ class Link:
         self._earliest_s = earliest
         return due
 
-    def send(self, message: MavlinkMessage) -> None:
+    def feed(self, data: bytes) -> list[tuple[Frame, MavlinkMessage | SetpointMessage]]:
+        """The messages completed by some bytes, with their frames; what cannot be read is left out."""
+        found: list[tuple[Frame, MavlinkMessage | SetpointMessage]] = []
+        for frame in self._scanner.frames(data):
+            if frame.message_id == _SETPOINT_ID:
+                body = frame.payload.ljust(_SETPOINT.size, b"\0")
+                found.append((frame, SetpointMessage._make(_SETPOINT.unpack_from(body))))
+                continue
+            try:
+                found.append((frame, self._decoder.decode(bytearray(frame.raw))))
+            except (mavlink.MAVError, ValueError):
+                # ValueError: text fields that are not ASCII.
+                continue
+        return found
+
+    def send(self, message: MavlinkMessage | Payload) -> None:
         """Encode one message of this vehicle."""
-        self.pass_on(self._writer.pack(message))
+        if isinstance(message, Payload):
+            self.pass_on(self._writer.pack_payload(message.message_id, message.body))
+        else:
+            self.pass_on(self._writer.pack(message))
 
     def pass_on(self, frame: bytes) -> None:
         """Send bytes as they are."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.autopilot.wire import MavlinkMessage
 from companion.events import Vec3
+from sitl_mocks.vehicle_links import SetpointMessage
 from sitl_mocks.vehicle_manners import Manners
 
 _POSITION = (1, 2, 4)
@@ -43,7 +43,7 @@ STOP = Setpoint(stop=True)
 
 
 def interpret(
-    message: MavlinkMessage, manners: Manners, position_ned_m: Vec3, yaw_rad: float
+    message: SetpointMessage, manners: Manners, position_ned_m: Vec3, yaw_rad: float
 ) -> Setpoint | None:
     """Return the setpoint, STOP for one that stops the vehicle, or None for one that counts as never sent."""
     frame = message.coordinate_frame

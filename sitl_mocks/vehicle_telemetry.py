@@ -6,6 +6,7 @@ A message id that is not in `Telemetry.builders` is one that the vehicle does no
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -13,12 +14,18 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.wire import MavlinkMessage
 from companion.events import Landed, Vec3
 from sitl_mocks.vehicle_flight import Flight
+from sitl_mocks.vehicle_links import Payload
 from sitl_mocks.vehicle_manners import Manners
 from sitl_mocks.vehicle_mission import MissionBook
 from sitl_mocks.vehicle_navigation import Globe, NavigationError
 from sitl_mocks.vehicle_options import VehicleOptions
 
-Builder = Callable[[float], MavlinkMessage]
+Builder = Callable[[float], MavlinkMessage | Payload]
+
+# Layouts of the messages that are sent many times a second, in their order on the wire.
+_GLOBAL_POSITION = struct.Struct("<IiiiihhhH")
+_SIX_FLOATS = struct.Struct("<I6f")
+_GPS_RAW = struct.Struct("<QiiiHHHHBBiIIII")
 
 _LANDED = {
     Landed.ON_GROUND: mavlink.MAV_LANDED_STATE_ON_GROUND,
@@ -122,11 +129,11 @@ class Telemetry:
     def _boot_ms(self, now_s: float) -> int:
         return round((now_s - self.boot_s) * 1e3) & 0xFFFFFFFF
 
-    def _global_position(self, now_s: float) -> MavlinkMessage:
+    def _global_position(self, now_s: float) -> Payload:
         lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
         vn, ve, vd = self.velocity_ned_mps()
         heading = round(math.degrees(self._flight.body.yaw) % 360.0 * 100.0) % 36000
-        return mavlink.MAVLink_global_position_int_message(
+        body = _GLOBAL_POSITION.pack(
             self._boot_ms(now_s),
             round(lat * 1e7),
             round(lon * 1e7),
@@ -137,21 +144,20 @@ class Telemetry:
             round(vd * 1e2),
             heading,
         )
+        return Payload(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, body)
 
-    def _local_position(self, now_s: float) -> MavlinkMessage:
-        return mavlink.MAVLink_local_position_ned_message(
-            self._boot_ms(now_s), *self.position_ned_m(), *self.velocity_ned_mps()
-        )
+    def _local_position(self, now_s: float) -> Payload:
+        body = _SIX_FLOATS.pack(self._boot_ms(now_s), *self.position_ned_m(), *self.velocity_ned_mps())
+        return Payload(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, body)
 
-    def _gps_raw(self, now_s: float) -> MavlinkMessage:
+    def _gps_raw(self, now_s: float) -> Payload:
         options = self._options
         lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
         vn, ve, _ = self.velocity_ned_mps()
         speed = math.hypot(vn, ve)
         course = round(math.degrees(math.atan2(ve, vn)) % 360.0 * 100.0) % 36000 if speed > 0.05 else 0
-        return mavlink.MAVLink_gps_raw_int_message(
+        body = _GPS_RAW.pack(
             round((now_s - self.boot_s) * 1e6),
-            self._manners.gps_fix_type,
             round(lat * 1e7),
             round(lon * 1e7),
             round(alt * 1e3),
@@ -159,14 +165,17 @@ class Telemetry:
             200,
             round(speed * 1e2),
             course,
+            self._manners.gps_fix_type,
             10,
             round((alt + options.geoid_separation_m) * 1e3),
             round(max(options.gnss_horizontal_sigma_m, _MIN_ACCURACY_M) * 1e3),
             round(max(options.gnss_vertical_sigma_m, _MIN_ACCURACY_M) * 1e3),
             round(max(options.gnss_velocity_sigma_mps, _MIN_SPEED_ACCURACY_MPS) * 1e3),
+            0,
         )
+        return Payload(mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, body)
 
-    def _attitude(self, now_s: float) -> MavlinkMessage:
+    def _attitude(self, now_s: float) -> Payload:
         """Lean of a multicopter that accelerates as this one does; rates are not modelled."""
         body = self._flight.body
         north, east = body.ramp_n - body.vn, body.ramp_e - body.ve
@@ -174,7 +183,8 @@ class Telemetry:
         lag = self._options.velocity_lag_s
         forward, right = (cos * north + sin * east) / lag, (cos * east - sin * north) / lag
         roll, pitch = math.atan2(right, _GRAVITY), -math.atan2(forward, _GRAVITY)
-        return mavlink.MAVLink_attitude_message(self._boot_ms(now_s), roll, pitch, body.yaw, 0.0, 0.0, 0.0)
+        packed = _SIX_FLOATS.pack(self._boot_ms(now_s), roll, pitch, body.yaw, 0.0, 0.0, 0.0)
+        return Payload(mavlink.MAVLINK_MSG_ID_ATTITUDE, packed)
 
     def _vfr_hud(self, now_s: float) -> MavlinkMessage:
         body = self._flight.body
