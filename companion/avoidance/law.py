@@ -44,6 +44,7 @@ _RESTART_S = 1.0
 """After a pause longer than this (and five periods) the command starts again from the velocity flown."""
 _HISTORY_SPACING_S = 0.04
 _HISTORY_SAMPLES = 1024
+"""Half of them stay when they are full: at this spacing 20 s, more than the oldest message's age."""
 _BELIEVABLE = 1e7
 """m, m/s: beyond it a neighbour's number is as good as none."""
 
@@ -143,7 +144,7 @@ class _History:
         n = self.count
         if n and now_s <= self.times[n - 1]:
             return
-        if n > 1 and now_s - self.times[n - 2] < _HISTORY_SPACING_S:
+        if n > 1 and self.times[n - 1] - self.times[n - 2] < _HISTORY_SPACING_S:
             n -= 1  # a fast caller: the newest sample moves along
         elif n == _HISTORY_SAMPLES:
             n //= 2

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 
 from companion.avoidance import kernels as k
 
@@ -218,6 +219,46 @@ def test_own_velocity_history() -> None:
     for t, expected in [(-1, (0, 0, 0)), (0.5, (1, 0, 0)), (2, (2, 2, 0)), (3, (2, 4, 0)), (50, (2, 4, 0))]:
         assert k.own_velocity_at(times, velocities, 3, float(t)) == pytest.approx(expected)
     assert k.own_velocity_at(times, velocities, 1, 7.0) == pytest.approx((0, 0, 0))
+
+
+@njit
+def _each(
+    own: Any, others: Any, settings: Any, times: Any, velocities: Any, work: Any, view: Any, out: Any
+) -> None:
+    for i in range(len(own)):
+        k.decide(
+            others[i],
+            others.shape[1],
+            own[i],
+            settings,
+            times,
+            velocities[i],
+            1,
+            work[0],
+            work[1],
+            view,
+            out[i],
+        )
+
+
+def test_a_compiled_loop_over_aircraft_calls_the_same_kernel() -> None:
+    rng = np.random.default_rng(2)
+    fleet, crowd = 20, 6
+    own = np.zeros((fleet, k.OWN_ENTRIES))
+    own[:, :6] = rng.normal(0, 3, (fleet, 6))
+    own[:, k.O_LEAST_DOWN], own[:, k.O_MOST_DOWN], own[:, k.O_SIGMA] = -2.0, 2.0, 1.5
+    others = np.ones((fleet, crowd, k.NEIGHBOUR_COLUMNS))
+    others[:, :, :6] = rng.normal(0, [40, 40, 15, 3, 3, 1], (fleet, crowd, 6))
+    law = np.array([10, 2, 3.8, 0.5, 0.85, 20, 2, 30, 0.2, 5], dtype=float)
+    assert len(law) == k.SETTINGS_ENTRIES
+    times, velocities = np.zeros(1), rng.normal(0, 2, (fleet, 1, 3))
+    work, view = np.zeros((2, k.HARD + crowd, 4)), np.zeros((crowd, k.VIEW_COLUMNS))
+    together, alone = np.zeros((fleet, 3)), np.zeros(3)
+    _each(own, others, law, times, velocities, work, view, together)
+    for i in range(fleet):
+        k.decide(others[i], crowd, own[i], law, times, velocities[i], 1, work[0], work[1], view, alone)
+        np.testing.assert_array_equal(alone, together[i])
+        assert np.linalg.norm(alone) <= 5.0 + 1e-9
 
 
 def test_uncompiled_gives_the_same_numbers() -> None:

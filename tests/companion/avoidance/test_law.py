@@ -285,6 +285,20 @@ def test_own_velocity_at_the_time_of_the_sample() -> None:
     assert math.dist(c.chosen_ned_mps, a.chosen_ned_mps) > 1e-3
 
 
+@pytest.mark.parametrize("rate_hz", [5, 20, 50, 400])
+def test_history_reaches_back_to_the_oldest_message(rate_hz: int) -> None:
+    """However often the velocity is noted, a message 15 s old meets the velocity flown then."""
+    one = law()
+    for step in range(60 * rate_hz + 1):
+        one.note_velocity(step / rate_hz, (0.01 * step / rate_hz, 0.0, 0.0))
+        if step % (7 * rate_hz) == 0 and step >= 16 * rate_hz:
+            h = one._history  # type: ignore[attr-defined]
+            for age in (0.0, 3.0, 15.0):
+                t = step / rate_hz - age
+                n, _, _ = kernels.own_velocity_at(h.times, h.velocities, h.count, t)
+                assert n == pytest.approx(0.01 * t, abs=1e-3)
+
+
 def test_unknown_height_is_passed_beside_not_above() -> None:
     """A track without a height is met as if at our own, and pushes only sideways."""
     level = other((130.0, 1.0, 400.0), (-2.0, 0.0, 3.0), vertical_known=False)
