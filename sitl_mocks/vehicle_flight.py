@@ -27,6 +27,7 @@ _MISSION_CHECK_S = 0.5
 _LANDED_DISARM_S = 1.0
 _LOITER_SINK_MPS = 2.5
 _NOSE_RATE_RADPS = 1.0
+_MIN_CRUISE_MPS = 0.2
 _INFO = int(mavlink.MAV_SEVERITY_INFO)
 _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 
@@ -102,7 +103,8 @@ class Flight:
     def cruise_mps(self) -> float:
         """Speed of missions and of the way home."""
         own = self._options.mission_speed_mps
-        return own or self._params.get(self._manners.cruise_param) * self._manners.cruise_param_scale
+        set_speed = self._params.get(self._manners.cruise_param) * self._manners.cruise_param_scale
+        return own or max(set_speed, _MIN_CRUISE_MPS)
 
     @property
     def landed(self) -> Landed:

@@ -310,3 +310,15 @@ def test_mission_in_the_options(airborne, firmware):
     assert b.vehicle.position_ned_m[0] > 35.0
     with pytest.raises(ConfigError):
         airborne(firmware, mission=(MissionItem(seq=0, command=16, frame=1),))
+
+
+@pytest.mark.parametrize(("firmware", "name"), [(AP, b"WPNAV_SPEED"), (PX4, b"MPC_XY_CRUISE")])
+@pytest.mark.parametrize("value", [-500.0, 0.0, 2.0])
+def test_a_senseless_cruise_parameter_never_flies_backwards(airborne, firmware, name, value):
+    b = airborne(firmware)
+    upload(b, plan(firmware))
+    b.run(1.0)
+    b.send(mavlink.MAVLink_param_set_message(1, 1, name, value, mavlink.MAV_PARAM_TYPE_REAL32))
+    b.set_mode(VehicleMode.MISSION)
+    b.run(4.0)
+    assert b.vehicle.position_ned_m[0] >= 0.0
