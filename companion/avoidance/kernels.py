@@ -131,7 +131,8 @@ def _sphere(
 def _right_of(px: float, py: float, pz: float) -> tuple[float, float, float]:
     """Unit vector across p, to the right seen from above (NED: north turns to east).
 
-    Odd in p, so that the two aircraft part; straight above or below, north for the upper one's neighbour.
+    Odd in p, so that the two aircraft part. Straight above or below there is no right: the upper one goes
+    north, the lower one south.
     """
     level = math.sqrt(px * px + py * py)
     if level > 1e-9 * abs(pz):
