@@ -98,7 +98,7 @@ def time_kernel(count: int, spread_m: float, rng: np.random.Generator) -> tuple[
 def main() -> None:
     """Print the tables."""
     rng = np.random.default_rng(1)
-    print(f"warm-up {kernels.warm_up():.2f} s (compiled before: from the cache)\n")
+    kernels.warm_up()
     print("decide() from Python, us")
     print("neighbours   median      p99")
     for count in COUNTS:

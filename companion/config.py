@@ -149,7 +149,7 @@ class TrajectoryFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Config(_Section, frozen=True):
-    """Everything. `path` is the trajectory itself; `load` fills it from the file that flight.trajectory names."""
+    """Everything. `path` is the trajectory itself; `load` takes it from the file that flight.trajectory names."""
 
     identity: IdentityConfig
     vehicle: VehicleConfig = VehicleConfig()

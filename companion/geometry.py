@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import pymap3d
 
@@ -20,13 +21,32 @@ class LocalFrame:
     lat_deg: float
     lon_deg: float
     alt_m: float
+    _centre: Vec3 = field(init=False, repr=False, compare=False)
+    """Origin, Earth-centred (m)."""
+    _turn: tuple[float, float, float, float] = field(init=False, repr=False, compare=False)
+    """Sine and cosine of latitude and longitude: the same for every point, so computed once."""
+
+    def __post_init__(self) -> None:
+        """Compute what belongs to the origin alone."""
+        x, y, z = pymap3d.geodetic2ecef(self.lat_deg, self.lon_deg, self.alt_m)
+        lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
+        object.__setattr__(self, "_centre", (float(x), float(y), float(z)))
+        object.__setattr__(self, "_turn", (math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)))
 
     def to_ned(self, lat_deg: float, lon_deg: float, alt_m: float) -> Vec3:
         """Position in the frame (m)."""
-        n, e, d = pymap3d.geodetic2ned(lat_deg, lon_deg, alt_m, self.lat_deg, self.lon_deg, self.alt_m)
-        return float(n), float(e), float(d)
+        x, y, z = pymap3d.geodetic2ecef(lat_deg, lon_deg, alt_m)
+        x0, y0, z0 = self._centre
+        u, v, w = float(x) - x0, float(y) - y0, float(z) - z0
+        sin_lat, cos_lat, sin_lon, cos_lon = self._turn
+        outward = cos_lon * u + sin_lon * v
+        return (
+            cos_lat * w - sin_lat * outward,
+            cos_lon * v - sin_lon * u,
+            -(cos_lat * outward + sin_lat * w),
+        )
 
     def to_geodetic(self, north_m: float, east_m: float, down_m: float) -> Vec3:
-        """Latitude (deg), longitude (deg) and altitude (m) of a point of the frame."""
+        """Latitude, longitude (deg) and altitude (m) of a point of the frame."""
         lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, self.lat_deg, self.lon_deg, self.alt_m)
         return float(lat), float(lon), float(alt)

@@ -20,7 +20,6 @@ cache looks only at the file of the function that is called: a change elsewhere 
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 from numba import njit
@@ -441,13 +440,12 @@ def limit(
     return n, e, down
 
 
-def warm_up() -> float:
-    """Compile (or load from the cache) everything that a decision calls; seconds that it took.
+def warm_up() -> None:
+    """Compile, or load from the cache, everything that a decision calls.
 
     To be called before the vehicle is asked to obey: the first compilation takes many seconds, and a vehicle
     that waits for setpoints meanwhile goes into its failsafe.
     """
-    began = time.perf_counter()
     neighbours = np.zeros((2, NEIGHBOUR_COLUMNS))
     neighbours[0, :2] = neighbours[1, :2] = 3.0
     settings = np.ones(SETTINGS_ENTRIES)
@@ -459,4 +457,3 @@ def warm_up() -> float:
         np.zeros((2, VIEW_COLUMNS)), out,
     )  # fmt: skip
     limit(out, out, 1.0, -1.0, 1.0, 1.0)
-    return time.perf_counter() - began

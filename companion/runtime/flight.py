@@ -18,7 +18,6 @@ from companion import __version__
 from companion import config as configuration
 from companion.autopilot.tlog import TlogWriter
 from companion.avoidance.authority import HOLDING
-from companion.avoidance.kernels import warm_up
 from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.errors import ConfigError
@@ -31,6 +30,7 @@ from companion.radio.transport import Transport
 from companion.record import Header, Step
 from companion.runtime.links import Link, open_link
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
+from companion.runtime.warm import warm_up
 
 _WATCHDOG_S = 1.5
 _STATUS_S = 5.0

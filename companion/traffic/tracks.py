@@ -22,6 +22,8 @@ from companion.remote_id.messages import BasicId, IdType, Location
 
 SIGMA_UNKNOWN_M = 5.0
 """Horizontal standard deviation taken for a sender that declares no accuracy."""
+SIGMA_MOST_M = 15.0
+"""A declared accuracy counts up to this: a volume of kilometres would only make every velocity wrong."""
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
 _ADDRESSES_PER_TRACK = 4
@@ -183,9 +185,9 @@ class Traffic:
                 stamp = None
         if stamp is None:
             self.counts.clock += 1
-        sigma = (
-            SIGMA_UNKNOWN_M if message.horizontal_accuracy_m is None else message.horizontal_accuracy_m / 2.0
-        )
+        sigma = SIGMA_UNKNOWN_M
+        if message.horizontal_accuracy_m is not None:
+            sigma = min(message.horizontal_accuracy_m / 2.0, SIGMA_MOST_M)
         sample_s = now_s if stamp is None or utc_offset_s is None else stamp - utc_offset_s
         return _Fix(position, velocity, sigma, vertical_known, stamp, sample_s)
 

@@ -10,7 +10,7 @@ from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
-from companion.traffic.tracks import SIGMA_UNKNOWN_M, Traffic
+from companion.traffic.tracks import SIGMA_MOST_M, SIGMA_UNKNOWN_M, Traffic
 
 FRAME = LocalFrame(47.397, 8.545, 400.0)
 SEPARATION_M = 47.0
@@ -182,6 +182,12 @@ def test_undeclared_accuracy_and_velocity():
     assert track.velocity_ned_mps == (0.0, 0.0, 0.0)
     listener.hear(12.0, location(east_m=8.0, timestamp_s=12.0, speed_mps=None))
     assert track.velocity_ned_mps[:2] == pytest.approx((0.0, 4.0), abs=0.01)
+
+
+def test_a_declared_accuracy_of_kilometres_is_bounded():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(horizontal_accuracy_m=18520.0))
+    assert listener.tracks["X"].sigma_m == SIGMA_MOST_M
 
 
 def test_a_flood_of_far_ghosts_does_not_push_out_the_near():

@@ -1,0 +1,41 @@
+"""Local frame against an independent implementation, and there and back."""
+
+from __future__ import annotations
+
+import pymap3d
+import pytest
+from companion.geometry import LocalFrame
+from hypothesis import given
+from hypothesis import strategies as st
+
+near = st.floats(-20_000.0, 20_000.0)
+
+
+@given(
+    lat=st.floats(-89.0, 89.0),
+    lon=st.floats(-180.0, 180.0),
+    alt=st.floats(-400.0, 9000.0),
+    north=near,
+    east=near,
+    down=st.floats(-5000.0, 5000.0),
+)
+def test_there_and_back(lat, lon, alt, north, east, down):
+    frame = LocalFrame(lat, lon, alt)
+    point = frame.to_geodetic(north, east, down)
+    assert frame.to_ned(*point) == pytest.approx((north, east, down), abs=1e-4)
+
+
+@given(d_lat=st.floats(-0.2, 0.2), d_lon=st.floats(-0.2, 0.2), alt=st.floats(-100.0, 4000.0))
+def test_against_the_library(d_lat, d_lon, alt):
+    frame = LocalFrame(47.397, 8.545, 400.0)
+    point = 47.397 + d_lat, 8.545 + d_lon, alt
+    expected = pymap3d.geodetic2ned(*point, 47.397, 8.545, 400.0)
+    assert frame.to_ned(*point) == pytest.approx(tuple(map(float, expected)), abs=1e-6)
+
+
+def test_signs():
+    frame = LocalFrame(47.0, 8.0, 400.0)
+    north, east, down = frame.to_ned(47.001, 8.001, 450.0)
+    assert north == pytest.approx(111.2, abs=0.3)
+    assert east == pytest.approx(76.0, abs=0.3)
+    assert down == pytest.approx(-50.0, abs=0.01)

@@ -1,0 +1,57 @@
+"""ground_tools -> sitl_mocks -> companion, never the other way; and what must not load aboard."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FORBIDDEN = {
+    "companion": {"sitl_mocks", "ground_tools", "torch", "rerun", "matplotlib", "mavsdk"},
+    "sitl_mocks": {"ground_tools", "torch", "rerun", "matplotlib"},
+    "ground_tools": set(),
+}
+SOCKETS_AND_CLOCKS = {"socket", "time", "select", "serial", "threading", "subprocess", "random"}
+SHELLS = {"companion/runtime", "companion/cli.py", "companion/radio/ether.py"}
+"""A radio backend owns its socket (the Transport contract)."""
+
+
+def imported(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found.add(node.module.split(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("package", FORBIDDEN)
+def test_direction_of_import(package):
+    files = list((ROOT / package).rglob("*.py"))
+    assert files
+    wrong = {str(f.relative_to(ROOT)): bad for f in files if (bad := imported(f) & FORBIDDEN[package])}
+    assert not wrong
+
+
+def test_the_heart_is_pure():
+    wrong = {}
+    for path in (ROOT / "companion").rglob("*.py"):
+        name = str(path.relative_to(ROOT))
+        if not any(name.startswith(shell) for shell in SHELLS):
+            bad = imported(path) & SOCKETS_AND_CLOCKS
+            if bad:
+                wrong[name] = bad
+    assert not wrong
+
+
+def test_what_a_command_loads_aboard():
+    code = "import companion.cli, sitl_mocks.cli, sys; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert not {"torch", "rerun", "matplotlib", "mavsdk", "pyarrow"} & {
+        m.split(".")[0] for m in loaded.split()
+    }
