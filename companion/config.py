@@ -149,7 +149,7 @@ class TrajectoryFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Config(_Section, frozen=True):
-    """Everything. `path` is the trajectory itself; `load` takes it from the file that flight.trajectory names."""
+    """Everything. `path` is the trajectory itself, taken by `load` from the file that is named."""
 
     identity: IdentityConfig
     vehicle: VehicleConfig = VehicleConfig()
@@ -285,7 +285,8 @@ def _explain(text: str, raw: object, kind: type) -> str:
     if what.startswith("Invalid enum value"):
         *section, field = re.findall(r"[^.\[\]]+", key)
         hint = get_type_hints(_struct_at(kind, ".".join(section)))[field]
-        allowed = ", ".join(repr(getattr(a, "value", a)) for a in (get_args(hint) or tuple(hint)))
+        values = [v for a in (get_args(hint) or tuple(hint)) for v in (get_args(a) or [a])]
+        allowed = ", ".join(repr(getattr(v, "value", v)) for v in values if v is not type(None))
         return f"{key}: {value!r}: allowed are {allowed}"
     return f"{key}: {value!r}: {what[0].lower()}{what[1:]}".replace("`", "")
 

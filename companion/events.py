@@ -236,7 +236,7 @@ class AuthorityChanged(Command, frozen=True):
     reason: str
 
 
-class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """How the law saw one track at a decision."""
 
     track_id: str

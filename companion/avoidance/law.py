@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Protocol
 
+import msgspec
 import numpy as np
 
 from companion.avoidance import kernels as k
@@ -51,8 +52,7 @@ _BELIEVABLE = 1e7
 _by_id = attrgetter("track_id")
 
 
-@dataclass(frozen=True, slots=True)
-class Neighbour:
+class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """One other aircraft as it was heard; NED."""
 
     track_id: str

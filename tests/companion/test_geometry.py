@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pymap3d
 import pytest
-from companion.geometry import LocalFrame
 from hypothesis import given
 from hypothesis import strategies as st
+
+from companion.geometry import LocalFrame
 
 near = st.floats(-20_000.0, 20_000.0)
 

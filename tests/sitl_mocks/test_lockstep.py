@@ -1,0 +1,221 @@
+"""Whole encounters in virtual time, over real bytes."""
+
+from __future__ import annotations
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.events import AuthorityChanged
+from sitl_mocks import cli, lockstep, settings
+from sitl_mocks.lockstep import Flown, Run
+from sitl_mocks.settings import PathSettings, Scenario
+from sitl_mocks.swarm import window
+from sitl_mocks.verdict import deviations_of, on_path_limit_m, pairs_of
+
+HEAD_ON = Scenario(
+    path=(
+        PathSettings(points=((0.0, -75.0, 0.0, -60.0), (50.0, 75.0, 0.0, -60.0))),
+        PathSettings(points=((0.0, 75.0, 0.0, -60.0), (50.0, -75.0, 0.0, -60.0))),
+    )
+)
+
+
+def middle_of(kind, seed, seconds=110.0):
+    """The part of a drawn encounter in which everything happens, as a scenario of its own."""
+    whole = msgspec.structs.replace(settings.DEFAULT, geometry=kind)
+    paths = tuple(
+        PathSettings(points=tuple(map(tuple, window(p, seconds).tolist())))
+        for p in lockstep.paths_of(whole, seed)
+    )
+    return msgspec.structs.replace(settings.DEFAULT, geometry=None, path=paths)
+
+
+def with_delay(scenario, low, high, **air):
+    return msgspec.structs.replace(
+        scenario, air=msgspec.structs.replace(scenario.air, delay_s=(low, high), **air)
+    )
+
+
+def least(run):
+    return min(p.min_separation_m for p in pairs_of(run))
+
+
+@pytest.mark.parametrize(("kind", "seed", "delay"), [("S2", 3, (0.0, 1.0)), ("S3", 5, (2.0, 3.0))])
+def test_five_aircraft_keep_apart_and_return(kind, seed, delay):
+    scenario = with_delay(middle_of(kind, seed), *delay)
+    assert least(lockstep.fly(scenario, seed, law="none")) < 10.0
+    run = lockstep.fly(scenario, seed)
+    assert least(run) > 10.0
+    paths = lockstep.paths_of(scenario, seed)
+    for deviation in deviations_of(run, paths, on_path_limit_m(scenario)):
+        assert deviation.final_m < on_path_limit_m(scenario)
+        assert deviation.largest_m > 3.0
+
+
+def test_what_the_air_does_not_carry_nobody_knows():
+    """With every message lost the aircraft meet: state has no other way across."""
+    lost = with_delay(HEAD_ON, 0.0, 0.0, loss=1.0)
+    assert least(lockstep.fly(lost, 1)) < 6.0
+    assert least(lockstep.fly(with_delay(HEAD_ON, 0.0, 0.0), 1)) > 10.0
+
+
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+@pytest.mark.parametrize("transport", ["wifi", "ble4", "ble5"])
+def test_every_transport_and_firmware_avoids_head_on(transport, firmware):
+    scenario = with_delay(HEAD_ON, 0.0, 1.0, transport=transport)
+    vehicle = msgspec.structs.replace(scenario.vehicle, firmware=firmware)
+    assert least(lockstep.fly(msgspec.structs.replace(scenario, vehicle=vehicle), 1)) > 10.0
+
+
+def test_the_same_seed_gives_the_same_run_and_another_seed_another():
+    scenario = msgspec.structs.replace(HEAD_ON, duration_s=20.0)
+    a, b, c = (lockstep.fly(scenario, seed) for seed in (1, 1, 2))
+    for first, second, third in zip(a.aircraft, b.aircraft, c.aircraft, strict=True):
+        np.testing.assert_array_equal(first.position_ned_m, second.position_ned_m)
+        assert np.abs(first.position_ned_m - third.position_ned_m).max() > 0.1
+
+
+def test_wind_and_the_papers_law_fly():
+    wind = msgspec.structs.replace(HEAD_ON.vehicle, wind_ned_mps=(3.0, 4.0, 0.0))
+    scenario = msgspec.structs.replace(HEAD_ON, vehicle=wind)
+    assert least(lockstep.fly(scenario, 1)) > 10.0
+    states = set()
+
+    def record(name, config):
+        return lambda step: states.update(c.state for c in step.commands if isinstance(c, AuthorityChanged))
+
+    run = lockstep.fly(scenario, 1, law="paper", record=record)
+    assert "avoiding" in states
+    assert least(run) > least(lockstep.fly(scenario, 1, law="none"))
+
+
+# ---------------------------------------------------------------- the verdict
+
+
+def run_of(*tracks):
+    time_s = np.arange(len(tracks[0])) * 0.05
+    return Run([Flown(f"A{n}", np.asarray(t, float)) for n, t in enumerate(tracks)], {}, time_s)
+
+
+def test_separation_between_ticks():
+    """Two aircraft that pass each other between two samples."""
+    a = [(x, 0.0, 0.0) for x in (-3.0, -1.0, 1.0, 3.0)]
+    b = [(-x, 0.5, 0.0) for x in (-3.0, -1.0, 1.0, 3.0)]
+    (pair,) = pairs_of(run_of(a, b))
+    assert pair.min_separation_m == pytest.approx(0.5)
+
+
+def test_deviation_and_return():
+    path = np.array([[0.0, 0.0, 0.0, 0.0], [1.0, 10.0, 0.0, 0.0]])
+    away = [0.0, 2.0, 8.0, 4.0] + [1.0] * 17
+    track = [(10.0 * 0.05 * k, away[k], 0.0) for k in range(21)]
+    (deviation,) = deviations_of(run_of(track), [path], 3.0)
+    assert deviation.largest_m == pytest.approx(8.0)
+    assert deviation.final_m == pytest.approx(1.0)
+    assert deviation.back_s == pytest.approx(0.1)
+
+
+# ---------------------------------------------------------------- the command
+
+
+def demo(*arguments):
+    return cli.main(["demo", *map(str, arguments)])
+
+
+def write(folder, text):
+    path = folder / "s.toml"
+    path.write_text(text)
+    return path
+
+
+SHORT = """duration_s = 12.0
+[[path]]
+points = [[0.0, -25.0, {east}, -60.0], [12.0, 25.0, {east}, -60.0]]
+[[path]]
+points = [[0.0, 25.0, 0.0, -60.0], [12.0, -25.0, 0.0, -60.0]]
+"""
+
+
+def test_seeds_as_json_lines_and_exit_code(tmp_path, capsys):
+    apart = write(tmp_path, SHORT.format(east=60.0))
+    assert demo("--scenario", apart, "--seeds", "1-2", "--json") == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["seed"] for line in lines] == [1, 2]
+    assert set(lines[0]) == {
+        "seed",
+        "delay_s",
+        "aircraft",
+        "min_separation_m",
+        "unavoided_min_separation_m",
+        "max_deviation_m",
+        "final_deviation_m",
+        "ok",
+    }
+    together = write(tmp_path, SHORT.format(east=0.0))
+    assert demo("--scenario", together, "--seeds", "1-1", "--law", "none", "--json") == 1
+    assert json.loads(capsys.readouterr().out)["ok"] is False
+
+
+def test_a_run_folder_is_whole(tmp_path, capsys):
+    scenario = write(tmp_path, SHORT.format(east=60.0))
+    assert demo("--scenario", scenario, "--runs", tmp_path / "runs") == 0
+    (folder,) = (tmp_path / "runs").iterdir()
+    names = {path.name for path in folder.iterdir()}
+    assert {"config.toml", "manifest.json", "summary.json", "DMUCA001.events", "unavoided"} <= names
+    assert settings.load(folder / "config.toml").duration_s == 12.0
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["seed"] == 1
+    assert "numba" in manifest["versions"]
+    out = capsys.readouterr().out
+    assert "ground-tools inspect" in out
+    from companion import cli as companion_cli
+
+    assert companion_cli.main(["replay", str(folder)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--delay", "2", "1"], "--delay: 2 1: allowed 0 <= LOW <= HIGH <= 60"),
+        (["--aircraft", "1"], "--aircraft: 1: allowed 2 to 100"),
+        (["--seeds", "5-1"], "--seeds: '5-1': expected A-B"),
+        (["--scenario", "/nowhere.toml"], "/nowhere.toml: cannot be read"),
+    ],
+)
+def test_wrong_options_are_one_line_and_exit_code_2(capsys, arguments, words):
+    assert demo(*arguments) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "give either geometry or path"),
+        ('geometry = "S9"\n', "geometry: 'S9': allowed are 'S1', 'S2', 'S3'"),
+        ('geometry = "S2"\n[air]\nlos = 1\n', "air.los: unknown key; allowed here: delay_s, loss"),
+        (
+            "[[path]]\npoints = [[0.0, 0.0, 0.0, -9.0], [0.0, 1.0, 0.0, -9.0]]\n"
+            "[[path]]\npoints = [[0.0, 0.0, 0.0, -9.0], [9.0, 1.0, 0.0, -9.0]]\n",
+            "path[0].points: time 0 s is not after 0 s",
+        ),
+        ("[[path]]\npoints = [[0.0, 0.0, 0.0, -9.0], [9.0, 1.0, 0.0, -9.0]]\n", "needs at least 2"),
+    ],
+)
+def test_a_wrong_scenario_is_one_line_and_exit_code_2(tmp_path, capsys, text, words):
+    assert demo("--scenario", write(tmp_path, text)) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_the_scenarios_in_the_project_load():
+    from pathlib import Path
+
+    files = sorted((Path(__file__).parents[2] / "config" / "scenarios").glob("*.toml"))
+    assert files
+    for file in files:
+        settings.load(file)
+    assert settings.load(next(f for f in files if f.name == "s2.toml")) == settings.DEFAULT
