@@ -24,8 +24,6 @@ LOCATION = Location(
 BASIC = BasicId(
     id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="1596F0000DMUCA01"
 )
-    id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="1596F0000DMUCA01"
-)
 
 
 def rate(call: Callable[[], object], number: int = 20_000) -> float:

@@ -32,7 +32,8 @@ from companion.runtime.links import Link, open_link
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
 from companion.runtime.warm import warm_up
 
-_WATCHDOG_S = 1.5
+_WATCHDOG_S = 5.0
+"""A loop that hangs sends nothing anyway; after this the process ends, so that it can be started anew."""
 _STATUS_S = 5.0
 _LET_GO_S = 2.0
 
