@@ -1,0 +1,157 @@
+"""One companion with one mock vehicle in virtual time: missions, modes, reboots, over real bytes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.avoidance.authority import HOLDING, State
+from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig, LimitsConfig
+from companion.events import AuthorityChanged, Firmware, MissionItem, Say, VelocitySetpoint
+from companion.geometry import LocalFrame
+from companion.onboard import Onboard
+from sitl_mocks.autopilot import MockVehicle
+from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle_options import VehicleOptions
+
+HOME = LocalFrame(47.397, 8.545, 400.0)
+TICK_S = 0.05
+
+
+def waypoint(seq, north_m, east_m, height_m, command=16, hold_s=0.0):
+    lat, lon, _ = HOME.to_geodetic(north_m, east_m, 0.0)
+    return MissionItem(
+        seq=seq,
+        command=command,
+        frame=6,
+        params=(hold_s, 0.0, 0.0, 0.0),
+        lat_deg=lat,
+        lon_deg=lon,
+        alt_m=height_m,
+    )
+
+
+MISSION = (
+    waypoint(1, 0.0, 0.0, 50.0, command=22),
+    waypoint(2, 60.0, 0.0, 50.0),
+    waypoint(3, 60.0, 40.0, 60.0, hold_s=5.0),
+    waypoint(4, 0.0, 0.0, 0.0, command=20),
+)
+
+
+class Pair:
+    """Vehicle and companion, stepped together."""
+
+    def __init__(self, firmware, mission=MISSION, **options):
+        options = {"airborne": True, "start_position_ned_m": (0.0, 0.0, -50.0), **options}
+        self.vehicle = MockVehicle(
+            VehicleOptions(firmware=firmware, mission=mission, utc_at_zero_s=1_767_225_600.0, **options),
+            np.random.default_rng(1),
+        )
+        config = Config(
+            identity=IdentityConfig(uas_id="PAIR"),
+            flight=FlightConfig(use="fly", trajectory="mission", mission_speed_mps=3.0),
+            limits=LimitsConfig(max_speed_mps=5.0),
+            avoidance=AvoidanceConfig(),
+        )
+        self.steps = []
+        self.onboard = Onboard(config, self.steps.append)
+        self.tick = 0
+
+    @property
+    def state(self):
+        return self.onboard.heart.state
+
+    def run(self, seconds):
+        for _ in range(round(seconds / TICK_S)):
+            now_s = self.tick * TICK_S
+            self.tick += 1
+            self.vehicle.advance(now_s)
+            data = self.vehicle.drain()
+            if data:
+                self.onboard.receive(data, now_s)
+            self.onboard.tick(now_s)
+            self.vehicle.receive(self.onboard.drain(now_s), now_s)
+
+    def commands(self, kind, since=0):
+        return [c for step in self.steps[since:] for c in step.commands if isinstance(c, kind)]
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_the_vehicles_own_mission_is_flown_as_a_timed_path(firmware):
+    pair = Pair(firmware)
+    pair.run(12.0)
+    assert pair.vehicle.mode is VehicleMode.EXTERNAL
+    pair.run(8.0)
+    # 3 m/s north since the companion took the vehicle, 60 m to the first corner.
+    assert 40.0 < pair.vehicle.position_ned_m[0] <= 61.0
+    assert abs(pair.vehicle.position_ned_m[1]) < 1.5
+    pair.run(40.0)
+    assert math.dist(pair.vehicle.position_ned_m, (60.0, 40.0, -60.0)) < 1.0
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_mission_that_cannot_be_flown_is_refused_by_item_number(firmware):
+    again = waypoint(3, 60.0, 40.0, 60.0, command=22)
+    pair = Pair(firmware, mission=(MISSION[0], MISSION[1], again))
+    pair.run(20.0)
+    assert pair.state is State.STANDBY
+    assert not pair.commands(VelocitySetpoint)
+    (said,) = [c.text for c in pair.commands(Say) if "refused" in c.text]
+    assert "mission item 3" in said
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_the_pilots_switch_ends_it_within_one_heartbeat(firmware):
+    pair = Pair(firmware)
+    pair.run(15.0)
+    assert pair.state in HOLDING
+    pair.vehicle.pilot_selects(VehicleMode.HOLD)
+    pair.run(1.1)
+    assert pair.state is State.YIELDED
+    before = len(pair.steps)
+    pair.run(10.0)
+    assert not pair.commands(VelocitySetpoint, since=before)
+    assert pair.vehicle.mode is VehicleMode.HOLD
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_not_taken_on_the_ground(firmware):
+    pair = Pair(firmware, airborne=False, start_position_ned_m=(0.0, 0.0, 0.0))
+    pair.run(20.0)
+    assert pair.state is State.STANDBY
+    assert not pair.commands(VelocitySetpoint)
+    assert pair.onboard.heart.own.takeoff is not None
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_silent_companion_leaves_the_vehicle_to_its_own_failsafe(firmware):
+    pair = Pair(firmware)
+    pair.run(15.0)
+    now_s = pair.tick * TICK_S
+    pair.vehicle.advance(now_s + 5.0)
+    if firmware is Firmware.PX4:
+        assert pair.vehicle.mode is VehicleMode.RTL
+    else:
+        assert pair.vehicle.mode is VehicleMode.EXTERNAL
+        assert math.hypot(*pair.vehicle.velocity_ned_mps) < 1.0
+    # Back after the pause the loop is late: fault, then, on PX4, the vehicle's own mode is respected.
+    pair.tick += 100
+    pair.run(1.5)
+    moves = [c.state for c in pair.commands(AuthorityChanged)]
+    assert "fault" in moves or "yielded" in moves
+
+
+def test_link_silence_is_a_fault_and_nothing_is_sent():
+    pair = Pair(Firmware.ARDUPILOT)
+    pair.run(15.0)
+    before = len(pair.steps)
+    for _ in range(100):
+        pair.onboard.tick(pair.tick * TICK_S)
+        pair.tick += 1
+    faulted = next(k for k, s in enumerate(pair.steps) if any(
+        isinstance(c, AuthorityChanged) and c.state == "fault" for c in s.commands))  # fmt: skip
+    assert (faulted - before) * TICK_S <= 1.2
+    assert not pair.commands(VelocitySetpoint, since=faulted)
