@@ -22,15 +22,16 @@ from rich.progress import Progress
 from rich.table import Table
 
 from companion import __version__, record
-from companion.avoidance.kernels import warm_up
 from companion.config import Config, without_none
 from companion.errors import ConfigError
 from companion.runtime.recorder import EventFile, create_run_folder, write_json, write_manifest
+from companion.runtime.warm import warm_up
 from sitl_mocks import settings
-from sitl_mocks.lockstep import TICK_S, Run, fly, paths_of
+from sitl_mocks.lockstep import TICK_S, UTC_AT_START_S, Run, fly, paths_of
 from sitl_mocks.settings import Scenario
 from sitl_mocks.verdict import Deviation, Pair, deviations_of, on_path_limit_m, pairs_of
 
+_TRUTH_TICKS = 2
 _EXAMPLE = "example: sitl-mocks demo --delay 1 2 --seed 7; sitl-mocks demo --seeds 1-20 --delay 2 3 --json"
 
 
@@ -223,6 +224,8 @@ def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder:
             record=recorder if folder is not None else None,
             progress=progress,
         )
+    if folder is not None:
+        _write_truth(folder, result)
     sent = sum(p.sent for p in result.air.values())
     return Outcome(
         seed=seed,
@@ -233,6 +236,17 @@ def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder:
         simulated_s=len(result.time_s) * TICK_S,
         messages={"sent": sent, "delivered": sum(p.delivered for p in result.air.values())},
     )
+
+
+def _write_truth(folder: Path, result: Run) -> None:
+    """`<aircraft>.truth.csv` of every aircraft, as a served vehicle writes it: ten rows a second."""
+    for aircraft in result.aircraft:
+        with (folder / f"{aircraft.name}.truth.csv").open("w") as file:
+            file.write("utc_s,north_m,east_m,down_m\n")
+            for tick in range(0, len(aircraft.position_ned_m), _TRUTH_TICKS):
+                north, east, down = aircraft.position_ned_m[tick]
+                utc_s = UTC_AT_START_S + tick * TICK_S
+                file.write(f"{utc_s:.3f},{north:.3f},{east:.3f},{down:.3f}\n")
 
 
 def _workers(seeds: list[int]) -> int:
