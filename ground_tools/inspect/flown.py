@@ -1,17 +1,15 @@
 """What was flown: positions of all aircraft of a run in one local frame and on one time line.
 
-Positions are the aircraft's own (GLOBAL_POSITION_INT as its heart took it in, or, without any, those of its
-decisions), so a separation here is what the aircraft's own navigation says, to within GNSS error.
-
-Time line. In a lock-step run, and among companions on one machine, `now_s` of the steps is one clock for all
-and is used as it is. Elsewhere each companion counts from its own boot: there, UTC of the autopilots
-(SYSTEM_TIME) puts them together, to within the latency of the links and the error of the autopilots' clocks.
-`common_time` says which was used.
+Simulated aircraft leave their true positions in the run folder. Where every aircraft has them, paths and
+separations are true. Otherwise they are the aircraft's own (GLOBAL_POSITION_INT as its heart took it in, or,
+without any, those of its decisions): a separation then is what the aircraft's own navigation says, to within
+GNSS error. `Flown.positions` says which.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +18,10 @@ from numpy.typing import NDArray
 
 from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
-from companion.events import Decision, GlobalPosition, Vec3, VehicleTime
+from companion.events import Decision, GlobalPosition, Vec3
 from ground_tools.inspect.read_run import AircraftRecord, Run
+from ground_tools.inspect.timeline import TimeLine, time_line
+from ground_tools.inspect.truth import ORIGIN
 
 Array = NDArray[np.float64]
 
@@ -29,8 +29,10 @@ GRID_S = 0.05
 """Step of the time line on which separations are taken."""
 MAX_GAP_S = 2.0
 """Between two own positions farther apart than this the place in between is not known."""
-SHARED_CLOCK_S = 0.05
-"""Clocks that agree with UTC alike to within this are one clock."""
+MAX_ERROR_M = 200.0
+"""Truth farther than this from the aircraft's own positions belongs to another frame or flight."""
+TRUE = "true positions"
+OWN = "own GNSS positions"
 _ZERO = np.zeros(0)
 
 
@@ -71,10 +73,17 @@ class Flown:
     origin: Vec3
     """lat_deg, lon_deg, alt_msl_m of the common frame."""
     paths: tuple[Path, ...]
+    """What was flown, by `positions`."""
+    own: tuple[Path, ...]
+    """Where the aircraft took themselves to be."""
+    positions: str
+    """TRUE or OWN."""
     offsets_s: dict[str, float]
     """What to add to an aircraft's `now_s` for the common time line."""
     clock: str
     """Which time line it is, in words."""
+    problems: tuple[str, ...]
+    """Why there is no truth where some was found."""
 
 
 def flown(run: Run) -> Flown:
@@ -83,49 +92,91 @@ def flown(run: Run) -> Flown:
     Raises:
         ConfigError: no aircraft recorded a position.
     """
-    offsets, clock = common_time(run)
+    line = time_line(run)
     fixes = {record.name: _fixes(record) for record in run.aircraft}
     known = [fix for fix in fixes.values() if len(fix)]
-    if not known:
+    has_truth = any(record.truth is not None for record in run.aircraft)
+    if not known and not has_truth:
         raise ConfigError(f"{run.folder}: no aircraft recorded a position")
-    origin = (float(known[0][0, 1]), float(known[0][0, 2]), float(known[0][0, 3]))
+    origin = ORIGIN if has_truth else (float(known[0][0, 1]), float(known[0][0, 2]), float(known[0][0, 3]))
+    own = tuple(
+        Path(
+            record.name,
+            fixes[record.name][:, 0] + line.offsets_s[record.name],
+            to_ned(fixes[record.name][:, 1:], origin),
+            _radius_m(record),
+        )
+        for record in run.aircraft
+        if len(fixes[record.name])
+    )
+    true, problem = _true_paths(run, line, own) if has_truth else ((), None)
+    if not true and not own:
+        raise ConfigError(f"{run.folder}: no aircraft recorded a position: {problem}")
+    problems = () if problem is None else (f"true positions not used: {problem}",)
+    return Flown(origin, true or own, own, TRUE if true else OWN, line.offsets_s, line.words, problems)
+
+
+def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[Path, ...], str | None]:
+    """True paths of all aircraft, or of none and why."""
+    if line.utc_at_zero_s is None:
+        return (), f"they are by UTC, and the time line is {line.words}"
     paths = []
     for record in run.aircraft:
-        rows = fixes[record.name]
-        if len(rows):
-            positions = to_ned(rows[:, 1:], origin)
-            radius = record.header.config.avoidance if record.header else AvoidanceConfig()
-            paths.append(
-                Path(record.name, rows[:, 0] + offsets[record.name], positions, radius.conflict_radius_m)
-            )
-    return Flown(origin, tuple(paths), offsets, clock)
+        if record.truth is None:
+            return (), f"there are none of {record.name}"
+        time = record.truth[:, 0] - line.utc_at_zero_s
+        paths.append(Path(record.name, time, record.truth[:, 1:], _radius_m(record)))
+    by_name = {path.name: path for path in own}
+    for path in paths:
+        if path.name in by_name and (away := _median_distance_m(path, by_name[path.name])) > MAX_ERROR_M:
+            return (), f"those of {path.name} are {away:.0f} m from where it took itself to be"
+    return tuple(paths), None
 
 
-def common_time(run: Run) -> tuple[dict[str, float], str]:
-    """What to add to each aircraft's `now_s`, and in words what the time line then is."""
-    nothing = dict.fromkeys((record.name for record in run.aircraft), 0.0)
-    if len(run.aircraft) == 1:
-        return nothing, "the companion's own clock"
-    to_utc = {record.name: _utc_offset(record) for record in run.aircraft}
-    known = [offset for offset in to_utc.values() if offset is not None]
-    if len(known) < len(to_utc):
-        silent = ", ".join(name for name, offset in to_utc.items() if offset is None)
-        return nothing, f"one clock taken for granted: no UTC from {silent}"
-    if max(known) - min(known) <= SHARED_CLOCK_S:
-        return nothing, "one clock shared by all aircraft"
-    # Small numbers plot better: the line counts from the start of the first aircraft.
-    start = min(
-        record.steps[0].now_s + offset
-        for record, offset in zip(run.aircraft, known, strict=True)
-        if record.steps
-    )
-    return {name: float(o - start) for name, o in zip(to_utc, known, strict=True)}, "UTC of the autopilots"
+def _median_distance_m(first: Path, second: Path) -> float:
+    """Over the time that both are known; infinite without any."""
+    inside = (second.time_s >= first.time_s[0]) & (second.time_s <= first.time_s[-1])
+    away = np.linalg.norm(_at(first, second.time_s[inside]) - second.position_ned_m[inside], axis=1)
+    known = away[~np.isnan(away)]
+    return float(np.median(known)) if len(known) else float("inf")
+
+
+def _radius_m(record: AircraftRecord) -> float:
+    return (record.header.config.avoidance if record.header else AvoidanceConfig()).conflict_radius_m
 
 
 def separations(paths: tuple[Path, ...]) -> list[Separation]:
     """Separation of every pair, the closest pair first; pairs never known at once come last."""
     found = [_separation(a, b) for a, b in itertools.combinations(paths, 2)]
     return sorted(found, key=lambda s: np.inf if s.minimum_m is None else s.minimum_m)
+
+
+def crossing(ways: Flown, pairs: Sequence[Separation]) -> Array:
+    """(3,) where the pairs come closest, on average over the pairs that come near at all.
+
+    `pairs` are such as are known at once, the closest first.
+    """
+    by_name = {path.name: path for path in ways.paths}
+    near = [pair for pair in pairs if (pair.minimum_m or 0.0) <= 5.0 * pair.required_m] or pairs[:1]
+    middles = [
+        [np.interp(pair.minimum_time_s or 0.0, path.time_s, axis) for axis in path.position_ned_m.T]
+        for pair in near
+        for path in (by_name[pair.first], by_name[pair.second])
+    ]
+    return np.asarray(np.mean(middles, axis=0), dtype=np.float64)
+
+
+def least_of(pairs: Sequence[Separation]) -> tuple[Array, Array]:
+    """(n,) times and (n,) least separation of any pair at each, where one is known."""
+    time = np.unique(np.concatenate([pair.time_s for pair in pairs]))
+    rows = np.full((len(pairs), len(time)), np.inf)
+    for row, pair in zip(rows, pairs, strict=True):
+        inside = (time >= pair.time_s[0]) & (time <= pair.time_s[-1])
+        distance = np.interp(time[inside], pair.time_s, np.nan_to_num(pair.distance_m, nan=np.inf))
+        row[inside] = np.where(np.isnan(distance), np.inf, distance)
+    least = rows.min(axis=0)
+    known = np.isfinite(least)
+    return time[known], least[known]
 
 
 def to_ned(geodetic: Array, origin: Vec3) -> Array:
@@ -172,16 +223,6 @@ def _geodetic(decision: Decision) -> Vec3:
     return float(lat), float(lon), float(alt)
 
 
-def _utc_offset(record: AircraftRecord) -> float | None:
-    offsets = [
-        event.utc_s - step.now_s
-        for step in record.steps
-        for event in step.events
-        if isinstance(event, VehicleTime) and event.utc_s is not None
-    ]
-    return float(np.median(offsets)) if offsets else None
-
-
 def _separation(first: Path, second: Path) -> Separation:
     required = first.radius_m + second.radius_m
     start = max(first.time_s[0], second.time_s[0])
@@ -192,13 +233,24 @@ def _separation(first: Path, second: Path) -> Separation:
     grid = np.arange(start, end, GRID_S)
     samples = np.concatenate([first.time_s, second.time_s, [end]])
     time = np.union1d(grid, samples[(samples >= start) & (samples <= end)])
-    distance = np.linalg.norm(_at(first, time) - _at(second, time), axis=1)
+    relative = _at(first, time) - _at(second, time)
+    distance = np.linalg.norm(relative, axis=1)
     if np.isnan(distance).all():
         return Separation(first.name, second.name, time, distance, None, None, required)
+    least, at = _closest(time, relative)
+    return Separation(first.name, second.name, time, distance, least, at, required)
+
+
+def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:
+    """Least distance and its time, between the samples too: there the relative motion is straight."""
+    step = np.diff(relative_m, axis=0)
+    length2 = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
+    share = np.clip(-np.einsum("ij,ij->i", relative_m[:-1], step) / length2, 0.0, 1.0)
+    places = np.vstack([relative_m, relative_m[:-1] + share[:, None] * step])
+    times = np.concatenate([time_s, time_s[:-1] + share * np.diff(time_s)])
+    distance = np.linalg.norm(places, axis=1)
     closest = int(np.nanargmin(distance))
-    return Separation(
-        first.name, second.name, time, distance, float(distance[closest]), float(time[closest]), required
-    )
+    return float(distance[closest]), float(times[closest])
 
 
 def _at(path: Path, time_s: Array) -> Array:

@@ -13,22 +13,31 @@ from typing import Any
 import numpy as np
 
 from companion.errors import ConfigError
-from ground_tools.inspect.flown import Array, Flown, Separation, flown, from_frame, separations
+from ground_tools.inspect.flown import (
+    Array,
+    Flown,
+    Separation,
+    crossing,
+    flown,
+    from_frame,
+    least_of,
+    separations,
+)
 from ground_tools.inspect.palette import LIMIT, colour, hexadecimal
-from ground_tools.inspect.read_run import read_run, read_unavoided
+from ground_tools.inspect.read_run import Run, read_run, read_unavoided
 
 HALF_WIDTH_M = 120.0
 """The view from above reaches this far from the crossing."""
 MAX_LABELS = 10
 """More aircraft than this are drawn without names."""
-_TOP_OF_REQUIRED = 8.0
+_TOP_OF_REQUIRED = 6.0
 """Distances are drawn up to this many times the required one, over the time that any is below."""
 _WITHOUT = "#7a7a7a"
 _WITH = hexadecimal(colour(0))
 _LIMIT = hexadecimal(LIMIT)
 _STYLE = {
-    "font.size": 12,
-    "axes.titlesize": 13,
+    "font.size": 13.5,
+    "axes.titlesize": 14,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.spines.top": False,
@@ -59,15 +68,25 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: a folder that is no run, a picture that cannot be written, or matplotlib is missing.
     """
-    avoided = flown(read_run(args.run_folder))
+    run = read_run(args.run_folder)
     other = read_run(args.unavoided) if args.unavoided else read_unavoided(args.run_folder)
-    draw(avoided, None if other is None else flown(other), args.out)
-    print(f"wrote {args.out}")
+    avoided, unavoided = flown(run), None if other is None else flown(other)
+    draw(avoided, unavoided, args.out, lateness(run))
+    print(f"wrote {args.out}; distances by {_positions(avoided, unavoided)}")
     return 0
 
 
-def draw(avoided: Flown, unavoided: Flown | None, path: Path) -> None:
-    """Write the picture to `path`.
+def lateness(run: Run) -> str:
+    """How late messages arrived in a simulated run, in words; empty where its summary does not say."""
+    match (run.summary or {}).get("delay_s"):
+        case [int() | float() as low, int() | float() as high]:
+            return f"Remote ID {low:g} to {high:g} s late"
+        case _:
+            return ""
+
+
+def draw(avoided: Flown, unavoided: Flown | None, path: Path, words: str = "") -> None:
+    """Write the picture to `path`; `words` join its title.
 
     Raises:
         ConfigError: fewer than two aircraft were in the air at once, `path` cannot be written, or matplotlib
@@ -78,22 +97,38 @@ def draw(avoided: Flown, unavoided: Flown | None, path: Path) -> None:
     if not pairs:
         raise ConfigError("no two aircraft of this run were in the air at once: nothing to draw")
     matplotlib = _matplotlib()
-    centre = _crossing(avoided, pairs) if unavoided is None or not before else _crossing(unavoided, before)
+    centre = crossing(avoided, pairs) if unavoided is None or not before else crossing(unavoided, before)
     if unavoided is not None and before:
         centre = from_frame(centre[None, :], unavoided.origin, avoided.origin)[0]
     with matplotlib.rc_context(_STYLE):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-        figure = Figure(figsize=(13, 6.6), layout="constrained")
+        figure = Figure(figsize=(13, 6.6), layout=ConstrainedLayoutEngine(h_pad=0.1))
         FigureCanvasAgg(figure)
+        figure.suptitle(title(avoided, pairs, before, words), fontsize=16, fontweight="bold")
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
         _view_from_above(left, avoided, unavoided, centre)
-        _over_time(right, pairs, before)
+        _over_time(right, pairs, before, _positions(avoided, unavoided))
         try:
             figure.savefig(path, dpi=130)
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path}: cannot be written: {error}") from error
+
+
+def title(avoided: Flown, pairs: list[Separation], before: list[Separation], words: str) -> str:
+    """What the picture shows, in figures."""
+    head = f"{len(avoided.paths)} aircraft" + (f", {words}" if words else "")
+    with_avoidance = f"{pairs[0].minimum_m:.1f} m with avoidance"
+    without = f", {before[0].minimum_m:.1f} m without" if before else ""
+    return f"{head}: closest {with_avoidance}{without}"
+
+
+def _positions(avoided: Flown, unavoided: Flown | None) -> str:
+    """Whose positions both are by."""
+    kinds = dict.fromkeys([avoided.positions, *([unavoided.positions] if unavoided else [])])
+    return " and ".join(kinds)
 
 
 def _matplotlib() -> Any:
@@ -106,18 +141,6 @@ def _matplotlib() -> Any:
 
 def _known(ways: Flown) -> list[Separation]:
     return [pair for pair in separations(ways.paths) if pair.minimum_m is not None]
-
-
-def _crossing(ways: Flown, pairs: list[Separation]) -> Array:
-    """(3,) where the pairs come closest, on average over the pairs that come near at all."""
-    by_name = {path.name: path for path in ways.paths}
-    near = [pair for pair in pairs if (pair.minimum_m or 0.0) <= 5.0 * pair.required_m] or pairs[:1]
-    middles = [
-        [np.interp(pair.minimum_time_s or 0.0, path.time_s, axis) for axis in path.position_ned_m.T]
-        for pair in near
-        for path in (by_name[pair.first], by_name[pair.second])
-    ]
-    return np.asarray(np.mean(middles, axis=0), dtype=np.float64)
 
 
 def _view_from_above(axes: Any, avoided: Flown, unavoided: Flown | None, centre: Array) -> None:
@@ -142,7 +165,7 @@ def _view_from_above(axes: Any, avoided: Flown, unavoided: Flown | None, centre:
 
 def _legend(axes: Any) -> None:
     """Below the axes, where it hides nothing."""
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=11, frameon=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=13, frameon=False)
 
 
 def _ends(axes: Any, track: Array, shade: str, name: str | None) -> None:
@@ -158,10 +181,12 @@ def _ends(axes: Any, track: Array, shade: str, name: str | None) -> None:
 
 
 def _name(axes: Any, at: Array, along: Array, shade: str, name: str) -> None:
-    """The aircraft's name beside its path's entry, to the side where the view's middle leaves more room."""
+    """The aircraft's name beside its path's entry, on the side with more room."""
     heading = along[:2] / max(float(np.hypot(along[0], along[1])), 1e-6)
     north, east = at[:2] + 14.0 * heading
-    to_east = 1.0 if east < 0.0 else -1.0
+    to_middle = 1.0 if east < 0.0 else -1.0
+    # Near the view's edge there is room only towards its middle, and in the middle itself it does not matter.
+    to_east = -to_middle if 0.3 < abs(east) / HALF_WIDTH_M < 0.55 else to_middle
     # A steep path has room beside it, a flat one above or below.
     steep = abs(heading[0]) > 0.6
     offset = (10.0 * to_east, 0.0) if steep else (0.0, -11.0 if north > 0.0 else 11.0)
@@ -174,14 +199,14 @@ def _name(axes: Any, at: Array, along: Array, shade: str, name: str) -> None:
         ha=side,
         va="center",
         color=shade,
-        fontsize=10,
+        fontsize=12,
         fontweight="bold",
         path_effects=_halo(),
         zorder=5,
     )
 
 
-def _over_time(axes: Any, pairs: list[Separation], before: list[Separation]) -> None:
+def _over_time(axes: Any, pairs: list[Separation], before: list[Separation], positions: str) -> None:
     axes.set_title("Distance between the closest two aircraft")
     required = max(pair.required_m for pair in pairs)
     top = _TOP_OF_REQUIRED * required
@@ -189,7 +214,7 @@ def _over_time(axes: Any, pairs: list[Separation], before: list[Separation]) -> 
     for found, shade, words in ((before, _WITHOUT, "without avoidance"), (pairs, _WITH, "with avoidance")):
         if not found:
             continue
-        time, least = _least(found)
+        time, least = least_of(found)
         axes.plot(time, least, color=shade, lw=2.6, label=words)
         _mark(axes, found[0], shade, words)
         near = time[least <= top]
@@ -197,7 +222,7 @@ def _over_time(axes: Any, pairs: list[Separation], before: list[Separation]) -> 
     axes.axhline(required, color=_LIMIT, lw=2, ls="--", label=f"must stay above {required:g} m")
     axes.axhspan(0.0, required, color=_LIMIT, alpha=0.08, lw=0)
     axes.set(xlim=(min(shown), max(shown)), ylim=(0.0, top))
-    axes.set(xlabel="time (s)", ylabel="distance by own GNSS positions (m)")
+    axes.set(xlabel="time (s)", ylabel=f"distance by {positions} (m)")
     _legend(axes)
 
 
@@ -223,16 +248,3 @@ def _halo() -> list[Any]:
     from matplotlib import patheffects
 
     return [patheffects.withStroke(linewidth=3, foreground="white")]
-
-
-def _least(pairs: list[Separation]) -> tuple[Array, Array]:
-    """(n,) times and (n,) least separation of any pair at each, where one is known."""
-    time = np.unique(np.concatenate([pair.time_s for pair in pairs]))
-    rows = np.full((len(pairs), len(time)), np.inf)
-    for row, pair in zip(rows, pairs, strict=True):
-        inside = (time >= pair.time_s[0]) & (time <= pair.time_s[-1])
-        distance = np.interp(time[inside], pair.time_s, np.nan_to_num(pair.distance_m, nan=np.inf))
-        row[inside] = np.where(np.isnan(distance), np.inf, distance)
-    least = rows.min(axis=0)
-    known = np.isfinite(least)
-    return time[known], least[known]

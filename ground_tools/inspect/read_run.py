@@ -1,19 +1,25 @@
 """Reading a run folder: `manifest.json`, `summary.json` where there is one, every aircraft's event record.
 
 A run that was killed is read as far as it was written. What could not be read is said in `problems`, and what
-was read stands beside it. A folder `unavoided` inside holds the same encounter flown without avoidance.
+was read stands beside it. A folder `unavoided` inside holds the same encounter flown without avoidance. In a
+swarm's run folder, each companion made a run folder of its own inside; they are read as one run.
 """
 
 from __future__ import annotations
 
+import glob
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from companion import record
 from companion.errors import ConfigError, PeerDataError
 from companion.record import Header, Step
+from ground_tools.inspect.truth import read_truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +30,8 @@ class AircraftRecord:
     header: Header | None
     """None where the file was cut off before it."""
     steps: tuple[Step, ...]
+    truth: NDArray[np.float64] | None = None
+    """(n, 4) of utc_s, north_m, east_m, down_m; None where its true positions are not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +70,26 @@ def read_run(folder: Path) -> Run:
     problems: list[str] = []
     manifest = _json(folder / "manifest.json", problems)
     summary = _json(folder / "summary.json", problems)
-    aircraft = [_aircraft(path, problems) for path in sorted(folder.glob("*.events"))]
+    files = sorted(folder.glob("*.events")) or _nested(folder, manifest, problems)
+    aircraft = [_aircraft(path, folder, problems) for path in files]
     if not aircraft:
         raise ConfigError(f"{folder}: no event record (*.events) in this folder")
     return Run(folder, manifest, summary, tuple(aircraft), tuple(problems))
+
+
+def _nested(folder: Path, manifest: dict[str, Any] | None, problems: list[str]) -> list[Path]:
+    """The event records of a swarm: `<utc>-<name>/<name>.events` of every aircraft in its manifest."""
+    names = (manifest or {}).get("aircraft")
+    found = []
+    for name in names if isinstance(names, list) else []:
+        # Names of run folders begin with their time: the last is the latest.
+        files = sorted(folder.glob(f"*-{glob.escape(str(name))}/{glob.escape(str(name))}.events"))
+        found += files[-1:]
+        if not files:
+            problems.append(f"{name}: no event record")
+        elif len(files) > 1:
+            problems.append(f"{name}: {len(files)} event records; the last is taken")
+    return found
 
 
 def _json(path: Path, problems: list[str]) -> dict[str, Any] | None:
@@ -82,7 +106,7 @@ def _json(path: Path, problems: list[str]) -> dict[str, Any] | None:
     return value
 
 
-def _aircraft(path: Path, problems: list[str]) -> AircraftRecord:
+def _aircraft(path: Path, folder: Path, problems: list[str]) -> AircraftRecord:
     header: Header | None = None
     steps: list[Step] = []
     name = path.name.removesuffix(".events")
@@ -97,4 +121,9 @@ def _aircraft(path: Path, problems: list[str]) -> AircraftRecord:
             problems.append(f"{error}; read up to there")
     if header is None:
         problems.append(f"{path.name}: no header")
-    return AircraftRecord(name, header, tuple(steps))
+    truth = None
+    try:
+        truth = read_truth(folder / f"{name}.truth.csv")
+    except PeerDataError as error:
+        problems.append(str(error))
+    return AircraftRecord(name, header, tuple(steps), truth)

@@ -7,7 +7,7 @@ is an optional dependency.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +27,26 @@ from companion.events import (
     VehicleText,
 )
 from companion.remote_id.messages import Location
-from ground_tools.inspect.flown import Array, Flown, Separation, flown, from_frame, separations, to_ned
+from ground_tools.inspect.blueprint import ENCOUNTER, WHOLE, blueprint, encounter_time
+from ground_tools.inspect.flown import (
+    Array,
+    Flown,
+    Separation,
+    flown,
+    from_frame,
+    least_of,
+    separations,
+    to_ned,
+)
 from ground_tools.inspect.palette import LIMIT, colour
 from ground_tools.inspect.read_run import AircraftRecord, Run
 
-TIMELINE = "time"
 MAX_PAIRS_DRAWN = 45
 """Closest pairs with a line of their own: ten aircraft in full."""
+
+SHOWN_S = 3.0
+"""A position is drawn until the next one, and no longer than this."""
+_PAIR = (150, 150, 150)
 
 LogLine = tuple[float, str, str]
 """Time (s), level, text."""
@@ -50,15 +63,15 @@ def write(run: Run, path: Path) -> None:
     rr = _rerun()
     stream = rr.RecordingStream("dmuca", recording_id=run.name)
     try:
-        stream.save(path, default_blueprint=_blueprint(pairs))
+        stream.save(path, default_blueprint=blueprint(ways, pairs))
     except (OSError, RuntimeError) as error:
         raise ConfigError(f"{path}: cannot be written: {error}") from error
-    writer = _Writer(rr, stream, ways)
+    writer = _Writer(rr, stream, ways, pairs[0].minimum_time_s if pairs else None)
     writer.world()
     for index, record in enumerate(run.aircraft):
         writer.aircraft(record, colour(index))
-    for index, pair in enumerate(pairs):
-        writer.separation(pair, colour(index))
+    if pairs:
+        writer.separations(pairs)
     # Without this the end of the file is written at some later time, or never if the process is killed.
     stream.disconnect()
 
@@ -71,55 +84,26 @@ def _rerun() -> Any:
     return rerun
 
 
-def _blueprint(pairs: Sequence[Separation]) -> Any:
-    import rerun.blueprint as rrb
-
-    last_second = rrb.VisibleTimeRange(
-        TIMELINE,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-3.0),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
-    required = max((pair.required_m for pair in pairs), default=10.0)
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(
-                name="Flown, heard, predicted",
-                origin="/",
-                contents=["/world/**", "/aircraft/**"],
-                # Reports and predictions of the last seconds only; the flown path itself is static.
-                time_ranges=last_second,
-            ),
-            rrb.Vertical(
-                rrb.TimeSeriesView(
-                    name="Separation (m)",
-                    origin="/separation",
-                    axis_y=rrb.ScalarAxis(range=(0.0, 6.0 * required), zoom_lock=False),
-                ),
-                rrb.StateTimelineView(name="Authority", origin="/authority"),
-                rrb.TextLogView(name="Events", origin="/events"),
-                row_shares=[3, 1, 2],
-            ),
-            column_shares=[3, 2],
-        ),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
-        rrb.SelectionPanel(state="hidden"),
-    )
-
-
 class _Writer:
     """Puts the parts of one run into one recording."""
 
-    def __init__(self, rr: Any, stream: Any, ways: Flown) -> None:
+    def __init__(self, rr: Any, stream: Any, ways: Flown, closest_s: float | None) -> None:
         self._rr = rr
         self._stream = stream
         self._ways = ways
+        self._closest_s = closest_s
+        self._flown = {path.name: path for path in ways.paths}
+        self._own = {path.name: path for path in ways.own}
 
     def world(self) -> None:
         """Directions, and what the time line is."""
         rr = self._rr
         self._stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         lat, lon, alt = self._ways.origin
-        words = f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. Time line: {self._ways.clock}."
+        words = (
+            f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. Time line: {self._ways.clock}. "
+            f"Distances by {self._ways.positions}."
+        )
         start = min(path.time_s[0] for path in self._ways.paths)
         self._columns("/events/run", np.array([start]), rr.TextLog.columns(text=[words], level=["INFO"]))
 
@@ -127,16 +111,16 @@ class _Writer:
         """Everything of one aircraft."""
         rr = self._rr
         root = f"/aircraft/{self._part(record.name)}"
-        path = next((p for p in self._ways.paths if p.name == record.name), None)
-        if path is not None:
+        if (path := self._flown.get(record.name)) is not None:
             strip = rr.LineStrips3D([_enu(path.position_ned_m)], colors=[rgb], radii=[-1.5])
             self._stream.log(f"{root}/flown", strip, static=True)
-            self._points(f"{root}/own", path.time_s, path.position_ned_m, rgb, 2.0, record.name)
+        if (own := self._own.get(record.name)) is not None:
+            self._points(f"{root}/own", own.time_s, own.position_ned_m, rgb, 1.2, record.name, named=True)
         offset = self._ways.offsets_s[record.name]
         for sender, time, position in _heard(record, self._ways.origin):
             label = f"{sender} as {record.name} heard it"
             self._points(
-                f"{root}/heard/{self._part(sender)}", time + offset, position, _pale(rgb), 1.0, label
+                f"{root}/heard/{self._part(sender)}", time + offset, position, _pale(rgb), 0.9, label
             )
         for track, time, position in _predicted(record, self._ways.origin):
             label = f"{track} as {record.name} predicts it"
@@ -144,18 +128,24 @@ class _Writer:
         self._authority(record, offset)
         self._log(record, offset)
 
-    def separation(self, pair: Separation, rgb: tuple[int, int, int]) -> None:
-        """One pair's distance and the distance that it must keep."""
+    def separations(self, pairs: list[Separation]) -> None:
+        """Every pair's distance, that of whichever two are closest, and the distance that must hold."""
+        for pair in pairs:
+            known = ~np.isnan(pair.distance_m)
+            self._line(
+                f"{pair.first} - {pair.second}", pair.time_s[known], pair.distance_m[known], _PAIR, 1.0
+            )
+        time, least = least_of(pairs)
+        self._line("closest two", time, least, colour(0), 3.0)
+        required = max(pair.required_m for pair in pairs)
+        self._line(f"required {required:g} m", time[[0, -1]], np.full(2, required), LIMIT, 3.0)
+
+    def _line(self, name: str, time_s: Array, values: Array, rgb: tuple[int, int, int], width: float) -> None:
         rr = self._rr
-        known = ~np.isnan(pair.distance_m)
-        name = f"{pair.first} - {pair.second}"
         entity = f"/separation/{self._part(name)}"
-        self._stream.log(entity, rr.SeriesLines(colors=[rgb], widths=[2.0], names=[name]), static=True)
-        self._scalars(entity, pair.time_s[known], pair.distance_m[known])
-        limit = "/separation/" + self._part(f"required {pair.required_m:g} m")
-        line = rr.SeriesLines(colors=[LIMIT], widths=[2.0], names=[f"{pair.required_m:g} m"])
-        self._stream.log(limit, line, static=True)
-        self._scalars(limit, pair.time_s[[0, -1]], np.full(2, pair.required_m))
+        style = rr.SeriesLines(colors=[rgb], widths=[width], names=[name])
+        self._stream.log(entity, style, static=True)
+        self._columns(entity, time_s, rr.Scalars.columns(scalars=values))
 
     def _points(
         self,
@@ -165,18 +155,19 @@ class _Writer:
         rgb: tuple[int, int, int],
         radius_m: float,
         label: str,
+        *,
+        named: bool = False,
     ) -> None:
         rr = self._rr
-        style = rr.Points3D.from_fields(colors=[rgb], radii=[radius_m], labels=[label], show_labels=False)
+        style = rr.Points3D.from_fields(colors=[rgb], radii=[radius_m], labels=[label], show_labels=named)
         self._stream.log(entity, style, static=True)
-        self._columns(entity, time_s, rr.Points3D.columns(positions=_enu(position_ned_m)))
+        times, lengths = _until_stale(time_s)
+        columns = rr.Points3D.columns(positions=_enu(position_ned_m)).partition(lengths)
+        self._columns(entity, times, columns)
 
     def _part(self, name: str) -> str:
         part: str = self._rr.escape_entity_path_part(name)
         return part
-
-    def _scalars(self, entity: str, time_s: Array, values: Array) -> None:
-        self._columns(entity, time_s, self._rr.Scalars.columns(scalars=values))
 
     def _authority(self, record: AircraftRecord, offset_s: float) -> None:
         changes = [
@@ -199,12 +190,25 @@ class _Writer:
         if lines:
             time = np.array([line[0] for line in lines]) + offset_s
             columns = self._rr.TextLog.columns(
-                text=[line[2] for line in lines], level=[line[1] for line in lines]
+                text=[f"{record.name}: {line[2]}" for line in lines], level=[line[1] for line in lines]
             )
             self._columns(f"/events/{self._part(record.name)}", time, columns)
 
     def _columns(self, entity: str, time_s: Array, columns: Any) -> None:
-        self._stream.send_columns(entity, [self._rr.TimeColumn(TIMELINE, duration=time_s)], columns)
+        times = [self._rr.TimeColumn(WHOLE, duration=time_s)]
+        if self._closest_s is not None:
+            around = encounter_time(time_s, self._closest_s)
+            times.append(self._rr.TimeColumn(ENCOUNTER, duration=around))
+        self._stream.send_columns(entity, times, columns)
+
+
+def _until_stale(time_s: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Rows of one point each, and a row of none where no other follows within SHOWN_S: times and lengths."""
+    last = np.append(np.diff(time_s) > SHOWN_S, True)
+    times = np.concatenate([time_s, time_s[last] + SHOWN_S])
+    lengths = np.concatenate([np.ones(len(time_s), dtype=np.int64), np.zeros(last.sum(), dtype=np.int64)])
+    order = np.argsort(times, kind="stable")
+    return times[order], lengths[order]
 
 
 def _heard(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, Array]]:

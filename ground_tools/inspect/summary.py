@@ -19,6 +19,7 @@ def describe(run: Run) -> dict[str, Any]:
     return {
         "run": run.name,
         "clock": ways.clock,
+        "positions": ways.positions,
         "aircraft": [_aircraft(record) for record in run.aircraft],
         "separations": [
             {
@@ -30,7 +31,7 @@ def describe(run: Run) -> dict[str, Any]:
             }
             for pair in separations(ways.paths)
         ],
-        "problems": list(run.problems),
+        "problems": [*run.problems, *ways.problems],
     }
 
 
@@ -38,7 +39,7 @@ def text(figures: dict[str, Any]) -> str:
     """The figures of `describe` as lines a person reads."""
     lines = [
         f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
-        "distances by the aircraft's own positions"
+        f"distances by {figures['positions']}"
     ]
     lines += [_aircraft_line(one) for one in figures["aircraft"]]
     lines += [_pair_line(pair) for pair in figures["separations"]]

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import pytest
 
 from companion import record
-from companion.config import AvoidanceConfig, Config, IdentityConfig
+from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig
 from companion.events import (
     AnyCommand,
     AnyEvent,
@@ -129,15 +129,30 @@ def decision(frame: LocalFrame, me: Vec3, other: Vec3) -> Decision:
     )
 
 
-def write_events(folder: Path, name: str, found: list[Step], radius_m: float = 5.0) -> Path:
+def write_events(
+    folder: Path, name: str, found: list[Step], radius_m: float = 5.0, start_utc_s: float | None = None
+) -> Path:
     """`<name>.events` in `folder`, which is made."""
     folder.mkdir(parents=True, exist_ok=True)
     config = Config(
-        identity=IdentityConfig(uas_id=name), avoidance=AvoidanceConfig(conflict_radius_m=radius_m)
+        identity=IdentityConfig(uas_id=name),
+        avoidance=AvoidanceConfig(conflict_radius_m=radius_m),
+        flight=FlightConfig(start="engage" if start_utc_s is None else "utc", start_utc_s=start_utc_s),
     )
     header = Header(aircraft=name, software="test", config=config)
     path = folder / f"{name}.events"
     path.write_bytes(record.MAGIC + b"".join(record.encode(r) for r in (header, *found)))
+    return path
+
+
+def write_truth(folder: Path, name: str, motion: Motion, period_s: float = 0.1) -> Path:
+    """`<name>.truth.csv` over the minute of `steps`."""
+    rows = ["utc_s,north_m,east_m,down_m"]
+    for tick in range(round(60.0 / period_s) + 1):
+        north, east, down = motion(tick * period_s)
+        rows.append(f"{UTC_S + tick * period_s:.3f},{north:.3f},{east:.3f},{down:.3f}")
+    path = folder / f"{name}.truth.csv"
+    path.write_text("\n".join(rows) + "\n")
     return path
 
 
@@ -163,5 +178,11 @@ def run_folder(tmp_path: Path, built: Path) -> Path:
 def made() -> SimpleNamespace:
     """The parts that a run folder of a test's own is made of."""
     return SimpleNamespace(
-        steps=steps, write_events=write_events, northbound=northbound, eastbound=eastbound, home=HOME
+        steps=steps,
+        write_events=write_events,
+        write_truth=write_truth,
+        northbound=northbound,
+        eastbound=eastbound,
+        home=HOME,
+        utc_s=UTC_S,
     )

@@ -5,12 +5,15 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from companion.errors import ConfigError
 from ground_tools.inspect import command, picture
+from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.read_run import read_run
 
 
 def inspect(*arguments: object) -> int:
@@ -85,6 +88,36 @@ def test_the_picture_shows_both_runs(run_folder: Path, tmp_path: Path) -> None:
     assert (pixels(tmp_path / "given.png") == both).all()
     one = pixels(tmp_path / "one.png")
     assert one.shape != both.shape or (one != both).any()
+
+
+def test_the_title_says_how_it_went(run_folder: Path) -> None:
+    """Closest 20 / sqrt(2) m with avoidance, 2 / sqrt(2) m without."""
+    (run_folder / "summary.json").write_text(json.dumps({"delay_s": [0.5, 2]}))
+    run = read_run(run_folder)
+    avoided = flown(run)
+    pairs = separations(avoided.paths)
+    before = separations(flown(read_run(run_folder / "unavoided")).paths)
+    words = picture.lateness(run)
+    assert picture.title(avoided, pairs, before, words) == (
+        "2 aircraft, Remote ID 0.5 to 2 s late: closest 14.1 m with avoidance, 1.4 m without"
+    )
+    assert picture.title(avoided, pairs, [], "") == "2 aircraft: closest 14.1 m with avoidance"
+
+
+@pytest.mark.parametrize("summary", [{}, {"delay_s": 3}, {"delay_s": ["a", "b"]}, {"delay_s": [1.0]}])
+def test_a_run_that_does_not_say_how_late_messages_came(run_folder: Path, summary: object) -> None:
+    (run_folder / "summary.json").write_text(json.dumps(summary))
+    assert picture.lateness(read_run(run_folder)) == ""
+
+
+def test_the_picture_says_whose_positions_it_draws(
+    run_folder: Path, tmp_path: Path, made: SimpleNamespace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    made.write_truth(run_folder, "DMUCA001", made.northbound)
+    made.write_truth(run_folder, "DMUCA002", made.eastbound(20.0))
+    draw(run_folder, "--out", tmp_path / "p.png")
+    assert "distances by true positions and own GNSS positions" in capsys.readouterr().out
 
 
 def test_one_aircraft_makes_no_picture(run_folder: Path, tmp_path: Path) -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from ground_tools.inspect.flown import Flown, Separation, common_time, flown, from_frame, separations
+from ground_tools.inspect.flown import Flown, Separation, flown, from_frame, separations
 from ground_tools.inspect.read_run import read_run, read_unavoided
 from ground_tools.inspect.summary import describe, text
+from ground_tools.inspect.timeline import time_line
 
 
 def closest(ways: Flown) -> Separation:
@@ -71,6 +72,7 @@ def test_the_closest_approach_is_that_of_the_geometry(run_folder: Path) -> None:
     assert (pair.first, pair.second, pair.required_m) == ("DMUCA001", "DMUCA002", 10.0)
     assert pair.minimum_m == pytest.approx(20.0 / math.sqrt(2.0), abs=0.02)
     assert pair.minimum_time_s == pytest.approx(32.0, abs=0.11)
+    assert flown(read_run(run_folder)).positions == "own GNSS positions"
 
 
 def test_positions_come_from_decisions_where_there_are_no_others(
@@ -106,9 +108,30 @@ def test_without_utc_one_clock_is_taken_and_said(tmp_path: Path, made: SimpleNam
     other = made.eastbound(20.0)
     made.write_events(tmp_path, "a", made.steps(made.northbound, other))
     made.write_events(tmp_path, "b", made.steps(other, made.northbound, utc=False))
-    offsets, words = common_time(read_run(tmp_path))
-    assert offsets == {"a": 0.0, "b": 0.0}
-    assert words == "one clock taken for granted: no UTC from b"
+    line = time_line(read_run(tmp_path))
+    assert line.offsets_s == {"a": 0.0, "b": 0.0}
+    assert line.words == "one clock taken for granted: no UTC from b"
+
+
+@pytest.mark.parametrize(
+    ("other_start_s", "zero_at_s", "words"),
+    [
+        (4.0, 4.0, "one clock shared by all aircraft; 0 is the start of the timed paths"),
+        (5.0, 0.0, "one clock shared by all aircraft"),
+    ],
+)
+def test_the_line_counts_from_the_start_of_the_paths_where_that_is_one(
+    tmp_path: Path, made: SimpleNamespace, other_start_s: float, zero_at_s: float, words: str
+) -> None:
+    other = made.eastbound(20.0)
+    start = made.utc_s + 4.0
+    made.write_events(tmp_path, "a", made.steps(made.northbound, other), start_utc_s=start)
+    made.write_events(
+        tmp_path, "b", made.steps(other, made.northbound), start_utc_s=made.utc_s + other_start_s
+    )
+    ways = flown(read_run(tmp_path))
+    assert ways.clock == words
+    assert closest(ways).minimum_time_s == pytest.approx(32.0 - zero_at_s, abs=0.01)
 
 
 def test_a_place_inside_a_gap_is_not_known(tmp_path: Path, made: SimpleNamespace) -> None:

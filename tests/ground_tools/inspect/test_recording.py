@@ -13,6 +13,7 @@ from companion.events import GnssFix, RemoteIdHeard
 from companion.record import Step
 from companion.remote_id.messages import Location
 from ground_tools.inspect import recording
+from ground_tools.inspect.blueprint import ENCOUNTER, encounter_time
 from ground_tools.inspect.read_run import AircraftRecord, read_run
 
 pytest.importorskip("rerun")
@@ -54,13 +55,15 @@ def test_the_check_would_notice_a_file_cut_off(saved: Path) -> None:
 def test_every_part_of_the_run_is_in_it(saved: Path) -> None:
     rows = chunks(saved)
     heard = "/aircraft/DMUCA001/heard/c2\\:00\\:00\\:00\\:00\\:02"
-    assert rows["/aircraft/DMUCA001/own"] == 601
-    assert rows[heard] == 61
-    assert rows["/aircraft/DMUCA001/predicted/DMUCA002"] == 301
+    # Positions end with a row of none, so that none is drawn for ever.
+    assert rows["/aircraft/DMUCA001/own"] == 601 + 1
+    assert rows[heard] == 61 + 1
+    assert rows["/aircraft/DMUCA001/predicted/DMUCA002"] == 301 + 1
     assert rows["/authority/DMUCA002"] == 2
     assert rows["/events/DMUCA001"] == 4
     assert rows["/separation/DMUCA001\\ -\\ DMUCA002"] > 1000
     assert rows["/separation/required\\ 10\\ m"] == 2
+    assert rows["/separation/closest\\ two"] > 1000
 
 
 def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, made: SimpleNamespace) -> None:
@@ -72,6 +75,26 @@ def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, ma
 def test_a_place_that_cannot_be_written_is_said(run_folder: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be written"):
         recording.write(read_run(run_folder), run_folder / "no" / "such" / "folder.rrd")
+
+
+def test_a_position_is_not_drawn_when_no_other_follows() -> None:
+    times, lengths = recording._until_stale(np.array([0.0, 1.0, 9.0]))
+    assert (times.tolist(), lengths.tolist()) == ([0.0, 1.0, 4.0, 9.0, 12.0], [1, 1, 0, 1, 0])
+
+
+def test_the_encounter_counts_from_the_closest_approach_and_holds_what_lies_around_it(saved: Path) -> None:
+    """Closest at 32 s of 60: all before it lies within the encounter's time before."""
+    from rerun.chunk import RrdReader
+
+    ((start, end),) = [
+        (column[0].as_py(), column[-1].as_py())
+        for chunk in RrdReader(saved).stream().to_chunks()
+        if str(chunk.entity_path) == "/aircraft/DMUCA001/own" and not chunk.is_static
+        for column in [chunk.to_record_batch().column(ENCOUNTER)]
+    ]
+    assert start.total_seconds() == pytest.approx(-32.0, abs=0.01)
+    assert end.total_seconds() == pytest.approx(60.0 + recording.SHOWN_S - 32.0, abs=0.01)
+    assert encounter_time(np.array([0.0, 100.0, 500.0]), 100.0).tolist() == [-40.0, 0.0, 60.0]
 
 
 def test_north_east_down_is_drawn_east_north_up() -> None:
