@@ -55,8 +55,9 @@ def _paths(rrb: Any, ways: Flown, pairs: Sequence[Separation]) -> Any:
             look_target=(east, north, -down),
             eye_up=(0.0, 0.0, 1.0),
         )
+    words = "Large: own. Pale: heard, small: predicted, in the hearer's colour"
     return rrb.Spatial3DView(
-        name=f"Lines: flown ({ways.positions}). Large: own. Pale: heard, small: predicted, by whose colour it is",
+        name=f"Lines: flown ({ways.positions}). {words}",
         origin="/",
         contents=["/world/**", "/aircraft/**"],
         eye_controls=eye,
