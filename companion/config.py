@@ -64,6 +64,11 @@ class FlightConfig(_Section, frozen=True):
     rearm: Literal["mode", "disarm", "never"] = "disarm"
     """How authority returns after the pilot took it: when the pilot selects GUIDED/OFFBOARD, when the vehicle
     has been disarmed, or only by a restart."""
+    take_in_flight: bool = False
+    """May take a vehicle that was flying already when the companion started. Without it a companion that
+    restarts in flight waits for the next landing."""
+    start_within_m: Annotated[float, Meta(gt=0, le=10000)] = 100.0
+    """The vehicle is taken only this near to the path's point for the moment."""
     setpoint_rate_hz: Annotated[float, Meta(ge=5, le=50)] = 20.0
 
 
@@ -88,7 +93,7 @@ class AvoidanceConfig(_Section, frozen=True):
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Each aircraft's; two of them are the separation that must hold."""
     horizon_s: Annotated[float, Meta(gt=0, le=120)] = 20.0
-    period_s: Annotated[float, Meta(ge=0.02, le=5)] = 0.2
+    period_s: Annotated[float, Meta(ge=0.02, le=1)] = 0.2
     recovery_time_s: Annotated[float, Meta(gt=0, le=120)] = 10.0
     """T: time to close the gap to the path's point."""
     n_noncollide: Annotated[int, Meta(ge=1, le=1000)] = 15
@@ -228,6 +233,11 @@ def check(config: Config, name: str) -> None:
     if floor is not None and ceiling is not None and ceiling - floor < 5.0:
         raise ConfigError(
             f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"
+        )
+    if flight.use == "fly" and radio.backend == "null" and config.avoidance.law != "none":
+        raise ConfigError(
+            f'{name}: radio.backend: "null" hears nobody; use = "fly" needs a radio, '
+            'or avoidance.law = "none"'
         )
     if radio.backend == "ether" and radio.address is None:
         raise ConfigError(f'{name}: radio.address: missing; backend = "ether" needs HOST:PORT')

@@ -11,11 +11,13 @@ from typing import cast
 
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.tlog import TlogWriter
+from companion.avoidance.authority import HOLDING
 from companion.config import Config
 from companion.core import Companion
 from companion.events import (
     AnyCommand,
     AnyEvent,
+    AuthorityChanged,
     Broadcast,
     DownloadMission,
     Event,
@@ -26,6 +28,8 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.record import Step
+
+_HOLDING = frozenset(state.value for state in HOLDING)
 
 
 class Onboard:
@@ -73,10 +77,12 @@ class Onboard:
         events, self._events = self._events, []
         commands = self.heart.step(now_s, events)
         for command in commands:
-            if isinstance(command, DownloadMission | Say) or (
-                self.commanding and isinstance(command, VelocitySetpoint | SetMode)
+            if isinstance(command, DownloadMission) or (
+                self.commanding and isinstance(command, VelocitySetpoint | SetMode | Say)
             ):
                 self.link.send(command, now_s)
+            elif isinstance(command, AuthorityChanged) and command.state not in _HOLDING:
+                self.link.cancel_mode()
         if self._record is not None:
             self._record(
                 Step(

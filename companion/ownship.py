@@ -1,12 +1,15 @@
-"""Own state as the autopilot reports it: position, velocity, clock, quality, and whether it may be used.
+"""Own state as the autopilot reports it: position, velocity, clocks, quality, and whether it may be flown on.
 
-The vehicle is the only source of UTC (a small computer has no clock of its own). UTC is tied to two other
-clocks: the autopilot's time since boot, which dates a position exactly, and our monotonic time.
+Three clocks. A position is dated by the autopilot's time since boot, tied to our monotonic time by the least
+delayed message, so that a link that grows slow shows as age. UTC (the vehicle is its only source: a small
+computer has no clock of its own) is tied to the time since boot inside the autopilot, so that neither link
+delay nor a corrected UTC changes the age of anything.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 from companion.events import (
     Event,
@@ -24,11 +27,36 @@ from companion.geometry import LocalFrame
 
 SIGMA_UNKNOWN_M = 5.0
 """Own horizontal standard deviation when the receiver declares none."""
-_HEARTBEAT_LOST_S = 3.0
+_HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
-_CLOCK_DRIFT = 1e-3
-_CLOCK_JUMP_S = 5.0
-"""SYSTEM_TIME that reads late by more than this was not delayed: the vehicle's clock was set back."""
+_LANDED_LOST_S = 3.0
+_CLOCK_DRIFT = 2e-4
+"""The autopilot's clock against ours, at most."""
+_REBOOT_S = 1.0
+_JUMP_M = 30.0
+"""Beyond what speed explains, a position that moves farther than this was not flown."""
+_JUMP_RATE_MPS = 20.0
+_UNTRUSTED_S = 2.0
+"""After a jump or a reboot the own state must be steady for this long."""
+
+
+@dataclass(slots=True)
+class _BootClock:
+    """Our monotonic time minus the autopilot's time since boot, from the least delayed message."""
+
+    offset_s: float | None = None
+    at_s: float = 0.0
+    boot_s: float = 0.0
+
+    def take(self, time_boot_s: float, now_s: float) -> bool:
+        """Take in one time stamp; True when the autopilot's clock began anew."""
+        began_anew = self.offset_s is not None and time_boot_s < self.boot_s - _REBOOT_S
+        offset = now_s - time_boot_s
+        if self.offset_s is not None and not began_anew:
+            # Delay only ever makes the offset read too large: keep the smallest, give way to drift.
+            offset = min(offset, self.offset_s + _CLOCK_DRIFT * (now_s - self.at_s))
+        self.offset_s, self.at_s, self.boot_s = offset, now_s, time_boot_s
+        return began_anew
 
 
 @dataclass(slots=True)
@@ -36,27 +64,26 @@ class Ownship:
     """Everything known of the own aircraft."""
 
     heartbeat: Heartbeat | None = None
-    heartbeat_s: float = float("-inf")
+    heartbeat_s: float = -math.inf
     position: GlobalPosition | None = None
-    received_s: float = float("-inf")
-    """When the position arrived."""
     velocity_ned_mps: Vec3 = (0.0, 0.0, 0.0)
-    velocity_boot_s: float = float("-inf")
     gnss: GnssFix | None = None
-    gnss_s: float = float("-inf")
-    landed: Landed = Landed.UNDEFINED
     takeoff: GlobalPosition | None = None
     """Where the aircraft was last seen on the ground."""
     separation_m: float | None = None
     """Geoid above the ellipsoid (m), from the GNSS receiver's two altitudes."""
-    _sample_ned_m: Vec3 = (0.0, 0.0, 0.0)
     frame: LocalFrame | None = None
     """Local NED: origin at the first position, altitude datum mean sea level; fixed for the flight."""
-    utc_offset_s: float | None = None
-    """UTC minus our monotonic time; from the least delayed SYSTEM_TIME."""
-    utc_offset_at_s: float = 0.0
     boot_to_utc_s: float | None = None
     """UTC minus the autopilot's time since boot."""
+    _clock: _BootClock = field(default_factory=_BootClock)
+    _landed: Landed = Landed.UNDEFINED
+    _landed_s: float = -math.inf
+    _gnss_s: float = -math.inf
+    _velocity_boot_s: float = -math.inf
+    _sample_ned_m: Vec3 = (0.0, 0.0, 0.0)
+    _upset_s: float = -math.inf
+    _upset: str = ""
 
     def take(self, event: Event, now_s: float) -> None:
         """Take in one event that concerns the own aircraft; others are left alone."""
@@ -65,42 +92,48 @@ class Ownship:
                 self.heartbeat, self.heartbeat_s = event, now_s
             case GlobalPosition():
                 self._take_position(event, now_s)
-            case LocalPosition() if event.time_boot_s >= self.velocity_boot_s:
-                self.velocity_ned_mps, self.velocity_boot_s = event.velocity_ned_mps, event.time_boot_s
+            case LocalPosition():
+                self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
             case GnssFix():
-                self.gnss, self.gnss_s = event, now_s
-                if event.alt_ellipsoid_m is not None:
+                self.gnss, self._gnss_s = event, now_s
+                if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
                     self.separation_m = event.alt_ellipsoid_m - event.alt_msl_m
             case LandedState():
-                self.landed = event.landed
+                self._landed, self._landed_s = event.landed, now_s
             case VehicleTime():
-                self._take_time(event, now_s)
+                self._tick(event.time_boot_s, now_s)
+                if event.utc_s is not None:
+                    self.boot_to_utc_s = event.utc_s - event.time_boot_s
             case _:
                 pass
 
+    def _tick(self, time_boot_s: float, now_s: float) -> None:
+        if self._clock.take(time_boot_s, now_s):
+            self._velocity_boot_s, self.boot_to_utc_s = -math.inf, None
+            self._landed_s = -math.inf
+            self._trouble("the autopilot's clock began anew", now_s)
+
+    def _trouble(self, what: str, now_s: float) -> None:
+        self._upset, self._upset_s = what, now_s
+
+    def _take_velocity(self, velocity: Vec3, time_boot_s: float) -> None:
+        if time_boot_s >= self._velocity_boot_s:
+            self.velocity_ned_mps, self._velocity_boot_s = velocity, time_boot_s
+
     def _take_position(self, event: GlobalPosition, now_s: float) -> None:
-        if self.position is not None and event.time_boot_s < self.position.time_boot_s - 1.0:
-            # The autopilot rebooted: its clock began anew.
-            self.velocity_boot_s, self.boot_to_utc_s = float("-inf"), None
-        self.position, self.received_s = event, now_s
-        if event.time_boot_s >= self.velocity_boot_s:
-            self.velocity_ned_mps, self.velocity_boot_s = event.velocity_ned_mps, event.time_boot_s
-        if self.landed is Landed.ON_GROUND:
-            self.takeoff = event
+        self._tick(event.time_boot_s, now_s)
         if self.frame is None:
             self.frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
-        self._sample_ned_m = self.frame.to_ned(event.lat_deg, event.lon_deg, event.alt_msl_m)
-
-    def _take_time(self, event: VehicleTime, now_s: float) -> None:
-        if event.utc_s is None:
-            return
-        self.boot_to_utc_s = event.utc_s - event.time_boot_s
-        offset = event.utc_s - now_s
-        if self.utc_offset_s is not None and offset > self.utc_offset_s - _CLOCK_JUMP_S:
-            # Link delay only ever makes the offset read too small: keep the largest, less the clocks' drift.
-            drift = _CLOCK_DRIFT * (now_s - self.utc_offset_at_s)
-            offset = max(offset, self.utc_offset_s - drift)
-        self.utc_offset_s, self.utc_offset_at_s = offset, now_s
+        sample = self.frame.to_ned(event.lat_deg, event.lon_deg, event.alt_msl_m)
+        if self.position is not None:
+            elapsed = max(0.0, event.time_boot_s - self.position.time_boot_s)
+            speed = _JUMP_RATE_MPS + math.hypot(*self.velocity_ned_mps)
+            if math.dist(sample, self._sample_ned_m) > _JUMP_M + speed * elapsed:
+                self._trouble("own position jumped", now_s)
+        self.position, self._sample_ned_m = event, sample
+        self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
+        if self.landed(now_s) is Landed.ON_GROUND:
+            self.takeoff = event
 
     @property
     def mode(self) -> FlightMode | None:
@@ -112,22 +145,26 @@ class Ownship:
         """Armed in the last heartbeat."""
         return self.heartbeat is not None and self.heartbeat.armed
 
-    def sample_s(self) -> float:
-        """Our monotonic time of the position held (never after it arrived). Needs a position."""
-        assert self.position is not None
-        if self.utc_offset_s is None or self.boot_to_utc_s is None:
-            return self.received_s
-        return min(self.received_s, self.position.time_boot_s + self.boot_to_utc_s - self.utc_offset_s)
+    def landed(self, now_s: float) -> Landed:
+        """On the ground or in the air; undefined when the vehicle has not said so for a while."""
+        return self._landed if now_s - self._landed_s <= _LANDED_LOST_S else Landed.UNDEFINED
 
-    def sample_utc_s(self) -> float | None:
-        """UTC of the position held; None while UTC is unknown."""
-        if self.position is None or self.boot_to_utc_s is None:
+    def sample_s(self) -> float:
+        """Our monotonic time of the position held. Needs a position."""
+        assert self.position is not None
+        assert self._clock.offset_s is not None
+        return self.position.time_boot_s + self._clock.offset_s
+
+    @property
+    def utc_offset_s(self) -> float | None:
+        """UTC minus our monotonic time; None while the vehicle does not know UTC."""
+        if self.boot_to_utc_s is None or self._clock.offset_s is None:
             return None
-        return self.position.time_boot_s + self.boot_to_utc_s
+        return self.boot_to_utc_s - self._clock.offset_s
 
     def age_s(self, now_s: float) -> float:
         """Age of the position held; infinite while there is none."""
-        return float("inf") if self.position is None else now_s - self.sample_s()
+        return math.inf if self.position is None else now_s - self.sample_s()
 
     def position_ned_m(self, now_s: float) -> Vec3:
         """Position at `now_s` in the local frame (m), carried on with the own velocity. Needs a position."""
@@ -153,8 +190,10 @@ class Ownship:
             return f"no heartbeat from the autopilot for {_HEARTBEAT_LOST_S:g} s"
         if self.age_s(now_s) > stale_after_s:
             return f"own position older than {stale_after_s:g} s"
-        if self.gnss is None or now_s - self.gnss_s > _GNSS_LOST_S:
+        if self.gnss is None or now_s - self._gnss_s > _GNSS_LOST_S:
             return f"no GNSS report for {_GNSS_LOST_S:g} s"
         if self.gnss.fix_type < 3:
             return f"GNSS without a 3D fix (fix type {self.gnss.fix_type})"
+        if now_s - self._upset_s < _UNTRUSTED_S:
+            return self._upset
         return None

@@ -33,6 +33,7 @@ from sitl_mocks.channel.simple import SimpleChannel
 from sitl_mocks.ether import Ether, PairStats
 from sitl_mocks.scenario import encounter
 from sitl_mocks.settings import Scenario
+from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions
 
 TICK_S = 0.05
@@ -108,6 +109,7 @@ def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOpt
         home_lon_deg=HOME.lon_deg,
         home_alt_msl_m=HOME.alt_m,
         airborne=True,
+        start_mode=VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD,
         start_position_ned_m=(float(path[0, 1]), float(path[0, 2]), float(path[0, 3])),
         utc_at_zero_s=UTC_AT_START_S,
         max_horizontal_speed_mps=2.0 * limits.max_speed_mps,
@@ -135,7 +137,9 @@ def companion_config(scenario: Scenario, name: str, path: Points, law: str | Non
     return Config(
         identity=IdentityConfig(uas_id=name),
         vehicle=VehicleConfig(),
-        flight=FlightConfig(use="fly", start="utc", start_utc_s=UTC_AT_START_S + SETTLE_S),
+        flight=FlightConfig(
+            use="fly", start="utc", start_utc_s=UTC_AT_START_S + SETTLE_S, take_in_flight=True
+        ),
         limits=scenario.limits,
         avoidance=avoidance,
         remote_id=RemoteIdConfig(transport=scenario.air.transport, rate=scenario.air.rate),

@@ -35,6 +35,7 @@ from companion.runtime.recorder import create_run_folder, write_json, write_mani
 from sitl_mocks import demo
 from sitl_mocks.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
 from sitl_mocks.settings import Scenario
+from sitl_mocks.vehicle_manners import VehicleMode
 
 _EXAMPLE = "example: sitl-mocks swarm --duration 120 --delay 0 1"
 START_S = 15.0
@@ -188,7 +189,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _show(report, console)
     console.print(f"run folder: {folder}", soft_wrap=True)
-    console.print(f"look at it: ground-tools inspect {folder}/*-DMUCA*", soft_wrap=True)
+    console.print(f"look at it: ground-tools inspect {folder}", soft_wrap=True)
     return 0 if report["ok"] else 1
 
 
@@ -238,7 +239,8 @@ def _start_vehicle(swarm: Swarm, scenario: Scenario, number: int, name: str, pat
         f"vehicle-{name}", "sitl_mocks.cli", "serve",
         "--firmware", options.firmware.value, "--system-id", str(options.system_id),
         "--link", "udpin:127.0.0.1:0", "--home", str(HOME.lat_deg), str(HOME.lon_deg), str(HOME.alt_m),
-        "--airborne", str(-down), "--start", str(north), str(east), "--seed", str(number),
+        "--mode", (options.start_mode or VehicleMode.HOLD).value, "--airborne", str(-down),
+        "--start", str(north), str(east), "--seed", str(number),
         "--gnss-sigma", str(options.gnss_horizontal_sigma_m), str(options.gnss_vertical_sigma_m),
         str(options.gnss_velocity_sigma_mps), "--truth", str(swarm.folder / f"{name}.truth.csv"),
         piped=True,

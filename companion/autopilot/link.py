@@ -81,6 +81,11 @@ class Vehicle:
     refusal: str | None
     """Why it cannot be commanded, in words; None when it can. Telemetry is read either way."""
 
+    def __str__(self) -> str:
+        """For a status line."""
+        words = f"{self.firmware.value}, system {self.system_id}, MAV_TYPE {self.vehicle_type}"
+        return words if self.refusal is None else f"{words}: {self.refusal}"
+
 
 @dataclass(slots=True)
 class LinkCounts:
@@ -351,8 +356,12 @@ class AutopilotLink:
             self._events.append(ModeRefused(mode=mode, reason=vehicle.refusal))
         else:
             dialect = DIALECTS[vehicle.firmware]
-            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode, self._mode)
+            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode, now_s, self._mode)
             self._move_mode(now_s)
+
+    def cancel_mode(self) -> None:
+        """Ask for no mode any more: who asked has given up the vehicle."""
+        self._mode = None
 
     def _move_mode(self, now_s: float) -> None:
         if self._mode is None:

@@ -2,8 +2,8 @@
 
 An acknowledgement proves nothing (PX4 accepts modes that it then does not enter), so only `custom_mode`
 confirms; acknowledgements and the vehicle's texts are kept for the reason. When the vehicle goes to a third
-mode meanwhile, the pilot or a failsafe has acted: the request ends there. It is repeated only after a
-heartbeat has shown that nobody has, so it is never sent against a pilot whose choice has not been heard yet.
+mode meanwhile, the pilot or a failsafe has acted: the request ends there. Every try, the first too, follows a
+heartbeat that has just shown that nobody has: it is never sent against a pilot whose choice is not heard yet.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ class ModeRequest:
         dialect: Dialect,
         system_id: int,
         from_mode: int,
+        now_s: float,
         replaced: ModeRequest | None = None,
     ) -> None:
         self.mode = mode
@@ -53,9 +54,9 @@ class ModeRequest:
         if replaced is not None:
             # The vehicle may still be on its way to what was asked for before.
             self._expected |= replaced._expected
-        self._heard = True
+        self._heard = False
         self._tries = 0
-        self._next_s = 0.0
+        self._next_s = now_s + RETRY_S
         self._ack: int | None = None
         self._text: str | None = None
 

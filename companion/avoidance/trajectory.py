@@ -17,8 +17,9 @@ from companion.config import LimitsConfig
 from companion.errors import ConfigError
 from companion.events import Vec3
 
-_TOLERANCE_MPS = 1e-6
-"""A leg that is planned exactly at a limit passes in spite of rounding."""
+_TOLERANCE = 1e-3
+"""Relative: a leg planned exactly at a limit passes in spite of rounding and of the way distances on the
+ellipsoid are measured. What is commanded is held to the limit itself."""
 
 _STILL: Vec3 = (0.0, 0.0, 0.0)
 
@@ -145,7 +146,7 @@ def check_speeds(trajectory: Trajectory, limits: LimitsConfig, name: str = "path
             ("descent", d, "limits.max_descent_mps", limits.max_descent_mps),
             ("total speed", math.hypot(n, e, d), "limits.max_speed_mps", limits.max_speed_mps),
         ):
-            if speed > limit + _TOLERANCE_MPS:
+            if speed > limit * (1.0 + _TOLERANCE):
                 raise ConfigError(
                     f"{name}: leg from waypoint[{number}] to waypoint[{number + 1}]: {what} {speed:.3f} m/s "
                     f"is above {key} {limit:g}"

@@ -25,6 +25,8 @@ from companion.remote_id.messages import (
 GNSS_CYCLE_S = 1.0
 """T_GNSS of the paper."""
 _ALTITUDES = (-999.5, 31767.5)
+_UTC = (1_546_300_801.0, 1_546_300_800.0 + 2**32 - 1)
+"""What a System timestamp can hold: from 2019 on."""
 _STALE_S = 1.0
 """A position older than this is not put on the air as the present one (F3411-22a: at most 1 s)."""
 
@@ -52,7 +54,7 @@ class Schedule:
         location = location_of(own, now_s)
         messages: tuple[Message, ...] = (location,)
         if self._config.transport != "ble4" or first_of_cycle:
-            messages = (self._basic_id(), location, system_of(own))
+            messages = (self._basic_id(), location, system_of(own, now_s))
         return Broadcast(transport=self._config.transport, messages=messages)
 
     def _basic_id(self) -> BasicId:
@@ -70,24 +72,23 @@ def location_of(own: Ownship, now_s: float) -> Location:
     position, gnss = own.position, own.gnss
     if position is None or own.age_s(now_s) > _STALE_S or (gnss is not None and gnss.fix_type < 2):
         return Location(status=Status.REMOTE_ID_SYSTEM_FAILURE)
+    landed = own.landed(now_s)
     lat, lon, alt_msl = position.lat_deg, position.lon_deg, position.alt_msl_m
     height = position.height_above_home_m
     north, east, down = own.velocity_ned_mps
     timestamp = None
-    utc = own.sample_utc_s()
-    if utc is not None and own.utc_offset_s is not None:
+    if own.utc_offset_s is not None:
         tenth = math.floor((now_s + own.utc_offset_s) * 10.0) / 10.0
-        ahead = tenth - utc
+        ahead = tenth - own.utc_offset_s - own.sample_s()
         lat += math.degrees(north * ahead / 6_378_137.0)
-        lon += math.degrees(east * ahead / (6_378_137.0 * math.cos(math.radians(lat))))
+        lon += math.degrees(east * ahead / (6_378_137.0 * max(math.cos(math.radians(lat)), 1e-6)))
+        lat, lon = min(max(lat, -90.0), 90.0), (lon + 180.0) % 360.0 - 180.0
         alt_msl -= down * ahead
         height -= down * ahead
         timestamp = round(tenth % 3600.0, 1)
     speed = math.hypot(north, east)
-    in_air = own.landed in (Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING)
-    status = (
-        Status.AIRBORNE if in_air else Status.GROUND if own.landed is Landed.ON_GROUND else Status.UNDECLARED
-    )
+    in_air = landed in (Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING)
+    status = Status.AIRBORNE if in_air else Status.GROUND if landed is Landed.ON_GROUND else Status.UNDECLARED
     return Location(
         status=status,
         lat_deg=lat,
@@ -110,16 +111,19 @@ def _within(value: float, low: float, high: float) -> float | None:
     return value if low <= value <= high else None
 
 
-def system_of(own: Ownship) -> System:
+def system_of(own: Ownship, now_s: float) -> System:
     """Operator position: the take-off point, unknown when the take-off was not seen."""
     if own.takeoff is None:
         return System(operator_location_type=OperatorLocationType.TAKEOFF)
+    altitude, utc = None, None
+    if own.separation_m is not None:
+        altitude = _within(own.takeoff.alt_msl_m + own.separation_m, *_ALTITUDES)
+    if own.utc_offset_s is not None:
+        utc = _within(float(math.floor(now_s + own.utc_offset_s)), *_UTC)
     return System(
         operator_location_type=OperatorLocationType.TAKEOFF,
         operator_lat_deg=own.takeoff.lat_deg,
         operator_lon_deg=own.takeoff.lon_deg,
-        operator_alt_geodetic_m=None
-        if own.separation_m is None
-        else own.takeoff.alt_msl_m + own.separation_m,
-        timestamp_utc_s=None if own.sample_utc_s() is None else math.floor(own.sample_utc_s() or 0.0),
+        operator_alt_geodetic_m=altitude,
+        timestamp_utc_s=utc,
     )

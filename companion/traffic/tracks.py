@@ -1,17 +1,21 @@
 """Tracks of other aircraft, built from heard Remote ID messages (the paper's "orient", its Section 2).
 
-Heard data is untrusted. A track keeps the last plausible position and velocity at the message's own time;
-prediction over the delay is the law's. The number of tracks and of remembered addresses is bounded.
+Heard data is untrusted, and every doubt is settled in favour of seeing an aircraft: what cannot be one
+aircraft becomes two tracks, and a message is never dropped because of a clock. A track keeps the last
+position and velocity at the message's own time; prediction over the delay is the law's. The number of tracks,
+of tracks under one identity and of remembered addresses is bounded.
 
-Age. The Location timestamp counts tenths of a second after the full UTC hour, so the moment of the message
-is the one nearest to our own UTC among all hours. A sender whose clock leads ours shows a negative age: the
-lead is estimated per track as the most negative age seen and added back, up to `max_clock_offset_s`. A clock
-that lags cannot be told from a delay; its age reads too long, never too short.
+Age. The Location timestamp counts tenths of a second after the full UTC hour, so the moment of the message is
+the one nearest to our own UTC among all hours. A sender whose clock leads ours shows a negative age: the lead
+is estimated from its last few messages (one wrong timestamp does not count) and added back. A clock that lags
+cannot be told from a delay; its age reads too long. Beyond `max_clock_offset_s` either way a timestamp is not
+believed: the message then counts from its reception, and only when its content is new.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 from companion.avoidance.law import Neighbour
@@ -24,23 +28,34 @@ SIGMA_UNKNOWN_M = 5.0
 """Horizontal standard deviation taken for a sender that declares no accuracy."""
 SIGMA_MOST_M = 15.0
 """A declared accuracy counts up to this: a volume of kilometres would only make every velocity wrong."""
+SIGMA_CLOCKLESS_M = 5.0
+"""Added (in quadrature) for a message that is dated by its reception."""
+VERTICAL_ACCURACY_M = 10.0
+"""Worse than this, height does not separate."""
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
 _ADDRESSES_PER_TRACK = 4
-_SUSPECTS_BEFORE_RESTART = 3
-_LEAD_DECAY = 0.02
-"""Seconds of clock lead forgotten per second: one wrong timestamp must not age a track for good."""
+_TRACKS_PER_IDENTITY = 4
+_LEADS = 5
+_ESTABLISHED = 3
+"""Messages after which a track is not pushed out by a newcomer's first."""
+_ECHO_M = 15.0
+_OWN_SPACING_S = 0.25
+_OWN_SAMPLES = 100
 
 
 @dataclass(slots=True)
 class TrafficCounts:
-    """Why heard messages did not become tracks."""
+    """What became of heard Location messages."""
 
     updates: int = 0
     no_position: int = 0
     old: int = 0
-    """Not newer than what the track holds, or beyond the expiry age."""
+    """Not newer than what the track holds."""
     implausible: int = 0
+    """A speed or place that cannot be."""
+    split: int = 0
+    """Tracks opened beside another of the same identity, because one aircraft could not be at both places."""
     clock: int = 0
     """Timestamp unknown or too far from ours: time of reception taken instead."""
     own_echo: int = 0
@@ -53,7 +68,8 @@ class Track:
     """One aircraft as last heard. Position and velocity: local NED at `sample_s` (our monotonic time)."""
 
     track_id: str
-    address: str
+    identity: str
+    """What it calls itself, or its radio address while it has not."""
     position_ned_m: Vec3
     velocity_ned_mps: Vec3
     velocity_known: bool
@@ -61,10 +77,10 @@ class Track:
     received_s: float
     sigma_m: float
     vertical_known: bool
-    stamp_s: float | None
-    """UTC of the message by the sender's clock."""
-    clock_lead_s: float = 0.0
-    suspects: int = 0
+    content: Location
+    leads_s: deque[float]
+    """How far the sender's clock led ours at its last messages; negative: behind, or delayed."""
+    messages: int = 1
 
 
 @dataclass(slots=True)
@@ -76,7 +92,8 @@ class _Fix:
     sigma_m: float
     vertical_known: bool
     stamp_s: float | None
-    sample_s: float
+    """Our monotonic time of the message by the sender's clock; None when that cannot be believed."""
+    content: Location
 
 
 @dataclass(slots=True)
@@ -87,8 +104,15 @@ class Traffic:
     own_uas_id: str
     counts: TrafficCounts = field(default_factory=TrafficCounts)
     tracks: dict[str, Track] = field(default_factory=dict)
-    _identity: dict[str, str] = field(default_factory=dict)
+    _names: dict[str, str] = field(default_factory=dict)
     """Radio address -> identity from its Basic ID."""
+    _own: deque[tuple[float, Vec3]] = field(default_factory=lambda: deque(maxlen=_OWN_SAMPLES))
+    """Where we were."""
+
+    def note_own(self, now_s: float, position: Vec3) -> None:
+        """Remember the own position (local NED), to know an echo and to rank tracks."""
+        if not self._own or now_s - self._own[-1][0] >= _OWN_SPACING_S:
+            self._own.append((now_s, position))
 
     def hear(
         self,
@@ -97,8 +121,6 @@ class Traffic:
         utc_offset_s: float | None,
         frame: LocalFrame,
         separation_m: float | None,
-        own_position: Vec3,
-        sent: frozenset[tuple[float | None, float | None, float | None]],
     ) -> None:
         """Take in one heard frame.
 
@@ -106,21 +128,16 @@ class Traffic:
             utc_offset_s: our UTC minus `now_s`; None while unknown.
             frame: local frame (its altitude datum is mean sea level).
             separation_m: height of the geoid above the ellipsoid here; None while unknown.
-            own_position: local NED (m), to rank tracks when there are too many.
-            sent: (timestamp_s, lat_deg, lon_deg) of our own last messages, to know an echo.
         """
         source = f"{heard.transport}/{heard.address}"
         for message in heard.messages:
             if isinstance(message, BasicId):
-                self._learn_identity(source, message)
+                self._learn_name(source, message)
         for message in heard.messages:
             if isinstance(message, Location):
-                if (message.timestamp_s, message.lat_deg, message.lon_deg) in sent:
-                    self.counts.own_echo += 1
-                    continue
                 fix = self._fix(message, now_s, utc_offset_s, frame, separation_m)
                 if fix is not None:
-                    self._update(source, fix, now_s, own_position)
+                    self._take(self._names.get(source, source), fix, now_s)
 
     def expire(self, now_s: float) -> None:
         """Forget what is older than `expire_after_s`."""
@@ -132,28 +149,35 @@ class Traffic:
         """Every live track, as the law takes it."""
         return [
             Neighbour(
-                track_id=t.track_id,
-                position_ned_m=t.position_ned_m,
-                velocity_ned_mps=t.velocity_ned_mps,
-                age_s=max(0.0, now_s - t.sample_s),
-                sigma_m=t.sigma_m,
-                vertical_known=t.vertical_known,
+                t.track_id,
+                t.position_ned_m,
+                t.velocity_ned_mps,
+                max(0.0, now_s - t.sample_s),
+                t.sigma_m,
+                t.vertical_known,
             )
             for t in self.tracks.values()
         ]
 
-    def _learn_identity(self, source: str, message: BasicId) -> None:
+    # ------------------------------------------------------------ names
+
+    def _learn_name(self, source: str, message: BasicId) -> None:
         if message.id_type is IdType.NONE or not message.uas_id:
             return
-        known = self._identity.pop(source, None)
+        known = self._names.pop(source, None)
         # A second Basic ID (registration beside serial) must not rename the track back and forth.
-        self._identity[source] = known or message.uas_id
-        if len(self._identity) > _ADDRESSES_PER_TRACK * self.config.max_tracks:
-            del self._identity[next(iter(self._identity))]
-        if known is None and source in self.tracks:
-            track = self.tracks.pop(source)
-            track.track_id = message.uas_id
-            self.tracks.setdefault(message.uas_id, track)
+        self._names[source] = known or message.uas_id
+        if len(self._names) > _ADDRESSES_PER_TRACK * self.config.max_tracks:
+            del self._names[next(iter(self._names))]
+        if known is None:
+            for nameless in [t for t in self.tracks.values() if t.identity == source]:
+                nameless.identity = message.uas_id
+                if nameless.track_id == source and message.uas_id not in self.tracks:
+                    del self.tracks[source]
+                    nameless.track_id = message.uas_id
+                    self.tracks[message.uas_id] = nameless
+
+    # ------------------------------------------------------------ one Location
 
     def _fix(
         self,
@@ -167,6 +191,8 @@ class Traffic:
             self.counts.no_position += 1
             return None
         vertical_known = message.alt_geodetic_m is not None and separation_m is not None
+        if message.vertical_accuracy_m is not None and message.vertical_accuracy_m > VERTICAL_ACCURACY_M:
+            vertical_known = False
         alt_msl_m = frame.alt_m
         if message.alt_geodetic_m is not None and separation_m is not None:
             alt_msl_m = message.alt_geodetic_m - separation_m
@@ -176,95 +202,128 @@ class Traffic:
         if math.hypot(position[0], position[1]) > _MAX_RANGE_M or speed > self.config.max_speed_mps:
             self.counts.implausible += 1
             return None
-        stamp = None
-        if message.timestamp_s is not None and utc_offset_s is not None:
-            utc_now = now_s + utc_offset_s
-            hours = round((utc_now - message.timestamp_s) / 3600.0)
-            stamp = message.timestamp_s + 3600.0 * hours
-            if utc_now - stamp < -self.config.max_clock_offset_s:
-                stamp = None
+        # Senders put their receiver's own figure here, which is nearer to one sigma than to the 95 % bound.
+        accuracy = message.horizontal_accuracy_m
+        sigma = SIGMA_UNKNOWN_M if accuracy is None else min(accuracy, SIGMA_MOST_M)
+        stamp = self._stamp(message, now_s, utc_offset_s)
         if stamp is None:
             self.counts.clock += 1
-        sigma = SIGMA_UNKNOWN_M
-        if message.horizontal_accuracy_m is not None:
-            sigma = min(message.horizontal_accuracy_m / 2.0, SIGMA_MOST_M)
-        sample_s = now_s if stamp is None or utc_offset_s is None else stamp - utc_offset_s
-        return _Fix(position, velocity, sigma, vertical_known, stamp, sample_s)
+            sigma = math.hypot(sigma, SIGMA_CLOCKLESS_M)
+        return _Fix(position, velocity, sigma, vertical_known, stamp, message)
 
-    def _update(self, source: str, fix: _Fix, now_s: float, own_position: Vec3) -> None:
-        track_id = self._identity.get(source, source)
-        track = self.tracks.get(track_id)
-        if track is not None and track.address != source and not self._reachable(track, fix):
-            # Two transmitters under one identity that cannot be one aircraft: keep both in sight.
-            track_id = f"{track_id}@{source}"
-            track = self.tracks.get(track_id)
-        lead = max(fix.sample_s - now_s, 0.0)
-        if track is not None:
-            lead = max(lead, track.clock_lead_s - _LEAD_DECAY * (now_s - track.received_s))
-        sample_s = fix.sample_s - lead if fix.stamp_s is not None else now_s
-        if now_s - sample_s > self.config.expire_after_s:
+    def _stamp(self, message: Location, now_s: float, utc_offset_s: float | None) -> float | None:
+        if message.timestamp_s is None or utc_offset_s is None:
+            return None
+        utc_now = now_s + utc_offset_s
+        hours = round((utc_now - message.timestamp_s) / 3600.0)
+        stamp_s = message.timestamp_s + 3600.0 * hours - utc_offset_s
+        return stamp_s if abs(now_s - stamp_s) <= self.config.max_clock_offset_s else None
+
+    def _take(self, identity: str, fix: _Fix, now_s: float) -> None:
+        if identity == self.own_uas_id and self._is_echo(fix, now_s):
+            self.counts.own_echo += 1
+            return
+        known = [t for t in self.tracks.values() if t.identity == identity]
+        track = self._match(known, fix, now_s)
+        if track is None:
+            self._open(identity, known, fix, now_s)
+            return
+        if fix.stamp_s is None and _same(track.content, fix.content):
+            # An advertisement that goes on without news says nothing about now.
             self.counts.old += 1
             return
-        if track is None:
-            self._insert(source, track_id, fix, sample_s, lead, now_s, own_position)
-            return
+        sample_s = now_s
+        if fix.stamp_s is not None:
+            track.leads_s.append(fix.stamp_s - now_s)
+            sample_s = min(fix.stamp_s - _lead(track.leads_s), now_s)
         if sample_s <= track.sample_s:
             self.counts.old += 1
             return
-        if not self._reachable(track, fix):
-            track.suspects += 1
-            if track.suspects < _SUSPECTS_BEFORE_RESTART:
-                self.counts.implausible += 1
-                return
-        velocity, known = fix.velocity, True
+        velocity, velocity_known = fix.velocity, True
         if velocity is None:
-            velocity, known = _from_positions(track, fix, sample_s)
-        track.address = source
-        track.position_ned_m, track.velocity_ned_mps, track.velocity_known = fix.position, velocity, known
-        track.sample_s, track.received_s, track.stamp_s = sample_s, now_s, fix.stamp_s
-        track.sigma_m, track.vertical_known = fix.sigma_m, fix.vertical_known
-        track.clock_lead_s, track.suspects = lead, 0
+            velocity, velocity_known = _from_positions(track, fix, sample_s)
+        track.position_ned_m, track.velocity_ned_mps = fix.position, velocity
+        track.velocity_known = velocity_known
+        track.sample_s, track.received_s = sample_s, now_s
+        track.sigma_m, track.vertical_known, track.content = fix.sigma_m, fix.vertical_known, fix.content
+        track.messages += 1
         self.counts.updates += 1
 
-    def _reachable(self, track: Track, fix: _Fix) -> bool:
-        """Could the track's aircraft be at the fix by now, within the plausible speed and both accuracies?"""
-        elapsed = abs(fix.sample_s - track.clock_lead_s - track.sample_s)
-        allowed = self.config.max_speed_mps * elapsed + 4.0 * (fix.sigma_m + track.sigma_m)
-        a, b = fix.position, track.position_ned_m
-        return math.hypot(a[0] - b[0], a[1] - b[1]) <= allowed
+    def _is_echo(self, fix: _Fix, now_s: float) -> bool:
+        """Own identity where we were: our own broadcast come back, or a second transmitter of ours."""
+        if not self._own:
+            return False
+        at = now_s if fix.stamp_s is None else fix.stamp_s
+        _, place = min(self._own, key=lambda sample: abs(sample[0] - at))
+        return math.hypot(place[0] - fix.position[0], place[1] - fix.position[1]) <= _ECHO_M
 
-    def _insert(
-        self,
-        source: str,
-        track_id: str,
-        fix: _Fix,
-        sample_s: float,
-        lead: float,
-        now_s: float,
-        own_position: Vec3,
-    ) -> None:
-        if len(self.tracks) >= self.config.max_tracks:
-            # Flooding with far ghosts must not push out what is near.
-            farthest = max(self.tracks.values(), key=lambda t: math.dist(t.position_ned_m, own_position))
-            if math.dist(fix.position, own_position) >= math.dist(farthest.position_ned_m, own_position):
-                self.counts.refused_full += 1
-                return
-            del self.tracks[farthest.track_id]
+    def _match(self, known: list[Track], fix: _Fix, now_s: float) -> Track | None:
+        """The track of this identity whose aircraft can have flown to the fix; the nearest of several."""
+        at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
+        best, least = None, math.inf
+        for track in known:
+            elapsed = abs(at - track.sample_s)
+            p, v = track.position_ned_m, track.velocity_ned_mps
+            along = at - track.sample_s
+            off = math.hypot(p[0] + along * v[0] - fix.position[0], p[1] + along * v[1] - fix.position[1])
+            allowed = 20.0 + 4.0 * (fix.sigma_m + track.sigma_m) + 8.0 * elapsed + 5.0 * elapsed * elapsed
+            if not track.velocity_known:
+                allowed += self.config.max_speed_mps * elapsed
+            if off <= allowed and off < least:
+                best, least = track, off
+        return best
+
+    def _open(self, identity: str, known: list[Track], fix: _Fix, now_s: float) -> None:
+        if len(known) >= _TRACKS_PER_IDENTITY:
+            stalest = min(known, key=lambda t: t.received_s)
+            del self.tracks[stalest.track_id]
             self.counts.evicted += 1
+        elif len(self.tracks) >= self.config.max_tracks and not self._make_room(fix):
+            self.counts.refused_full += 1
+            return
+        track_id, number = identity, 2
+        while track_id in self.tracks:
+            track_id, number = f"{identity}#{number}", number + 1
+        self.counts.split += bool(known)
+        lead = 0.0 if fix.stamp_s is None else fix.stamp_s - now_s
         self.tracks[track_id] = Track(
             track_id=track_id,
-            address=source,
+            identity=identity,
             position_ned_m=fix.position,
             velocity_ned_mps=fix.velocity or (0.0, 0.0, 0.0),
             velocity_known=fix.velocity is not None,
-            sample_s=sample_s,
+            sample_s=now_s if fix.stamp_s is None else min(fix.stamp_s, now_s),
             received_s=now_s,
             sigma_m=fix.sigma_m,
             vertical_known=fix.vertical_known,
-            stamp_s=fix.stamp_s,
-            clock_lead_s=lead,
+            content=fix.content,
+            leads_s=deque([lead], maxlen=_LEADS),
         )
         self.counts.updates += 1
+
+    def _make_room(self, fix: _Fix) -> bool:
+        """Give up one track for a newcomer: a fresh one before an established one, the farthest first."""
+        own = self._own[-1][1] if self._own else (0.0, 0.0, 0.0)
+
+        def rank(track: Track) -> tuple[bool, float]:
+            return track.messages < _ESTABLISHED, math.dist(track.position_ned_m, own)
+
+        victim = max(self.tracks.values(), key=rank)
+        if rank(victim) < (victim.messages < _ESTABLISHED, math.dist(fix.position, own)):
+            return False
+        del self.tracks[victim.track_id]
+        self.counts.evicted += 1
+        return True
+
+
+def _lead(leads_s: deque[float]) -> float:
+    """How far the sender's clock leads ours: the largest lead but one; one wrong timestamp is nothing."""
+    ordered = sorted(leads_s)
+    return max(0.0, ordered[-2] if len(ordered) > 1 else ordered[-1])
+
+
+def _same(a: Location, b: Location) -> bool:
+    return (a.timestamp_s, a.lat_deg, a.lon_deg) == (b.timestamp_s, b.lat_deg, b.lon_deg)
 
 
 def _velocity(message: Location) -> Vec3 | None:

@@ -45,7 +45,9 @@ def straight_path(speed_mps: float = 3.0) -> TrajectoryFile:
 def config(**flight: object) -> Config:
     """A companion that flies the straight path; keywords replace [flight] keys."""
     made = Config(identity=IdentityConfig(uas_id="OWN"), path=straight_path())
-    return msgspec.structs.replace(made, flight=FlightConfig(**{"use": "fly", **flight}))  # type: ignore[arg-type]
+    return msgspec.structs.replace(
+        made, flight=FlightConfig(**{"use": "fly", "take_in_flight": True, **flight})
+    )  # type: ignore[arg-type]
 
 
 @dataclass
@@ -55,6 +57,9 @@ class Bench:
     heart: Companion
     now_s: float = 0.0
     mode: FlightMode = FlightMode.HOLD
+    custom_mode: int = 0
+    """0: one number for each mode."""
+    firmware: Firmware = Firmware.PX4
     armed: bool = True
     landed: Landed = Landed.IN_AIR
     north_m: float = 0.0
@@ -67,6 +72,11 @@ class Bench:
     """Sends nothing."""
     stuck_position: bool = False
     """Heartbeats, but no position."""
+    utc_error_s: float = 0.0
+    boot_offset_s: float = 100.0
+    height_m: float = 50.0
+    lat_deg: float = LAT
+    lon_deg: float = LON
     extra: list[Event] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     """Of the last step."""
@@ -78,9 +88,9 @@ class Bench:
         found: list[Event] = [
             Heartbeat(
                 system_id=1,
-                firmware=Firmware.ARDUPILOT,
+                firmware=self.firmware,
                 vehicle_type=2,
-                custom_mode=0,
+                custom_mode=self.custom_mode or list(FlightMode).index(self.mode),
                 mode=self.mode,
                 armed=self.armed,
             ),
@@ -93,16 +103,19 @@ class Bench:
                 alt_ellipsoid_m=ALT_MSL + 47.0,
                 horizontal_accuracy_m=1.0,
             ),
-            VehicleTime(time_boot_s=self.now_s + 100.0, utc_s=UTC_AT_ZERO_S + self.now_s),
+            VehicleTime(
+                time_boot_s=self.now_s + self.boot_offset_s,
+                utc_s=UTC_AT_ZERO_S + self.now_s + self.utc_error_s,
+            ),
         ]
         if not self.stuck_position:
             found.append(
                 GlobalPosition(
-                    time_boot_s=self.now_s + 100.0,
-                    lat_deg=LAT + self.north_m / 111_194.9,
-                    lon_deg=LON + self.east_m / 75_370.0,
+                    time_boot_s=self.now_s + self.boot_offset_s,
+                    lat_deg=self.lat_deg + self.north_m / 111_194.9,
+                    lon_deg=self.lon_deg + self.east_m / 75_370.0,
                     alt_msl_m=ALT_MSL,
-                    height_above_home_m=50.0,
+                    height_above_home_m=self.height_m,
                     velocity_ned_mps=self.velocity_ned_mps,
                 )
             )

@@ -77,7 +77,7 @@ def test_wrong_trajectory(tmp_path, old, new, message):
 
 def test_a_resolved_configuration_stands_alone_and_reads_back_equal(tmp_path):
     write(tmp_path, TRAJECTORY, "t.toml")
-    path = write(tmp_path, IDENTITY + '[flight]\nuse = "fly"\ntrajectory = "t.toml"\n')
+    path = write(tmp_path, IDENTITY + '[flight]\ntrajectory = "t.toml"\n')
     loaded = configuration.load(path)
     (tmp_path / "t.toml").unlink()
     resolved = tmp_path / "resolved.toml"
@@ -85,6 +85,13 @@ def test_a_resolved_configuration_stands_alone_and_reads_back_equal(tmp_path):
     assert configuration.load(resolved) == loaded
     assert loaded.path is not None
     assert len(loaded.path.waypoint) == 2
+
+
+def test_flying_deaf_is_refused(tmp_path):
+    write(tmp_path, TRAJECTORY, "t.toml")
+    path = write(tmp_path, IDENTITY + '[flight]\nuse = "fly"\ntrajectory = "t.toml"\n')
+    with pytest.raises(ConfigError, match="hears nobody"):
+        configuration.load(path)
 
 
 def test_the_profiles_in_the_project_load():

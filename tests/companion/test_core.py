@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 
 from companion.avoidance.authority import HOLDING, TRANSITIONS, State, Trigger, next_state
+from companion.core import Companion
 from companion.events import (
     AuthorityChanged,
     Broadcast,
+    Firmware,
     FlightMode,
     Landed,
     ModeRefused,
     RemoteIdHeard,
+    Say,
     SetMode,
     VelocitySetpoint,
 )
+from companion.remote_id import codec
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+from companion.replay import on_air
 
-UTC_IN_HOUR_S = 1_767_225_600.0 % 3600.0
+UTC_AT_ZERO_S = 1_767_225_600.0
+UTC_IN_HOUR_S = UTC_AT_ZERO_S % 3600.0
 """Of the bench's time 0."""
 
 
@@ -166,8 +173,124 @@ def test_a_fault_that_has_gone_leads_through_standby(flying):
 
 
 def test_a_late_loop_commands_nothing_in_that_step(flying):
-    assert not flying.setpoints(flying.step(gap_s=0.8))
+    assert not flying.setpoints(flying.step(gap_s=0.6))
+    assert flying.setpoints(flying.step())
+    assert not flying.setpoints(flying.step(gap_s=1.2))
     assert flying.heart.state is State.FAULT
+
+
+def test_a_start_in_flight_takes_nothing_until_the_vehicle_has_been_down(make_bench):
+    bench = make_bench(take_in_flight=False)
+    bench.step(100)
+    assert bench.heart.state is State.STANDBY
+    bench.landed, bench.armed = Landed.ON_GROUND, False
+    bench.step(10)
+    bench.landed, bench.armed = Landed.IN_AIR, True
+    bench.until(lambda: bench.heart.state is State.GUARDING)
+
+
+@pytest.mark.parametrize(
+    ("mode", "taken"),
+    [
+        (FlightMode.HOLD, False),
+        (FlightMode.OTHER, False),
+        (FlightMode.EXTERNAL, True),
+        (FlightMode.MISSION, True),
+    ],
+)
+def test_ardupilot_is_never_taken_from_loiter_or_brake(make_bench, mode, taken):
+    bench = make_bench()
+    bench.firmware, bench.mode = Firmware.ARDUPILOT, mode
+    bench.step(100)
+    assert (bench.heart.state in HOLDING) is taken
+
+
+def test_another_hold_mode_while_asking_is_the_pilot(make_bench):
+    """LOITER and BRAKE are both HOLD; going from one to the other is the pilot's act."""
+    bench = make_bench()
+    bench.obeys = False
+    bench.until(lambda: bench.heart.state is State.GUARDING)
+    bench.custom_mode = 17
+    bench.step()
+    assert bench.heart.state is State.YIELDED
+    bench.extra = [ModeRefused(mode=FlightMode.EXTERNAL, reason="went to another mode")]
+    assert not bench.setpoints(bench.step(400))
+    assert bench.heart.state is State.YIELDED
+
+
+def test_too_far_from_the_path_is_not_taken_and_said_once(make_bench):
+    bench = make_bench(start_within_m=50.0)
+    bench.east_m = 80.0
+    said = [c.text for c in bench.step(400) if isinstance(c, Say)]
+    assert bench.heart.state is State.STANDBY
+    assert said == ["DMUCA: path refused: vehicle is not within 50 m of the path's point"]
+    bench.east_m = 20.0
+    bench.until(lambda: bench.heart.state is State.GUARDING)
+
+
+def test_the_path_clock_starts_anew_with_each_flight(flying):
+    flying.step(600)
+    flying.landed, flying.armed, flying.mode = Landed.ON_GROUND, False, FlightMode.HOLD
+    flying.step(20)
+    flying.landed, flying.armed = Landed.IN_AIR, True
+    flying.until(lambda: flying.heart.state is State.GUARDING)
+    assert flying.heart.plan.path_time_s(flying.now_s) == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_corrected_utc_moves_neither_age_nor_path_time(make_bench):
+    start = UTC_AT_ZERO_S - 10.0
+    bench = make_bench(start="utc", start_utc_s=start)
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    before = bench.heart.plan.path_time_s(bench.now_s)
+    assert before == pytest.approx(10.0 + bench.now_s, abs=0.1)
+    bench.utc_error_s = -18.0
+    bench.step(20)
+    assert bench.heart.state is State.GUARDING
+    assert bench.heart.plan.path_time_s(bench.now_s) == pytest.approx(before + 1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("what", ["jump", "reboot"])
+def test_a_jump_or_a_reboot_in_flight_is_a_fault(flying, what):
+    if what == "jump":
+        flying.north_m += 3000.0
+    else:
+        flying.boot_offset_s -= 90.0
+    assert not flying.setpoints(flying.step())
+    assert flying.heart.state is State.FAULT
+
+
+def test_home_that_moves_in_flight_moves_neither_path_nor_ceiling(make_bench):
+    bench = make_bench()
+    limits = msgspec.structs.replace(bench.heart.config.limits, ceiling_height_m=60.0, floor_height_m=20.0)
+    bench = type(bench)(Companion(msgspec.structs.replace(bench.heart.config, limits=limits)))
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(40)
+    bench.height_m = 150.0
+    for _ in range(100):
+        bench.step()
+        assert abs(bench.setpoints()[-1].velocity_ned_mps[2]) < 0.05
+
+
+def test_own_state_at_the_edges_of_the_messages_never_raises(make_bench):
+    bench = make_bench(use="watch")
+    for lat, lon in ((89.9999999, 0.0), (47.0, 179.9999999), (-47.0, -180.0)):
+        for velocity in ((300.0, 300.0, -90.0), (-20.0, 20.0, 20.0)):
+            bench.heart.own.position = None
+            bench.lat_deg, bench.lon_deg, bench.velocity_ned_mps = lat, lon, velocity
+            for broadcast in bench.step(60):
+                if isinstance(broadcast, Broadcast):
+                    for message in broadcast.messages:
+                        codec.encode(message)
+
+
+def test_utc_before_2019_is_not_put_into_a_system_message(make_bench):
+    bench = make_bench(use="watch")
+    bench.landed, bench.armed, bench.utc_error_s = Landed.ON_GROUND, False, -3.2e8
+    broadcasts = [c for c in bench.step(60) if isinstance(c, Broadcast)]
+    assert broadcasts
+    for broadcast in broadcasts:
+        assert broadcast.messages[2].timestamp_utc_s is None
+        codec.encode(broadcast.messages[2])
 
 
 def test_a_vehicle_on_the_ground_is_released(flying):
@@ -240,13 +363,15 @@ def test_a_lost_own_position_is_broadcast_as_a_failure_not_as_silence(flying):
 
 def test_own_echo_is_not_traffic(flying):
     broadcast = next(c for c in flying.step(40) if isinstance(c, Broadcast))
-    from companion.replay import on_air
-
     messages = tuple(on_air(m) if isinstance(m, Location) else m for m in broadcast.messages)
     flying.extra = [RemoteIdHeard(transport="wifi", address="02:00", messages=messages)]
     flying.step()
     assert not flying.heart.traffic.tracks
     assert flying.heart.traffic.counts.own_echo == 1
+    stranger = intruder(flying, 400.0, 3.0, uas_id="OWN")
+    flying.extra = [stranger]
+    flying.step()
+    assert len(flying.heart.traffic.tracks) == 1
 
 
 def test_time_running_backwards_is_our_bug(flying):

@@ -27,11 +27,12 @@ waypoint = [
 
 def write_config(folder: Path, link: str, **flight: str) -> Path:
     (folder / "t.toml").write_text(TRAJECTORY)
-    keys = {"use": '"fly"', "trajectory": '"t.toml"', **flight}
+    keys = {"use": '"fly"', "trajectory": '"t.toml"', "take_in_flight": "true", **flight}
     lines = "\n".join(f"{key} = {value}" for key, value in keys.items())
     path = folder / "c.toml"
     path.write_text(
         f'[identity]\nuas_id = "TEST1"\n[vehicle]\nlink = "{link}"\nwait_s = 20.0\n[flight]\n{lines}\n'
+        f'[avoidance]\nlaw = "none"\n'
         f'[record]\nfolder = "{folder / "runs"}"\nname = "test"\nsync_period_s = 0.2\n'
     )
     return path
@@ -73,8 +74,9 @@ class Station:
 
 def fly(start, tmp_path, firmware):
     """A vehicle in the air and a companion that holds it."""
+    mode = "external" if firmware == "ardupilot" else "hold"
     vehicle = start(
-        "sitl_mocks.cli", "serve", "--firmware", firmware, "--airborne", "50",
+        "sitl_mocks.cli", "serve", "--firmware", firmware, "--airborne", "50", "--mode", mode,
         "--link", "udpin:127.0.0.1:0", "--link", "udpin:127.0.0.1:0",
     )  # fmt: skip
     vehicle.wait_for("ready")
@@ -142,7 +144,9 @@ def test_kill_leaves_a_readable_record_and_the_vehicle_to_its_failsafe(start, tm
 
 
 def test_a_dry_run_leaves_the_vehicle_alone(start, tmp_path):
-    vehicle = start("sitl_mocks.cli", "serve", "--link", "udpin:127.0.0.1:0", "--airborne", "50")
+    vehicle = start(
+        "sitl_mocks.cli", "serve", "--firmware", "px4", "--link", "udpin:127.0.0.1:0", "--airborne", "50"
+    )
     port = vehicle.wait_for(r"link udpin:127\.0\.0\.1:(\d+)").group(1)
     path = write_config(tmp_path, f"udpout:127.0.0.1:{port}")
     companion = start("companion.cli", "run", "--config", path, "--dry-run")
