@@ -59,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
     run.add_argument(
-        "--dry-run", action="store_true", help="listen and decide, but command nothing and send nothing"
+        "--dry-run", action="store_true", help="decide, but command nothing and broadcast nothing"
     )
     run.set_defaults(run=_run)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import time
 from collections.abc import Callable
 
@@ -10,7 +9,7 @@ from companion.autopilot.link import AutopilotLink
 from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.runtime.flight import open_radio
-from companion.runtime.links import open_link
+from companion.runtime.kept_link import KeptLink
 
 _RADIO_S = 2.5
 
@@ -29,13 +28,13 @@ def check(config: Config, say: Callable[[str], None]) -> int:
 
 
 def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
-    link = open_link(config.vehicle.link)
+    link = KeptLink(config.vehicle.link, say)
     protocol = AutopilotLink(config.vehicle)
     end = time.monotonic() + config.vehicle.wait_s
     try:
         while (now := time.monotonic()) < end and protocol.vehicle is None:
-            select.select([link], [], [], 0.1)
-            protocol.receive(link.receive(), now)
+            link.wait(0.1)
+            protocol.receive(link.receive(now), now)
             protocol.advance(now)
             link.send(protocol.drain())
     finally:

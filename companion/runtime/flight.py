@@ -1,13 +1,13 @@
 """The flight loop: one thread, one rate, sockets in and out; a watchdog that ends a hung process.
 
 What the loop cannot do in time it does not do late: a missed deadline is skipped and counted, and the heart,
-which sees the gap, commands nothing until it is fit again.
+which sees the gap, commands nothing until it is fit again. Nothing beside the flight ends it: a lost link is
+opened again, a full disk and a stopped terminal are done without, each of them is counted.
 """
 
 from __future__ import annotations
 
 import faulthandler
-import select
 import signal
 import time
 from collections.abc import Callable
@@ -17,25 +17,29 @@ from types import FrameType
 from companion import __version__
 from companion import config as configuration
 from companion.autopilot.tlog import TlogWriter
-from companion.avoidance.authority import HOLDING
 from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.errors import ConfigError
-from companion.events import AuthorityChanged, FlightMode
+from companion.events import AuthorityChanged, Broadcast, FlightMode
 from companion.onboard import Onboard
 from companion.radio.ether import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.radio.null import NullTransport
-from companion.radio.transport import Transport
+from companion.radio.transport import Health, Transport
 from companion.record import Header, Step
-from companion.runtime.links import Link, open_link
+from companion.runtime.kept_link import KeptLink
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
+from companion.runtime.voice import Voice
 from companion.runtime.warm import warm_up
 
 _WATCHDOG_S = 5.0
 """A loop that hangs sends nothing anyway; after this the process ends, so that it can be started anew."""
 _STATUS_S = 5.0
 _LET_GO_S = 2.0
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Each of them ends the flight in order. A terminal that closes sends the last one."""
+_MAX_TEXTS = 20
+"""Different reasons of the radio to refuse a broadcast that are said."""
 
 
 class Flight:
@@ -43,17 +47,24 @@ class Flight:
 
     def __init__(self, config: Config, say: Callable[[str], None], *, dry_run: bool) -> None:
         self.config = config
-        self._say = say
         self._stop = False
         self._late = 0
         self._ticks = 0
+        self._refused = 0
+        self._refused_texts: set[str] = set()
         check_path(config, "configuration")
-        say(f"compiling the avoidance kernels ... {warm_up():.1f} s")
-        self.link: Link = open_link(config.vehicle.link)
+        self._voice = Voice(say)
+        self._say = self._voice.say
+        self._say(f"compiling the avoidance kernels ... {warm_up():.1f} s")
         try:
-            self.radio: Transport = open_radio(config, dry_run=dry_run)
+            self.link = KeptLink(config.vehicle.link, self._say)
+            try:
+                self.radio: Transport = open_radio(config, dry_run=dry_run)
+            except ConfigError:
+                self.link.close()
+                raise
         except ConfigError:
-            self.link.close()
+            self._voice.close()
             raise
         guess = time.time() - time.monotonic()
         self.onboard = Onboard(config, self._record, commanding=not dry_run, utc_guess_s=guess)
@@ -70,16 +81,19 @@ class Flight:
         """Find the vehicle, then fly until stopped.
 
         Raises:
-            ConfigError: no vehicle within `vehicle.wait_s`, or one that cannot be flown.
+            ConfigError: no vehicle within `vehicle.wait_s`, one that cannot be flown, or a run folder that
+                cannot be written.
         """
-        signal.signal(signal.SIGINT, self.stop)
-        signal.signal(signal.SIGTERM, self.stop)
+        for number in _SIGNALS:
+            signal.signal(number, self.stop)
         try:
             self._find_vehicle()
             if self._stop:
                 return
             self._open_recorder()
             self._loop()
+            # Letting go takes as long as it takes the vehicle, up to its own limit.
+            faulthandler.cancel_dump_traceback_later()
             self._let_go()
         finally:
             faulthandler.cancel_dump_traceback_later()
@@ -107,27 +121,31 @@ class Flight:
     def _wait(self, deadline_s: float) -> None:
         """Take in the autopilot's bytes until the deadline."""
         while (left := deadline_s - time.monotonic()) > 0:
-            select.select([self.link], [], [], left)
+            self.link.wait(left)
             self._exchange(time.monotonic())
 
     def _open_recorder(self) -> None:
         utc_s = time.time()
         config, name = self.config, self.config.identity.uas_id
         aircraft = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
-        self.folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
-        (self.folder / "config.toml").write_bytes(configuration.dump(config))
         vehicle = self.onboard.link.vehicle
-        write_manifest(
-            self.folder, "companion run", aircraft=[aircraft], started_utc_s=utc_s, vehicle=str(vehicle)
-        )
+        folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
         header = Header(aircraft=aircraft, software=__version__, config=config)
-        self._recorder = FlightRecorder(self.folder, header, config.record.sync_period_s)
+        try:
+            (folder / "config.toml").write_bytes(configuration.dump(config))
+            write_manifest(
+                folder, "companion run", aircraft=[aircraft], started_utc_s=utc_s, vehicle=str(vehicle)
+            )
+            self._recorder = FlightRecorder(folder, header, config.record.sync_period_s)
+        except OSError as error:
+            raise ConfigError(f"record.folder: {folder}: cannot be written: {error.strerror}") from error
+        self.folder = folder
         # The record begins with the heart's first step, or a replay would not meet the same state.
         for step in self._early:
             self._recorder.step(step)
         self._early.clear()
         self.onboard.tlog = TlogWriter(self._recorder)
-        self._say(f"vehicle {vehicle}; recording to {self.folder}")
+        self._say(f"vehicle {vehicle}; recording to {folder}")
 
     def _loop(self) -> None:
         period = 1.0 / self.config.flight.setpoint_rate_hz
@@ -154,19 +172,30 @@ class Flight:
         broadcasts = self.onboard.tick(now_s)
         self.link.send(self.onboard.drain(now_s))
         for broadcast in broadcasts:
-            self.radio.broadcast(broadcast.transport, broadcast.messages, now_s)
+            self._broadcast(broadcast, now_s)
         if now_s - self._status_s > _STATUS_S:
             self._status_s = now_s
             self._say(self.status(now_s))
 
+    def _broadcast(self, broadcast: Broadcast, now_s: float) -> None:
+        try:
+            self.radio.broadcast(broadcast.transport, broadcast.messages, now_s)
+        except ValueError as error:
+            # Values that Remote ID cannot hold must not end the flight; the next broadcast may be sound.
+            self._refused += 1
+            text = str(error)
+            if text not in self._refused_texts and len(self._refused_texts) < _MAX_TEXTS:
+                self._refused_texts.add(text)
+                self._say(f"a Remote ID broadcast was not sent: {text}")
+
     def _exchange(self, now_s: float) -> None:
-        data = self.link.receive()
+        data = self.link.receive(now_s)
         if data:
             self.onboard.receive(data, now_s)
 
     def _let_go(self) -> None:
         """Leave the vehicle standing still, not drifting into its setpoint timeout."""
-        if self.onboard.heart.state not in HOLDING or not self.onboard.commanding:
+        if not (self.onboard.heart.in_control and self.onboard.commanding):
             return
         self._say("stopping: asking the vehicle to hold")
         end = time.monotonic() + _LET_GO_S
@@ -177,12 +206,23 @@ class Flight:
             self.link.send(self.onboard.drain(time.monotonic()))
 
     def _close(self) -> None:
-        if self._recorder is not None and self.folder is not None:
-            self._recorder.close()
-            write_json(self.folder / "summary.json", self.summary())
-            self._say(f"run folder {self.folder}")
+        health = self.radio.health(time.monotonic())
         self.radio.close()
         self.link.close()
+        if self._recorder is not None and self.folder is not None:
+            answered = self._recorder.close()
+            if self._recorder.error is not None:
+                self._say(f"the record is not complete: {self._recorder.error}")
+            if answered:
+                self._write_summary(self.folder / "summary.json", health)
+            self._say(f"run folder {self.folder}")
+        self._voice.close()
+
+    def _write_summary(self, path: Path, health: Health) -> None:
+        try:
+            write_json(path, self.summary(health))
+        except OSError as error:
+            self._say(f"{path}: cannot be written: {error.strerror}")
 
     # ------------------------------------------------------------ words
 
@@ -194,13 +234,21 @@ class Flight:
         return (
             f"{heart.state.value}; vehicle mode {mode}, {'armed' if heart.own.armed else 'disarmed'}; "
             f"{unfit or 'own state fit'}; {len(heart.traffic.tracks)} tracks; radio: {health.text}; "
-            f"sent {health.frames_sent}, heard {health.frames_heard}; late {self._late}"
+            f"sent {health.frames_sent}, heard {health.frames_heard}; late {self._late}{self._wrong()}"
         )
 
-    def summary(self) -> dict[str, object]:
+    def _wrong(self) -> str:
+        """What is wrong beside the heart and the radio, for the status line."""
+        text = "" if self.link.up else "; link down"
+        if self._refused:
+            text += f"; {self._refused} broadcasts refused"
+        if self._recorder is not None and self._recorder.error is not None:
+            text += f"; not recording: {self._recorder.error}"
+        return text
+
+    def summary(self, health: Health) -> dict[str, object]:
         """What stands in `summary.json`."""
-        health = self.radio.health(time.monotonic())
-        recorder = self._recorder
+        recorder, trouble = self._recorder, self.link.trouble
         return {
             "ticks": self._ticks,
             "late_ticks": self._late,
@@ -208,6 +256,12 @@ class Flight:
             "frames_sent": health.frames_sent,
             "frames_heard": health.frames_heard,
             "bad_frames": health.bad_frames,
+            "broadcasts_refused": self._refused,
+            "broadcast_errors": sorted(self._refused_texts),
+            "link_losses": trouble.losses,
+            "link_errors": trouble.errors,
+            "link_sends_dropped": trouble.dropped,
+            "lines_dropped": self._voice.dropped,
             "records_dropped": 0 if recorder is None else recorder.dropped,
             "recorder_error": None if recorder is None else recorder.error,
         }

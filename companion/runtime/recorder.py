@@ -22,6 +22,8 @@ from companion import __version__, record
 from companion.errors import ConfigError
 
 _QUEUE = 20_000
+_CLOSE_S = 5.0
+"""How long the end of a flight waits for a slow disk."""
 _VERSIONED = ("numpy", "numba", "pymavlink", "msgspec", "pymap3d")
 
 
@@ -91,16 +93,22 @@ class EventFile:
 
 
 class FlightRecorder:
-    """Tlog and event record of one aircraft, written by a thread and synced every `sync_period_s`."""
+    """Tlog and event record of one aircraft, written by a thread and synced every `sync_period_s`.
+
+    Raises:
+        OSError: the files cannot be written from the start.
+    """
 
     def __init__(self, folder: Path, header: record.Header, sync_period_s: float) -> None:
-        self.dropped = 0
         self._sync_period_s = sync_period_s
         self._events = (folder / f"{header.aircraft}.events").open("wb")
         self._tlog = (folder / f"{header.aircraft}.tlog").open("wb")
         self._events.write(record.MAGIC + record.encode(header))
+        self._events.flush()
         self._queue: queue.Queue[tuple[BinaryIO, bytes] | None] = queue.Queue(_QUEUE)
-        self._error: OSError | None = None
+        self._error: str | None = None
+        self._overflowed = 0
+        self._unwritten = 0
         self._thread = threading.Thread(target=self._write, name="recorder", daemon=True)
         self._thread.start()
 
@@ -114,22 +122,49 @@ class FlightRecorder:
         return len(data)
 
     @property
+    def dropped(self) -> int:
+        """Records that are not in the files."""
+        return self._overflowed + self._unwritten
+
+    @property
     def error(self) -> str | None:
         """Why writing stopped; None while it goes on."""
-        return None if self._error is None else str(self._error)
+        return self._error
 
-    def close(self) -> None:
-        """Write out what waits, sync, close."""
-        self._queue.put(None)
-        self._thread.join()
-        self._events.close()
-        self._tlog.close()
+    def close(self, timeout_s: float = _CLOSE_S) -> bool:
+        """Write out what waits, sync, close. What fails is kept in `error`.
+
+        Returns:
+            Whether the disk answered; after `timeout_s` it is left alone.
+        """
+        give_up_s = time.monotonic() + timeout_s
+        try:
+            self._queue.put(None, timeout=timeout_s)
+            self._thread.join(max(0.0, give_up_s - time.monotonic()))
+        except queue.Full:
+            pass
+        if self._thread.is_alive():
+            # The thread is inside a write and owns the files: closing them would wait for it.
+            self._keep(f"the disk took nothing for {timeout_s:g} s at the end")
+            self._overflowed += self._queue.qsize()
+            return False
+        for file in (self._events, self._tlog):
+            try:
+                file.close()
+            except OSError as error:
+                self._keep(str(error))
+        return True
 
     def _put(self, file: BinaryIO, data: bytes) -> None:
         try:
             self._queue.put_nowait((file, data))
         except queue.Full:
-            self.dropped += 1
+            self._overflowed += 1
+
+    def _keep(self, error: str) -> None:
+        """The first error explains those after it."""
+        if self._error is None:
+            self._error = error
 
     def _write(self) -> None:
         synced = time.monotonic()
@@ -137,25 +172,33 @@ class FlightRecorder:
         while running:
             try:
                 item = self._queue.get(timeout=self._sync_period_s)
-                if item is None:
-                    running = False
-                elif self._error is None:
-                    item[0].write(item[1])
-                else:
-                    self.dropped += 1
             except queue.Empty:
                 pass
-            except OSError as error:
-                # A full disk must not end the flight: stop writing, say so in health and summary.
-                self._error = error
+            else:
+                running = item is not None
+                if item is not None:
+                    self._write_item(*item)
             if self._error is None and (not running or time.monotonic() - synced >= self._sync_period_s):
                 synced = time.monotonic()
-                try:
-                    for file in (self._events, self._tlog):
-                        file.flush()
-                        os.fsync(file.fileno())
-                except OSError as error:
-                    self._error = error
+                self._sync()
+
+    def _write_item(self, file: BinaryIO, data: bytes) -> None:
+        # A full disk must not end the flight: writing stops, status and summary tell.
+        if self._error is None:
+            try:
+                file.write(data)
+            except OSError as error:
+                self._keep(str(error))
+        if self._error is not None:
+            self._unwritten += 1
+
+    def _sync(self) -> None:
+        try:
+            for file in (self._events, self._tlog):
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            self._keep(str(error))
 
 
 def write_json(path: Path, value: object) -> None:

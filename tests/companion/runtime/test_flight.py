@@ -1,0 +1,321 @@
+"""The flight loop goes on through whatever happens beside it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import signal
+import socket
+import threading
+import time
+
+import msgspec
+import pytest
+
+from companion.autopilot.wire import MavlinkReader, MavlinkWriter
+from companion.config import RecordConfig, VehicleConfig
+from companion.errors import ConfigError
+from companion.radio.null import NullTransport
+from companion.runtime.flight import Flight
+
+LONG_S = 60.0
+
+
+class Autopilot:
+    """The autopilot's side of a TCP link: sends heartbeats to whoever connects."""
+
+    def __init__(self, port=0):
+        self._server = socket.socket()
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._server.bind(("127.0.0.1", port))
+        self._server.listen()
+        self._server.settimeout(0.05)
+        self.port = self._server.getsockname()[1]
+        self.commands = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self):
+        with self._server:
+            while not self._ended.is_set():
+                try:
+                    peer = self._server.accept()[0]
+                except TimeoutError:
+                    continue
+                with peer, contextlib.suppress(ConnectionError):
+                    self._speak(peer)
+
+    def _speak(self, peer):
+        writer, reader = MavlinkWriter(1, 1), MavlinkReader()
+        peer.setblocking(False)
+        while not self._ended.wait(0.02):
+            peer.sendall(writer.pack(writer.encoder.heartbeat_encode(2, 3, 1, 5, 4)))
+            try:
+                data = peer.recv(65536)
+            except BlockingIOError:
+                continue
+            self.commands += [m for m in reader.feed(data) if m.get_type() == "COMMAND_LONG"]
+
+    def end(self):
+        """Drop the connection and the port."""
+        self._ended.set()
+        self._thread.join(LONG_S)
+
+
+class Radio(NullTransport):
+    """Keeps when it was asked to broadcast; refuses if told to."""
+
+    def __init__(self):
+        self.broadcasts = 0
+        self.refusals = []
+        self.closed = False
+
+    def broadcast(self, transport, messages, now_s):
+        self.broadcasts += 1
+        if self.refusals:
+            raise ValueError(self.refusals[self.broadcasts % len(self.refusals)])
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture
+def autopilot():
+    served = Autopilot()
+    yield served
+    served.end()
+
+
+@pytest.fixture
+def said():
+    return []
+
+
+@pytest.fixture
+def kept_signals():
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    yield
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def watchdog(monkeypatch):
+    """What is done with the watchdog; the real one would end the tests on a slow machine."""
+    calls = []
+    name = "companion.runtime.flight.faulthandler"
+    monkeypatch.setattr(f"{name}.dump_traceback_later", lambda *_, **__: calls.append("armed"))
+    monkeypatch.setattr(f"{name}.cancel_dump_traceback_later", lambda: calls.append("cancelled"))
+    return calls
+
+
+@pytest.fixture
+def flight(autopilot, said, make_config, tmp_path, kept_signals, watchdog, monkeypatch):
+    """A flight that watches, not yet running."""
+    monkeypatch.setattr("companion.runtime.kept_link._PAUSE_S", 0.01)
+    monkeypatch.setattr("companion.runtime.flight._STATUS_S", 0.1)
+    made = Flight(configured(make_config, tmp_path, autopilot.port), said.append, dry_run=False)
+    made.radio = Radio()
+    return made
+
+
+def configured(make_config, tmp_path, port):
+    return msgspec.structs.replace(
+        make_config(use="watch"),
+        vehicle=VehicleConfig(link=f"tcp:127.0.0.1:{port}", wait_s=LONG_S),
+        record=RecordConfig(folder=str(tmp_path)),
+    )
+
+
+def fly(flight, *script):
+    """Run the flight while a thread does `script` in turn, then stops it; what failed there fails here."""
+    failed = []
+
+    def act():
+        try:
+            for part in script:
+                part()
+        except AssertionError as error:
+            failed.append(error)
+        finally:
+            flight.stop()
+
+    thread = threading.Thread(target=act, daemon=True)
+    thread.start()
+    flight.run()
+    thread.join(LONG_S)
+    if failed:
+        raise failed[0]
+
+
+def summary(flight):
+    return json.loads((flight.folder / "summary.json").read_text())
+
+
+def heard_of(said, text, after=0):
+    """A condition for `until`: a line with `text` was said."""
+    return lambda: any(text in line for line in said[after:])
+
+
+def test_a_lost_link_comes_back_and_remote_id_goes_on_meanwhile(flight, autopilot, said, until):
+    again = []
+
+    def broadcasts_without_link():
+        sent = flight.radio.broadcasts
+        until(lambda: flight.radio.broadcasts >= sent + 2)
+        assert not flight.link.up
+
+    fly(
+        flight,
+        lambda: until(heard_of(said, "recording to")),
+        autopilot.end,
+        lambda: until(heard_of(said, "lost:")),
+        broadcasts_without_link,
+        lambda: until(heard_of(said, "link down")),
+        lambda: again.append(Autopilot(autopilot.port)),
+        lambda: until(lambda: flight.link.up and again[0].commands),
+    )
+    again[0].end()
+    assert sum("lost:" in line for line in said) == 1
+    assert sum(line.endswith(": back") for line in said) == 1
+    found = summary(flight)
+    assert found["link_losses"] == 1
+    assert found["link_sends_dropped"] > 0
+    assert found["recorder_error"] is None
+
+
+def test_a_refused_broadcast_is_counted_and_said_once(flight, said, until):
+    flight.radio.refusals = ["too high", "too fast"]
+    fly(flight, lambda: until(lambda: flight.radio.broadcasts >= 4 and heard_of(said, "recording to")()))
+    found = summary(flight)
+    assert found["broadcasts_refused"] >= 4
+    assert found["broadcast_errors"] == ["too fast", "too high"]
+    assert sum("too high" in line for line in said) == 1
+    assert sum("too fast" in line for line in said) == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_end_a_flight_in_order(flight, said, until, number):
+    signal.signal(number, lambda *_: None)
+    released = threading.Event()
+
+    def ended():
+        os.kill(os.getpid(), number)
+        until(lambda: flight._stop)
+        released.set()
+
+    fly(flight, lambda: until(heard_of(said, "recording to")), ended)
+    assert released.is_set()
+    assert summary(flight)["ticks"] > 0
+
+
+def test_a_broken_pipe_does_not_end_a_flight(autopilot, make_config, tmp_path, kept_signals, watchdog, until):
+    def broken(_line):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    made = Flight(configured(make_config, tmp_path, autopilot.port), broken, dry_run=False)
+
+    def flown():
+        ticks = made._ticks
+        until(lambda: made.folder is not None and made._ticks > ticks + 5)
+
+    fly(made, flown)
+    assert summary(made)["lines_dropped"] >= 3
+
+
+class Control:
+    """What a flight asks of the heart before it lets go."""
+
+    def __init__(self, heart, in_control):
+        self._heart = heart
+        self.in_control = in_control
+
+    def __getattr__(self, name):
+        return getattr(self._heart, name)
+
+
+@pytest.mark.parametrize("in_control", [True, False])
+def test_lets_go_of_what_it_controls_and_of_nothing_else(
+    flight, autopilot, said, until, watchdog, monkeypatch, in_control
+):
+    monkeypatch.setattr("companion.runtime.flight._LET_GO_S", 0.3)
+    asked = []
+    monkeypatch.setattr(flight.onboard, "let_go", lambda _now_s: asked.append(list(watchdog)))
+    flight.onboard.heart = Control(flight.onboard.heart, in_control)
+    fly(flight, lambda: until(heard_of(said, "recording to")), lambda: until(lambda: watchdog))
+    assert heard_of(said, "asking the vehicle to hold")() is in_control
+    # Letting go may last; the watchdog must not end it.
+    assert [calls[-1] for calls in asked] == (["cancelled"] if in_control else [])
+
+
+class FullDisk:
+    """A recorder as it is when the disk is full."""
+
+    error = "No space left on device"
+    dropped = 7
+    answers = True
+
+    def close(self):
+        return self.answers
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_full_disk_is_said_and_the_radio_and_the_link_are_closed(
+    flight, said, until, monkeypatch, tmp_path, answers
+):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("companion.runtime.flight.write_json", full)
+
+    def fill():
+        flight.onboard.tlog = None
+        disk = FullDisk()
+        disk.answers = answers
+        disk.step = lambda _step: None
+        flight._recorder = disk
+
+    fly(
+        flight,
+        lambda: until(heard_of(said, "recording to")),
+        fill,
+        lambda: until(heard_of(said, "not recording: No space left")),
+    )
+    assert flight.radio.closed
+    assert not flight.link.up
+    assert heard_of(said, "summary.json: cannot be written")() is answers
+
+
+@pytest.mark.parametrize("name", ["config.toml", "OWN.events"])
+def test_a_run_folder_that_cannot_be_written_is_bad_configuration(
+    flight, autopilot, monkeypatch, tmp_path, name
+):
+    """A folder of the file's name stands where the file must go: nothing, not even root, can write it."""
+
+    def in_the_way(_root, _name, _utc_s):
+        (tmp_path / name).mkdir()
+        return tmp_path
+
+    monkeypatch.setattr("companion.runtime.flight.create_run_folder", in_the_way)
+    with pytest.raises(ConfigError, match=r"record\.folder"):
+        flight.run()
+    assert flight.radio.closed
+
+
+def test_a_link_that_cannot_be_opened_lets_out_what_was_said(make_config, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    lines = []
+
+    def slow(line):
+        time.sleep(0.05)
+        lines.append(line)
+
+    with pytest.raises(ConfigError):
+        Flight(configured(make_config, tmp_path, port), slow, dry_run=False)
+    assert len(lines) == 1
