@@ -14,6 +14,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from multiprocessing.queues import Queue
 from pathlib import Path
+from typing import BinaryIO
 
 import msgspec
 import tomli_w
@@ -217,11 +218,16 @@ def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder:
             files.callback(file.close)
             return file.step
 
+        def tlog(name: str) -> BinaryIO:
+            assert folder is not None
+            return files.enter_context((folder / f"{name}.tlog").open("wb"))
+
         result: Run = fly(
             scenario,
             seed,
             law=None if avoided else "none",
             record=recorder if folder is not None else None,
+            tlog=tlog if folder is not None else None,
             progress=progress,
         )
     if folder is not None:

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.autopilot.tlog import ByteSink, TlogWriter
 from companion.config import (
     Config,
     FlightConfig,
@@ -75,11 +76,14 @@ class Aircraft:
         config: Config,
         rng: np.random.Generator,
         record: Callable[[Step], None] | None,
+        tlog: ByteSink | None,
     ) -> None:
         self.name = name
         self.config = config
         self.vehicle = MockVehicle(options, rng)
-        self.onboard = Onboard(config, record)
+        self.onboard = Onboard(
+            config, record, tlog=None if tlog is None else TlogWriter(tlog), utc_guess_s=UTC_AT_START_S
+        )
         self.sender = FrameSender(radio_address(name))
         self.receiver = FrameReceiver()
 
@@ -153,6 +157,7 @@ def fly(
     *,
     law: str | None = None,
     record: Callable[[str, Config], Callable[[Step], None]] | None = None,
+    tlog: Callable[[str], ByteSink] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
     """Fly a scenario once.
@@ -161,6 +166,7 @@ def fly(
         seed: fixes paths (drawn geometries), navigation errors and the channel.
         law: replaces the scenario's law ("none" is the unavoided baseline).
         record: called once per aircraft with its name and configuration; returns where its steps go.
+        tlog: called once per aircraft with its name; returns where its MAVLink goes.
         progress: called with the share done, about once per simulated second.
     """
     paths = paths_of(scenario, seed)
@@ -169,8 +175,9 @@ def fly(
     for number, (name, path) in enumerate(zip(names_of(scenario, seed), paths, strict=True)):
         config = companion_config(scenario, name, path, law)
         sink = None if record is None else record(name, config)
+        log = None if tlog is None else tlog(name)
         options = vehicle_options(scenario, number, path)
-        fleet.append(Aircraft(name, options, config, np.random.default_rng(streams[number]), sink))
+        fleet.append(Aircraft(name, options, config, np.random.default_rng(streams[number]), sink, log))
     air = scenario.air
     channel = SimpleChannel(delay_s=air.delay_s, loss=air.loss, range_m=air.range_m)
     ether = Ether(channel, np.random.default_rng(streams[-1]))

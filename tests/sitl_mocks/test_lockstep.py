@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import msgspec
 import numpy as np
 import pytest
 
+from companion.autopilot.tlog import read_tlog
 from companion.events import AuthorityChanged
 from sitl_mocks import cli, lockstep, settings
 from sitl_mocks.lockstep import Flown, Run
@@ -165,6 +167,14 @@ def test_a_run_folder_is_whole(tmp_path, capsys):
     (folder,) = (tmp_path / "runs").iterdir()
     names = {path.name for path in folder.iterdir()}
     assert {"config.toml", "manifest.json", "summary.json", "DMUCA001.events", "unavoided"} <= names
+    with (folder / "DMUCA001.tlog").open("rb") as stream:
+        frames = list(read_tlog(stream, "tlog"))
+    assert {(frame[5], frame[6]) for _, frame in frames} == {(1, 1), (1, 191)}
+    # From the start to the end of the run; the guess before the vehicle tells UTC is good to a tick.
+    times = [utc_s for utc_s, _ in frames]
+    assert all(b - a > -0.1 for a, b in itertools.pairwise(times))
+    assert times[0] == pytest.approx(lockstep.UTC_AT_START_S, abs=0.1)
+    assert times[-1] - times[0] == pytest.approx(15.0, abs=0.2)
     assert settings.load(folder / "config.toml").duration_s == 12.0
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["seed"] == 1
