@@ -14,7 +14,8 @@ import msgspec
 from companion import __version__, record, replay
 from companion import config as configuration
 from companion.autopilot.tlog import read_tlog
-from companion.errors import ConfigError, PeerDataError
+from companion.command_line import parser_of, run_command
+from companion.errors import ConfigError
 from companion.remote_id import command as remote_id_command
 from companion.runtime.check import check
 from companion.runtime.flight import Flight
@@ -30,28 +31,15 @@ _EXAMPLES = """examples:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
-    arguments = _parser().parse_args(argv)
-    try:
-        code: int = arguments.run(arguments)
-    except (ConfigError, PeerDataError) as error:
-        print(f"companion: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 1
-    return code
+    return run_command(_parser(), argv)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="companion",
-        description="Flight software for a companion computer: hear Remote ID, keep apart, fly timed paths.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = parser_of(
+        "companion",
+        "Flight software for a companion computer: hear Remote ID, keep apart, fly timed paths.",
+        _EXAMPLES,
     )
-    parser.add_argument("--version", action="version", version=f"dmuca {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
     run = commands.add_parser(

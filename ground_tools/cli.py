@@ -6,8 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from companion import __version__
-from companion.errors import ConfigError, PeerDataError
+from companion.command_line import parser_of, run_command
 from ground_tools import orca_check
 from ground_tools.inspect import command as inspect_command
 from ground_tools.inspect import picture
@@ -21,13 +20,9 @@ _EXAMPLES = """examples:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
-    parser = argparse.ArgumentParser(
-        prog="ground-tools",
-        description="Desk tools: look at runs, check the law against an oracle.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = parser_of(
+        "ground-tools", "Desk tools: look at runs, check the law against an oracle.", _EXAMPLES
     )
-    parser.add_argument("--version", action="version", version=f"dmuca {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
         ("inspect", inspect_command, "a run folder as a Rerun recording, or its summary"),
@@ -42,15 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     orca_check.add_arguments(check)
     check.set_defaults(run=orca_check.run)
-    arguments = parser.parse_args(argv)
-    try:
-        code: int = arguments.run(arguments)
-    except (ConfigError, PeerDataError) as error:
-        print(f"ground-tools: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return code
+    return run_command(parser, argv)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from companion import __version__
-from companion.errors import ConfigError, PeerDataError
+from companion.command_line import parser_of, run_command
 from sitl_mocks import demo, ether_server, swarm, vehicle_server
 
 _EXAMPLES = """examples:
@@ -20,13 +19,9 @@ _EXAMPLES = """examples:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
-    parser = argparse.ArgumentParser(
-        prog="sitl-mocks",
-        description="What stands in for hardware: vehicles, the air, whole encounters.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = parser_of(
+        "sitl-mocks", "What stands in for hardware: vehicles, the air, whole encounters.", _EXAMPLES
     )
-    parser.add_argument("--version", action="version", version=f"dmuca {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
         ("demo", demo, "an encounter in virtual time, with and without avoidance"),
@@ -37,15 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
         module.add_arguments(command)
         command.set_defaults(run=module.run)
-    arguments = parser.parse_args(argv)
-    try:
-        code: int = arguments.run(arguments)
-    except (ConfigError, PeerDataError) as error:
-        print(f"sitl-mocks: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    return code
+    return run_command(parser, argv)
 
 
 if __name__ == "__main__":

@@ -11,13 +11,11 @@ import contextlib
 import errno
 import ipaddress
 import json
-import signal
 import socket
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from select import select
-from types import FrameType
 
 import numpy as np
 
@@ -26,6 +24,7 @@ from companion.radio import ether_wire
 from companion.radio.ether_wire import Heard, Join, Leave, Send, Welcome
 from sitl_mocks.channel.simple import Channel, SimpleChannel
 from sitl_mocks.ether import Ether
+from sitl_mocks.signals import end_signals
 
 MAX_CLIENTS = 256
 _MAX_READS = 512
@@ -201,29 +200,13 @@ def run(args: argparse.Namespace) -> int:
     channel = SimpleChannel(delay_s=tuple(args.delay), loss=args.loss, range_m=args.range)
     host, port = ether_wire.parse_endpoint(args.listen, "--listen")
     server = EtherServer(host, port, channel, np.random.default_rng(args.seed))
-    with contextlib.closing(server), _signals() as ended:
+    with contextlib.closing(server), end_signals() as ended:
         print(f"ether on {server.endpoint[0]}:{server.endpoint[1]}", flush=True)
         while not ended:
             server.wait(time.monotonic())
             server.step(time.monotonic())
         print(json.dumps(server.statistics()), flush=True)
     return 0
-
-
-@contextlib.contextmanager
-def _signals() -> Iterator[list[int]]:
-    """A list that is empty until SIGINT or SIGTERM came; the handlers before are put back."""
-    ended: list[int] = []
-
-    def note(number: int, _frame: FrameType | None) -> None:
-        ended.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield ended
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _bind(host: str, port: int) -> socket.socket:

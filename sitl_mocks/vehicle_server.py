@@ -10,17 +10,16 @@ import argparse
 import contextlib
 import json
 import selectors
-import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import FrameType
 
 import numpy
 
 from companion.errors import ConfigError
 from companion.events import Firmware
 from sitl_mocks.autopilot import STEP_S, MockVehicle
+from sitl_mocks.signals import end_signals
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions
 from sitl_mocks.vehicle_ports import Airframe, Port, open_port
@@ -157,7 +156,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
     links = args.link or ["udpout:127.0.0.1:14550"]
-    with _signals() as ended:
+    with end_signals() as ended:
         server = VehicleServer(options_of(args), links, numpy.random.default_rng(args.seed))
         with contextlib.closing(server):
             for name in server.names:
@@ -209,19 +208,3 @@ def _left(vehicle: MockVehicle) -> dict[str, object]:
         "largest_setpoint_gap_s": round(vehicle.largest_setpoint_gap_s, 3),
         "setpoint_gaps_over_100ms": vehicle.setpoint_gaps_over_100ms,
     }
-
-
-@contextlib.contextmanager
-def _signals() -> Iterator[list[int]]:
-    """A list that is empty until SIGINT or SIGTERM came; the handlers before are put back."""
-    ended: list[int] = []
-
-    def note(number: int, _frame: FrameType | None) -> None:
-        ended.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield ended
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
