@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import pty
 import socket
+import struct
+import sys
 import tty
 
 import pytest
@@ -14,6 +17,8 @@ from companion.errors import ConfigError
 from companion.runtime.links import LinkTrouble, SerialLink, TcpLink, UdpLink, open_link
 
 MAVLINK = b"\xfd and the rest"
+SIOCOUTQNSD = 0x894B
+"""Linux: bytes of a TCP socket that were not sent even once."""
 
 
 @pytest.fixture
@@ -163,6 +168,15 @@ def test_tcp_keeps_frames_whole_and_holds_nothing_old(tcp, trouble, until):
     numbers = [int(line) for line in lines if b"marker" not in line]
     assert numbers == sorted(set(numbers))
     assert len(numbers) + trouble.dropped >= 5_000
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what the kernel holds unsent is told by Linux only")
+def test_tcp_gives_the_kernel_nothing_more_while_it_holds_what_is_unsent(tcp, trouble):
+    link, _ = tcp
+    frames_sent(link.send, 5_000)
+    assert trouble.dropped > 1_000
+    unsent = struct.unpack("i", fcntl.ioctl(link.fileno(), SIOCOUTQNSD, struct.pack("i", 0)))[0]
+    assert unsent <= 100, "more than one frame of those to come would be old"
 
 
 def test_tcp_says_that_the_peer_is_gone(tcp):

@@ -20,6 +20,7 @@ class Disk(io.RawIOBase):
         self.full = False
         self.may_write = threading.Event()
         self.may_write.set()
+        self.asked = threading.Event()
 
     def writable(self):
         return True
@@ -28,6 +29,7 @@ class Disk(io.RawIOBase):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     def write(self, data):
+        self.asked.set()
         self.may_write.wait()
         if self.full:
             raise OSError(errno.ENOSPC, "No space left on device")
@@ -86,12 +88,14 @@ def test_a_disk_that_fails_only_at_close_is_an_error_kept(tmp_path, header):
     assert "No space left" in (recorder.error or "")
 
 
-def test_close_gives_up_on_a_disk_that_hangs_with_a_full_queue(tmp_path, header, monkeypatch, until):
+def test_close_gives_up_on_a_disk_that_hangs_with_a_full_queue(tmp_path, header, monkeypatch):
     monkeypatch.setattr("companion.runtime.recorder._QUEUE", 10)
     disk = Disk()
     recorder = on(disk, FlightRecorder(tmp_path, header, 60.0))
     disk.may_write.clear()
-    for number in range(50):
+    recorder.step(step(0.0))
+    disk.asked.wait()
+    for number in range(1, 50):
         recorder.step(step(float(number)))
     assert recorder.close(timeout_s=0.1) is False
     assert "took nothing" in (recorder.error or "")
