@@ -138,7 +138,7 @@ class Companion:
         if own.heartbeat is not None and (not own.armed or own.landed(now_s) is Landed.ON_GROUND):
             self._seen_down = True
             self.plan.drop()
-        if self.state is State.STANDBY and self._could_be_taken(now_s):
+        if self.state is State.STANDBY and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
             if self.plan.law is not None and not self._near_path(now_s):
                 limit = self.config.flight.start_within_m
@@ -146,18 +146,21 @@ class Companion:
         if self.plan.law is not None:
             self.plan.law.note_velocity(now_s, own.velocity_ned_mps)
 
-    def _could_be_taken(self, now_s: float) -> bool:
-        """A vehicle in the air that we may take: armed, fit, in a mode that is ours to end."""
+    def waits_for(self, now_s: float) -> str | None:
+        """Why the vehicle cannot be taken now, in words; None when it can: it must be armed, in the air, fit,
+        and in a mode that is ours to end."""
         own = self.own
-        return (
-            self.config.flight.use == "fly"
-            and self._seen_down
-            and own.heartbeat is not None
-            and own.heartbeat.armed
-            and own.landed(now_s) is Landed.IN_AIR
-            and own.heartbeat.mode in _TAKE_FROM[own.heartbeat.firmware]
-            and own.unfit(now_s, self.config.vehicle.stale_after_s) is None
-        )
+        if self.config.flight.use != "fly":
+            return 'flight.use is "watch"'
+        if own.heartbeat is None or not own.heartbeat.armed:
+            return "vehicle to be armed"
+        if not self._seen_down:
+            return "a landing: the vehicle was flying when this started (flight.take_in_flight)"
+        if own.landed(now_s) is not Landed.IN_AIR:
+            return f"vehicle to be in the air (landed state: {own.landed(now_s).value})"
+        if own.heartbeat.mode not in _TAKE_FROM[own.heartbeat.firmware]:
+            return f"a mode that may be taken (now {own.heartbeat.mode.value})"
+        return own.unfit(now_s, self.config.vehicle.stale_after_s)
 
     # ------------------------------------------------------------ decide
 
@@ -205,7 +208,7 @@ class Companion:
         ):
             found.add(Trigger.REARM)
         standing_by = self.state is State.STANDBY and self.plan.law is not None
-        if standing_by and self._could_be_taken(now_s) and self._near_path(now_s):
+        if standing_by and self.waits_for(now_s) is None and self._near_path(now_s):
             found.add(Trigger.READY)
         return frozenset(found)
 
@@ -227,10 +230,10 @@ class Companion:
             return frozenset({Trigger.CONFLICT})
         if now_s - self._conflict_s < _CLEAR_AFTER_S:
             return frozenset()
-        found = {Trigger.CLEAR}
-        if self.plan.distance_m(self.own, now_s) <= self.config.avoidance.regained_m:
-            found.add(Trigger.REGAINED)
-        return frozenset(found)
+        distance, regained = self.plan.distance_m(self.own, now_s), self.config.avoidance.regained_m
+        if distance <= regained:
+            return frozenset({Trigger.CLEAR, Trigger.REGAINED})
+        return frozenset({Trigger.CLEAR, Trigger.AWAY} if distance > 2.0 * regained else {Trigger.CLEAR})
 
     def _move(
         self, now_s: float, triggers: frozenset[Trigger], unfit: str | None, commands: list[Command]
@@ -268,6 +271,7 @@ class Companion:
             Trigger.READY: f"taking the vehicle from mode {mode}",
             Trigger.CONFLICT: "conflict with " + ", ".join(conflicts),
             Trigger.CLEAR: "no conflict",
+            Trigger.AWAY: "off the timed path",
             Trigger.REGAINED: "back on the timed path",
         }[trigger]
 

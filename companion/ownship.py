@@ -1,9 +1,9 @@
 """Own state as the autopilot reports it: position, velocity, clocks, quality, and whether it may be flown on.
 
 Three clocks. A position is dated by the autopilot's time since boot, tied to our monotonic time by the least
-delayed message, so that a link that grows slow shows as age. UTC (the vehicle is its only source: a small
-computer has no clock of its own) is tied to the time since boot inside the autopilot, so that neither link
-delay nor a corrected UTC changes the age of anything.
+delayed message of the last while, so that a link that grows slow shows as age. UTC (the vehicle is its only
+source: a small computer has no clock of its own) is tied to the time since boot inside the autopilot, so that
+neither link delay nor a corrected UTC changes the age of anything.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from companion.events import (
     Landed,
     LandedState,
     LocalPosition,
+    MissionCurrent,
     Vec3,
     VehicleTime,
 )
@@ -30,8 +31,8 @@ SIGMA_UNKNOWN_M = 5.0
 _HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0
-_CLOCK_DRIFT = 2e-4
-"""The autopilot's clock against ours, at most."""
+_CLOCK_WINDOW_S = 10.0
+"""The least delay counts for one to two of these: a clock that slipped is forgiven after that."""
 _REBOOT_S = 1.0
 _JUMP_M = 30.0
 """Beyond what speed explains, a position that moves farther than this was not flown."""
@@ -45,17 +46,23 @@ class _BootClock:
     """Our monotonic time minus the autopilot's time since boot, from the least delayed message."""
 
     offset_s: float | None = None
-    at_s: float = 0.0
     boot_s: float = 0.0
+    _window_s: float = 0.0
+    _least_s: float = math.inf
+    """Least offset in the window that runs."""
+    _before_s: float = math.inf
+    """Least offset in the window before."""
 
     def take(self, time_boot_s: float, now_s: float) -> bool:
         """Take in one time stamp; True when the autopilot's clock began anew."""
         began_anew = self.offset_s is not None and time_boot_s < self.boot_s - _REBOOT_S
-        offset = now_s - time_boot_s
-        if self.offset_s is not None and not began_anew:
-            # Delay only ever makes the offset read too large: keep the smallest, give way to drift.
-            offset = min(offset, self.offset_s + _CLOCK_DRIFT * (now_s - self.at_s))
-        self.offset_s, self.at_s, self.boot_s = offset, now_s, time_boot_s
+        if began_anew:
+            self._least_s = self._before_s = math.inf
+        if now_s - self._window_s >= _CLOCK_WINDOW_S:
+            self._window_s, self._before_s, self._least_s = now_s, self._least_s, math.inf
+        # Delay only ever makes the offset read too large.
+        self._least_s = min(self._least_s, now_s - time_boot_s)
+        self.offset_s, self.boot_s = min(self._least_s, self._before_s), time_boot_s
         return began_anew
 
 
@@ -68,6 +75,8 @@ class Ownship:
     position: GlobalPosition | None = None
     velocity_ned_mps: Vec3 = (0.0, 0.0, 0.0)
     gnss: GnssFix | None = None
+    mission_seq: int | None = None
+    """Item that the vehicle's mission is at."""
     takeoff: GlobalPosition | None = None
     """Where the aircraft was last seen on the ground."""
     separation_m: float | None = None
@@ -100,6 +109,8 @@ class Ownship:
                     self.separation_m = event.alt_ellipsoid_m - event.alt_msl_m
             case LandedState():
                 self._landed, self._landed_s = event.landed, now_s
+            case MissionCurrent():
+                self.mission_seq = event.seq
             case VehicleTime():
                 self._tick(event.time_boot_s, now_s)
                 if event.utc_s is not None:

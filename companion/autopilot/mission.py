@@ -45,7 +45,12 @@ _NAMES: dict[int, str] = {
 
 
 def path_from_mission(
-    items: Sequence[MissionItem], *, speed_mps: float, start: Vec3, home_alt_msl_m: float | None
+    items: Sequence[MissionItem],
+    *,
+    speed_mps: float,
+    start: Vec3,
+    home_alt_msl_m: float | None,
+    first_seq: int | None = None,
 ) -> TrajectoryFile:
     """The mission as a timed path above home.
 
@@ -53,6 +58,7 @@ def path_from_mission(
         items: As downloaded, ArduPilot's home item left out.
         speed_mps: Speed along the legs until a DO_CHANGE_SPEED.
         start: Latitude (deg), longitude (deg), height above home (m) where the clock starts.
+        first_seq: Item that the vehicle is at: waypoints before it are behind, speeds before it hold.
         home_alt_msl_m: Home above mean sea level; needed by items that give altitudes above mean sea level.
 
     Raises:
@@ -61,6 +67,8 @@ def path_from_mission(
     """
     builder = _Builder(speed_mps, start, home_alt_msl_m)
     for item in items:
+        if first_seq is not None and item.seq < first_seq and item.command != DO_CHANGE_SPEED:
+            continue
         if item.command in (NAV_LAND, NAV_RETURN_TO_LAUNCH):
             break
         if item.command == NAV_TAKEOFF and len(builder.waypoints) == 1:

@@ -45,6 +45,7 @@ class Trigger(enum.Enum):
     READY = "ready"
     CONFLICT = "conflict"
     CLEAR = "clear"
+    AWAY = "away"
     REGAINED = "regained"
 
 
@@ -66,6 +67,7 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.FAULT, Trigger.HEALTHY): State.STANDBY,
     (State.YIELDED, Trigger.REARM): State.STANDBY,
     (State.GUARDING, Trigger.CONFLICT): State.AVOIDING,
+    (State.GUARDING, Trigger.AWAY): State.RECOVERING,
     (State.RECOVERING, Trigger.CONFLICT): State.AVOIDING,
     (State.AVOIDING, Trigger.CLEAR): State.RECOVERING,
     (State.RECOVERING, Trigger.REGAINED): State.GUARDING,

@@ -161,6 +161,7 @@ class _Common:
     def __init__(self, avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> None:
         self._avoidance = avoidance
         self._trajectory = trajectory
+        self._turn_s = 0.5 * trajectory.largest_turn_mps() / limits.max_acceleration_mps2
         # Plain floats: a whole number in the limits would compile a kernel anew, in flight.
         self._speed = float(limits.max_speed_mps)
         self._climb = min(float(limits.max_climb_mps), self._speed)
@@ -285,9 +286,14 @@ class _Common:
         return chosen
 
     def _preferred(self, s: Situation, least: float, most: float) -> Vec3:
-        """Along the path, and back to its point within T; zero feed-forward outside the path's own time."""
+        """Along the path, and back to its point within T.
+
+        The velocity along the path turns ahead of a corner, over the time that the acceleration limit needs:
+        without that the aircraft overshoots and is led back by the gap alone. No feed-forward after the end.
+        """
         path = self._trajectory
-        target, velocity = path.position(s.path_time_s), path.velocity(s.path_time_s)
+        target = path.position(s.path_time_s)
+        velocity = path.mean_velocity(s.path_time_s, self._turn_s)
         gain = 1.0 / self._avoidance.recovery_time_s
         n, e, d = (v + gain * (p - q) for v, p, q in zip(velocity, target, s.position_ned_m, strict=True))
         return _clipped((n, e, min(max(d, least), most)), self._speed)

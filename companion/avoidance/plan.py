@@ -15,7 +15,15 @@ from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import check_speeds
 from companion.config import Config, TrajectoryFile
 from companion.errors import ConfigError
-from companion.events import Command, DownloadMission, MissionDownloaded, Say, Severity, Vec3
+from companion.events import (
+    Command,
+    DownloadMission,
+    FlightMode,
+    MissionDownloaded,
+    Say,
+    Severity,
+    Vec3,
+)
 from companion.ownship import Ownship
 
 _RETRY_S = 10.0
@@ -49,6 +57,8 @@ class Plan:
             self._mission = path_from_mission(
                 event.items,
                 speed_mps=speed,
+                # A mission that is being flown goes on; one that is not begins at its beginning.
+                first_seq=own.mission_seq if own.mode is FlightMode.MISSION else None,
                 start=(position.lat_deg, position.lon_deg, position.height_above_home_m),
                 home_alt_msl_m=own.home_alt_msl_m,
             )

@@ -7,6 +7,7 @@ first and last point. The paper calls it p_traj(t) (section II, "Decide").
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -110,6 +111,19 @@ class Trajectory:
         if not self._times[0] <= t_s < self._times[-1]:
             return _STILL
         return self._legs[bisect.bisect_right(self._times, t_s) - 1]
+
+    def mean_velocity(self, t_s: float, half_s: float) -> Vec3:
+        """Mean velocity from `half_s` before to `half_s` after a time: corners, start and end rounded off."""
+        if half_s <= 0.0:
+            return self.velocity(t_s)
+        a, b = self.position(t_s - half_s), self.position(t_s + half_s)
+        scale = 0.5 / half_s
+        return (scale * (b[0] - a[0]), scale * (b[1] - a[1]), scale * (b[2] - a[2]))
+
+    def largest_turn_mps(self) -> float:
+        """Largest change of velocity (m/s) at a waypoint; the path begins and ends at rest."""
+        legs = (_STILL, *self._legs, _STILL)
+        return max(math.dist(a, b) for a, b in itertools.pairwise(legs))
 
     def nearest(self, position_ned_m: Vec3) -> tuple[float, Vec3]:
         """Time and place of the path's point nearest to a position; the earliest of equally near ones."""

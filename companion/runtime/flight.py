@@ -17,10 +17,11 @@ from types import FrameType
 from companion import __version__
 from companion import config as configuration
 from companion.autopilot.tlog import TlogWriter
+from companion.avoidance.authority import State
 from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.errors import ConfigError
-from companion.events import AuthorityChanged, Broadcast, FlightMode
+from companion.events import AuthorityChanged, Broadcast, FlightMode, Say, Severity
 from companion.onboard import Onboard
 from companion.radio.ether import EtherTransport
 from companion.radio.frames_io import radio_address
@@ -231,8 +232,11 @@ class Flight:
         heart, health = self.onboard.heart, self.radio.health(now_s)
         mode = heart.own.mode.value if heart.own.mode is not None else "unknown"
         unfit = heart.own.unfit(now_s, self.config.vehicle.stale_after_s)
+        doing = heart.state.value
+        if heart.state is State.STANDBY and (waits_for := heart.waits_for(now_s)) is not None:
+            doing = f"standby, waiting for: {waits_for}"
         return (
-            f"{heart.state.value}; vehicle mode {mode}, {'armed' if heart.own.armed else 'disarmed'}; "
+            f"{doing}; vehicle mode {mode}, {'armed' if heart.own.armed else 'disarmed'}; "
             f"{unfit or 'own state fit'}; {len(heart.traffic.tracks)} tracks; radio: {health.text}; "
             f"sent {health.frames_sent}, heard {health.frames_heard}; late {self._late}{self._wrong()}"
         )
@@ -270,6 +274,8 @@ class Flight:
         for command in step.commands:
             if isinstance(command, AuthorityChanged):
                 self._say(f"{command.previous} -> {command.state}: {command.reason}")
+            elif isinstance(command, Say) and command.severity <= Severity.ERROR:
+                self._say(command.text)
         if self._recorder is not None:
             self._recorder.step(step)
         else:

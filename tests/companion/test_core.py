@@ -168,8 +168,8 @@ def test_a_fault_that_has_gone_leads_through_standby(flying):
     flying.step(40)
     flying.stuck_position = False
     flying.until(lambda: flying.heart.state in HOLDING)
-    moves = [(c.previous, c.state) for c in changes([c for _, c in flying.log])]
-    assert moves[-3:] == [("guarding", "fault"), ("fault", "standby"), ("standby", "guarding")]
+    states = [c.state for c in changes([c for _, c in flying.log])]
+    assert states[states.index("fault") :][:3] == ["fault", "standby", "guarding"]
 
 
 def test_a_late_loop_commands_nothing_in_that_step(flying):
@@ -225,7 +225,9 @@ def test_too_far_from_the_path_is_not_taken_and_said_once(make_bench):
     assert bench.heart.state is State.STANDBY
     assert said == ["DMUCA: path refused: vehicle is not within 50 m of the path's point"]
     bench.east_m = 20.0
-    bench.until(lambda: bench.heart.state is State.GUARDING)
+    bench.until(lambda: bench.heart.state in HOLDING)
+    bench.step(10)
+    assert bench.heart.state is State.RECOVERING
 
 
 def test_the_path_clock_starts_anew_with_each_flight(flying):
@@ -245,7 +247,7 @@ def test_a_corrected_utc_moves_neither_age_nor_path_time(make_bench):
     assert before == pytest.approx(10.0 + bench.now_s, abs=0.1)
     bench.utc_error_s = -18.0
     bench.step(20)
-    assert bench.heart.state is State.GUARDING
+    assert bench.heart.state in HOLDING
     assert bench.heart.plan.path_time_s(bench.now_s) == pytest.approx(before + 1.0, abs=0.05)
 
 

@@ -86,3 +86,17 @@ def test_geoid_separation_only_where_the_receiver_gives_both_altitudes():
     assert own.separation_m is None
     own.take(GnssFix(**fix, alt_ellipsoid_m=447.5), 2.0)
     assert own.separation_m == 47.5
+
+
+def test_a_clock_that_slipped_is_forgiven_after_a_while():
+    """An autopilot whose clock stood still for 1.6 s, or a companion whose own clock is being slewed."""
+    own = Ownship()
+    ages = []
+    for k in range(600):
+        now_s = 0.1 * k
+        slip = min(max(now_s - 20.0, 0.0), 1.6)
+        own.take(position(now_s - slip), now_s)
+        ages.append(own.age_s(now_s))
+    assert max(ages[:200]) < 0.01
+    assert 1.5 < max(ages) < 1.7
+    assert max(ages[430:]) < 0.01

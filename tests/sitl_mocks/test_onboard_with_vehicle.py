@@ -48,7 +48,7 @@ class Pair:
         options = {"airborne": True, "start_position_ned_m": (0.0, 0.0, -50.0), **options}
         if options["airborne"] and firmware is Firmware.ARDUPILOT:
             # Taken off in GUIDED, as a ground station does it; LOITER is the pilot's.
-            options["start_mode"] = VehicleMode.EXTERNAL
+            options.setdefault("start_mode", VehicleMode.EXTERNAL)
         self.vehicle = MockVehicle(
             VehicleOptions(firmware=firmware, mission=mission, utc_at_zero_s=1_767_225_600.0, **options),
             np.random.default_rng(1),
@@ -158,3 +158,38 @@ def test_link_silence_is_a_fault_and_nothing_is_sent():
         isinstance(c, AuthorityChanged) and c.state == "fault" for c in s.commands))  # fmt: skip
     assert (faulted - before) * TICK_S <= 1.2
     assert not pair.commands(VelocitySetpoint, since=faulted)
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_mission_under_way_goes_on_where_it_is(firmware):
+    pair = Pair(
+        firmware,
+        mission=(MISSION[0], waypoint(2, -30.0, 0.0, 50.0), waypoint(3, 0.0, 60.0, 50.0)),
+        start_mode=VehicleMode.MISSION,
+    )
+    # The vehicle flies its mission by itself until it is on the way to the last waypoint.
+    last = 3 if firmware is Firmware.ARDUPILOT else 2
+    while pair.vehicle.mission_seq < last and pair.tick < 2000:
+        pair.vehicle.advance(pair.tick * TICK_S)
+        pair.vehicle.drain()
+        pair.tick += 1
+    north = pair.vehicle.position_ned_m[0]
+    assert north < -15.0
+    pair.run(40.0)
+    assert pair.state in HOLDING
+    assert (
+        max(abs(step) for step in (pair.vehicle.position_ned_m[0], pair.vehicle.position_ned_m[1] - 60.0))
+        < 1.5
+    )
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_corners_are_rounded_not_overshot(firmware):
+    pair = Pair(firmware)
+    worst = 0.0
+    for _ in range(300):
+        pair.run(0.2)
+        if pair.state in HOLDING and pair.onboard.heart.in_control:
+            worst = max(worst, pair.vehicle.position_ned_m[0] - 60.0)
+    # 3 m/s into a right angle at 60 m north, 1 m/s2: fed forward blindly it went more than 6 m too far.
+    assert worst < 3.0
