@@ -32,6 +32,7 @@ from companion.events import (
     Vec3,
     VelocitySetpoint,
 )
+from companion.geometry import LocalFrame
 from companion.ownship import Ownship
 from companion.remote_id.schedule import Schedule
 from companion.traffic.tracks import Traffic
@@ -67,9 +68,10 @@ class Companion:
         self._schedule = Schedule(config.identity, config.remote_id)
         self._late_s = max(_LATE_S, 2.5 / config.flight.setpoint_rate_hz)
         self._last_step_s: float | None = None
+        self._frame: LocalFrame | None = None
         self._seen_down = config.flight.take_in_flight
         self._result: LawResult | None = None
-        self._decided_s = self._logged_s = self._conflict_s = -math.inf
+        self._decided_s = self._logged_s = self._conflict_s = self._commanded_s = -math.inf
         self._mode_confirmed = False
         self._stream_s: float | None = None
         self._custom_before: int | None = None
@@ -114,14 +116,18 @@ class Companion:
                 case RemoteIdHeard():
                     heard.append(event)
                 case MissionDownloaded():
-                    commands += self.plan.take_mission(event, own)
+                    self.plan.take_mission(event, now_s)
                 case MissionRefused():
                     commands += self.plan.refuse(event.reason)
                 case ModeRefused():
                     self._refused = event.reason
                 case _:
                     own.take(event, now_s)
-        if own.frame is not None:
+        if own.frame is not self._frame:
+            self._frame = own.frame
+            traffic.clear()
+            self.plan.drop()
+        if own.frame is not None and own.position is not None:
             traffic.note_own(now_s, own.position_ned_m(now_s))
             for frame in heard:
                 traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
@@ -167,8 +173,8 @@ class Companion:
     def _decide(self, now_s: float, gap_s: float, commands: list[Command]) -> None:
         """Who flies, and with what velocity."""
         unfit = self.own.unfit(now_s, self.config.vehicle.stale_after_s)
-        if gap_s > _HUNG_S:
-            unfit = f"the loop stood still for {gap_s:.1f} s"
+        if gap_s > _HUNG_S or (self.state in HOLDING and now_s - self._commanded_s > _HUNG_S):
+            unfit = f"the loop is late: nothing commanded for {_HUNG_S:g} s"
         if unfit is not None:
             self._healthy_s = now_s + _HEALTHY_AFTER_S
         elif self._refused is not None:
@@ -187,6 +193,7 @@ class Companion:
             self._move(now_s, self._law_triggers(now_s), None, commands)
             self._log(now_s, self._result, commands)
         self._ask_mode(now_s, commands)
+        self._commanded_s = now_s
         commands.append(self._setpoint(self._result.chosen_ned_mps))
 
     def _triggers(self, now_s: float, unfit: str | None) -> frozenset[Trigger]:
@@ -253,8 +260,8 @@ class Companion:
         if trigger in (Trigger.PILOT, Trigger.UNFIT, Trigger.READY, Trigger.RELEASE):
             severity = Severity.WARNING if trigger in (Trigger.PILOT, Trigger.UNFIT) else Severity.INFO
             commands.append(Say(severity=severity, text=f"DMUCA {self.state.value}: {reason}"))
-        if trigger is Trigger.REARM:
-            self.plan.drop()
+        if trigger is Trigger.REARM and self.own.position is not None:
+            self.plan.resume(self.own, now_s)
         if self.state not in HOLDING:
             self._result = None
             self._left_external = False
@@ -281,11 +288,13 @@ class Companion:
         self._stream_s = now_s
         self._custom_before = None if heartbeat is None else heartbeat.custom_mode
         self._conflict_s = -math.inf
-        self.plan.engage(now_s)
+        self._commanded_s = now_s
 
     def _ask_mode(self, now_s: float, commands: list[Command]) -> None:
         """Get the vehicle to take setpoints, once they stream."""
         if self.own.mode is FlightMode.EXTERNAL:
+            if not self._mode_confirmed:
+                self.plan.engage(now_s)
             self._mode_confirmed = True
         elif self._stream_s is not None and now_s - self._stream_s >= _STREAM_FIRST_S:
             self._stream_s = None

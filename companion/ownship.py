@@ -1,7 +1,7 @@
 """Own state as the autopilot reports it: position, velocity, clocks, quality, and whether it may be flown on.
 
 Three clocks. A position is dated by the autopilot's time since boot, tied to our monotonic time by the least
-delayed message of the last while, so that a link that grows slow shows as age. UTC (the vehicle is its only
+delayed message, so that a link that grows slow shows as age. UTC (the vehicle is its only
 source: a small computer has no clock of its own) is tied to the time since boot inside the autopilot, so that
 neither link delay nor a corrected UTC changes the age of anything.
 """
@@ -31,8 +31,14 @@ SIGMA_UNKNOWN_M = 5.0
 _HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0
-_CLOCK_WINDOW_S = 10.0
-"""The least delay counts for one to two of these: a clock that slipped is forgiven after that."""
+_DRIFT_ARMED = 1e-3
+"""How fast the autopilot's clock may fall behind ours, seconds a second. More looks the same as a link that
+grows slow, and flying on old positions is worse than a fault that lasts."""
+_DRIFT_DISARMED = 0.1
+"""On the ground a clock that slipped is soon forgiven."""
+_FROM_THE_FUTURE_S = 0.5
+_FRAME_REACH_M = 5_000.0
+"""A disarmed vehicle farther than this from the local frame's origin gets a new one."""
 _REBOOT_S = 1.0
 _JUMP_M = 30.0
 """Beyond what speed explains, a position that moves farther than this was not flown."""
@@ -47,22 +53,16 @@ class _BootClock:
 
     offset_s: float | None = None
     boot_s: float = 0.0
-    _window_s: float = 0.0
-    _least_s: float = math.inf
-    """Least offset in the window that runs."""
-    _before_s: float = math.inf
-    """Least offset in the window before."""
+    at_s: float = 0.0
 
-    def take(self, time_boot_s: float, now_s: float) -> bool:
+    def take(self, time_boot_s: float, now_s: float, drift: float) -> bool:
         """Take in one time stamp; True when the autopilot's clock began anew."""
         began_anew = self.offset_s is not None and time_boot_s < self.boot_s - _REBOOT_S
-        if began_anew:
-            self._least_s = self._before_s = math.inf
-        if now_s - self._window_s >= _CLOCK_WINDOW_S:
-            self._window_s, self._before_s, self._least_s = now_s, self._least_s, math.inf
-        # Delay only ever makes the offset read too large.
-        self._least_s = min(self._least_s, now_s - time_boot_s)
-        self.offset_s, self.boot_s = min(self._least_s, self._before_s), time_boot_s
+        offset = now_s - time_boot_s
+        if self.offset_s is not None and not began_anew:
+            # Delay only ever makes the offset read too large: keep the smallest, give way to drift.
+            offset = min(offset, self.offset_s + drift * (now_s - self.at_s))
+        self.offset_s, self.boot_s, self.at_s = offset, time_boot_s, now_s
         return began_anew
 
 
@@ -82,7 +82,7 @@ class Ownship:
     separation_m: float | None = None
     """Geoid above the ellipsoid (m), from the GNSS receiver's two altitudes."""
     frame: LocalFrame | None = None
-    """Local NED: origin at the first position, altitude datum mean sea level; fixed for the flight."""
+    """Local NED: origin at the first position, altitude datum mean sea level; kept while armed."""
     boot_to_utc_s: float | None = None
     """UTC minus the autopilot's time since boot."""
     _clock: _BootClock = field(default_factory=_BootClock)
@@ -119,7 +119,9 @@ class Ownship:
                 pass
 
     def _tick(self, time_boot_s: float, now_s: float) -> None:
-        if self._clock.take(time_boot_s, now_s):
+        if self._clock.take(time_boot_s, now_s, _DRIFT_ARMED if self.armed else _DRIFT_DISARMED):
+            # What came before belongs to another clock: it must not pass for fresh.
+            self.position = None
             self._velocity_boot_s, self.boot_to_utc_s = -math.inf, None
             self._landed_s = -math.inf
             self._trouble("the autopilot's clock began anew", now_s)
@@ -136,6 +138,9 @@ class Ownship:
         if self.frame is None:
             self.frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
         sample = self.frame.to_ned(event.lat_deg, event.lon_deg, event.alt_msl_m)
+        if not self.armed and math.hypot(sample[0], sample[1]) > _FRAME_REACH_M:
+            self.frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
+            sample, self.position = (0.0, 0.0, 0.0), None
         if self.position is not None:
             elapsed = max(0.0, event.time_boot_s - self.position.time_boot_s)
             speed = _JUMP_RATE_MPS + math.hypot(*self.velocity_ned_mps)
@@ -201,6 +206,8 @@ class Ownship:
             return f"no heartbeat from the autopilot for {_HEARTBEAT_LOST_S:g} s"
         if self.age_s(now_s) > stale_after_s:
             return f"own position older than {stale_after_s:g} s"
+        if self.age_s(now_s) < -_FROM_THE_FUTURE_S:
+            return "own position dated in the future"
         if self.gnss is None or now_s - self._gnss_s > _GNSS_LOST_S:
             return f"no GNSS report for {_GNSS_LOST_S:g} s"
         if self.gnss.fix_type < 3:

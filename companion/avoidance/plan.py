@@ -20,12 +20,14 @@ from companion.events import (
     DownloadMission,
     FlightMode,
     MissionDownloaded,
+    MissionItem,
     Say,
     Severity,
     Vec3,
 )
 from companion.ownship import Ownship
 
+_MISSION_FRESH_S = 1.0
 _RETRY_S = 10.0
 """Between two requests for the mission, and two tries of a path that was refused."""
 
@@ -35,7 +37,9 @@ class Plan:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._mission: TrajectoryFile | None = None
+        self._items: tuple[MissionItem, ...] = ()
+        self._items_s = -math.inf
+        """When they were downloaded: soon after, vehicle and mission may have moved on."""
         self._tried_s = -math.inf
         self._said: str | None = None
         self.law: Law | None = None
@@ -45,27 +49,12 @@ class Plan:
 
     def drop(self) -> None:
         """The flight is over: the next one begins with a new plan."""
-        self._mission = self.law = self._start_s = None
-        self._tried_s = -math.inf
+        self.law = self._start_s = None
+        self._items, self._tried_s = (), -math.inf
 
-    def take_mission(self, event: MissionDownloaded, own: Ownship) -> list[Command]:
-        """Make the downloaded mission the path, from where the vehicle is now."""
-        speed, position = self._config.flight.mission_speed_mps, own.position
-        if self.law is not None or speed is None or position is None:
-            return []
-        try:
-            self._mission = path_from_mission(
-                event.items,
-                speed_mps=speed,
-                # A mission that is being flown goes on; one that is not begins at its beginning.
-                first_seq=own.mission_seq if own.mode is FlightMode.MISSION else None,
-                start=(position.lat_deg, position.lon_deg, position.height_above_home_m),
-                home_alt_msl_m=own.home_alt_msl_m,
-            )
-        except ConfigError as error:
-            return self.refuse(str(error))
-        self._tried_s = -math.inf
-        return []
+    def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
+        """Keep the downloaded mission for the plan that is made at once."""
+        self._items, self._items_s, self._tried_s = event.items, now_s, -math.inf
 
     def refuse(self, reason: str) -> list[Command]:
         """Say why there is no path, once for each reason."""
@@ -79,15 +68,34 @@ class Plan:
         if self.law is not None or now_s - self._tried_s < _RETRY_S:
             return []
         self._tried_s = now_s
-        from_mission = self._config.flight.trajectory == "mission" and self._config.path is None
-        path = self._mission if from_mission else self._config.path
-        if path is None:
-            return [DownloadMission()]
         try:
-            return self._make(path, own, now_s)
+            path = self._config.path
+            if path is None:
+                if now_s - self._items_s > _MISSION_FRESH_S:
+                    return [DownloadMission()]
+                path = self._from_mission(own)
+            return [] if path is None else self._make(path, own, now_s)
         except ConfigError as error:
-            self._mission = None
             return self.refuse(str(error))
+
+    def _from_mission(self, own: Ownship) -> TrajectoryFile | None:
+        """The downloaded mission from where the vehicle is; None while it is not known where that is in it.
+
+        Raises:
+            ConfigError: the mission cannot be flown.
+        """
+        speed, position, home = self._config.flight.mission_speed_mps, own.position, own.home_alt_msl_m
+        flying = own.mode is FlightMode.MISSION
+        if speed is None or position is None or (flying and own.mission_seq is None):
+            return None
+        return path_from_mission(
+            self._items,
+            speed_mps=speed,
+            start=(position.lat_deg, position.lon_deg, position.height_above_home_m),
+            home_alt_msl_m=home,
+            # A mission that is being flown goes on; one that is not begins at its beginning.
+            first_seq=own.mission_seq if flying else None,
+        )
 
     def _make(self, path: TrajectoryFile, own: Ownship, now_s: float) -> list[Command]:
         flight, limits = self._config.flight, self._config.limits
@@ -110,9 +118,15 @@ class Plan:
         return []
 
     def engage(self, now_s: float) -> None:
-        """The vehicle is taken: the path's clock starts, unless it runs already."""
+        """The vehicle flies what we command: the path's clock starts, unless it runs already."""
         if self._start_s is None:
             self._start_s = now_s
+
+    def resume(self, own: Ownship, now_s: float) -> None:
+        """The pilot gives the vehicle back in flight: go on from the nearest point of the path."""
+        if self.law is not None and self._config.flight.start == "engage":
+            nearest_s, _ = self.law.trajectory.nearest(own.position_ned_m(now_s))
+            self._start_s = now_s - nearest_s
 
     def path_time_s(self, now_s: float) -> float:
         """Time on the path's clock; 0 before it starts."""

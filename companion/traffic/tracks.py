@@ -139,6 +139,11 @@ class Traffic:
                 if fix is not None:
                     self._take(self._names.get(source, source), fix, now_s)
 
+    def clear(self) -> None:
+        """Forget all places: the frame they were given in is no more."""
+        self.tracks.clear()
+        self._own.clear()
+
     def expire(self, now_s: float) -> None:
         """Forget what is older than `expire_after_s`."""
         limit = self.config.expire_after_s
@@ -199,7 +204,8 @@ class Traffic:
         position = frame.to_ned(message.lat_deg, message.lon_deg, alt_msl_m)
         velocity = _velocity(message)
         speed = math.hypot(*velocity) if velocity is not None else 0.0
-        if math.hypot(position[0], position[1]) > _MAX_RANGE_M or speed > self.config.max_speed_mps:
+        own = self._own[-1][1] if self._own else (0.0, 0.0, 0.0)
+        if math.dist(position[:2], own[:2]) > _MAX_RANGE_M or speed > self.config.max_speed_mps:
             self.counts.implausible += 1
             return None
         # Senders put their receiver's own figure here, which is nearer to one sigma than to the 95 % bound.
@@ -228,8 +234,8 @@ class Traffic:
         if track is None:
             self._open(identity, known, fix, now_s)
             return
-        if fix.stamp_s is None and _same(track.content, fix.content):
-            # An advertisement that goes on without news says nothing about now.
+        if _same(track.content, fix.content):
+            # An advertisement that goes on without news says nothing about now, nor about clocks.
             self.counts.old += 1
             return
         sample_s = now_s

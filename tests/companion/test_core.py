@@ -230,6 +230,38 @@ def test_too_far_from_the_path_is_not_taken_and_said_once(make_bench):
     assert bench.heart.state is State.RECOVERING
 
 
+def test_a_loop_that_is_always_late_is_a_fault_not_a_guard(flying):
+    commands = flying.step(8, gap_s=0.3)
+    assert not flying.setpoints(commands)
+    assert flying.heart.state is State.FAULT
+
+
+def test_the_path_clock_waits_for_the_vehicle_to_obey(make_bench):
+    bench = make_bench()
+    bench.obeys = False
+    bench.step(60)
+    assert bench.heart.state in HOLDING
+    assert bench.heart.plan.path_time_s(bench.now_s) == 0.0
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(21)
+    assert bench.heart.plan.path_time_s(bench.now_s) == pytest.approx(1.0, abs=0.1)
+
+
+def test_given_back_in_flight_the_path_goes_on_from_its_nearest_point(make_bench):
+    bench = make_bench(rearm="mode")
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    bench.mode = FlightMode.HOLD
+    bench.step(200)
+    for k in range(100):
+        bench.north_m = 3.0 * k
+        bench.step()
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(3)
+    assert bench.heart.state in HOLDING
+    assert bench.heart.plan.path_time_s(bench.now_s) == pytest.approx(99.0, abs=1.0)
+
+
 def test_the_path_clock_starts_anew_with_each_flight(flying):
     flying.step(600)
     flying.landed, flying.armed, flying.mode = Landed.ON_GROUND, False, FlightMode.HOLD

@@ -107,6 +107,24 @@ def test_a_clock_far_off_never_empties_the_sky(error_s):
     assert listener.traffic.counts.clock == 5
 
 
+def test_repeated_advertisements_say_nothing_about_clocks():
+    """1 Hz of content, advertised ten times a second, by a clock 2 s ahead: one update a message."""
+    listener = Listener()
+    for k in range(200):
+        now_s, second = 10.0 + 0.1 * k, k // 10
+        listener.hear(
+            now_s, basic("X"), location(east_m=15.0 * second, speed_mps=15.0, timestamp_s=12.0 + second)
+        )
+    assert listener.traffic.counts.updates == 20
+
+
+def test_range_is_counted_from_where_we_are():
+    listener = Listener()
+    listener.traffic.note_own(10.0, (66_000.0, 0.0, 0.0))
+    listener.hear(10.0, basic("X"), location(north_m=66_050.0))
+    assert list(listener.tracks) == ["X"]
+
+
 def test_a_stale_advertisement_does_not_stay_fresh():
     listener = Listener(utc_offset_s=UTC_OFFSET_S + 100.0)
     for k in range(30):
