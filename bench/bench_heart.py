@@ -112,7 +112,11 @@ def main() -> None:
         ),
     )
     heart = Companion(
-        Config(identity=IdentityConfig(uas_id="BENCH"), flight=FlightConfig(use="fly"), path=path)
+        Config(
+            identity=IdentityConfig(uas_id="BENCH"),
+            flight=FlightConfig(use="fly", take_in_flight=True),
+            path=path,
+        )
     )
     deciding, others = [], []
     for tick in range(20 * SECONDS):
