@@ -25,7 +25,7 @@ _EXAMPLES = """examples:
   companion run --config config/companion.toml --dry-run
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
-  echo 0212... | companion remote-id decode
+  companion remote-id decode < messages.hex
 """
 
 

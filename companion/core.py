@@ -165,7 +165,8 @@ class Companion:
         if own.landed(now_s) is not Landed.IN_AIR:
             return f"vehicle to be in the air (landed state: {own.landed(now_s).value})"
         if own.heartbeat.mode not in _TAKE_FROM[own.heartbeat.firmware]:
-            return f"a mode that may be taken (now {own.heartbeat.mode.value})"
+            modes = "GUIDED or AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "HOLD or MISSION"
+            return f"mode {modes} (now {own.heartbeat.mode.value})"
         return own.unfit(now_s, self.config.vehicle.stale_after_s)
 
     # ------------------------------------------------------------ decide

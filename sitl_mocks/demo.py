@@ -7,6 +7,9 @@ import json
 import multiprocessing
 import os
 import queue
+import shutil
+import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -71,8 +74,22 @@ class Verdict:
     @property
     def ok(self) -> bool:
         """Every pair kept apart, and everyone back on the path at the end."""
-        back = max(d.final_m for d in self.avoided.deviations) <= on_path_limit_m(self.scenario)
-        return self.avoided.min_separation_m > self.limit_m and back
+        return not self.reasons()
+
+    def reasons(self) -> list[str]:
+        """What did not hold, in words."""
+        found = []
+        near = [p for p in self.avoided.pairs if p.min_separation_m <= self.limit_m]
+        if near:
+            found.append(f"{len(near)} of {len(self.avoided.pairs)} pairs came within {self.limit_m:g} m")
+        deviations, on_path = self.avoided.deviations, on_path_limit_m(self.scenario)
+        away = [d.final_m for d in deviations if d.final_m > on_path]
+        if away:
+            found.append(
+                f"{len(away)} of {len(deviations)} aircraft not back on the path at the end "
+                f"(worst {max(away):.1f} m, limit {on_path:g} m)"
+            )
+        return found
 
     def as_dict(self) -> dict[str, object]:
         """One JSON object."""
@@ -145,6 +162,8 @@ def scenario_of(arguments: argparse.Namespace) -> Scenario:
     Raises:
         ConfigError: an option or the scenario file is wrong.
     """
+    if arguments.seed < 0:
+        raise ConfigError(f"--seed: {arguments.seed}: allowed 0 and above")
     scenario = settings.DEFAULT if arguments.scenario is None else settings.load(arguments.scenario)
     if arguments.aircraft is not None:
         if scenario.geometry is None:
@@ -197,6 +216,7 @@ _progress: Queue[tuple[int, float]] | None = None
 
 def _initialise(progress: Queue[tuple[int, float]]) -> None:
     global _progress
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _progress = progress
 
 
@@ -281,12 +301,20 @@ def _fly_all(
                 tasks[future] = int(task)
         outcomes: dict[tuple[int, bool], Outcome] = {}
         waiting = list(seeds)
-        for future in _completed(tasks, shared, bar):
-            outcome = future.result()
-            outcomes[outcome.seed, outcome.avoided] = outcome
-            while waiting and {(waiting[0], True), (waiting[0], False)} <= outcomes.keys():
-                seed = waiting.pop(0)
-                yield Verdict(seed, scenario, outcomes[seed, True], outcomes[seed, False])
+        try:
+            for future in _completed(tasks, shared, bar):
+                outcome = future.result()
+                outcomes[outcome.seed, outcome.avoided] = outcome
+                while waiting and {(waiting[0], True), (waiting[0], False)} <= outcomes.keys():
+                    seed = waiting.pop(0)
+                    yield Verdict(seed, scenario, outcomes[seed, True], outcomes[seed, False])
+        except KeyboardInterrupt:
+            # The workers do not hear Ctrl-C, and the pool would wait for the flights that they have begun.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.terminate()
+            console.print("interrupted; what was flown so far stands above")
+            raise
 
 
 def _completed(
@@ -359,10 +387,19 @@ def _show(verdict: Verdict, folder: Path, console: Console) -> None:
     word = "[bold green]OK[/]" if verdict.ok else "[bold red]FAILED[/]"
     console.print(
         f"{word}: least separation {a.min_separation_m:.2f} m with avoidance, "
-        f"{verdict.unavoided.min_separation_m:.2f} m without; limit {limit:g} m"
+        f"{verdict.unavoided.min_separation_m:.2f} m without; limit {limit:g} m",
+        soft_wrap=True,
     )
+    for reason in verdict.reasons():
+        console.print(f"  {reason}", soft_wrap=True)
     console.print(f"run folder: {folder}", soft_wrap=True)
-    console.print(f"look at it: ground-tools inspect {folder}", soft_wrap=True)
+    console.print(f"look at it: {command('ground-tools')} inspect {folder} --summary", soft_wrap=True)
+
+
+def command(name: str) -> str:
+    """How to call one of our commands from where this one was called."""
+    beside = Path(sys.argv[0]).with_name(name)
+    return name if shutil.which(name) or not beside.exists() else str(beside)
 
 
 def _seed_table(verdicts: list[Verdict]) -> Table:

@@ -189,7 +189,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _show(report, console)
     console.print(f"run folder: {folder}", soft_wrap=True)
-    console.print(f"look at it: ground-tools inspect {folder}", soft_wrap=True)
+    console.print(f"look at it: {demo.command('ground-tools')} inspect {folder} --summary", soft_wrap=True)
     return 0 if report["ok"] else 1
 
 

@@ -210,6 +210,7 @@ def test_check_says_what_is_missing(start, tmp_path):
     path = write_config(tmp_path, f"udpout:127.0.0.1:{port}")
     checked = start("companion.cli", "check", "--config", path)
     assert checked.process.wait(60) == 1
+    assert checked.output.splitlines()[-1] == "check: NOT ready"
     assert "configuration: valid" in checked.output
     assert "vehicle: " in checked.output
     assert "radio: " in checked.output
