@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from companion.errors import ConfigError
 from companion.remote_id.messages import IdType, UaType
+from companion.remote_id.region import Region, TransportName
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
 
@@ -115,17 +116,65 @@ class TrafficConfig(_Section, frozen=True):
 class RemoteIdConfig(_Section, frozen=True):
     """What goes on the air."""
 
-    transport: Literal["ble4", "ble5", "wifi"] = "wifi"
+    region: str | None = None
+    """Path of a region profile (relative to this file), such as "regions/eu.toml". None: no law is kept."""
+    transports: Annotated[tuple[TransportName, ...], Meta(min_length=1, max_length=4)] = ("wifi",)
+    """Sent on together. What the region asks beyond them is added."""
     rate: Annotated[int, Meta(ge=1, le=10)] = 1
-    """psi: messages per GNSS cycle of 1 s."""
+    """psi: Locations a second on each; never below the region's floor."""
+    self_id: Annotated[str, Meta(max_length=23)] | None = None
+    """Free text about the flight."""
+    operator_id: Annotated[str, Meta(min_length=1, max_length=24)] | None = None
+    """Registration of the operator. EU: whole, with the three secret characters, which are never sent."""
+    monitor_s: Annotated[float, Meta(ge=2, le=60)] = 5.0
+    """Own frames not heard back for this long, where something could hear them, are a failure."""
+    component: bool = False
+    """Be the vehicle's Remote ID component (236) on MAVLink: heartbeat and OPEN_DRONE_ID_ARM_STATUS."""
 
 
-class RadioConfig(_Section, frozen=True):
-    """The radio."""
+class NullRadio(_Section, frozen=True, tag_field="backend", tag="null"):
+    """No radio."""
 
-    backend: Literal["null", "ether"] = "null"
-    address: str | None = None
-    """ether: HOST:PORT of the simulated air."""
+
+class EtherRadio(_Section, frozen=True, tag_field="backend", tag="ether"):
+    """The simulated air."""
+
+    address: str
+    """HOST:PORT."""
+
+
+class HciRadio(_Section, frozen=True, tag_field="backend", tag="hci"):
+    """A Bluetooth controller that no other software uses."""
+
+    channel: str
+    """user:NUMBER (Linux hciN), uart:DEVICE:BAUD or tcp:HOST:PORT."""
+    send: bool = True
+    listen: bool = True
+
+
+class WifiRadio(_Section, frozen=True, tag_field="backend", tag="wifi"):
+    """A Wi-Fi card."""
+
+    hostapd: str | None = None
+    """Control socket of a running hostapd, such as /var/run/hostapd/wlan0: sends beacons through it."""
+    inject: str | None = None
+    """Monitor interface to inject beacons and NAN frames on."""
+    monitor: str | None = None
+    """Monitor interface to listen on."""
+    channel: Annotated[int, Meta(ge=1, le=177)] = 6
+    """What the card is tuned to; where hostapd tells, its word counts."""
+
+
+class ArduRemoteIdRadio(_Section, frozen=True, tag_field="backend", tag="arduremoteid"):
+    """A module with ArduRemoteID firmware on a MAVLink link of its own."""
+
+    link: str
+    """As vehicle.link, such as serial:/dev/ttyACM0:57600."""
+    system_id: Annotated[int, Meta(ge=1, le=255)] = 1
+    """The vehicle's: the module adopts the one it hears first."""
+
+
+RadioConfig = NullRadio | EtherRadio | HciRadio | WifiRadio | ArduRemoteIdRadio
 
 
 class RecordConfig(_Section, frozen=True):
@@ -154,7 +203,7 @@ class TrajectoryFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Config(_Section, frozen=True):
-    """Everything. `path` is the trajectory itself, taken by `load` from the file that is named."""
+    """Everything. `path` and `region` are the files themselves, taken by `load` from where they are named."""
 
     identity: IdentityConfig
     vehicle: VehicleConfig = VehicleConfig()
@@ -163,9 +212,16 @@ class Config(_Section, frozen=True):
     avoidance: AvoidanceConfig = AvoidanceConfig()
     traffic: TrafficConfig = TrafficConfig()
     remote_id: RemoteIdConfig = RemoteIdConfig()
-    radio: RadioConfig = RadioConfig()
+    radio: tuple[RadioConfig, ...] = ()
+    """Used together: each transport is sent by the first that can."""
     record: RecordConfig = RecordConfig()
     path: TrajectoryFile | None = None
+    region: Region = Region()
+
+    @property
+    def has_radio(self) -> bool:
+        """Whether any radio is configured that can hear or send."""
+        return any(not isinstance(radio, NullRadio) for radio in self.radio)
 
 
 def load(path: Path) -> Config:
@@ -180,6 +236,10 @@ def load(path: Path) -> Config:
         _check_times(config.path, f"{path}: path")
     elif trajectory is not None and trajectory != "mission":
         config = msgspec.structs.replace(config, path=load_trajectory(path.parent / trajectory))
+    if config.remote_id.region is not None:
+        region = decode_toml(path.parent / config.remote_id.region, Region)
+        remote_id = msgspec.structs.replace(config.remote_id, region=None)
+        config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
     check(config, str(path))
     return config
 
@@ -214,7 +274,7 @@ def check(config: Config, name: str) -> None:
     Raises:
         ConfigError: names the keys.
     """
-    flight, limits, radio = config.flight, config.limits, config.radio
+    flight, limits = config.flight, config.limits
     if not (config.identity.uas_id.isascii() and config.identity.uas_id.isprintable()):
         raise ConfigError(f"{name}: identity.uas_id: {config.identity.uas_id!r}: printable ASCII, up to 20")
     if flight.use == "fly" and flight.trajectory is None and config.path is None:
@@ -234,13 +294,16 @@ def check(config: Config, name: str) -> None:
         raise ConfigError(
             f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"
         )
-    if flight.use == "fly" and radio.backend == "null" and config.avoidance.law != "none":
+    if flight.use == "fly" and not config.has_radio and config.avoidance.law != "none":
         raise ConfigError(
-            f'{name}: radio.backend: "null" hears nobody; use = "fly" needs a radio, '
+            f'{name}: radio: none configured, so nobody is heard; use = "fly" needs a [[radio]], '
             'or avoidance.law = "none"'
         )
-    if radio.backend == "ether" and radio.address is None:
-        raise ConfigError(f'{name}: radio.address: missing; backend = "ether" needs HOST:PORT')
+    for number, entry in enumerate(config.radio):
+        if isinstance(entry, WifiRadio) and entry.hostapd is entry.inject is entry.monitor is None:
+            raise ConfigError(f"{name}: radio[{number}]: needs hostapd, inject or monitor")
+        if isinstance(entry, HciRadio) and not (entry.send or entry.listen):
+            raise ConfigError(f"{name}: radio[{number}]: send and listen are both false: it would do nothing")
 
 
 T = TypeVar("T")
@@ -283,7 +346,7 @@ def _explain(text: str, raw: object, kind: type) -> str:
     if "unknown field" in what:
         field = what.split("`")[1]
         full = f"{key}.{field}" if key else field
-        names = (f.name for f in msgspec.structs.fields(_struct_at(kind, key)))
+        names = (f.name for f in msgspec.structs.fields(_struct_at(kind, key, raw)))
         allowed = ", ".join(names)
         return f"{full}: unknown key; allowed here: {allowed}"
     if "missing required field" in what:
@@ -292,19 +355,28 @@ def _explain(text: str, raw: object, kind: type) -> str:
     value = raw
     for part in re.findall(r"[^.\[\]]+", key):
         value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
+    if what.startswith("Invalid value") and key.endswith("backend"):
+        allowed = ", ".join(repr(c.__struct_config__.tag) for c in get_args(RadioConfig))
+        return f"{key}: {value!r}: allowed are {allowed}"
+    if key == "radio" and "array" in what:
+        return "radio: one table for each radio is needed: write [[radio]]"
     if what.startswith("Invalid enum value"):
         *section, field = re.findall(r"[^.\[\]]+", key)
-        hint = get_type_hints(_struct_at(kind, ".".join(section)))[field]
+        hint = get_type_hints(_struct_at(kind, ".".join(section), raw))[field]
         values = [v for a in (get_args(hint) or tuple(hint)) for v in (get_args(a) or [a])]
         allowed = ", ".join(repr(getattr(v, "value", v)) for v in values if v is not type(None))
         return f"{key}: {value!r}: allowed are {allowed}"
     return f"{key}: {value!r}: {what[0].lower()}{what[1:]}".replace("`", "")
 
 
-def _struct_at(kind: type, key: str) -> type:
-    """The struct that describes the section `key` leads to."""
+def _struct_at(kind: type, key: str, raw: object) -> type:
+    """The struct that describes the section `key` leads to; `raw` tells which of a tagged union."""
+    value = raw
     for part in re.findall(r"[^.\[\]]+", key):
+        value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
         if part.isdigit():
+            tag = value.get("backend") if isinstance(value, dict) else None
+            kind = next((c for c in get_args(RadioConfig) if c.__struct_config__.tag == tag), kind)
             continue
         hint = get_type_hints(kind)[part]
         nested = [hint, *get_args(hint), *(a for h in get_args(hint) for a in get_args(h))]

@@ -131,9 +131,7 @@ class Companion:
             traffic.note_own(now_s, own.position_ned_m(now_s))
             for frame in heard:
                 traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
-        broadcast = self._schedule.due(own, now_s)
-        if broadcast is not None:
-            commands.append(broadcast)
+        commands += self._schedule.due(own, now_s)
 
     # ------------------------------------------------------------ orient
 

@@ -188,6 +188,42 @@ class RemoteIdHeard(Event, frozen=True):
     rssi_dbm: float | None = None
 
 
+class RadioState(Event, frozen=True):
+    """What the radios can do now; sent when it changes, and once at the start."""
+
+    can_send: tuple[str, ...] = ()
+    """Transports, sorted."""
+    monitored: tuple[str, ...] = ()
+    """Transports on which a receiver of ours would hear our own frames."""
+    confirmed: tuple[str, ...] = ()
+    """Transports that a radio itself reports as on the air."""
+    own_addresses: tuple[str, ...] = ()
+    """Radio addresses of our own frames."""
+    wifi_channel: int | None = None
+    """Channel of our Wi-Fi frames."""
+    text: str = ""
+    """What is wrong, in words; empty when nothing is."""
+
+
+# ---------------------------------------------------------------- Remote ID told over MAVLink
+
+
+class OperatorData(Event, frozen=True):
+    """What a ground station says about the operator (OPEN_DRONE_ID_SYSTEM, _SYSTEM_UPDATE, _OPERATOR_ID,
+    _SELF_ID)."""
+
+    messages: tuple[Message, ...]
+
+
+class RemoteIdModule(Event, frozen=True):
+    """OPEN_DRONE_ID_ARM_STATUS of another component of our vehicle: a Remote ID transmitter of its own."""
+
+    component_id: int
+    ready: bool
+    """MAV_ODID_ARM_STATUS_GOOD_TO_ARM."""
+    text: str = ""
+
+
 # ---------------------------------------------------------------- to the autopilot
 
 
@@ -214,6 +250,14 @@ class Say(Command, frozen=True):
     text: str
 
 
+class ArmStatus(Command, frozen=True):
+    """OPEN_DRONE_ID_ARM_STATUS, where we are the vehicle's Remote ID component."""
+
+    ready: bool
+    text: str = ""
+    """Why not; ground stations recognise "missing basic_id message"."""
+
+
 # ---------------------------------------------------------------- to the radio
 
 
@@ -234,6 +278,23 @@ class AuthorityChanged(Command, frozen=True):
     state: str
     trigger: str
     reason: str
+
+
+class BroadcastChanged(Command, frozen=True):
+    """What is sent on the radio changed: transports with their messages per second."""
+
+    rates: tuple[tuple[str, float], ...]
+    legal: bool
+    """Whether it keeps the floor of the region."""
+    reason: str
+
+
+class TrackFlagged(Command, frozen=True):
+    """A track of heard traffic is doubted for a new reason."""
+
+    track_id: str
+    flag: str
+    text: str
 
 
 class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
@@ -280,6 +341,20 @@ AnyEvent = (
     | MissionCurrent
     | VehicleText
     | RemoteIdHeard
+    | RadioState
+    | OperatorData
+    | RemoteIdModule
 )
 
-AnyCommand = VelocitySetpoint | SetMode | DownloadMission | Say | Broadcast | AuthorityChanged | Decision
+AnyCommand = (
+    VelocitySetpoint
+    | SetMode
+    | DownloadMission
+    | Say
+    | ArmStatus
+    | Broadcast
+    | AuthorityChanged
+    | BroadcastChanged
+    | TrackFlagged
+    | Decision
+)

@@ -22,6 +22,7 @@ from companion.events import (
     DownloadMission,
     Event,
     FlightMode,
+    RadioState,
     RemoteIdHeard,
     Say,
     SetMode,
@@ -66,9 +67,9 @@ class Onboard:
             self.tlog.received(self._utc_s(now_s), data)
         self._events += self.link.receive(data, now_s)
 
-    def hear(self, heard: RemoteIdHeard) -> None:
-        """A frame from the radio."""
-        self._events.append(heard)
+    def hear(self, event: RemoteIdHeard | RadioState) -> None:
+        """A frame from the radio, or its state."""
+        self._events.append(event)
 
     def tick(self, now_s: float) -> list[Broadcast]:
         """One step of the heart on all that arrived. Returns what the radio must send; bytes for the

@@ -146,7 +146,7 @@ def companion_config(scenario: Scenario, name: str, path: Points, law: str | Non
         ),
         limits=scenario.limits,
         avoidance=avoidance,
-        remote_id=RemoteIdConfig(transport=scenario.air.transport, rate=scenario.air.rate),
+        remote_id=RemoteIdConfig(transports=(scenario.air.transport,), rate=scenario.air.rate),
         path=TrajectoryFile(altitude="msl", waypoint=tuple(waypoints)),
     )
 

@@ -27,7 +27,7 @@ from rich.table import Table
 
 from companion import config as configuration
 from companion import record
-from companion.config import RadioConfig, RecordConfig, VehicleConfig, without_none
+from companion.config import EtherRadio, RecordConfig, VehicleConfig, without_none
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
 from companion.radio.frames_io import radio_address
@@ -221,7 +221,7 @@ def _fly(
             config,
             vehicle=VehicleConfig(link=f"udpout:127.0.0.1:{port}"),
             flight=msgspec.structs.replace(config.flight, start_utc_s=start_utc_s),
-            radio=RadioConfig(backend="ether", address=radio),
+            radio=(EtherRadio(address=radio),),
             record=RecordConfig(folder=str(swarm.folder), name=name),
         )
         file = swarm.folder / f"{name}.toml"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Mapping
 
 from companion.errors import ConfigError, PeerDataError
 from companion.events import RemoteIdHeard
@@ -59,6 +60,24 @@ class EtherTransport:
         """All simulated transports."""
         return TRANSPORTS
 
+    @property
+    def hears(self) -> frozenset[str]:
+        """All of them: the air gives every frame of the others."""
+        return TRANSPORTS
+
+    @property
+    def own_addresses(self) -> frozenset[str]:
+        """The one that the frames carry."""
+        return frozenset((self._address,))
+
+    @property
+    def wifi_channel(self) -> int | None:
+        """The channel of the standard: the simulated air has no other."""
+        return 6
+
+    def configure(self, rates: Mapping[str, int]) -> None:
+        """Nothing to prepare."""
+
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
         """Send these messages once. Raises ValueError for a transport outside `capabilities`."""
         self._keep_joined(now_s)
@@ -103,6 +122,7 @@ class EtherTransport:
             frames_sent=self._sent,
             frames_heard=self._receiver.heard,
             bad_frames=self._receiver.bad + self._bad_datagrams,
+            can_send=TRANSPORTS,
         )
 
     def close(self) -> None:

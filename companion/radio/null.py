@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from companion.events import RemoteIdHeard
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, Health
+from companion.radio.transport import Health
 from companion.remote_id.messages import Message
 
 
@@ -12,13 +14,30 @@ class NullTransport:
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """All transports: whatever would be sent is dropped alike."""
-        return frozenset((BLE4, BLE5, WIFI_BEACON))
+        """None."""
+        return frozenset()
+
+    @property
+    def hears(self) -> frozenset[str]:
+        """Nothing."""
+        return frozenset()
+
+    @property
+    def own_addresses(self) -> frozenset[str]:
+        """None."""
+        return frozenset()
+
+    @property
+    def wifi_channel(self) -> int | None:
+        """None."""
+        return None
+
+    def configure(self, rates: Mapping[str, int]) -> None:
+        """Nothing to prepare."""
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
-        """Drop the messages. Raises ValueError for a transport outside `capabilities`."""
-        if transport not in self.capabilities:
-            raise ValueError(f"no such transport: {transport!r}")
+        """Raises ValueError: there is nothing to send with."""
+        raise ValueError(f"no radio: {transport!r} cannot be sent")
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
         """Nothing, ever."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +12,7 @@ from companion.remote_id.messages import Message
 BLE4 = "ble4"
 BLE5 = "ble5"
 WIFI_BEACON = "wifi"
+WIFI_NAN = "nan"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,18 +24,55 @@ class Health:
     frames_sent: int
     frames_heard: int
     bad_frames: int
+    can_send: frozenset[str] = frozenset()
+    """Transports that the radio can send on now; a subset of its capabilities."""
+    confirmed: frozenset[str] = frozenset()
+    """Transports that the radio itself reports as being on the air now (a module's status)."""
+    missing: tuple[str, ...] = ()
+    """What this radio could do with other hardware, rights or settings, one plain sentence each."""
 
 
 class Transport(Protocol):
-    """A radio (or several) that sends and hears Remote ID. Implementations own their sockets."""
+    """A radio (or several) that sends and hears Remote ID. Implementations own their sockets.
+
+    Opening one (its constructor) may take seconds and raises ConfigError; after that nothing blocks, and only
+    ValueError is raised, for messages or transports that cannot be sent: what fails shows in `health`.
+    """
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """Transports that can be sent on: `BLE4`, `BLE5`, `WIFI_BEACON`."""
+        """Transports that the hardware can send on: `BLE4`, `BLE5`, `WIFI_BEACON`, `WIFI_NAN`."""
+        ...
+
+    @property
+    def hears(self) -> frozenset[str]:
+        """Transports that it listens to; a radio does not hear what it sends itself."""
+        ...
+
+    @property
+    def own_addresses(self) -> frozenset[str]:
+        """Radio addresses that it sends from (lower-case hex with colons), as others report them."""
+        ...
+
+    @property
+    def wifi_channel(self) -> int | None:
+        """Channel that its Wi-Fi frames go out on; None without Wi-Fi."""
+        ...
+
+    def configure(self, rates: Mapping[str, int]) -> None:
+        """Prepare for these transports and message rates (per second), before arming; may take seconds.
+
+        Raises:
+            ConfigError: the hardware cannot, in words.
+        """
         ...
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
-        """Send these messages once. Raises ValueError for a transport outside `capabilities`."""
+        """Send these messages once.
+
+        Raises:
+            ValueError: a transport outside `capabilities`, or messages that cannot be sent.
+        """
         ...
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
@@ -45,5 +84,5 @@ class Transport(Protocol):
         ...
 
     def close(self) -> None:
-        """Release the radio."""
+        """Go off the air and release the radio."""
         ...

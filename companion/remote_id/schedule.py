@@ -42,20 +42,24 @@ class Schedule:
         self._phase_s = GNSS_CYCLE_S * zlib.crc32(identity.uas_id.encode()) / 2**32
         self._slot: int | None = None
 
-    def due(self, own: Ownship, now_s: float) -> Broadcast | None:
-        """The broadcast for this moment, or None. Nothing goes out before the vehicle has been heard."""
+    def due(self, own: Ownship, now_s: float) -> list[Broadcast]:
+        """The broadcasts for this moment. Nothing goes out before the vehicle has been heard."""
         if own.heartbeat is None:
-            return None
+            return []
         slot = math.floor((now_s - self._phase_s) / self._period_s)
         if slot == self._slot:
-            return None
+            return []
         first_of_cycle = self._slot is None or slot // self._config.rate != self._slot // self._config.rate
         self._slot = slot
         location = location_of(own, now_s)
-        messages: tuple[Message, ...] = (location,)
-        if self._config.transport != "ble4" or first_of_cycle:
-            messages = (self._basic_id(), location, system_of(own, now_s))
-        return Broadcast(transport=self._config.transport, messages=messages)
+        whole: tuple[Message, ...] = (self._basic_id(), location, system_of(own, now_s))
+        return [
+            Broadcast(
+                transport=transport,
+                messages=whole if transport != "ble4" or first_of_cycle else (location,),
+            )
+            for transport in self._config.transports
+        ]
 
     def _basic_id(self) -> BasicId:
         i = self._identity

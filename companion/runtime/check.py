@@ -8,8 +8,8 @@ from collections.abc import Callable
 from companion.autopilot.link import AutopilotLink
 from companion.avoidance.path import check_path
 from companion.config import Config
-from companion.runtime.flight import open_radio
 from companion.runtime.kept_link import KeptLink
+from companion.runtime.radios import Radios
 
 _RADIO_S = 2.5
 
@@ -48,19 +48,21 @@ def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
 
 
 def _probe_radio(config: Config, say: Callable[[str], None]) -> bool:
-    radio = open_radio(config, dry_run=False)
-    wanted = config.remote_id.transport
+    radio = Radios(config)
     try:
-        if wanted not in radio.capabilities:
-            say(f"radio: {config.radio.backend} cannot send on {wanted}")
-            return False
         end = time.monotonic() + _RADIO_S
         while time.monotonic() < end and not radio.health(time.monotonic()).ok:
-            radio.heard(time.monotonic())
+            radio.events(time.monotonic())
             time.sleep(0.05)
         health = radio.health(time.monotonic())
         say(f"radio: {health.text}")
+        for text in health.missing:
+            say(f"radio: {text}")
+        lacking = sorted(set(config.remote_id.transports) - health.can_send)
+        if config.has_radio and lacking:
+            say(f"radio: cannot send on {', '.join(lacking)}")
+            return False
         # To watch without a radio is a choice; to fly without one is refused by the configuration.
-        return health.ok or (config.radio.backend == "null" and config.flight.use == "watch")
+        return health.ok or (not config.has_radio and config.flight.use == "watch")
     finally:
         radio.close()

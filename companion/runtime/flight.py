@@ -23,12 +23,10 @@ from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import AuthorityChanged, Broadcast, FlightMode, Say, Severity
 from companion.onboard import Onboard
-from companion.radio.ether import EtherTransport
-from companion.radio.frames_io import radio_address
-from companion.radio.null import NullTransport
-from companion.radio.transport import Health, Transport
+from companion.radio.transport import Health
 from companion.record import Header, Step
 from companion.runtime.kept_link import KeptLink
+from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
 from companion.runtime.voice import Voice
 from companion.runtime.warm import warm_up
@@ -60,7 +58,7 @@ class Flight:
         try:
             self.link = KeptLink(config.vehicle.link, self._say)
             try:
-                self.radio: Transport = open_radio(config, dry_run=dry_run)
+                self.radio = Radios(config, sending=not dry_run)
             except ConfigError:
                 self.link.close()
                 raise
@@ -168,8 +166,8 @@ class Flight:
     def _tick(self, now_s: float) -> None:
         self._ticks += 1
         self._exchange(now_s)
-        for heard in self.radio.heard(now_s):
-            self.onboard.hear(heard)
+        for event in self.radio.events(now_s):
+            self.onboard.hear(event)
         broadcasts = self.onboard.tick(now_s)
         self.link.send(self.onboard.drain(now_s))
         for broadcast in broadcasts:
@@ -280,15 +278,3 @@ class Flight:
             self._recorder.step(step)
         else:
             self._early.append(step)
-
-
-def open_radio(config: Config, *, dry_run: bool) -> Transport:
-    """The radio that the configuration names; none in a dry run.
-
-    Raises:
-        ConfigError: it cannot be opened.
-    """
-    if dry_run or config.radio.backend == "null" or config.radio.address is None:
-        return NullTransport()
-    uas_id = config.identity.uas_id
-    return EtherTransport(config.radio.address, uas_id, radio_address(uas_id))

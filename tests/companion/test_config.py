@@ -41,8 +41,22 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         (IDENTITY + '[flight]\nuse = "fly"\n', "flight.trajectory: missing"),
         (IDENTITY + '[flight]\ntrajectory = "mission"\n', "flight.mission_speed_mps: missing"),
         (IDENTITY + '[flight]\nstart = "utc"\n', "flight.start_utc_s: missing"),
-        (IDENTITY + '[radio]\nbackend = "eter"\n', "radio.backend: 'eter': allowed are 'null', 'ether'"),
-        (IDENTITY + '[radio]\nbackend = "ether"\n', "radio.address: missing"),
+        (
+            IDENTITY + '[radio]\nbackend = "null"\n',
+            "radio: one table for each radio is needed: write [[radio]]",
+        ),
+        (
+            IDENTITY + '[[radio]]\nbackend = "eter"\n',
+            "radio[0].backend: 'eter': allowed are 'null', 'ether', 'hci'",
+        ),
+        (IDENTITY + '[[radio]]\nbackend = "ether"\n', "radio[0].address: missing"),
+        (
+            IDENTITY + '[[radio]]\nbackend = "hci"\nchanel = "user:0"\n',
+            "radio[0].chanel: unknown key; allowed here: channel, send, listen",
+        ),
+        (IDENTITY + '[[radio]]\nbackend = "wifi"\n', "radio[0]: needs hostapd, inject or monitor"),
+        (IDENTITY + '[remote_id]\nregion = "xy.toml"\n', "xy.toml: cannot be read"),
+        (IDENTITY + '[remote_id]\ntransports = ["lora"]\n', "remote_id.transports[0]: 'lora'"),
         (
             IDENTITY + "[limits]\nfloor_height_m = 50\nceiling_height_m = 40\n",
             "limits.ceiling_height_m: 40 must be 5 m or more above floor_height_m 50",

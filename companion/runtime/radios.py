@@ -1,0 +1,143 @@
+"""All radios of the configuration as one: each transport is sent by the first that can, all listen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from companion.config import (
+    ArduRemoteIdRadio,
+    Config,
+    EtherRadio,
+    HciRadio,
+    NullRadio,
+    RadioConfig,
+    WifiRadio,
+)
+from companion.errors import ConfigError
+from companion.events import RadioState, RemoteIdHeard
+from companion.radio.ether import EtherTransport
+from companion.radio.frames_io import radio_address
+from companion.radio.null import NullTransport
+from companion.radio.transport import Health, Transport
+from companion.remote_id.messages import Message
+
+
+def open_radio(entry: RadioConfig, uas_id: str) -> Transport:
+    """One radio, open.
+
+    Raises:
+        ConfigError: it cannot be opened; says what is missing.
+    """
+    address = radio_address(uas_id)
+    match entry:
+        case NullRadio():
+            return NullTransport()
+        case EtherRadio():
+            return EtherTransport(entry.address, uas_id, address)
+        case HciRadio() | WifiRadio() | ArduRemoteIdRadio():
+            raise ConfigError(f"radio.backend: {type(entry).__name__} is not built")
+
+
+class Radios:
+    """The configured radios.
+
+    Args:
+        sending: False opens and hears, but neither configures nor sends.
+
+    Raises:
+        ConfigError: one cannot be opened.
+    """
+
+    def __init__(self, config: Config, *, sending: bool = True) -> None:
+        self._sending = sending
+        self._state: RadioState | None = None
+        self.radios: list[Transport] = []
+        try:
+            for number, entry in enumerate(config.radio):
+                try:
+                    self.radios.append(open_radio(entry, config.identity.uas_id))
+                except ConfigError as error:
+                    raise ConfigError(f"radio[{number}]: {error}") from error
+        except ConfigError:
+            self.close()
+            raise
+
+    @property
+    def capabilities(self) -> frozenset[str]:
+        """Transports that any radio can send on."""
+        return frozenset().union(*(radio.capabilities for radio in self.radios))
+
+    def configure(self, rates: Mapping[str, int]) -> None:
+        """Prepare each radio for the transports that it is to send. Raises ConfigError."""
+        if not self._sending:
+            return
+        left = dict(rates)
+        for radio in self.radios:
+            mine = {t: left.pop(t) for t in sorted(radio.capabilities & left.keys())}
+            radio.configure(mine)
+
+    def events(self, now_s: float) -> list[RemoteIdHeard | RadioState]:
+        """What arrived since the last call, and the radios' state where it changed."""
+        events: list[RemoteIdHeard | RadioState] = []
+        for radio in self.radios:
+            events += radio.heard(now_s)
+        state = self.state(now_s)
+        if state != self._state:
+            self._state = state
+            events.append(state)
+        return events
+
+    def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
+        """Send these messages once, by the first radio that can now.
+
+        Raises:
+            ValueError: no radio has this transport, or messages that cannot be sent.
+        """
+        able = [radio for radio in self.radios if transport in radio.capabilities]
+        if not able:
+            raise ValueError(f"no radio sends on {transport!r}")
+        if self._sending:
+            ready = [radio for radio in able if transport in radio.health(now_s).can_send]
+            (ready or able)[0].broadcast(transport, messages, now_s)
+
+    def state(self, now_s: float) -> RadioState:
+        """What the radios can do now."""
+        healths = [radio.health(now_s) for radio in self.radios]
+        sends = [health.can_send for health in healths]
+        monitored = {
+            transport
+            for sender, can_send in enumerate(sends)
+            for listener, radio in enumerate(self.radios)
+            if sender != listener
+            for transport in can_send & radio.hears
+        }
+        channels = [radio.wifi_channel for radio in self.radios if radio.wifi_channel is not None]
+        return RadioState(
+            can_send=tuple(sorted(frozenset().union(*sends))),
+            monitored=tuple(sorted(monitored)),
+            confirmed=tuple(sorted(frozenset().union(*(health.confirmed for health in healths)))),
+            own_addresses=tuple(sorted(frozenset().union(*(radio.own_addresses for radio in self.radios)))),
+            wifi_channel=channels[0] if channels else None,
+            text="; ".join(health.text for health in healths if not health.ok),
+        )
+
+    def health(self, now_s: float) -> Health:
+        """All radios' states as one."""
+        healths = [radio.health(now_s) for radio in self.radios]
+        if not healths:
+            healths = [NullTransport().health(now_s)]
+        return Health(
+            ok=all(health.ok for health in healths),
+            text="; ".join(health.text for health in healths),
+            frames_sent=sum(health.frames_sent for health in healths),
+            frames_heard=sum(health.frames_heard for health in healths),
+            bad_frames=sum(health.bad_frames for health in healths),
+            can_send=frozenset().union(*(health.can_send for health in healths)),
+            confirmed=frozenset().union(*(health.confirmed for health in healths)),
+            missing=tuple(text for health in healths for text in health.missing),
+        )
+
+    def close(self) -> None:
+        """Go off the air."""
+        for radio in self.radios:
+            radio.close()
