@@ -48,6 +48,8 @@ class IdentityConfig(_Section, frozen=True):
     uas_id: Annotated[str, Meta(min_length=1, max_length=20)]
     id_type: IdType = IdType.SERIAL_NUMBER
     ua_type: UaType = UaType.HELICOPTER_OR_MULTIROTOR
+    registration_id: Annotated[str, Meta(min_length=1, max_length=20)] | None = None
+    """Number that the state gave the aircraft; sent as a second Basic ID (Japan asks for both)."""
 
 
 class FlightConfig(_Section, frozen=True):
@@ -126,6 +128,10 @@ class RemoteIdConfig(_Section, frozen=True):
     """Free text about the flight."""
     operator_id: Annotated[str, Meta(min_length=1, max_length=24)] | None = None
     """Registration of the operator. EU: whole, with the three secret characters, which are never sent."""
+    category_eu: Annotated[int, Meta(ge=0, le=3)] | None = None
+    """1 open, 2 specific, 3 certified."""
+    class_eu: Annotated[int, Meta(ge=0, le=7)] | None = None
+    """1 to 7 for C0 to C6."""
     monitor_s: Annotated[float, Meta(ge=2, le=60)] = 5.0
     """Own frames not heard back for this long, where something could hear them, are a failure."""
     component: bool = False

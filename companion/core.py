@@ -25,7 +25,10 @@ from companion.events import (
     MissionDownloaded,
     MissionRefused,
     ModeRefused,
+    OperatorData,
+    RadioState,
     RemoteIdHeard,
+    RemoteIdModule,
     Say,
     SetMode,
     Severity,
@@ -34,7 +37,7 @@ from companion.events import (
 )
 from companion.geometry import LocalFrame
 from companion.ownship import Ownship
-from companion.remote_id.schedule import Schedule
+from companion.remote_id.broadcaster import Broadcaster
 from companion.traffic.tracks import Traffic
 
 _TAKE_FROM = {
@@ -65,7 +68,7 @@ class Companion:
         self.traffic = Traffic(config.traffic, config.identity.uas_id)
         self.plan = Plan(config)
         self.state = State.STANDBY
-        self._schedule = Schedule(config.identity, config.remote_id)
+        self.broadcaster = Broadcaster(config)
         self._late_s = max(_LATE_S, 2.5 / config.flight.setpoint_rate_hz)
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
@@ -115,6 +118,9 @@ class Companion:
             match event:
                 case RemoteIdHeard():
                     heard.append(event)
+                    self.broadcaster.take(event, now_s)
+                case RadioState() | OperatorData() | RemoteIdModule():
+                    self.broadcaster.take(event, now_s)
                 case MissionDownloaded():
                     self.plan.take_mission(event, now_s)
                 case MissionRefused():
@@ -131,7 +137,7 @@ class Companion:
             traffic.note_own(now_s, own.position_ned_m(now_s))
             for frame in heard:
                 traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
-        commands += self._schedule.due(own, now_s)
+        commands += self.broadcaster.step(own, now_s)
 
     # ------------------------------------------------------------ orient
 
@@ -165,6 +171,8 @@ class Companion:
         if own.heartbeat.mode not in _TAKE_FROM[own.heartbeat.firmware]:
             modes = "GUIDED or AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "HOLD or MISSION"
             return f"mode {modes} (now {own.heartbeat.mode.value})"
+        if self.config.region.transport_sets and self.broadcaster.trouble is not None:
+            return self.broadcaster.trouble
         return own.unfit(now_s, self.config.vehicle.stale_after_s)
 
     # ------------------------------------------------------------ decide

@@ -18,7 +18,7 @@ from companion.autopilot.link import LinkCounts
 from companion.config import Config, IdentityConfig
 from companion.core import Companion
 from companion.errors import PeerDataError
-from companion.events import Broadcast, Command, GlobalPosition, GnssFix
+from companion.events import Broadcast, Command, GlobalPosition, GnssFix, RadioState
 from companion.onboard import Onboard
 from companion.record import Header, Record, Step
 from companion.remote_id import codec
@@ -127,6 +127,7 @@ def replay_tlog(frames: Iterable[tuple[float, bytes]]) -> tuple[TlogReplay, Iter
 def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iterator[Location]:
     steps: list[Step] = []
     onboard = Onboard(Config(identity=IdentityConfig(uas_id="REPLAY")), steps.append, commanding=False)
+    onboard.hear(RadioState(can_send=("wifi",)))
     start_s: float | None = None
     now_s = next_s = 0.0
     for utc_s, frame in frames:

@@ -24,10 +24,10 @@ from companion.config import (
     VehicleConfig,
     Waypoint,
 )
-from companion.events import Firmware
+from companion.events import Firmware, RadioState
 from companion.geometry import LocalFrame
 from companion.onboard import Onboard
-from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
+from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
 from companion.record import Step
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.channel.simple import SimpleChannel
@@ -84,7 +84,9 @@ class Aircraft:
         self.onboard = Onboard(
             config, record, tlog=None if tlog is None else TlogWriter(tlog), utc_guess_s=UTC_AT_START_S
         )
-        self.sender = FrameSender(radio_address(name))
+        address = radio_address(name)
+        self.onboard.hear(RadioState(can_send=tuple(sorted(TRANSPORTS)), own_addresses=(address,)))
+        self.sender = FrameSender(address)
         self.receiver = FrameReceiver()
 
 

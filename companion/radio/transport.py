@@ -26,8 +26,9 @@ class Health:
     bad_frames: int
     can_send: frozenset[str] = frozenset()
     """Transports that the radio can send on now; a subset of its capabilities."""
-    confirmed: frozenset[str] = frozenset()
-    """Transports that the radio itself reports as being on the air now (a module's status)."""
+    confirmed: frozenset[str] | None = None
+    """Transports that the radio itself reports as being on the air now (a module's status); None where it cannot
+    tell."""
     missing: tuple[str, ...] = ()
     """What this radio could do with other hardware, rights or settings, one plain sentence each."""
 

@@ -1,133 +1,168 @@
-"""What the own aircraft says about itself, and when (the paper's "observe": psi messages per GNSS cycle).
+"""When each message goes out on each transport (the paper's "observe": psi messages per GNSS cycle).
 
-Location goes out `rate` times per GNSS cycle of 1 s. On Wi-Fi and BLE 5 every broadcast is a pack with
-Basic ID and System; BLE 4 carries one message a frame, so those two follow once per cycle.
+On BLE 5 and Wi-Fi every broadcast is a pack of all messages; BLE 4 carries one message a frame, so each
+kind has a clock of its own there. The region's periods hold whatever rate is asked, with a margin and looking
+ahead by one step. A transport that is given up goes on until those that come instead have told everything.
 """
 
 from __future__ import annotations
 
-import math
 import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from companion.config import IdentityConfig, RemoteIdConfig
-from companion.events import Broadcast, Landed
-from companion.ownship import Ownship
-from companion.remote_id.messages import (
-    BasicId,
-    HeightType,
-    Location,
-    Message,
-    OperatorLocationType,
-    Status,
-    System,
-)
+from companion.events import Broadcast
+from companion.radio.transport import BLE4
+from companion.remote_id.law import MARGIN, longest_period_s
+from companion.remote_id.messages import BasicId, Location, Message, System
+from companion.remote_id.region import Region
 
 GNSS_CYCLE_S = 1.0
 """T_GNSS of the paper."""
-_ALTITUDES = (-999.5, 31767.5)
-_UTC = (1_546_300_801.0, 1_546_300_800.0 + 2**32 - 1)
-"""What a System timestamp can hold: from 2019 on."""
-_STALE_S = 1.0
-"""A position older than this is not put on the air as the present one (F3411-22a: at most 1 s)."""
+OVERLAP_S = 1.0
+"""A transport that is given up stays this long beside its successors: every second is covered by either."""
+_OTHERS_PERIOD_S = 3.0
+"""Self ID and the like where the region says nothing."""
+_LONGEST_STEP_S = 0.3
+_EPSILON_S = 1e-6
+
+
+@dataclass(slots=True)
+class _Lane:
+    """One transport on the air."""
+
+    rate: int
+    next_s: float
+    """When the asked rate makes the next Location due."""
+    sent_s: dict[type[Message], float] = field(default_factory=dict)
+    leaving_s: float | None = None
+    """Since when it is only kept until its successors are there."""
 
 
 class Schedule:
-    """Decides when to broadcast; keeps its phase for the whole flight."""
+    """The clocks of all transports.
 
-    def __init__(self, identity: IdentityConfig, config: RemoteIdConfig) -> None:
-        self._identity = identity
-        self._config = config
-        self._period_s = GNSS_CYCLE_S / config.rate
-        # Aircraft switched on together must not all send at once.
-        self._phase_s = GNSS_CYCLE_S * zlib.crc32(identity.uas_id.encode()) / 2**32
-        self._slot: int | None = None
-
-    def due(self, own: Ownship, now_s: float) -> list[Broadcast]:
-        """The broadcasts for this moment. Nothing goes out before the vehicle has been heard."""
-        if own.heartbeat is None:
-            return []
-        slot = math.floor((now_s - self._phase_s) / self._period_s)
-        if slot == self._slot:
-            return []
-        first_of_cycle = self._slot is None or slot // self._config.rate != self._slot // self._config.rate
-        self._slot = slot
-        location = location_of(own, now_s)
-        whole: tuple[Message, ...] = (self._basic_id(), location, system_of(own, now_s))
-        return [
-            Broadcast(
-                transport=transport,
-                messages=whole if transport != "ble4" or first_of_cycle else (location,),
-            )
-            for transport in self._config.transports
-        ]
-
-    def _basic_id(self) -> BasicId:
-        i = self._identity
-        return BasicId(id_type=i.id_type, ua_type=i.ua_type, uas_id=i.uas_id)
-
-
-def location_of(own: Ownship, now_s: float) -> Location:
-    """Own state as a Location message.
-
-    The position is carried on along the own velocity to the tenth of a second that the timestamp can hold, so
-    that the timestamp's step adds no error. A position too old to be called present is left out and the
-    status says that the system has failed: silence would look like an empty sky.
+    Args:
+        identity: spreads the phases of aircraft that are switched on together.
     """
-    position, gnss = own.position, own.gnss
-    if position is None or own.age_s(now_s) > _STALE_S or (gnss is not None and gnss.fix_type < 2):
-        return Location(status=Status.REMOTE_ID_SYSTEM_FAILURE)
-    landed = own.landed(now_s)
-    lat, lon, alt_msl = position.lat_deg, position.lon_deg, position.alt_msl_m
-    height = position.height_above_home_m
-    north, east, down = own.velocity_ned_mps
-    timestamp = None
-    if own.utc_offset_s is not None:
-        tenth = math.floor((now_s + own.utc_offset_s) * 10.0) / 10.0
-        ahead = tenth - own.utc_offset_s - own.sample_s()
-        lat += math.degrees(north * ahead / 6_378_137.0)
-        lon += math.degrees(east * ahead / (6_378_137.0 * max(math.cos(math.radians(lat)), 1e-6)))
-        lat, lon = min(max(lat, -90.0), 90.0), (lon + 180.0) % 360.0 - 180.0
-        alt_msl -= down * ahead
-        height -= down * ahead
-        timestamp = round(tenth % 3600.0, 1)
-    speed = math.hypot(north, east)
-    in_air = landed in (Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING)
-    status = Status.AIRBORNE if in_air else Status.GROUND if landed is Landed.ON_GROUND else Status.UNDECLARED
-    return Location(
-        status=status,
-        lat_deg=lat,
-        lon_deg=lon,
-        alt_geodetic_m=None if own.separation_m is None else _within(alt_msl + own.separation_m, *_ALTITUDES),
-        height_type=HeightType.ABOVE_TAKEOFF,
-        height_m=_within(height, *_ALTITUDES),
-        direction_deg=math.degrees(math.atan2(east, north)) % 360.0,
-        speed_mps=_within(speed, 0.0, 254.25),
-        vertical_speed_mps=_within(-down, -62.0, 62.0),
-        horizontal_accuracy_m=None if gnss is None else gnss.horizontal_accuracy_m,
-        vertical_accuracy_m=None if gnss is None else gnss.vertical_accuracy_m,
-        speed_accuracy_mps=None if gnss is None else gnss.speed_accuracy_mps,
-        timestamp_s=timestamp,
-    )
 
+    def __init__(self, region: Region, identity: str) -> None:
+        self._region = region
+        self._phase = zlib.crc32(identity.encode()) / 2**32
+        self._lanes: dict[str, _Lane] = {}
+        self._last_s: float | None = None
+        self._step_s = 0.0
 
-def _within(value: float, low: float, high: float) -> float | None:
-    """A value that the message cannot hold is unknown to those who hear it."""
-    return value if low <= value <= high else None
+    @property
+    def on_air(self) -> dict[str, int]:
+        """Transports in use, with their asked rates; those that are on their way out included."""
+        return {transport: lane.rate for transport, lane in self._lanes.items()}
 
+    def due(
+        self,
+        rates: Mapping[str, int],
+        can_send: frozenset[str],
+        wifi_channel: int | None,
+        messages: tuple[Message, ...],
+        now_s: float,
+    ) -> list[Broadcast]:
+        """The broadcasts for this moment.
 
-def system_of(own: Ownship, now_s: float) -> System:
-    """Operator position: the take-off point, unknown when the take-off was not seen."""
-    if own.takeoff is None:
-        return System(operator_location_type=OperatorLocationType.TAKEOFF)
-    altitude, utc = None, None
-    if own.separation_m is not None:
-        altitude = _within(own.takeoff.alt_msl_m + own.separation_m, *_ALTITUDES)
-    if own.utc_offset_s is not None:
-        utc = _within(float(math.floor(now_s + own.utc_offset_s)), *_UTC)
-    return System(
-        operator_location_type=OperatorLocationType.TAKEOFF,
-        operator_lat_deg=own.takeoff.lat_deg,
-        operator_lon_deg=own.takeoff.lon_deg,
-        operator_alt_geodetic_m=altitude,
-        timestamp_utc_s=utc,
-    )
+        Args:
+            rates: transports to be on the air, Locations a second.
+            can_send: transports that work at all.
+            wifi_channel: of the beacons; None while unknown.
+            messages: everything that is to be told, as of now: a Location, and at most eight others.
+            now_s: not before the last call's.
+        """
+        if self._last_s is not None:
+            # The longest recent step, slowly forgotten: what is due before the next one goes out now.
+            self._step_s = min(max(now_s - self._last_s, 0.9 * self._step_s), _LONGEST_STEP_S)
+        self._last_s = now_s
+        self._change(rates, can_send, now_s)
+        broadcasts = []
+        present = {type(message) for message in messages}
+        for transport, lane in self._lanes.items():
+            limits_s = self._limits_s(transport, wifi_channel, present)
+            kinds = self._due_kinds(transport, lane, limits_s, now_s)
+            if kinds and transport != BLE4:
+                kinds = present
+            if kinds:
+                lane.sent_s.update(dict.fromkeys(kinds, now_s))
+                part = tuple(message for message in messages if type(message) in kinds)
+                broadcasts.append(Broadcast(transport=transport, messages=part))
+        self._leave(now_s)
+        return broadcasts
+
+    def _change(self, rates: Mapping[str, int], can_send: frozenset[str], now_s: float) -> None:
+        for transport in [t for t in self._lanes if t not in can_send]:
+            del self._lanes[transport]
+        for transport, lane in self._lanes.items():
+            if transport in rates:
+                lane.leaving_s = None
+            elif lane.leaving_s is None:
+                lane.leaving_s = now_s
+        for transport, rate in rates.items():
+            if transport not in can_send:
+                continue
+            lane = self._lanes.setdefault(transport, _Lane(rate=rate, next_s=now_s))
+            if lane.rate != rate:
+                lane.rate = rate
+                lane.next_s = min(lane.next_s, now_s + GNSS_CYCLE_S / rate)
+
+    def _leave(self, now_s: float) -> None:
+        """Take transports off the air whose successors have been there long enough."""
+        staying = [lane for lane in self._lanes.values() if lane.leaving_s is None]
+        for transport, lane in list(self._lanes.items()):
+            since_s = lane.leaving_s
+            if since_s is None or now_s - since_s < OVERLAP_S:
+                continue
+            if staying and all(Location in other.sent_s for other in staying):
+                del self._lanes[transport]
+
+    def _due_kinds(
+        self, transport: str, lane: _Lane, limits_s: Mapping[type[Message], float | None], now_s: float
+    ) -> set[type[Message]]:
+        """The kinds of messages that are due; on a transport of packs Location stands for all."""
+        kinds: set[type[Message]] = set()
+        if now_s >= lane.next_s - _EPSILON_S:
+            kinds.add(Location)
+            cycle_s = GNSS_CYCLE_S / lane.rate
+            first = Location not in lane.sent_s
+            # The rate holds over time; only the first interval is shortened, by the aircraft's own phase.
+            lane.next_s += cycle_s * (0.5 + 0.5 * self._phase) if first else cycle_s
+            if lane.next_s <= now_s:
+                lane.next_s = now_s + cycle_s
+        elif self._late(lane, Location, limits_s[Location], now_s):
+            kinds.add(Location)
+            lane.next_s = now_s + GNSS_CYCLE_S / lane.rate
+        if transport == BLE4:
+            kinds |= {kind for kind, limit_s in limits_s.items() if self._late(lane, kind, limit_s, now_s)}
+        return kinds
+
+    def _limits_s(
+        self, transport: str, wifi_channel: int | None, kinds: set[type[Message]]
+    ) -> dict[type[Message], float | None]:
+        """Time after which each kind must have gone out again; None for no limit."""
+        region = self._region
+        legal: dict[type[Message], float | None] = {
+            Location: longest_period_s(region, transport, wifi_channel),
+            BasicId: region.basic_id_period_s,
+            System: region.system_period_s,
+        }
+        with_margin = {kind: legal.get(kind, region.other_period_s) for kind in {*kinds, Location}}
+        limits_s = {kind: None if t is None else MARGIN * t for kind, t in with_margin.items()}
+        if transport == BLE4:
+            for kind in kinds - {Location}:
+                if limits_s[kind] is None:
+                    limits_s[kind] = GNSS_CYCLE_S if kind in (BasicId, System) else _OTHERS_PERIOD_S
+        else:
+            limits_s[Location] = min((t for t in limits_s.values() if t is not None), default=None)
+        return limits_s
+
+    def _late(self, lane: _Lane, kind: type[Message], limit_s: float | None, now_s: float) -> bool:
+        """Whether a limit would be overstepped by waiting for the next step."""
+        if limit_s is None:
+            return False
+        last_s = lane.sent_s.get(kind)
+        return last_s is None or now_s + self._step_s > last_s + limit_s + _EPSILON_S

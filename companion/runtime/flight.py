@@ -25,6 +25,8 @@ from companion.events import AuthorityChanged, Broadcast, FlightMode, Say, Sever
 from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Header, Step
+from companion.remote_id.broadcaster import asked_rates
+from companion.remote_id.law import keep_floor
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
@@ -65,6 +67,13 @@ class Flight:
         except ConfigError:
             self._voice.close()
             raise
+        try:
+            self._arm_broadcast(config)
+        except ConfigError:
+            self.radio.close()
+            self.link.close()
+            self._voice.close()
+            raise
         guess = time.time() - time.monotonic()
         self.onboard = Onboard(config, self._record, commanding=not dry_run, utc_guess_s=guess)
         self.folder: Path | None = None
@@ -97,6 +106,23 @@ class Flight:
         finally:
             faulthandler.cancel_dump_traceback_later()
             self._close()
+
+    def _arm_broadcast(self, config: Config) -> None:
+        """Prepare the radios for what goes on the air.
+
+        Raises:
+            ConfigError: they cannot; or `use = "fly"` and the region's law cannot be kept.
+        """
+        decided = keep_floor(asked_rates(config), config.region, self.radio.capabilities)
+        if not decided.legal:
+            text = f"remote_id: {decided.reason}"
+            if config.flight.use == "fly":
+                raise ConfigError(text)
+            self._say(f"{text}: nothing is broadcast")
+            return
+        if decided.reason:
+            self._say(f"remote_id: {decided.reason}")
+        self.radio.configure(decided.rates)
 
     # ------------------------------------------------------------ phases
 

@@ -111,11 +111,14 @@ class Radios:
             if sender != listener
             for transport in can_send & radio.hears
         }
+        for health in healths:
+            if health.confirmed is not None:
+                monitored |= health.can_send
         channels = [radio.wifi_channel for radio in self.radios if radio.wifi_channel is not None]
         return RadioState(
             can_send=tuple(sorted(frozenset().union(*sends))),
             monitored=tuple(sorted(monitored)),
-            confirmed=tuple(sorted(frozenset().union(*(health.confirmed for health in healths)))),
+            confirmed=tuple(sorted(frozenset().union(*(health.confirmed or () for health in healths)))),
             own_addresses=tuple(sorted(frozenset().union(*(radio.own_addresses for radio in self.radios)))),
             wifi_channel=channels[0] if channels else None,
             text="; ".join(health.text for health in healths if not health.ok),
@@ -133,7 +136,6 @@ class Radios:
             frames_heard=sum(health.frames_heard for health in healths),
             bad_frames=sum(health.bad_frames for health in healths),
             can_send=frozenset().union(*(health.can_send for health in healths)),
-            confirmed=frozenset().union(*(health.confirmed for health in healths)),
             missing=tuple(text for health in healths for text in health.missing),
         )
 

@@ -1,0 +1,170 @@
+"""The own Remote ID: what is told, on which transports, within the law, and whether it is really on the air.
+
+Pure: events in, commands out. The heart asks once a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from companion.config import Config
+from companion.events import (
+    ArmStatus,
+    BroadcastChanged,
+    Command,
+    OperatorData,
+    RadioState,
+    RemoteIdHeard,
+    RemoteIdModule,
+    Say,
+    Severity,
+)
+from companion.ownship import Ownship
+from companion.remote_id.law import Decided, keep_floor
+from companion.remote_id.messages import IdType, Location, Message, System
+from companion.remote_id.monitor import SelfMonitor
+from companion.remote_id.own import Operator, messages_of
+from companion.remote_id.schedule import Schedule
+
+_MODULE_SILENT_S = 5.0
+_NOTHING = Decided({}, False, "no radio has reported yet")
+
+
+def asked_rates(config: Config) -> dict[str, int]:
+    """What the configuration asks for: transports with their Locations a second."""
+    return dict.fromkeys(config.remote_id.transports, config.remote_id.rate)
+
+
+class Broadcaster:
+    """One aircraft's broadcast. Nothing goes out before the vehicle has been heard."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._asked = asked_rates(config)
+        self._radio = RadioState()
+        self._operator = Operator()
+        self._schedule = Schedule(config.region, config.identity.uas_id)
+        self._monitor = SelfMonitor(config.remote_id.monitor_s)
+        self._decided = _NOTHING
+        self._started = False
+        """The broadcast was armed: a legal set was on the air once."""
+        self._silent: frozenset[str] = frozenset()
+        self._module: RemoteIdModule | None = None
+        self._module_s = 0.0
+        self._module_lost = False
+        self._told: tuple[object, ...] | None = None
+        self._arm_status: ArmStatus | None = None
+
+    def ask(self, rates: Mapping[str, int]) -> None:
+        """What a policy wants from now on: transports with their Locations a second, 1 to 10."""
+        self._asked = dict(rates)
+
+    def take(self, event: RadioState | OperatorData | RemoteIdModule | RemoteIdHeard, now_s: float) -> None:
+        """Something that concerns the own broadcast."""
+        match event:
+            case RadioState():
+                self._radio = event
+            case OperatorData():
+                self._operator.take(event.messages, now_s)
+            case RemoteIdModule():
+                self._module, self._module_s = event, now_s
+            case RemoteIdHeard():
+                if event.address in self._radio.own_addresses:
+                    self._monitor.heard(event.transport, now_s)
+
+    @property
+    def trouble(self) -> str | None:
+        """Why Remote ID does not work as the law or the configuration asks, in words; None when it does."""
+        if self._module is not None:
+            if self._module_lost:
+                return "the vehicle's Remote ID module fell silent"
+            return None if self._module.ready else f"Remote ID module not ready: {self._module.text}"
+        if not self._decided.legal:
+            return f"Remote ID not legal: {self._decided.reason}"
+        if not self._decided.rates and self._config.has_radio:
+            return f"Remote ID not sent: {self._decided.reason}"
+        if self._silent:
+            return f"own Remote ID not heard on {', '.join(sorted(self._silent))}"
+        return None
+
+    def step(self, own: Ownship, now_s: float) -> list[Command]:
+        """What to broadcast and to say now."""
+        radio = self._radio
+        can_send = frozenset(radio.can_send)
+        for transport in radio.confirmed:
+            self._monitor.heard(transport, now_s)
+        self._watch_module(own, now_s)
+        self._decided = keep_floor(self._asked, self._config.region, can_send)
+        self._started = self._started or (self._decided.legal and bool(self._decided.rates))
+        rates = self._decided.rates if self._started and self._module is None else {}
+        self._silent = self._monitor.silent(
+            frozenset(self._schedule.on_air), frozenset(radio.monitored), now_s
+        )
+        commands: list[Command] = []
+        if own.heartbeat is None:
+            return commands
+        messages = self._messages(own, now_s)
+        if self._module is None:
+            commands += self._schedule.due(rates, can_send, radio.wifi_channel, messages, now_s)
+        self._tell(rates, commands)
+        if self._config.remote_id.component:
+            self._report(messages, commands)
+        return commands
+
+    def _messages(self, own: Ownship, now_s: float) -> tuple[Message, ...]:
+        c = self._config
+        failed = bool(self._silent) or not self._decided.legal
+        return messages_of(c.identity, c.remote_id, c.region, own, self._operator, now_s, failed=failed)
+
+    def _watch_module(self, own: Ownship, now_s: float) -> None:
+        """Give way to a transmitter that the vehicle has of its own: one aircraft, one identity.
+
+        Until the vehicle is disarmed, also when the module falls silent: that may be the link, and two
+        broadcasts of one aircraft are two aircraft to others.
+        """
+        if self._module is None:
+            return
+        self._module_lost = now_s - self._module_s > _MODULE_SILENT_S
+        if self._module_lost and not own.armed:
+            self._module, self._module_lost = None, False
+
+    def _tell(self, rates: Mapping[str, int], commands: list[Command]) -> None:
+        """Log what changed; tell the pilot what went wrong, and that it is well again."""
+        if self._module is not None:
+            reason = f"the vehicle's own Remote ID module (component {self._module.component_id}) broadcasts"
+        else:
+            reason = self._decided.reason
+        trouble = self.trouble
+        told = (tuple(sorted(rates.items())), self._decided.legal, reason, trouble)
+        if told == self._told:
+            return
+        before = None if self._told is None else self._told[-1]
+        self._told = told
+        commands.append(BroadcastChanged(rates=told[0], legal=told[1], reason=trouble or reason))
+        if trouble != before:
+            worst = Severity.CRITICAL if not self._decided.legal else Severity.WARNING
+            commands.append(
+                Say(severity=Severity.INFO, text="DMUCA Remote ID works again")
+                if trouble is None
+                else Say(severity=worst, text=f"DMUCA {trouble}")
+            )
+
+    def _report(self, messages: tuple[Message, ...], commands: list[Command]) -> None:
+        """OPEN_DRONE_ID_ARM_STATUS, where we are the vehicle's Remote ID component."""
+        text = self.trouble or _lacking(self._config, messages)
+        status = ArmStatus(ready=text is None, text=text or "")
+        if status != self._arm_status:
+            self._arm_status = status
+            commands.append(status)
+
+
+def _lacking(config: Config, messages: tuple[Message, ...]) -> str | None:
+    """What the messages lack before take-off, in the words that ground stations know from modules."""
+    if config.identity.id_type is IdType.NONE:
+        return "missing basic_id message"
+    for message in messages:
+        if isinstance(message, Location) and message.lat_deg is None:
+            return "missing location message"
+        if isinstance(message, System) and message.operator_lat_deg is None:
+            return "missing operator location"
+    return None

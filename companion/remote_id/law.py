@@ -1,0 +1,62 @@
+"""The region's floor under whatever is asked: which transports go on the air, and how often.
+
+A policy (or a configuration) asks for transports with a rate each. What goes on the air is that, plus what
+the region's law asks beyond it, within what the radios can send on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from companion.remote_id.region import Region
+
+MARGIN = 0.8
+"""Of the longest legal period: a message that is due at the limit is too late once delays add up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """What goes on the air."""
+
+    rates: dict[str, int]
+    """Locations a second that are asked for, by transport; the periods of `longest_period_s` hold as well."""
+    legal: bool
+    reason: str
+    """Why this is not what was asked, or not legal; empty otherwise."""
+
+
+def keep_floor(asked: Mapping[str, int], region: Region, can_send: frozenset[str]) -> Decided:
+    """The smallest legal set of transports that holds what was asked, of those that can be sent on.
+
+    Where no legal set can be sent, the part of one that can is, together with what was asked: being seen by
+    some is better than by none. It is marked as not legal.
+    """
+    able = {transport: rate for transport, rate in asked.items() if transport in can_send}
+    missing = sorted(asked.keys() - able.keys())
+    reason = f"radio cannot send on {', '.join(missing)}" if missing else ""
+    if not region.transport_sets:
+        return Decided(able, True, reason)
+    lowest = min(asked.values(), default=1)
+    sets = [frozenset(names) for names in region.transport_sets]
+    legal = [names for names in sets if names <= can_send]
+    if legal:
+        chosen = min(legal, key=lambda names: len(names - able.keys()))
+        added = sorted(chosen - able.keys())
+        if added:
+            text = f"region {region.name} asks for {', '.join(added)}"
+            reason = f"{reason}; {text}" if reason else text
+        return Decided(able | dict.fromkeys(added, lowest), True, reason)
+    partial = max(sets, key=lambda names: len(names & can_send)) & can_send
+    wanted = " or ".join("+".join(names) for names in region.transport_sets)
+    have = ", ".join(sorted(can_send)) or "nothing"
+    rates = able | dict.fromkeys(sorted(partial - able.keys()), lowest)
+    return Decided(rates, False, f"region {region.name} asks for {wanted}; the radio can send on {have}")
+
+
+def longest_period_s(region: Region, transport: str, wifi_channel: int | None) -> float | None:
+    """Longest legal time between two Locations on a transport; None where the region sets none."""
+    elsewhere = region.beacon_period_elsewhere_s
+    if transport == "wifi" and elsewhere is not None and wifi_channel not in (None, *region.beacon_channels):
+        return elsewhere
+    return region.location_period_s

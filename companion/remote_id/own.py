@@ -1,0 +1,187 @@
+"""What the own aircraft says about itself: its state as Remote ID messages, and where its operator is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+
+from companion.config import IdentityConfig, RemoteIdConfig
+from companion.events import Landed
+from companion.ownship import Ownship
+from companion.remote_id.messages import (
+    BasicId,
+    ClassificationType,
+    HeightType,
+    IdType,
+    Location,
+    Message,
+    OperatorId,
+    OperatorLocationType,
+    SelfId,
+    Status,
+    System,
+)
+from companion.remote_id.region import Region
+
+OPERATOR_FRESH_S = 10.0
+"""An operator position that has not been renewed for this long is no longer put on the air."""
+_ALTITUDES = (-999.5, 31767.5)
+_UTC = (1_546_300_801.0, 1_546_300_800.0 + 2**32 - 1)
+"""What a System timestamp can hold: from 2019 on."""
+
+
+class Operator:
+    """Where the operator is, as the ground station last said.
+
+    A position counts as renewed when its timestamp moves on, not when it is repeated: an autopilot goes on
+    relaying the last one of a ground station that has fallen silent. Without a timestamp each one counts.
+    """
+
+    def __init__(self) -> None:
+        self._system: System | None = None
+        self._renewed_s = -math.inf
+        self.self_id: SelfId | None = None
+        self.operator_id: OperatorId | None = None
+
+    def take(self, messages: tuple[Message, ...], now_s: float) -> None:
+        """What a ground station said."""
+        for message in messages:
+            if isinstance(message, System):
+                known = self._system
+                stamp = message.timestamp_utc_s
+                if stamp is None or known is None or stamp != known.timestamp_utc_s:
+                    self._renewed_s = now_s
+                self._system = message
+            elif isinstance(message, SelfId) and message.text:
+                self.self_id = message
+            elif isinstance(message, OperatorId) and message.operator_id:
+                self.operator_id = message
+
+    def system(self, now_s: float) -> System | None:
+        """The ground station's System while its position is fresh, else None."""
+        system = self._system
+        if system is None or now_s - self._renewed_s > OPERATOR_FRESH_S:
+            return None
+        return None if system.operator_lat_deg is None or system.operator_lon_deg is None else system
+
+
+def messages_of(
+    identity: IdentityConfig,
+    config: RemoteIdConfig,
+    region: Region,
+    own: Ownship,
+    operator: Operator,
+    now_s: float,
+    *,
+    failed: bool,
+) -> tuple[Message, ...]:
+    """Everything that is to be told now: Basic ID, Location, System, and what is configured beside them.
+
+    Args:
+        failed: the own broadcast is known not to work; the Location says so.
+    """
+    messages: list[Message] = [
+        BasicId(id_type=identity.id_type, ua_type=identity.ua_type, uas_id=identity.uas_id)
+    ]
+    if identity.registration_id is not None:
+        messages.append(
+            BasicId(
+                id_type=IdType.CAA_REGISTRATION, ua_type=identity.ua_type, uas_id=identity.registration_id
+            )
+        )
+    location = location_of(own, now_s, region.location_max_age_s)
+    if failed:
+        location = msgspec.structs.replace(location, status=Status.REMOTE_ID_SYSTEM_FAILURE)
+    messages += (location, system_of(own, config, operator, now_s))
+    if config.self_id is not None:
+        messages.append(SelfId(description_type=0, text=config.self_id))
+    elif operator.self_id is not None:
+        messages.append(operator.self_id)
+    if config.operator_id is not None:
+        messages.append(OperatorId(operator_id_type=0, operator_id=config.operator_id[:16]))
+    elif operator.operator_id is not None:
+        messages.append(operator.operator_id)
+    return tuple(messages)
+
+
+def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
+    """Own state as a Location message.
+
+    The position is carried on along the own velocity to the tenth of a second that the timestamp can hold, so
+    that the timestamp's step adds no error. A position too old to be called present is left out and the
+    status says that the system has failed: silence would look like an empty sky.
+    """
+    position, gnss = own.position, own.gnss
+    if position is None or own.age_s(now_s) > max_age_s or (gnss is not None and gnss.fix_type < 2):
+        return Location(status=Status.REMOTE_ID_SYSTEM_FAILURE)
+    landed = own.landed(now_s)
+    lat, lon, alt_msl = position.lat_deg, position.lon_deg, position.alt_msl_m
+    height = position.height_above_home_m
+    north, east, down = own.velocity_ned_mps
+    timestamp = None
+    if own.utc_offset_s is not None:
+        tenth = math.floor((now_s + own.utc_offset_s) * 10.0) / 10.0
+        ahead = tenth - own.utc_offset_s - own.sample_s()
+        lat += math.degrees(north * ahead / 6_378_137.0)
+        lon += math.degrees(east * ahead / (6_378_137.0 * max(math.cos(math.radians(lat)), 1e-6)))
+        lat, lon = min(max(lat, -90.0), 90.0), (lon + 180.0) % 360.0 - 180.0
+        alt_msl -= down * ahead
+        height -= down * ahead
+        timestamp = round(tenth % 3600.0, 1)
+    speed = math.hypot(north, east)
+    in_air = landed in (Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING)
+    status = Status.AIRBORNE if in_air else Status.GROUND if landed is Landed.ON_GROUND else Status.UNDECLARED
+    return Location(
+        status=status,
+        lat_deg=lat,
+        lon_deg=lon,
+        alt_geodetic_m=None if own.separation_m is None else _within(alt_msl + own.separation_m, *_ALTITUDES),
+        height_type=HeightType.ABOVE_TAKEOFF,
+        height_m=_within(height, *_ALTITUDES),
+        direction_deg=math.degrees(math.atan2(east, north)) % 360.0,
+        speed_mps=_within(speed, 0.0, 254.25),
+        vertical_speed_mps=_within(-down, -62.0, 62.0),
+        horizontal_accuracy_m=None if gnss is None else gnss.horizontal_accuracy_m,
+        vertical_accuracy_m=None if gnss is None else gnss.vertical_accuracy_m,
+        speed_accuracy_mps=None if gnss is None else gnss.speed_accuracy_mps,
+        timestamp_s=timestamp,
+    )
+
+
+def _within(value: float, low: float, high: float) -> float | None:
+    """A value that the message cannot hold is unknown to those who hear it."""
+    return value if low <= value <= high else None
+
+
+def system_of(own: Ownship, config: RemoteIdConfig, operator: Operator, now_s: float) -> System:
+    """Operator position: the ground station's while it is fresh, else the take-off point; which of the two is
+    told. Unknown when there is neither."""
+    told = operator.system(now_s)
+    altitude, utc = None, None
+    if own.utc_offset_s is not None:
+        utc = _within(float(math.floor(now_s + own.utc_offset_s)), *_UTC)
+    if told is not None:
+        return msgspec.structs.replace(told, timestamp_utc_s=utc, **_classification(config))
+    takeoff = own.takeoff
+    if takeoff is not None and own.separation_m is not None:
+        altitude = _within(takeoff.alt_msl_m + own.separation_m, *_ALTITUDES)
+    return System(
+        operator_location_type=OperatorLocationType.TAKEOFF,
+        operator_lat_deg=None if takeoff is None else takeoff.lat_deg,
+        operator_lon_deg=None if takeoff is None else takeoff.lon_deg,
+        operator_alt_geodetic_m=altitude,
+        timestamp_utc_s=utc,
+        **_classification(config),
+    )
+
+
+def _classification(config: RemoteIdConfig) -> dict[str, Any]:
+    if config.category_eu is None and config.class_eu is None:
+        return {}
+    return {
+        "classification_type": ClassificationType.EU,
+        "category_eu": config.category_eu or 0,
+        "class_eu": config.class_eu or 0,
+    }
