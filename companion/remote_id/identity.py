@@ -1,0 +1,248 @@
+"""Whether identities are well formed, before they go on the air.
+
+- Serial number: ANSI/CTA-2063-A. Four characters of manufacturer code, one that gives the length of the rest
+  (1 to 9, A to F for 10 to 15), and the rest; digits and capital letters, without O and I.
+- EU operator number: ASD-STAN EN 4709-002, Implementing Regulation (EU) 2019/947. Country (ISO 3166-1
+  alpha-3), 12 lower-case letters and digits, one checksum character; then "-" and three secret characters,
+  known to operator and registry alone. The checksum is Luhn mod 36 over the 12 and the three secret
+  characters: without these it cannot be verified.
+- CAA registration: ASTM F3411-22a, capital letters, digits and dots; hyphens are taken too.
+- UTM-assigned UUID: RFC 9562, 16 bytes. Session id: the first byte is its type, managed by ICAO: 1 a DRIP
+  entity tag (RFC 9374, an IPv6 address of 2001:30::/28), 2 an IEEE 1609.2 HashedId8.
+
+No error text repeats a secret character: logs are read by others.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final, Literal
+
+from companion.remote_id.messages import IdType
+
+if TYPE_CHECKING:
+    from companion.config import IdentityConfig, RemoteIdConfig
+    from companion.remote_id.region import Region
+
+Verdict = Literal["valid", "cannot be verified"]
+
+SERIAL_MAX: Final = 20
+PUBLIC_LENGTH: Final = 16
+"""Characters of an EU operator number that go on the air."""
+
+_SERIAL_ALPHABET: Final = "0123456789ABCDEFGHJKLMNPQRSTUVWXYZ"
+_SERIAL_HEAD: Final = 5
+_LENGTHS: Final = {character: 1 + at for at, character in enumerate("123456789ABCDEF")}
+
+_BASE_36: Final = "0123456789abcdefghijklmnopqrstuvwxyz"
+_COUNTRY: Final = 3
+_SECRET: Final = 3
+# fmt: off
+_EU_STATES: Final = frozenset((
+    "AUT", "BEL", "BGR", "CYP", "CZE", "DEU", "DNK", "ESP", "EST", "FIN", "FRA", "GRC", "HRV", "HUN", "IRL",
+    "ITA", "LTU", "LUX", "LVA", "MLT", "NLD", "POL", "PRT", "ROU", "SVK", "SVN", "SWE",
+    "CHE", "ISL", "LIE", "NOR",
+))
+# fmt: on
+"""Member states of the EU, and the four that take part in EASA."""
+_BEFORE_SECRET: Final = re.compile(r"[0-9A-Za-z]{11,16}(?=-)|[0-9A-Za-z]{16}(?=[0-9A-Za-z]{3}\Z)")
+
+_ON_AIR_MAX: Final = 20
+_REGISTRATION: Final = re.compile("[0-9A-Z.-]+")
+_UUID_BYTES: Final = 16
+_SESSION_BYTES: Final = {1: 1 + 16, 2: 1 + 8}
+
+
+def check_serial(text: str) -> None:
+    """Check a serial number by ANSI/CTA-2063-A. Raises ValueError saying what is wrong at which character."""
+    for at, character in enumerate(text, start=1):
+        if at != _SERIAL_HEAD and character not in _SERIAL_ALPHABET:
+            raise ValueError(
+                f"{text!r}: character {at} is {character!r}; CTA-2063-A takes digits and capital letters, "
+                "not O and I"
+            )
+    if len(text) <= _SERIAL_HEAD:
+        raise ValueError(
+            f"{text!r}: {len(text)} characters; CTA-2063-A asks for 6 to {SERIAL_MAX}: four of manufacturer "
+            "code, one of length, then the number"
+        )
+    length = _LENGTHS.get(text[_SERIAL_HEAD - 1])
+    if length is None:
+        raise ValueError(
+            f"{text!r}: character 5 is {text[_SERIAL_HEAD - 1]!r}; it tells how many follow: 1 to 9, or "
+            "A to F for 10 to 15"
+        )
+    if len(text) - _SERIAL_HEAD != length:
+        raise ValueError(
+            f"{text!r}: character 5 is {text[_SERIAL_HEAD - 1]!r}, so {length} must follow it; "
+            f"{len(text) - _SERIAL_HEAD} do"
+        )
+
+
+def check_operator_id_eu(text: str) -> Verdict:
+    """Check an EU operator number, whole ("FIN87astrdge12k8-xyz") or without its secret characters.
+
+    Returns:
+        "valid" where the checksum holds, "cannot be verified" where the secret characters are missing.
+
+    Raises:
+        ValueError: it is wrong; says what, at which character.
+    """
+    public = text.partition("-")[0][:PUBLIC_LENGTH]
+    secret = text[len(public) :].removeprefix("-")
+    if text[:_COUNTRY] not in _EU_STATES:
+        raise ValueError(
+            f"{public!r}: characters 1 to 3 are {text[:_COUNTRY]!r}; needed is the country's three capital "
+            "letters (ISO 3166-1), such as FIN, of an EU or EASA state"
+        )
+    for at, character in enumerate(public[_COUNTRY:], start=_COUNTRY + 1):
+        if character not in _BASE_36:
+            raise ValueError(
+                f"{public!r}: character {at} is {character!r}; allowed are digits and lower-case letters"
+            )
+    if len(public) < PUBLIC_LENGTH:
+        raise ValueError(
+            f"{public!r}: {len(public)} characters; needed are {PUBLIC_LENGTH}, and the secret three"
+        )
+    if text == public:
+        return "cannot be verified"
+    if len(secret) != _SECRET:
+        raise ValueError(f"{public!r}: {len(secret)} secret characters behind it; there are {_SECRET}")
+    if any(character not in _BASE_36 for character in secret):
+        raise ValueError(f"{public!r}: the secret characters behind it must be digits and lower-case letters")
+    if _luhn_36(public[_COUNTRY:-1] + secret) != public[-1]:
+        raise ValueError(
+            f"{public!r}: the checksum (character {PUBLIC_LENGTH}) does not fit the number and its secret "
+            "characters: one of them is mistyped"
+        )
+    return "valid"
+
+
+def public_operator_id(text: str) -> str:
+    """What of an operator number may go on the air: of an EU one the 16 public characters, else all of it.
+
+    Whatever stands behind the public part of a number that begins as an EU one is taken for secret, in either
+    case of letters, so that a mistyped number gives nothing away.
+    """
+    found = _BEFORE_SECRET.match(text) if text[:_COUNTRY].upper() in _EU_STATES else None
+    return found.group() if found else text
+
+
+def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: Region) -> list[str]:
+    """Check everything that says who we are, as far as the region and the kind of identity ask.
+
+    Returns:
+        What cannot be verified here, a plain sentence each, beginning with the configuration key.
+
+    Raises:
+        ValueError: names the configuration key, what is wrong and what is allowed.
+    """
+    notes: list[str] = []
+    if identity.id_type is IdType.NONE and region.basic_id_period_s is not None:
+        raise ValueError(f"identity.id_type: 0 says nothing; region {region.name!r} asks for an identity")
+    try:
+        notes += _check_uas_id(identity, region)
+    except ValueError as error:
+        raise ValueError(f"identity.uas_id: {error}") from None
+    if identity.registration_id is not None:
+        try:
+            _check_registration(identity.registration_id)
+        except ValueError as error:
+            raise ValueError(f"identity.registration_id: {error}") from None
+    try:
+        notes += _check_operator_id(remote_id.operator_id, region)
+    except ValueError as error:
+        raise ValueError(f"remote_id.operator_id: {error}") from None
+    if remote_id.self_id is not None and not _is_plain(remote_id.self_id):
+        raise ValueError(f"remote_id.self_id: {remote_id.self_id!r}: printable ASCII is allowed")
+    return notes
+
+
+def _check_uas_id(identity: IdentityConfig, region: Region) -> list[str]:
+    text = identity.uas_id
+    match identity.id_type:
+        case IdType.UTM_ASSIGNED_UUID:
+            _check_uuid(_raw(text))
+        case IdType.SPECIFIC_SESSION:
+            return _check_session(_raw(text))
+        case IdType.SERIAL_NUMBER if region.serial_number == "cta-2063-a":
+            check_serial(text)
+        case IdType.CAA_REGISTRATION:
+            _check_registration(text)
+        case _ if not _is_plain(text):
+            raise ValueError(f"{text!r}: printable ASCII, up to {_ON_AIR_MAX}")
+    return []
+
+
+def _check_operator_id(text: str | None, region: Region) -> list[str]:
+    if text is None:
+        if region.operator_id_required:
+            return [
+                f"remote_id.operator_id: not set; region {region.name!r} asks for it, so the ground station "
+                "must send it"
+            ]
+        return []
+    if region.operator_id == "eu":
+        if check_operator_id_eu(text) == "valid":
+            return []
+        return [
+            f"remote_id.operator_id: {text!r} cannot be verified without its three secret characters: write "
+            f"{text}-xyz with yours for xyz (they are never sent)"
+        ]
+    public = public_operator_id(text)
+    if not _is_plain(public):
+        raise ValueError(f"{public!r}: printable ASCII is allowed")
+    if len(public) > _ON_AIR_MAX:
+        raise ValueError(f"{len(public)} characters; {_ON_AIR_MAX} go on the air")
+    return []
+
+
+def _check_registration(text: str) -> None:
+    if not _REGISTRATION.fullmatch(text):
+        raise ValueError(f"{text!r}: a registration holds capital letters, digits, '.' and '-'")
+
+
+def _check_uuid(data: bytes) -> None:
+    if len(data) != _UUID_BYTES:
+        raise ValueError(f"{len(data)} bytes; a UUID has {_UUID_BYTES}")
+    if data[8] & 0b1100_0000 != 0b1000_0000:
+        raise ValueError(f"byte 9 of the UUID is 0x{data[8]:02x}; RFC 9562 asks for 0x80 to 0xbf there")
+
+
+def _check_session(data: bytes) -> list[str]:
+    kind = data[0] if data else 0
+    if kind == 0:
+        raise ValueError("byte 1, the type of session id, is missing or 0, which is reserved")
+    length = _SESSION_BYTES.get(kind)
+    if length is None:
+        return [
+            f"identity.uas_id: session id of type {kind}: its form is not known here and was not verified"
+        ]
+    if len(data) != length:
+        raise ValueError(f"{len(data)} bytes; a session id of type {kind} has {length}")
+    if kind == 1 and (data[1:4] != b"\x20\x01\x00" or data[4] & 0xF0 != 0x30):
+        raise ValueError(
+            f"bytes 2 to 5 are {data[1:5].hex()}; a DRIP entity tag is an address of 2001:30::/28"
+        )
+    return []
+
+
+def _raw(text: str) -> bytes:
+    """The bytes that `BasicId.uas_id` stands for."""
+    try:
+        return text.encode("latin-1")
+    except UnicodeEncodeError as error:
+        raise ValueError(f"character {error.start + 1} is beyond U+00FF: one character is one byte") from None
+
+
+def _is_plain(text: str) -> bool:
+    return text.isascii() and text.isprintable()
+
+
+def _luhn_36(text: str) -> str:
+    """Check character of Luhn mod 36: from the right every second value doubled, its base-36 digits added."""
+    total = 0
+    for at, character in enumerate(reversed(text)):
+        value = _BASE_36.index(character) * (1 if at % 2 else 2)
+        total += value // 36 + value % 36
+    return _BASE_36[-total % 36]
