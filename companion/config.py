@@ -6,12 +6,13 @@ the file points to (the trajectory), so that a resolved configuration stands alo
 
 from __future__ import annotations
 
+import enum
 import itertools
 import math
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 import tomli_w
@@ -367,12 +368,20 @@ def _explain(text: str, raw: object, kind: type) -> str:
     if key == "radio" and "array" in what:
         return "radio: one table for each radio is needed: write [[radio]]"
     if what.startswith("Invalid enum value"):
-        *section, field = re.findall(r"[^.\[\]]+", key)
+        *section, field = re.findall(r"[^.\[\]]+", re.sub(r"\[\d+\]$", "", key))
         hint = get_type_hints(_struct_at(kind, ".".join(section), raw))[field]
-        values = [v for a in (get_args(hint) or tuple(hint)) for v in (get_args(a) or [a])]
-        allowed = ", ".join(repr(getattr(v, "value", v)) for v in values if v is not type(None))
+        allowed = ", ".join(repr(v) for v in _choices(hint))
         return f"{key}: {value!r}: allowed are {allowed}"
     return f"{key}: {value!r}: {what[0].lower()}{what[1:]}".replace("`", "")
+
+
+def _choices(hint: object) -> list[object]:
+    """The values of an enumeration or of literals, wherever in a type they stand."""
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return [member.value for member in hint]
+    if get_origin(hint) is Literal:
+        return list(get_args(hint))
+    return [choice for inner in get_args(hint) for choice in _choices(inner)]
 
 
 def _struct_at(kind: type, key: str, raw: object) -> type:

@@ -27,8 +27,8 @@ class Health:
     can_send: frozenset[str] = frozenset()
     """Transports that the radio can send on now; a subset of its capabilities."""
     confirmed: frozenset[str] | None = None
-    """Transports that the radio itself reports as being on the air now (a module's status); None where it cannot
-    tell."""
+    """Transports that the radio itself reports as being on the air now (a module's status); None where it
+    cannot tell."""
     missing: tuple[str, ...] = ()
     """What this radio could do with other hardware, rights or settings, one plain sentence each."""
 

@@ -20,6 +20,7 @@ from companion.events import (
     Heartbeat,
     Landed,
     LandedState,
+    RadioState,
     SetMode,
     VehicleTime,
     VelocitySetpoint,
@@ -77,7 +78,7 @@ class Bench:
     height_m: float = 50.0
     lat_deg: float = LAT
     lon_deg: float = LON
-    extra: list[Event] = field(default_factory=list)
+    extra: list[Event] = field(default_factory=lambda: [RadioState(can_send=("wifi",))])
     commands: list[Command] = field(default_factory=list)
     """Of the last step."""
     log: list[tuple[float, Command]] = field(default_factory=list)

@@ -56,7 +56,10 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         ),
         (IDENTITY + '[[radio]]\nbackend = "wifi"\n', "radio[0]: needs hostapd, inject or monitor"),
         (IDENTITY + '[remote_id]\nregion = "xy.toml"\n', "xy.toml: cannot be read"),
-        (IDENTITY + '[remote_id]\ntransports = ["lora"]\n', "remote_id.transports[0]: 'lora'"),
+        (
+            IDENTITY + '[remote_id]\ntransports = ["lora"]\n',
+            "remote_id.transports[0]: 'lora': allowed are 'ble4', 'ble5', 'wifi', 'nan'",
+        ),
         (
             IDENTITY + "[limits]\nfloor_height_m = 50\nceiling_height_m = 40\n",
             "limits.ceiling_height_m: 40 must be 5 m or more above floor_height_m 50",
@@ -104,7 +107,7 @@ def test_a_resolved_configuration_stands_alone_and_reads_back_equal(tmp_path):
 def test_flying_deaf_is_refused(tmp_path):
     write(tmp_path, TRAJECTORY, "t.toml")
     path = write(tmp_path, IDENTITY + '[flight]\nuse = "fly"\ntrajectory = "t.toml"\n')
-    with pytest.raises(ConfigError, match="hears nobody"):
+    with pytest.raises(ConfigError, match="nobody is heard"):
         configuration.load(path)
 
 

@@ -17,6 +17,7 @@ import pytest
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.config import RecordConfig, VehicleConfig
 from companion.errors import ConfigError
+from companion.events import RadioState
 from companion.radio.null import NullTransport
 from companion.runtime.flight import Flight
 
@@ -72,6 +73,11 @@ class Radio(NullTransport):
         self.broadcasts = 0
         self.refusals = []
         self.closed = False
+        self._states = [RadioState(can_send=("wifi",))]
+
+    def events(self, now_s):
+        states, self._states = self._states, []
+        return states
 
     def broadcast(self, transport, messages, now_s):
         self.broadcasts += 1
