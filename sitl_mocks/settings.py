@@ -44,7 +44,7 @@ class AirSettings(_Section, frozen=True):
     """Uniform, drawn for each message and receiver."""
     loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
     range_m: Positive | None = None
-    transport: Literal["ble4", "ble5", "wifi"] = "wifi"
+    transport: Literal["ble4", "ble5", "wifi", "nan"] = "wifi"
     rate: Annotated[int, Meta(ge=1, le=10)] = 1
 
 

@@ -13,8 +13,8 @@
 | 4 HEARD | air -> client | transport, address, frame |
 | 5 WELCOME | air -> client | clients now on the air, u16 little-endian. Answers every JOIN |
 
-transport: 1 BLE 4, 2 BLE 5, 3 Wi-Fi beacon. address: 6 bytes as they are written, most significant first.
-frame: 1 to 1,000 bytes. Any valid datagram of an unknown client joins it; without
+transport: 1 BLE 4, 2 BLE 5, 3 Wi-Fi beacon, 4 Wi-Fi NAN. address: 6 bytes as they are written, most
+significant first. frame: 1 to 1,000 bytes. Any valid datagram of an unknown client joins it; without
 a JOIN its name is its port.
 """
 
@@ -24,7 +24,7 @@ import struct
 from dataclasses import dataclass
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 MAX_DATAGRAM = 1100
 MAX_NAME_BYTES = 80
@@ -39,7 +39,7 @@ _CLIENTS = struct.Struct("<H")
 _MAGIC = b"EA"
 _VERSION = 1
 _ADDRESS_BYTES = 6
-_CODES = {BLE4: 1, BLE5: 2, WIFI_BEACON: 3}
+_CODES = {BLE4: 1, BLE5: 2, WIFI_BEACON: 3, WIFI_NAN: 4}
 _TRANSPORTS = {code: name for name, code in _CODES.items()}
 
 

@@ -1,29 +1,33 @@
 """Messages to the frames of each transport and back: the pure part of every radio that handles raw frames.
 
-BLE 4 carries one message per frame; BLE 5 and the Wi-Fi beacon carry a pack. Counters and the radio address
-stay steady per transmitter, because receivers tell aircraft and lost frames apart by them.
+BLE 4 carries one message per frame; BLE 5, the Wi-Fi beacon and the Wi-Fi NAN action frame carry a pack.
+Counters and the radio address stay steady per transmitter, because receivers tell aircraft and lost frames
+apart by them.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from companion.errors import PeerDataError
 from companion.events import RemoteIdHeard
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
-from companion.remote_id.codec import PACK_MAX_MESSAGES, encode, encode_pack, read_payload
+from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
+from companion.remote_id.codec import PACK_MAX_MESSAGES, Payload, encode, encode_pack, read_payload
 from companion.remote_id.frames import (
     Counters,
+    Frame,
     NotRemoteIdError,
     build_beacon,
     build_ble4,
     build_ble5,
-    parse_frame,
+    build_nan_action,
+    parse_frames,
+    parse_wifi_frames,
 )
 from companion.remote_id.messages import Message
 
-TRANSPORTS = frozenset((BLE4, BLE5, WIFI_BEACON))
+TRANSPORTS = frozenset((BLE4, BLE5, WIFI_BEACON, WIFI_NAN))
 
 
 def radio_address(identity: str) -> str:
@@ -41,7 +45,7 @@ class FrameSender:
     """Frames of one transmitter, numbered per transport.
 
     Args:
-        address: radio address of the transmitter; a beacon carries it, BLE advertising data does not.
+        address: radio address of the transmitter; Wi-Fi frames carry it, BLE advertising data does not.
     """
 
     def __init__(self, address: str) -> None:
@@ -68,6 +72,8 @@ class FrameSender:
     def _pack_frame(self, transport: str, pack: bytes, counter: int) -> bytes:
         if transport == BLE5:
             return build_ble5(pack, counter)
+        if transport == WIFI_NAN:
+            return build_nan_action(pack, counter, self.address)
         return build_beacon(pack, counter, self.address)
 
 
@@ -89,32 +95,60 @@ class FrameReceiver:
     ) -> RemoteIdHeard | None:
         """The event of one frame; None where it holds no message that can be read.
 
-        Of a damaged pack the sound messages are given, so that one bad message does not hide an aircraft.
+        Of a damaged pack the sound messages are given, so that one bad message does not hide an aircraft; of
+        several Remote ID structures in one frame, the messages of all.
 
         Args:
             transport: one of `TRANSPORTS`; another one raises ValueError.
-            address: transmitter as the radio reports it. A beacon's own source address goes before it.
+            address: transmitter as the radio reports it. A Wi-Fi frame's own source address goes before it.
             frame: the bytes as the radio reports them.
             rssi_dbm: signal strength, where the radio reports it.
         """
+        return self._receive(lambda: parse_frames(transport, frame), address, rssi_dbm)
+
+    def receive_wifi(self, frame: bytes, rssi_dbm: float | None = None) -> RemoteIdHeard | None:
+        """As `receive`, for any 802.11 frame: it tells by itself its transport and who sent it."""
+        return self._receive(lambda: parse_wifi_frames(frame), "", rssi_dbm)
+
+    def _receive(
+        self, parse: Callable[[], tuple[Frame, ...]], address: str, rssi_dbm: float | None
+    ) -> RemoteIdHeard | None:
         try:
-            parsed = parse_frame(transport, frame)
-            messages, faults = read_payload(parsed.payload)
+            parsed = parse()
         except NotRemoteIdError:
             self.foreign += 1
             return None
         except PeerDataError as error:
             self._note(str(error))
             return None
+        messages, faults = _read_all(parsed)
         if faults:
             self._note(faults[0])
         if not messages:
             return None
         self.heard += 1
         return RemoteIdHeard(
-            transport=transport, address=parsed.address or address, messages=messages, rssi_dbm=rssi_dbm
+            transport=parsed[0].transport,
+            address=parsed[0].address or address,
+            messages=messages,
+            rssi_dbm=rssi_dbm,
         )
 
     def _note(self, error: str) -> None:
         self.bad += 1
         self.last_error = error
+
+
+def _read_all(frames: Sequence[Frame]) -> Payload:
+    """The messages of all of a frame's Remote ID structures, one that stands in several of them once."""
+    messages: dict[Message, None] = {}
+    faults: list[str] = []
+    for frame in frames:
+        try:
+            payload = read_payload(frame.payload)
+        except PeerDataError as error:
+            faults.append(str(error))
+            continue
+        messages |= dict.fromkeys(payload.messages)
+        faults += payload.faults
+    return Payload(tuple(messages), tuple(faults))

@@ -1,26 +1,30 @@
 """Remote ID payloads <-> the bytes that a radio sends and hears.
 
 Byte-exact both ways (ASTM F3411-22a sections 5.4.5 to 5.4.8; Bluetooth Core vol. 3 part C section 11 for
-advertising data; IEEE 802.11 sections 9.3.3 and 9.4.2 for beacons):
+advertising data; IEEE 802.11 sections 9.3.3 and 9.4.2 for beacons; Wi-Fi Alliance, Neighbor Awareness
+Networking, for service discovery):
 
 - BLE 4: AdvData of a legacy advertisement, 31 bytes, one message.
 - BLE 5: AdvData of an extended advertisement on the Coded PHY, one pack.
 - Wi-Fi Beacon: the whole management frame (no radiotap header, no FCS), one pack in a vendor element.
+- Wi-Fi NAN: the service discovery action frame, one pack in a service descriptor. A transmitter sends a
+  synchronisation beacon beside it, which holds no Remote ID.
 
-A reader walks every advertising structure or element, because Remote ID may stand behind others. A further
-transport is one more `build_...`, one more `parse_...` and a line in `_PARSERS`.
+A reader walks every structure, element or attribute, because Remote ID may stand behind others, or more than
+once. What follows a torn one cannot be found; what stands before it is given, and of a torn Remote ID
+structure as much as came: `codec.read_payload` says what its payload lacks.
 """
 
 from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from companion.errors import PeerDataError
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import MESSAGE_SIZE, PACK_HEADER_SIZE, PACK_MAX_MESSAGES, PACK_TYPE
 
 _SERVICE_DATA: Final = 0x16
@@ -28,9 +32,14 @@ _ASTM_UUID: Final = b"\xfa\xff"
 """0xFFFA, assigned to ASTM International, little-endian."""
 _APPLICATION: Final = 0x0D
 """Open Drone ID among ASTM's applications."""
-_SERVICE_HEAD: Final = _ASTM_UUID + bytes((_APPLICATION,))
+_SERVICE_DATA_HEAD: Final = bytes((_SERVICE_DATA,)) + _ASTM_UUID + bytes((_APPLICATION,))
 
-_BEACON_SUBTYPE: Final = 0x80
+_BEACON: Final = 0x80
+_PROBE_RESPONSE: Final = 0x50
+_ACTION: Final = 0xD0
+_ORDER: Final = 0x80
+"""Flag in the second byte of a management frame: four bytes of HT Control follow the header."""
+_HT_CONTROL_SIZE: Final = 4
 _MAC_HEADER: Final = struct.Struct("<BBH6s6s6sH")
 _BEACON_FIXED: Final = struct.Struct("<QHH")
 _CAPABILITIES: Final = 0x0420
@@ -45,6 +54,27 @@ _SSID_MAX: Final = 32
 _ADDRESS: Final = re.compile("[0-9a-fA-F]{2}(?::[0-9a-fA-F]{2}){5}")
 _FCS_SIZE: Final = 4
 
+_NAN_GROUP: Final = b"\x51\x6f\x9a\x01\x00\x00"
+"""Destination of everything in NAN."""
+_NAN_CLUSTER: Final = b"\x50\x6f\x9a\x01\x00\xff"
+_NAN_HEAD: Final = b"\x50\x6f\x9a\x13"
+"""The Wi-Fi Alliance's OUI and NAN among its types."""
+_NAN_ACTION_HEAD: Final = b"\x04\x09" + _NAN_HEAD
+"""Public action, vendor specific."""
+_NAN_SERVICE_ID: Final = bytes.fromhex("8869199d9209")
+"""Start of SHA-256 of "org.opendroneid.remoteid"."""
+_NAN_INTERVAL_TU: Final = 512
+_MASTER_PREFERENCE: Final = 0xFE
+_RANDOM_FACTOR: Final = 0xEA
+_MASTER_INDICATION, _CLUSTER, _SERVICE_IDS, _SERVICE_DESCRIPTOR, _DESCRIPTOR_EXTENSION = 0, 1, 2, 3, 0x0E
+_INSTANCE: Final = 1
+_DESCRIPTOR_FIXED: Final = struct.Struct("<6sBBB")
+"""Service ID, instance ID, requestor instance ID, service control."""
+_MATCHING_FILTER, _RESPONSE_FILTER, _SERVICE_INFO, _BINDING_BITMAP = 0x04, 0x08, 0x10, 0x40
+"""Service control: what else the descriptor holds."""
+_UPDATE_INDICATOR: Final = 0x0200
+"""Extension control: the service update indicator follows."""
+
 
 @dataclass(frozen=True, slots=True)
 class Frame:
@@ -56,23 +86,39 @@ class Frame:
     counter: int
     """0-255; a repetition carries the same counter."""
     payload: bytes
-    """A message or a pack, perhaps padded: for `codec.read_payload`."""
+    """A message or a pack, perhaps padded or cut short: for `codec.read_payload`."""
 
 
 class NotRemoteIdError(PeerDataError):
     """A sound frame without Remote ID: most of what a radio hears, and no fault of the peer."""
 
 
-def parse_frame(transport: str, data: bytes) -> Frame:
-    """The Remote ID in what arrived on a transport.
+class NanSyncBeaconError(NotRemoteIdError):
+    """The synchronisation beacon of a NAN transmitter of Remote ID, which itself holds none."""
 
-    Raises NotRemoteIdError where the frame holds none, PeerDataError where it is broken, ValueError for an
-    unknown transport.
+    def __init__(self, address: str) -> None:
+        super().__init__(f"NAN synchronisation beacon of {address}")
+        self.address = address
+
+
+def parse_frames(transport: str, data: bytes) -> tuple[Frame, ...]:
+    """Every Remote ID structure, at least one, in what arrived on a transport; nearly always just one.
+
+    Raises NotRemoteIdError where the frame holds none (for that transport), PeerDataError where it is broken,
+    ValueError for an unknown transport.
     """
     parser = _PARSERS.get(transport)
     if parser is None:
         raise ValueError(f"transport is {transport!r}; allowed: {', '.join(_PARSERS)}")
-    return parser(data)
+    frames = parser(data)
+    if frames[0].transport != transport:
+        raise NotRemoteIdError(f"Remote ID of transport {frames[0].transport}, not {transport}")
+    return frames
+
+
+def parse_frame(transport: str, data: bytes) -> Frame:
+    """The first of `parse_frames`, which raises for both."""
+    return parse_frames(transport, data)[0]
 
 
 # ---------------------------------------------------------------- Bluetooth
@@ -85,45 +131,77 @@ def build_ble4(message: bytes, counter: int) -> bytes:
     return _service_data(message, counter)
 
 
-def parse_ble4(data: bytes) -> Frame:
-    """Remote ID in the AdvData of a legacy advertisement. Raises PeerDataError."""
-    return _parse_advertising_data(BLE4, data)
-
-
 def build_ble5(pack: bytes, counter: int) -> bytes:
     """AdvData of 9 + 25 N bytes for a pack of N messages. Raises ValueError."""
     return _service_data(_check_pack(pack), counter)
 
 
-def parse_ble5(data: bytes) -> Frame:
-    """Remote ID in the (reassembled) AdvData of an extended advertisement. Raises PeerDataError."""
-    return _parse_advertising_data(BLE5, data)
-
-
 def _service_data(payload: bytes, counter: int) -> bytes:
-    content = _SERVICE_HEAD + bytes((_check_counter(counter),)) + payload
-    return bytes((1 + len(content), _SERVICE_DATA)) + content
+    structure = _SERVICE_DATA_HEAD + bytes((_check_counter(counter),)) + payload
+    return bytes((len(structure),)) + structure
 
 
-def _advertising_structures(data: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Offset, type and content of each structure; one that runs past the end raises PeerDataError."""
+def _parse_advertising_data(transport: str, data: bytes) -> tuple[Frame, ...]:
+    """Remote ID in AdvData (reassembled, where it came in several PDUs)."""
+    found = []
+    fault = None
     offset = 0
     while offset < len(data) and data[offset]:  # a length of 0 ends the data early; what follows is padding
         end = offset + 1 + data[offset]
         if end > len(data):
-            raise PeerDataError(
-                f"advertising structure of {data[offset]} bytes at offset {offset} "
-                f"runs past the end of {len(data)} bytes"
-            )
-        yield offset, data[offset + 1], data[offset + 2 : end]
+            fault = _torn("advertising structure", data[offset], offset, len(data))
+        structure = data[offset + 1 : end]
+        if structure.startswith(_SERVICE_DATA_HEAD):
+            found.append(structure[len(_SERVICE_DATA_HEAD) :])
         offset = end
+    return _frames(transport, None, found, fault)
 
 
-def _parse_advertising_data(transport: str, data: bytes) -> Frame:
-    for offset, kind, content in _advertising_structures(data):
-        if kind == _SERVICE_DATA and content.startswith(_SERVICE_HEAD):
-            return _frame(transport, None, content[len(_SERVICE_HEAD) :], offset)
-    raise NotRemoteIdError("no Remote ID service data in the advertisement")
+# ---------------------------------------------------------------- Wi-Fi
+
+
+def parse_wifi(data: bytes) -> Frame:
+    """The first of `parse_wifi_frames`, which raises for both."""
+    return parse_wifi_frames(data)[0]
+
+
+def parse_wifi_frames(data: bytes) -> tuple[Frame, ...]:
+    """Every Remote ID structure, at least one, in any 802.11 frame from its frame control on.
+
+    Read are beacons and probe responses (transport `WIFI_BEACON`) and NAN action frames (`WIFI_NAN`), with or
+    without FCS. Raises NotRemoteIdError where the frame holds none, NanSyncBeaconError (one of those) for the
+    beacon beside NAN action frames, PeerDataError where it is broken.
+    """
+    if len(data) < 2:
+        raise PeerDataError(f"Wi-Fi frame of {len(data)} bytes")
+    kind, flags = data[0], data[1]  # all other flags do not matter here
+    if kind not in (_BEACON, _PROBE_RESPONSE, _ACTION):
+        raise NotRemoteIdError(f"frame control 0x{kind:02x} is of no kind that carries Remote ID")
+    body_at = _MAC_HEADER.size + (_HT_CONTROL_SIZE if flags & _ORDER else 0)
+    if len(data) < body_at:
+        raise PeerDataError(f"Wi-Fi frame of {len(data)} bytes, shorter than its header of {body_at}")
+    address = _MAC_HEADER.unpack_from(data)[4].hex(":")
+    if kind == _ACTION:
+        return _parse_action(data, body_at, address)
+    return _parse_elements(data, body_at + _BEACON_FIXED.size, address)
+
+
+def _type_length_content(
+    data: bytes, offset: int, length_size: int, what: str
+) -> tuple[list[tuple[int, bytes]], str | None]:
+    """Type and content of every element or attribute, a torn one as far as it goes; and what is torn."""
+    found = []
+    head = 1 + length_size
+    while offset + head <= len(data):
+        size = int.from_bytes(data[offset + 1 : offset + head], "little")
+        end = offset + head + size
+        if end > len(data) and len(data) - offset <= _FCS_SIZE:
+            break  # the frame check sequence that some receivers leave on
+        found.append((data[offset], data[offset + head : end]))
+        if end > len(data):
+            return found, _torn(f"{what} 0x{data[offset]:02x}", size, offset, len(data))
+        offset = end
+    return found, None
 
 
 # ---------------------------------------------------------------- Wi-Fi Beacon
@@ -141,13 +219,10 @@ def build_beacon(
         raise ValueError(f"ssid is {ssid!r}; allowed: at most {_SSID_MAX} bytes")
     if not 0 < interval_tu <= 0xFFFF:
         raise ValueError(f"interval_tu is {interval_tu!r}; allowed: 1 to 65535")
-    if not 0 <= tsf_us < 1 << 64:
-        raise ValueError(f"tsf_us is {tsf_us!r}; allowed: 0 to 2**64 - 1")
     mac = _address_bytes(address)
     return b"".join(
         (
-            _MAC_HEADER.pack(_BEACON_SUBTYPE, 0, 0, _BROADCAST, mac, mac, 0),
-            _BEACON_FIXED.pack(tsf_us, interval_tu, _CAPABILITIES),
+            _beacon_head(mac, mac, tsf_us, interval_tu),
             bytes((_SSID_ELEMENT, len(name))),
             name,
             _RATES_ELEMENT,
@@ -162,47 +237,130 @@ def build_vendor_element(pack: bytes, counter: int) -> bytes:
     return bytes((_VENDOR_ELEMENT, len(content))) + content
 
 
-def parse_beacon(data: bytes) -> Frame:
-    """Remote ID in a beacon from its frame control on, with or without FCS. Raises PeerDataError."""
-    if not data:
-        raise PeerDataError("empty Wi-Fi frame")
-    if data[0] != _BEACON_SUBTYPE:  # the second byte holds flags that do not matter here
-        raise NotRemoteIdError(f"frame control 0x{data[0]:02x} is not a beacon's")
-    elements_at = _MAC_HEADER.size + _BEACON_FIXED.size
-    if len(data) < elements_at:
-        raise PeerDataError(f"beacon of {len(data)} bytes, shorter than its {elements_at} fixed ones")
-    source = _MAC_HEADER.unpack_from(data)[4]
-    for offset, kind, content in _elements(data, elements_at):
-        if kind == _VENDOR_ELEMENT and content.startswith(_VENDOR_HEAD):
-            return _frame(WIFI_BEACON, source.hex(":"), content[len(_VENDOR_HEAD) :], offset)
-    raise NotRemoteIdError("no Remote ID vendor element in the beacon")
+def _beacon_head(source: bytes, bssid: bytes, tsf_us: int, interval_tu: int) -> bytes:
+    if not 0 <= tsf_us < 1 << 64:
+        raise ValueError(f"tsf_us is {tsf_us!r}; allowed: 0 to 2**64 - 1")
+    header = _MAC_HEADER.pack(_BEACON, 0, 0, _BROADCAST, source, bssid, 0)
+    return header + _BEACON_FIXED.pack(tsf_us, interval_tu, _CAPABILITIES)
 
 
-def _elements(data: bytes, offset: int) -> Iterator[tuple[int, int, bytes]]:
-    """Offset, ID and content of each element; one that runs past the end raises PeerDataError."""
-    while offset + 2 <= len(data):
-        end = offset + 2 + data[offset + 1]
-        if end > len(data):
-            if len(data) - offset <= _FCS_SIZE:
-                return  # the frame check sequence that some receivers leave on
-            raise PeerDataError(
-                f"element 0x{data[offset]:02x} of {data[offset + 1]} bytes at offset {offset} "
-                f"runs past the end of {len(data)} bytes"
-            )
-        yield offset, data[offset], data[offset + 2 : end]
-        offset = end
+def _parse_elements(data: bytes, offset: int, address: str) -> tuple[Frame, ...]:
+    if len(data) < offset:
+        raise PeerDataError(f"beacon of {len(data)} bytes, shorter than its {offset} fixed ones")
+    elements, fault = _type_length_content(data, offset, 1, "element")
+    vendor = [content for kind, content in elements if kind == _VENDOR_ELEMENT]
+    found = [content[len(_VENDOR_HEAD) :] for content in vendor if content.startswith(_VENDOR_HEAD)]
+    if not found and any(map(_announces_remote_id, vendor)):
+        raise NanSyncBeaconError(address)
+    return _frames(WIFI_BEACON, address, found, fault)
+
+
+# ---------------------------------------------------------------- Wi-Fi NAN
+
+
+def build_nan_action(pack: bytes, counter: int, address: str) -> bytes:
+    """The service discovery action frame, without FCS, of 54 + 25 N bytes. Raises ValueError.
+
+    The sequence number is 0: the transmitting driver numbers frames.
+    """
+    info = bytes((_check_counter(counter),)) + _check_pack(pack)
+    descriptor = _DESCRIPTOR_FIXED.pack(_NAN_SERVICE_ID, _INSTANCE, 0, _SERVICE_INFO)
+    return b"".join(
+        (
+            _MAC_HEADER.pack(_ACTION, 0, 0, _NAN_GROUP, _address_bytes(address), _NAN_CLUSTER, 0),
+            _NAN_ACTION_HEAD,
+            _attribute(_SERVICE_DESCRIPTOR, descriptor + bytes((len(info),)) + info),
+            _attribute(_DESCRIPTOR_EXTENSION, struct.pack("<BHB", _INSTANCE, _UPDATE_INDICATOR, counter)),
+        )
+    )
+
+
+def build_nan_sync_beacon(address: str, tsf_us: int = 0) -> bytes:
+    """The synchronisation beacon, 72 bytes without FCS, of a cluster of which we are the anchor master.
+
+    It goes out beside the action frames, every 512 TU, or receivers do not wake up for them. `tsf_us` is the
+    sender's clock, which most drivers fill in themselves. Raises ValueError.
+    """
+    mac = _address_bytes(address)
+    rank = mac + bytes((_RANDOM_FACTOR, _MASTER_PREFERENCE))
+    hops_and_anchor_time = bytes(1 + 4)  # 0: the anchor master itself
+    content = b"".join(
+        (
+            _NAN_HEAD,
+            _attribute(_MASTER_INDICATION, bytes((_MASTER_PREFERENCE, _RANDOM_FACTOR))),
+            _attribute(_CLUSTER, rank + hops_and_anchor_time),
+            _attribute(_SERVICE_IDS, _NAN_SERVICE_ID),
+        )
+    )
+    head = _beacon_head(mac, _NAN_CLUSTER, tsf_us, _NAN_INTERVAL_TU)
+    return head + bytes((_VENDOR_ELEMENT, len(content))) + content
+
+
+def _attribute(kind: int, content: bytes) -> bytes:
+    return struct.pack("<BH", kind, len(content)) + content
+
+
+def _announces_remote_id(vendor: bytes) -> bool:
+    """Whether a vendor element is NAN's and lists the Remote ID service."""
+    if not vendor.startswith(_NAN_HEAD):
+        return False
+    attributes, _ = _type_length_content(vendor, len(_NAN_HEAD), 2, "attribute")
+    return any(
+        kind == _SERVICE_IDS and _NAN_SERVICE_ID in (content[at : at + 6] for at in range(0, len(content), 6))
+        for kind, content in attributes
+    )
+
+
+def _parse_action(data: bytes, offset: int, address: str) -> tuple[Frame, ...]:
+    if data[offset : offset + len(_NAN_ACTION_HEAD)] != _NAN_ACTION_HEAD:
+        raise NotRemoteIdError("an action frame, but not of NAN")
+    attributes, fault = _type_length_content(data, offset + len(_NAN_ACTION_HEAD), 2, "attribute")
+    infos = [_service_info(content) for kind, content in attributes if kind == _SERVICE_DESCRIPTOR]
+    return _frames(WIFI_NAN, address, [info for info in infos if info is not None], fault)
+
+
+def _service_info(descriptor: bytes) -> bytes | None:
+    """The service info of a descriptor; None where it is another service's or holds none (a subscriber)."""
+    if len(descriptor) < _DESCRIPTOR_FIXED.size:
+        return None
+    service, _, _, control = _DESCRIPTOR_FIXED.unpack_from(descriptor)
+    if service != _NAN_SERVICE_ID or not control & _SERVICE_INFO:
+        return None
+    at = _DESCRIPTOR_FIXED.size + (2 if control & _BINDING_BITMAP else 0)
+    for part in (_MATCHING_FILTER, _RESPONSE_FILTER):
+        if control & part:
+            at += 1 + _length(descriptor, at)
+    return descriptor[at + 1 : at + 1 + _length(descriptor, at)]
+
+
+def _length(data: bytes, at: int) -> int:
+    """A length byte, 0 where it was cut off."""
+    return data[at] if at < len(data) else 0
 
 
 # ---------------------------------------------------------------- common
 
 
-def _frame(transport: str, address: str | None, content: bytes, offset: int) -> Frame:
-    """Counter and payload, behind the head of the structure at `offset`."""
-    if len(content) < 1 + PACK_HEADER_SIZE:
-        raise PeerDataError(
-            f"Remote ID at offset {offset} ends after {len(content)} bytes of counter and payload"
-        )
-    return Frame(transport=transport, address=address, counter=content[0], payload=content[1:])
+def _torn(what: str, size: int, offset: int, total: int) -> str:
+    return f"{what} of {size} bytes at offset {offset} runs past the end of {total} bytes"
+
+
+def _frames(
+    transport: str, address: str | None, found: Sequence[bytes], fault: str | None
+) -> tuple[Frame, ...]:
+    """The frames of what was found, each counter and payload, or the error that says why there are none."""
+    frames = tuple(
+        Frame(transport=transport, address=address, counter=content[0], payload=content[1:])
+        for content in found
+        if len(content) > 1
+    )
+    if frames:
+        return frames
+    if found:
+        raise PeerDataError(fault or "Remote ID without a payload")
+    if fault:
+        raise PeerDataError(fault)
+    raise NotRemoteIdError("no Remote ID in the frame")
 
 
 def _check_counter(counter: int) -> int:
@@ -225,10 +383,11 @@ def _address_bytes(address: str) -> bytes:
     return bytes.fromhex(address.replace(":", ""))
 
 
-_PARSERS: Final[dict[str, Callable[[bytes], Frame]]] = {
-    BLE4: parse_ble4,
-    BLE5: parse_ble5,
-    WIFI_BEACON: parse_beacon,
+_PARSERS: Final[dict[str, Callable[[bytes], tuple[Frame, ...]]]] = {
+    BLE4: lambda data: _parse_advertising_data(BLE4, data),
+    BLE5: lambda data: _parse_advertising_data(BLE5, data),
+    WIFI_BEACON: parse_wifi_frames,
+    WIFI_NAN: parse_wifi_frames,
 }
 
 

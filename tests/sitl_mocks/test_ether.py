@@ -119,7 +119,7 @@ def test_range_holds_between_placed_aircraft() -> None:
     assert ether.stats["a", "c"].lost == 1
 
 
-@pytest.mark.parametrize("transport", ["ble4", "ble5", "wifi"])
+@pytest.mark.parametrize("transport", ["ble4", "ble5", "wifi", "nan"])
 def test_where_nobody_tells_the_frames_tell(transport: str) -> None:
     """A hundredth of a degree of latitude at the equator is 1105.7 m (WGS84)."""
     channel = DistanceProbe()

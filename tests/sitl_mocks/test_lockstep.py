@@ -65,7 +65,7 @@ def test_what_the_air_does_not_carry_nobody_knows():
 
 
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
-@pytest.mark.parametrize("transport", ["wifi", "ble4", "ble5"])
+@pytest.mark.parametrize("transport", ["wifi", "ble4", "ble5", "nan"])
 def test_every_transport_and_firmware_avoids_head_on(transport, firmware):
     scenario = with_delay(HEAD_ON, 0.0, 1.0, transport=transport)
     vehicle = msgspec.structs.replace(scenario.vehicle, firmware=firmware)

@@ -28,6 +28,7 @@ ADDRESS = "c2:01:02:03:04:05"
         (Send("ble4", ADDRESS, b"\xff"), "4541 01 03 01 c20102030405 ff"),
         (Send("ble5", ADDRESS, b"\xff"), "4541 01 03 02 c20102030405 ff"),
         (Heard("wifi", ADDRESS, b"\xfe\xff"), "4541 01 04 03 c20102030405 feff"),
+        (Heard("nan", ADDRESS, b"\xff"), "4541 01 04 04 c20102030405 ff"),
         (Welcome(258), "4541 01 05 0201"),
     ],
 )
@@ -36,7 +37,7 @@ def test_the_bytes_are_those_of_the_table(datagram: Send, data: str) -> None:
     assert decode(bytes.fromhex(data)) == datagram
 
 
-@given(st.binary(min_size=1, max_size=1000), st.sampled_from(["ble4", "ble5", "wifi"]))
+@given(st.binary(min_size=1, max_size=1000), st.sampled_from(["ble4", "ble5", "wifi", "nan"]))
 def test_any_frame_comes_back(frame: bytes, transport: str) -> None:
     sent = Send(transport, ADDRESS, frame)
     assert decode(encode(sent)) == sent
@@ -60,7 +61,7 @@ def test_any_frame_comes_back(frame: bytes, transport: str) -> None:
         "4541 01 03",
         "4541 01 03 01 c20102030405",
         "4541 01 03 00 c20102030405 ff",
-        "4541 01 03 04 c20102030405 ff",
+        "4541 01 03 05 c20102030405 ff",
         "4541 01 03 01 c20102030405" + "00" * 1001,
         "4541 01 05 02",
         "4541 01 05 020100",
@@ -85,7 +86,7 @@ def test_any_bytes_are_a_datagram_or_the_peers_error(data: bytes) -> None:
     [
         Join(""),
         Join("n" * 81),
-        Send("nan", ADDRESS, b"x"),
+        Send("smoke", ADDRESS, b"x"),
         Send("wifi", "c2:00", b"x"),
         Send("wifi", ADDRESS, b""),
         Send("wifi", ADDRESS, b"x" * 1001),

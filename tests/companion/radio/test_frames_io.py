@@ -4,8 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.events import RemoteIdHeard
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
-from companion.remote_id.frames import parse_frame
+from companion.remote_id.codec import encode, encode_pack
+from companion.remote_id.frames import build_ble4, build_nan_sync_beacon, build_vendor_element, parse_frame
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, SelfId, Status, UaType
 
 ADDRESS = "c2:01:02:03:04:05"
@@ -17,7 +19,7 @@ def location(lat_deg: float = 47.5) -> Location:
     return Location(status=Status.AIRBORNE, lat_deg=lat_deg, lon_deg=8.5, alt_geodetic_m=500.0)
 
 
-@pytest.mark.parametrize(("transport", "frames"), [("ble4", 3), ("ble5", 1), ("wifi", 1)])
+@pytest.mark.parametrize(("transport", "frames"), [("ble4", 3), ("ble5", 1), ("wifi", 1), ("nan", 1)])
 def test_what_is_sent_is_heard(transport: str, frames: int) -> None:
     messages = (BASIC_ID, location(), SELF_ID)
     sent = FrameSender(ADDRESS).frames(transport, messages)
@@ -61,15 +63,30 @@ def test_counters_step_with_the_content_and_per_transport() -> None:
 
 
 def test_an_unknown_transport_is_refused() -> None:
-    with pytest.raises(ValueError, match="nan"):
-        FrameSender(ADDRESS).frames("nan", (BASIC_ID,))
+    with pytest.raises(ValueError, match="smoke"):
+        FrameSender(ADDRESS).frames("smoke", (BASIC_ID,))
 
 
-def test_a_beacons_own_address_goes_before_the_reported_one() -> None:
-    (frame,) = FrameSender(ADDRESS).frames("wifi", (location(),))
-    event = FrameReceiver().receive("wifi", "02:00:00:00:00:99", frame)
+@pytest.mark.parametrize("transport", ["wifi", "nan"])
+def test_a_wifi_frames_own_address_goes_before_the_reported_one(transport: str) -> None:
+    (frame,) = FrameSender(ADDRESS).frames(transport, (location(),))
+    event = FrameReceiver().receive(transport, "02:00:00:00:00:99", frame)
     assert event is not None
     assert event.address == ADDRESS
+
+
+@pytest.mark.parametrize("transport", ["wifi", "nan"])
+def test_a_wifi_frame_tells_its_transport_by_itself(transport: str) -> None:
+    (frame,) = FrameSender(ADDRESS).frames(transport, (SELF_ID,))
+    receiver = FrameReceiver()
+    event = receiver.receive_wifi(frame, -70.0)
+    assert event == RemoteIdHeard(transport=transport, address=ADDRESS, messages=(SELF_ID,), rssi_dbm=-70.0)
+    assert receiver.receive_wifi(build_nan_sync_beacon(ADDRESS)) is None
+    assert receiver.receive("wifi", ADDRESS, build_nan_sync_beacon(ADDRESS)) is None
+    other = {"wifi": "nan", "nan": "wifi"}[transport]
+    assert receiver.receive(other, ADDRESS, frame) is None
+    assert receiver.receive_wifi(b"\x80") is None
+    assert (receiver.heard, receiver.foreign, receiver.bad) == (1, 3, 1)
 
 
 @given(st.text(min_size=1, max_size=20))
@@ -107,7 +124,7 @@ def test_a_cut_frame_is_bad_and_a_foreign_one_is_not() -> None:
     assert receiver.receive("ble4", ADDRESS, frame[:20]) is None
     assert (receiver.bad, receiver.foreign) == (1, 0)
     assert receiver.last_error is not None
-    assert "20 bytes" in receiver.last_error
+    assert "14 bytes" in receiver.last_error
     assert receiver.receive("ble4", ADDRESS, bytes.fromhex("020106")) is None
     assert (receiver.bad, receiver.foreign) == (1, 1)
 
@@ -120,4 +137,34 @@ def test_one_bad_message_does_not_hide_the_location_beside_it() -> None:
     event = receiver.receive("ble5", ADDRESS, bytes(damaged))
     assert event is not None
     assert [type(m) for m in event.messages] == [Location]
+    assert (receiver.heard, receiver.bad) == (1, 1)
+
+
+def test_the_messages_of_several_structures_in_one_frame_are_merged() -> None:
+    """Two of a kind stay two, in order; the very same one twice is one."""
+    receiver = FrameReceiver()
+    data = build_ble4(encode(BASIC_ID), 3) + build_ble4(encode(SELF_ID), 4) + build_ble4(encode(BASIC_ID), 3)
+    event = receiver.receive("ble5", ADDRESS, data)
+    assert event is not None
+    assert event.messages == (BASIC_ID, SELF_ID)
+    torn = data[:31] + build_ble4(encode(SELF_ID), 4)[:20]
+    event = receiver.receive("ble5", ADDRESS, torn)
+    assert event is not None
+    assert event.messages == (BASIC_ID,)
+    assert (receiver.heard, receiver.bad) == (2, 1)
+
+    (beacon,) = FrameSender(ADDRESS).frames("wifi", (BASIC_ID,))
+    event = receiver.receive_wifi(beacon + build_vendor_element(encode_pack((SELF_ID,)), 9))
+    assert event is not None
+    assert event.messages == (BASIC_ID, SELF_ID)
+
+
+@pytest.mark.parametrize("transport", ["ble5", "wifi", "nan"])
+def test_of_a_torn_pack_the_whole_messages_are_heard(transport: str) -> None:
+    (frame,) = FrameSender(ADDRESS).frames(transport, (BASIC_ID, location(), SELF_ID))
+    end = len(frame) - (7 if transport == "nan" else 0)
+    receiver = FrameReceiver()
+    event = receiver.receive(transport, ADDRESS, frame[: end - 10])
+    assert event is not None
+    assert [type(m) for m in event.messages] == [BasicId, Location]
     assert (receiver.heard, receiver.bad) == (1, 1)
