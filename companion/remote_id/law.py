@@ -41,7 +41,7 @@ def keep_floor(asked: Mapping[str, int], region: Region, can_send: frozenset[str
     sets = [frozenset(names) for names in region.transport_sets]
     legal = [names for names in sets if names <= can_send]
     if legal:
-        chosen = min(legal, key=lambda names: len(names - able.keys()))
+        chosen = min(legal, key=lambda names: (len(names - able.keys()), -len(names & able.keys())))
         added = sorted(chosen - able.keys())
         if added:
             text = f"region {region.name} asks for {', '.join(added)}"

@@ -2,7 +2,7 @@
 
 On BLE 5 and Wi-Fi every broadcast is a pack of all messages; BLE 4 carries one message a frame, so each
 kind has a clock of its own there. The region's periods hold whatever rate is asked, with a margin and looking
-ahead by one step. A transport that is given up goes on until those that come instead have told everything.
+ahead by one step. A transport that is given up goes on beside its successors for a while.
 """
 
 from __future__ import annotations
@@ -111,13 +111,9 @@ class Schedule:
                 lane.next_s = min(lane.next_s, now_s + GNSS_CYCLE_S / rate)
 
     def _leave(self, now_s: float) -> None:
-        """Take transports off the air whose successors have been there long enough."""
-        staying = [lane for lane in self._lanes.values() if lane.leaving_s is None]
+        """Take transports off the air whose successors, which began at once, have been there long enough."""
         for transport, lane in list(self._lanes.items()):
-            since_s = lane.leaving_s
-            if since_s is None or now_s - since_s < OVERLAP_S:
-                continue
-            if staying and all(Location in other.sent_s for other in staying):
+            if lane.leaving_s is not None and now_s - lane.leaving_s >= OVERLAP_S:
                 del self._lanes[transport]
 
     def _due_kinds(
