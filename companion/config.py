@@ -19,6 +19,8 @@ import tomli_w
 from msgspec import Meta
 
 from companion.errors import ConfigError
+from companion.remote_id.authentication import Verifier, public_key_hex
+from companion.remote_id.identity import check_identity, public_operator_id
 from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
 
@@ -114,6 +116,9 @@ class TrafficConfig(_Section, frozen=True):
     max_clock_offset_s: Annotated[float, Meta(ge=0, le=60)] = 5.0
     max_speed_mps: Annotated[float, Meta(gt=0, le=400)] = 120.0
     """A message that claims or implies more is not believed."""
+    keys: dict[str, str] = {}
+    """Identity -> Ed25519 public key that its signatures are checked with: 64 hex digits, or the path
+    (relative to this file) of a PEM file."""
 
 
 class RemoteIdConfig(_Section, frozen=True):
@@ -247,8 +252,19 @@ def load(path: Path) -> Config:
         region = decode_toml(path.parent / config.remote_id.region, Region)
         remote_id = msgspec.structs.replace(config.remote_id, region=None)
         config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
+    if config.traffic.keys:
+        keys = {k: _public_key(text, k, path) for k, text in config.traffic.keys.items()}
+        traffic = msgspec.structs.replace(config.traffic, keys=keys)
+        config = msgspec.structs.replace(config, traffic=traffic)
     check(config, str(path))
     return config
+
+
+def _public_key(text: str, identity: str, path: Path) -> str:
+    try:
+        return public_key_hex(text, path.parent)
+    except ConfigError as error:
+        raise ConfigError(f'{path}: traffic.keys."{identity}": {error}') from error
 
 
 def load_trajectory(path: Path) -> TrajectoryFile:
@@ -270,9 +286,18 @@ def _check_times(trajectory: TrajectoryFile, name: str) -> None:
             )
 
 
+def public(config: Config) -> Config:
+    """The configuration as a record may hold it: without the operator's secret characters."""
+    secret = config.remote_id.operator_id
+    if secret is None:
+        return config
+    remote_id = msgspec.structs.replace(config.remote_id, operator_id=public_operator_id(secret))
+    return msgspec.structs.replace(config, remote_id=remote_id)
+
+
 def dump(config: Config) -> bytes:
-    """The configuration as TOML that stands alone; `load` reads it back equal."""
-    return tomli_w.dumps(without_none(msgspec.to_builtins(config))).encode()
+    """The public configuration as TOML that stands alone; `load` reads it back."""
+    return tomli_w.dumps(without_none(msgspec.to_builtins(public(config)))).encode()
 
 
 def check(config: Config, name: str) -> None:
@@ -281,9 +306,15 @@ def check(config: Config, name: str) -> None:
     Raises:
         ConfigError: names the keys.
     """
+    try:
+        Verifier(config.traffic.keys)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from error
     flight, limits = config.flight, config.limits
-    if not (config.identity.uas_id.isascii() and config.identity.uas_id.isprintable()):
-        raise ConfigError(f"{name}: identity.uas_id: {config.identity.uas_id!r}: printable ASCII, up to 20")
+    try:
+        check_identity(config.identity, config.remote_id, config.region)
+    except ValueError as error:
+        raise ConfigError(f"{name}: {error}") from error
     if flight.use == "fly" and flight.trajectory is None and config.path is None:
         raise ConfigError(f'{name}: flight.trajectory: missing; use = "fly" needs a file or "mission"')
     if flight.trajectory == "mission" and flight.mission_speed_mps is None:
