@@ -21,7 +21,7 @@ from companion.events import (
 )
 from companion.ownship import Ownship
 from companion.remote_id.law import Decided, keep_floor
-from companion.remote_id.messages import IdType, Location, Message, System
+from companion.remote_id.messages import IdType, Location, Message, OperatorId, System
 from companion.remote_id.monitor import SelfMonitor
 from companion.remote_id.own import Operator, messages_of
 from companion.remote_id.schedule import Schedule
@@ -167,4 +167,6 @@ def _lacking(config: Config, messages: tuple[Message, ...]) -> str | None:
             return "missing location message"
         if isinstance(message, System) and message.operator_lat_deg is None:
             return "missing operator location"
+    if config.region.operator_id_required and not any(isinstance(m, OperatorId) for m in messages):
+        return "missing operator_id message"
     return None

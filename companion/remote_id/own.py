@@ -10,6 +10,7 @@ import msgspec
 from companion.config import IdentityConfig, RemoteIdConfig
 from companion.events import Landed
 from companion.ownship import Ownship
+from companion.remote_id.identity import public_operator_id
 from companion.remote_id.messages import (
     BasicId,
     ClassificationType,
@@ -100,7 +101,7 @@ def messages_of(
     elif operator.self_id is not None:
         messages.append(operator.self_id)
     if config.operator_id is not None:
-        messages.append(OperatorId(operator_id_type=0, operator_id=config.operator_id[:16]))
+        messages.append(OperatorId(operator_id_type=0, operator_id=public_operator_id(config.operator_id)))
     elif operator.operator_id is not None:
         messages.append(operator.operator_id)
     return tuple(messages)

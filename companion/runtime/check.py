@@ -8,6 +8,9 @@ from collections.abc import Callable
 from companion.autopilot.link import AutopilotLink
 from companion.avoidance.path import check_path
 from companion.config import Config
+from companion.remote_id.broadcaster import asked_rates
+from companion.remote_id.identity import check_identity
+from companion.remote_id.law import keep_floor
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.radios import Radios
 
@@ -21,7 +24,9 @@ def check(config: Config, say: Callable[[str], None]) -> int:
         ConfigError: the link or the radio cannot be opened.
     """
     check_path(config, "configuration")
-    say("configuration: valid")
+    say(f"configuration: valid; region {config.region.name}")
+    for note in check_identity(config.identity, config.remote_id, config.region):
+        say(f"configuration: {note}")
     vehicle = _probe_link(config, say)
     radio = _probe_radio(config, say)
     say("check: ready" if vehicle and radio else "check: NOT ready")
@@ -48,7 +53,7 @@ def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
 
 
 def _probe_radio(config: Config, say: Callable[[str], None]) -> bool:
-    radio = Radios(config)
+    radio = Radios(config, sending=False)
     try:
         end = time.monotonic() + _RADIO_S
         while time.monotonic() < end and not radio.health(time.monotonic()).ok:
@@ -58,9 +63,11 @@ def _probe_radio(config: Config, say: Callable[[str], None]) -> bool:
         say(f"radio: {health.text}")
         for text in health.missing:
             say(f"radio: {text}")
-        lacking = sorted(set(config.remote_id.transports) - health.can_send)
-        if config.has_radio and lacking:
-            say(f"radio: cannot send on {', '.join(lacking)}")
+        decided = keep_floor(asked_rates(config), config.region, health.can_send)
+        if config.has_radio or not decided.legal:
+            rates = ", ".join(f"{t} {rate}/s" for t, rate in decided.rates.items()) or "nothing"
+            say(f"remote ID: {rates}" + (f" ({decided.reason})" if decided.reason else ""))
+        if not decided.legal or (config.has_radio and not decided.rates):
             return False
         # To watch without a radio is a choice; to fly without one is refused by the configuration.
         return health.ok or (not config.has_radio and config.flight.use == "watch")

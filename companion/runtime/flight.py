@@ -155,7 +155,7 @@ class Flight:
         aircraft = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
         vehicle = self.onboard.link.vehicle
         folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
-        header = Header(aircraft=aircraft, software=__version__, config=config)
+        header = Header(aircraft=aircraft, software=__version__, config=configuration.public(config))
         try:
             (folder / "config.toml").write_bytes(configuration.dump(config))
             write_manifest(
