@@ -97,9 +97,8 @@ class Broadcaster:
         self._decided = keep_floor(self._asked, self._config.region, can_send)
         self._started = self._started or (self._decided.legal and bool(self._decided.rates))
         rates = self._decided.rates if self._started and self._module is None else {}
-        self._silent = self._monitor.silent(
-            frozenset(self._schedule.on_air), frozenset(radio.monitored), now_s
-        )
+        on_air = frozenset(self._schedule.on_air) if self._module is None else frozenset()
+        self._silent = self._monitor.silent(on_air, frozenset(radio.monitored), now_s)
         commands: list[Command] = []
         if own.heartbeat is None:
             return commands

@@ -268,6 +268,8 @@ class Flight:
     def _wrong(self) -> str:
         """What is wrong beside the heart and the radio, for the status line."""
         text = "" if self.link.up else "; link down"
+        if (trouble := self.onboard.heart.broadcaster.trouble) is not None and self.config.has_radio:
+            text += f"; {trouble}"
         if self._refused:
             text += f"; {self._refused} broadcasts refused"
         if self._recorder is not None and self._recorder.error is not None:
