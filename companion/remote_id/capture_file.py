@@ -1,0 +1,201 @@
+"""Packets of a capture file: pcap and pcapng, as tcpdump, Wireshark and sniffers write them.
+
+Formats: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. Times are kept to the nanosecond, a file may
+hold several interfaces with different link types, and a file that ends inside a packet gives all whole ones
+before it says so.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import BinaryIO, Final, NamedTuple
+
+from companion.errors import ConfigError, PeerDataError
+
+_PCAP_NS_PER_TICK: Final = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}
+"""By magic number, which also tells the byte order."""
+_SECTION: Final = 0x0A0D0D0A
+_BYTE_ORDER: Final = 0x1A2B3C4D
+_INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 1, 2, 3, 6
+_TIME_RESOLUTION, _TIME_OFFSET = 9, 14
+"""Options of an interface."""
+_MAX_BYTES: Final = 1 << 24
+"""No packet is as large; a length beyond it is damage, not a reason to fill the memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One captured packet."""
+
+    number: int
+    """From 1, as capture tools count."""
+    time_ns: int | None
+    """Unix time; None where the file holds none."""
+    link_type: int
+    """LINKTYPE_ value (tcpdump.org/linktypes.html)."""
+    data: bytes
+
+
+def read_packets(stream: BinaryIO, name: str) -> Iterator[Packet]:
+    """The packets of the file, in order; `name` stands in the errors.
+
+    Raises:
+        ConfigError: it is no capture file.
+        PeerDataError: it is damaged or ends inside a packet; names the packet and its byte offset.
+    """
+    head = stream.read(4)
+    for order in ("<", ">"):
+        if len(head) == 4:
+            magic = struct.unpack(f"{order}I", head)[0]
+            if magic in _PCAP_NS_PER_TICK:
+                return _read_pcap(_Source(stream, name, order, len(head)), _PCAP_NS_PER_TICK[magic])
+            if magic == _SECTION:
+                return _read_pcapng(_Source(stream, name, order, len(head)))
+    what = f"starts with {head.hex()}" if head else "is empty"
+    raise ConfigError(f"{name}: {what}; expected a capture, pcap or pcapng")
+
+
+class _Source:
+    """The file's bytes with their place, for errors."""
+
+    def __init__(self, stream: BinaryIO, name: str, order: str, offset: int) -> None:
+        self._stream = stream
+        self._name = name
+        self.order = order
+        self.offset = offset
+        self.number = 1
+        """Of the packet that comes next."""
+
+    def take(self, size: int) -> bytes:
+        """Exactly so many bytes."""
+        if not 0 <= size <= _MAX_BYTES:
+            raise self.damaged(f"has a length of {size} bytes")
+        data = self._stream.read(size)
+        if len(data) < size:
+            raise self.damaged(f"is cut short, {size - len(data)} bytes are missing")
+        self.offset += size
+        return data
+
+    def take_or_end(self, size: int) -> bytes | None:
+        """So many bytes; None at the end of the file."""
+        data = self._stream.read(size)
+        if not data:
+            return None
+        if len(data) < size:
+            raise self.damaged("is cut short")
+        self.offset += size
+        return data
+
+    def unpack(self, layout: str, data: bytes) -> tuple[int, ...]:
+        """The integers at the start of `data`."""
+        if len(data) < struct.calcsize("<" + layout):
+            raise self.damaged(f"has {len(data)} bytes where its head should be")
+        return struct.unpack_from(self.order + layout, data)
+
+    def damaged(self, how: str) -> PeerDataError:
+        """The error of what is being read."""
+        return PeerDataError(f"{self._name}: packet {self.number}, at byte {self.offset}, {how}")
+
+
+# ---------------------------------------------------------------- pcap
+
+
+def _read_pcap(source: _Source, ns_per_tick: int) -> Iterator[Packet]:
+    *_, link_type = source.unpack("HHiIII", source.take(20))
+    link_type &= 0xFFFF  # the upper bits tell the length of a frame check sequence
+    while (head := source.take_or_end(16)) is not None:
+        seconds, ticks, captured, _ = source.unpack("IIII", head)
+        data = source.take(captured)
+        yield Packet(source.number, seconds * 1_000_000_000 + ticks * ns_per_tick, link_type, data)
+        source.number += 1
+
+
+# ---------------------------------------------------------------- pcapng
+
+
+class _Interface(NamedTuple):
+    link_type: int
+    snap_length: int
+    ticks_per_s: int
+    offset_s: int
+
+
+def _read_pcapng(source: _Source) -> Iterator[Packet]:
+    interfaces: list[_Interface] = []
+    _read_section_head(source)
+    while (head := source.take_or_end(4)) is not None:
+        if int.from_bytes(head, "big") == _SECTION:  # the same in either byte order
+            _read_section_head(source)
+            interfaces = []
+            continue
+        (kind,) = source.unpack("I", head)
+        body = _read_block(source, source.take(4))
+        if kind == _INTERFACE:
+            interfaces.append(_interface(source, body))
+        elif kind in (_PACKET, _OLD_PACKET, _SIMPLE_PACKET):
+            yield _packet(source, kind, body, interfaces)
+            source.number += 1
+
+
+def _read_section_head(source: _Source) -> None:
+    length, magic = source.take(4), source.take(4)
+    for order in ("<", ">"):
+        if struct.unpack(f"{order}I", magic)[0] == _BYTE_ORDER:
+            source.order = order
+            _read_block(source, length, already=4)
+            return
+    raise source.damaged(f"stands behind a section head with byte order {magic.hex()}")
+
+
+def _read_block(source: _Source, length_field: bytes, already: int = 0) -> bytes:
+    """The body of a block, of which type and length (and `already` bytes) have been read."""
+    (length,) = source.unpack("I", length_field)
+    if length % 4 or length < 12 + already:
+        raise source.damaged(f"has a block of {length} bytes")
+    body = source.take(length - 12 - already)
+    if source.take(4) != length_field:
+        raise source.damaged("ends with another length than it began with")
+    return body
+
+
+def _interface(source: _Source, body: bytes) -> _Interface:
+    link_type, _, snap_length = source.unpack("HHI", body)
+    ticks_per_s, offset_s = 1_000_000, 0
+    at = 8
+    while at + 4 <= len(body):
+        code, size = source.unpack("HH", body[at:])
+        value = body[at + 4 : at + 4 + size]
+        if code == _TIME_RESOLUTION and len(value) == 1:
+            ticks_per_s = 2 ** (value[0] & 0x7F) if value[0] & 0x80 else 10 ** value[0]
+        elif code == _TIME_OFFSET and len(value) == 8:
+            (offset_s,) = source.unpack("q", value)
+        elif code == 0:
+            break
+        at += 4 + (size + 3) // 4 * 4
+    return _Interface(link_type, snap_length, ticks_per_s, offset_s)
+
+
+def _packet(source: _Source, kind: int, body: bytes, interfaces: list[_Interface]) -> Packet:
+    index, high, low = 0, 0, 0
+    if kind == _SIMPLE_PACKET:
+        (captured,) = source.unpack("I", body)
+        head_size = 4
+        if interfaces and interfaces[0].snap_length:
+            captured = min(captured, interfaces[0].snap_length)
+    else:
+        layout = "IIIII" if kind == _PACKET else "HHIIII"
+        index, *_, high, low, captured, _ = source.unpack(layout, body)
+        head_size = 20
+    if index >= len(interfaces):
+        raise source.damaged(f"names interface {index} of {len(interfaces)}")
+    data = body[head_size : head_size + captured]
+    if len(data) < captured:
+        raise source.damaged(f"announces {captured} bytes in a block that holds {len(data)}")
+    interface = interfaces[index]
+    time_ns = None
+    if kind != _SIMPLE_PACKET:
+        ticks = high << 32 | low
+        time_ns = interface.offset_s * 1_000_000_000 + ticks * 1_000_000_000 // interface.ticks_per_s
+    return Packet(source.number, time_ns, interface.link_type, data)
