@@ -17,7 +17,8 @@ from companion.config import Config
 from companion.errors import PeerDataError
 from companion.events import AnyCommand, AnyEvent
 
-MAGIC = b"DMUCAEV1"
+MAGIC = b"DMUCAEV2"
+"""Ends in the version of the format: raised when events, commands or the configuration change shape."""
 _HEAD = struct.Struct("<II")
 _MAX_RECORD = 16 * 1024 * 1024
 
@@ -56,7 +57,13 @@ def read(stream: BinaryIO, name: str) -> Iterator[Record]:
     Raises:
         PeerDataError: this is no event record, or a record inside the file is damaged (names the offset).
     """
-    if stream.read(len(MAGIC)) != MAGIC:
+    magic = stream.read(len(MAGIC))
+    if magic != MAGIC and magic[:-1] == MAGIC[:-1]:
+        raise PeerDataError(
+            f"{name}: event record of format {magic[-1:]!r}; this version reads {MAGIC[-1:]!r}: "
+            "use the version that wrote it (its number stands in manifest.json)"
+        )
+    if magic != MAGIC:
         raise PeerDataError(f"{name}: not an event record (it does not begin with {MAGIC!r})")
     offset = len(MAGIC)
     while len(head := stream.read(_HEAD.size)) == _HEAD.size:

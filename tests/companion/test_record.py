@@ -60,3 +60,8 @@ def test_every_flipped_byte_is_noticed():
 def test_another_file_is_refused_in_one_line():
     with pytest.raises(PeerDataError, match="not an event record"):
         read(b"PK\x03\x04 something else")
+
+
+def test_a_record_of_another_version_is_told_apart():
+    with pytest.raises(PeerDataError, match="format b'1'; this version reads b'2'"):
+        list(record.read(io.BytesIO(b"DMUCAEV1" + b"\0" * 20), "old.events"))
