@@ -17,6 +17,7 @@ from companion.core import Companion
 from companion.events import (
     AnyCommand,
     AnyEvent,
+    ArmStatus,
     AuthorityChanged,
     Broadcast,
     DownloadMission,
@@ -49,7 +50,8 @@ class Onboard:
 
         Args:
             record: takes every step of the heart.
-            commanding: False leaves the vehicle alone; the heart works all the same.
+            commanding: False leaves the vehicle alone; the heart works all the same. Nothing is broadcast
+                then (a dry run, a replay), so the vehicle is not told that Remote ID is ready either.
             tlog: takes the MAVLink of both directions.
             utc_guess_s: UTC minus monotonic time for the tlog until the vehicle tells it.
         """
@@ -57,7 +59,8 @@ class Onboard:
         self.tlog = tlog
         self._utc_guess_s = utc_guess_s
         self.heart = Companion(config)
-        self.link = AutopilotLink(config.vehicle)
+        self.link = AutopilotLink(config.vehicle, remote_id_component=config.remote_id.component)
+        self._remote_id_component = config.remote_id.component and commanding
         self._record = record
         self._events: list[Event] = []
 
@@ -79,7 +82,7 @@ class Onboard:
         commands = self.heart.step(now_s, events)
         for command in commands:
             if isinstance(command, DownloadMission) or (
-                self.commanding and isinstance(command, VelocitySetpoint | SetMode | Say)
+                self.commanding and isinstance(command, VelocitySetpoint | SetMode | Say | ArmStatus)
             ):
                 self.link.send(command, now_s)
             elif isinstance(command, AuthorityChanged) and command.state not in _HOLDING:
@@ -106,8 +109,10 @@ class Onboard:
         return now_s + (self._utc_guess_s if known is None else known)
 
     def let_go(self, now_s: float) -> None:
-        """Ask the vehicle to hold; the heart is not stepped any more after this."""
+        """Ask the vehicle to hold; the heart is not stepped any more after this, so nothing is broadcast."""
         self.link.send(SetMode(mode=FlightMode.HOLD), now_s)
+        if self._remote_id_component:
+            self.link.send(ArmStatus(ready=False, text="companion is stopping"), now_s)
 
     def idle(self, now_s: float) -> None:
         """Keep the link alive, and the own state current, without stepping the heart."""

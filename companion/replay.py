@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from companion.autopilot.link import LinkCounts
-from companion.config import Config, IdentityConfig
+from companion.config import Config, IdentityConfig, RemoteIdConfig
 from companion.core import Companion
 from companion.errors import PeerDataError
 from companion.events import Broadcast, Command, GlobalPosition, GnssFix, RadioState
@@ -126,7 +126,9 @@ def replay_tlog(frames: Iterable[tuple[float, bytes]]) -> tuple[TlogReplay, Iter
 
 def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iterator[Location]:
     steps: list[Step] = []
-    onboard = Onboard(Config(identity=IdentityConfig(uas_id="REPLAY")), steps.append, commanding=False)
+    # A log has both directions: its Remote ID component may be the companion that was recorded.
+    config = Config(identity=IdentityConfig(uas_id="REPLAY"), remote_id=RemoteIdConfig(component=True))
+    onboard = Onboard(config, steps.append, commanding=False)
     onboard.hear(RadioState(can_send=("wifi",)))
     start_s: float | None = None
     now_s = next_s = 0.0

@@ -26,7 +26,8 @@ TEXT_BYTES = 50
 """STATUSTEXT's text field."""
 _MAX_CHUNKS = 10
 
-_TYPE_ONBOARD_CONTROLLER = 18
+TYPE_ONBOARD_CONTROLLER = 18
+"""MAV_TYPE of a companion computer."""
 _STATE_ACTIVE = 4
 _MAVLINK_VERSION = 3
 _HEARTBEAT = struct.Struct("<IBBBBB")
@@ -38,10 +39,10 @@ _REQUEST = struct.Struct("<HBBB")
 _ACK = struct.Struct("<BBBB")
 
 
-def heartbeat() -> Outgoing:
-    """HEARTBEAT of a companion computer that is no autopilot."""
+def heartbeat(mav_type: int = TYPE_ONBOARD_CONTROLLER) -> Outgoing:
+    """HEARTBEAT of a component that is no autopilot."""
     return mavlink.MAVLINK_MSG_ID_HEARTBEAT, _HEARTBEAT.pack(
-        0, _TYPE_ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, _STATE_ACTIVE, _MAVLINK_VERSION
+        0, mav_type, AUTOPILOT_INVALID, 0, _STATE_ACTIVE, _MAVLINK_VERSION
     )
 
 

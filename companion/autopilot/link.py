@@ -8,11 +8,13 @@ A pure state machine: time is an argument, nothing here reads a clock or a socke
     socket.send(link.drain())               # whole frames; what leaves is what was drained
 
 Who is listened to: component 1 of one system, the configured one or the first that sends an autopilot's
-HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out.
+HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out. Remote ID
+comes from others by its nature: `remote_id` says whose.
 
 Who we are: before the vehicle is known (a `udpout` link must speak first) our heartbeat carries the
 configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground
-station and watches for failsafes. From then on the vehicle's own.
+station and watches for failsafes. From then on the vehicle's own. Where it is asked for, also the vehicle's
+Remote ID component, with a heartbeat, a status and sequence numbers of its own.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.config import VehicleConfig
-from companion.errors import PeerDataError
+from companion.errors import ConfigError, PeerDataError
 from companion.events import (
+    ArmStatus,
     Command,
     DownloadMission,
     Event,
@@ -40,8 +43,9 @@ from companion.events import (
     VehicleTime,
     VelocitySetpoint,
 )
+from companion.remote_id.mavlink import COMPONENT_ID
 
-from . import encoders
+from . import encoders, remote_id
 from .dialect import (
     AUTOPILOT_INVALID,
     CMD_DO_SET_MODE,
@@ -52,11 +56,12 @@ from .dialect import (
 from .mission_download import MissionDownload
 from .mode_request import ModeRequest
 from .readers import READERS, Fields, heartbeat, unpack
+from .remote_id import RemoteIdComponent, RemoteIdCounts, RemoteIdListener
 from .statustext import TextAssembler
 from .streams import Streams
 from .wire import Frame, FrameScanner, MavlinkWriter, WireCounts
 
-HEARTBEAT_PERIOD_S = 1.0
+HEARTBEAT_PERIOD_S = remote_id.HEARTBEAT_PERIOD_S
 LOST_AFTER_S = 3.0
 """Heartbeats further apart than this: the link dropped, or the vehicle restarted."""
 REBOOT_STEP_S = 1.0
@@ -87,8 +92,8 @@ class Vehicle:
         return words if self.refusal is None else f"{words}: {self.refusal}"
 
 
-@dataclass(slots=True)
-class LinkCounts:
+@dataclass(slots=True, kw_only=True)
+class LinkCounts(RemoteIdCounts):
     """What the link has met and done so far."""
 
     wire: WireCounts
@@ -120,7 +125,20 @@ class LinkCounts:
 class AutopilotLink:
     """See the module. One object per vehicle; give it every byte of the link."""
 
-    def __init__(self, config: VehicleConfig) -> None:
+    def __init__(self, config: VehicleConfig, *, remote_id_component: bool = False) -> None:
+        """A link that has heard nothing yet.
+
+        Args:
+            remote_id_component: also be the vehicle's Remote ID component (236), from the first ArmStatus on.
+
+        Raises:
+            ConfigError: we would be that component twice.
+        """
+        if remote_id_component and config.component_id == COMPONENT_ID:
+            raise ConfigError(
+                f"vehicle.component_id: {COMPONENT_ID} is the Remote ID component's, which "
+                "remote_id.component = true takes: choose another, such as 191"
+            )
         self._config = config
         self._scanner = FrameScanner()
         self.counts = LinkCounts(wire=self._scanner.counts)
@@ -138,6 +156,9 @@ class AutopilotLink:
         self._text_id = 0
         self._mode: ModeRequest | None = None
         self._download: MissionDownload | None = None
+        own = {config.component_id} | ({COMPONENT_ID} if remote_id_component else set())
+        self._remote_id = RemoteIdListener(self.counts, frozenset({encoders.AUTOPILOT_COMPONENT} | own))
+        self._component = RemoteIdComponent() if remote_id_component else None
         self._events: list[Event] = []
         self._out = bytearray()
         self._setpoint: encoders.Outgoing | None = None
@@ -160,16 +181,34 @@ class AutopilotLink:
 
     def receive(self, data: bytes, now_s: float) -> list[Event]:
         """Take bytes of the link; return what they told. Damaged or senseless input is only counted."""
+        self._remote_id.begin()
         for frame in self._scanner.frames(data):
-            if not self._ours(frame):
-                self.counts.foreign += 1
-                continue
             try:
-                self._take(frame, now_s)
+                if frame.message_id in remote_id.MESSAGE_IDS:
+                    self._take_remote_id(frame, now_s)
+                elif self._ours(frame):
+                    self._take(frame, now_s)
+                else:
+                    self._leave(frame)
             except PeerDataError as error:
                 self.counts.bad_values += 1
                 self.last_bad = str(error)
         return self._take_events()
+
+    def _leave(self, frame: Frame) -> None:
+        self.counts.foreign += 1
+        if frame.message_id == _HEARTBEAT_ID:
+            self._remote_id.note_heartbeat(frame)
+
+    def _take_remote_id(self, frame: Frame, now_s: float) -> None:
+        system_id = None if self._vehicle is None else self._vehicle.system_id
+        event = self._remote_id.event(frame, system_id, now_s)
+        if event is not None:
+            self._events.append(event)
+        elif self._ours(frame):
+            self.counts.unneeded += 1
+        else:
+            self.counts.foreign += 1
 
     def _ours(self, frame: Frame) -> bool:
         if frame.component_id != encoders.AUTOPILOT_COMPONENT:
@@ -292,6 +331,9 @@ class AutopilotLink:
                 self.counts.stream_requests += 1
                 params = (float(message_id), float(interval_us))
                 self._queue(encoders.command_long(CMD_SET_MESSAGE_INTERVAL, params, vehicle.system_id))
+        if self._component is not None and vehicle is not None:
+            for frame in self._component.due(vehicle.system_id, now_s):
+                self._queue_frame(frame)
         self._move_mode(now_s)
         self._move_download(now_s)
         self._events += self._texts.overdue(now_s)
@@ -305,11 +347,13 @@ class AutopilotLink:
     def send(self, command: Command, now_s: float) -> None:
         """Queue one command; what cannot be done is told by an event of the next `receive` or `advance`.
 
-        Commands that are not for the autopilot (radio, log) are a bug of the caller.
+        Commands that are not for the autopilot (radio, log) are a bug of the caller. An ArmStatus leaves with
+        the next `advance`, once the vehicle is known, and is repeated from then on.
 
         Raises:
-            ValueError: a setpoint that is not finite or absurdly fast, a mode that cannot be commanded, a
-                command that is not the autopilot's: all bugs of ours.
+            ValueError: a setpoint that is not finite or absurdly fast, a mode that cannot be commanded, an
+                ArmStatus of who is not the Remote ID component, a command that is not the autopilot's: all
+                bugs of ours.
         """
         match command:
             case VelocitySetpoint():
@@ -318,6 +362,8 @@ class AutopilotLink:
                 self._send_mode(command.mode, now_s)
             case DownloadMission():
                 self._send_download(now_s)
+            case ArmStatus() if self._component is not None:
+                self._component.report(command)
             case Say():
                 self._text_id = self._text_id % 0xFFFF + 1
                 for chunk in encoders.statustext(int(command.severity), command.text, self._text_id):
@@ -405,10 +451,13 @@ class AutopilotLink:
             self._download = None
 
     def _queue(self, outgoing: encoders.Outgoing) -> None:
+        self._queue_frame(self._writer.pack_payload(*outgoing))
+
+    def _queue_frame(self, frame: bytes) -> None:
         if len(self._out) > MAX_QUEUED_BYTES:
             self._out.clear()
             self.counts.overflows += 1
-        self._out += self._writer.pack_payload(*outgoing)
+        self._out += frame
 
     def _take_events(self) -> list[Event]:
         events, self._events = self._events, []
