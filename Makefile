@@ -1,9 +1,9 @@
-# make demo | test | lint | bench: each sets up what it needs in .venv first, by pip.
+# make demo | test | lint | bench | fuzz: each sets up what it needs in .venv first, by pip.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench picture clean
+.PHONY: demo test lint bench fuzz picture clean
 
 demo: .venv/base.stamp
 	$(BIN)/sitl-mocks demo
@@ -18,6 +18,11 @@ lint: .venv/dev.stamp
 
 bench: .venv/dev.stamp
 	$(BIN)/python -m bench
+
+# Every night: ten million damaged inputs to the readers of what others send, other ones each day.
+SEED ?= $(shell date +%Y%m%d)
+fuzz: .venv/dev.stamp
+	nice $(BIN)/python -m tests.fuzz.run --payloads 10000000 --seconds 3600 --seed $(SEED)
 
 picture: .venv/dev.stamp
 	$(BIN)/sitl-mocks demo --runs runs/picture
