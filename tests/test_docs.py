@@ -1,0 +1,36 @@
+"""What the documents show is what the software takes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from companion import config as configuration
+
+ROOT = Path(__file__).parents[1]
+IDENTITY = '[identity]\nuas_id = "1596B0000DMUCA01"\n'
+BLOCKS = [
+    (path.name, number, block)
+    for path in sorted((ROOT / "docs").glob("*.md"))
+    for number, block in enumerate(re.findall(r"```toml\n(.*?)```", path.read_text(), re.S))
+]
+
+
+@pytest.mark.parametrize(("name", "number", "block"), BLOCKS, ids=lambda v: str(v)[:24])
+def test_configurations_in_the_documents_load(tmp_path, name, number, block):
+    path = tmp_path / "c.toml"
+    path.write_text(block if "[identity]" in block else IDENTITY + block)
+    configuration.load(path)
+
+
+def test_there_are_some():
+    assert {name for name, _, _ in BLOCKS} >= {"radios.md"}
+
+
+def test_relative_links_lead_somewhere():
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        for target in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
+            if "://" not in target:
+                assert (path.parent / target).exists(), f"{path.name}: {target}"
