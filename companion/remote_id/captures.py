@@ -75,7 +75,8 @@ class _Link(NamedTuple):
 
     rssi_dbm: float | None
     crc_ok: bool | None
-    frames: Callable[[], tuple[Frame, ...]]
+    find: Callable[[], tuple[tuple[Frame, ...], str | None]]
+    """Its frames of Remote ID, and why they may be cut short."""
 
 
 def read_capture(stream: BinaryIO, name: str) -> Iterator[CapturedFrame]:
@@ -103,7 +104,7 @@ def _read(packet: Packet, read_link: Callable[[bytes], _Link]) -> Iterator[Captu
         if link.crc_ok is False:
             yield replace(result, kind=Kind.BAD_CRC)
             return
-        frames = link.frames()
+        frames, short = link.find()
     except NanSyncBeaconError as error:
         yield replace(result, kind=Kind.SYNC_BEACON, transport=WIFI_NAN, address=error.address)
     except NotRemoteIdError:
@@ -113,6 +114,7 @@ def _read(packet: Packet, read_link: Callable[[bytes], _Link]) -> Iterator[Captu
     else:
         for frame in frames:
             payload = _payload(frame)
+            faults = payload.faults + ((short,) if short and payload.faults else ())
             yield replace(
                 result,
                 kind=Kind.REMOTE_ID,
@@ -121,7 +123,7 @@ def _read(packet: Packet, read_link: Callable[[bytes], _Link]) -> Iterator[Captu
                 counter=frame.counter,
                 payload=frame.payload,
                 messages=payload.messages,
-                faults=payload.faults,
+                faults=faults,
             )
 
 
@@ -136,21 +138,26 @@ def _payload(frame: Frame) -> Payload:
 
 
 def _ble(sniffed: Sniffed) -> _Link:
-    def frames() -> tuple[Frame, ...]:
+    def find() -> tuple[tuple[Frame, ...], str | None]:
         found = advertisement(sniffed)
-        parsed = parse_frames(found.transport, found.data)
-        return tuple(replace(frame, address=found.address) for frame in parsed)
+        frames = parse_frames(found.transport, found.data)
+        short = "the advertisement goes on in a further PDU, which is not read" if found.continues else None
+        return tuple(replace(frame, address=found.address) for frame in frames), short
 
-    return _Link(sniffed.rssi_dbm, crc_holds(sniffed), frames)
+    return _Link(sniffed.rssi_dbm, crc_holds(sniffed), find)
+
+
+def _wifi(data: bytes) -> _Link:
+    return _Link(None, None, lambda: (parse_wifi_frames(data), None))
 
 
 def _radiotap(data: bytes) -> _Link:
     head = parse_radiotap(data)
-    return _Link(head.rssi_dbm, not head.bad_fcs, lambda: parse_wifi_frames(head.frame))
+    return _Link(head.rssi_dbm, not head.bad_fcs, lambda: (parse_wifi_frames(head.frame), None))
 
 
 _LINKS: Final[Mapping[int, Callable[[bytes], _Link]]] = {
-    105: lambda data: _Link(None, None, lambda: parse_wifi_frames(data)),
+    105: _wifi,
     127: _radiotap,
     251: lambda data: _ble(Sniffed(data)),
     256: lambda data: _ble(strip_pseudo_header(data)),
