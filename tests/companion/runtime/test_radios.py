@@ -1,0 +1,156 @@
+"""Several radios as one."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.config import Config, EtherRadio, IdentityConfig, NullRadio
+from companion.errors import ConfigError
+from companion.events import RadioState, RemoteIdHeard
+from companion.radio.transport import Health
+from companion.remote_id.messages import SelfId
+from companion.runtime import radios
+from companion.runtime.radios import Radios
+
+MESSAGES = (SelfId(description_type=0, text="x"),)
+HEARD = RemoteIdHeard(transport="ble4", address="c2:00:00:00:00:09", messages=MESSAGES)
+
+
+class Fake:
+    """A radio made of attributes."""
+
+    def __init__(self, capabilities=(), hears=(), address=None, channel=None, confirmed=None):
+        self.capabilities, self.hears = frozenset(capabilities), frozenset(hears)
+        self.can_send, self.confirmed = self.capabilities, confirmed
+        self.own_addresses = frozenset((address,) if address else ())
+        self.wifi_channel = channel
+        self.ok, self.closed = True, False
+        self.sent, self.configured, self.inbox = [], [], []
+
+    def configure(self, rates):
+        self.configured.append(dict(rates))
+
+    def broadcast(self, transport, messages, now_s):
+        self.sent.append((transport, messages))
+
+    def heard(self, now_s):
+        inbox, self.inbox = self.inbox, []
+        return inbox
+
+    def health(self, now_s):
+        return Health(
+            ok=self.ok,
+            text="fine" if self.ok else "broken",
+            frames_sent=len(self.sent),
+            frames_heard=0,
+            bad_frames=0,
+            can_send=self.can_send,
+            confirmed=self.confirmed,
+        )
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Opens these radios in turn."""
+
+    def open_them(*fakes, sending=True):
+        left = list(fakes)
+
+        def open_radio(entry, *_):
+            fake = left.pop(0)
+            if isinstance(fake, Exception):
+                raise fake
+            return fake
+
+        monkeypatch.setattr(radios, "open_radio", open_radio)
+        entries = tuple(NullRadio() for _ in fakes)
+        return Radios(Config(identity=IdentityConfig(uas_id="OWN"), radio=entries), sending=sending)
+
+    return open_them
+
+
+def test_each_transport_is_sent_by_the_first_radio_that_can_now(opened):
+    first, second = Fake(("ble4", "ble5")), Fake(("ble4", "wifi"))
+    both = opened(first, second)
+    assert both.capabilities == {"ble4", "ble5", "wifi"}
+    both.broadcast("ble4", MESSAGES, 0.0)
+    both.broadcast("wifi", MESSAGES, 0.0)
+    first.can_send = frozenset()
+    both.broadcast("ble4", MESSAGES, 1.0)
+    assert [t for t, _ in first.sent] == ["ble4"]
+    assert [t for t, _ in second.sent] == ["wifi", "ble4"]
+    with pytest.raises(ValueError, match="nan"):
+        both.broadcast("nan", MESSAGES, 0.0)
+
+
+def test_each_radio_is_configured_for_what_it_will_send(opened):
+    first, second = Fake(("ble4", "ble5")), Fake(("ble4", "wifi"))
+    opened(first, second).configure({"ble4": 1, "wifi": 5})
+    assert first.configured == [{"ble4": 1}]
+    assert second.configured == [{"wifi": 5}]
+
+
+def test_in_a_dry_run_nothing_is_sent_or_configured_but_all_is_heard(opened):
+    radio = Fake(("wifi",))
+    radio.inbox = [HEARD]
+    both = opened(radio, sending=False)
+    both.configure({"wifi": 1})
+    both.broadcast("wifi", MESSAGES, 0.0)
+    assert not radio.sent
+    assert not radio.configured
+    assert HEARD in both.events(0.0)
+
+
+def test_the_state_is_told_once_and_when_it_changes(opened):
+    sender = Fake(("ble4", "ble5"), hears=("ble4", "ble5"), address="c2:00:00:00:00:01", channel=11)
+    listener = Fake(hears=("ble4", "wifi"))
+    both = opened(sender, listener)
+    state = RadioState(
+        can_send=("ble4", "ble5"), monitored=("ble4",), own_addresses=("c2:00:00:00:00:01",), wifi_channel=11
+    )
+    assert both.events(0.0) == [state]
+    assert both.events(1.0) == []
+    sender.can_send, sender.ok = frozenset(("ble4",)), False
+    (changed,) = both.events(2.0)
+    assert changed.can_send == changed.monitored == ("ble4",)
+    assert changed.text == "broken"
+
+
+def test_a_radio_alone_does_not_hear_itself(opened):
+    assert opened(Fake(("wifi",), hears=("wifi",))).state(0.0).monitored == ()
+
+
+def test_a_radio_that_reports_on_itself_is_monitored(opened):
+    module = Fake(("ble4", "ble5"), confirmed=frozenset())
+    both = opened(module)
+    assert both.state(0.0).monitored == ("ble4", "ble5")
+    assert both.state(0.0).confirmed == ()
+    module.confirmed = module.can_send
+    assert both.state(0.0).confirmed == ("ble4", "ble5")
+
+
+def test_one_that_cannot_be_opened_closes_the_others_and_is_named(opened):
+    first = Fake(("wifi",))
+    with pytest.raises(ConfigError, match=r"radio\[1\]: no such device"):
+        opened(first, ConfigError("no such device"))
+    assert first.closed
+
+
+def test_the_simulated_air_is_opened_with_the_own_address():
+    config = Config(identity=IdentityConfig(uas_id="OWN"), radio=(EtherRadio(address="127.0.0.1:9"),))
+    opened = Radios(config)
+    try:
+        (address,) = opened.state(0.0).own_addresses
+        assert int(address[:2], 16) & 0b11 == 0b10
+    finally:
+        opened.close()
+
+
+def test_no_radio_is_no_radio():
+    none = Radios(Config(identity=IdentityConfig(uas_id="OWN")))
+    assert none.state(0.0) == RadioState()
+    assert not none.health(0.0).ok
+    assert none.capabilities == frozenset()
