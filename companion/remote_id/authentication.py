@@ -19,6 +19,7 @@ The other types are assembled and shown, never judged. DRIP's (type 5) need its 
 from __future__ import annotations
 
 import struct
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -150,7 +151,7 @@ class Assembler:
     def __init__(self, max_sets: int = 256, timeout_s: float = 15.0) -> None:
         self.max_sets = max_sets
         self.timeout_s = timeout_s
-        self._sets: dict[tuple[str, int], _PageSet] = {}
+        self._sets: OrderedDict[tuple[str, int], _PageSet] = OrderedDict()
 
     def __len__(self) -> int:
         """Sets held."""
@@ -170,7 +171,7 @@ class Assembler:
             pages = _PageSet(now_s)
         self._sets[key] = pages
         if len(self._sets) > self.max_sets:
-            del self._sets[next(iter(self._sets))]
+            self._sets.popitem(last=False)
         pages.touched_s = now_s
         return pages.data() if pages.take(page) else None
 
@@ -207,7 +208,7 @@ def sign_pages(
     messages: Sequence[Message],
     timestamp_utc_s: float,
 ) -> tuple[Authentication, ...]:
-    """The four pages of a signature; those of type 3 go into one pack with the messages. Raises ValueError."""
+    """The four pages of a signature; type 3's go into one pack with the messages. Raises ValueError."""
     stamp = utc_from_wire(utc_to_wire("Authentication.timestamp_utc_s", timestamp_utc_s))
     signature = key.sign(signed_bytes(auth_type, identity, messages, stamp))
     return split(AuthenticationData(auth_type, stamp, signature))

@@ -3,35 +3,48 @@
 Heard data is untrusted, and every doubt is settled in favour of seeing an aircraft: what cannot be one
 aircraft becomes two tracks, and a message is never dropped because of a clock. A track keeps the last
 position and velocity at the message's own time; prediction over the delay is the law's. The number of tracks,
-of tracks under one identity and of remembered addresses is bounded.
+of tracks under one identity and of remembered addresses is bounded, and no message makes a search through all
+of them.
 
-Age. The Location timestamp counts tenths of a second after the full UTC hour, so the moment of the message is
-the one nearest to our own UTC among all hours. A sender whose clock leads ours shows a negative age: the lead
-is estimated from its last few messages (one wrong timestamp does not count) and added back. A clock that lags
-cannot be told from a delay; its age reads too long. Beyond `max_clock_offset_s` either way a timestamp is not
-believed: the message then counts from its reception, and only when its content is new.
+Age. A sender whose clock leads ours shows a negative age: the lead is estimated from its last few messages
+(one wrong timestamp does not count) and added back. A clock that lags cannot be told from a delay; its age
+reads too long. Beyond `max_clock_offset_s` either way a timestamp is not believed: the message then counts
+from its reception, and only when its content is new.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from companion.avoidance.law import Neighbour
 from companion.config import TrafficConfig
-from companion.events import RemoteIdHeard, Vec3
+from companion.events import RemoteIdHeard, TrackFlagged, Vec3
 from companion.geometry import LocalFrame
-from companion.remote_id.messages import BasicId, IdType, Location
+from companion.remote_id.authentication import (
+    MESSAGE_SET_SIGNATURE,
+    Assembler,
+    AuthenticationData,
+    Verifier,
+)
+from companion.remote_id.messages import Authentication, BasicId, IdType, Location
+from companion.traffic.about import About, Source, Sources
+from companion.traffic.eviction import Ranking
+from companion.traffic.fix import Fix, make_fix
+from companion.traffic.plausibility import (
+    MESSAGE_FLAGS,
+    Doubts,
+    Flag,
+    MotionWindow,
+    Reports,
+    climbs_impossibly,
+    message_doubts,
+    noise_m,
+    status_doubts,
+)
 
-SIGMA_UNKNOWN_M = 5.0
-"""Horizontal standard deviation taken for a sender that declares no accuracy."""
-SIGMA_MOST_M = 15.0
-"""A declared accuracy counts up to this: a volume of kilometres would only make every velocity wrong."""
-SIGMA_CLOCKLESS_M = 5.0
-"""Added (in quadrature) for a message that is dated by its reception."""
-VERTICAL_ACCURACY_M = 10.0
-"""Worse than this, height does not separate."""
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
 _ADDRESSES_PER_TRACK = 4
@@ -42,6 +55,11 @@ _ESTABLISHED = 3
 _ECHO_M = 15.0
 _OWN_SPACING_S = 0.25
 _OWN_SAMPLES = 100
+_TWIN_S = 5.0
+"""Two tracks of one identity, both heard within this time, are two senders."""
+_HOP = 2
+_LEAP = 6
+"""Evidence of a jump: a first message elsewhere; a track that goes on there while the old one is silent."""
 
 
 @dataclass(slots=True)
@@ -63,7 +81,7 @@ class TrafficCounts:
     evicted: int = 0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Track:
     """One aircraft as last heard. Position and velocity: local NED at `sample_s` (our monotonic time)."""
 
@@ -80,34 +98,46 @@ class Track:
     content: Location
     leads_s: deque[float]
     """How far the sender's clock led ours at its last messages; negative: behind, or delayed."""
+    about: About
+    sources: deque[str]
+    """Radio addresses that it was heard from, the last few."""
+    motion: MotionWindow
+    opened_s: float
+    split_from: str | None = None
+    """Track that this one was opened beside, both from one radio address."""
+    doubts: Doubts = field(default_factory=Doubts)
+    vouched_s: float = -math.inf
+    """When a signature last held."""
     messages: int = 1
 
-
-@dataclass(slots=True)
-class _Fix:
-    """A Location turned into our frame and clock."""
-
-    position: Vec3
-    velocity: Vec3 | None
-    sigma_m: float
-    vertical_known: bool
-    stamp_s: float | None
-    """Our monotonic time of the message by the sender's clock; None when that cannot be believed."""
-    content: Location
+    @property
+    def flags(self) -> frozenset[Flag]:
+        """What is doubtful, or vouched for, about it now."""
+        return frozenset(self.doubts.flags)
 
 
-@dataclass(slots=True)
 class Traffic:
-    """All tracks."""
+    """All tracks.
 
-    config: TrafficConfig
-    own_uas_id: str
-    counts: TrafficCounts = field(default_factory=TrafficCounts)
-    tracks: dict[str, Track] = field(default_factory=dict)
-    _names: dict[str, str] = field(default_factory=dict)
-    """Radio address -> identity from its Basic ID."""
-    _own: deque[tuple[float, Vec3]] = field(default_factory=lambda: deque(maxlen=_OWN_SAMPLES))
-    """Where we were."""
+    Raises:
+        ConfigError: a key in `config.keys` is none.
+    """
+
+    def __init__(self, config: TrafficConfig, own_uas_id: str) -> None:
+        self.config = config
+        self.own_uas_id = own_uas_id
+        self.counts = TrafficCounts()
+        self.tracks: dict[str, Track] = {}
+        self._by_identity: dict[str, list[Track]] = {}
+        self._ranking = Ranking()
+        self._sources = Sources(_ADDRESSES_PER_TRACK * config.max_tracks)
+        self._assembler = Assembler()
+        self._verifier = Verifier(config.keys) if config.keys else None
+        self._reports = Reports()
+        self._split_number = 1
+        """Rises for good: a number is never tried twice, whoever holds the name that it makes."""
+        self._own: deque[tuple[float, Vec3]] = deque(maxlen=_OWN_SAMPLES)
+        """Where we were."""
 
     def note_own(self, now_s: float, position: Vec3) -> None:
         """Remember the own position (local NED), to know an echo and to rank tracks."""
@@ -129,26 +159,51 @@ class Traffic:
             frame: local frame (its altitude datum is mean sea level).
             separation_m: height of the geoid above the ellipsoid here; None while unknown.
         """
-        source = f"{heard.transport}/{heard.address}"
-        for message in heard.messages:
-            if isinstance(message, BasicId):
-                self._learn_name(source, message)
+        source = self._sources.at(heard.transport, heard.address)
+        source.about.rssi_dbm = heard.rssi_dbm
+        locations = []
+        signature = None
         for message in heard.messages:
             if isinstance(message, Location):
-                fix = self._fix(message, now_s, utc_offset_s, frame, separation_m)
-                if fix is not None:
-                    self._take(self._names.get(source, source), fix, now_s)
+                locations.append(message)
+            elif isinstance(message, BasicId):
+                self._learn_name(source, message)
+            elif isinstance(message, Authentication):
+                signature = self._assembler.take(source.key, message, now_s) or signature
+            else:
+                source.about.keep(message)
+        genuine = None
+        if signature is not None:
+            source.about.authentication = signature
+            genuine = self._check(source, signature, heard, now_s, utc_offset_s)
+        for message in locations:
+            fix = make_fix(message, now_s, utc_offset_s, frame, separation_m, self.config.max_clock_offset_s)
+            if fix is None or self._is_implausible(fix):
+                self._doubt_place(source, message, fix)
+                continue
+            self.counts.clock += fix.stamp_s is None
+            track = self._take(source, fix, now_s)
+            if track is not None and self._verifier is not None:
+                self._judge_signer(track, source, genuine, now_s, utc_offset_s is not None)
+        if genuine is not None:
+            for track in self._of(source):
+                self._judge(track, () if genuine else (Flag.BAD_SIGNATURE,), (Flag.BAD_SIGNATURE,))
+
+    def flagged(self, now_s: float) -> list[TrackFlagged]:
+        """Flags that were raised or fell since the last call, as far as the log is to be told now."""
+        return self._reports.due(now_s)
 
     def clear(self) -> None:
         """Forget all places: the frame they were given in is no more."""
-        self.tracks.clear()
+        for track in list(self.tracks.values()):
+            self._remove(track)
         self._own.clear()
 
     def expire(self, now_s: float) -> None:
         """Forget what is older than `expire_after_s`."""
         limit = self.config.expire_after_s
-        for track_id in [k for k, t in self.tracks.items() if now_s - t.sample_s > limit]:
-            del self.tracks[track_id]
+        for track in [t for t in self.tracks.values() if now_s - t.sample_s > limit]:
+            self._remove(track)
 
     def neighbours(self, now_s: float) -> list[Neighbour]:
         """Every live track, as the law takes it."""
@@ -164,87 +219,80 @@ class Traffic:
             for t in self.tracks.values()
         ]
 
+    # ------------------------------------------------------------ the table
+
+    def _add(self, track: Track) -> None:
+        self.tracks[track.track_id] = track
+        self._by_identity.setdefault(track.identity, []).append(track)
+        self._rank(track)
+
+    def _remove(self, track: Track) -> None:
+        del self.tracks[track.track_id]
+        self._ranking.remove(track.track_id)
+        self._reports.forget(track.track_id)
+        twins = self._by_identity[track.identity]
+        twins.remove(track)
+        if not twins:
+            del self._by_identity[track.identity]
+
+    def _rank(self, track: Track) -> None:
+        fresh = track.messages < _ESTABLISHED
+        self._ranking.place(track.track_id, fresh, math.dist(track.position_ned_m, self._own_position()))
+
+    def _own_position(self) -> Vec3:
+        return self._own[-1][1] if self._own else (0.0, 0.0, 0.0)
+
     # ------------------------------------------------------------ names
 
-    def _learn_name(self, source: str, message: BasicId) -> None:
+    def _learn_name(self, source: Source, message: BasicId) -> None:
         if message.id_type is IdType.NONE or not message.uas_id:
             return
-        known = self._names.pop(source, None)
-        # A second Basic ID (registration beside serial) must not rename the track back and forth.
-        self._names[source] = known or message.uas_id
-        if len(self._names) > _ADDRESSES_PER_TRACK * self.config.max_tracks:
-            del self._names[next(iter(self._names))]
-        if known is None:
-            for nameless in [t for t in self.tracks.values() if t.identity == source]:
-                nameless.identity = message.uas_id
-                if nameless.track_id == source and message.uas_id not in self.tracks:
-                    del self.tracks[source]
-                    nameless.track_id = message.uas_id
-                    self.tracks[message.uas_id] = nameless
+        if source.identity is None:
+            source.identity = message.uas_id
+            self._rename(source.key, message.uas_id)
+        source.about.keep_id(message, source.identity)
+
+    def _rename(self, old: str, identity: str) -> None:
+        """Give the nameless tracks of an address their identity, as far as one may have so many."""
+        for track in list(self._by_identity.get(old, ())):
+            if len(self._by_identity.get(identity, ())) >= _TRACKS_PER_IDENTITY:
+                return
+            self._remove(track)
+            track.identity = identity
+            if track.track_id == old and identity not in self.tracks:
+                track.track_id = identity
+            self._add(track)
+            if track.doubts.flags != track.doubts.reported:
+                self._reports.mark(track.track_id, track.doubts)
 
     # ------------------------------------------------------------ one Location
 
-    def _fix(
-        self,
-        message: Location,
-        now_s: float,
-        utc_offset_s: float | None,
-        frame: LocalFrame,
-        separation_m: float | None,
-    ) -> _Fix | None:
-        if message.lat_deg is None or message.lon_deg is None:
-            self.counts.no_position += 1
-            return None
-        vertical_known = message.alt_geodetic_m is not None and separation_m is not None
-        if message.vertical_accuracy_m is not None and message.vertical_accuracy_m > VERTICAL_ACCURACY_M:
-            vertical_known = False
-        alt_msl_m = frame.alt_m
-        if message.alt_geodetic_m is not None and separation_m is not None:
-            alt_msl_m = message.alt_geodetic_m - separation_m
-        position = frame.to_ned(message.lat_deg, message.lon_deg, alt_msl_m)
-        velocity = _velocity(message)
-        speed = math.hypot(*velocity) if velocity is not None else 0.0
-        own = self._own[-1][1] if self._own else (0.0, 0.0, 0.0)
-        if math.dist(position[:2], own[:2]) > _MAX_RANGE_M or speed > self.config.max_speed_mps:
-            self.counts.implausible += 1
-            return None
-        # Senders put their receiver's own figure here, which is nearer to one sigma than to the 95 % bound.
-        accuracy = message.horizontal_accuracy_m
-        sigma = SIGMA_UNKNOWN_M if accuracy is None else min(accuracy, SIGMA_MOST_M)
-        stamp = self._stamp(message, now_s, utc_offset_s)
-        if stamp is None:
-            self.counts.clock += 1
-            sigma = math.hypot(sigma, SIGMA_CLOCKLESS_M)
-        return _Fix(position, velocity, sigma, vertical_known, stamp, message)
+    def _is_implausible(self, fix: Fix) -> bool:
+        away = math.dist(fix.position[:2], self._own_position()[:2]) > _MAX_RANGE_M
+        return away or (fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps)
 
-    def _stamp(self, message: Location, now_s: float, utc_offset_s: float | None) -> float | None:
-        if message.timestamp_s is None or utc_offset_s is None:
-            return None
-        utc_now = now_s + utc_offset_s
-        hours = round((utc_now - message.timestamp_s) / 3600.0)
-        stamp_s = message.timestamp_s + 3600.0 * hours - utc_offset_s
-        return stamp_s if abs(now_s - stamp_s) <= self.config.max_clock_offset_s else None
-
-    def _take(self, identity: str, fix: _Fix, now_s: float) -> None:
+    def _take(self, source: Source, fix: Fix, now_s: float) -> Track | None:
+        """The track that the fix updated or opened."""
+        identity = source.identity or source.key
         if identity == self.own_uas_id and self._is_echo(fix, now_s):
             self.counts.own_echo += 1
-            return
-        known = [t for t in self.tracks.values() if t.identity == identity]
+            return None
+        known = self._by_identity.get(identity, [])
         track = self._match(known, fix, now_s)
         if track is None:
-            self._open(identity, known, fix, now_s)
-            return
+            return self._open(identity, known, source, fix, now_s)
         if _same(track.content, fix.content):
             # An advertisement that goes on without news says nothing about now, nor about clocks.
             self.counts.old += 1
-            return
+            return None
         sample_s = now_s
         if fix.stamp_s is not None:
             track.leads_s.append(fix.stamp_s - now_s)
             sample_s = min(fix.stamp_s - _lead(track.leads_s), now_s)
         if sample_s <= track.sample_s:
             self.counts.old += 1
-            return
+            return None
+        self._judge_message(track, known, fix, sample_s, now_s)
         velocity, velocity_known = fix.velocity, True
         if velocity is None:
             velocity, velocity_known = _from_positions(track, fix, sample_s)
@@ -253,9 +301,14 @@ class Traffic:
         track.sample_s, track.received_s = sample_s, now_s
         track.sigma_m, track.vertical_known, track.content = fix.sigma_m, fix.vertical_known, fix.content
         track.messages += 1
+        track.about.update(source.about)
+        if source.key not in track.sources:
+            track.sources.append(source.key)
+        self._rank(track)
         self.counts.updates += 1
+        return track
 
-    def _is_echo(self, fix: _Fix, now_s: float) -> bool:
+    def _is_echo(self, fix: Fix, now_s: float) -> bool:
         """Own identity where we were: our own broadcast come back, or a second transmitter of ours."""
         if not self._own:
             return False
@@ -263,36 +316,36 @@ class Traffic:
         _, place = min(self._own, key=lambda sample: abs(sample[0] - at))
         return math.hypot(place[0] - fix.position[0], place[1] - fix.position[1]) <= _ECHO_M
 
-    def _match(self, known: list[Track], fix: _Fix, now_s: float) -> Track | None:
+    def _match(self, known: list[Track], fix: Fix, now_s: float) -> Track | None:
         """The track of this identity whose aircraft can have flown to the fix; the nearest of several."""
         at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
         best, least = None, math.inf
         for track in known:
             elapsed = abs(at - track.sample_s)
-            p, v = track.position_ned_m, track.velocity_ned_mps
-            along = at - track.sample_s
-            off = math.hypot(p[0] + along * v[0] - fix.position[0], p[1] + along * v[1] - fix.position[1])
-            allowed = 20.0 + 4.0 * (fix.sigma_m + track.sigma_m) + 8.0 * elapsed + 5.0 * elapsed * elapsed
+            off, allowed = _off(track, fix, at), _reach(elapsed, fix.sigma_m + track.sigma_m)
             if not track.velocity_known:
                 allowed += self.config.max_speed_mps * elapsed
             if off <= allowed and off < least:
                 best, least = track, off
         return best
 
-    def _open(self, identity: str, known: list[Track], fix: _Fix, now_s: float) -> None:
+    def _open(
+        self, identity: str, known: list[Track], source: Source, fix: Fix, now_s: float
+    ) -> Track | None:
         if len(known) >= _TRACKS_PER_IDENTITY:
-            stalest = min(known, key=lambda t: t.received_s)
-            del self.tracks[stalest.track_id]
+            known = list(known)
+            self._remove(min(known, key=lambda t: t.received_s))
             self.counts.evicted += 1
         elif len(self.tracks) >= self.config.max_tracks and not self._make_room(fix):
             self.counts.refused_full += 1
-            return
-        track_id, number = identity, 2
+            return None
+        track_id = identity
         while track_id in self.tracks:
-            track_id, number = f"{identity}#{number}", number + 1
+            self._split_number += 1
+            track_id = f"{identity}#{self._split_number}"
         self.counts.split += bool(known)
         lead = 0.0 if fix.stamp_s is None else fix.stamp_s - now_s
-        self.tracks[track_id] = Track(
+        track = Track(
             track_id=track_id,
             identity=identity,
             position_ned_m=fix.position,
@@ -304,22 +357,150 @@ class Traffic:
             vertical_known=fix.vertical_known,
             content=fix.content,
             leads_s=deque([lead], maxlen=_LEADS),
+            about=About(source.about.transport, source.about.address),
+            sources=deque([source.key], maxlen=_ADDRESSES_PER_TRACK),
+            motion=MotionWindow(fix, now_s),
+            opened_s=now_s,
         )
+        track.about.update(source.about)
+        self._add(track)
+        self._note_hop(track, known, source, fix, now_s)
+        self._judge(track, message_doubts(fix), ())
         self.counts.updates += 1
+        return track
 
-    def _make_room(self, fix: _Fix) -> bool:
+    def _make_room(self, fix: Fix) -> bool:
         """Give up one track for a newcomer: a fresh one before an established one, the farthest first."""
-        own = self._own[-1][1] if self._own else (0.0, 0.0, 0.0)
-
-        def rank(track: Track) -> tuple[bool, float]:
-            return track.messages < _ESTABLISHED, math.dist(track.position_ned_m, own)
-
-        victim = max(self.tracks.values(), key=rank)
-        if rank(victim) < (victim.messages < _ESTABLISHED, math.dist(fix.position, own)):
+        own = self._own_position()
+        victim = self.tracks[self._ranking.first()]
+        if math.dist(victim.position_ned_m, own) < math.dist(fix.position, own):
             return False
-        del self.tracks[victim.track_id]
+        self._remove(victim)
         self.counts.evicted += 1
         return True
+
+    # ------------------------------------------------------------ doubts
+
+    def _judge(self, track: Track, bad: Collection[Flag], judged: Collection[Flag]) -> None:
+        if track.doubts.judge(bad, judged):
+            self._reports.mark(track.track_id, track.doubts)
+
+    def _of(self, source: Source) -> list[Track]:
+        """Tracks that this address feeds."""
+        twins = self._by_identity.get(source.identity or source.key, ())
+        return [t for t in twins if source.key in t.sources]
+
+    def _doubt_place(self, source: Source, message: Location, fix: Fix | None) -> None:
+        """A Location that moves no track may still tell something about one."""
+        bad = status_doubts(message)
+        if fix is None:
+            self.counts.no_position += 1
+        else:
+            self.counts.implausible += 1
+            bad.append(Flag.IMPOSSIBLE_VALUES)
+        for track in self._of(source):
+            self._judge(track, bad, ())
+
+    def _judge_message(
+        self, track: Track, known: list[Track], fix: Fix, sample_s: float, now_s: float
+    ) -> None:
+        """What the next message of a track says for and against it."""
+        bad = message_doubts(fix)
+        elapsed_s = max(sample_s - track.sample_s, now_s - track.received_s)
+        if Flag.IMPOSSIBLE_VALUES not in bad and climbs_impossibly(track.content, fix.content, elapsed_s):
+            bad.append(Flag.IMPOSSIBLE_VALUES)
+        self._judge(track, bad, MESSAGE_FLAGS)
+        strays = track.motion.take(fix, now_s)
+        if strays is not None:
+            self._judge(track, (Flag.VELOCITY_MISMATCH,) if strays else (), (Flag.VELOCITY_MISMATCH,))
+        if track.split_from is not None and track.messages + 1 >= _ESTABLISHED:
+            before = self.tracks.get(track.split_from)
+            track.split_from = None
+            if before is not None and before.received_s <= track.opened_s:
+                track.doubts.add(Flag.JUMP, _LEAP)
+                self._judge(track, (), ())
+        if len(known) > 1 or track.identity == self.own_uas_id or track.doubts.evidence:
+            self._judge_twins(track, known, fix, now_s)
+
+    def _judge_twins(self, track: Track, known: list[Track], fix: Fix, now_s: float) -> None:
+        """Tracks of one identity that are heard in turns are two senders, whatever their addresses."""
+        flag = (Flag.DUPLICATE_IDENTITY,)
+        if track.identity == self.own_uas_id:
+            self._judge(track, flag, ())
+            return
+        live = [
+            t for t in known if t is not track and now_s - t.received_s <= _TWIN_S and _apart(t, fix, now_s)
+        ]
+        turns = [t for t in live if t.received_s > track.received_s]
+        for twin in (track, *turns) if turns else ():
+            self._judge(twin, flag, ())
+        if not live:
+            self._judge(track, (), flag)
+
+    def _note_hop(self, track: Track, known: list[Track], source: Source, fix: Fix, now_s: float) -> None:
+        """A new track beside another that the same address feeds: perhaps one aircraft that leapt."""
+        here = [t for t in known if t is not track and source.key in t.sources]
+        before = max(here, key=lambda t: t.received_s, default=None)
+        if before is not None and _apart(before, fix, now_s):
+            track.split_from = before.track_id
+            earlier = max(t.doubts.evidence.get(Flag.JUMP, 0) for t in here)
+            track.doubts.add(Flag.JUMP, earlier + _HOP)
+
+    def _check(
+        self,
+        source: Source,
+        signature: AuthenticationData,
+        heard: RemoteIdHeard,
+        now_s: float,
+        utc_offset_s: float | None,
+    ) -> bool | None:
+        """Whether a signature holds; None where that cannot be said."""
+        if self._verifier is None or source.identity is None:
+            return None
+        utc_s = None if utc_offset_s is None else now_s + utc_offset_s
+        genuine = self._verifier.judge(
+            source.identity, signature, heard.messages, utc_s, source.signed_utc_s, now_s
+        )
+        if genuine:
+            source.signed_utc_s = signature.timestamp_utc_s or source.signed_utc_s
+            if signature.auth_type != MESSAGE_SET_SIGNATURE:
+                # It vouches for the sender; a signed message set only for the Location in it.
+                source.vouched_s = now_s
+        return genuine
+
+    def _judge_signer(
+        self, track: Track, source: Source, genuine: bool | None, now_s: float, utc_known: bool
+    ) -> None:
+        """Whether a track whose key is known proves to be its owner."""
+        assert self._verifier is not None
+        if not self._verifier.knows(track.identity):
+            return
+        track.vouched_s = max(track.vouched_s, now_s if genuine else source.vouched_s)
+        fresh_s = self._verifier.fresh_s
+        bad: tuple[Flag, ...] = ()
+        if now_s - track.vouched_s <= fresh_s:
+            bad = (Flag.SIGNED,)
+        elif utc_known and now_s - track.opened_s > fresh_s:
+            bad = (Flag.UNSIGNED,)
+        self._judge(track, bad, (Flag.SIGNED, Flag.UNSIGNED))
+
+
+def _off(track: Track, fix: Fix, at_s: float) -> float:
+    """Distance (m, horizontal) of a fix from where the track would be then."""
+    p, v, along = track.position_ned_m, track.velocity_ned_mps, at_s - track.sample_s
+    return math.hypot(p[0] + along * v[0] - fix.position[0], p[1] + along * v[1] - fix.position[1])
+
+
+def _reach(elapsed_s: float, noise: float) -> float:
+    """How far (m) from its predicted place an aircraft may be: noise, and 10 m/s^2 in any direction."""
+    return 20.0 + 4.0 * noise + 8.0 * elapsed_s + 5.0 * elapsed_s * elapsed_s
+
+
+def _apart(track: Track, fix: Fix, now_s: float) -> bool:
+    """Whether track and fix cannot be one aircraft, even at the accuracies that they declare."""
+    at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
+    reach = _reach(abs(at_s - track.sample_s), noise_m(track.content) + noise_m(fix.content))
+    return _off(track, fix, at_s) > reach
 
 
 def _lead(leads_s: deque[float]) -> float:
@@ -332,18 +513,7 @@ def _same(a: Location, b: Location) -> bool:
     return (a.timestamp_s, a.lat_deg, a.lon_deg) == (b.timestamp_s, b.lat_deg, b.lon_deg)
 
 
-def _velocity(message: Location) -> Vec3 | None:
-    """Velocity (local NED, m/s) that a Location declares; None when speed or direction is unknown."""
-    down = -(message.vertical_speed_mps or 0.0)
-    if message.speed_mps is None:
-        return None
-    if message.direction_deg is None:
-        return (0.0, 0.0, down) if message.speed_mps == 0.0 else None
-    course = math.radians(message.direction_deg)
-    return message.speed_mps * math.cos(course), message.speed_mps * math.sin(course), down
-
-
-def _from_positions(track: Track, fix: _Fix, sample_s: float) -> tuple[Vec3, bool]:
+def _from_positions(track: Track, fix: Fix, sample_s: float) -> tuple[Vec3, bool]:
     """Velocity from two positions, for a sender that declares none."""
     elapsed = sample_s - track.sample_s
     if elapsed < 0.5:

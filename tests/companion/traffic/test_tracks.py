@@ -10,7 +10,8 @@ from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
-from companion.traffic.tracks import SIGMA_MOST_M, SIGMA_UNKNOWN_M, Traffic
+from companion.traffic.fix import SIGMA_MOST_M, SIGMA_UNKNOWN_M
+from companion.traffic.tracks import Traffic
 
 FRAME = LocalFrame(47.397, 8.545, 400.0)
 SEPARATION_M = 47.0
@@ -289,7 +290,7 @@ def test_a_flood_of_far_ghosts_does_not_push_out_the_near():
     assert "NEAR" in listener.tracks
     listener.hear(10.0, basic("CLOSE"), location(north_m=60.0), address="close")
     assert "CLOSE" in listener.tracks
-    assert len(listener.traffic._names) <= 40
+    assert len(listener.traffic._sources) <= 40
 
 
 def test_every_number_of_a_neighbour_is_finite():

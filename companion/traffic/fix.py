@@ -1,0 +1,95 @@
+"""A heard Location in our local frame and on our clock.
+
+The Location timestamp counts tenths of a second after the full UTC hour, so the moment of the message is the
+one nearest to our own UTC among all hours.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.events import Vec3
+from companion.geometry import LocalFrame
+from companion.remote_id.messages import Location
+
+SIGMA_UNKNOWN_M = 5.0
+"""Horizontal standard deviation taken for a sender that declares no accuracy."""
+SIGMA_MOST_M = 15.0
+"""A declared accuracy counts up to this: a volume of kilometres would only make every velocity wrong."""
+SIGMA_CLOCKLESS_M = 5.0
+"""Added (in quadrature) for a message that is dated by its reception."""
+VERTICAL_ACCURACY_M = 10.0
+"""Worse than this, height does not separate."""
+
+
+@dataclass(slots=True)
+class Fix:
+    """A Location turned into our frame and clock."""
+
+    position: Vec3
+    velocity: Vec3 | None
+    sigma_m: float
+    vertical_known: bool
+    stamp_s: float | None
+    """Our monotonic time of the message by the sender's clock; None when that cannot be believed."""
+    lead_s: float | None
+    """How far the timestamp lies in our future, believed or not; None without one, or without our own UTC."""
+    content: Location
+
+
+def make_fix(
+    message: Location,
+    now_s: float,
+    utc_offset_s: float | None,
+    frame: LocalFrame,
+    separation_m: float | None,
+    max_clock_offset_s: float,
+) -> Fix | None:
+    """The fix of one Location; None without a position."""
+    if message.lat_deg is None or message.lon_deg is None:
+        return None
+    vertical_known = message.alt_geodetic_m is not None and separation_m is not None
+    if message.vertical_accuracy_m is not None and message.vertical_accuracy_m > VERTICAL_ACCURACY_M:
+        vertical_known = False
+    alt_msl_m = frame.alt_m
+    if message.alt_geodetic_m is not None and separation_m is not None:
+        alt_msl_m = message.alt_geodetic_m - separation_m
+    # Senders put their receiver's own figure here, which is nearer to one sigma than to the 95 % bound.
+    accuracy = message.horizontal_accuracy_m
+    sigma = SIGMA_UNKNOWN_M if accuracy is None else min(accuracy, SIGMA_MOST_M)
+    lead_s = _lead(message, now_s, utc_offset_s)
+    stamp_s = None
+    if lead_s is not None and abs(lead_s) <= max_clock_offset_s:
+        stamp_s = now_s + lead_s
+    else:
+        sigma = math.hypot(sigma, SIGMA_CLOCKLESS_M)
+    return Fix(
+        position=frame.to_ned(message.lat_deg, message.lon_deg, alt_msl_m),
+        velocity=_velocity(message),
+        sigma_m=sigma,
+        vertical_known=vertical_known,
+        stamp_s=stamp_s,
+        lead_s=lead_s,
+        content=message,
+    )
+
+
+def _lead(message: Location, now_s: float, utc_offset_s: float | None) -> float | None:
+    """The timestamp minus our UTC, both on the hour that brings them nearest (s)."""
+    if message.timestamp_s is None or utc_offset_s is None:
+        return None
+    utc_now = now_s + utc_offset_s
+    hours = round((utc_now - message.timestamp_s) / 3600.0)
+    return message.timestamp_s + 3600.0 * hours - utc_now
+
+
+def _velocity(message: Location) -> Vec3 | None:
+    """Velocity (local NED, m/s) that a Location declares; None when speed or direction is unknown."""
+    down = -(message.vertical_speed_mps or 0.0)
+    if message.speed_mps is None:
+        return None
+    if message.direction_deg is None:
+        return (0.0, 0.0, down) if message.speed_mps == 0.0 else None
+    course = math.radians(message.direction_deg)
+    return message.speed_mps * math.cos(course), message.speed_mps * math.sin(course), down

@@ -1,0 +1,279 @@
+"""Doubts about a heard aircraft, as flags with evidence for and against.
+
+Flags inform the log and the pilot. They never take an aircraft from the law: what is doubted is avoided like
+everything else. A flag is raised after enough evidence and falls after enough sound messages; what a sender
+is free to do (turn, stop, be lost for a while, use several radios, declare nothing) is no evidence.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import OrderedDict
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from companion.events import TrackFlagged
+from companion.remote_id.messages import Location, Status
+from companion.traffic.fix import Fix
+
+
+class Flag(enum.StrEnum):
+    """What is doubtful, or vouched for, about a track."""
+
+    DUPLICATE_IDENTITY = "duplicate_identity"
+    JUMP = "jump"
+    STALE_TIMESTAMP = "stale_timestamp"
+    FUTURE_TIMESTAMP = "future_timestamp"
+    NO_TIMESTAMP = "no_timestamp"
+    VELOCITY_MISMATCH = "velocity_mismatch"
+    IMPOSSIBLE_VALUES = "impossible_values"
+    REMOTE_ID_FAILURE = "remote_id_failure"
+    EMERGENCY = "emergency"
+    SIGNED = "signed"
+    UNSIGNED = "unsigned"
+    BAD_SIGNATURE = "bad_signature"
+
+
+class Rule(NamedTuple):
+    """When a flag is raised, when it falls, and what it says."""
+
+    raise_at: int
+    """Evidence needed."""
+    most: int
+    """Evidence counts up to here; so many sound messages in a row end the flag."""
+    text: str
+
+
+RULES: Final[dict[Flag, Rule]] = {
+    Flag.DUPLICATE_IDENTITY: Rule(4, 10, "its identity is heard from two places that one aircraft cannot be"),
+    Flag.JUMP: Rule(3, 10, "its position leapt farther than an aircraft can fly"),
+    Flag.STALE_TIMESTAMP: Rule(5, 8, "its timestamps are older than allowed when they arrive"),
+    Flag.FUTURE_TIMESTAMP: Rule(3, 6, "its timestamps lie in the future: its clock leads, or ours lags"),
+    Flag.NO_TIMESTAMP: Rule(3, 6, "its messages carry no timestamp"),
+    Flag.VELOCITY_MISMATCH: Rule(2, 3, "its positions do not follow the velocity that it reports"),
+    Flag.IMPOSSIBLE_VALUES: Rule(2, 6, "it reports a speed, place or altitude that cannot be"),
+    Flag.REMOTE_ID_FAILURE: Rule(1, 3, "it reports a failure of its Remote ID system"),
+    Flag.EMERGENCY: Rule(1, 3, "it reports an emergency"),
+    Flag.SIGNED: Rule(1, 1, "a fresh signature of its key was verified"),
+    Flag.UNSIGNED: Rule(3, 3, "its key is known, but no fresh signature of it is heard"),
+    Flag.BAD_SIGNATURE: Rule(2, 6, "it sends signatures that are forged, replayed or out of date"),
+}
+
+MESSAGE_FLAGS: Final = frozenset(
+    (
+        Flag.JUMP,
+        Flag.STALE_TIMESTAMP,
+        Flag.FUTURE_TIMESTAMP,
+        Flag.NO_TIMESTAMP,
+        Flag.IMPOSSIBLE_VALUES,
+        Flag.REMOTE_ID_FAILURE,
+        Flag.EMERGENCY,
+    )
+)
+"""Judged at every new message."""
+_STATUS_FLAG: Final = {
+    Status.EMERGENCY: Flag.EMERGENCY,
+    Status.REMOTE_ID_SYSTEM_FAILURE: Flag.REMOTE_ID_FAILURE,
+}
+
+STALE_S: Final = 2.0
+"""A position may be 1 s old when sent (F3411-22a, every region) and is sent again for up to 1 s more."""
+FUTURE_S: Final = 0.5
+"""Beyond the sender's declared accuracy; our own clock is good to some tenths of a second."""
+_ALTITUDES_M: Final = (-500.0, 20_000.0)
+_VERTICAL_MPS: Final = 62.0
+"""The greatest vertical speed that a message can tell."""
+_ACCURACY_UNKNOWN_M: Final = 10.0
+_VERTICAL_UNKNOWN_M: Final = 25.0
+
+
+@dataclass(slots=True)
+class Doubts:
+    """Evidence about one track, and the flags that it raised."""
+
+    evidence: dict[Flag, int] = field(default_factory=dict)
+    """Flags without any are left out: a sound track costs nothing."""
+    flags: set[Flag] = field(default_factory=set)
+    reported: set[Flag] = field(default_factory=set)
+
+    def judge(self, bad: Collection[Flag], judged: Collection[Flag]) -> bool:
+        """One message's evidence: against each flag in `bad`, for the others in `judged`.
+
+        Returns:
+            Whether there is now something to report.
+        """
+        if not bad and not self.evidence:
+            return False
+        for flag in [f for f in self.evidence if f in judged and f not in bad]:
+            self.add(flag, -1)
+        for flag in bad:
+            self.add(flag, 1)
+        return self.flags != self.reported
+
+    def add(self, flag: Flag, weight: int) -> None:
+        """Count evidence for a doubt (or against it: negative)."""
+        rule = RULES[flag]
+        count = min(self.evidence.get(flag, 0) + weight, rule.most)
+        if count <= 0:
+            self.evidence.pop(flag, None)
+            self.flags.discard(flag)
+            return
+        self.evidence[flag] = count
+        if count >= rule.raise_at:
+            self.flags.add(flag)
+
+
+def message_doubts(fix: Fix) -> list[Flag]:
+    """What one message says against itself."""
+    content, lead_s = fix.content, fix.lead_s
+    bad = []
+    status_flag = _STATUS_FLAG.get(content.status)
+    if status_flag is not None:
+        bad.append(status_flag)
+    if content.timestamp_s is None:
+        bad.append(Flag.NO_TIMESTAMP)
+    elif lead_s is not None:
+        if lead_s < -STALE_S:
+            bad.append(Flag.STALE_TIMESTAMP)
+        elif lead_s > FUTURE_S + (content.timestamp_accuracy_s or 0.0):
+            bad.append(Flag.FUTURE_TIMESTAMP)
+    altitude = content.alt_geodetic_m
+    if altitude is not None and not _ALTITUDES_M[0] <= altitude <= _ALTITUDES_M[1]:
+        bad.append(Flag.IMPOSSIBLE_VALUES)
+    return bad
+
+
+def status_doubts(content: Location) -> list[Flag]:
+    """What a message says whose position is of no use."""
+    status_flag = _STATUS_FLAG.get(content.status)
+    return [] if status_flag is None else [status_flag]
+
+
+def climbs_impossibly(before: Location, after: Location, elapsed_s: float) -> bool:
+    """Whether the altitude changed more than any climb or dive explains."""
+    if before.alt_geodetic_m is None or after.alt_geodetic_m is None:
+        return False
+    noise = 3.0 * (
+        (before.vertical_accuracy_m or _VERTICAL_UNKNOWN_M)
+        + (after.vertical_accuracy_m or _VERTICAL_UNKNOWN_M)
+    )
+    return abs(after.alt_geodetic_m - before.alt_geodetic_m) > noise + _VERTICAL_MPS * (abs(elapsed_s) + 0.5)
+
+
+def noise_m(content: Location) -> float:
+    """Horizontal error that the sender declares, however large."""
+    return content.horizontal_accuracy_m or _ACCURACY_UNKNOWN_M
+
+
+@dataclass(slots=True)
+class MotionWindow:
+    """Positions over some seconds against the velocities reported meanwhile.
+
+    The displacement that the velocities make is the sum of trapezia. Between two messages `dt` apart an
+    aircraft with acceleration up to `a` can end at most a dt^2 / 4 away from the trapezium (full throttle one
+    way for half of it, then the other), whatever it reports at both ends.
+    """
+
+    last: Fix
+    received_s: float
+    start: Fix | None = None
+    span_s: float = 0.0
+    moved_m: tuple[float, float] = (0.0, 0.0)
+    slack_m: float = 0.0
+
+    def take(self, fix: Fix, now_s: float) -> bool | None:
+        """Go on to the next fix; at the end of a window, whether positions and velocities disagree."""
+        before, (v0, v1) = self.last, (self.last.velocity, fix.velocity)
+        if before.stamp_s is not None and fix.stamp_s is not None:
+            dt, jitter_s = fix.stamp_s - before.stamp_s, _JITTER_S
+        else:
+            dt, jitter_s = now_s - self.received_s, _RECEPTION_JITTER_S
+        if dt == 0.0:
+            return None
+        self.last, self.received_s = fix, now_s
+        if v0 is None or v1 is None or not 0.0 < dt <= _GAP_S:
+            self.start = None
+            return None
+        if self.start is None:
+            self.start, self.span_s, self.moved_m, self.slack_m = before, 0.0, (0.0, 0.0), 0.0
+        self.span_s += dt
+        self.moved_m = (
+            self.moved_m[0] + 0.5 * dt * (v0[0] + v1[0]),
+            self.moved_m[1] + 0.5 * dt * (v0[1] + v1[1]),
+        )
+        self.slack_m += 0.25 * _MANOEUVRE_MPS2 * dt * dt
+        self.slack_m += dt * (fix.content.speed_accuracy_mps or _SPEED_UNKNOWN_MPS)
+        if self.span_s < _WINDOW_S:
+            return None
+        a, b, moved = self.start, fix, self.moved_m
+        self.start = None
+        off = math.hypot(
+            b.position[0] - a.position[0] - moved[0],
+            b.position[1] - a.position[1] - moved[1],
+        )
+        speed = max(math.hypot(*(f.velocity or (0.0, 0.0))[:2]) for f in (a, b))
+        allowed = self.slack_m + _NOISES * (noise_m(a.content) + noise_m(b.content)) + speed * jitter_s
+        return off > allowed + _QUANTUM * math.hypot(*moved)
+
+
+_WINDOW_S: Final = 5.0
+_GAP_S: Final = 5.0
+"""After a longer silence an aircraft may have flown any way."""
+_MANOEUVRE_MPS2: Final = 10.0
+_SPEED_UNKNOWN_MPS: Final = 3.0
+_NOISES: Final = 3.0
+_JITTER_S: Final = 0.5
+"""Timestamps in tenths, a position and a velocity that are not of quite the same moment."""
+_RECEPTION_JITTER_S: Final = 2.0
+_QUANTUM: Final = 0.02
+"""Direction in whole degrees."""
+
+
+@dataclass(slots=True)
+class Reports:
+    """Changes of flags on their way to the log, at most so many a second whatever senders do."""
+
+    _changed: OrderedDict[str, Doubts] = field(default_factory=OrderedDict)
+    _left: float = 0.0
+    _filled_s: float = -math.inf
+
+    def __len__(self) -> int:
+        """Tracks with changes that wait."""
+        return len(self._changed)
+
+    def mark(self, track_id: str, doubts: Doubts) -> None:
+        """Have the changes of a track reported."""
+        self._changed[track_id] = doubts
+
+    def forget(self, track_id: str) -> None:
+        """The track is no more."""
+        self._changed.pop(track_id, None)
+
+    def due(self, now_s: float) -> list[TrackFlagged]:
+        """What may be reported now, in order of change; a flag that rose and fell meanwhile is left out."""
+        if not self._changed:
+            return []
+        rise = (now_s - self._filled_s) * REPORTS_PER_S
+        self._left, self._filled_s = min(float(REPORTS_PER_S), self._left + rise), now_s
+        items: list[TrackFlagged] = []
+        while self._changed and self._left >= 1.0:
+            track_id, doubts = next(iter(self._changed.items()))
+            changes = sorted(doubts.flags ^ doubts.reported)
+            for flag in changes[: int(self._left)]:
+                raised = flag in doubts.flags
+                (doubts.reported.add if raised else doubts.reported.discard)(flag)
+                text = RULES[flag].text
+                items.append(
+                    TrackFlagged(
+                        track_id=track_id, flag=flag.value, text=text if raised else f"no longer: {text}"
+                    )
+                )
+                self._left -= 1.0
+            if doubts.flags == doubts.reported:
+                del self._changed[track_id]
+        return items
+
+
+REPORTS_PER_S: Final = 10
