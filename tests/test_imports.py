@@ -16,7 +16,15 @@ FORBIDDEN = {
     "ground_tools": set(),
 }
 SOCKETS_AND_CLOCKS = {"socket", "time", "select", "serial", "threading", "subprocess", "random"}
-SHELLS = {"companion/runtime", "companion/cli.py", "companion/radio/ether.py"}
+SHELLS = {
+    "companion/runtime",
+    "companion/cli.py",
+    "companion/radio/ether.py",
+    "companion/radio/hci.py",
+    "companion/radio/hci_channel.py",
+    "companion/radio/hostapd.py",
+    "companion/radio/packet_socket.py",
+}
 """A radio backend owns its socket (the Transport contract)."""
 
 

@@ -17,8 +17,10 @@ from companion.errors import ConfigError
 from companion.events import RadioState, RemoteIdHeard
 from companion.radio.ether import EtherTransport
 from companion.radio.frames_io import radio_address
+from companion.radio.hci import HciTransport
 from companion.radio.null import NullTransport
 from companion.radio.transport import Health, Transport
+from companion.radio.wifi import WifiTransport
 from companion.remote_id.messages import Message
 
 
@@ -34,7 +36,11 @@ def open_radio(entry: RadioConfig, uas_id: str) -> Transport:
             return NullTransport()
         case EtherRadio():
             return EtherTransport(entry.address, uas_id, address)
-        case HciRadio() | WifiRadio() | ArduRemoteIdRadio():
+        case WifiRadio():
+            return WifiTransport(entry, address)
+        case HciRadio():
+            return HciTransport(entry.channel, address, send=entry.send, listen=entry.listen)
+        case ArduRemoteIdRadio():
             raise ConfigError(f"radio.backend: {type(entry).__name__} is not built")
 
 

@@ -1,0 +1,265 @@
+"""Client of hostapd's control socket: a vendor element in the beacons of a running access point.
+
+The socket takes one command per datagram and answers each in order with one datagram (hostapd's ctrl_iface):
+`SET vendor_elements HEX`, then `UPDATE_BEACON`, both answered by OK; `STATUS` tells state, BSSID and channel.
+What is set replaces the `vendor_elements` of hostapd's own configuration.
+
+hostapd repeats the beacon by itself, so what was set stays on the air until it is replaced: the element is
+taken off when nothing new comes for `_STALE_AFTER_S`, and on `close`. A killed process cannot do that: its
+last element is repeated until hostapd starts anew, a new companion broadcasts, or somebody says
+`hostapd_cli set vendor_elements ""; hostapd_cli update_beacon`.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import socket
+import tempfile
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from companion.errors import ConfigError
+
+_SET: Final = "SET vendor_elements "
+_UPDATE: Final = "UPDATE_BEACON"
+_OPEN_TIMEOUT_S: Final = 2.0
+_ANSWER_TIMEOUT_S: Final = 2.0
+_CLOSE_TIMEOUT_S: Final = 0.5
+_POLL_S: Final = 1.0
+_STALE_AFTER_S: Final = 3.0
+_MAX_ANSWER: Final = 1 << 14
+_BSSID: Final = re.compile("(?!00:00:00:00:00:00)[0-9a-f]{2}(?::[0-9a-f]{2}){5}")
+MAX_ELEMENT: Final = 2 + 255
+"""Bytes of one element with its head (IEEE 802.11 section 9.4.2.1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ApStatus:
+    """What hostapd says about one access point."""
+
+    state: str
+    """ENABLED while it sends beacons."""
+    bssid: str | None = None
+    """Lower-case hex with colons; None where hostapd does not tell."""
+    channel: int | None = None
+    beacon_interval_tu: int | None = None
+    """Time between beacons in units of 1024 us."""
+
+
+def parse_status(text: str, interface: str) -> ApStatus:
+    """The answer to STATUS, one `key=value` a line. What is missing or unreadable in it is None."""
+    values = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+    index = next(
+        (key[4:-1] for key, name in values.items() if key.startswith("bss[") and name == interface), "0"
+    )
+    bssid = values.get(f"bssid[{index}]", "").lower()
+    return ApStatus(
+        state=values.get("state", "unknown"),
+        bssid=bssid if _BSSID.fullmatch(bssid) else None,
+        channel=_positive(values.get("channel", "")),
+        beacon_interval_tu=_positive(values.get("beacon_int", "")),
+    )
+
+
+class HostapdControl:
+    """One access point of a running hostapd.
+
+    Args:
+        path: control socket of the access point's interface (config key radio.hostapd).
+
+    Raises:
+        ConfigError: nobody answers there; says what to do.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self.updates = 0
+        """Times that hostapd changed its beacon as told."""
+        self.failures = 0
+        """Commands that it refused, did not answer, or could not be given."""
+        self._silence: str | None = None
+        """Why hostapd does not answer or send beacons; None while it does."""
+        self._doubt: str | None = None
+        """Why its beacon may hold something else than the last element; None where it took that."""
+        self._pending: deque[tuple[str, float]] = deque()
+        self._set_ok = False
+        self._element = b""
+        self._element_s = 0.0
+        self._touched = False
+        """An element was set at least once."""
+        self._polled_s: float | None = None
+        self._number = 0
+        try:
+            self._folder = Path(tempfile.mkdtemp(prefix="companion-hostapd-"))
+        except OSError as error:
+            raise ConfigError(
+                f"radio.hostapd: no folder for a socket of our own: {error.strerror}"
+            ) from error
+        try:
+            self._socket = self._bind()
+            try:
+                self.status = self._greet()
+            except ConfigError:
+                self._socket.close()
+                raise
+        except ConfigError:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise
+        self._judge_state()
+
+    @property
+    def trouble(self) -> str | None:
+        """Why our element is not on the air, in words; None when nothing stands against it."""
+        return self._silence or self._doubt
+
+    def set_element(self, element: bytes, now_s: float) -> None:
+        """Put an element into the beacon in place of the last one; empty takes it off.
+
+        Raises:
+            ValueError: longer than an element can be.
+        """
+        if len(element) > MAX_ELEMENT:
+            raise ValueError(f"element of {len(element)} bytes; allowed: up to {MAX_ELEMENT}")
+        self._element, self._element_s = element, now_s
+        self._touched = self._touched or bool(element)
+        if self._command(_SET + element.hex(), now_s):
+            self._command(_UPDATE, now_s)
+
+    def poll(self, now_s: float) -> None:
+        """Take hostapd's answers; ask how it is once a second; take an old element off the air."""
+        self._collect()
+        if self._pending and now_s - self._pending[0][1] > _ANSWER_TIMEOUT_S:
+            self._lose(f"no answer to {_word(self._pending[0][0])} for {_ANSWER_TIMEOUT_S:g} s")
+        if self._element and now_s - self._element_s > _STALE_AFTER_S:
+            self.set_element(b"", now_s)
+        if self._polled_s is not None and now_s - self._polled_s < _POLL_S:
+            return
+        self._polled_s = now_s
+        self._command("STATUS", now_s)
+        if self._doubt is not None and self._silence is None:
+            # The next broadcast waits for us to be able again: find out with what can never be out of date.
+            self.set_element(b"", now_s)
+
+    def close(self) -> None:
+        """Take the element off the air and release the socket."""
+        self._socket.settimeout(_CLOSE_TIMEOUT_S)
+        if self._touched:
+            self.set_element(b"", 0.0)
+        self._socket.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _greet(self) -> ApStatus:
+        """PING and STATUS, waited for."""
+        name = f"radio.hostapd: {self.path!r}"
+        self._socket.settimeout(_OPEN_TIMEOUT_S)
+        try:
+            pong = self._exchange("PING")
+            if pong.strip() != "PONG":
+                raise ConfigError(f"{name}: answers {pong[:40]!r} to PING: is it hostapd's?")
+            status = parse_status(self._exchange("STATUS"), Path(self.path).name)
+        except TimeoutError as error:
+            raise ConfigError(f"{name}: no answer for {_OPEN_TIMEOUT_S:g} s: it hangs") from error
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{name}: {_explain(error)}") from error
+        self._socket.setblocking(False)
+        return status
+
+    def _exchange(self, command: str) -> str:
+        self._socket.sendto(command.encode(), self.path)
+        return self._socket.recv(_MAX_ANSWER).decode(errors="replace")
+
+    def _command(self, command: str, now_s: float) -> bool:
+        """Send a command whose answer is taken later; False where that failed."""
+        try:
+            self._socket.sendto(command.encode(), self.path)
+        except OSError as error:
+            self._lose(_explain(error))
+            return False
+        self._pending.append((command, now_s))
+        return True
+
+    def _collect(self) -> None:
+        while True:
+            try:
+                answer = self._socket.recv(_MAX_ANSWER).decode(errors="replace").strip()
+            except OSError:
+                return  # nothing there; whoever is gone shows when the next command is given
+            if answer.startswith("<") or not self._pending:
+                continue  # an event, or an answer nobody waits for
+            self._take(self._pending.popleft()[0], answer)
+
+    def _take(self, command: str, answer: str) -> None:
+        if command == "STATUS":
+            self.status = parse_status(answer, Path(self.path).name)
+            self._judge_state()
+        elif answer != "OK":
+            self.failures += 1
+            self._set_ok = False
+            self._doubt = f"hostapd answered {answer[:40]!r} to {_word(command)}"
+        elif command != _UPDATE:
+            self._set_ok = True
+        elif self._set_ok:
+            self._doubt = None
+            self.updates += 1
+
+    def _judge_state(self) -> None:
+        state = self.status.state
+        self._silence = None if state == "ENABLED" else f"hostapd sends no beacons: its state is {state}"
+
+    def _lose(self, why: str) -> None:
+        """hostapd is gone or hangs: forget what it owes, and never take a late answer for another's."""
+        if self._silence is None:
+            self.failures += 1
+        self._silence = f"hostapd: {why}"
+        if self._touched:
+            self._doubt = "hostapd is back, its beacon is being cleared"
+        self._set_ok = False
+        self._pending.clear()
+        try:
+            fresh = self._bind()
+        except ConfigError:
+            return
+        self._socket.close()
+        self._socket = fresh
+        self._socket.setblocking(False)
+
+    def _bind(self) -> socket.socket:
+        """A socket with a path of its own, as hostapd answers to nothing else."""
+        self._number += 1
+        path = self._folder / str(self._number)
+        fresh = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        try:
+            fresh.bind(str(path))
+        except OSError as error:
+            fresh.close()
+            raise ConfigError(f"radio.hostapd: no socket of our own at {path}: {_explain(error)}") from error
+        (self._folder / str(self._number - 1)).unlink(missing_ok=True)
+        return fresh
+
+
+def _word(command: str) -> str:
+    return " ".join(command.split()[:2]) if command.startswith(_SET) else command
+
+
+def _positive(text: str) -> int | None:
+    return int(text) or None if re.fullmatch("[0-9]{1,6}", text) else None
+
+
+def _explain(error: Exception) -> str:
+    """An error of the socket in words that say what to do."""
+    match error:
+        case FileNotFoundError():
+            return "no such socket: is hostapd running, with ctrl_interface=FOLDER in its configuration?"
+        case ConnectionRefusedError():
+            return "nobody listens there: name the interface's socket of a running hostapd"
+        case PermissionError():
+            return "no permission: run as root or in the group that hostapd's ctrl_interface_group names"
+        case BlockingIOError():
+            return "takes no commands: it hangs"
+        case OSError():
+            return error.strerror or str(error)
+        case _:
+            return str(error)

@@ -1,0 +1,232 @@
+"""A raw socket on a monitor interface (packet(7)): 802.11 frames with their radiotap header, both ways.
+
+Whether the interface can do that is found out when it is opened, and told in words that say what to do. An
+interface that vanishes or goes down in flight is opened again when it is back.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import socket
+import struct
+from pathlib import Path
+from typing import Final
+
+from companion.errors import ConfigError
+
+_ARPHRD_ETHER: Final = 1
+_ARPHRD_RADIOTAP: Final = 803
+_IFF_UP: Final = 1
+_SIOCGIFFLAGS: Final = 0x8913
+_SIOCGIFHWADDR: Final = 0x8927
+_SIOCGIWFREQ: Final = 0x8B05
+_IFREQ_SIZE: Final = 40
+_SO_ATTACH_FILTER: Final = 26
+_SOL_PACKET: Final = 263
+_PACKET_STATISTICS: Final = 6
+_ETH_P_ALL: Final = 3
+
+_MAX_FRAME: Final = 1 << 16
+_MAX_READS: Final = 256
+"""Frames taken per call: a busy channel must not hold up the loop."""
+_RECEIVE_BUFFER: Final = 1 << 20
+_RETRY_S: Final = 1.0
+_OVERLOAD: Final = frozenset((errno.EAGAIN, errno.ENOBUFS))
+"""The frame is lost, the interface is not."""
+
+_FILTER: Final = (
+    (0x20, 0, 0, 0xFFFFF004),  # packet type
+    (0x15, 10, 0, 4),  # outgoing: what another socket of this machine injects
+    (0x30, 0, 0, 3),  # radiotap length, high byte
+    (0x64, 0, 0, 8),
+    (0x07, 0, 0, 0),
+    (0x30, 0, 0, 2),  # low byte
+    (0x4C, 0, 0, 0),
+    (0x07, 0, 0, 0),
+    (0x50, 0, 0, 0),  # first byte of the 802.11 frame
+    (0x15, 3, 0, 0x80),  # beacon
+    (0x15, 2, 0, 0x50),  # probe response
+    (0x15, 1, 0, 0xD0),  # action
+    (0x06, 0, 0, 0),  # everything else never leaves the kernel
+    (0x06, 0, 0, 0x40000),
+)
+"""Classic BPF (code, jump if true, jump if false, k): only the three kinds of frame that carry Remote ID."""
+
+
+class PacketSocket:
+    """Raw socket on one monitor interface.
+
+    Args:
+        key: configuration key that names the interface, for errors.
+        interface: its name.
+        channel: what it must be tuned to, where the driver tells.
+        listen: receive frames; otherwise it only sends.
+
+    Raises:
+        ConfigError: it cannot be used; says what to do.
+    """
+
+    def __init__(self, key: str, interface: str, channel: int, *, listen: bool) -> None:
+        self.interface = interface
+        self.trouble: str | None = None
+        """What is wrong with it now."""
+        self.dropped = 0
+        """Frames that the kernel lost because they were not fetched in time."""
+        self._key = key
+        self._channel = channel
+        self._listen = listen
+        self._tried_s: float | None = None
+        self._socket = self._open()
+
+    def keep_open(self, now_s: float) -> None:
+        """Open it again when it was lost, once a second."""
+        if self.trouble is None or (self._tried_s is not None and now_s - self._tried_s < _RETRY_S):
+            return
+        self._tried_s = now_s
+        try:
+            fresh = self._open()
+        except ConfigError as error:
+            self.trouble = str(error)
+            return
+        self._socket.close()
+        self._socket, self.trouble = fresh, None
+
+    def send(self, data: bytes) -> bool:
+        """Send a frame with its radiotap header; False where the interface did not take it."""
+        try:
+            self._socket.send(data)
+        except OSError as error:
+            if error.errno not in _OVERLOAD:
+                self._lost(error)
+            return False
+        return True
+
+    def receive(self) -> list[bytes]:
+        """Frames with their radiotap header that came since the last call, up to a limit."""
+        frames: list[bytes] = []
+        while len(frames) < _MAX_READS:
+            try:
+                frames.append(self._socket.recv(_MAX_FRAME))
+            except BlockingIOError:
+                break
+            except OSError as error:
+                self._lost(error)
+                break
+        self._count_dropped()
+        return frames
+
+    def close(self) -> None:
+        """Release the interface."""
+        self._socket.close()
+
+    def _lost(self, error: OSError) -> None:
+        self.trouble = f"{self._key}: {self.interface!r}: {error.strerror or error}"
+
+    def _count_dropped(self) -> None:
+        try:
+            statistics = self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
+        except OSError:
+            return  # a lost interface is told of elsewhere
+        self.dropped += int(struct.unpack("=II", statistics)[1])  # reading sets the kernel's count to zero
+
+    def _open(self) -> socket.socket:
+        check_monitor(self._key, self.interface, self._channel)
+        try:
+            fresh = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
+        except PermissionError as error:
+            raise ConfigError(
+                f"{self._key}: {self.interface!r}: raw frames need the right CAP_NET_RAW: run as root, or "
+                "give it to the service (AmbientCapabilities=CAP_NET_RAW)"
+            ) from error
+        except OSError as error:
+            raise ConfigError(f"{self._key}: {self.interface!r}: no raw socket: {error.strerror}") from error
+        try:
+            fresh.setblocking(False)
+            if self._listen:
+                fresh.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+                _attach_filter(fresh)
+            fresh.bind((self.interface, _ETH_P_ALL if self._listen else 0))
+        except OSError as error:
+            fresh.close()
+            raise ConfigError(f"{self._key}: {self.interface!r}: {error.strerror}") from error
+        return fresh
+
+
+def check_monitor(key: str, interface: str, channel: int) -> None:
+    """Check that an interface exists, hands out radiotap, is up, and is tuned as configured.
+
+    Raises:
+        ConfigError: which of these fails, and the command that mends it.
+    """
+    names = [name for _, name in socket.if_nameindex()]
+    if interface not in names:
+        raise ConfigError(
+            f"{key}: there is no network interface {interface!r}; there are: {', '.join(names)}"
+        )
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+        hardware = _ask(control, _SIOCGIFHWADDR, interface)
+        flags = _ask(control, _SIOCGIFFLAGS, interface)
+        frequency = _ask(control, _SIOCGIWFREQ, interface)
+    if hardware is None or flags is None:
+        raise ConfigError(f"{key}: {interface!r} vanished while it was looked at")
+    kind = struct.unpack_from("H", hardware, 16)[0]
+    if kind != _ARPHRD_RADIOTAP:
+        raise ConfigError(f"{key}: {_why_no_monitor(interface, kind)}")
+    if not struct.unpack_from("H", flags, 16)[0] & _IFF_UP:
+        raise ConfigError(f"{key}: {interface!r} is down: `ip link set {interface} up`")
+    tuned = None if frequency is None else tuned_channel(frequency)
+    if tuned is not None and tuned != channel:
+        raise ConfigError(
+            f"{key}: {interface!r} is tuned to channel {tuned}, radio.channel says {channel}: "
+            f"`iw dev {interface} set channel {channel}`"
+        )
+
+
+def tuned_channel(iwreq: bytes) -> int | None:
+    """The channel in the kernel's answer to SIOCGIWFREQ; None where it names none.
+
+    The answer is a name of 16 bytes, then mantissa i32 and exponent i16 in Hz, or a channel number itself.
+    """
+    mantissa, exponent = struct.unpack_from("ih", iwreq, 16)
+    if exponent == 0 and 0 < mantissa < 1000:
+        return int(mantissa)
+    return channel_of(round(mantissa * 10.0 ** (exponent - 6))) if 0 <= exponent <= 9 else None
+
+
+def channel_of(frequency_mhz: int) -> int | None:
+    """The channel with this centre frequency, in the bands of 2.4 and 5 GHz (IEEE 802.11 annex E)."""
+    if frequency_mhz == 2484:
+        return 14
+    for start, first, last in ((2407, 1, 13), (5000, 32, 177)):
+        channel, rest = divmod(frequency_mhz - start, 5)
+        if rest == 0 and first <= channel <= last:
+            return channel
+    return None
+
+
+def _why_no_monitor(interface: str, kind: int) -> str:
+    if kind != _ARPHRD_ETHER:
+        return f"{interface!r} hands out frames of link type {kind}; radiotap ({_ARPHRD_RADIOTAP}) is needed"
+    if not Path("/sys/class/net", interface, "phy80211").exists():
+        return f"{interface!r} is no Wi-Fi interface"
+    return (
+        f"{interface!r} is not in monitor mode: `ip link set {interface} down; "
+        f"iw dev {interface} set type monitor; ip link set {interface} up`"
+    )
+
+
+def _ask(control: socket.socket, request: int, interface: str) -> bytes | None:
+    """The kernel's answer about an interface; None where it has none (no such interface, not this kind)."""
+    try:
+        return fcntl.ioctl(control, request, interface.encode().ljust(_IFREQ_SIZE, b"\0"))
+    except OSError:
+        return None
+
+
+def _attach_filter(raw: socket.socket) -> None:
+    code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *step) for step in _FILTER))
+    raw.setsockopt(
+        socket.SOL_SOCKET, _SO_ATTACH_FILTER, struct.pack("HP", len(_FILTER), ctypes.addressof(code))
+    )
