@@ -133,7 +133,7 @@ class HostapdControl:
         self._collect()
         if self._pending and now_s - self._pending[0][1] > _ANSWER_TIMEOUT_S:
             self._lose(f"no answer to {_word(self._pending[0][0])} for {_ANSWER_TIMEOUT_S:g} s")
-        if self._element and now_s - self._element_s > _STALE_AFTER_S:
+        if self._element and self._doubt is None and now_s - self._element_s > _STALE_AFTER_S:
             self.set_element(b"", now_s)
         if self._polled_s is not None and now_s - self._polled_s < _POLL_S:
             return

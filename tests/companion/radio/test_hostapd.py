@@ -220,6 +220,7 @@ def test_it_hangs_and_its_late_answers_are_not_taken_for_others(
     del fake.answers["SET"]
     fake.answers["STATUS"] = STATUS
     step(control, fake, 3.2)
+    assert control.trouble is not None
     assert "being cleared" in control.trouble
     assert step(control, fake, 4.3) == ["STATUS", CLEAR, "UPDATE_BEACON"]
     assert control.trouble is None
