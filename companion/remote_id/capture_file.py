@@ -57,6 +57,12 @@ def read_packets(stream: BinaryIO, name: str) -> Iterator[Packet]:
     raise ConfigError(f"{name}: {what}; expected a capture, pcap or pcapng")
 
 
+def is_capture(head: bytes) -> bool:
+    """Whether a file that begins with these four bytes is a capture."""
+    numbers = (int.from_bytes(head, "little"), int.from_bytes(head, "big"))
+    return any(number == _SECTION or number in _PCAP_NS_PER_TICK for number in numbers)
+
+
 class _Source:
     """The file's bytes with their place, for errors."""
 

@@ -36,7 +36,7 @@ from companion.remote_id.messages import Message
 class Kind(enum.Enum):
     """What a captured frame is."""
 
-    REMOTE_ID = "remote ID"
+    REMOTE_ID = "Remote ID"
     SYNC_BEACON = "NAN synchronisation beacon"
     """Of a transmitter of Remote ID; holds none."""
     FOREIGN = "foreign"

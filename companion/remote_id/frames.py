@@ -219,7 +219,7 @@ def build_beacon(
         raise ValueError(f"ssid is {ssid!r}; allowed: at most {_SSID_MAX} bytes")
     if not 0 < interval_tu <= 0xFFFF:
         raise ValueError(f"interval_tu is {interval_tu!r}; allowed: 1 to 65535")
-    mac = _address_bytes(address)
+    mac = address_bytes(address)
     return b"".join(
         (
             _beacon_head(mac, mac, tsf_us, interval_tu),
@@ -267,7 +267,7 @@ def build_nan_action(pack: bytes, counter: int, address: str) -> bytes:
     descriptor = _DESCRIPTOR_FIXED.pack(_NAN_SERVICE_ID, _INSTANCE, 0, _SERVICE_INFO)
     return b"".join(
         (
-            _MAC_HEADER.pack(_ACTION, 0, 0, _NAN_GROUP, _address_bytes(address), _NAN_CLUSTER, 0),
+            _MAC_HEADER.pack(_ACTION, 0, 0, _NAN_GROUP, address_bytes(address), _NAN_CLUSTER, 0),
             _NAN_ACTION_HEAD,
             _attribute(_SERVICE_DESCRIPTOR, descriptor + bytes((len(info),)) + info),
             _attribute(_DESCRIPTOR_EXTENSION, struct.pack("<BHB", _INSTANCE, _UPDATE_INDICATOR, counter)),
@@ -281,7 +281,7 @@ def build_nan_sync_beacon(address: str, tsf_us: int = 0) -> bytes:
     It goes out beside the action frames, every 512 TU, or receivers do not wake up for them. `tsf_us` is the
     sender's clock, which most drivers fill in themselves. Raises ValueError.
     """
-    mac = _address_bytes(address)
+    mac = address_bytes(address)
     rank = mac + bytes((_RANDOM_FACTOR, _MASTER_PREFERENCE))
     hops_and_anchor_time = bytes(1 + 4)  # 0: the anchor master itself
     content = b"".join(
@@ -377,7 +377,8 @@ def _check_pack(pack: bytes) -> bytes:
     return pack
 
 
-def _address_bytes(address: str) -> bytes:
+def address_bytes(address: str) -> bytes:
+    """The six octets of a radio address. Raises ValueError."""
     if not _ADDRESS.fullmatch(address):
         raise ValueError(f"address is {address!r}; allowed: six octets like 02:00:00:ab:cd:ef")
     return bytes.fromhex(address.replace(":", ""))

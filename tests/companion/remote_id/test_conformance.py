@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import copy
 import gzip
-import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -223,43 +222,3 @@ def test_check_names_a_damaged_vector_of_every_type(
     assert {line.split(":")[0] for line in differences} == {vector["id"]}
     assert "731 vectors checked" in summary
     assert f"{len(differences)} differences" in summary
-
-
-MESSAGE = '{"type":"OperatorId","operator_id_type":0,"operator_id":"FIN87astrdge12k8"}'
-HEX = "520046494e38376173747264676531326b3800000000000000"
-
-
-def test_encode_and_decode_are_each_others_inverse(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO(f"{MESSAGE}\n\n"))
-    assert run("encode") == 0
-    assert capsys.readouterr().out == f"{HEX}\n"
-    monkeypatch.setattr("sys.stdin", io.StringIO(f"{HEX}\n"))
-    assert run("decode") == 0
-    assert capsys.readouterr().out == f"{MESSAGE}\n"
-    monkeypatch.setattr("sys.stdin", io.StringIO(MESSAGE))
-    assert run("encode", "--pack") == 0
-    assert capsys.readouterr().out == f"f21901{HEX}\n"
-
-
-@pytest.mark.parametrize(
-    ("action", "line"),
-    [
-        ("decode", "zz"),
-        ("decode", "6200"),
-        ("decode", "f21900"),
-        ("encode", "{"),
-        ("encode", '{"type":"Location","lat_deg":95.0,"lon_deg":0.0}'),
-        ("encode", '{"type":"Location","latt_deg":9.0}'),
-    ],
-)
-def test_a_bad_line_is_named_and_the_rest_goes_on(
-    action: str, line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    good = HEX if action == "decode" else MESSAGE
-    monkeypatch.setattr("sys.stdin", io.StringIO(f"{line}\n{good}\n"))
-    assert run(action) == 1
-    captured = capsys.readouterr()
-    assert captured.err.startswith("line 1: ")
-    assert len(captured.out.splitlines()) == 1
