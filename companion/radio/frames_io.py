@@ -141,7 +141,7 @@ class FrameReceiver:
 
 def _read_all(frames: Sequence[Frame]) -> Payload:
     """The messages of all of a frame's Remote ID structures, one that stands in several of them once."""
-    messages: dict[Message, None] = {}
+    messages: list[Message] = []
     faults: list[str] = []
     for frame in frames:
         try:
@@ -149,6 +149,6 @@ def _read_all(frames: Sequence[Frame]) -> Payload:
         except PeerDataError as error:
             faults.append(str(error))
             continue
-        messages |= dict.fromkeys(payload.messages)
+        messages += payload.messages
         faults += payload.faults
-    return Payload(tuple(messages), tuple(faults))
+    return Payload(tuple(dict.fromkeys(messages) if len(frames) > 1 else messages), tuple(faults))
