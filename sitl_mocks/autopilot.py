@@ -24,12 +24,13 @@ from companion.events import Landed, Vec3
 from sitl_mocks.vehicle_commands import CommandDesk, read_command
 from sitl_mocks.vehicle_dynamics import STEP_S
 from sitl_mocks.vehicle_flight import Flight
-from sitl_mocks.vehicle_links import Link, SetpointMessage
+from sitl_mocks.vehicle_links import Link, Payload, SetpointMessage
 from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
 from sitl_mocks.vehicle_mission import MissionBook, StoredItem, fault_of, stored
 from sitl_mocks.vehicle_navigation import NOISE_STEPS, NavigationError
 from sitl_mocks.vehicle_options import VehicleOptions
 from sitl_mocks.vehicle_params import ParamBook
+from sitl_mocks.vehicle_remote_id import ODID_MESSAGES, RemoteIdRelay
 from sitl_mocks.vehicle_setpoints import interpret
 from sitl_mocks.vehicle_telemetry import Telemetry
 
@@ -105,8 +106,16 @@ class MockVehicle:
         manners = self._manners
         self._flight = Flight(options, manners, self._params, self._book, now_s)
         self._telemetry = Telemetry(options, manners, self._flight, self._book, self._errors, boot_s)
+        self._remote_id = None
+        if options.did_enable:
+            self._remote_id = RemoteIdRelay(self._telemetry.remote_id_location, now_s)
         self._desk = CommandDesk(
-            manners, self._flight, self._telemetry, options.home_alt_msl_m, self._send_text
+            manners,
+            self._flight,
+            self._telemetry,
+            options.home_alt_msl_m,
+            self._send_text,
+            self._remote_id_refusal,
         )
         self._shown_mode = self._flight.mode
         self._shown_armed = self._flight.armed
@@ -208,6 +217,8 @@ class MockVehicle:
                     self._take_setpoint(message, now_s)
                 else:
                     self._handle(message, endpoint, link, now_s)
+                    if self._remote_id is not None and frame.message_id in ODID_MESSAGES:
+                        self._remote_id.take(frame, message, now_s)
         self._after_change()
 
     def advance(self, now_s: float) -> None:
@@ -237,6 +248,9 @@ class MockVehicle:
             if link.params_due:
                 index = link.params_due.popleft()
                 link.send(self._params.message(self._params.names[index], index))
+        if self._remote_id is not None:
+            for message in self._remote_id.due(at_s):
+                self._broadcast(message)
         retry = self._book.tick(at_s)
         if retry is not None and retry[0] in self._links:
             self._links[retry[0]].send(retry[1])
@@ -265,7 +279,12 @@ class MockVehicle:
             runner.reached.clear()
             runner.texts.clear()
 
-    def _broadcast(self, message: MavlinkMessage) -> None:
+    def _remote_id_refusal(self, now_s: float) -> str | None:
+        if self._remote_id is None or not self.options.did_require:
+            return None
+        return self._remote_id.refusal(now_s)
+
+    def _broadcast(self, message: MavlinkMessage | Payload) -> None:
         for link in self._links.values():
             link.send(message)
 

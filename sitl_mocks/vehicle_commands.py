@@ -48,7 +48,8 @@ def read_command(message: MavlinkMessage, link: Link, now_s: float) -> Command:
 
 
 class CommandDesk:
-    """Carries commands out. `say` sends a STATUSTEXT to all links."""
+    """Carries commands out. `say` sends a STATUSTEXT to all links, `remote_id` tells why Remote ID forbids to
+    arm."""
 
     def __init__(
         self,
@@ -57,6 +58,7 @@ class CommandDesk:
         telemetry: Telemetry,
         home_alt_msl_m: float,
         say: Callable[[int, str], None],
+        remote_id: Callable[[float], str | None],
     ) -> None:
         self.reboot_asked = False
         self._manners = manners
@@ -64,6 +66,7 @@ class CommandDesk:
         self._telemetry = telemetry
         self._home_alt_msl_m = home_alt_msl_m
         self._say = say
+        self._remote_id = remote_id
         self._table: dict[int, Callable[[Command], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
@@ -116,7 +119,11 @@ class CommandDesk:
     def _arm(self, command: Command) -> int:
         force = command.params[1] == FORCE
         if command.params[0] >= 0.5:
-            refusal = self._flight.arm(command.now_s, force=force)
+            missing = None if self._flight.armed else self._remote_id(command.now_s)
+            if missing is None:
+                refusal = self._flight.arm(command.now_s, force=force)
+            else:
+                refusal = f"OpenDroneID: {missing}"
         else:
             refusal = self._flight.disarm(force=force)
         if refusal is None:

@@ -61,6 +61,8 @@ class Manners:
     """Answers REQUEST_DATA_STREAM."""
     forwards: bool
     """Passes frames on from one link to the others."""
+    has_did_params: bool
+    """Can be told to relay Remote ID data (ArduPilot's DID_*)."""
     heartbeat_on_mode_change: bool
     refuses_interval_param3: bool
     unsupported_interval_result: int
@@ -216,6 +218,7 @@ ARDUPILOT = Manners(
     ),
     data_streams=True,
     forwards=True,
+    has_did_params=True,
     heartbeat_on_mode_change=True,
     refuses_interval_param3=True,
     unsupported_interval_result=mavlink.MAV_RESULT_DENIED,
@@ -314,10 +317,13 @@ PX4 = Manners(
             mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.5,
+            mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION: 1.0,
+            mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM: 1.0,
         }
     ),
     data_streams=False,
     forwards=False,
+    has_did_params=False,
     heartbeat_on_mode_change=False,
     refuses_interval_param3=False,
     unsupported_interval_result=mavlink.MAV_RESULT_FAILED,

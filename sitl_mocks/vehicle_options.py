@@ -46,6 +46,11 @@ class VehicleOptions:
     rc_connected: bool = True
     """A pilot's radio with centred sticks. Without one, ArduPilot's LOITER descends (throttle low)."""
     legacy_parameter_names: bool = False
+    did_enable: bool = False
+    """ArduPilot's DID_ENABLE: sends its own Remote ID, and what it was told, on all links (the real one: on
+    the port of DID_MAVPORT)."""
+    did_require: bool = False
+    """DID_OPTIONS = 1: refuses to arm, also by force, without a transmitter, identity and operator."""
 
     max_horizontal_speed_mps: float | None = None
     max_climb_mps: float | None = None
@@ -85,6 +90,10 @@ class VehicleOptions:
         for name in ("start_position_ned_m", "start_velocity_ned_mps", "wind_ned_mps"):
             if not all(math.isfinite(value) for value in getattr(self, name)):
                 raise ConfigError(f"{name} holds a value that is not a finite number")
+        if self.did_enable and not MANNERS[self.firmware].has_did_params:
+            raise ConfigError(f"did_enable is no option of {self.firmware.value}; it is ArduPilot's")
+        if self.did_require and not self.did_enable:
+            raise ConfigError("did_require needs did_enable")
         modes = MANNERS[self.firmware].custom_modes
         if self.start_mode is not None and self.start_mode not in modes:
             allowed = ", ".join(sorted(mode.value for mode in modes))

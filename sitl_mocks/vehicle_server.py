@@ -121,6 +121,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--gnss-sigma", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("H", "V", "SPEED"),
         help="navigation errors: horizontal and vertical (m), speed (m/s)")  # fmt: skip
     add("--no-rc", action="store_true", help="no pilot's radio: ArduPilot's LOITER descends")
+    add("--did", choices=["off", "enable", "require"], default="off", help="ArduPilot's Remote ID: "
+        "relay what it is told, or also require it to arm")  # fmt: skip
     add("--seed", type=int, default=0, help="seed of the navigation errors")
     add("--truth", type=Path, metavar="FILE", help="write the true positions here (CSV, ten a second)")
 
@@ -139,6 +141,8 @@ def options_of(args: argparse.Namespace) -> VehicleOptions:
         start_position_ned_m=(args.start[0], args.start[1], 0.0 if height is None else -height),
         start_mode=None if args.mode is None else VehicleMode(args.mode),
         rc_connected=not args.no_rc,
+        did_enable=args.did != "off",
+        did_require=args.did == "require",
         utc_at_zero_s=time.time(),
         wind_ned_mps=(args.wind[0], args.wind[1], 0.0),
         gnss_horizontal_sigma_m=horizontal,

@@ -19,6 +19,7 @@ from sitl_mocks.vehicle_manners import Manners
 from sitl_mocks.vehicle_mission import MissionBook
 from sitl_mocks.vehicle_navigation import Globe, NavigationError
 from sitl_mocks.vehicle_options import VehicleOptions
+from sitl_mocks.vehicle_remote_id import home_system, location
 
 Builder = Callable[[float], MavlinkMessage | Payload]
 
@@ -66,7 +67,7 @@ class Telemetry:
         self._book = book
         self._errors = errors
         self._globe = Globe(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
-        self.builders: Mapping[int, Builder] = {
+        builders: dict[int, Builder] = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
             mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
@@ -82,6 +83,10 @@ class Telemetry:
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
         }
+        if mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION in manners.fresh_streams:
+            builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION] = self.remote_id_location
+            builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM] = self._remote_id_system
+        self.builders: Mapping[int, Builder] = builders
 
     def boot_ns(self, now_s: float) -> int:
         """The vehicle's own clock (ns)."""
@@ -200,9 +205,23 @@ class Telemetry:
             _SENSORS, _SENSORS, _SENSORS, 100, 12600, 0, 100, 0, 0, 0, 0, 0, 0
         )
 
-    def _system_time(self, now_s: float) -> MavlinkMessage:
+    def _utc_s(self, now_s: float) -> float | None:
         utc = self._options.utc_at_zero_s
-        usec = 0 if utc is None else round((utc + now_s) * 1e6)
+        return None if utc is None else utc + now_s
+
+    def remote_id_location(self, now_s: float) -> MavlinkMessage:
+        """OPEN_DRONE_ID_LOCATION."""
+        place = self._globe.to_geodetic(*self.position_ned_m())
+        velocity = self.velocity_ned_mps()
+        on_ground = self._flight.on_ground
+        return location(self._options, place, velocity, self._utc_s(now_s), on_ground=on_ground)
+
+    def _remote_id_system(self, now_s: float) -> MavlinkMessage:
+        return home_system(self._options, self._utc_s(now_s))
+
+    def _system_time(self, now_s: float) -> MavlinkMessage:
+        utc_s = self._utc_s(now_s)
+        usec = 0 if utc_s is None else round(utc_s * 1e6)
         return mavlink.MAVLink_system_time_message(usec, self._boot_ms(now_s))
 
     def _extended_sys_state(self, now_s: float) -> MavlinkMessage:

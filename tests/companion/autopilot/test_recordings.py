@@ -30,8 +30,12 @@ from companion.events import (
     Heartbeat,
     LocalPosition,
     MissionDownloaded,
+    OperatorData,
+    RemoteIdHeard,
+    RemoteIdModule,
     VehicleTime,
 )
+from companion.remote_id.messages import OperatorId, SelfId
 
 REPOSITORY = Path(__file__).parents[3]
 THINNED = REPOSITORY / "tests" / "data"
@@ -172,6 +176,36 @@ def test_the_recorded_mission_download_is_understood(name: str, tmp_path: Path) 
     assert len(mission.items) == 4
     path = path_from_mission(mission.items, speed_mps=5.0, start=(47.397, 8.545, 30.0), home_alt_msl_m=400.0)
     assert len(path.waypoint) >= 2
+
+
+def test_remote_id_that_ardupilot_was_fed_and_relayed(tmp_path: Path) -> None:
+    """A transmitter at 236 says that it is ready, and feeds identities and a take-off point without time."""
+    path = unpacked("ardupilot_sitl_odid_adsb", tmp_path)
+    link, events, _ = through_link(path)
+    reader = mavutil.mavlink_connection(str(path), dialect="ardupilotmega")
+    sent: Counter[tuple[int, str]] = Counter()
+    while (message := reader.recv_msg()) is not None:
+        sent[message.get_srcComponent(), message.get_type()] += 1
+    modules = [e for e in events if isinstance(e, RemoteIdModule)]
+    assert modules == [RemoteIdModule(component_id=236, ready=True)] * sent[236, "OPEN_DRONE_ID_ARM_STATUS"]
+    assert len(modules) > 20
+    told = [m for e in events if isinstance(e, OperatorData) for m in e.messages]
+    assert Counter(type(m) for m in told) == {
+        SelfId: sent[1, "OPEN_DRONE_ID_SELF_ID"],
+        OperatorId: sent[1, "OPEN_DRONE_ID_OPERATOR_ID"],
+    }
+    assert told[-1] in (
+        SelfId(description_type=0, text="sitl test"),
+        OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8"),
+    )
+    assert not any(isinstance(e, RemoteIdHeard) for e in events)
+    assert link.counts.bad_values == 0
+
+
+def test_px4s_own_remote_id_is_no_operator(tmp_path: Path) -> None:
+    link, events, _ = through_link(unpacked("px4_sih_offboard", tmp_path))
+    assert not any(isinstance(e, OperatorData | RemoteIdHeard | RemoteIdModule) for e in events)
+    assert link.counts.bad_values == 0
 
 
 @pytest.mark.parametrize(
