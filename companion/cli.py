@@ -17,6 +17,7 @@ from companion.autopilot.tlog import read_tlog
 from companion.command_line import parser_of, run_command
 from companion.errors import ConfigError
 from companion.remote_id import command as remote_id_command
+from companion.runtime import listen
 from companion.runtime.check import check
 from companion.runtime.flight import Flight
 
@@ -25,6 +26,7 @@ _EXAMPLES = """examples:
   companion run --config config/companion.toml --dry-run
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
+  companion remote-id listen --radio wifi=mon0
   companion remote-id decode < messages.hex
 """
 
@@ -66,10 +68,10 @@ def _parser() -> argparse.ArgumentParser:
     again.add_argument("--json", action="store_true", help="one JSON object a line")
     again.set_defaults(run=_replay)
 
-    remote_id = commands.add_parser("remote-id", help="encode, decode, check Remote ID messages")
-    remote_id_command.add_arguments(
-        remote_id.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    )
+    remote_id = commands.add_parser("remote-id", help="listen; encode, decode, check Remote ID messages")
+    of_remote_id = remote_id.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    remote_id_command.add_arguments(of_remote_id)
+    listen.add_arguments(of_remote_id)
     return parser
 
 
