@@ -127,9 +127,11 @@ def link_layer(pdu: bytes, *, coded: bool = False, access: str = "d6be898e") -> 
     return bytes.fromhex(access) + (b"\x00" if coded else b"") + pdu + crc(pdu)
 
 
-def nordic(packet: bytes, *, flags: int = 0x01, version: int = 3, kind: int = 2) -> bytes:
-    head = bytes((3,)) + struct.pack("<HBHB", 10 + len(packet), version, 7, kind)
-    return head + bytes((10, flags, 37, 61)) + bytes(6) + packet
+def nordic(packet: bytes, *, flags: int = 0x01, version: int = 3, kind: int = 2, channel: int = 37) -> bytes:
+    size = 10 + len(packet)
+    lengths = bytes((6, size)) if version == 1 else struct.pack("<H", size)
+    head = bytes((3,)) + lengths + struct.pack("<BHB", version, 7, kind)
+    return head + bytes((10, flags, channel, 61)) + bytes(6) + packet
 
 
 def pseudo(packet: bytes, *, flags: int = 0x0C03) -> bytes:
@@ -174,7 +176,7 @@ ADV4, ADV5 = legacy(build_ble4(encode(TEXT), 7)), extended(build_ble5(PACK, 7))
         (256, pseudo(link_layer(ADV5, coded=True), flags=0x8C03), BLE5, -61.0, True),
         (272, nordic(link_layer(ADV4)), BLE4, -61.0, True),
         (272, nordic(link_layer(ADV4), version=1, kind=6), BLE4, -61.0, True),
-        (272, nordic(link_layer(ADV5, coded=True), flags=0x21), BLE5, -61.0, True),
+        (272, nordic(link_layer(ADV5, coded=True), flags=0x21, channel=10), BLE5, -61.0, True),
     ],
 )
 def test_every_link_type_is_read(
@@ -229,7 +231,7 @@ def test_a_bad_crc_is_reported_and_nothing_of_the_frame_believed(link_type: int,
         (251, link_layer(extended(b"", header=b""))),
         (251, link_layer(ADV4, access="12345678")),
         (256, pseudo(link_layer(ADV5, coded=True), flags=0x9C83)),  # AUX_CHAIN_IND
-        (272, nordic(link_layer(ADV5, coded=True), flags=0x23)),  # AUX_CHAIN_IND
+        (272, nordic(link_layer(ADV5, coded=True), flags=0x23, channel=10)),  # AUX_CHAIN_IND
         (272, nordic(b"", kind=14)),
     ],
 )
