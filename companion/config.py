@@ -337,6 +337,8 @@ def check(config: Config, name: str) -> None:
             f'{name}: radio: none configured, so nobody is heard; use = "fly" needs a [[radio]], '
             'or avoidance.law = "none"'
         )
+    if config.remote_id.component and config.vehicle.component_id == 236:
+        raise ConfigError(f"{name}: vehicle.component_id: 236 is taken by remote_id.component")
     for number, entry in enumerate(config.radio):
         if isinstance(entry, WifiRadio) and entry.hostapd is entry.inject is entry.monitor is None:
             raise ConfigError(f"{name}: radio[{number}]: needs hostapd, inject or monitor")

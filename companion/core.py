@@ -144,6 +144,7 @@ class Companion:
     def _orient(self, now_s: float, commands: list[Command]) -> None:
         """Tracks that still live; a plan, once the vehicle could be taken."""
         self.traffic.expire(now_s)
+        commands += self.traffic.flagged(now_s)
         own = self.own
         if own.heartbeat is not None and (not own.armed or own.landed(now_s) is Landed.ON_GROUND):
             self._seen_down = True
