@@ -9,6 +9,9 @@ import pymap3d
 
 from companion.events import Vec3
 
+_WGS84 = pymap3d.Ellipsoid.from_name("wgs84")
+"""Built once: it is what pymap3d would look up by name at every call."""
+
 
 @dataclass(frozen=True, slots=True)
 class LocalFrame:
@@ -35,7 +38,7 @@ class LocalFrame:
 
     def to_ned(self, lat_deg: float, lon_deg: float, alt_m: float) -> Vec3:
         """Position in the frame (m)."""
-        x, y, z = pymap3d.geodetic2ecef(lat_deg, lon_deg, alt_m)
+        x, y, z = pymap3d.geodetic2ecef(lat_deg, lon_deg, alt_m, _WGS84)
         x0, y0, z0 = self._centre
         u, v, w = float(x) - x0, float(y) - y0, float(z) - z0
         sin_lat, cos_lat, sin_lon, cos_lon = self._turn

@@ -16,50 +16,31 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from companion.avoidance.law import Neighbour
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard, TrackFlagged, Vec3
 from companion.geometry import LocalFrame
-from companion.remote_id.authentication import (
-    MESSAGE_SET_SIGNATURE,
-    Assembler,
-    AuthenticationData,
-    Verifier,
-)
+from companion.remote_id.authentication import Assembler, Verifier
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location
 from companion.traffic.about import About, Source, Sources
 from companion.traffic.eviction import Ranking
 from companion.traffic.fix import Fix, make_fix
-from companion.traffic.plausibility import (
-    MESSAGE_FLAGS,
-    Doubts,
-    Flag,
-    MotionWindow,
-    Reports,
-    climbs_impossibly,
-    message_doubts,
-    noise_m,
-    status_doubts,
-)
+from companion.traffic.judge import Judge
+from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
+from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, off, reach, same
 
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
 _ADDRESSES_PER_TRACK = 4
 _TRACKS_PER_IDENTITY = 4
 _LEADS = 5
-_ESTABLISHED = 3
-"""Messages after which a track is not pushed out by a newcomer's first."""
 _ECHO_M = 15.0
 _OWN_SPACING_S = 0.25
 _OWN_SAMPLES = 100
-_TWIN_S = 5.0
-"""Two tracks of one identity, both heard within this time, are two senders."""
-_HOP = 2
-_LEAP = 6
-"""Evidence of a jump: a first message elsewhere; a track that goes on there while the old one is silent."""
+_RANKED_EVERY = 8
+"""Messages: an aircraft does not come much nearer between two."""
 
 
 @dataclass(slots=True)
@@ -81,41 +62,6 @@ class TrafficCounts:
     evicted: int = 0
 
 
-@dataclass(slots=True, eq=False)
-class Track:
-    """One aircraft as last heard. Position and velocity: local NED at `sample_s` (our monotonic time)."""
-
-    track_id: str
-    identity: str
-    """What it calls itself, or its radio address while it has not."""
-    position_ned_m: Vec3
-    velocity_ned_mps: Vec3
-    velocity_known: bool
-    sample_s: float
-    received_s: float
-    sigma_m: float
-    vertical_known: bool
-    content: Location
-    leads_s: deque[float]
-    """How far the sender's clock led ours at its last messages; negative: behind, or delayed."""
-    about: About
-    sources: deque[str]
-    """Radio addresses that it was heard from, the last few."""
-    motion: MotionWindow
-    opened_s: float
-    split_from: str | None = None
-    """Track that this one was opened beside, both from one radio address."""
-    doubts: Doubts = field(default_factory=Doubts)
-    vouched_s: float = -math.inf
-    """When a signature last held."""
-    messages: int = 1
-
-    @property
-    def flags(self) -> frozenset[Flag]:
-        """What is doubtful, or vouched for, about it now."""
-        return frozenset(self.doubts.flags)
-
-
 class Traffic:
     """All tracks.
 
@@ -132,8 +78,7 @@ class Traffic:
         self._ranking = Ranking()
         self._sources = Sources(_ADDRESSES_PER_TRACK * config.max_tracks)
         self._assembler = Assembler()
-        self._verifier = Verifier(config.keys) if config.keys else None
-        self._reports = Reports()
+        self._judge = Judge(own_uas_id, self.tracks, Verifier(config.keys) if config.keys else None)
         self._split_number = 1
         """Rises for good: a number is never tried twice, whoever holds the name that it makes."""
         self._own: deque[tuple[float, Vec3]] = deque(maxlen=_OWN_SAMPLES)
@@ -175,7 +120,7 @@ class Traffic:
         genuine = None
         if signature is not None:
             source.about.authentication = signature
-            genuine = self._check(source, signature, heard, now_s, utc_offset_s)
+            genuine = self._judge.check(source, signature, heard, now_s, utc_offset_s)
         for message in locations:
             fix = make_fix(message, now_s, utc_offset_s, frame, separation_m, self.config.max_clock_offset_s)
             if fix is None or self._is_implausible(fix):
@@ -183,15 +128,15 @@ class Traffic:
                 continue
             self.counts.clock += fix.stamp_s is None
             track = self._take(source, fix, now_s)
-            if track is not None and self._verifier is not None:
-                self._judge_signer(track, source, genuine, now_s, utc_offset_s is not None)
+            if track is not None:
+                self._judge.signer(track, source, genuine, now_s, utc_offset_s is not None)
         if genuine is not None:
             for track in self._of(source):
-                self._judge(track, () if genuine else (Flag.BAD_SIGNATURE,), (Flag.BAD_SIGNATURE,))
+                self._judge.signature(track, genuine)
 
     def flagged(self, now_s: float) -> list[TrackFlagged]:
         """Flags that were raised or fell since the last call, as far as the log is to be told now."""
-        return self._reports.due(now_s)
+        return self._judge.reports.due(now_s)
 
     def clear(self) -> None:
         """Forget all places: the frame they were given in is no more."""
@@ -229,15 +174,20 @@ class Traffic:
     def _remove(self, track: Track) -> None:
         del self.tracks[track.track_id]
         self._ranking.remove(track.track_id)
-        self._reports.forget(track.track_id)
+        self._judge.reports.forget(track.track_id)
         twins = self._by_identity[track.identity]
         twins.remove(track)
         if not twins:
             del self._by_identity[track.identity]
 
     def _rank(self, track: Track) -> None:
-        fresh = track.messages < _ESTABLISHED
+        fresh = track.messages < ESTABLISHED
         self._ranking.place(track.track_id, fresh, math.dist(track.position_ned_m, self._own_position()))
+
+    def _of(self, source: Source) -> list[Track]:
+        """Tracks that this address feeds."""
+        twins = self._by_identity.get(source.identity or source.key, ())
+        return [t for t in twins if source.key in t.sources]
 
     def _own_position(self) -> Vec3:
         return self._own[-1][1] if self._own else (0.0, 0.0, 0.0)
@@ -263,13 +213,26 @@ class Traffic:
                 track.track_id = identity
             self._add(track)
             if track.doubts.flags != track.doubts.reported:
-                self._reports.mark(track.track_id, track.doubts)
+                self._judge.reports.mark(track.track_id, track.doubts)
 
     # ------------------------------------------------------------ one Location
 
     def _is_implausible(self, fix: Fix) -> bool:
-        away = math.dist(fix.position[:2], self._own_position()[:2]) > _MAX_RANGE_M
-        return away or (fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps)
+        (north, east, _), (own_north, own_east, _) = fix.position, self._own_position()
+        if math.hypot(north - own_north, east - own_east) > _MAX_RANGE_M:
+            return True
+        return fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps
+
+    def _doubt_place(self, source: Source, message: Location, fix: Fix | None) -> None:
+        """A Location that moves no track may still tell something about one."""
+        bad = status_doubts(message)
+        if fix is None:
+            self.counts.no_position += 1
+        else:
+            self.counts.implausible += 1
+            bad.append(Flag.IMPOSSIBLE_VALUES)
+        for track in self._of(source):
+            self._judge.note(track, bad)
 
     def _take(self, source: Source, fix: Fix, now_s: float) -> Track | None:
         """The track that the fix updated or opened."""
@@ -281,21 +244,21 @@ class Traffic:
         track = self._match(known, fix, now_s)
         if track is None:
             return self._open(identity, known, source, fix, now_s)
-        if _same(track.content, fix.content):
+        if same(track.content, fix.content):
             # An advertisement that goes on without news says nothing about now, nor about clocks.
             self.counts.old += 1
             return None
         sample_s = now_s
         if fix.stamp_s is not None:
             track.leads_s.append(fix.stamp_s - now_s)
-            sample_s = min(fix.stamp_s - _lead(track.leads_s), now_s)
+            sample_s = min(fix.stamp_s - lead(track.leads_s), now_s)
         if sample_s <= track.sample_s:
             self.counts.old += 1
             return None
-        self._judge_message(track, known, fix, sample_s, now_s)
+        self._judge.message(track, known, fix, sample_s, now_s)
         velocity, velocity_known = fix.velocity, True
         if velocity is None:
-            velocity, velocity_known = _from_positions(track, fix, sample_s)
+            velocity, velocity_known = from_positions(track, fix, sample_s)
         track.position_ned_m, track.velocity_ned_mps = fix.position, velocity
         track.velocity_known = velocity_known
         track.sample_s, track.received_s = sample_s, now_s
@@ -304,7 +267,8 @@ class Traffic:
         track.about.update(source.about)
         if source.key not in track.sources:
             track.sources.append(source.key)
-        self._rank(track)
+        if track.messages == ESTABLISHED or track.messages % _RANKED_EVERY == 0:
+            self._rank(track)
         self.counts.updates += 1
         return track
 
@@ -322,11 +286,11 @@ class Traffic:
         best, least = None, math.inf
         for track in known:
             elapsed = abs(at - track.sample_s)
-            off, allowed = _off(track, fix, at), _reach(elapsed, fix.sigma_m + track.sigma_m)
+            away, allowed = off(track, fix, at), reach(elapsed, fix.sigma_m + track.sigma_m)
             if not track.velocity_known:
                 allowed += self.config.max_speed_mps * elapsed
-            if off <= allowed and off < least:
-                best, least = track, off
+            if away <= allowed and away < least:
+                best, least = track, away
         return best
 
     def _open(
@@ -344,7 +308,7 @@ class Traffic:
             self._split_number += 1
             track_id = f"{identity}#{self._split_number}"
         self.counts.split += bool(known)
-        lead = 0.0 if fix.stamp_s is None else fix.stamp_s - now_s
+        first_lead_s = 0.0 if fix.stamp_s is None else fix.stamp_s - now_s
         track = Track(
             track_id=track_id,
             identity=identity,
@@ -356,7 +320,7 @@ class Traffic:
             sigma_m=fix.sigma_m,
             vertical_known=fix.vertical_known,
             content=fix.content,
-            leads_s=deque([lead], maxlen=_LEADS),
+            leads_s=deque([first_lead_s], maxlen=_LEADS),
             about=About(source.about.transport, source.about.address),
             sources=deque([source.key], maxlen=_ADDRESSES_PER_TRACK),
             motion=MotionWindow(fix, now_s),
@@ -364,8 +328,7 @@ class Traffic:
         )
         track.about.update(source.about)
         self._add(track)
-        self._note_hop(track, known, source, fix, now_s)
-        self._judge(track, message_doubts(fix), ())
+        self._judge.first_message(track, known, source, fix, now_s)
         self.counts.updates += 1
         return track
 
@@ -378,145 +341,3 @@ class Traffic:
         self._remove(victim)
         self.counts.evicted += 1
         return True
-
-    # ------------------------------------------------------------ doubts
-
-    def _judge(self, track: Track, bad: Collection[Flag], judged: Collection[Flag]) -> None:
-        if track.doubts.judge(bad, judged):
-            self._reports.mark(track.track_id, track.doubts)
-
-    def _of(self, source: Source) -> list[Track]:
-        """Tracks that this address feeds."""
-        twins = self._by_identity.get(source.identity or source.key, ())
-        return [t for t in twins if source.key in t.sources]
-
-    def _doubt_place(self, source: Source, message: Location, fix: Fix | None) -> None:
-        """A Location that moves no track may still tell something about one."""
-        bad = status_doubts(message)
-        if fix is None:
-            self.counts.no_position += 1
-        else:
-            self.counts.implausible += 1
-            bad.append(Flag.IMPOSSIBLE_VALUES)
-        for track in self._of(source):
-            self._judge(track, bad, ())
-
-    def _judge_message(
-        self, track: Track, known: list[Track], fix: Fix, sample_s: float, now_s: float
-    ) -> None:
-        """What the next message of a track says for and against it."""
-        bad = message_doubts(fix)
-        elapsed_s = max(sample_s - track.sample_s, now_s - track.received_s)
-        if Flag.IMPOSSIBLE_VALUES not in bad and climbs_impossibly(track.content, fix.content, elapsed_s):
-            bad.append(Flag.IMPOSSIBLE_VALUES)
-        self._judge(track, bad, MESSAGE_FLAGS)
-        strays = track.motion.take(fix, now_s)
-        if strays is not None:
-            self._judge(track, (Flag.VELOCITY_MISMATCH,) if strays else (), (Flag.VELOCITY_MISMATCH,))
-        if track.split_from is not None and track.messages + 1 >= _ESTABLISHED:
-            before = self.tracks.get(track.split_from)
-            track.split_from = None
-            if before is not None and before.received_s <= track.opened_s:
-                track.doubts.add(Flag.JUMP, _LEAP)
-                self._judge(track, (), ())
-        if len(known) > 1 or track.identity == self.own_uas_id or track.doubts.evidence:
-            self._judge_twins(track, known, fix, now_s)
-
-    def _judge_twins(self, track: Track, known: list[Track], fix: Fix, now_s: float) -> None:
-        """Tracks of one identity that are heard in turns are two senders, whatever their addresses."""
-        flag = (Flag.DUPLICATE_IDENTITY,)
-        if track.identity == self.own_uas_id:
-            self._judge(track, flag, ())
-            return
-        live = [
-            t for t in known if t is not track and now_s - t.received_s <= _TWIN_S and _apart(t, fix, now_s)
-        ]
-        turns = [t for t in live if t.received_s > track.received_s]
-        for twin in (track, *turns) if turns else ():
-            self._judge(twin, flag, ())
-        if not live:
-            self._judge(track, (), flag)
-
-    def _note_hop(self, track: Track, known: list[Track], source: Source, fix: Fix, now_s: float) -> None:
-        """A new track beside another that the same address feeds: perhaps one aircraft that leapt."""
-        here = [t for t in known if t is not track and source.key in t.sources]
-        before = max(here, key=lambda t: t.received_s, default=None)
-        if before is not None and _apart(before, fix, now_s):
-            track.split_from = before.track_id
-            earlier = max(t.doubts.evidence.get(Flag.JUMP, 0) for t in here)
-            track.doubts.add(Flag.JUMP, earlier + _HOP)
-
-    def _check(
-        self,
-        source: Source,
-        signature: AuthenticationData,
-        heard: RemoteIdHeard,
-        now_s: float,
-        utc_offset_s: float | None,
-    ) -> bool | None:
-        """Whether a signature holds; None where that cannot be said."""
-        if self._verifier is None or source.identity is None:
-            return None
-        utc_s = None if utc_offset_s is None else now_s + utc_offset_s
-        genuine = self._verifier.judge(
-            source.identity, signature, heard.messages, utc_s, source.signed_utc_s, now_s
-        )
-        if genuine:
-            source.signed_utc_s = signature.timestamp_utc_s or source.signed_utc_s
-            if signature.auth_type != MESSAGE_SET_SIGNATURE:
-                # It vouches for the sender; a signed message set only for the Location in it.
-                source.vouched_s = now_s
-        return genuine
-
-    def _judge_signer(
-        self, track: Track, source: Source, genuine: bool | None, now_s: float, utc_known: bool
-    ) -> None:
-        """Whether a track whose key is known proves to be its owner."""
-        assert self._verifier is not None
-        if not self._verifier.knows(track.identity):
-            return
-        track.vouched_s = max(track.vouched_s, now_s if genuine else source.vouched_s)
-        fresh_s = self._verifier.fresh_s
-        bad: tuple[Flag, ...] = ()
-        if now_s - track.vouched_s <= fresh_s:
-            bad = (Flag.SIGNED,)
-        elif utc_known and now_s - track.opened_s > fresh_s:
-            bad = (Flag.UNSIGNED,)
-        self._judge(track, bad, (Flag.SIGNED, Flag.UNSIGNED))
-
-
-def _off(track: Track, fix: Fix, at_s: float) -> float:
-    """Distance (m, horizontal) of a fix from where the track would be then."""
-    p, v, along = track.position_ned_m, track.velocity_ned_mps, at_s - track.sample_s
-    return math.hypot(p[0] + along * v[0] - fix.position[0], p[1] + along * v[1] - fix.position[1])
-
-
-def _reach(elapsed_s: float, noise: float) -> float:
-    """How far (m) from its predicted place an aircraft may be: noise, and 10 m/s^2 in any direction."""
-    return 20.0 + 4.0 * noise + 8.0 * elapsed_s + 5.0 * elapsed_s * elapsed_s
-
-
-def _apart(track: Track, fix: Fix, now_s: float) -> bool:
-    """Whether track and fix cannot be one aircraft, even at the accuracies that they declare."""
-    at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
-    reach = _reach(abs(at_s - track.sample_s), noise_m(track.content) + noise_m(fix.content))
-    return _off(track, fix, at_s) > reach
-
-
-def _lead(leads_s: deque[float]) -> float:
-    """How far the sender's clock leads ours: the largest lead but one; one wrong timestamp is nothing."""
-    ordered = sorted(leads_s)
-    return max(0.0, ordered[-2] if len(ordered) > 1 else ordered[-1])
-
-
-def _same(a: Location, b: Location) -> bool:
-    return (a.timestamp_s, a.lat_deg, a.lon_deg) == (b.timestamp_s, b.lat_deg, b.lon_deg)
-
-
-def _from_positions(track: Track, fix: Fix, sample_s: float) -> tuple[Vec3, bool]:
-    """Velocity from two positions, for a sender that declares none."""
-    elapsed = sample_s - track.sample_s
-    if elapsed < 0.5:
-        return track.velocity_ned_mps, track.velocity_known
-    a, b = track.position_ned_m, fix.position
-    return ((b[0] - a[0]) / elapsed, (b[1] - a[1]) / elapsed, (b[2] - a[2]) / elapsed), True

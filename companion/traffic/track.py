@@ -1,0 +1,89 @@
+"""One heard aircraft, and where it can be."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from companion.events import Vec3
+from companion.remote_id.messages import Location
+from companion.traffic.about import About
+from companion.traffic.fix import Fix
+from companion.traffic.plausibility import Doubts, Flag, MotionWindow, noise_m
+
+ESTABLISHED = 3
+"""Messages after which a track is not pushed out by a newcomer's first."""
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """One aircraft as last heard. Position and velocity: local NED at `sample_s` (our monotonic time)."""
+
+    track_id: str
+    identity: str
+    """What it calls itself, or its radio address while it has not."""
+    position_ned_m: Vec3
+    velocity_ned_mps: Vec3
+    velocity_known: bool
+    sample_s: float
+    received_s: float
+    sigma_m: float
+    vertical_known: bool
+    content: Location
+    leads_s: deque[float]
+    """How far the sender's clock led ours at its last messages; negative: behind, or delayed."""
+    about: About
+    sources: deque[str]
+    """Radio addresses that it was heard from, the last few."""
+    motion: MotionWindow
+    opened_s: float
+    split_from: str | None = None
+    """Track that this one was opened beside, both from one radio address."""
+    doubts: Doubts = field(default_factory=Doubts)
+    vouched_s: float = -math.inf
+    """When a signature last held."""
+    messages: int = 1
+
+    @property
+    def flags(self) -> frozenset[Flag]:
+        """What is doubtful, or vouched for, about it now."""
+        return frozenset(self.doubts.flags)
+
+
+def off(track: Track, fix: Fix, at_s: float) -> float:
+    """Distance (m, horizontal) of a fix from where the track would be then."""
+    p, v, along = track.position_ned_m, track.velocity_ned_mps, at_s - track.sample_s
+    return math.hypot(p[0] + along * v[0] - fix.position[0], p[1] + along * v[1] - fix.position[1])
+
+
+def reach(elapsed_s: float, noise: float) -> float:
+    """How far (m) from its predicted place an aircraft may be: noise, and 10 m/s^2 in any direction."""
+    return 20.0 + 4.0 * noise + 8.0 * elapsed_s + 5.0 * elapsed_s * elapsed_s
+
+
+def apart(track: Track, fix: Fix, now_s: float) -> bool:
+    """Whether track and fix cannot be one aircraft, even at the accuracies that they declare."""
+    at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
+    noise = noise_m(track.content) + noise_m(fix.content)
+    return off(track, fix, at_s) > reach(abs(at_s - track.sample_s), noise)
+
+
+def lead(leads_s: deque[float]) -> float:
+    """How far the sender's clock leads ours: the largest lead but one; one wrong timestamp is nothing."""
+    ordered = sorted(leads_s)
+    return max(0.0, ordered[-2] if len(ordered) > 1 else ordered[-1])
+
+
+def same(a: Location, b: Location) -> bool:
+    """Whether a Location is the other one sent again."""
+    return (a.timestamp_s, a.lat_deg, a.lon_deg) == (b.timestamp_s, b.lat_deg, b.lon_deg)
+
+
+def from_positions(track: Track, fix: Fix, sample_s: float) -> tuple[Vec3, bool]:
+    """Velocity from two positions, for a sender that declares none."""
+    elapsed = sample_s - track.sample_s
+    if elapsed < 0.5:
+        return track.velocity_ned_mps, track.velocity_known
+    a, b = track.position_ned_m, fix.position
+    return ((b[0] - a[0]) / elapsed, (b[1] - a[1]) / elapsed, (b[2] - a[2]) / elapsed), True
