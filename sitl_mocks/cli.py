@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from companion.command_line import parser_of, run_command
-from sitl_mocks import demo, ether_server, swarm, vehicle_server
+from sitl_mocks import demo, ether_server, remote_id_module_server, swarm, vehicle_server
 
 _EXAMPLES = """examples:
   sitl-mocks demo
@@ -27,6 +27,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         ("demo", demo, "an encounter in virtual time, with and without avoidance"),
         ("serve", vehicle_server, "one MAVLink vehicle on UDP or TCP"),
         ("ether", ether_server, "the simulated air between aircraft, on UDP"),
+        (
+            "module",
+            remote_id_module_server,
+            "a Remote ID module (ArduRemoteID firmware) on UDP or a serial port",
+        ),
         ("swarm", swarm, "vehicles, companions and air as processes, in real time"),
     ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)

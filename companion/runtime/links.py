@@ -77,12 +77,13 @@ class Link(Protocol):
         ...
 
 
-def open_link(name: str, trouble: LinkTrouble | None = None) -> Link:
+def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle.link") -> Link:
     """Open the link that `name` describes.
 
     Args:
         name: as in the configuration key vehicle.link.
         trouble: counts what goes wrong.
+        key: where the name stands in the configuration, for the words of an error.
 
     Raises:
         ConfigError: not a link name, the port is in use, the device or peer is not there.
@@ -92,24 +93,24 @@ def open_link(name: str, trouble: LinkTrouble | None = None) -> Link:
     if kind == "serial":
         device, _, baud = rest.rpartition(":")
         if not device or not baud.isdigit():
-            raise ConfigError(f"vehicle.link: {name!r}: allowed are {_FORMS}")
-        return SerialLink(device, int(baud), trouble)
+            raise ConfigError(f"{key}: {name!r}: allowed are {_FORMS}")
+        return SerialLink(device, int(baud), trouble, key)
     host, _, port = rest.rpartition(":")
     if kind not in ("udpin", "udpout", "tcp") or not host or not port.isdigit() or int(port) > 65535:
-        raise ConfigError(f"vehicle.link: {name!r}: allowed are {_FORMS}")
+        raise ConfigError(f"{key}: {name!r}: allowed are {_FORMS}")
     address = (host.strip("[]"), int(port))
     try:
         if kind == "tcp":
             return TcpLink(address, trouble)
         return UdpLink(address, trouble, listen=kind == "udpin")
     except UnicodeError as error:
-        raise ConfigError(f"vehicle.link: {name!r}: {host!r} is no host name") from error
+        raise ConfigError(f"{key}: {name!r}: {host!r} is no host name") from error
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise ConfigError(
-                f"vehicle.link: {name}: port {port} is in use by another program; close it or choose another"
+                f"{key}: {name}: port {port} is in use by another program; close it or choose another"
             ) from error
-        raise ConfigError(f"vehicle.link: {name}: {error.strerror or error}") from error
+        raise ConfigError(f"{key}: {name}: {error.strerror or error}") from error
 
 
 class UdpLink:
@@ -269,12 +270,12 @@ class TcpLink(_Stream):
 class SerialLink(_Stream):
     """A serial port. pyserial sets it up; reads and writes are the kernel's own, which never wait."""
 
-    def __init__(self, device: str, baud: int, trouble: LinkTrouble) -> None:
+    def __init__(self, device: str, baud: int, trouble: LinkTrouble, key: str = "vehicle.link") -> None:
         super().__init__(trouble)
         try:
             self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
         except (serial.SerialException, termios.error, ValueError) as error:
-            raise ConfigError(f"vehicle.link: serial:{device}:{baud}: {error}") from error
+            raise ConfigError(f"{key}: serial:{device}:{baud}: {error}") from error
         self._fd = int(self._port.fileno())
         self._queue_bytes = baud / _BITS_PER_BYTE * _SERIAL_QUEUE_S
         os.set_blocking(self._fd, False)

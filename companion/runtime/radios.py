@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
+from functools import partial
 
 from companion.config import (
     ArduRemoteIdRadio,
@@ -15,6 +17,7 @@ from companion.config import (
 )
 from companion.errors import ConfigError
 from companion.events import RadioState, RemoteIdHeard
+from companion.radio.arduremoteid import ArduRemoteIdTransport
 from companion.radio.ether import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.radio.hci import HciTransport
@@ -22,6 +25,8 @@ from companion.radio.null import NullTransport
 from companion.radio.transport import Health, Transport
 from companion.radio.wifi import WifiTransport
 from companion.remote_id.messages import Message
+from companion.runtime.kept_link import KeptLink
+from companion.runtime.links import open_link
 
 
 def open_radio(entry: RadioConfig, uas_id: str) -> Transport:
@@ -41,7 +46,9 @@ def open_radio(entry: RadioConfig, uas_id: str) -> Transport:
         case HciRadio():
             return HciTransport(entry.channel, address, send=entry.send, listen=entry.listen)
         case ArduRemoteIdRadio():
-            raise ConfigError(f"radio.backend: {type(entry).__name__} is not built")
+            # What is lost and found again shows in the radio's own state: the module falls silent.
+            link = KeptLink(entry.link, lambda text: None, partial(open_link, key="link"))
+            return ArduRemoteIdTransport(link, entry.system_id, time.monotonic, entry.link)
 
 
 class Radios:
