@@ -28,6 +28,8 @@ _SOL_PACKET: Final = 263
 _PACKET_STATISTICS: Final = 6
 _ETH_P_ALL: Final = 3
 
+_SYSFS: Final = Path("/sys/class/net")
+
 _MAX_FRAME: Final = 1 << 16
 _MAX_READS: Final = 256
 """Frames taken per call: a busy channel must not hold up the loop."""
@@ -209,7 +211,7 @@ def channel_of(frequency_mhz: int) -> int | None:
 def _why_no_monitor(interface: str, kind: int) -> str:
     if kind != _ARPHRD_ETHER:
         return f"{interface!r} hands out frames of link type {kind}; radiotap ({_ARPHRD_RADIOTAP}) is needed"
-    if not Path("/sys/class/net", interface, "phy80211").exists():
+    if not (_SYSFS / interface / "phy80211").exists():
         return f"{interface!r} is no Wi-Fi interface"
     return (
         f"{interface!r} is not in monitor mode: `ip link set {interface} down; "
