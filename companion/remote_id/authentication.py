@@ -113,7 +113,7 @@ class _PageSet:
         if number > (self.head.last_page or 0) or number in self.pages:
             return False
         self.pages[number] = data
-        return True
+        return self.early.pop(number, None) != data
 
     def _take_head(self, head: Authentication) -> bool:
         if head.last_page is None or head.length is None or head == self.head:
