@@ -159,9 +159,10 @@ class ArduRemoteIdTransport:
         if low and self._locked:
             are = _values({name: params[name] for name in low})
             raise ConfigError(
-                f"{self._name}: the module is locked (LOCK_LEVEL {params.get('LOCK_LEVEL', 1.0):g}) with {are}, "
-                f"wanted {_values(low)}: choose transports that are on ({', '.join(sorted(self._on)) or 'none'}) at "
-                "a rate that they have, or have it set by whoever holds the module's key (a signed command)"
+                f"{self._name}: the module is locked (LOCK_LEVEL {params.get('LOCK_LEVEL', 1.0):g}) "
+                f"with {are}, wanted {_values(low)}: choose a transport and rate that it has "
+                f"({self._named(self._on) or 'none'}), "
+                "or have it set by whoever holds the module's key (a signed command)"
             )
         for name, rate in low.items():
             before = params[name]
@@ -242,8 +243,8 @@ class ArduRemoteIdTransport:
         self._wait_for(lambda: not module.asking, OPEN_WAIT_S)
         if not any(name in module.params for name in RATES.values()):
             raise ConfigError(
-                f"{self._name}: the module sends heartbeats but answers for none of its rates (BT4_RATE, ...): "
-                "is it ArduRemoteID, and does the wire to its receive pin work?"
+                f"{self._name}: the module sends heartbeats but answers for none of its rates (BT4_RATE, "
+                "...): is it ArduRemoteID, and does the wire to its receive pin work?"
             )
 
     def _why_silent(self) -> str:
