@@ -1,0 +1,298 @@
+"""Two aircraft's Bluetooth on a real, virtual controller each: rootcanal, in HCI over TCP.
+
+What it does not model: PHYs that drown each other, lost frames, timing of the air.
+"""
+
+import importlib.util
+import platform
+import re
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from companion.events import RemoteIdHeard
+from companion.radio.frames_io import FrameSender
+from companion.radio.hci import HciTransport
+from companion.radio.hci_wire import HciCommand, Opcode
+from companion.radio.transport import BLE4, BLE5
+from companion.remote_id.messages import (
+    Authentication,
+    BasicId,
+    IdType,
+    Location,
+    OperatorId,
+    SelfId,
+    System,
+    UaType,
+)
+
+GENEROUS_S = 30.0
+A, B, C = "c2:01:02:03:04:0a", "c2:01:02:03:04:0b", "c2:01:02:03:04:0c"
+SERIAL = BasicId(
+    id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="1596F12345678"
+)
+LOCATION = Location(lat_deg=47.5, lon_deg=8.5, alt_geodetic_m=500.0)
+SELF_ID = SelfId(description_type=0, text="survey")
+SYSTEM = System(operator_lat_deg=47.4, operator_lon_deg=8.4)
+OPERATOR = OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8")
+ALL = (SERIAL, LOCATION, SELF_ID, SYSTEM, OPERATOR)
+
+LEGACY_ONLY = "preset: CSR_RCK_PTS_DONGLE"
+WITHOUT_CODED = "features { le_extended_advertising: true le_coded_phy: false }"
+
+
+class RootCanal:
+    """The process; every connection to `name` is a controller of its own, and all share the air."""
+
+    def __init__(self, log: Path, controller: str | None) -> None:
+        if importlib.util.find_spec("rootcanal") is None:
+            pytest.skip(f"rootcanal is not installed (there is none for {platform.machine()})")
+        from rootcanal.binaries import get_package_binary_resource_path
+
+        ports = [f"-{kind}_port=0" for kind in ("test", "hci", "link", "link_ble")]
+        if controller is not None:
+            ports.append(f"-configuration=tcp_server {{ tcp_port: 0 configuration {{ {controller} }} }}")
+        self._log = log
+        self._file = log.open("w")
+        try:
+            self._process = subprocess.Popen(
+                [get_package_binary_resource_path("rootcanal"), *ports],
+                stdout=self._file,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+            )
+        except OSError as error:
+            self._file.close()
+            pytest.skip(f"rootcanal cannot be started here: {error}")
+        self.name = f"tcp:127.0.0.1:{self._port()}"
+
+    def _port(self) -> int:
+        """Its HCI server is the one that it opens after saying so."""
+        deadline = time.monotonic() + GENEROUS_S
+        while time.monotonic() < deadline:
+            found = re.search(r"Opening an HCI.*?Listening on: (\d+)", self._log.read_text(), re.DOTALL)
+            if found:
+                return int(found[1])
+            if self._process.poll() is not None:
+                self.close()
+                pytest.skip(f"rootcanal does not run here:\n{self._log.read_text()[-2000:]}")
+            time.sleep(0.02)
+        self.close()
+        raise AssertionError("rootcanal never listened")
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._file.close()
+
+
+@pytest.fixture
+def air(tmp_path: Path) -> Iterator[Callable[..., RootCanal]]:
+    running: list[RootCanal] = []
+
+    def start(controller: str | None = None) -> RootCanal:
+        running.append(RootCanal(tmp_path / f"rootcanal{len(running)}.log", controller))
+        return running[-1]
+
+    yield start
+    for each in running:
+        each.close()
+
+
+@pytest.fixture
+def radio() -> Iterator[Callable[..., HciTransport]]:
+    radios: list[HciTransport] = []
+
+    def start(where: RootCanal, address: str, *, send: bool = True, listen: bool = True) -> HciTransport:
+        radios.append(HciTransport(where.name, address, send=send, listen=listen))
+        return radios[-1]
+
+    yield start
+    for each in radios:
+        each.close()
+
+
+def hear(receiver: HciTransport, count: int) -> list[RemoteIdHeard]:
+    """Wait for so many frames."""
+    events: list[RemoteIdHeard] = []
+    deadline = time.monotonic() + GENEROUS_S
+    while len(events) < count:
+        events += receiver.heard(time.monotonic())
+        assert time.monotonic() < deadline, f"only {len(events)} of {count}: {receiver.health(0.0)}"
+        time.sleep(0.002)
+    return events
+
+
+def silence(receiver: HciTransport, duration_s: float = 0.5) -> list[RemoteIdHeard]:
+    """What still comes."""
+    time.sleep(duration_s)
+    return receiver.heard(time.monotonic())
+
+
+Air = Callable[..., RootCanal]
+Start = Callable[..., HciTransport]
+
+
+def test_both_transports_at_once_are_heard_byte_exact(air: Air, radio: Start) -> None:
+    where = air()
+    sender, receiver = radio(where, A), radio(where, B)
+    assert sender.capabilities == receiver.hears == {BLE4, BLE5}
+    sender.broadcast(BLE4, ALL, 0.0)
+    sender.broadcast(BLE5, ALL, 0.0)
+    heard = hear(receiver, 6)
+    assert {event.address for event in heard} == {A}
+    assert [event.messages for event in heard if event.transport == BLE5] == [ALL]
+    ble4 = [event.messages for event in heard if event.transport == BLE4]
+    assert ble4[0] == (LOCATION,)
+    assert sorted(ble4, key=repr) == sorted(((message,) for message in ALL), key=repr)
+    assert silence(receiver) == []  # one event a frame, none repeated
+    assert sender.health(0.0).frames_sent == 6
+    assert sender.health(0.0).ok
+    assert receiver.health(0.0).frames_heard == 6
+    assert sender.heard(0.0) == []
+
+
+def test_the_frames_on_the_air_are_those_of_the_codec(
+    air: Air, radio: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where = air()
+    sender, receiver = radio(where, A), radio(where, B)
+    seen: list[tuple[str, str, bytes]] = []
+    take = receiver._receiver.receive
+
+    def spy(
+        transport: str, address: str, frame: bytes, rssi_dbm: float | None = None
+    ) -> RemoteIdHeard | None:
+        seen.append((transport, address, frame))
+        return take(transport, address, frame, rssi_dbm)
+
+    monkeypatch.setattr(receiver._receiver, "receive", spy)
+    pages = tuple(Authentication(auth_type=1, page=page, data=b"\xa5" * 23) for page in range(1, 9))
+    sender.broadcast(BLE5, (LOCATION, *pages), 0.0)  # nine messages: the longest there is
+    sender.broadcast(BLE4, (LOCATION,), 0.0)
+    hear(receiver, 2)
+    codec = FrameSender(A)
+    expected = [
+        (BLE5, A, codec.frames(BLE5, (LOCATION, *pages))[0]),
+        (BLE4, A, codec.frames(BLE4, (LOCATION,))[0]),
+    ]
+    assert sorted(seen) == sorted(expected)
+    assert sorted(len(frame) for _, _, frame in seen) == [31, 234]
+
+
+def test_every_update_is_seen_and_counts_agree(air: Air, radio: Start) -> None:
+    where = air()
+    sender, receiver = radio(where, A), radio(where, B)
+    heard: list[RemoteIdHeard] = []
+    for step in range(40):
+        location = Location(lat_deg=47.5 + step * 1e-4, lon_deg=8.5)
+        sender.broadcast(BLE4, (location,), 0.0)
+        sender.broadcast(BLE5, (SERIAL, location), 0.0)
+        heard += hear(receiver, 2)
+    for transport in (BLE4, BLE5):
+        places = [
+            message.lat_deg
+            for event in heard
+            if event.transport == transport
+            for message in event.messages
+            if isinstance(message, Location)
+        ]
+        assert places == pytest.approx([47.5 + step * 1e-4 for step in range(40)], abs=1e-7)
+    assert sender.health(0.0).frames_sent == 80
+    assert receiver.health(0.0).frames_heard == 80
+    assert receiver.health(0.0).bad_frames == 0
+
+
+def test_a_burst_sends_the_newest_and_loses_nothing_silently(air: Air, radio: Start) -> None:
+    where = air()
+    sender, receiver = radio(where, A), radio(where, B)
+    for step in range(50):
+        sender.broadcast(BLE4, (Location(lat_deg=47.5 + step * 1e-4, lon_deg=8.5),), 0.0)
+    last = pytest.approx(47.5 + 49e-4, abs=1e-7)
+    deadline = time.monotonic() + GENEROUS_S
+    events: list[RemoteIdHeard] = []
+    while not events or events[-1].messages[0].lat_deg != last:  # type: ignore[union-attr]
+        events += receiver.heard(0.0)
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+    events += silence(receiver)
+    assert sender.health(0.0).frames_sent == len(events)
+    assert sender._counts.replaced == 50 - len(events)
+
+
+def test_three_aircraft_hear_each_other(air: Air, radio: Start) -> None:
+    where = air()
+    radios = {address: radio(where, address) for address in (A, B, C)}
+    for each in radios.values():
+        each.broadcast(BLE5, ALL, 0.0)
+        each.broadcast(BLE4, (LOCATION,), 0.0)
+    for own, each in radios.items():
+        counts = Counter((event.address, event.transport) for event in hear(each, 4))
+        others = {A, B, C} - {own}
+        assert counts == {(address, transport): 1 for address in others for transport in (BLE4, BLE5)}
+
+
+def test_nothing_is_on_the_air_after_closing(air: Air, radio: Start) -> None:
+    where = air()
+    sender, receiver = radio(where, A), radio(where, B)
+    sender.broadcast(BLE4, ALL, 0.0)
+    sender.broadcast(BLE5, ALL, 0.0)
+    sender.close()
+    silence(receiver, 0.2)
+    assert silence(receiver) == []
+    again = radio(where, A)
+    again.broadcast(BLE4, (LOCATION,), 0.0)
+    assert len(hear(receiver, 1)) == 1
+
+
+def test_a_controller_without_coded_phy(air: Air, radio: Start) -> None:
+    where = air(WITHOUT_CODED)
+    sender, receiver = radio(where, A), radio(where, B)
+    assert sender.capabilities == receiver.hears == sender.health(0.0).can_send == {BLE4}
+    assert "no LE Coded PHY" in sender.health(0.0).missing[0]
+    sender.broadcast(BLE4, ALL, 0.0)
+    assert {event.messages for event in hear(receiver, 5)} == {(message,) for message in ALL}
+
+
+def test_a_controller_of_bluetooth_4(air: Air, radio: Start) -> None:
+    where = air(LEGACY_ONLY)
+    sender, receiver = radio(where, A), radio(where, B)
+    assert sender.capabilities == receiver.hears == {BLE4}
+    assert "no LE Extended Advertising" in sender.health(0.0).missing[0]
+    sender.broadcast(BLE4, ALL, 0.0)
+    heard = hear(receiver, 5)
+    assert {event.messages for event in heard} == {(message,) for message in ALL}
+    assert {(event.address, event.transport) for event in heard} == {(A, BLE4)}
+
+
+def test_legacy_commands_in_between_are_refused_by_the_controller_and_harm_nothing(
+    air: Air, radio: Start
+) -> None:
+    where = air()
+    sender, receiver = radio(where, A), radio(where, B)
+    statuses: list[int] = []
+    with sender._lock:
+        session = sender._link.session  # type: ignore[union-attr]
+        session._submit(
+            HciCommand(Opcode.LE_SET_ADVERTISING_ENABLE, b"\x01"), lambda s, _: statuses.append(s)
+        )
+    sender.broadcast(BLE4, (LOCATION,), 0.0)
+    assert len(hear(receiver, 1)) == 1
+    assert statuses == [0x0C]
+    assert "1 commands refused" in sender.health(0.0).text
+    assert sender.health(0.0).can_send == {BLE4, BLE5}
+
+
+def test_an_air_that_ends_is_noticed(air: Air, radio: Start) -> None:
+    where = air()
+    sender = radio(where, A)
+    where.close()
+    deadline = time.monotonic() + GENEROUS_S
+    while sender.health(0.0).ok:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert sender.health(0.0).can_send == frozenset()
