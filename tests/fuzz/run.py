@@ -22,7 +22,8 @@ from pathlib import Path
 from random import Random
 
 from tests.fuzz.mutate import Mutator
-from tests.fuzz.targets import Target, make_targets
+from tests.fuzz.seeds import Target
+from tests.fuzz.targets import make_targets
 
 INPUTS = 2000
 """Inputs for each reader in a block."""

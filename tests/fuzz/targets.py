@@ -6,162 +6,50 @@ it is a finding. `check` looks at what the reader remembers; AssertionError is a
 
 from __future__ import annotations
 
-import gzip
 import io
-import json
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 from functools import cache
-from pathlib import Path
 from typing import Any
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from companion import record
 from companion.autopilot.link import AutopilotLink
-from companion.autopilot.tlog import read_tlog
-from companion.autopilot.wire import (
-    MAX_FRAME_BYTES,
-    Frame,
-    FrameScanner,
-    MavlinkReader,
-    MavlinkWriter,
-    is_known,
-)
+from companion.autopilot.wire import MAX_FRAME_BYTES, FrameScanner, MavlinkReader, MavlinkWriter, is_known
 from companion.config import TrafficConfig, VehicleConfig
-from companion.errors import PeerDataError
 from companion.events import DownloadMission, FlightMode, RemoteIdHeard, SetMode
 from companion.geometry import LocalFrame
 from companion.radio import ether_wire
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
 from companion.radio.radiotap import build_radiotap, parse_radiotap
 from companion.remote_id import codec, frames
+from companion.remote_id.authentication import sign_pages
 from companion.remote_id.mavlink import READABLE, decode_odid, encode_message_pack, encode_odid
-from companion.remote_id.messages import (
-    Authentication,
-    BasicId,
-    IdType,
-    Location,
-    Message,
-    OperatorId,
-    SelfId,
-    Status,
-    System,
-    UaType,
-)
 from companion.traffic.tracks import Traffic
-
-DATA = Path(__file__).parents[1] / "data"
-CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "data" / "remote_id"
-"""Recordings of real transmitters, with true serial numbers: beside the checkout, where they are at all."""
-ADDRESS = "c2:01:02:03:04:05"
-MAX_TRACKS = 50
-
-
-@dataclass(frozen=True)
-class Target:
-    """A reader."""
-
-    name: str
-    seeds: list[bytes]
-    feed: Callable[[bytes], bool]
-    check: Callable[[], None] = lambda: None
-
-
-# ---------------------------------------------------------------- seeds
-
-MESSAGES: tuple[Message, ...] = (
-    BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="1596B0000DMUCA01"),
-    Location(
-        status=Status.AIRBORNE,
-        lat_deg=47.5,
-        lon_deg=8.5,
-        alt_geodetic_m=500.0,
-        direction_deg=90.0,
-        speed_mps=5.0,
-        vertical_speed_mps=0.5,
-        horizontal_accuracy_m=3.0,
-        timestamp_s=1234.5,
-    ),
-    System(operator_lat_deg=47.5, operator_lon_deg=8.5, operator_alt_geodetic_m=450.0),
-    SelfId(description_type=0, text="survey"),
-    OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8"),
-    Authentication(auth_type=1, page=0, data=bytes(range(17)), last_page=1, length=40),
-    Authentication(auth_type=1, page=1, data=bytes(range(23))),
+from tests.fuzz import radio_targets
+from tests.fuzz.seeds import (
+    ADDRESS,
+    MESSAGES,
+    Target,
+    built,
+    frame_seeds,
+    payload_seeds,
+    recorded_frames,
+    remembered,
+    taking,
+    vectors,
 )
 
-
-@cache
-def vectors() -> dict[str, list[bytes]]:
-    """Bytes of the vector file by kind, and of the captures where they are."""
-    file = json.loads(gzip.decompress((DATA / "vectors.json.gz").read_bytes()))["vectors"]
-    found: dict[str, list[bytes]] = {}
-    for kind, entries in file.items():
-        for entry in entries:
-            name = entry["type"] if kind == "transport" else kind
-            if entry["hex"]:
-                found.setdefault(name, []).append(bytes.fromhex(entry["hex"]))
-    return found
-
-
-@cache
-def captured() -> list[bytes]:
-    """Whole capture files, where they are."""
-    return [path.read_bytes() for path in sorted(CAPTURES.glob("*.pcap*"))]
-
-
-def built(transport: str) -> list[bytes]:
-    """Frames as we send them."""
-    sender = FrameSender(ADDRESS)
-    sizes = range(1, len(MESSAGES) + 1)
-    return [frame for size in sizes for frame in sender.frames(transport, MESSAGES[:size])]
-
-
-def frame_seeds(transport: str) -> list[bytes]:
-    """Frames of a transport."""
-    kind = {
-        "ble4": "ble_legacy_adv_data",
-        "ble5": "ble_extended_adv_data",
-        "wifi": "wifi_beacon_frame",
-        "nan": "wifi_nan_action_frame",
-    }[transport]
-    return built(transport) + vectors()[kind]
-
-
-def payload_seeds() -> list[bytes]:
-    """Messages and packs."""
-    named = ("basic_id", "location", "auth", "self_id", "system", "operator_id", "message_pack", "decode")
-    return [data for name in named for data in vectors()[name]] + [codec.encode_pack(MESSAGES)]
-
-
-@cache
-def recorded_frames() -> list[Frame]:
-    """MAVLink frames of the recorded flights, up to four of each message."""
-    kept: dict[tuple[str, int], list[Frame]] = {}
-    for path in sorted(DATA.glob("*.tlog.gz")):
-        scanner = FrameScanner()
-        stream = io.BytesIO(gzip.decompress(path.read_bytes()))
-        for _, raw in read_tlog(stream, path.name):
-            for frame in scanner.frames(raw):
-                some = kept.setdefault((path.name, frame.message_id), [])
-                if len(some) < 4:
-                    some.append(frame)
-    return [frame for some in kept.values() for frame in some]
-
+MAX_TRACKS = 50
+UTC_S = 1_750_000_000.0
+SIGNER = "1596B0000DMUCA01"
+PRIVATE_KEY = Ed25519PrivateKey.from_private_bytes(bytes(range(32)))
+PUBLIC_KEY = PRIVATE_KEY.public_key().public_bytes_raw().hex()
+REMEMBERED = 60_000
+"""Items and characters that the tracks may hold in all; they settle at half of it."""
 
 # ---------------------------------------------------------------- readers without a memory
-
-
-def taking(read: Callable[[bytes], object]) -> Callable[[bytes], bool]:
-    """Feed a reader that raises PeerDataError for what it refuses."""
-
-    def feed(data: bytes) -> bool:
-        try:
-            read(data)
-        except PeerDataError:
-            return False
-        return True
-
-    return feed
 
 
 def _read_radiotap(data: bytes) -> None:
@@ -175,6 +63,7 @@ def _read_odid(data: bytes) -> None:
 _ODID_IDS = sorted(READABLE)
 
 
+@cache
 def _odid_seeds() -> list[bytes]:
     packed = [*(encode_odid(message, 0, 0) for message in MESSAGES), encode_message_pack(MESSAGES[:5], 0, 0)]
     return [bytes((_ODID_IDS.index(number),)) + payload for number, payload in packed] + [
@@ -182,6 +71,7 @@ def _odid_seeds() -> list[bytes]:
     ]
 
 
+@cache
 def _ether_seeds() -> list[bytes]:
     said: list[ether_wire.Datagram] = [ether_wire.Join("a"), ether_wire.Leave(), ether_wire.Welcome(2)]
     said += [ether_wire.Heard(t, ADDRESS, built(t)[0]) for t in sorted(TRANSPORTS)]
@@ -189,10 +79,15 @@ def _ether_seeds() -> list[bytes]:
     return [ether_wire.encode(datagram) for datagram in said]
 
 
+@cache
+def _wifi_seeds() -> list[bytes]:
+    return [*frame_seeds("wifi"), *frame_seeds("nan"), *vectors()["wifi_nan_sync_beacon_frame"]]
+
+
 def _stateless() -> Iterable[Target]:
     payloads = payload_seeds()
     messages = [data for data in payloads if len(data) == codec.MESSAGE_SIZE]
-    wifi = [*frame_seeds("wifi"), *frame_seeds("nan"), *vectors()["wifi_nan_sync_beacon_frame"]]
+    wifi = _wifi_seeds()
     yield Target("message", messages, taking(codec.decode))
     yield Target("pack", payloads, taking(codec.decode_pack))
     yield Target("payload", payloads, taking(codec.decode_payload))
@@ -211,9 +106,9 @@ def _stateless() -> Iterable[Target]:
 # ---------------------------------------------------------------- radio frame to track
 
 
-def _record(now_s: float, *events: Any) -> None:
+def _record(now_s: float, *events: Any, commands: tuple[Any, ...] = ()) -> None:
     """What was heard can be recorded, and is read back as it was."""
-    step = record.Step(now_s=now_s, events=events, commands=())
+    step = record.Step(now_s=now_s, events=events, commands=commands)
     (again,) = record.read(io.BytesIO(record.MAGIC + record.encode(step)), "record")
     assert again == step
 
@@ -223,7 +118,7 @@ class _Hearing:
 
     def __init__(self) -> None:
         self.receiver = FrameReceiver()
-        self.traffic = Traffic(TrafficConfig(max_tracks=MAX_TRACKS), "OWN")
+        self.traffic = Traffic(TrafficConfig(max_tracks=MAX_TRACKS, keys={SIGNER: PUBLIC_KEY}), "OWN")
         self.frame = LocalFrame(47.5, 8.5, 450.0)
         self.now_s = 0.0
         self.traffic.note_own(0.0, (0.0, 0.0, 0.0))
@@ -233,19 +128,26 @@ class _Hearing:
         if event is None:
             return False
         _record(self.now_s, event)
-        self.traffic.hear(event, self.now_s, 1234.0, self.frame, 48.0)
+        self.traffic.hear(event, self.now_s, UTC_S, self.frame, 48.0)
         self.traffic.expire(self.now_s)
+        flagged = self.traffic.flagged(self.now_s)
+        if flagged:
+            _record(self.now_s, event, commands=tuple(flagged))
         return True
 
     def check(self) -> None:
         traffic = self.traffic
         assert len(traffic.tracks) <= MAX_TRACKS
-        assert len(traffic._names) <= 4 * MAX_TRACKS
-        for track in traffic.tracks.values():
-            assert len(track.leads_s) <= 5
+        assert remembered(traffic) < REMEMBERED
         for neighbour in traffic.neighbours(self.now_s):
             assert all(map(math.isfinite, (*neighbour.position_ned_m, *neighbour.velocity_ned_mps)))
             assert math.isfinite(neighbour.age_s)
+
+
+@cache
+def _signed(transport: str) -> list[bytes]:
+    pages = sign_pages(PRIVATE_KEY, 1, SIGNER, (), UTC_S)
+    return FrameSender(ADDRESS).frames(transport, (*MESSAGES[:2], *pages))
 
 
 def _hearing(transport: str) -> Target:
@@ -256,14 +158,16 @@ def _hearing(transport: str) -> Target:
         address = radio_address(str(sum(data) % 997))
         return hearing.take(hearing.receiver.receive(transport, address, data, -60.0))
 
-    return Target(f"hear {transport}", frame_seeds(transport), feed, hearing.check)
+    return Target(f"hear {transport}", frame_seeds(transport) + _signed(transport), feed, hearing.check)
 
 
 def _hearing_wifi() -> Target:
     hearing = _Hearing()
-    seeds = [*frame_seeds("wifi"), *frame_seeds("nan"), *vectors()["wifi_nan_sync_beacon_frame"]]
     return Target(
-        "hear any wifi", seeds, lambda data: hearing.take(hearing.receiver.receive_wifi(data)), hearing.check
+        "hear any wifi",
+        _wifi_seeds(),
+        lambda data: hearing.take(hearing.receiver.receive_wifi(data)),
+        hearing.check,
     )
 
 
@@ -297,6 +201,7 @@ def _reframed(data: bytes, writer: MavlinkWriter) -> bytes:
     return writer.pack_payload(message_id, data[3:258] or b"\0")
 
 
+@cache
 def _content_seeds() -> list[bytes]:
     return [frame.message_id.to_bytes(3, "little") + frame.payload for frame in recorded_frames()]
 
@@ -338,4 +243,5 @@ def make_targets() -> list[Target]:
         _scanner(),
         _decoder(),
         _link(),
+        *radio_targets.make_targets(),
     ]
