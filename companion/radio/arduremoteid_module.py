@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from companion.autopilot.wire import MAGIC_V2, Frame, FrameScanner, MavlinkWriter
 from companion.remote_id.mavlink import ARM_STATUS, COMPONENT_ID, MAV_TYPE, decode_arm_status
@@ -188,7 +188,7 @@ class Module:
             return
         self._follow(frame, now_s)
         if frame.message_id == _HEARTBEAT_ID:
-            if _HEARTBEAT.unpack(frame.payload.ljust(_HEARTBEAT.size, b"\0"))[1] == MAV_TYPE:
+            if _fields(_HEARTBEAT, frame.payload)[1] == MAV_TYPE:
                 if self.heard_s is not None and not self.alive(now_s):
                     self.ask(*PARAMETERS)
                 self.heard_s = now_s
@@ -202,9 +202,7 @@ class Module:
             self.said = _printable(text)
 
     def _take_value(self, payload: bytes) -> None:
-        value, _, _, raw, _ = _PARAM_VALUE.unpack(
-            payload.ljust(_PARAM_VALUE.size, b"\0")[: _PARAM_VALUE.size]
-        )
+        value, _, _, raw, _ = _fields(_PARAM_VALUE, payload)
         name = raw.split(b"\0")[0].decode("latin-1")
         if name in PARAMETERS and math.isfinite(value):
             self.params[name] = value
@@ -226,6 +224,11 @@ class Module:
             self.restarts += 1
             self.arm = None
             self.ask(*PARAMETERS)
+
+
+def _fields(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
+    """The payload's fields: MAVLink cuts zeros from the end, and newer dialects append."""
+    return layout.unpack(payload.ljust(layout.size, b"\0")[: layout.size])
 
 
 def _printable(text: str) -> str:

@@ -124,7 +124,8 @@ def statuses(messages: list[Any]) -> list[tuple[int, str]]:
 
 def test_it_is_silent_until_a_heartbeat_that_is_no_ground_stations_gives_it_a_system_id() -> None:
     bench = Bench()
-    assert bench.run(0.9) == [] and bench.raw == b""
+    assert bench.run(0.9) == []
+    assert bench.raw == b""
     bench.run(3.0)
     assert bench.raw.startswith(b"ArduRemoteID version 1.14")
     assert bench.raw.count(b"Waiting for heartbeat\n") == 2
@@ -153,7 +154,8 @@ def test_the_list_of_parameters_counts_one_too_few_and_tells_the_hidden_one() ->
     bench = Bench().start()
     bench.send(mavlink.MAVLink_param_request_list_message(7, 236))
     values = [m for m in bench.run(3.0) if m.get_type() == "PARAM_VALUE"]
-    assert {m.param_count for m in values} == {19} and {m.param_type for m in values} == {9}
+    assert {m.param_count for m in values} == {19}
+    assert {m.param_type for m in values} == {9}
     assert [m.param_index for m in values] == [*range(20), 65535]
     assert values[-1].param_id == "DONE_INIT"
     assert not {"UAS_ID", "WIFI_PASSWORD"} & {m.param_id for m in values}
@@ -179,7 +181,8 @@ def test_a_locked_module_tells_the_old_value_and_says_so() -> None:
     bench = Bench(params={"LOCK_LEVEL": 1}).start()
     text, value = bench.set("WIFI_BCN_RATE", 2.0)
     assert (text.severity, text.text) == (mavlink.MAV_SEVERITY_ERROR, "Parameters locked")
-    assert value.param_value == 0.0 and bench.module.flash_writes == []
+    assert value.param_value == 0.0
+    assert bench.module.flash_writes == []
     assert [m.get_type() for m in bench.set("LOCK_LEVEL", 0.0)] == ["STATUSTEXT", "PARAM_VALUE"]
     assert bench.param("LOCK_LEVEL") == 1.0
     assert [m.param_value for m in bench.set("LOCK_LEVEL", 2.0)] == [2.0]
@@ -189,7 +192,8 @@ def test_a_locked_module_tells_the_old_value_and_says_so() -> None:
 def test_defaults_erase_the_flash_and_restart() -> None:
     bench = Bench(params={"WIFI_BCN_RATE": 3}).start()
     bench.set("TO_DEFAULTS", 1.0)
-    assert bench.module.starts == 2 and bench.module.flash["WIFI_BCN_RATE"] == 0.0
+    assert bench.module.starts == 2
+    assert bench.module.flash["WIFI_BCN_RATE"] == 0.0
     assert bench.module.catastrophes == ["PARAM_SET TO_DEFAULTS = 1"]
 
 
@@ -229,7 +233,8 @@ def test_what_it_refuses(fields: dict[str, Any], refusal: str) -> None:
 def test_without_a_stored_basic_id_it_stores_the_first_that_it_gets_for_good() -> None:
     bench = Bench(params={"UAS_TYPE": 0, "UAS_ID_TYPE": 0, "LOCK_LEVEL": 1}).start()
     bench.feed(3.0, basic=basic_id(ua_type=0))
-    assert bench.module.refusal(bench.now_s) == "ID " and bench.module.flash_writes == []
+    assert bench.module.refusal(bench.now_s) == "ID "
+    assert bench.module.flash_writes == []
     bench.feed(3.0, basic=basic_id())
     assert bench.module.flash_writes == [("UAS_TYPE", 2.0), ("UAS_ID_TYPE", 1.0), ("UAS_ID", "OURS12345678")]
     assert statuses(bench.said)[-1] == (0, "")
@@ -302,7 +307,8 @@ def test_what_it_was_told_last_stays_on_the_air_for_ever() -> None:
     bench.feed(3.0)
     before = bench.air()["ble5"].payload
     bench.run(60.0)
-    assert bench.air()["ble5"].payload == before and bench.air()["ble5"].age_s < 1.1
+    assert bench.air()["ble5"].payload == before
+    assert bench.air()["ble5"].age_s < 1.1
 
 
 def test_bluetooth_intervals_are_those_of_the_start() -> None:
@@ -311,7 +317,8 @@ def test_bluetooth_intervals_are_those_of_the_start() -> None:
     bench.set("BT4_RATE", 1.0)
     bench.set("BT5_RATE", 4.0)
     bench.feed(3.0)
-    assert "ble4" not in bench.air() and bench.air()["ble5"].interval_s == 1.0
+    assert "ble4" not in bench.air()
+    assert bench.air()["ble5"].interval_s == 1.0
     bench.module.reboot(bench.now_s)
     bench.run(3.0)
     assert bench.air()["ble4"].interval_s == pytest.approx(1 / 7)
@@ -331,10 +338,12 @@ def test_the_channel_follows_at_the_next_start() -> None:
 
 def test_before_it_knows_anything_it_sends_empty_packs_if_told_to() -> None:
     eager = Bench(params={"UAS_TYPE": 0}).start()
-    assert eager.air()["ble5"].payload == b"\xf2\x19\x00" and eager.air()["ble5"].frame is None
+    assert eager.air()["ble5"].payload == b"\xf2\x19\x00"
+    assert eager.air()["ble5"].frame is None
     shy = Bench(params={"BCAST_POWERUP": 0}).start()
     shy.run(5.0)
-    assert shy.air() == {} and statuses(shy.said)[-1] == (1, "uninitialised")
+    assert shy.air() == {}
+    assert statuses(shy.said)[-1] == (1, "uninitialised")
     shy.feed(2.0)
     assert set(shy.air()) == {"ble4", "ble5"}
 
@@ -346,7 +355,8 @@ def test_a_restart_keeps_the_flash_and_nothing_else() -> None:
     bench.set("WIFI_BCN_RATE", 2.0)
     bench.feed(5.0)
     bench.module.reboot(bench.now_s)
-    assert bench.air() == {} and bench.run(2.9) == []
+    assert bench.air() == {}
+    assert bench.run(2.9) == []
     bench.send(*data(bench.now_s))  # nobody listens
     bench.run(0.2)
     bench.send(heartbeat())
