@@ -12,6 +12,7 @@ import math
 import multiprocessing
 import os
 import resource
+import signal
 import sys
 import time
 import traceback
@@ -171,18 +172,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return campaign.verdict()
     blocks = math.ceil(arguments.payloads / (INPUTS * len(make_targets())))
     jobs = [(arguments.seed, number) for number in range(blocks)]
-    with multiprocessing.Pool(arguments.processes) as pool:
+    ignore_interrupts = (signal.SIGINT, signal.SIG_IGN)
+    with multiprocessing.Pool(arguments.processes, signal.signal, ignore_interrupts) as pool:
         results = pool.imap_unordered(_work, jobs)
         while time.monotonic() - campaign.began_s < arguments.seconds:
             try:
                 campaign.add(results.next(timeout=_HANGS_S))
-            except StopIteration:
+            except (StopIteration, KeyboardInterrupt):
                 break
             except multiprocessing.TimeoutError:
                 print(f"FOUND: no block done for {_HANGS_S:.0f} s: a reader hangs, see the traces above")
                 campaign.verdict()
                 return 1
-        pool.terminate()
     return campaign.verdict()
 
 
