@@ -27,7 +27,7 @@ from companion.radio.hci_setup import Abilities, RefusedError, set_up
 from companion.radio.hci_wire import HciCommand, Opcode, Status, status_words
 
 ANSWER_S: Final = 2.0
-"""A controller answers every command within a second (Core vol. 4 part E section 4.4 leaves it open)."""
+"""Controllers answer within milliseconds."""
 _RESET_S: Final = 1.0
 _RESET_TRIES: Final = 3
 """The first Reset may meet a stream that is out of step."""
