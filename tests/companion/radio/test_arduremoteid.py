@@ -272,6 +272,34 @@ def test_a_module_that_locks_behind_our_back_is_quoted() -> None:
         bench.radio.configure({WIFI_BEACON: 2})
 
 
+def test_a_lost_answer_does_not_wear_the_flash_again() -> None:
+    bench = Bench()
+    module, taken = bench.module, bench.module.receive
+
+    def receive(data: bytes, now_s: float) -> None:
+        sets = len(module.param_sets)
+        taken(data, now_s)
+        if len(module.param_sets) > sets:
+            module.drain()  # the answer is lost
+
+    module.receive = receive  # type: ignore[method-assign]
+    bench.radio.configure({WIFI_BEACON: 2})
+    assert module.flash_writes == [("WIFI_BCN_RATE", 2.0)]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+@pytest.mark.parametrize("name", ["OPTIONS", "BT4_RATE", "WIFI_CHANNEL", "LOCK_LEVEL"])
+def test_parameters_that_are_no_numbers_are_left_out(name: str, value: float) -> None:
+    bench = Bench()
+    before = dict(bench.radio._module.params)
+    bench.wire.extra = MavlinkWriter(7, 236).pack(
+        mavlink.MAVLink_param_value_message(name.encode(), value, 9, 19, 0)
+    )
+    bench.wait(0.05)
+    assert bench.radio._module.params == before
+    assert bench.health().ok
+
+
 def test_nothing_is_written_once_it_sends() -> None:
     bench = Bench()
     bench.fly(2.0, BLE4)
@@ -471,6 +499,28 @@ def test_a_restart_without_its_banner_shows_in_the_sequence_numbers() -> None:
     bench.wire.cut = False
     bench.fly(4.0, BLE5)
     assert bench.radio._module.restarts == before + 1
+
+
+def test_a_restart_that_continues_the_sequence_numbers_shows_in_its_banner() -> None:
+    bench = Bench(noise=True)
+    bench.module._writer.encoder.seq = 252
+    bench.fly(1.5, BLE5)
+    before = bench.radio._module.restarts
+    bench.module.reboot(bench.wire.now_s)
+    bench.fly(4.0, BLE5)
+    assert bench.radio._module.restarts == before + 1
+
+
+def test_after_a_silence_the_parameters_are_read_again() -> None:
+    bench = Bench()
+    bench.wait(1.0)
+    bench.wire.cut = True
+    bench.wait(4.0)
+    bench.module.flash["BT4_RATE"] = bench.module._params["BT4_RATE"] = 0.0
+    bench.wire.cut = False
+    bench.wait(3.0)
+    assert bench.health().can_send == {BLE5}
+    assert bench.radio._module.restarts == 0
 
 
 def test_a_transport_that_a_restart_lost_is_told() -> None:
