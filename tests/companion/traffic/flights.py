@@ -117,10 +117,12 @@ def circle(speed_mps: float, acceleration_mps2: float) -> Motion:
     )
 
 
-def stop_and_go(speed_mps: float, deceleration_mps2: float, cruise_s: float = 6.0) -> Motion:
+def stop_and_go(
+    speed_mps: float, deceleration_mps2: float, cruise_s: float = 6.0, hover_s: float = 3.0
+) -> Motion:
     """A helicopter: cruises, brakes to a hover, goes on, for ever."""
     brake_s = speed_mps / deceleration_mps2
-    period_s, ahead_m = cruise_s + 2.0 * brake_s + 3.0, speed_mps * (cruise_s + brake_s)
+    period_s, ahead_m = cruise_s + 2.0 * brake_s + hover_s, speed_mps * (cruise_s + brake_s)
 
     def motion(t: float) -> tuple[float, float, float, float, float]:
         laps, u = divmod(t, period_s)
@@ -129,8 +131,8 @@ def stop_and_go(speed_mps: float, deceleration_mps2: float, cruise_s: float = 6.
         if u > cruise_s:
             b = min(u - cruise_s, brake_s)
             x, v = x + speed_mps * b - 0.5 * deceleration_mps2 * b * b, speed_mps - deceleration_mps2 * b
-        if u > cruise_s + brake_s + 3.0:
-            a = u - cruise_s - brake_s - 3.0
+        if u > cruise_s + brake_s + hover_s:
+            a = u - cruise_s - brake_s - hover_s
             x, v = x + 0.5 * deceleration_mps2 * a * a, deceleration_mps2 * a
         return 100.0, -2000.0 + laps * ahead_m + x, 0.0, v, 50.0
 

@@ -268,6 +268,48 @@ def test_velocity_that_the_positions_do_not_follow(change, rate_hz):
     assert listener.flags() == frozenset()
 
 
+PRECISE = {"horizontal_accuracy_m": 1.0, "speed_accuracy_mps": 0.3}
+
+
+def test_short_stops_between_messages():
+    """Heard every 4.5 s, always at cruise; in between it brakes to a hover and goes on."""
+    listener = Listener()
+    motion = stop_and_go(8.0, 5.0, cruise_s=0.2, hover_s=1.1)
+    fly(listener, motion, [0.1 + 4.5 * k for k in range(4, 24)], **PRECISE)
+    assert listener.ever == set()
+    assert listener.traffic.tracks["X"].messages == 20
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_fast_and_dated_a_little_wrong(stamped):
+    """60 m/s: timestamps 0.3 s off either way, or none and up to 0.9 s of delay."""
+    listener = Listener()
+    for k, t in enumerate(seconds(60)):
+        late = k // 5 % 2
+        if stamped:
+            fly(listener, straight(60.0), [t], clock_s=0.6 * late - 0.3, **PRECISE)
+        else:
+            fly(listener, straight(60.0), [t], delay_s=0.9 * late, timestamp_s=None, **PRECISE)
+    assert listener.ever == (set() if stamped else {Flag.NO_TIMESTAMP})
+
+
+def test_noise_of_thirty_metres_where_that_is_declared():
+    listener = Listener()
+    generator = random.Random(6)
+    for t in seconds(120):
+        motion = straight(5.0, generator.gauss(200.0, 20.0), generator.gauss(-300.0, 20.0))
+        fly(listener, motion, [t], horizontal_accuracy_m=30.0, speed_accuracy_mps=0.3)
+    assert listener.ever == set()
+
+
+def test_long_silences_neither_raise_nor_end_a_mismatch():
+    listener = Listener()
+    fly(listener, straight(20.0), seconds(20), speed_mps=0.0)
+    assert listener.flags() == {Flag.VELOCITY_MISMATCH}
+    fly(listener, straight(20.0), [40.0, 49.0, 58.0, 67.0])
+    assert listener.flags() == {Flag.VELOCITY_MISMATCH}
+
+
 def test_a_still_position_with_a_velocity():
     listener = Listener()
     fly(listener, straight(0.0), seconds(20), speed_mps=15.0, direction_deg=45.0)
@@ -409,6 +451,12 @@ def test_a_signer_is_not_called_unsigned_before_it_could_sign():
     fly(listener, straight(), seconds(8))
     signed_flight(listener, seconds(8, 18.0))
     assert listener.ever == {Flag.SIGNED}
+
+
+def test_without_our_own_utc_nobody_is_called_unsigned():
+    listener = Listener(utc_offset_s=None, keys={"X": PUBLIC_HEX})
+    signed_flight(listener, seconds(20))
+    assert listener.ever == set()
 
 
 @pytest.mark.parametrize("age_s", [30.0, -30.0])
