@@ -6,6 +6,7 @@ the region's law asks beyond it, within what the radios can send on.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -60,3 +61,12 @@ def longest_period_s(region: Region, transport: str, wifi_channel: int | None) -
     if transport == "wifi" and elsewhere is not None and wifi_channel not in (None, *region.beacon_channels):
         return elsewhere
     return region.location_period_s
+
+
+def whole_rates(rates: Mapping[str, int], region: Region, wifi_channel: int | None) -> dict[str, int]:
+    """Whole messages a second that keep the floor with its margin, for a radio that repeats by itself."""
+    found = {}
+    for transport, rate in rates.items():
+        period_s = longest_period_s(region, transport, wifi_channel)
+        found[transport] = rate if period_s is None else max(rate, math.ceil(1.0 / (MARGIN * period_s)))
+    return found

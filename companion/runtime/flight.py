@@ -26,7 +26,7 @@ from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Header, Step
 from companion.remote_id.broadcaster import asked_rates
-from companion.remote_id.law import keep_floor
+from companion.remote_id.law import keep_floor, whole_rates
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
@@ -122,7 +122,7 @@ class Flight:
             return
         if decided.reason:
             self._say(f"remote_id: {decided.reason}")
-        self.radio.configure(decided.rates)
+        self.radio.configure(whole_rates(decided.rates, config.region, self.radio.wifi_channel))
 
     # ------------------------------------------------------------ phases
 

@@ -80,6 +80,11 @@ class Radios:
         """Transports that any radio can send on."""
         return frozenset().union(*(radio.capabilities for radio in self.radios))
 
+    @property
+    def wifi_channel(self) -> int | None:
+        """Channel of the first Wi-Fi radio."""
+        return next((r.wifi_channel for r in self.radios if r.wifi_channel is not None), None)
+
     def configure(self, rates: Mapping[str, int]) -> None:
         """Prepare each radio for the transports that it is to send. Raises ConfigError."""
         if not self._sending:
@@ -127,13 +132,12 @@ class Radios:
         for health in healths:
             if health.confirmed is not None:
                 monitored |= health.can_send
-        channels = [radio.wifi_channel for radio in self.radios if radio.wifi_channel is not None]
         return RadioState(
             can_send=tuple(sorted(frozenset().union(*sends))),
             monitored=tuple(sorted(monitored)),
             confirmed=tuple(sorted(frozenset().union(*(health.confirmed or () for health in healths)))),
             own_addresses=tuple(sorted(frozenset().union(*(radio.own_addresses for radio in self.radios)))),
-            wifi_channel=channels[0] if channels else None,
+            wifi_channel=self.wifi_channel,
             text="; ".join(health.text for health in healths if not health.ok),
         )
 

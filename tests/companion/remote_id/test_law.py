@@ -27,7 +27,7 @@ from companion.events import (
 )
 from companion.ownship import Ownship
 from companion.remote_id.broadcaster import Broadcaster
-from companion.remote_id.law import keep_floor
+from companion.remote_id.law import keep_floor, whole_rates
 from companion.remote_id.messages import BasicId, Location, OperatorId, SelfId, Status, System
 from companion.remote_id.region import Region
 
@@ -299,3 +299,10 @@ def test_two_identities_where_the_state_gives_a_number():
     aircraft.step(0.05)
     sent = [m.uas_id for m in aircraft.sent[0][1].messages if isinstance(m, BasicId)]
     assert sent == ["1596B0000DMUCA01", "JU0123456789"]
+
+
+def test_a_radio_that_repeats_by_itself_is_set_to_whole_messages_above_the_floor():
+    rates = {"ble4": 1, "wifi": 3}
+    assert whole_rates(rates, REGIONS["us"], 6) == {"ble4": 2, "wifi": 3}
+    assert whole_rates(rates, REGIONS["us"], 11) == {"ble4": 2, "wifi": 7}
+    assert whole_rates(rates, Region(), 11) == rates
