@@ -133,7 +133,7 @@ def _read_pack(data: bytes) -> Payload:
     whole = (len(data) - PACK_HEADER_SIZE) // MESSAGE_SIZE
     if announced > whole:
         faults.append(f"pack of {announced} messages cut short: {len(data)} bytes hold {whole}")
-    counts: Counter[type[Message]] = Counter()
+    counts: dict[type[Message], int] = {}
     for index in range(min(announced, whole, PACK_MAX_MESSAGES)):
         offset = PACK_HEADER_SIZE + index * MESSAGE_SIZE
         try:
@@ -142,8 +142,8 @@ def _read_pack(data: bytes) -> Payload:
             faults.append(f"pack message {index + 1} (offset {offset}): {error}")
             continue
         kind = type(message)
-        counts[kind] += 1
-        if counts[kind] > _most_of(kind):
+        count = counts[kind] = counts.get(kind, 0) + 1
+        if count > 1 and count > _most_of(kind):
             # Which of two Locations holds cannot be told: the first stays, as in a receiver that stops there.
             faults.append(f"pack message {index + 1} (offset {offset}) is one {kind.__name__} too many")
             continue
