@@ -32,11 +32,11 @@ class About:
 
     def keep(self, message: Message) -> None:
         """Hold the last System, Operator ID and Self ID; others are no news here."""
-        if isinstance(message, System):
+        if type(message) is System:
             self.system = message
-        elif isinstance(message, OperatorId):
+        elif type(message) is OperatorId:
             self.operator_id = message
-        elif isinstance(message, SelfId):
+        elif type(message) is SelfId:
             self.self_id = message
 
     def keep_id(self, message: BasicId, identity: str | None) -> None:

@@ -180,12 +180,13 @@ class MotionWindow:
     received_s: float
     start: Fix | None = None
     span_s: float = 0.0
-    moved_m: tuple[float, float] = (0.0, 0.0)
+    north_m: float = 0.0
+    east_m: float = 0.0
     slack_m: float = 0.0
 
     def take(self, fix: Fix, now_s: float) -> bool | None:
         """Go on to the next fix; at the end of a window, whether positions and velocities disagree."""
-        before, (v0, v1) = self.last, (self.last.velocity, fix.velocity)
+        before, v0, v1 = self.last, self.last.velocity, fix.velocity
         if before.stamp_s is not None and fix.stamp_s is not None:
             dt, jitter_s = fix.stamp_s - before.stamp_s, _JITTER_S
         else:
@@ -197,25 +198,24 @@ class MotionWindow:
             self.start = None
             return None
         if self.start is None:
-            self.start, self.span_s, self.moved_m, self.slack_m = before, 0.0, (0.0, 0.0), 0.0
+            self.start = before
+            self.span_s = self.north_m = self.east_m = self.slack_m = 0.0
         self.span_s += dt
-        self.moved_m = (
-            self.moved_m[0] + 0.5 * dt * (v0[0] + v1[0]),
-            self.moved_m[1] + 0.5 * dt * (v0[1] + v1[1]),
+        self.north_m += 0.5 * dt * (v0[0] + v1[0])
+        self.east_m += 0.5 * dt * (v0[1] + v1[1])
+        self.slack_m += dt * (
+            0.25 * _MANOEUVRE_MPS2 * dt + (fix.content.speed_accuracy_mps or _SPEED_UNKNOWN_MPS)
         )
-        self.slack_m += 0.25 * _MANOEUVRE_MPS2 * dt * dt
-        self.slack_m += dt * (fix.content.speed_accuracy_mps or _SPEED_UNKNOWN_MPS)
         if self.span_s < _WINDOW_S:
             return None
-        a, b, moved = self.start, fix, self.moved_m
-        self.start = None
+        start, self.start = self.start, None
         off = math.hypot(
-            b.position[0] - a.position[0] - moved[0],
-            b.position[1] - a.position[1] - moved[1],
+            fix.position[0] - start.position[0] - self.north_m,
+            fix.position[1] - start.position[1] - self.east_m,
         )
-        speed = max(math.hypot(*(f.velocity or (0.0, 0.0))[:2]) for f in (a, b))
-        allowed = self.slack_m + _NOISES * (noise_m(a.content) + noise_m(b.content)) + speed * jitter_s
-        return off > allowed + _QUANTUM * math.hypot(*moved)
+        speed = max(math.hypot(*(f.velocity or (0.0, 0.0))[:2]) for f in (start, fix))
+        allowed = self.slack_m + _NOISES * (noise_m(start.content) + noise_m(fix.content)) + speed * jitter_s
+        return off > allowed + _QUANTUM * math.hypot(self.north_m, self.east_m)
 
 
 _WINDOW_S: Final = 5.0

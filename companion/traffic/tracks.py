@@ -109,11 +109,11 @@ class Traffic:
         locations = []
         signature = None
         for message in heard.messages:
-            if isinstance(message, Location):
+            if type(message) is Location:
                 locations.append(message)
-            elif isinstance(message, BasicId):
+            elif type(message) is BasicId:
                 self._learn_name(source, message)
-            elif isinstance(message, Authentication):
+            elif type(message) is Authentication:
                 signature = self._assembler.take(source.key, message, now_s) or signature
             else:
                 source.about.keep(message)
