@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
+import msgspec
 from rich import box
 from rich.console import Console, Group
 from rich.live import Live
@@ -80,14 +81,15 @@ def run(arguments: argparse.Namespace) -> int:
         config, name = configuration.load(arguments.config), str(arguments.config)
     if not config.has_radio:
         raise ConfigError(f"{name}: radio: none configured, so nobody can be heard; add a [[radio]]")
-    radios = Radios(config, sending=False)
+    listeners = tuple(only for radio in config.radio for only in _listening(radio))
+    if not listeners:
+        raise ConfigError(f"{name}: radio: none of the configured ones can listen")
+    radios = Radios(msgspec.structs.replace(config, radio=listeners), sending=False)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(
             errors="backslashreplace"
         )  # a terminal that cannot show a sign is no reason to end
     try:
-        if not any(radio.hears for radio in radios.radios):
-            raise ConfigError(f"{name}: radio: none of the configured ones can listen")
         with _stop_signal() as stopped:
             listen(radios, _view(as_json=arguments.json), stopped, arguments.seconds)
     finally:
@@ -111,6 +113,18 @@ def listen(radios: Radios, view: View, stopped: Callable[[], bool], seconds: flo
             if seconds is not None and now_s - began_s >= seconds:
                 break
             time.sleep(_POLL_S)
+
+
+def _listening(radio: RadioConfig) -> list[RadioConfig]:
+    """The part of a radio that listens, if it has one: what sends is left alone, another may be using it."""
+    match radio:
+        case EtherRadio():
+            return [radio]
+        case HciRadio(listen=True):
+            return [msgspec.structs.replace(radio, send=False)]
+        case WifiRadio() if radio.monitor is not None:
+            return [msgspec.structs.replace(radio, hostapd=None, inject=None)]
+    return []
 
 
 def _shortcuts(texts: Sequence[str]) -> tuple[RadioConfig, ...]:

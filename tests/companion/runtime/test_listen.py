@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from companion.cli import main
+from companion.config import Config, HciRadio, WifiRadio
+from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
 from companion.radio.transport import Health
 from companion.remote_id.messages import (
@@ -37,6 +39,7 @@ from companion.runtime.heard import (
     json_line,
 )
 from companion.runtime.listen import LiveTable, PlainLines, drawing
+from companion.runtime.radios import Radios
 
 HEALTH = Health(ok=True, text="wlan0: listening", frames_sent=0, frames_heard=7, bad_frames=2)
 LOCATION = Location(
@@ -246,6 +249,12 @@ def test_a_radio_that_is_not_well_says_so() -> None:
     [
         ('[identity]\nuas_id = "A1"\n', "radio: none configured, so nobody can be heard"),
         ('[identity]\nuas_id = "A1"\n[[radio]]\nbackend = "null"\n', "radio: none configured"),
+        (
+            '[identity]\nuas_id = "A1"\n[[radio]]\nbackend = "arduremoteid"\nlink = "udpout:127.0.0.1:9"\n'
+            '[[radio]]\nbackend = "hci"\nchannel = "tcp:127.0.0.1:9"\nlisten = false\n'
+            '[[radio]]\nbackend = "wifi"\nhostapd = "/nowhere"\n',
+            "none of the configured ones can listen",
+        ),
         ('[identity]\nuas_id = "A1"\n[[radio]]\nbackend = "ether"\naddress = "x"\n', "expected HOST:PORT"),
     ],
 )
@@ -256,6 +265,25 @@ def test_a_configuration_without_a_radio_is_refused_in_words(
     path.write_text(toml)
     assert main(["remote-id", "listen", "--config", str(path)]) == 2
     assert says in capsys.readouterr().err
+
+
+def test_what_sends_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    opened: list[Config] = []
+
+    def radios(config: Config, *, sending: bool) -> Radios:
+        assert not sending
+        opened.append(config)
+        raise ConfigError("seen")
+
+    monkeypatch.setattr("companion.runtime.listen.Radios", radios)
+    path = tmp_path / "my.toml"
+    path.write_text(
+        '[identity]\nuas_id = "A1"\n[[radio]]\nbackend = "arduremoteid"\nlink = "udpout:127.0.0.1:9"\n'
+        '[[radio]]\nbackend = "hci"\nchannel = "user:0"\n'
+        '[[radio]]\nbackend = "wifi"\nhostapd = "/run/x"\ninject = "mon1"\nmonitor = "mon0"\n'
+    )
+    assert main(["remote-id", "listen", "--config", str(path)]) == 2
+    assert opened[0].radio == (HciRadio(channel="user:0", send=False), WifiRadio(monitor="mon0"))
 
 
 @pytest.mark.parametrize("text", ["wifi", "wifi=", "lora=1", "=mon0", ""])
