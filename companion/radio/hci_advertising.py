@@ -70,12 +70,17 @@ def frame_key(transport: str, index: int, frame: bytes) -> Key:
 
 
 class FrameQueue:
-    """Frames that wait for their set: first come, first served, but Locations before all."""
+    """Frames that wait for their set: first come, first served, but Locations before all.
+
+    Never two Locations in a row while others wait: on a controller slower than the asked rate they would
+    leave no time for the identity.
+    """
 
     def __init__(self, transport: str, counts: HciCounts) -> None:
         self._transport = transport
         self._counts = counts
         self._waiting: dict[Key, bytes] = {}
+        self._was_first = False
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -95,8 +100,12 @@ class FrameQueue:
         """The next frame."""
         if not self._waiting:
             return None
-        is_first = self._transport == BLE4 and _FIRST in self._waiting
-        return self._waiting.pop(_FIRST if is_first else next(iter(self._waiting)))
+        key = next(iter(self._waiting))
+        if self._transport == BLE4 and _FIRST in self._waiting:
+            other = next((key for key in self._waiting if key != _FIRST), _FIRST)
+            key = other if self._was_first else _FIRST
+        self._was_first = key == _FIRST
+        return self._waiting.pop(key)
 
     def clear(self) -> None:
         """Give up what waits: it would go out late."""
@@ -180,6 +189,10 @@ class AdvertisingSet:
         self.trouble: str | None = None
         """Why the last frame did not go out."""
         self.troubles_in_row = 0
+        self.troubled_since_s = float("-inf")
+        """The first of these."""
+        self.sent_s = float("-inf")
+        """When the last frame was confirmed."""
         self._trouble_s = float("-inf")
         self.queue = FrameQueue(transport, counts)
         self._commands = commands
@@ -216,7 +229,7 @@ class AdvertisingSet:
         if not awaited or not self._commands.confirms:
             return
         if status in _SENT:
-            self._sent()
+            self._sent(now_s)
         else:
             self._note(f"{NAMES[self.transport]}: advertising ended: {status_words(status)}", now_s)
         if self._state is _State.ON_AIR:
@@ -250,7 +263,7 @@ class AdvertisingSet:
         if self._is_refused(status, now_s):
             return
         if not self._commands.confirms:
-            self._sent()
+            self._sent(now_s)
         self._state = _State.IDLE
         self.advance(now_s)
 
@@ -263,12 +276,15 @@ class AdvertisingSet:
             self.advance(now_s)
         return True
 
-    def _sent(self) -> None:
+    def _sent(self, now_s: float) -> None:
         self._counts.sent += 1
+        self.sent_s = now_s
         self.trouble = None
         self.troubles_in_row = 0
 
     def _note(self, trouble: str, now_s: float) -> None:
         self.trouble = trouble
         self._trouble_s = now_s
+        if not self.troubles_in_row:
+            self.troubled_since_s = now_s
         self.troubles_in_row += 1

@@ -35,7 +35,9 @@ _ALIVE_S: Final = 2.0
 """After this much silence the controller is asked something, to see whether it still answers."""
 _MAX_GARBAGE: Final = 4096
 _MAX_TROUBLES: Final = 3
-"""Frames in a row that did not go out: start over with a Reset."""
+"""Frames in a row that did not go out: start over with a Reset, unless that would cost a set that works."""
+_IN_USE_S: Final = 5.0
+"""A set that sent something in this time works."""
 _MAX_HEARD: Final = 1024
 
 _WHAT_TO_CHECK: Final = (
@@ -157,12 +159,16 @@ class HciSession:
             self._no_answer(now_s)
         for each in self.sets.values():
             each.advance(now_s)
-            if each.troubles_in_row >= _MAX_TROUBLES:
+            if each.troubles_in_row >= _MAX_TROUBLES and not self._another_works(each, now_s):
                 self._fail(f"{each.trouble}, {each.troubles_in_row} times in a row")
         if self._is_idle and now_s - self._alive_s >= _ALIVE_S:
             self._alive_s = now_s
             self._submit(HciCommand(Opcode.READ_LOCAL_VERSION_INFORMATION), lambda status, now_s: None)
         self._next_command(now_s)
+
+    def _another_works(self, troubled: AdvertisingSet, now_s: float) -> bool:
+        since_s = max(troubled.troubled_since_s, now_s - _IN_USE_S)
+        return any(each.sent_s > since_s for each in self.sets.values())
 
     def stop(self, now_s: float) -> None:
         """Off the air and out of scanning, by a Reset; `stopped` when it is answered."""

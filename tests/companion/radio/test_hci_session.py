@@ -2,6 +2,7 @@
 
 import random
 import re
+from collections import Counter
 
 import pytest
 from hypothesis import given, settings
@@ -279,6 +280,34 @@ def test_the_queue_is_bounded_and_keeps_the_location() -> None:
     assert queue.take() == location[0]
 
 
+def test_on_a_controller_slower_than_the_rate_everything_still_goes_out() -> None:
+    host = Host(Controller(features=0))
+    offered = (SERIAL, LOCATION, SELF_ID, System())
+    host.controller.log.clear()
+    for step in range(100):  # ten Locations a second, where eight frames fit
+        host.broadcast(BLE4, *(offered if step % 10 == 0 else (LOCATION,)))
+        host.run()
+        host.wait(0.1)
+    kinds = Counter(data[7] >> 4 for opcode, data in host.controller.log if opcode == LEGACY_DATA)
+    assert all(kinds[kind] >= 9 for kind in (0, 3, 4)), kinds
+    assert kinds[1] >= 40
+
+
+def test_a_location_waits_for_one_other_frame_at_most() -> None:
+    queue = FrameQueue(BLE4, HciCounts())
+    sender = FrameSender(ADDRESS)
+    serial, self_id = sender.frames(BLE4, [SERIAL, SELF_ID])
+    location = sender.frames(BLE4, [LOCATION])
+    queue.put([serial, self_id])
+    taken = []
+    for _ in range(5):
+        queue.put(location)
+        taken.append(queue.take())
+    assert taken == [location[0], serial, location[0], self_id, location[0]]
+    queue.put(location)
+    assert queue.take() == location[0]
+
+
 @pytest.mark.parametrize("status", [0x43, 0x3C, 0x00])
 def test_the_end_of_the_event_confirms_it(status: int) -> None:
     host = Host(Controller(terminated_status=status))
@@ -337,6 +366,50 @@ def test_a_trouble_is_forgiven_after_a_while_so_that_the_set_is_tried_again() ->
     host.wait(5.5)
     assert host.session.can_send == {BLE4, BLE5}
     assert host.session.failure is None
+
+
+class OneSetBroken(Controller):
+    """Its Coded set cannot be switched on; BLE 4 can while `ble4` says so."""
+
+    ble4 = True
+
+    def _answer(self, opcode: int, data: bytes) -> bytes:
+        if opcode == ENABLE and data[0] == 1 and (data[2] == 1 or not self.ble4):
+            return complete(opcode, 0x07)
+        return super()._answer(opcode, data)
+
+
+def test_a_set_that_does_not_work_costs_no_other() -> None:
+    host = Host(OneSetBroken())
+    for _ in range(20):
+        host.broadcast(BLE5, LOCATION)
+        host.broadcast(BLE4, LOCATION)
+        host.run()
+        host.wait(0.3)
+    assert host.session.failure is None
+    assert host.counts.sent == 20
+    assert host.session.can_send == {BLE4}
+    assert host.session.trouble == "BLE 5 Long Range: Memory Capacity Exceeded"
+
+
+@pytest.mark.parametrize("still_used", [True, False])
+def test_a_reset_is_tried_once_no_set_works(still_used: bool) -> None:
+    controller = OneSetBroken()
+    host = Host(controller)
+    for _ in range(4):
+        host.broadcast(BLE5, LOCATION)
+        host.broadcast(BLE4, LOCATION)
+        host.run()
+        host.wait(0.3)
+    assert host.session.failure is None
+    controller.ble4 = False
+    for _ in range(4 if still_used else 20):
+        host.broadcast(BLE5, LOCATION)
+        if still_used:
+            host.broadcast(BLE4, LOCATION)
+        host.run()
+        host.wait(0.3)
+    assert "times in a row" in str(host.session.failure)
 
 
 @pytest.mark.parametrize("opcode", [DATA, ENABLE])
