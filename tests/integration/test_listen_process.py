@@ -1,4 +1,4 @@
-"""`companion remote-id listen` as a real process on the simulated air: terminal, pipe and JSON."""
+"""`companion remote-id listen` as a real process: terminal, pipe and JSON, on simulated air and Bluetooth."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import pytest
 from companion.radio.ether import EtherTransport
 from companion.radio.ether_wire import Send, encode
 from companion.radio.frames_io import radio_address
+from companion.radio.hci import HciTransport
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
 
 PATIENCE_S = 60.0
@@ -29,16 +30,16 @@ MESSAGES = (
 
 
 @pytest.fixture
-def air(start: Callable[..., Any]) -> str:
+def endpoint(start: Callable[..., Any]) -> str:
     """The simulated air; where it listens."""
     child = start("sitl_mocks.cli", "ether", "--listen", "127.0.0.1:0")
     return child.wait_for(r"ether on (\S+)").group(1)
 
 
 @pytest.fixture
-def intruder(air: str) -> Iterator[Callable[[], None]]:
+def intruder(endpoint: str) -> Iterator[Callable[[], None]]:
     """Sends one beacon, one BLE 4 pair and one broken frame at each call."""
-    radio = EtherTransport(air, "INTRUDER", ADDRESS)
+    radio = EtherTransport(endpoint, "INTRUDER", ADDRESS)
 
     def send() -> None:
         now_s = time.monotonic()
@@ -61,26 +62,26 @@ def until(condition: Callable[[], bool], send: Callable[[], None]) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_plain_lines_into_a_pipe(
-    start: Callable[..., Any], air: str, intruder: Callable[[], None], number: signal.Signals
+    start: Callable[..., Any], endpoint: str, intruder: Callable[[], None], number: signal.Signals
 ) -> None:
-    child = start("companion.cli", "remote-id", "listen", "--radio", f"ether={air}")
+    child = start("companion.cli", "remote-id", "listen", "--radio", f"ether={endpoint}")
     until(lambda: "identity 1596B00000GLIDER" in child.output and "ble4+wifi" in child.output, intruder)
     assert child.end(number) == 0
     assert "type glider" in child.output
     assert f"address {ADDRESS}" in child.output
     assert "position 47.500000 8.500000; alt m 500.0; m/s 20.0" in child.output
     last = child.output.splitlines()[-1]
-    assert f"radio: simulated air at {air}: connected; 1 aircraft" in last
+    assert f"radio: simulated air at {endpoint}: connected; 1 aircraft" in last
     assert not last.endswith(" 0 bad")
     assert "\x1b" not in child.output
     assert "Traceback" not in child.output
 
 
 def test_json_with_a_configuration(
-    start: Callable[..., Any], air: str, intruder: Callable[[], None], tmp_path: Any
+    start: Callable[..., Any], endpoint: str, intruder: Callable[[], None], tmp_path: Any
 ) -> None:
     path = tmp_path / "my.toml"
-    path.write_text(f'[identity]\nuas_id = "LISTEN"\n[[radio]]\nbackend = "ether"\naddress = "{air}"\n')
+    path.write_text(f'[identity]\nuas_id = "LISTEN"\n[[radio]]\nbackend = "ether"\naddress = "{endpoint}"\n')
     child = start("companion.cli", "remote-id", "listen", "--config", str(path), "--json")
 
     def frames() -> list[dict[str, Any]]:
@@ -95,16 +96,16 @@ def test_json_with_a_configuration(
     assert beacon["messages"][1]["lat_deg"] == 47.5
 
 
-def test_it_ends_by_itself_after_its_seconds(start: Callable[..., Any], air: str) -> None:
-    child = start("companion.cli", "remote-id", "listen", "--radio", f"ether={air}", "--seconds", "0.3")
+def test_it_ends_by_itself_after_its_seconds(start: Callable[..., Any], endpoint: str) -> None:
+    child = start("companion.cli", "remote-id", "listen", "--radio", f"ether={endpoint}", "--seconds", "0.3")
     assert child.process.wait(PATIENCE_S) == 0
     assert "0 aircraft, 0 frames heard, 0 bad" in child.output
 
 
-def test_a_live_table_on_a_terminal(air: str, intruder: Callable[[], None]) -> None:
+def test_a_live_table_on_a_terminal(endpoint: str, intruder: Callable[[], None]) -> None:
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-m", "companion.cli", "remote-id", "listen", "--radio", f"ether={air}"],
+        [sys.executable, "-m", "companion.cli", "remote-id", "listen", "--radio", f"ether={endpoint}"],
         stdin=subprocess.DEVNULL,
         stdout=theirs,
         stderr=theirs,
@@ -146,3 +147,22 @@ def test_a_live_table_on_a_terminal(air: str, intruder: Callable[[], None]) -> N
     assert b"\x1b[" in screen
     assert b"\x1b[?25h" in screen  # the cursor is shown again
     assert b"Traceback" not in screen
+
+
+def test_bluetooth_from_a_real_controller(start: Callable[..., Any], air: Callable[..., Any]) -> None:
+    channel = air().name
+    child = start("companion.cli", "remote-id", "listen", "--radio", f"hci={channel}")
+    sender = HciTransport(channel, ADDRESS, send=True, listen=False)
+
+    def send() -> None:
+        now_s = time.monotonic()
+        sender.heard(now_s)
+        for transport in ("ble4", "ble5"):
+            sender.broadcast(transport, MESSAGES, now_s)
+
+    try:
+        until(lambda: "identity 1596B00000GLIDER" in child.output and "ble4+ble5" in child.output, send)
+    finally:
+        sender.close()
+    assert child.end() == 0
+    assert f"address {ADDRESS}" in child.output
