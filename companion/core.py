@@ -121,6 +121,8 @@ class Companion:
                     self.broadcaster.take(event, now_s)
                 case RadioState() | OperatorData() | RemoteIdModule():
                     self.broadcaster.take(event, now_s)
+                    if isinstance(event, RadioState):
+                        traffic.own_addresses = event.own_addresses
                 case MissionDownloaded():
                     self.plan.take_mission(event, now_s)
                 case MissionRefused():

@@ -37,6 +37,8 @@ _ADDRESSES_PER_TRACK = 4
 _TRACKS_PER_IDENTITY = 4
 _LEADS = 5
 _ECHO_M = 15.0
+_ECHO_DELAY_S = 3.0
+"""Without a timestamp, an own frame may come back this late: some radios repeat the last one."""
 _OWN_SPACING_S = 0.25
 _OWN_SAMPLES = 100
 _RANKED_EVERY = 8
@@ -72,6 +74,8 @@ class Traffic:
     def __init__(self, config: TrafficConfig, own_uas_id: str) -> None:
         self.config = config
         self.own_uas_id = own_uas_id
+        self.own_addresses: tuple[str, ...] = ()
+        """Radio addresses of our own frames, which a second receiver of ours hears."""
         self.counts = TrafficCounts()
         self.tracks: dict[str, Track] = {}
         self._by_identity: dict[str, list[Track]] = {}
@@ -237,7 +241,8 @@ class Traffic:
     def _take(self, source: Source, fix: Fix, now_s: float) -> Track | None:
         """The track that the fix updated or opened."""
         identity = source.identity or source.key
-        if identity == self.own_uas_id and self._is_echo(fix, now_s):
+        ours = identity == self.own_uas_id or source.about.address in self.own_addresses
+        if ours and self._is_echo(fix, now_s):
             self.counts.own_echo += 1
             return None
         known = self._by_identity.get(identity, [])
@@ -276,9 +281,12 @@ class Traffic:
         """Own identity where we were: our own broadcast come back, or a second transmitter of ours."""
         if not self._own:
             return False
-        at = now_s if fix.stamp_s is None else fix.stamp_s
-        _, place = min(self._own, key=lambda sample: abs(sample[0] - at))
-        return math.hypot(place[0] - fix.position[0], place[1] - fix.position[1]) <= _ECHO_M
+        if fix.stamp_s is None:
+            places = [place for at_s, place in self._own if now_s - at_s <= _ECHO_DELAY_S]
+        else:
+            stamp_s = fix.stamp_s
+            places = [min(self._own, key=lambda sample: abs(sample[0] - stamp_s))[1]]
+        return any(math.hypot(p[0] - fix.position[0], p[1] - fix.position[1]) <= _ECHO_M for p in places)
 
     def _match(self, known: list[Track], fix: Fix, now_s: float) -> Track | None:
         """The track of this identity whose aircraft can have flown to the fix; the nearest of several."""

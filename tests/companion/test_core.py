@@ -16,6 +16,7 @@ from companion.events import (
     FlightMode,
     Landed,
     ModeRefused,
+    RadioState,
     RemoteIdHeard,
     Say,
     SetMode,
@@ -406,6 +407,47 @@ def test_own_echo_is_not_traffic(flying):
     flying.extra = [stranger]
     flying.step()
     assert len(flying.heart.traffic.tracks) == 1
+
+
+def test_own_ble4_frames_come_back_before_their_name(flying):
+    """A second receiver of ours hears the Location of BLE 4 before it has heard a Basic ID."""
+    broadcast = next(c for c in flying.step(40) if isinstance(c, Broadcast))
+    location = next(on_air(m) for m in broadcast.messages if isinstance(m, Location))
+    own = "c2:00:00:00:00:01"
+    flying.extra = [RadioState(can_send=("wifi",), own_addresses=(own,))]
+    flying.step()
+    flying.extra = [RemoteIdHeard(transport="ble4", address=own, messages=(location,))]
+    flying.step()
+    assert not flying.heart.traffic.tracks
+    flying.extra = [RemoteIdHeard(transport="ble4", address="c2:00:00:00:00:02", messages=(location,))]
+    flying.step()
+    assert len(flying.heart.traffic.tracks) == 1
+    away = msgspec.structs.replace(location, lat_deg=location.lat_deg + 0.003)
+    flying.extra = [RemoteIdHeard(transport="ble4", address=own, messages=(away,))]
+    flying.step()
+    assert len(flying.heart.traffic.tracks) == 2
+
+
+def test_an_own_frame_without_a_time_may_come_back_late(flying):
+    flying.velocity_ned_mps = (20.0, 0.0, 0.0)
+    own = "c2:00:00:00:00:01"
+    flying.extra = [RadioState(can_send=("wifi",), own_addresses=(own,))]
+    sent = None
+    for _ in range(60):
+        flying.north_m += 1.0
+        for command in flying.step():
+            if isinstance(command, Broadcast):
+                sent = sent or (flying.now_s, command)
+    while flying.now_s < sent[0] + 1.0:
+        flying.north_m += 1.0
+        flying.step()
+    messages = tuple(
+        msgspec.structs.replace(on_air(m), timestamp_s=None) if isinstance(m, Location) else m
+        for m in sent[1].messages
+    )
+    flying.extra = [RemoteIdHeard(transport="wifi", address=own, messages=messages)]
+    flying.step()
+    assert not flying.heart.traffic.tracks
 
 
 def test_time_running_backwards_is_our_bug(flying):
