@@ -123,12 +123,11 @@ class HciTransport:
         """Why there is no controller now."""
         try:
             self._link: _Link | None = self._bring_up()
-        except ConfigError:
+        except BaseException:
             self._close_wakers()
             raise
         abilities = self._link.session.abilities
         self._capabilities = frozenset(abilities.sets)
-        self._hears = abilities.hears
         self._per_pack = abilities.messages_per_pack
         self._missing = tuple(abilities.missing)
         self._thread = threading.Thread(target=self._run, name=f"hci {channel}", daemon=True)
@@ -141,8 +140,12 @@ class HciTransport:
 
     @property
     def hears(self) -> frozenset[str]:
-        """What it scans for."""
-        return self._hears
+        """What it scans for; nothing while there is no controller."""
+        with self._lock:
+            link = self._link
+            if link is None or link.session.failure is not None:
+                return frozenset()
+            return link.session.abilities.hears
 
     @property
     def own_addresses(self) -> frozenset[str]:
@@ -194,7 +197,7 @@ class HciTransport:
             can_send = frozenset() if link is None else link.session.can_send
             counts = self._counts
             sent, lost, refused = counts.sent, counts.lost, counts.refused
-            unconfirmed, malformed = counts.unconfirmed, counts.malformed
+            unconfirmed, malformed, overrun = counts.unconfirmed, counts.malformed, counts.overrun
         if not self._thread.is_alive() and not self._closed.is_set():
             failure, can_send = "its thread has ended, a fault of this program", frozenset()
         ok = failure is None and trouble is None and not self._closed.is_set()
@@ -205,6 +208,8 @@ class HciTransport:
             parts.append(f"{refused} commands refused")
         if unconfirmed:
             parts.append(f"{unconfirmed} advertising events not confirmed")
+        if overrun:
+            parts.append(f"{overrun} heard frames lost, as they came too fast")
         return Health(
             ok=ok,
             text="; ".join(parts),
@@ -249,9 +254,9 @@ class HciTransport:
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
                 try:
                     link = self._bring_up()
-                except ConfigError as error:
+                except Exception as error:
                     with self._lock:
-                        self._lost = str(error)
+                        self._lost = str(error) if isinstance(error, ConfigError) else _fault(error)
                     continue
                 with self._lock:
                     self._link = link
@@ -271,6 +276,8 @@ class HciTransport:
             failure = link.session.failure
         except OSError as error:
             failure = error.strerror or str(error)
+        except Exception as error:  # the radio goes on: a new session begins with a Reset
+            failure = _fault(error)
         link.channel.close()
         with self._lock:
             self._lost = failure or "closed"
@@ -292,12 +299,14 @@ class HciTransport:
         try:
             while not session.ready and session.failure is None and not self._closed.is_set():
                 link.pump()
+            if not session.ready:
+                raise ConfigError(f"radio.channel: {self._name}: {session.failure or 'closed'}")
         except OSError as error:
             channel.close()
             raise ConfigError(f"radio.channel: {self._name}: {error.strerror or error}") from error
-        if not session.ready:
+        except BaseException:
             channel.close()
-            raise ConfigError(f"radio.channel: {self._name}: {session.failure or 'closed'}")
+            raise
         return link
 
     def _wake(self) -> None:
@@ -307,3 +316,7 @@ class HciTransport:
     def _close_wakers(self) -> None:
         self._woken.close()
         self._waker.close()
+
+
+def _fault(error: Exception) -> str:
+    return f"a fault of this program: {error!r}"

@@ -1,7 +1,8 @@
 """One advertising set: frames go out one by one, one advertising event each, and are counted when they did.
 
 A set stops by itself after its event, so what is on the air is never older than what was asked last, and
-nothing stays there when this program ends in whatever way.
+nothing stays there when this program ends in whatever way. Not so on a controller without extended
+advertising: there the last frame of a killed program goes on, until the controller is reset or unplugged.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
+from typing import NoReturn
 
 import pytest
 
@@ -17,6 +18,7 @@ from companion.events import RemoteIdHeard
 from companion.radio import hci, hci_session
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.radio.hci import HciTransport
+from companion.radio.hci_session import HciSession
 from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, SelfId, UaType
 from companion.runtime.radios import open_radio
@@ -208,6 +210,16 @@ def test_refusals_show_and_are_not_counted_as_sent(start: Open) -> None:
     assert health.frames_sent == 0
 
 
+def test_heard_frames_that_are_lost_are_told(start: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hci_session, "_MAX_HEARD", 5)
+    radio, server = start(Controller())
+    (frame,) = FrameSender("c1:02:03:04:05:06").frames(BLE5, MESSAGES)
+    for _ in range(12):
+        server.send(extended_report(frame))
+    until(lambda: "7 heard frames lost, as they came too fast" in radio.health(0.0).text)
+    assert len(radio.heard(0.0)) == 5
+
+
 def test_hearing_in_small_helpings(start: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hci, "_MAX_FRAMES", 10)
     radio, server = start(Controller())
@@ -245,7 +257,7 @@ def test_a_controller_that_dies_and_comes_back(start: Open) -> None:
     radio, server = start(Controller(), None, None, second)
     server.die()
     until(lambda: not radio.health(0.0).ok)
-    assert radio.health(0.0).can_send == frozenset()
+    assert radio.health(0.0).can_send == radio.hears == frozenset()
     assert "lost, trying again" in radio.health(0.0).text
     radio.broadcast(BLE4, MESSAGES, 0.0)
     assert "2 frames could not be sent" in radio.health(0.0).text
@@ -270,6 +282,31 @@ def test_a_controller_that_falls_silent_is_started_anew(start: Open, listen_only
 
 
 @pytest.mark.usefixtures("impatient")
+def test_a_fault_of_the_program_costs_a_session_not_the_radio(
+    start: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second, third = Controller(), Controller(), Controller()
+    radio, server = start(first, second, third)
+    handle, start_up = HciSession._report, HciSession._reset_done
+
+    def fail(*_: object, **__: object) -> NoReturn:
+        raise KeyError("fault")
+
+    monkeypatch.setattr(HciSession, "_report", fail)
+    monkeypatch.setattr(HciSession, "_reset_done", fail)
+    server.send(extended_report(b"x"))
+    until(lambda: "a fault of this program: KeyError('fault')" in radio.health(0.0).text)
+    assert not radio.health(0.0).ok
+    assert radio.health(0.0).can_send == frozenset()
+    monkeypatch.setattr(HciSession, "_report", handle)
+    monkeypatch.setattr(HciSession, "_reset_done", start_up)
+    until(lambda: radio.health(0.0).ok)
+    assert server.connections > 1
+    radio.close()
+    assert server.closed_by_peer.wait(GENEROUS_S)
+
+
+@pytest.mark.usefixtures("impatient")
 def test_a_controller_that_refuses_everything_is_reset(start: Open) -> None:
     first, second = Controller(status={DATA: 0x0C}), Controller()
     radio, server = start(first, second)
@@ -285,7 +322,7 @@ def test_a_lesser_controller_that_comes_back_sends_what_it_can(start: Open) -> N
     server.die()
     until(lambda: server.connections == 2 and radio.health(0.0).ok)
     assert radio.capabilities == {BLE4, BLE5}
-    assert radio.health(0.0).can_send == {BLE4}
+    assert radio.health(0.0).can_send == radio.hears == {BLE4}
 
 
 @pytest.mark.usefixtures("impatient")
