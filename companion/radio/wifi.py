@@ -4,13 +4,15 @@
 - Injection sends every broadcast once, as an 802.11 frame of our own: `wifi` beacons where no hostapd does,
   and `nan` action frames with the synchronisation beacon that has to go out beside them.
 - The monitor hears both. What the card reports back of its own transmissions is not hearing: frames with
-  radiotap TX flags are left out, and so are those from the addresses that this radio sends from. To hear its
-  own transmissions by a second card, configure that one as a radio of its own.
+  radiotap TX flags are left out, and so are those from the addresses that this radio sends from which hold
+  what it sent lately (anything else from there is somebody who copied the address). To hear its own
+  transmissions by a second card, configure that one as a radio of its own.
 """
 
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final, TypeVar
 
@@ -38,6 +40,8 @@ _SLOW_BEACONS_TU: Final = 195
 """Beacons farther apart than 0.2 s keep no rate of 5 a second."""
 _BEACON: Final = 0x80
 _SOURCE_AT, _SEQUENCE_AT, _TSF_AT = 10, 22, 24
+_REMEMBERED: Final = 32
+"""What was sent: more than goes out in the time that a frame waits to be read."""
 
 _Part = TypeVar("_Part", HostapdControl, PacketSocket)
 
@@ -73,6 +77,8 @@ class WifiTransport:
         self._counters = Counters()
         self._receiver = FrameReceiver()
         self._radiotap = build_radiotap(_RATE_2_4_GHZ if channel <= 14 else _RATE_5_GHZ)
+        self._lately: deque[bytes] = deque(maxlen=_REMEMBERED)
+        """Sent content, from behind the fields that drivers number themselves."""
         self._sequence = 0
         self._nan_s: float | None = None
         self._sync_s: float | None = None
@@ -100,8 +106,8 @@ class WifiTransport:
 
     @property
     def hears(self) -> frozenset[str]:
-        """Both, while the monitor interface works."""
-        if self._monitor is None or self._monitor.trouble is not None:
+        """Both, while the monitor interface works, and on the right channel."""
+        if self._monitor is None or self._monitor.trouble is not None or self._off_channel() is not None:
             return frozenset()
         return frozenset((WIFI_BEACON, WIFI_NAN))
 
@@ -142,12 +148,14 @@ class WifiTransport:
                 pack = encode_pack(messages)
                 element = build_vendor_element(pack, self._counters.next(WIFI_BEACON, pack))
                 hostapd.set_element(element, now_s)
+                self._lately.append(element)
             return
         frames = self._sender.frames(transport, messages)
         if transport == WIFI_NAN:
             self._nan_s = now_s
             self._synchronise(now_s)
         for frame in frames:
+            self._lately.append(frame[_TSF_AT + 8 :])
             if self._put(frame, now_s):
                 self._injected += 1
             else:
@@ -266,7 +274,8 @@ class WifiTransport:
             return None
         if captured.channel_mhz is not None:
             self._heard_channel = channel_of(captured.channel_mhz)
-        if captured.frame[_SOURCE_AT : _SOURCE_AT + 6].hex(":") in own:
+        source = captured.frame[_SOURCE_AT : _SOURCE_AT + 6].hex(":")
+        if source in own and any(sent in captured.frame for sent in self._lately):
             return None
         return self._receiver.receive_wifi(captured.frame, captured.rssi_dbm)
 

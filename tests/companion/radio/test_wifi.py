@@ -191,6 +191,7 @@ def test_own_frames_are_not_heard_but_a_separate_radio_hears_them(
 ) -> None:
     own = BARE + build_beacon(PACK, 0, OWN)
     both, listener = opened(inject="w", monitor="m"), opened(monitor="m")
+    both.broadcast("wifi", MESSAGES, 0.0)
     for radio in (both, listener):
         radio._monitor.air = [own, build_radiotap() + build_beacon(PACK, 0, OTHER)]  # type: ignore[union-attr]
     assert both.heard(0.0) == []
@@ -201,6 +202,27 @@ def test_own_frames_are_not_heard_but_a_separate_radio_hears_them(
         None,
         frozenset(),
     )
+
+
+@pytest.mark.parametrize("keys", [{"inject": "w"}, {"hostapd": "/h/wlan0"}])
+def test_who_copies_the_own_address_is_heard(
+    opened: Callable[..., WifiTransport], keys: dict[str, str]
+) -> None:
+    radio = opened(monitor="m", **keys)
+    (own,) = radio.own_addresses
+    radio.broadcast("wifi", MESSAGES, 0.0)
+    stranger: tuple[Message, ...] = (SelfId(description_type=0, text="stranger"),)
+    frames = [
+        BARE + build(encode_pack(messages), 0, own)
+        for messages in (MESSAGES, stranger)
+        for build in (build_beacon, build_nan_action)
+    ]
+    radio._monitor.air = frames if "inject" in keys else frames[::2]  # type: ignore[union-attr]
+    if "inject" in keys:
+        radio.broadcast("nan", MESSAGES, 0.0)
+    heard = radio.heard(0.0)
+    assert [event.messages for event in heard] == [stranger] * (2 if "inject" in keys else 1)
+    assert {event.address for event in heard} == {own}
 
 
 @given(st.lists(st.binary(max_size=120), max_size=5), st.integers(0, 400), st.integers(0, 255))
