@@ -249,7 +249,10 @@ def load(path: Path) -> Config:
     elif trajectory is not None and trajectory != "mission":
         config = msgspec.structs.replace(config, path=load_trajectory(path.parent / trajectory))
     if config.remote_id.region is not None:
-        region = decode_toml(path.parent / config.remote_id.region, Region)
+        try:
+            region = decode_toml(path.parent / config.remote_id.region, Region)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: remote_id.region: {error}") from error
         remote_id = msgspec.structs.replace(config.remote_id, region=None)
         config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
     if config.traffic.keys:
@@ -387,7 +390,7 @@ def _explain(text: str, raw: object, kind: type) -> str:
         field = what.split("`")[1]
         full = f"{key}.{field}" if key else field
         names = (f.name for f in msgspec.structs.fields(_struct_at(kind, key, raw)))
-        allowed = ", ".join(names)
+        allowed = ", ".join(names) or "no other key"
         return f"{full}: unknown key; allowed here: {allowed}"
     if "missing required field" in what:
         field = what.split("`")[1]
@@ -405,7 +408,9 @@ def _explain(text: str, raw: object, kind: type) -> str:
         hint = get_type_hints(_struct_at(kind, ".".join(section), raw))[field]
         allowed = ", ".join(repr(v) for v in _choices(hint))
         return f"{key}: {value!r}: allowed are {allowed}"
-    return f"{key}: {value!r}: {what[0].lower()}{what[1:]}".replace("`", "")
+    # Nothing of what may hold the operator's secret characters is repeated.
+    held = "" if key == "remote_id.operator_id" else f" {value!r}:"
+    return f"{key}:{held} {what[0].lower()}{what[1:]}".replace("`", "")
 
 
 def _choices(hint: object) -> list[object]:

@@ -188,6 +188,10 @@ class Ownship:
         age = now_s - self.sample_s()
         return p[0] + age * v[0], p[1] + age * v[1], p[2] + age * v[2]
 
+    def gnss_now(self, now_s: float) -> GnssFix | None:
+        """The GNSS receiver's last report, while it goes on reporting."""
+        return self.gnss if now_s - self._gnss_s <= _GNSS_LOST_S else None
+
     @property
     def sigma_m(self) -> float:
         """Own horizontal standard deviation per axis (m), as the receiver estimates it."""

@@ -41,7 +41,7 @@ class EtherTransport:
         self._join = ether_wire.encode(Join(name))
         self._joined_s: float | None = None
         self._answered_s: float | None = None
-        self._started_s: float | None = None
+        self._now_s = 0.0
         self._sent = 0
         self._unsent = 0
         self._bad_datagrams = 0
@@ -49,7 +49,7 @@ class EtherTransport:
         self._socket.setblocking(False)
         try:
             self._socket.connect((host, port))
-        except OSError as error:
+        except (OSError, TypeError) as error:  # TypeError: a zero byte in the name
             self._socket.close()
             raise ConfigError(f"radio.address: {endpoint!r}: {error}") from error
         # The air hears of us before the first frame, so that nothing sent meanwhile is missed.
@@ -62,8 +62,8 @@ class EtherTransport:
 
     @property
     def hears(self) -> frozenset[str]:
-        """All of them: the air gives every frame of the others."""
-        return TRANSPORTS
+        """All of them, while the air answers: it gives every frame of the others."""
+        return TRANSPORTS if self._answers(self._now_s) else frozenset()
 
     @property
     def own_addresses(self) -> frozenset[str]:
@@ -106,18 +106,16 @@ class EtherTransport:
 
     def health(self, now_s: float) -> Health:
         """Ok while the air answers and takes what is sent."""
-        since = self._started_s if self._answered_s is None else self._answered_s
-        silent = since is not None and now_s - since > _SILENT_AFTER_S
         if self._answered_s is None:
             text = f"simulated air at {self._endpoint}: no answer yet"
-        elif silent:
+        elif not self._answers(now_s):
             text = f"simulated air at {self._endpoint}: silent for {now_s - self._answered_s:.0f} s"
         else:
             text = f"simulated air at {self._endpoint}: connected"
         if self._unsent:
             text += f"; {self._unsent} frames could not be sent"
         return Health(
-            ok=self._answered_s is not None and not silent,
+            ok=self._answers(now_s),
             text=text,
             frames_sent=self._sent,
             frames_heard=self._receiver.heard,
@@ -144,9 +142,11 @@ class EtherTransport:
             self._bad_datagrams += 1
         return None
 
+    def _answers(self, now_s: float) -> bool:
+        return self._answered_s is not None and now_s - self._answered_s <= _SILENT_AFTER_S
+
     def _keep_joined(self, now_s: float) -> None:
-        if self._started_s is None:
-            self._started_s = now_s
+        self._now_s = now_s
         if self._joined_s is None or now_s - self._joined_s >= ether_wire.JOIN_PERIOD_S:
             self._joined_s = now_s
             self._put(self._join)

@@ -5,6 +5,7 @@ Pure: events in, commands out. The heart asks once a step.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from companion.config import Config
@@ -26,7 +27,13 @@ from companion.remote_id.monitor import SelfMonitor
 from companion.remote_id.own import Operator, messages_of
 from companion.remote_id.schedule import Schedule
 
+MAX_RATE = 10
+"""Locations a second."""
 _MODULE_SILENT_S = 5.0
+_WELL_AFTER_S = 5.0
+"""Without trouble for so long it is well again: what comes and goes is told to the pilot once."""
+_TELL_PERIOD_S = 5.0
+"""A new trouble is told to the pilot this long after the last one at the earliest."""
 _NOTHING = Decided({}, False, "no radio has reported yet")
 
 
@@ -53,11 +60,15 @@ class Broadcaster:
         self._module_s = 0.0
         self._module_lost = False
         self._told: tuple[object, ...] | None = None
+        self._said: str | None = None
+        """The trouble that the pilot knows of."""
+        self._said_s = self._trouble_s = -math.inf
         self._arm_status: ArmStatus | None = None
 
     def ask(self, rates: Mapping[str, int]) -> None:
-        """What a policy wants from now on: transports with their Locations a second, 1 to 10."""
-        self._asked = dict(rates)
+        """What a policy wants from now on: transports with their Locations a second, up to `MAX_RATE`; those
+        with less than 1 are not wanted."""
+        self._asked = {t: min(rate, MAX_RATE) for t, rate in rates.items() if rate >= 1}
 
     def take(self, event: RadioState | OperatorData | RemoteIdModule | RemoteIdHeard, now_s: float) -> None:
         """Something that concerns the own broadcast."""
@@ -95,17 +106,19 @@ class Broadcaster:
             self._monitor.heard(transport, now_s)
         self._watch_module(own, now_s)
         self._decided = keep_floor(self._asked, self._config.region, can_send)
-        self._started = self._started or (self._decided.legal and bool(self._decided.rates))
-        rates = self._decided.rates if self._started and self._module is None else {}
         on_air = frozenset(self._schedule.on_air) if self._module is None else frozenset()
         self._silent = self._monitor.silent(on_air, frozenset(radio.monitored), now_s)
         commands: list[Command] = []
         if own.heartbeat is None:
             return commands
+        rates: Mapping[str, int] = {}
         messages = self._messages(own, now_s)
         if self._module is None:
+            self._started = self._started or (self._decided.legal and bool(self._decided.rates))
+            rates = self._decided.rates if self._started else {}
             commands += self._schedule.due(rates, can_send, radio.wifi_channel, messages, now_s)
-        self._tell(rates, commands)
+        self._log(rates, commands)
+        self._tell_pilot(commands, now_s)
         if self._config.remote_id.component:
             self._report(messages, commands)
         return commands
@@ -127,26 +140,35 @@ class Broadcaster:
         if self._module_lost and not own.armed:
             self._module, self._module_lost = None, False
 
-    def _tell(self, rates: Mapping[str, int], commands: list[Command]) -> None:
-        """Log what changed; tell the pilot what went wrong, and that it is well again."""
+    def _log(self, rates: Mapping[str, int], commands: list[Command]) -> None:
+        """What changed."""
         if self._module is not None:
             reason = f"the vehicle's own Remote ID module (component {self._module.component_id}) broadcasts"
         else:
             reason = self._decided.reason
         trouble = self.trouble
         told = (tuple(sorted(rates.items())), self._decided.legal, reason, trouble)
-        if told == self._told:
+        if told != self._told:
+            self._told = told
+            commands.append(BroadcastChanged(rates=told[0], legal=told[1], reason=trouble or reason))
+
+    def _tell_pilot(self, commands: list[Command], now_s: float) -> None:
+        """What went wrong, and that it is well again; never more than one text in a while."""
+        trouble = self.trouble
+        if trouble is not None:
+            self._trouble_s = now_s
+        if trouble == self._said:
             return
-        before = None if self._told is None else self._told[-1]
-        self._told = told
-        commands.append(BroadcastChanged(rates=told[0], legal=told[1], reason=trouble or reason))
-        if trouble != before:
+        if trouble is None:
+            if now_s - self._trouble_s < _WELL_AFTER_S:
+                return
+            commands.append(Say(severity=Severity.INFO, text="DMUCA Remote ID works again"))
+        else:
+            if now_s - self._said_s < _TELL_PERIOD_S:
+                return
             worst = Severity.CRITICAL if not self._decided.legal else Severity.WARNING
-            commands.append(
-                Say(severity=Severity.INFO, text="DMUCA Remote ID works again")
-                if trouble is None
-                else Say(severity=worst, text=f"DMUCA {trouble}")
-            )
+            commands.append(Say(severity=worst, text=f"DMUCA {trouble}"))
+        self._said, self._said_s = trouble, now_s
 
     def _report(self, messages: tuple[Message, ...], commands: list[Command]) -> None:
         """OPEN_DRONE_ID_ARM_STATUS, where we are the vehicle's Remote ID component."""

@@ -45,7 +45,8 @@ _EU_STATES: Final = frozenset((
 ))
 # fmt: on
 """Member states of the EU, and the four that take part in EASA."""
-_BEFORE_SECRET: Final = re.compile(r"[0-9A-Za-z]{11,16}(?=-)|[0-9A-Za-z]{16}(?=[0-9A-Za-z]{3}\Z)")
+_NUMBER: Final = re.compile("[0-9A-Za-z]{11,}")
+"""How a text begins that is meant as an EU operator number, with some mistakes."""
 
 _ON_AIR_MAX: Final = 20
 _REGISTRATION: Final = re.compile("[0-9A-Z.-]+")
@@ -88,7 +89,8 @@ def check_operator_id_eu(text: str) -> Verdict:
     Raises:
         ValueError: it is wrong; says what, at which character.
     """
-    public = text.partition("-")[0][:PUBLIC_LENGTH]
+    public = text.partition("-")[0] if "-" in text else text[: max(_COUNTRY, _public_length(len(text)))]
+    public = public[:PUBLIC_LENGTH]
     secret = text[len(public) :].removeprefix("-")
     if text[:_COUNTRY] not in _EU_STATES:
         raise ValueError(
@@ -102,7 +104,8 @@ def check_operator_id_eu(text: str) -> Verdict:
             )
     if len(public) < PUBLIC_LENGTH:
         raise ValueError(
-            f"{public!r}: {len(public)} characters; needed are {PUBLIC_LENGTH}, and the secret three"
+            f"{public!r}: {len(text.partition('-')[0])} characters; needed are {PUBLIC_LENGTH} and, behind "
+            "a hyphen, the secret three"
         )
     if text == public:
         return "cannot be verified"
@@ -124,8 +127,16 @@ def public_operator_id(text: str) -> str:
     Whatever stands behind the public part of a number that begins as an EU one is taken for secret, in either
     case of letters, so that a mistyped number gives nothing away.
     """
-    found = _BEFORE_SECRET.match(text) if text[:_COUNTRY].upper() in _EU_STATES else None
-    return found.group() if found else text
+    found = _NUMBER.match(text) if text[:_COUNTRY].upper() in _EU_STATES else None
+    if found is None:
+        return text
+    number = found.group()
+    return number if len(number) <= PUBLIC_LENGTH else number[: _public_length(len(number))]
+
+
+def _public_length(length: int) -> int:
+    """How much of a number without a hyphen stands before its secret characters, if it is some short."""
+    return length if length == PUBLIC_LENGTH else min(PUBLIC_LENGTH, length - _SECRET)
 
 
 def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: Region) -> list[str]:
@@ -138,6 +149,8 @@ def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: 
         ValueError: names the configuration key, what is wrong and what is allowed.
     """
     notes: list[str] = []
+    if identity.id_type > IdType.SPECIFIC_SESSION:
+        raise ValueError(f"identity.id_type: {int(identity.id_type)}: allowed are 0 to 4")
     if identity.id_type is IdType.NONE and region.basic_id_period_s is not None:
         raise ValueError(f"identity.id_type: 0 says nothing; region {region.name!r} asks for an identity")
     try:

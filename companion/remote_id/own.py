@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any
 
 import msgspec
@@ -28,6 +29,9 @@ from companion.remote_id.region import Region
 
 OPERATOR_FRESH_S = 10.0
 """An operator position that has not been renewed for this long is no longer put on the air."""
+_STAMPS = 8
+"""Latest timestamps of positions that are known: as many ground stations may repeat theirs, and a clock that
+was set back by as many seconds is past them within `OPERATOR_FRESH_S`."""
 _ALTITUDES = (-999.5, 31767.5)
 _UTC = (1_546_300_801.0, 1_546_300_800.0 + 2**32 - 1)
 """What a System timestamp can hold: from 2019 on."""
@@ -37,12 +41,14 @@ class Operator:
     """Where the operator is, as the ground station last said.
 
     A position counts as renewed when its timestamp moves on, not when it is repeated: an autopilot goes on
-    relaying the last one of a ground station that has fallen silent. Without a timestamp each one counts.
+    relaying the last one of a ground station that has fallen silent, and two of them repeat in turn. Without
+    a timestamp each one counts. A ground station that has no position takes none away from another.
     """
 
     def __init__(self) -> None:
         self._system: System | None = None
         self._renewed_s = -math.inf
+        self._stamps: deque[float] = deque(maxlen=_STAMPS)
         self.self_id: SelfId | None = None
         self.operator_id: OperatorId | None = None
 
@@ -50,11 +56,13 @@ class Operator:
         """What a ground station said."""
         for message in messages:
             if isinstance(message, System):
-                known = self._system
+                if message.operator_lat_deg is None or message.operator_lon_deg is None:
+                    continue
                 stamp = message.timestamp_utc_s
-                if stamp is None or known is None or stamp != known.timestamp_utc_s:
-                    self._renewed_s = now_s
-                self._system = message
+                if stamp not in self._stamps:
+                    self._system, self._renewed_s = message, now_s
+                if stamp is not None and stamp not in self._stamps:
+                    self._stamps.append(stamp)
             elif isinstance(message, SelfId) and message.text:
                 self.self_id = message
             elif isinstance(message, OperatorId) and message.operator_id:
@@ -62,10 +70,7 @@ class Operator:
 
     def system(self, now_s: float) -> System | None:
         """The ground station's System while its position is fresh, else None."""
-        system = self._system
-        if system is None or now_s - self._renewed_s > OPERATOR_FRESH_S:
-            return None
-        return None if system.operator_lat_deg is None or system.operator_lon_deg is None else system
+        return self._system if now_s - self._renewed_s <= OPERATOR_FRESH_S else None
 
 
 def messages_of(
@@ -118,6 +123,7 @@ def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
     if position is None or own.age_s(now_s) > max_age_s or (gnss is not None and gnss.fix_type < 2):
         return Location(status=Status.REMOTE_ID_SYSTEM_FAILURE)
     landed = own.landed(now_s)
+    accuracy = own.gnss_now(now_s)
     lat, lon, alt_msl = position.lat_deg, position.lon_deg, position.alt_msl_m
     height = position.height_above_home_m
     north, east, down = own.velocity_ned_mps
@@ -144,9 +150,9 @@ def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
         direction_deg=math.degrees(math.atan2(east, north)) % 360.0,
         speed_mps=_within(speed, 0.0, 254.25),
         vertical_speed_mps=_within(-down, -62.0, 62.0),
-        horizontal_accuracy_m=None if gnss is None else gnss.horizontal_accuracy_m,
-        vertical_accuracy_m=None if gnss is None else gnss.vertical_accuracy_m,
-        speed_accuracy_mps=None if gnss is None else gnss.speed_accuracy_mps,
+        horizontal_accuracy_m=None if accuracy is None else accuracy.horizontal_accuracy_m,
+        vertical_accuracy_m=None if accuracy is None else accuracy.vertical_accuracy_m,
+        speed_accuracy_mps=None if accuracy is None else accuracy.speed_accuracy_mps,
         timestamp_s=timestamp,
     )
 

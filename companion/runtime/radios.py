@@ -22,7 +22,7 @@ from companion.radio.ether import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.radio.hci import HciTransport
 from companion.radio.null import NullTransport
-from companion.radio.transport import Health, Transport
+from companion.radio.transport import WIFI_BEACON, Health, Transport
 from companion.radio.wifi import WifiTransport
 from companion.remote_id.messages import Message
 from companion.runtime.kept_link import KeptLink
@@ -121,25 +121,32 @@ class Radios:
     def state(self, now_s: float) -> RadioState:
         """What the radios can do now."""
         healths = [radio.health(now_s) for radio in self.radios]
-        sends = [health.can_send for health in healths]
-        monitored = {
-            transport
-            for sender, can_send in enumerate(sends)
-            for listener, radio in enumerate(self.radios)
-            if sender != listener
-            for transport in can_send & radio.hears
-        }
-        for health in healths:
-            if health.confirmed is not None:
-                monitored |= health.can_send
+        senders: dict[str, int] = {}
+        for number, health in enumerate(healths):
+            for transport in health.can_send:
+                senders.setdefault(transport, number)
+        # Only who really sends a transport can be heard or confirm it; a dry run sends nothing.
+        monitored, confirmed = set(), set()
+        for transport, sender in senders.items() if self._sending else ():
+            word = healths[sender].confirmed
+            if word is not None or self._is_heard(transport, sender):
+                monitored.add(transport)
+            if word is not None and transport in word:
+                confirmed.add(transport)
+        beacons = senders.get(WIFI_BEACON)
         return RadioState(
-            can_send=tuple(sorted(frozenset().union(*sends))),
+            can_send=tuple(sorted(senders)),
             monitored=tuple(sorted(monitored)),
-            confirmed=tuple(sorted(frozenset().union(*(health.confirmed or () for health in healths)))),
+            confirmed=tuple(sorted(confirmed)),
             own_addresses=tuple(sorted(frozenset().union(*(radio.own_addresses for radio in self.radios)))),
-            wifi_channel=self.wifi_channel,
+            wifi_channel=self.wifi_channel if beacons is None else self.radios[beacons].wifi_channel,
             text="; ".join(health.text for health in healths if not health.ok),
         )
+
+    def _is_heard(self, transport: str, sender: int) -> bool:
+        """Whether another radio of ours would hear, and know, what this one sends."""
+        others = self.radios[:sender] + self.radios[sender + 1 :]
+        return bool(self.radios[sender].own_addresses) and any(transport in radio.hears for radio in others)
 
     def health(self, now_s: float) -> Health:
         """All radios' states as one."""

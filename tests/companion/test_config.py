@@ -56,6 +56,11 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         ),
         (IDENTITY + '[[radio]]\nbackend = "wifi"\n', "radio[0]: needs hostapd, inject or monitor"),
         (IDENTITY + '[remote_id]\nregion = "xy.toml"\n', "xy.toml: cannot be read"),
+        (IDENTITY + '[remote_id]\nregion = "xy.toml"\n', "c.toml: remote_id.region: "),
+        (
+            IDENTITY + '[[radio]]\nbackend = "null"\nx = 1\n',
+            "radio[0].x: unknown key; allowed here: no other",
+        ),
         (
             IDENTITY + '[remote_id]\ntransports = ["lora"]\n',
             "remote_id.transports[0]: 'lora': allowed are 'ble4', 'ble5', 'wifi', 'nan'",
@@ -73,6 +78,15 @@ def test_wrong_input(tmp_path, text, message):
     with pytest.raises(ConfigError, match=re.escape(message)) as caught:
         configuration.load(write(tmp_path, text))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "value", ['"FIN87astrdge12k8-xyz"' + "x", '["FIN87astrdge12k8-xyz"]', '"FIN87astrdge12k8-xyzxyzxyz"']
+)
+def test_no_error_text_holds_the_operators_secret(tmp_path, value):
+    with pytest.raises(ConfigError) as caught:
+        configuration.load(write(tmp_path, IDENTITY + f"[remote_id]\noperator_id = {value}\n"))
+    assert "xyz" not in str(caught.value)
     assert str(tmp_path) in str(caught.value)
 
 

@@ -96,6 +96,9 @@ def test_health_is_ok_only_while_the_air_answers(air: socket.socket, radio: Ethe
     assert radio.health(7.0).ok
     assert not radio.health(7.1).ok
     assert "silent for 6 s" in radio.health(7.1).text
+    assert radio.hears == {"ble4", "ble5", "wifi", "nan"}
+    radio.heard(7.1)
+    assert radio.hears == frozenset()
 
 
 def test_a_dead_air_is_no_exception(radio: EtherTransport, air: socket.socket) -> None:
@@ -114,7 +117,7 @@ def test_an_unknown_transport_is_refused(radio: EtherTransport) -> None:
         radio.broadcast("smoke", MESSAGES, 0.0)
 
 
-@pytest.mark.parametrize("endpoint", ["127.0.0.1", "127.0.0.1:0", "host.invalid:5"])
+@pytest.mark.parametrize("endpoint", ["127.0.0.1", "127.0.0.1:0", "host.invalid:5", "\0:5"])
 def test_an_endpoint_that_is_none_names_the_key(endpoint: str) -> None:
     with pytest.raises(ConfigError, match=r"radio\.address"):
         EtherTransport(endpoint, "a", ADDRESS)

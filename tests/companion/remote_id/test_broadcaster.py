@@ -96,6 +96,26 @@ def test_without_a_timestamp_each_repetition_counts(bench):
         assert told(bench, System, 1.0)[-1].operator_lat_deg == 47.5
 
 
+def test_ground_stations_that_repeat_in_turn_prove_nothing(bench):
+    for second in range(round(OPERATOR_FRESH_S) + 4):
+        ground_station(bench, UTC_S + 100.0 * (second % 2))
+        system = told(bench, System, 1.0)[-1]
+    assert system.operator_location_type is OperatorLocationType.TAKEOFF
+
+
+def test_a_ground_station_whose_clock_is_set_back_is_heard_on(bench):
+    for second in range(30):
+        ground_station(bench, UTC_S + second - (5.0 if second > 10 else 0.0))
+        system = told(bench, System, 1.0)[-1]
+        assert system.operator_location_type is OperatorLocationType.LIVE_GNSS
+
+
+def test_a_ground_station_without_a_position_takes_none_from_another(bench):
+    for second in range(6):
+        ground_station(bench, UTC_S + second, lat_deg=None if second % 2 else 47.5)
+        assert told(bench, System, 1.0)[-1].operator_lat_deg == 47.5
+
+
 def test_a_ground_station_without_a_position_is_no_operator_position(bench):
     ground_station(bench, UTC_S + 1.0, lat_deg=None)
     assert told(bench, System)[-1].operator_location_type is OperatorLocationType.TAKEOFF
@@ -160,9 +180,31 @@ def test_an_own_frame_that_is_not_heard_back_is_a_failure_until_it_is(bench):
     assert any(isinstance(c, BroadcastChanged) for c in commands)
     assert {m.status for m in told(bench, Location)} == {Status.REMOTE_ID_SYSTEM_FAILURE}
     echo(bench)
-    commands = bench.step(2)
-    assert said(commands) == [(Severity.INFO, "DMUCA Remote ID works again")]
     assert {m.status for m in told(bench, Location)} == {Status.AIRBORNE}
+    assert not said(bench.step(60))
+    echo(bench)
+    assert said(bench.step(20)) == [(Severity.INFO, "DMUCA Remote ID works again")]
+
+
+def test_what_comes_and_goes_is_told_to_the_pilot_once(bench):
+    """A radio that fails at every second step, and works again at the others."""
+    config = bench.heart.config
+    bench.heart.broadcaster._config = msgspec.structs.replace(config, radio=(EtherRadio(address="x:1"),))
+    texts = []
+    for number in range(600):
+        bench.extra.append(RadioState(can_send=("wifi",) if number % 2 else ()))
+        texts += said(bench.step())
+    assert texts == [(Severity.WARNING, "DMUCA Remote ID not sent: radio cannot send on wifi")]
+    assert said(bench.step(110)) == [(Severity.INFO, "DMUCA Remote ID works again")]
+
+
+def test_a_trouble_that_changes_all_the_time_is_told_now_and_then(bench):
+    texts = []
+    for number in range(30):
+        bench.extra.append(RemoteIdModule(component_id=236, ready=False, text=f"reason {number}"))
+        texts += said(bench.step(20))
+    assert texts[0] == (Severity.WARNING, "DMUCA Remote ID module not ready: reason 0")
+    assert 5 <= len(texts) <= 7
 
 
 def test_somebody_elses_frame_does_not_count(bench):

@@ -184,6 +184,16 @@ def test_no_error_text_depends_on_the_secret(number: str, secrets: tuple[str, st
     assert len(texts) == 1
 
 
+@pytest.mark.parametrize("number", ["FIN", "FIN87astrdge", "FIN87astrdge12", "FIN87astrdge12k"])
+def test_no_error_text_holds_the_secret_of_a_short_number_without_a_hyphen(number: str) -> None:
+    texts = set()
+    for secret in ("abc", "9q0", "XYZ"):
+        with pytest.raises(ValueError) as refusal:
+            check_operator_id_eu(number + secret)
+        texts.add(str(refusal.value))
+    assert len(texts) == 1
+
+
 @pytest.mark.parametrize(
     ("text", "public"),
     [
@@ -195,6 +205,11 @@ def test_no_error_text_depends_on_the_secret(number: str, secrets: tuple[str, st
         ("FIN87astrdge12k8-xy", "FIN87astrdge12k8"),
         ("FIN87astrdge12k8-xyz9", "FIN87astrdge12k8"),
         ("FIN87astrdge12-xyz", "FIN87astrdge12"),
+        ("FIN87astrdge12k8 xyz", "FIN87astrdge12k8"),
+        ("FIN87astrdge12k8_xyz", "FIN87astrdge12k8"),
+        ("FIN87astrdge12kxyz", "FIN87astrdge12k"),
+        ("FIN87astrdge12xyz", "FIN87astrdge12"),
+        ("FIN87astrdge12k8wxyz", "FIN87astrdge12k8"),
         ("FRA-RP-123456789012", "FRA-RP-123456789012"),
         ("GBR-OP-123ABCD", "GBR-OP-123ABCD"),
         ("FA3PILOT123", "FA3PILOT123"),
@@ -254,7 +269,11 @@ def test_every_kind_of_identity_can_be_sound(id_type: IdType, uas_id: str) -> No
         ({"uas_id": "A1"}, "identity.uas_id: 'A1': 2 characters"),
         ({"uas_id": "", "id_type": IdType.SPECIFIC_SESSION}, "identity.uas_id: byte 1"),
         ({"uas_id": "A1", "id_type": IdType.NONE}, "identity.id_type: 0"),
-        ({"uas_id": "Ä", "id_type": IdType(9)}, "identity.uas_id: 'Ä': printable ASCII"),
+        ({"uas_id": "A1", "id_type": IdType(9)}, "identity.id_type: 9: allowed are 0 to 4"),
+        (
+            {"region": Region(), "uas_id": "Ä", "id_type": IdType.NONE},
+            "identity.uas_id: 'Ä': printable ASCII",
+        ),
         ({"uas_id": "hb.1", "id_type": IdType.CAA_REGISTRATION}, "identity.uas_id: 'hb.1'"),
         ({"registration_id": "ju3"}, "identity.registration_id: 'ju3'"),
         ({"uas_id": UUID[:15], "id_type": IdType.UTM_ASSIGNED_UUID}, "15 bytes; a UUID has 16"),

@@ -62,6 +62,9 @@ class Aircraft:
         self.broadcaster = Broadcaster(config)
         self.own = Ownship()
         self.now_s = 0.0
+        self.gnss: GnssFix | None = GnssFix(
+            fix_type=3, lat_deg=47.0, lon_deg=8.0, alt_msl_m=450.0, alt_ellipsoid_m=497.0
+        )
         self.sent: list[tuple[float, Broadcast]] = []
         self.changes: list[BroadcastChanged] = []
         self.said: list[object] = []
@@ -80,7 +83,7 @@ class Aircraft:
             ),
             LandedState(landed=Landed.IN_AIR),
             VehicleTime(time_boot_s=now_s + 100.0, utc_s=UTC_S + now_s),
-            GnssFix(fix_type=3, lat_deg=47.0, lon_deg=8.0, alt_msl_m=450.0, alt_ellipsoid_m=497.0),
+            *((self.gnss,) if self.gnss is not None else ()),
         ):
             self.own.take(event, now_s)
         if position:
@@ -251,6 +254,27 @@ def test_a_radio_that_cannot_be_legal_does_not_begin_and_says_why():
     assert aircraft.broadcaster.trouble is not None
 
 
+def test_a_radio_that_was_legal_only_before_the_vehicle_was_heard_has_not_begun():
+    aircraft = Aircraft(config_of(REGIONS["us"], transports=("ble4", "ble5")))
+    aircraft.radio(("ble4", "ble5"))
+    assert not aircraft.broadcaster.step(aircraft.own, 0.0)
+    aircraft.radio(("ble4",))
+    for _ in range(60):
+        aircraft.step(0.05)
+    assert not aircraft.sent
+
+
+def test_a_policy_of_rates_that_cannot_be_is_kept_within_them():
+    aircraft = Aircraft(config_of(REGIONS["us"]))
+    aircraft.radio(ALL)
+    aircraft.broadcaster.ask({"wifi": 0, "ble4": -1, "ble5": 1000})
+    for _ in range(100):
+        aircraft.step(0.05)
+    packs = [t for t, b in aircraft.sent if b.transport == "ble5"]
+    assert 45 <= len(packs) <= 52
+    assert {b.transport for _, b in aircraft.sent} == {"ble4", "ble5"}
+
+
 def test_a_radio_lost_in_flight_leaves_what_can_still_be_sent():
     aircraft = Aircraft(config_of(REGIONS["us"], transports=("ble4", "ble5")))
     aircraft.radio(("ble4", "ble5"))
@@ -265,7 +289,8 @@ def test_a_radio_lost_in_flight_leaves_what_can_still_be_sent():
     assert statuses == {Status.REMOTE_ID_SYSTEM_FAILURE}
     assert "not legal" in aircraft.said[-1].text
     aircraft.radio(("ble4", "ble5"))
-    aircraft.step(0.05)
+    for _ in range(101):
+        aircraft.step(0.05)
     assert "works again" in aircraft.said[-1].text
 
 
@@ -289,6 +314,26 @@ def test_an_old_position_is_not_sent_as_the_present_one():
     for t, broadcast in aircraft.sent:
         location = next(m for m in broadcast.messages if isinstance(m, Location))
         assert (location.lat_deg is None) == (t - lost_s > 1.0)
+
+
+def test_the_accuracies_of_a_receiver_that_fell_silent_are_not_told():
+    """The autopilot goes on by its other sensors for a while; how well is not known."""
+    aircraft = Aircraft(config_of(REGIONS["eu"]))
+    aircraft.radio(ALL)
+    aircraft.gnss = msgspec.structs.replace(aircraft.gnss, horizontal_accuracy_m=1.0)
+    aircraft.step(0.05)
+    aircraft.gnss = None
+    told = []
+    for _ in range(100):
+        aircraft.step(0.05)
+        told += [
+            (aircraft.now_s, m.lat_deg, m.horizontal_accuracy_m)
+            for m in aircraft.sent[-1][1].messages
+            if isinstance(m, Location)
+        ]
+    assert {lat_deg for _, lat_deg, _ in told} == {47.0}
+    assert {accuracy for t, _, accuracy in told if t < 2.0} == {1.0}
+    assert {accuracy for t, _, accuracy in told if t > 4.0} == {None}
 
 
 def test_two_identities_where_the_state_gives_a_number():

@@ -132,6 +132,38 @@ def test_a_radio_that_reports_on_itself_is_monitored(opened):
     assert both.state(0.0).confirmed == ("ble4", "ble5")
 
 
+def test_a_spare_sender_is_not_what_is_heard(opened):
+    """The first sends and nobody else listens; the second would be heard by the first, if it sent."""
+    first = Fake(("ble4",), hears=("ble4",), address="c2:00:00:00:00:01")
+    second = Fake(("ble4",), address="c2:00:00:00:00:01")
+    both = opened(first, second)
+    assert both.state(0.0).monitored == ()
+    first.can_send = frozenset()
+    assert both.state(1.0).monitored == ("ble4",)
+
+
+def test_a_module_that_is_not_fed_says_nothing_of_who_sends_instead(opened):
+    module = Fake(("ble4",), confirmed=frozenset())
+    assert opened(Fake(("ble4",), address="c2:00:00:00:00:01"), module).state(0.0).monitored == ()
+
+
+def test_who_sends_from_an_unknown_address_is_not_missed(opened):
+    assert opened(Fake(("wifi",)), Fake(hears=("wifi",))).state(0.0).monitored == ()
+
+
+def test_a_dry_run_misses_nothing_of_what_it_does_not_send(opened):
+    sender, listener = Fake(("wifi",), address="c2:00:00:00:00:01"), Fake(hears=("wifi",))
+    assert opened(sender, listener, sending=False).state(0.0).monitored == ()
+
+
+def test_the_channel_is_that_of_the_card_that_sends(opened):
+    first, second = Fake(("wifi",), channel=6), Fake(("wifi",), channel=1)
+    both = opened(first, second)
+    assert both.state(0.0).wifi_channel == 6
+    first.can_send = frozenset()
+    assert both.state(0.0).wifi_channel == 1
+
+
 def test_one_that_cannot_be_opened_closes_the_others_and_is_named(opened):
     first = Fake(("wifi",))
     with pytest.raises(ConfigError, match=r"radio\[1\]: no such device"):
