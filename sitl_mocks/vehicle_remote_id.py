@@ -112,9 +112,7 @@ class RemoteIdRelay:
         self._turn = 0
 
     def take(self, frame: Frame, message: MavlinkMessage, now_s: float) -> None:
-        """An OPEN_DRONE_ID_* message for this vehicle."""
-        if any(getattr(message, "id_or_mac", _NO_ID)):
-            return
+        """An OPEN_DRONE_ID_* message; no address is looked at, so what a receiver has heard counts too."""
         number = frame.message_id
         if number == _ARM_STATUS:
             good = message.status == mavlink.MAV_ODID_ARM_STATUS_GOOD_TO_ARM

@@ -9,8 +9,10 @@
   - From our autopilot, which relays what it was told (ArduPilot) but goes on with it, old timestamp and all,
     when the ground station has gone. So a relayed SYSTEM counts only when its timestamp is known and has
     moved on since the one before it (the first only sets the mark), and not while a ground station is heard
-    itself. One that tells the take-off point is left out: PX4 fills in its home by itself, ArduPilot sends an
-    empty one, and the companion knows the take-off point better. Identities do not grow old: they are taken.
+    itself. A relayed SYSTEM_UPDATE does not count: ArduPilot takes a SYSTEM that a receiver has heard of
+    somebody else for its own, and only the SYSTEM that it sends on then still says whose it is. One that
+    tells the take-off point is left out: PX4 fills in its home by itself, ArduPilot sends an empty one, and
+    the companion knows the take-off point better. Identities do not grow old: they are taken.
 - ARM_STATUS of another component of our vehicle: a Remote ID transmitter of its own.
 
 A SYSTEM_UPDATE becomes a System: its sender's last one, brought up to date. Without one before it nothing but
@@ -135,7 +137,7 @@ class RemoteIdListener:
         sender = frame.system_id
         relayed = sender == vehicle_system
         if relayed:
-            if frame.component_id != encoders.AUTOPILOT_COMPONENT:
+            if frame.component_id != encoders.AUTOPILOT_COMPONENT or odid.system_update is not None:
                 return None
         elif not self._is_station(sender, odid):
             return None

@@ -255,8 +255,19 @@ def test_a_relayed_position_counts_only_when_it_moves_on(ardupilot: Scripted) ->
     (first,) = systems(ardupilot.says(system(1001)))
     assert first.timestamp_utc_s == EPOCH + 1001
     assert [e for _ in range(20) for e in ardupilot.says(system(1001), update(1001))] == []
-    (second,) = systems(ardupilot.says(update(1002)))
+    (second,) = systems(ardupilot.says(system(1002, lat=473969500)))
     assert (second.operator_lat_deg, second.category_eu) == (47.39695, 1)
+
+
+def test_a_strangers_operator_that_the_autopilot_took_for_ours_is_not_relayed_as_ours(
+    ardupilot: Scripted,
+) -> None:
+    """ArduPilot stores every SYSTEM, with an address or without; its SYSTEM_UPDATE has no place for one."""
+    ardupilot.says(system(1000))
+    for second in range(1001, 1010):
+        events = ardupilot.says(system(second, lat=475000000, id_or_mac=MAC), update(second, lat=475000000))
+        assert [type(event) for event in events] == [RemoteIdHeard]
+    assert len(systems(ardupilot.says(system(1010)))) == 1
 
 
 def test_what_the_autopilot_knows_itself_is_not_the_operators(ardupilot: Scripted, px4: Scripted) -> None:
@@ -290,7 +301,7 @@ def test_a_relay_is_not_needed_while_the_ground_station_is_heard_itself(ardupilo
         assert ardupilot.says(update(1009), system(1009)) == []
         ardupilot.after(1.0)
     # It is back, by a way that only the autopilot hears.
-    assert len(systems(ardupilot.says(update(1070)))) == 1
+    assert len(systems(ardupilot.says(system(1070)))) == 1
 
 
 # ---------------------------------------------------------------- a transmitter of the vehicle's own
