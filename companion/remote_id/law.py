@@ -70,3 +70,18 @@ def whole_rates(rates: Mapping[str, int], region: Region, wifi_channel: int | No
         period_s = longest_period_s(region, transport, wifi_channel)
         found[transport] = rate if period_s is None else max(rate, math.ceil(1.0 / (MARGIN * period_s)))
     return found
+
+
+def too_slow(
+    rates: Mapping[str, int], region: Region, wifi_channel: int | None, loop_hz: float
+) -> str | None:
+    """Why a loop of this rate cannot keep the floor with its margin, in words; None when it can."""
+    for transport in sorted(rates):
+        period_s = longest_period_s(region, transport, wifi_channel)
+        if period_s is not None and loop_hz * MARGIN * period_s < 1.0:
+            where = f" on channel {wifi_channel}" if transport == "wifi" else ""
+            return (
+                f"region {region.name} asks for {transport}{where} every {period_s:g} s: "
+                f"flight.setpoint_rate_hz {loop_hz:g} is too slow; at least {1.0 / (MARGIN * period_s):g}"
+            )
+    return None

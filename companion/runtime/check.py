@@ -10,7 +10,7 @@ from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.remote_id.broadcaster import asked_rates
 from companion.remote_id.identity import check_identity
-from companion.remote_id.law import keep_floor
+from companion.remote_id.law import keep_floor, longest_period_s, too_slow
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.radios import Radios
 
@@ -67,6 +67,14 @@ def _probe_radio(config: Config, say: Callable[[str], None]) -> bool:
         if config.has_radio or not decided.legal:
             rates = ", ".join(f"{t} {rate}/s" for t, rate in decided.rates.items()) or "nothing"
             say(f"remote ID: {rates}" + (f" ({decided.reason})" if decided.reason else ""))
+        channel = radio.state(time.monotonic()).wifi_channel
+        longest_s = longest_period_s(config.region, "wifi", channel)
+        if longest_s is not None and 0.0 < decided.rates.get("wifi", 0) * longest_s < 1.0:
+            say(f"remote ID: on channel {channel} a beacon every {longest_s:g} s at least, whatever is asked")
+        slow = too_slow(decided.rates, config.region, channel, config.flight.setpoint_rate_hz)
+        if slow is not None:
+            say(f"remote ID: {slow}")
+            return False
         if not decided.legal or (config.has_radio and not decided.rates):
             return False
         # To watch without a radio is a choice; to fly without one is refused by the configuration.

@@ -26,7 +26,7 @@ from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Header, Step
 from companion.remote_id.broadcaster import asked_rates
-from companion.remote_id.law import keep_floor, whole_rates
+from companion.remote_id.law import keep_floor, too_slow, whole_rates
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
@@ -120,9 +120,13 @@ class Flight:
                 raise ConfigError(text)
             self._say(f"{text}: nothing is broadcast")
             return
-        if decided.reason:
-            self._say(f"remote_id: {decided.reason}")
-        self.radio.configure(whole_rates(decided.rates, config.region, self.radio.wifi_channel))
+        channel = self.radio.wifi_channel
+        slow = too_slow(decided.rates, config.region, channel, config.flight.setpoint_rate_hz)
+        if slow is not None and config.flight.use == "fly":
+            raise ConfigError(f"remote_id: {slow}")
+        for text in filter(None, (decided.reason, slow)):
+            self._say(f"remote_id: {text}")
+        self.radio.configure(whole_rates(decided.rates, config.region, channel))
 
     # ------------------------------------------------------------ phases
 

@@ -27,7 +27,7 @@ from companion.events import (
 )
 from companion.ownship import Ownship
 from companion.remote_id.broadcaster import Broadcaster
-from companion.remote_id.law import keep_floor, whole_rates
+from companion.remote_id.law import keep_floor, too_slow, whole_rates
 from companion.remote_id.messages import BasicId, Location, OperatorId, SelfId, Status, System
 from companion.remote_id.region import Region
 
@@ -334,6 +334,25 @@ def test_the_accuracies_of_a_receiver_that_fell_silent_are_not_told():
     assert {lat_deg for _, lat_deg, _ in told} == {47.0}
     assert {accuracy for t, _, accuracy in told if t < 2.0} == {1.0}
     assert {accuracy for t, _, accuracy in told if t > 4.0} == {None}
+
+
+def test_a_loop_too_slow_for_the_beacons_of_a_channel_is_told():
+    """At 5 Hz a beacon leaves every 0.2 s and what the loop is late, which is too late on channel 1."""
+    judge, aircraft = Judge(REGIONS["us"], 1), Aircraft(config_of(REGIONS["us"]))
+    aircraft.radio(("wifi",), wifi_channel=1)
+    aircraft.step(0.2)
+    verdicts = []
+    for number in range(50):
+        judge.take(aircraft.sent)
+        aircraft.step(0.21 if number % 2 else 0.19)
+        verdicts.append(judge.legal(aircraft.now_s))
+    assert not all(verdicts)
+    text = too_slow({"wifi": 1}, REGIONS["us"], 1, 5.0)
+    assert text is not None
+    assert "wifi on channel 1 every 0.2 s: flight.setpoint_rate_hz 5 is too slow; at least 6.25" in text
+    assert too_slow({"wifi": 1}, REGIONS["us"], 1, 6.5) is None
+    assert too_slow({"wifi": 1, "ble5": 1}, REGIONS["eu"], 6, 5.0) is None
+    assert too_slow({"wifi": 1}, Region(), 1, 5.0) is None
 
 
 def test_two_identities_where_the_state_gives_a_number():
