@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 from companion.errors import PeerDataError
 from companion.events import ArmStatus, Event, OperatorData, RemoteIdHeard, RemoteIdModule
+from companion.remote_id.identity import public_operator_id
 from companion.remote_id.mavlink import (
     ARM_STATUS,
     COMPONENT_ID,
@@ -35,9 +36,10 @@ from companion.remote_id.mavlink import (
     decode_arm_status,
     decode_odid,
     encode_arm_status,
+    encode_odid,
     updated,
 )
-from companion.remote_id.messages import Message, OperatorId, OperatorLocationType, SelfId, System
+from companion.remote_id.messages import BasicId, Message, OperatorId, OperatorLocationType, SelfId, System
 
 from . import encoders
 from .wire import Frame, MavlinkWriter
@@ -48,6 +50,7 @@ MAX_HEARD = 256
 ARM_STATUS_PERIOD_S = 0.7
 """Ground stations call a module dead after 2.5 s and check for 1 Hz, which exactly 1 Hz fails by jitter."""
 HEARTBEAT_PERIOD_S = 1.0
+BASIC_ID_PERIOD_S = 3.0
 _EPSILON_S = 1e-6
 _STATION_FROM_ID = 240
 _STATION_SPEAKS_S = 5.0
@@ -153,7 +156,11 @@ class RemoteIdListener:
                 elif not self._renewed(message, now_s):
                     continue
                 kept.append(message)
-            elif isinstance(message, SelfId | OperatorId):
+            elif isinstance(message, OperatorId):
+                # A ground station may give the whole number: its secret is neither recorded nor sent.
+                public = public_operator_id(message.operator_id)
+                kept.append(OperatorId(operator_id_type=message.operator_id_type, operator_id=public))
+            elif isinstance(message, SelfId):
                 kept.append(message)
         if not kept:
             return None
@@ -181,9 +188,13 @@ class RemoteIdComponent:
     """What we say as the vehicle's Remote ID component, numbered on its own.
 
     Nothing before the first report: a component that does not broadcast must not look like one that does.
+
+    The autopilot is told the identity too, since ArduPilot arms with none (DID_OPTIONS = 1) until it has one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, identity: BasicId | None = None) -> None:
+        self._identity = identity
+        self._identity_sent_s: float | None = None
         self._writer: MavlinkWriter | None = None
         self._status: ArmStatus | None = None
         self._status_sent_s: float | None = None
@@ -207,6 +218,10 @@ class RemoteIdComponent:
         if _is_due(self._status_sent_s, ARM_STATUS_PERIOD_S, now_s):
             self._status_sent_s = now_s
             frames.append(writer.pack_payload(*encode_arm_status(status.ready, status.text)))
+        if self._identity is not None and _is_due(self._identity_sent_s, BASIC_ID_PERIOD_S, now_s):
+            self._identity_sent_s = now_s
+            told = encode_odid(self._identity, system_id, encoders.AUTOPILOT_COMPONENT)
+            frames.append(writer.pack_payload(*told))
         return frames
 
 

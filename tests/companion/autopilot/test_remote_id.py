@@ -180,6 +180,16 @@ def test_a_ground_station_tells_who_and_where_the_operator_is(ardupilot: Scripte
     assert ardupilot.link.counts.foreign == 1  # its heartbeat
 
 
+def test_the_secret_of_a_whole_operator_number_is_left_behind(ardupilot: Scripted) -> None:
+    for heard in (
+        gcs(ardupilot, operator_id(b"FIN87astrdge12k8-xyz")),
+        ardupilot.says(operator_id(b"FIN87astrdge12k8-xyz")),
+    ):
+        assert heard == [
+            OperatorData(messages=(OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8"),))
+        ]
+
+
 def test_an_update_moves_the_last_system_of_its_sender(ardupilot: Scripted) -> None:
     gcs(ardupilot, system(1000))
     (moved,) = systems(gcs(ardupilot, update(1001, lat=473970000)))
