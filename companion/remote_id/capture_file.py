@@ -94,11 +94,11 @@ class _Source:
         self.offset += size
         return data
 
-    def unpack(self, layout: str, data: bytes) -> tuple[int, ...]:
-        """The integers at the start of `data`."""
-        if len(data) < struct.calcsize("<" + layout):
-            raise self.damaged(f"has {len(data)} bytes where its head should be")
-        return struct.unpack_from(self.order + layout, data)
+    def unpack(self, layout: str, data: bytes, at: int = 0) -> tuple[int, ...]:
+        """The integers that stand in `data` from `at` on."""
+        if len(data) - at < struct.calcsize("<" + layout):
+            raise self.damaged(f"has {len(data) - at} bytes where its head should be")
+        return struct.unpack_from(self.order + layout, data, at)
 
     def damaged(self, how: str) -> PeerDataError:
         """The error of what is being read."""
@@ -171,7 +171,7 @@ def _interface(source: _Source, body: bytes) -> _Interface:
     ticks_per_s, offset_s = 1_000_000, 0
     at = 8
     while at + 4 <= len(body):
-        code, size = source.unpack("HH", body[at:])
+        code, size = source.unpack("HH", body, at)
         value = body[at + 4 : at + 4 + size]
         if code == _TIME_RESOLUTION and len(value) == 1:
             ticks_per_s = 2 ** (value[0] & 0x7F) if value[0] & 0x80 else 10 ** value[0]

@@ -157,6 +157,14 @@ SECTION = bytes(SectionHeaderBlockLE())
 INTERFACE = bytes(InterfaceDescriptionBlockLE(linktype=127))
 
 
+def test_a_block_full_of_options_is_read_in_one_pass() -> None:
+    """A copy of the rest for each option would be 4 TB here: the test would not end."""
+    options = struct.pack("<HH", 2, 0) * 1_000_000
+    size = 20 + len(options)
+    interface = struct.pack("<IIHHI", 1, size, 127, 0, 0) + options + struct.pack("<I", size)
+    assert read(SECTION + interface + bytes(EnhancedPacketBlockLE(pkt_data=b"x", opts=[])))[0].data == b"x"
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [
