@@ -3,7 +3,8 @@
 ASTM F3411-22a section 5.4; `wire_messages` has the 25-byte layouts, `wire_values` the scalings. There are two
 kinds of reading:
 
-- `decode` and `decode_pack` are all or nothing, as the public reference decoder (opendroneid-core-c).
+- `decode` and `decode_pack` are all or nothing, as the public reference decoder (opendroneid-core-c) but for
+  one thing: of a pack it leaves out an authentication page that contradicts itself, and takes the rest.
 - `read_payload` and `decode_payload` are for a receiver: every message of a pack that can be read is
   returned, so that one reserved type or a torn end does not hide an aircraft's Location. A pack of zero
   messages, which transmitters send before they know anything, is simply empty.

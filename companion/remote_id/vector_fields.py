@@ -123,9 +123,10 @@ def as_received(fields: Fields) -> Fields:
     result = dict(fields)
     for prefix in ("", "operator_"):
         lat, lon = f"{prefix}latitude_deg", f"{prefix}longitude_deg"
-        outside = lat in result and (abs(number_of(result, lat)) > 90 or abs(number_of(result, lon)) > 180)
-        if outside:
-            result[lat] = result[lon] = 0.0
+        if lat in result:
+            lat_deg, lon_deg = number_of(result, lat), number_of(result, lon)
+            if abs(lat_deg) > 90 or abs(lon_deg) > 180:
+                result[lat] = result[lon] = 0.0
     limits = (
         ("direction_deg", 360.0, DIRECTION_UNKNOWN),
         ("speed_vertical_m_s", 62.0, CLIMB_UNKNOWN),
@@ -163,8 +164,10 @@ def _since_2019(fields: Fields) -> float | None:
 def _basic_id(fields: Fields) -> BasicId:
     id_type = IdType(integer_of(fields, "id_type"))
     raw = bytes_of(fields, "uas_id_hex")
+    if "uas_id" in fields and text_of(fields, "uas_id") != _text(raw):
+        raise ConfigError(f"field 'uas_id' is {fields['uas_id']!r}, 'uas_id_hex' is that of {_text(raw)!r}")
     if id_type in (IdType.SERIAL_NUMBER, IdType.CAA_REGISTRATION):
-        uas_id = text_of(fields, "uas_id") if "uas_id" in fields else _text(raw)
+        uas_id = _text(raw)
     else:
         uas_id = raw.rstrip(b"\0").decode("latin-1")
     return BasicId(id_type=id_type, ua_type=UaType(integer_of(fields, "ua_type")), uas_id=uas_id)

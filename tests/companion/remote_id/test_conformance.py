@@ -115,6 +115,23 @@ ALTERATIONS: list[tuple[str, dict[str, Any], Callable[[Content], None]]] = [
     ("message_pack", {"accepted": True}, lambda v: v["messages"].reverse()),
     ("message_pack", {"accepted": True}, lambda v: v["decoded_messages"].pop()),
     ("message_pack", {"accepted": True}, lambda v: v.update(hex=v["hex"][:-2] + "77")),
+    ("location", {"kind": "over_limit"}, lambda v: v.update(hex="12" + "00" * 24)),
+    (
+        "location",
+        {"kind": "typical"},
+        lambda v: v["input"].update(altitude_geo_m=v["input"]["altitude_geo_m"] + 0.2),
+    ),
+    (
+        "system",
+        {"kind": "typical"},
+        lambda v: v["input"].update(area_radius_m=v["input"]["area_radius_m"] + 1),
+    ),
+    ("location", {"kind": "edge"}, lambda v: v["input"].update(direction_deg=0.25)),
+    ("message_pack", {"kind": "over_limit"}, lambda v: v.update(hex="f21900")),
+    ("message_pack", {"single_message_size": 24}, lambda v: v.update(accepted=True)),
+    ("message_pack", {"accepted": True}, lambda v: v.update(hex=None)),
+    ("message_pack", {"kind": "over_limit"}, lambda v: v["messages"][0].update(hex="12" + "00" * 24)),
+    ("message_pack", {"kind": "over_limit"}, lambda v: v["messages"][0]["input"].update(status=16)),
     ("decode", {"kind": "reject"}, lambda v: v.update(accepted=True)),
     ("decode", {"kind": "reject"}, lambda v: v.update(hex="32" + v["hex"][2:])),
     ("decode", {"kind": "version"}, lambda v: v.update(accepted=False)),
@@ -143,6 +160,66 @@ def test_an_altered_vector_is_noticed(
     differences = check_vectors(altered).differences
     assert differences
     assert all(line.startswith(f"{name}: ") for line in differences)
+
+
+@pytest.mark.parametrize(
+    ("group", "wanted", "alter", "words"),
+    [
+        ("basic_id", {"kind": "typical"}, lambda v: v.pop("type"), "'type'"),
+        ("basic_id", {"kind": "edge"}, lambda v: v["input"].update(uas_id="X"), "'uas_id'"),
+        ("message_pack", {"accepted": True}, lambda v: v["messages"][0].pop("input"), "expected"),
+        ("message_pack", {"accepted": True}, lambda v: v.pop("hex"), "'hex'"),
+        (
+            "decode",
+            {"note": "random location bytes, reserved bits included"},
+            lambda v: v["decoded"].pop("longitude_deg"),  # its latitude is 111 degrees
+            "'longitude_deg'",
+        ),
+    ],
+)
+def test_a_vector_that_lacks_a_part_is_named(
+    content: Content, group: str, wanted: dict[str, Any], alter: Callable[[Content], object], words: str
+) -> None:
+    name = first(content, group, **wanted)
+    altered = one(content, name)
+    alter(altered["vectors"]["only"][0])
+    with pytest.raises(ConfigError, match=f"vector {name}: .*{words}"):
+        check_vectors(altered)
+
+
+def test_a_vector_without_a_name_is_found_by_its_place(content: Content) -> None:
+    nameless = one(content, "auth-000")
+    nameless["vectors"]["only"].append({"type": "auth"})
+    with pytest.raises(ConfigError, match="vector 1 of 'only': field 'id'"):
+        check_vectors(nameless)
+
+
+def test_hexadecimal_may_be_in_capitals(content: Content) -> None:
+    def capitals(value: Any, name: str = "") -> Any:
+        if isinstance(value, dict):
+            return {key: capitals(item, key) for key, item in value.items()}
+        if isinstance(value, list):
+            return [capitals(item, name) for item in value]
+        return value.upper() if isinstance(value, str) and (name.endswith("hex") or name == "mac") else value
+
+    assert check_vectors(capitals(content)).differences == []
+
+
+def test_an_unsound_authentication_page_is_left_out_of_a_pack_as_in_the_reference() -> None:
+    text = bytes((0x32, 1)) + b"survey".ljust(23, b"\0")
+    page = bytes((0x22, 0x10, 16)) + bytes(22)
+    decoded = [{"type": "self_id", "fields": {"description_type": 1, "description": "survey"}}]
+
+    def differences(*parts: bytes, size: int = 25) -> list[str]:
+        pack = bytes((0xF2, size, len(parts))) + b"".join(parts)
+        vector = {"id": "a", "type": "decode", "accepted": True, "hex": pack.hex()}
+        told = decoded if text in parts else []
+        return check_vectors({"vectors": {"x": [{**vector, "decoded_messages": told}]}}).differences
+
+    assert differences(page, text) == differences(text, page, page) == differences(page) == []
+    assert differences(text, page, size=24)
+    assert differences(text, *[page] * 9)
+    assert differences(text, text, page)
 
 
 def test_off_the_grid_one_step_is_allowed_and_two_are_not(content: Content) -> None:
