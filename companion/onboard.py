@@ -30,6 +30,7 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.record import Step
+from companion.remote_id.own import basic_id_of
 
 _HOLDING = frozenset(state.value for state in HOLDING)
 
@@ -59,7 +60,11 @@ class Onboard:
         self.tlog = tlog
         self._utc_guess_s = utc_guess_s
         self.heart = Companion(config)
-        self.link = AutopilotLink(config.vehicle, remote_id_component=config.remote_id.component)
+        self.link = AutopilotLink(
+            config.vehicle,
+            remote_id_component=config.remote_id.component,
+            identity=basic_id_of(config.identity),
+        )
         self._remote_id_component = config.remote_id.component and commanding
         self._record = record
         self._events: list[Event] = []

@@ -44,6 +44,7 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.remote_id.mavlink import COMPONENT_ID
+from companion.remote_id.messages import BasicId
 
 from . import encoders, remote_id
 from .dialect import (
@@ -125,11 +126,18 @@ class LinkCounts(RemoteIdCounts):
 class AutopilotLink:
     """See the module. One object per vehicle; give it every byte of the link."""
 
-    def __init__(self, config: VehicleConfig, *, remote_id_component: bool = False) -> None:
+    def __init__(
+        self,
+        config: VehicleConfig,
+        *,
+        remote_id_component: bool = False,
+        identity: BasicId | None = None,
+    ) -> None:
         """A link that has heard nothing yet.
 
         Args:
             remote_id_component: also be the vehicle's Remote ID component (236), from the first ArmStatus on.
+            identity: what that component tells the autopilot of whom it broadcasts.
 
         Raises:
             ConfigError: we would be that component twice.
@@ -158,7 +166,7 @@ class AutopilotLink:
         self._download: MissionDownload | None = None
         own = {config.component_id} | ({COMPONENT_ID} if remote_id_component else set())
         self._remote_id = RemoteIdListener(self.counts, frozenset({encoders.AUTOPILOT_COMPONENT} | own))
-        self._component = RemoteIdComponent() if remote_id_component else None
+        self._component = RemoteIdComponent(identity) if remote_id_component else None
         self._events: list[Event] = []
         self._out = bytearray()
         self._setpoint: encoders.Outgoing | None = None

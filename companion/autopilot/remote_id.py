@@ -39,7 +39,15 @@ from companion.remote_id.mavlink import (
     encode_odid,
     updated,
 )
-from companion.remote_id.messages import BasicId, Message, OperatorId, OperatorLocationType, SelfId, System
+from companion.remote_id.messages import (
+    BasicId,
+    IdType,
+    Message,
+    OperatorId,
+    OperatorLocationType,
+    SelfId,
+    System,
+)
 
 from . import encoders
 from .wire import Frame, MavlinkWriter
@@ -193,7 +201,8 @@ class RemoteIdComponent:
     """
 
     def __init__(self, identity: BasicId | None = None) -> None:
-        self._identity = identity
+        named = identity is not None and identity.id_type is not IdType.NONE
+        self._identity = identity if named else None
         self._identity_sent_s: float | None = None
         self._writer: MavlinkWriter | None = None
         self._status: ArmStatus | None = None

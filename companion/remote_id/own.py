@@ -73,6 +73,11 @@ class Operator:
         return self._system if now_s - self._renewed_s <= OPERATOR_FRESH_S else None
 
 
+def basic_id_of(identity: IdentityConfig) -> BasicId:
+    """Who we are."""
+    return BasicId(id_type=identity.id_type, ua_type=identity.ua_type, uas_id=identity.uas_id)
+
+
 def messages_of(
     identity: IdentityConfig,
     config: RemoteIdConfig,
@@ -88,9 +93,7 @@ def messages_of(
     Args:
         failed: the own broadcast is known not to work; the Location says so.
     """
-    messages: list[Message] = [
-        BasicId(id_type=identity.id_type, ua_type=identity.ua_type, uas_id=identity.uas_id)
-    ]
+    messages: list[Message] = [basic_id_of(identity)]
     if identity.registration_id is not None:
         messages.append(
             BasicId(

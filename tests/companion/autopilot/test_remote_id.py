@@ -338,9 +338,9 @@ def test_arm_status_of_ourselves_the_autopilot_and_others_is_no_module(ardupilot
 class Component(Scripted):
     """A link that is the vehicle's Remote ID component."""
 
-    def __init__(self) -> None:
+    def __init__(self, identity: BasicId | None = None) -> None:
         super().__init__()
-        self.link = AutopilotLink(VehicleConfig(), remote_id_component=True)
+        self.link = AutopilotLink(VehicleConfig(), remote_id_component=True, identity=identity)
 
     def told_by(self, component: int) -> list[Any]:
         return [m for m in self.told() if m.get_srcComponent() == component]
@@ -390,6 +390,34 @@ def test_a_change_is_told_at_once_and_repeated() -> None:
     scripted.after(0.7)
     statuses = [m.error for m in scripted.told("OPEN_DRONE_ID_ARM_STATUS")]
     assert statuses == ["", "radio lost", "radio lost"]
+
+
+def test_the_component_tells_the_autopilot_alone_who_it_broadcasts() -> None:
+    scripted = Component(
+        BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.AEROPLANE, uas_id="1596A0DMUCA0001")
+    )
+    scripted.heartbeat(system=42)
+    scripted.after(5.0)
+    assert scripted.told("OPEN_DRONE_ID_BASIC_ID") == []  # nobody has said yet that anything is broadcast
+    scripted.link.send(READY, scripted.now_s)
+    times = []
+    for _ in range(200):
+        scripted.after(0.05)
+        for told in scripted.told("OPEN_DRONE_ID_BASIC_ID"):
+            times.append(scripted.now_s)
+            assert (told.get_srcSystem(), told.get_srcComponent()) == (42, 236)
+            assert (told.target_system, told.target_component, bytes(told.id_or_mac)) == (42, 1, NO_ID)
+            assert (told.id_type, told.ua_type) == (1, 1)
+            assert bytes(told.uas_id).rstrip(b"\0") == b"1596A0DMUCA0001"
+    assert [round(b - a, 3) for a, b in itertools.pairwise(times)] == [3.0] * 3
+
+
+def test_an_aircraft_without_identity_takes_none_away_from_the_autopilot() -> None:
+    scripted = Component(BasicId(id_type=IdType.NONE, ua_type=UaType.AEROPLANE, uas_id=""))
+    scripted.heartbeat()
+    scripted.link.send(READY, scripted.now_s)
+    scripted.after(5.0)
+    assert {m.get_type() for m in scripted.told_by(236)} == {"HEARTBEAT", "OPEN_DRONE_ID_ARM_STATUS"}
 
 
 def test_both_components_number_their_own_frames() -> None:
