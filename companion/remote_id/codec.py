@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from companion.errors import PeerDataError
@@ -49,6 +50,9 @@ __all__ = [
 
 PACK_HEADER_SIZE: Final = 3
 PACK_MAX_MESSAGES: Final = 9
+
+_decode_again = lru_cache(maxsize=1024)(decode)
+"""Every pack of an aircraft repeats its identities and texts; messages are immutable, so one serves all."""
 
 _PACK_HEAD: Final = PACK_TYPE << 4 | PROTOCOL_VERSION
 
@@ -138,7 +142,7 @@ def _read_pack(data: bytes) -> Payload:
     for index in range(min(announced, whole, PACK_MAX_MESSAGES)):
         offset = PACK_HEADER_SIZE + index * MESSAGE_SIZE
         try:
-            message = decode(data[offset : offset + MESSAGE_SIZE])
+            message = _decode_again(bytes(data[offset : offset + MESSAGE_SIZE]))
         except PeerDataError as error:
             faults.append(f"pack message {index + 1} (offset {offset}): {error}")
             continue

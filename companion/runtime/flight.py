@@ -111,14 +111,15 @@ class Flight:
         """Prepare the radios for what goes on the air.
 
         Raises:
-            ConfigError: they cannot; or `use = "fly"` and the region's law cannot be kept.
+            ConfigError: they cannot; or `use = "fly"` and the region's law cannot be kept by what sends. With
+                radios that only listen the vehicle must have a module of its own; the heart waits for it.
         """
         decided = keep_floor(asked_rates(config), config.region, self.radio.capabilities)
         if not decided.legal:
             text = f"remote_id: {decided.reason}"
-            if config.flight.use == "fly":
+            if config.flight.use == "fly" and self.radio.capabilities:
                 raise ConfigError(text)
-            self._say(f"{text}: nothing is broadcast")
+            self._say(f"{text}: nothing is broadcast, unless the vehicle has a Remote ID module of its own")
             return
         channel = self.radio.wifi_channel
         slow = too_slow(decided.rates, config.region, channel, config.flight.setpoint_rate_hz)
