@@ -162,15 +162,18 @@ def check_monitor(key: str, interface: str, channel: int) -> None:
     Raises:
         ConfigError: which of these fails, and the command that mends it.
     """
-    names = [name for _, name in socket.if_nameindex()]
-    if interface not in names:
-        raise ConfigError(
-            f"{key}: there is no network interface {interface!r}; there are: {', '.join(names)}"
-        )
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-        hardware = _ask(control, _SIOCGIFHWADDR, interface)
-        flags = _ask(control, _SIOCGIFFLAGS, interface)
-        frequency = _ask(control, _SIOCGIWFREQ, interface)
+    try:
+        names = [name for _, name in socket.if_nameindex()]
+        if interface not in names:
+            raise ConfigError(
+                f"{key}: there is no network interface {interface!r}; there are: {', '.join(names)}"
+            )
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+            hardware = _ask(control, _SIOCGIFHWADDR, interface)
+            flags = _ask(control, _SIOCGIFFLAGS, interface)
+            frequency = _ask(control, _SIOCGIWFREQ, interface)
+    except OSError as error:  # no descriptor or memory left to ask with
+        raise ConfigError(f"{key}: {interface!r}: cannot be looked at: {error.strerror}") from error
     if hardware is None or flags is None:
         raise ConfigError(f"{key}: {interface!r} vanished while it was looked at")
     kind = struct.unpack_from("H", hardware, 16)[0]

@@ -1,8 +1,12 @@
 """The Wi-Fi radio over sockets that are none: what it sends, hears, counts and says."""
 
+import errno
+import os
+import socket
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from hypothesis import given
@@ -248,6 +252,16 @@ def test_nothing_that_works_is_a_wrong_configuration(opened: Callable[..., WifiT
 def test_an_interface_that_does_not_exist_names_those_that_do(name: str) -> None:
     with pytest.raises(ConfigError, match=r"there is no network interface .*there are: .*lo"):
         check_monitor("radio.monitor", name, 6)
+
+
+@pytest.mark.parametrize("name", ["if_nameindex", "socket"])
+def test_a_system_without_descriptors_is_told_in_words(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    def fail(*_: object) -> NoReturn:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(socket, name, fail)
+    with pytest.raises(ConfigError, match=r"radio\.monitor: 'lo': cannot be looked at: Too many open files"):
+        check_monitor("radio.monitor", "lo", 6)
 
 
 def test_an_interface_of_another_kind_is_told_apart(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
