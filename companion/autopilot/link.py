@@ -164,9 +164,9 @@ class AutopilotLink:
         self._text_id = 0
         self._mode: ModeRequest | None = None
         self._download: MissionDownload | None = None
-        own = {config.component_id} | ({COMPONENT_ID} if remote_id_component else set())
-        self._remote_id = RemoteIdListener(self.counts, frozenset({encoders.AUTOPILOT_COMPONENT} | own))
         self._component = RemoteIdComponent(identity) if remote_id_component else None
+        own = frozenset({encoders.AUTOPILOT_COMPONENT, config.component_id})
+        self._remote_id = RemoteIdListener(self.counts, own, self._component)
         self._events: list[Event] = []
         self._out = bytearray()
         self._setpoint: encoders.Outgoing | None = None

@@ -13,7 +13,8 @@
     somebody else for its own, and only the SYSTEM that it sends on then still says whose it is. One that
     tells the take-off point is left out: PX4 fills in its home by itself, ArduPilot sends an empty one, and
     the companion knows the take-off point better. Identities do not grow old: they are taken.
-- ARM_STATUS of another component of our vehicle: a Remote ID transmitter of its own.
+- ARM_STATUS of another component of our vehicle: a Remote ID transmitter of its own. Also under our own id as
+  the Remote ID component (236), unless it is one that we have sent: one aircraft, one identity.
 
 A SYSTEM_UPDATE becomes a System: its sender's last one, brought up to date. Without one before it nothing but
 the place and time are known, and the type is live, since an update is sent for an operator who moves.
@@ -21,6 +22,7 @@ the place and time are known, and the type is live, since an update is sent for 
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 from companion.errors import PeerDataError
@@ -59,6 +61,8 @@ ARM_STATUS_PERIOD_S = 0.7
 """Ground stations call a module dead after 2.5 s and check for 1 Hz, which exactly 1 Hz fails by jitter."""
 HEARTBEAT_PERIOD_S = 1.0
 BASIC_ID_PERIOD_S = 3.0
+_ECHOES = 32
+"""Latest own statuses: as many can come back late and are known."""
 _EPSILON_S = 1e-6
 _STATION_FROM_ID = 240
 _STATION_SPEAKS_S = 5.0
@@ -85,9 +89,13 @@ class RemoteIdCounts:
 class RemoteIdListener:
     """Frames to events. Remembers one number or message for each system id at most."""
 
-    def __init__(self, counts: RemoteIdCounts, own_components: frozenset[int]) -> None:
+    def __init__(
+        self, counts: RemoteIdCounts, own_components: frozenset[int], component: RemoteIdComponent | None
+    ) -> None:
+        """`component` is what we are beside `own_components`; whoever else says to be it is a second one."""
         self._counts = counts
         self._own_components = own_components
+        self._component = component
         self._stations: dict[int, bool] = {}
         """Systems that have sent a HEARTBEAT: whether one of their components is a ground station."""
         self._last_system: dict[int, System] = {}
@@ -126,6 +134,8 @@ class RemoteIdListener:
     def _module(self, frame: Frame, vehicle_system: int | None) -> RemoteIdModule | None:
         component = frame.component_id
         if frame.system_id != vehicle_system or component in self._own_components:
+            return None
+        if component == COMPONENT_ID and self._component is not None and self._component.has_sent(frame):
             return None
         self._counts.module_reports += 1
         ready, text = decode_arm_status(frame.payload)
@@ -207,12 +217,17 @@ class RemoteIdComponent:
         self._writer: MavlinkWriter | None = None
         self._status: ArmStatus | None = None
         self._status_sent_s: float | None = None
+        self._statuses: deque[bytes] = deque(maxlen=_ECHOES)
         self._beat_sent_s: float | None = None
 
     def report(self, status: ArmStatus) -> None:
         """What to say from now on; it is due at once."""
         self._status = status
         self._status_sent_s = None
+
+    def has_sent(self, status: Frame) -> bool:
+        """Whether this is a status of ours that the link brings back, to the byte."""
+        return status.raw in self._statuses
 
     def due(self, system_id: int, now_s: float) -> list[bytes]:
         """Frames to send now."""
@@ -227,6 +242,7 @@ class RemoteIdComponent:
         if _is_due(self._status_sent_s, ARM_STATUS_PERIOD_S, now_s):
             self._status_sent_s = now_s
             frames.append(writer.pack_payload(*encode_arm_status(status.ready, status.text)))
+            self._statuses.append(frames[-1])
         if self._identity is not None and _is_due(self._identity_sent_s, BASIC_ID_PERIOD_S, now_s):
             self._identity_sent_s = now_s
             told = encode_odid(self._identity, system_id, encoders.AUTOPILOT_COMPONENT)

@@ -439,8 +439,21 @@ def test_both_components_number_their_own_frames() -> None:
 def test_the_component_does_not_take_its_own_status_for_a_module() -> None:
     scripted = Component()
     scripted.heartbeat()
-    assert scripted.says(arm_status(), component=236) == []
+    scripted.link.send(READY, scripted.now_s)
+    for _ in range(40):
+        scripted.after(0.7)
+        assert scripted.link.receive(scripted.link.drain(), scripted.now_s) == []  # a link that echoes
     assert scripted.says(arm_status(), component=237) == [RemoteIdModule(component_id=237, ready=True)]
+
+
+def test_a_second_transmitter_under_the_components_id_is_a_module() -> None:
+    scripted = Component()
+    scripted.heartbeat()
+    scripted.link.send(READY, scripted.now_s)
+    scripted.after(0.7)
+    for status, text in ((0, b""), (1, b"missing location message")):
+        (event,) = scripted.says(arm_status(status, text), component=236)
+        assert event == RemoteIdModule(component_id=236, ready=status == 0, text=text.decode())
 
 
 def test_what_the_autopilot_sends_to_the_component_is_the_operators() -> None:
