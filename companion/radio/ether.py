@@ -120,7 +120,7 @@ class EtherTransport:
             frames_sent=self._sent,
             frames_heard=self._receiver.heard,
             bad_frames=self._receiver.bad + self._bad_datagrams,
-            can_send=TRANSPORTS,
+            can_send=TRANSPORTS if self._answers(now_s) else frozenset(),
         )
 
     def close(self) -> None:

@@ -90,11 +90,14 @@ def test_health_is_ok_only_while_the_air_answers(air: socket.socket, radio: Ethe
     radio.heard(0.0)
     assert not radio.health(0.0).ok
     assert "no answer yet" in radio.health(0.0).text
+    assert radio.health(0.0).can_send == frozenset()
     air.sendto(ether_wire.encode(Welcome(2)), client)
     radio.heard(1.0)
     assert radio.health(1.0).ok
     assert radio.health(7.0).ok
+    assert radio.health(7.0).can_send == {"ble4", "ble5", "wifi", "nan"}
     assert not radio.health(7.1).ok
+    assert radio.health(7.1).can_send == frozenset()
     assert "silent for 6 s" in radio.health(7.1).text
     assert radio.hears == {"ble4", "ble5", "wifi", "nan"}
     radio.heard(7.1)
