@@ -208,18 +208,24 @@ class LiveTable:
         if now_s - self._drawn_s < _DRAW_S:
             return
         self._drawn_s = now_s
-        self._live.update(drawing(heard, health, now_s), refresh=True)
+        self._live.update(drawing(heard, health, now_s, self._live.console.height), refresh=True)
 
 
-def drawing(heard: HeardTable, health: Health, now_s: float) -> Group:
-    """The table and the line of the radios. Texts, not markup: brackets from strangers mean nothing."""
+def drawing(heard: HeardTable, health: Health, now_s: float, rows: int) -> Group:
+    """The line of the radios and the table, newest first: what does not fit the screen is the oldest.
+
+    Texts, not markup: brackets from strangers mean nothing.
+
+    Args:
+        rows: of the table at most; drawing takes time in which nobody listens.
+    """
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for name in COLUMNS:
         table.add_column(name, justify="right" if name in _TO_THE_RIGHT else "left", overflow="fold")
-    for aircraft in heard.newest_first():
+    for aircraft in heard.newest_first()[:rows]:
         table.add_row(*map(Text, cells(aircraft, now_s).values()))
     style = "" if health.ok else "bold red"
-    return Group(table, Text(health_words(health, len(heard)), style=style))
+    return Group(Text(health_words(health, len(heard)), style=style), table)
 
 
 class PlainLines:

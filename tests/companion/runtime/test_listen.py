@@ -191,7 +191,7 @@ def test_no_control_character_reaches_the_terminal(capsys: pytest.CaptureFixture
     with lines:
         lines.show(heard, health, 0.0)
     screen = io.StringIO()
-    Console(file=screen, width=250, color_system=None).print(drawing(heard, health, 0.0))
+    Console(file=screen, width=250, color_system=None).print(drawing(heard, health, 0.0, 50))
     for shown in (capsys.readouterr().out, screen.getvalue()):
         assert "[2J[bold]" in shown  # the words are there, markup and all
         assert not CONTROL.search(shown)
@@ -221,6 +221,20 @@ def test_the_live_table_is_drawn_at_its_own_pace() -> None:
             view.show(heard, HEALTH, tick * 0.05)
     assert screen.getvalue().count("1596B0000DMUCA01") in (4, 5)  # four times a second, and once at the end
     assert "wlan0: listening; 1 aircraft, 7 frames heard, 2 bad" in screen.getvalue()
+
+
+def test_a_crowd_hides_neither_the_radios_nor_the_newest() -> None:
+    screen = io.StringIO()
+    heard = HeardTable()
+    for number in range(200):
+        heard.take(frame(named(f"A{number:03}"), LOCATION, address=f"c2:{number}"), number * 0.01)
+    health = Health(ok=False, text="gone", frames_sent=0, frames_heard=7, bad_frames=2)
+    with LiveTable(Console(file=screen, width=250, height=12, force_terminal=True)) as view:
+        view.show(heard, health, 2.0)
+        drawn = screen.getvalue()
+        assert "NOT OK: gone; 200 aircraft, 7 frames heard, 2 bad" in drawn
+        assert "A199" in drawn
+    assert set(re.findall(r"A\d{3}", screen.getvalue())) <= {f"A{number:03}" for number in range(188, 200)}
 
 
 def test_plain_lines_come_once_a_second_for_who_was_heard(capsys: pytest.CaptureFixture[str]) -> None:
