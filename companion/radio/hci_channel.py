@@ -158,10 +158,13 @@ class TcpChannel(_SocketChannel):
             raise ConfigError(f"radio.channel: {name}: {host!r} is no host name") from error
         except OSError as error:
             raise ConfigError(f"radio.channel: {name}: {error.strerror or error}") from error
-        if sock.getsockname() == sock.getpeername():  # TCP connects a free local port to itself, sometimes
+        try:
+            if sock.getsockname() == sock.getpeername():  # TCP connects a free local port to itself, sometimes
+                raise ConnectionRefusedError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except OSError as error:  # also where the other side has hung up again
             sock.close()
-            raise ConfigError(f"radio.channel: {name}: {os.strerror(errno.ECONNREFUSED)}")
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            raise ConfigError(f"radio.channel: {name}: {error.strerror}") from error
         super().__init__(sock)
 
     def receive(self) -> bytes:

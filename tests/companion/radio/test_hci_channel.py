@@ -2,7 +2,9 @@
 
 import errno
 import os
+import select
 import socket
+import struct
 import time
 from collections.abc import Callable
 
@@ -82,6 +84,23 @@ def test_tcp_both_ways_and_lost() -> None:
             until(lambda: received.append(channel.receive()) or b"".join(received) == b"\x04")
         until(lambda: is_lost(channel))
         channel.close()
+
+
+def test_a_peer_that_hangs_up_at_once_is_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        connect = socket.create_connection
+
+        def hung_up_on(where: tuple[str, int], timeout: float) -> socket.socket:
+            ours = connect(where, timeout=timeout)
+            theirs, _ = server.accept()
+            theirs.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            theirs.close()  # a reset
+            select.select([ours], [], [], GENEROUS_S)
+            return ours
+
+        monkeypatch.setattr(socket, "create_connection", hung_up_on)
+        with pytest.raises(ConfigError, match="^radio.channel: tcp:127.0.0.1:.*not connected"):
+            open_channel(f"tcp:127.0.0.1:{server.getsockname()[1]}")
 
 
 def test_tcp_takes_what_fits_and_never_blocks() -> None:
