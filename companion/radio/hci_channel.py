@@ -159,7 +159,7 @@ class TcpChannel(_SocketChannel):
         except OSError as error:
             raise ConfigError(f"radio.channel: {name}: {error.strerror or error}") from error
         try:
-            if sock.getsockname() == sock.getpeername():  # TCP connects a free local port to itself, sometimes
+            if sock.getsockname() == sock.getpeername():  # TCP connects to itself, sometimes
                 raise ConnectionRefusedError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:  # also where the other side has hung up again
