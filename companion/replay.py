@@ -13,9 +13,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.link import LinkCounts
-from companion.config import Config, IdentityConfig, RemoteIdConfig
+from companion.autopilot.wire import message_id_of
+from companion.config import Config, IdentityConfig
 from companion.core import Companion
 from companion.errors import PeerDataError
 from companion.events import Broadcast, Command, GlobalPosition, GnssFix, RadioState
@@ -126,9 +128,7 @@ def replay_tlog(frames: Iterable[tuple[float, bytes]]) -> tuple[TlogReplay, Iter
 
 def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iterator[Location]:
     steps: list[Step] = []
-    # A log has both directions: its Remote ID component may be the companion that was recorded.
-    config = Config(identity=IdentityConfig(uas_id="REPLAY"), remote_id=RemoteIdConfig(component=True))
-    onboard = Onboard(config, steps.append, commanding=False)
+    onboard = Onboard(Config(identity=IdentityConfig(uas_id="REPLAY")), steps.append, commanding=False)
     onboard.hear(RadioState(can_send=("wifi",)))
     start_s: float | None = None
     now_s = next_s = 0.0
@@ -143,7 +143,10 @@ def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iter
             onboard.tick(now_s)
             onboard.drain(now_s)
             yield from _note(steps, result)
-        onboard.receive(frame, now_s)
+        if message_id_of(frame) != mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_ARM_STATUS:
+            # A log has both directions: this may be what the recorded companion said of itself, and a heart
+            # that hears it of another module broadcasts nothing.
+            onboard.receive(frame, now_s)
     if start_s is not None:
         onboard.tick(now_s)
         onboard.drain(now_s)
