@@ -30,6 +30,8 @@ from companion.remote_id.schedule import Schedule
 MAX_RATE = 10
 """Locations a second."""
 _MODULE_SILENT_S = 5.0
+_DETAIL = 100
+"""Characters of a radio's own words that the pilot is sent: two STATUSTEXT chunks."""
 _WELL_AFTER_S = 5.0
 """Without trouble for so long it is well again: what comes and goes is told to the pilot once."""
 _TELL_PERIOD_S = 5.0
@@ -64,6 +66,8 @@ class Broadcaster:
         """The trouble that the pilot knows of."""
         self._said_s = self._trouble_s = -math.inf
         self._arm_status: ArmStatus | None = None
+        self._lacking: str | None = None
+        self._lacking_told: str | None = None
 
     def ask(self, rates: Mapping[str, int]) -> None:
         """What a policy wants from now on: transports with their Locations a second, up to `MAX_RATE`; those
@@ -98,6 +102,11 @@ class Broadcaster:
             return f"own Remote ID not heard on {', '.join(sorted(self._silent))}"
         return None
 
+    @property
+    def lacking(self) -> str | None:
+        """What the region asks for and nobody has told, in words; None when all is there."""
+        return self._lacking if self._config.region.transport_sets and self._module is None else None
+
     def step(self, own: Ownship, now_s: float) -> list[Command]:
         """What to broadcast and to say now."""
         radio = self._radio
@@ -113,14 +122,16 @@ class Broadcaster:
             return commands
         rates: Mapping[str, int] = {}
         messages = self._messages(own, now_s)
+        self._lacking = _lacking(self._config, messages)
         if self._module is None:
             self._started = self._started or (self._decided.legal and bool(self._decided.rates))
             rates = self._decided.rates if self._started else {}
             commands += self._schedule.due(rates, can_send, radio.wifi_channel, messages, now_s)
         self._log(rates, commands)
         self._tell_pilot(commands, now_s)
+        self._tell_lacking(own, commands)
         if self._config.remote_id.component:
-            self._report(messages, commands)
+            self._report(commands)
         return commands
 
     def _messages(self, own: Ownship, now_s: float) -> tuple[Message, ...]:
@@ -167,12 +178,23 @@ class Broadcaster:
             if now_s - self._said_s < _TELL_PERIOD_S:
                 return
             worst = Severity.CRITICAL if not self._decided.legal else Severity.WARNING
-            commands.append(Say(severity=worst, text=f"DMUCA {trouble}"))
+            # The radio's own words change by the second: they are told with a trouble, and make none.
+            words = "" if self._module is not None else self._radio.text[:_DETAIL]
+            detail = f": {words}" if words else ""
+            commands.append(Say(severity=worst, text=f"DMUCA {trouble}{detail}"))
         self._said, self._said_s = trouble, now_s
 
-    def _report(self, messages: tuple[Message, ...], commands: list[Command]) -> None:
+    def _tell_lacking(self, own: Ownship, commands: list[Command]) -> None:
+        """In flight the pilot is told once of each thing that is missing in what is told."""
+        if not own.armed:
+            self._lacking_told = None
+        elif (lacking := self.lacking) is not None and lacking != self._lacking_told:
+            self._lacking_told = lacking
+            commands.append(Say(severity=Severity.WARNING, text=f"DMUCA Remote ID: {lacking}"))
+
+    def _report(self, commands: list[Command]) -> None:
         """OPEN_DRONE_ID_ARM_STATUS, where we are the vehicle's Remote ID component."""
-        text = self.trouble or _lacking(self._config, messages)
+        text = self.trouble or self._lacking
         status = ArmStatus(ready=text is None, text=text or "")
         if status != self._arm_status:
             self._arm_status = status

@@ -273,8 +273,9 @@ class Flight:
     def _wrong(self) -> str:
         """What is wrong beside the heart and the radio, for the status line."""
         text = "" if self.link.up else "; link down"
-        if (trouble := self.onboard.heart.broadcaster.trouble) is not None and self.config.has_radio:
-            text += f"; {trouble}"
+        broadcaster = self.onboard.heart.broadcaster
+        if self.config.has_radio or self.config.region.transport_sets:
+            text += "".join(f"; {words}" for words in (broadcaster.trouble, broadcaster.lacking) if words)
         if self._refused:
             text += f"; {self._refused} broadcasts refused"
         if self._recorder is not None and self._recorder.error is not None:

@@ -29,6 +29,7 @@ from companion.remote_id.messages import (
     System,
 )
 from companion.remote_id.own import OPERATOR_FRESH_S
+from companion.remote_id.region import Region
 
 UTC_S = 1_767_225_600.0
 OWN = "c2:00:00:00:00:01"
@@ -239,8 +240,52 @@ def test_a_module_that_confirms_counts_as_heard(bench):
 def test_a_radio_that_sends_nothing_is_said(bench):
     config = bench.heart.config
     bench.heart.broadcaster._config = msgspec.structs.replace(config, radio=(EtherRadio(address="x:1"),))
-    bench.extra.append(RadioState(can_send=(), text="controller gone"))
-    assert said(bench.step()) == [(Severity.WARNING, "DMUCA Remote ID not sent: radio cannot send on wifi")]
+    bench.extra.append(RadioState(can_send=(), text="controller gone" + 1000 * "!"))
+    ((severity, text),) = said(bench.step())
+    assert severity is Severity.WARNING
+    assert text.startswith("DMUCA Remote ID not sent: radio cannot send on wifi: controller gone!!!")
+    assert len(text) < 200
+
+
+def test_the_radios_own_reason_is_told_with_the_trouble(bench):
+    monitored(bench, confirmed=(), text="module refuses: missing operator location")
+    assert said(bench.step(130)) == [
+        (
+            Severity.WARNING,
+            "DMUCA own Remote ID not heard on wifi: module refuses: missing operator location",
+        )
+    ]
+    monitored(bench, confirmed=(), text="module refuses: missing operator location, 2 s")
+    assert not said(bench.step(130))
+
+
+def lawful(bench):
+    """A fresh bench in a region that asks for operator data."""
+    config = bench.heart.config
+    region = Region(name="eu", transport_sets=(("wifi",),), location_period_s=1.0, operator_id_required=True)
+    return type(bench)(type(bench.heart)(msgspec.structs.replace(config, region=region)))
+
+
+def test_what_the_law_asks_and_nobody_has_told_is_said_once_in_flight(bench):
+    mine = lawful(bench)
+    assert said(mine.step(100)) == [(Severity.WARNING, "DMUCA Remote ID: missing operator location")]
+    for second in range(3):
+        ground_station(mine, UTC_S + second)
+        commands = mine.step(20)
+        assert said(commands) == [(Severity.WARNING, "DMUCA Remote ID: missing operator_id message")] * (
+            second == 0
+        )
+    mine.extra.append(OperatorData(messages=(OperatorId(operator_id_type=0, operator_id="OP"),)))
+    assert not said(mine.step(20))
+    assert mine.heart.broadcaster.lacking is None
+    assert bench.heart.broadcaster.lacking is None
+
+
+def test_on_the_ground_nobody_is_bothered(bench):
+    mine = lawful(bench)
+    mine.armed = False
+    assert not said(mine.step(100))
+    assert mine.heart.broadcaster.lacking == "missing operator location"
 
 
 # ---------------------------------------------------------------- one identity for one aircraft
