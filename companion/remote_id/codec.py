@@ -51,6 +51,7 @@ __all__ = [
 PACK_HEADER_SIZE: Final = 3
 PACK_MAX_MESSAGES: Final = 9
 
+_LOCATION: Final = 1
 _decode_again = lru_cache(maxsize=1024)(decode)
 """Every pack of an aircraft repeats its identities and texts; messages are immutable, so one serves all."""
 
@@ -142,7 +143,9 @@ def _read_pack(data: bytes) -> Payload:
     for index in range(min(announced, whole, PACK_MAX_MESSAGES)):
         offset = PACK_HEADER_SIZE + index * MESSAGE_SIZE
         try:
-            message = _decode_again(bytes(data[offset : offset + MESSAGE_SIZE]))
+            raw = bytes(data[offset : offset + MESSAGE_SIZE])
+            # A Location is new every time, and would only drive the others out.
+            message = decode(raw) if raw[0] >> 4 == _LOCATION else _decode_again(raw)
         except PeerDataError as error:
             faults.append(f"pack message {index + 1} (offset {offset}): {error}")
             continue

@@ -20,8 +20,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from companion.errors import PeerDataError
 from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
@@ -76,8 +75,7 @@ _UPDATE_INDICATOR: Final = 0x0200
 """Extension control: the service update indicator follows."""
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(NamedTuple):
     """Remote ID as one frame carried it."""
 
     transport: str
