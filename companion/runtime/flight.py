@@ -43,6 +43,28 @@ _MAX_TEXTS = 20
 """Different reasons of the radio to refuse a broadcast that are said."""
 
 
+class _Tape:
+    """What crosses the link, kept until there is a recorder: the first texts to the pilot are in the log."""
+
+    def __init__(self) -> None:
+        self._recorder: FlightRecorder | None = None
+        self._early: list[bytes] = []
+
+    def write(self, data: bytes) -> None:
+        """Take bytes."""
+        if self._recorder is None:
+            self._early.append(data)
+        else:
+            self._recorder.write(data)
+
+    def play(self, recorder: FlightRecorder) -> None:
+        """Hand on what was kept, and all that comes."""
+        self._recorder = recorder
+        for data in self._early:
+            recorder.write(data)
+        self._early.clear()
+
+
 class Flight:
     """Everything one `companion run` holds. Use as a context manager; `run` blocks until told to stop."""
 
@@ -75,7 +97,14 @@ class Flight:
             self._voice.close()
             raise
         guess = time.time() - time.monotonic()
-        self.onboard = Onboard(config, self._record, commanding=not dry_run, utc_guess_s=guess)
+        self._tape = _Tape()
+        self.onboard = Onboard(
+            config,
+            self._record,
+            commanding=not dry_run,
+            tlog=TlogWriter(self._tape),
+            utc_guess_s=guess,
+        )
         self.folder: Path | None = None
         self._recorder: FlightRecorder | None = None
         self._early: list[Step] = []
@@ -174,7 +203,7 @@ class Flight:
         for step in self._early:
             self._recorder.step(step)
         self._early.clear()
-        self.onboard.tlog = TlogWriter(self._recorder)
+        self._tape.play(self._recorder)
         self._say(f"vehicle {vehicle}; recording to {folder}")
 
     def _loop(self) -> None:

@@ -121,6 +121,7 @@ def test_flies_and_ends_cleanly_leaving_the_vehicle_holding(start, tmp_path, fir
         frames = list(read_tlog(stream, "tlog"))
     systems = {(frame[5], frame[6]) for _, frame in frames}
     assert systems == {(1, 1), (1, 191)}
+    assert next(frame[4] for _, frame in frames if frame[6] == 191) == 0, "the first frame is in the log"
     assert cli.main(["replay", str(file.parent)]) == 0
 
 
