@@ -7,13 +7,15 @@ frame, or when there was nothing to do; 2 when the request or a file is wrong.
 from __future__ import annotations
 
 import argparse
+import enum
 import io
 import json
+import string
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, get_args
 
 import msgspec
 
@@ -24,16 +26,23 @@ from companion.remote_id.capture_file import is_capture
 from companion.remote_id.captures import CapturedFrame, Kind, read_capture
 from companion.remote_id.codec import Payload, encode, encode_pack, read_payload
 from companion.remote_id.conformance import Report, check_file
-from companion.remote_id.messages import Message
+from companion.remote_id.messages import Location, Message, System
+from companion.remote_id.wire_values import position_to_wire
 
 if TYPE_CHECKING:
     Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 _JSON: Final = msgspec.json.Decoder[Message](Message)
+_TYPES: Final = {kind.__name__: kind for kind in get_args(Message)}
 _TRANSPORTS: Final = (BLE4, BLE5, WIFI_BEACON, WIFI_NAN)
 _OWN_ADDRESS: Final = "02:00:00:00:00:01"
 """Locally administered: nobody's."""
 _CAPTURES: Final = {".pcap", ".pcapng"}
+_LINES_TO_TELL: Final = 3
+"""So many lines without a hexadecimal one, and the input is not hexadecimal text."""
+_NEITHER: Final = "neither a capture (pcap, pcapng) nor hexadecimal text"
+_SHOWN: Final = 40
+"""Characters of a wrong line or value that are repeated."""
 
 EXAMPLES: Final = (
     '{"type":"BasicId","id_type":1,"ua_type":2,"uas_id":"1581F6N8A23B2ML3Y3KR"}',
@@ -59,8 +68,9 @@ examples:
   companion remote-id encode --frame wifi --counter 7 --address 02:00:5e:10:20:30 < messages.json
 """
 _DECODE_HELP: Final = """\
-A FILE is a capture (pcap or pcapng of Bluetooth LE or Wi-Fi) or hexadecimal text. Of a damaged pack the
-messages that can be read are printed; what cannot is said on stderr, or under "faults" of a captured frame.
+A FILE, or stdin, is a capture (pcap or pcapng of Bluetooth LE or Wi-Fi) or hexadecimal text. Of a damaged
+pack the messages that can be read are printed; what cannot is said on stderr, or under "faults" of a captured
+frame.
 
 examples:
   echo 520046494e38376173747264676531326b3800000000000000 | companion remote-id decode
@@ -167,7 +177,8 @@ def _each_line(name: str, lines: Iterable[str], work: Callable[[str], _Printed])
             print(f"{name}line {number}: {fault}", file=sys.stderr)
             status = 1
     if not worked:
-        print(f"{name}nothing to read in {number} lines", file=sys.stderr)
+        how_much = f"nothing to read in {number} lines" if number else "nothing to read: the input is empty"
+        print(f"{name}{how_much}", file=sys.stderr)
         return 1
     return status
 
@@ -175,6 +186,12 @@ def _each_line(name: str, lines: Iterable[str], work: Callable[[str], _Printed])
 def _as_json(content: object) -> str:
     """One line of ASCII, which every terminal and locale can show."""
     return json.dumps(msgspec.to_builtins(content), separators=(",", ":"))
+
+
+def _shown(content: object) -> str:
+    """Something wrong, as JSON that fits a line."""
+    text = _as_json(content)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 # ---------------------------------------------------------------- encode
@@ -191,15 +208,15 @@ def _encode(args: argparse.Namespace) -> int:
     if transport == BLE4:
 
         def frame(line: str) -> _Printed:
-            return _Printed([frames.build_ble4(encode(_JSON.decode(line)), counter).hex()])
+            return _Printed([frames.build_ble4(encode(_message(line)), counter).hex()])
 
         return _each_line("", sys.stdin, frame)
     if transport is None and not args.pack:
-        return _each_line("", sys.stdin, lambda line: _Printed([encode(_JSON.decode(line)).hex()]))
+        return _each_line("", sys.stdin, lambda line: _Printed([encode(_message(line)).hex()]))
     messages: list[Message] = []
 
     def collect(line: str) -> _Printed:
-        messages.append(_JSON.decode(line))
+        messages.append(_message(line))
         return _Printed(())
 
     if _each_line("", sys.stdin, collect):
@@ -222,32 +239,134 @@ def _pack_in(transport: str | None, pack: bytes, counter: int, address: str) -> 
     return pack
 
 
+def _message(line: str) -> Message:
+    """The message in a line of JSON. Raises ValueError: names the key, what it holds and what is allowed."""
+    try:
+        message: Message = _JSON.decode(line)
+    except msgspec.DecodeError as error:
+        raise ValueError(_explain(line, str(error))) from error
+    match message:
+        case Location():
+            _check_position("Location.", message.lat_deg, message.lon_deg)
+        case System():
+            _check_position("System.operator_", message.operator_lat_deg, message.operator_lon_deg)
+    return message
+
+
+def _check_position(prefix: str, lat_deg: float | None, lon_deg: float | None) -> None:
+    """A coordinate out of its range is told first, then that the other one is missing."""
+    position_to_wire(prefix, lat_deg or 0.0, lon_deg or 0.0)
+    if (lat_deg is None) != (lon_deg is None):
+        missing, given = ("lat_deg", "lon_deg") if lat_deg is None else ("lon_deg", "lat_deg")
+        raise ValueError(f"{prefix}{missing}: missing; allowed: with {prefix}{given}, or neither")
+
+
+def _explain(line: str, words: str) -> str:
+    """What is wrong with a line of JSON that is no message; `words` are the decoder's, for what is left."""
+    try:
+        held = msgspec.json.decode(line)
+    except msgspec.ValidationError:
+        return "a number is too large"
+    except msgspec.DecodeError as error:
+        _, _, what = str(error).partition("JSON is malformed: ")
+        return f"not JSON: {what or 'incomplete'}"
+    if not isinstance(held, dict):
+        return f"{_shown(held)} is no message; allowed: an object such as {EXAMPLES[3]}"
+    name = held.get("type")
+    kind = _TYPES.get(name) if isinstance(name, str) else None
+    if kind is None:
+        return f"type: {_shown(name) if 'type' in held else 'missing'}; allowed: {', '.join(_TYPES)}"
+    fields = {field.name: field for field in msgspec.structs.fields(kind)}
+    for key in held:
+        if key not in fields and key != "type":
+            return f"{name}: {_shown(key)} is no key of it; allowed: {', '.join(fields)}"
+    for key, field in fields.items():
+        if key not in held:
+            if field.required:
+                return f"{name}.{key}: missing; allowed: {_allowed(field.type)}"
+            continue
+        try:
+            msgspec.convert(held[key], field.type)
+        except msgspec.ValidationError:
+            return f"{name}.{key}: {_shown(held[key])}; allowed: {_allowed(field.type)}"
+    return words
+
+
+def _allowed(kind: object) -> str:
+    """What JSON may hold for a field of this type."""
+    if alternatives := get_args(kind):
+        return " or ".join(map(_allowed, alternatives))
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        return ", ".join(f"{member.value} {member.name.lower().replace('_', ' ')}" for member in kind)
+    words: dict[object, str] = {float: "a number", int: "a whole number", str: "text", bytes: "base64 text"}
+    return words.get(kind, "null")
+
+
 # ---------------------------------------------------------------- decode
 
 
 def _decode(args: argparse.Namespace) -> int:
     transport: str | None = args.frame
-
-    def decode_line(line: str) -> _Printed:
-        data = bytes.fromhex(line)
-        return _payload(data) if transport is None else _frame(transport, data)
-
     if not args.files:
-        return _each_line("", sys.stdin, decode_line)
+        stream = getattr(sys.stdin, "buffer", None)
+        # Nobody types a capture, and to peek would take the end of the input from the terminal.
+        if isinstance(stream, io.BufferedReader) and not stream.isatty() and is_capture(stream.peek(4)[:4]):
+            return _decode_capture(stream, "stdin", transport)
+        return _decode_text(sys.stdin, "", transport)
     status = 0
     for path in args.files:
         try:
             with path.open("rb") as stream:
                 if path.suffix in _CAPTURES or is_capture(stream.peek(4)[:4]):
-                    if transport is not None:
-                        raise ConfigError(f"{path}: --frame is for hexadecimal; a capture tells by itself")
-                    status |= _decode_capture(stream, str(path))
+                    status |= _decode_capture(stream, str(path), transport)
                 else:
                     text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace")
-                    status |= _each_line(f"{path}: ", text, decode_line)
+                    status |= _decode_text(text, f"{path}: ", transport)
+        except BrokenPipeError:
+            raise  # of our output: no fault of the file
         except OSError as error:
             raise ConfigError(f"{path}: {error.strerror or error}") from error
     return status
+
+
+def _decode_text(text: Iterable[str], name: str, transport: str | None) -> int:
+    def decode_line(line: str) -> _Printed:
+        try:
+            data = bytes.fromhex(line)
+        except ValueError:
+            if _is_hexadecimal(line):
+                raise ValueError(f"its hexadecimal digits are not in pairs: {_shown(line)}") from None
+            raise ValueError(f"not hexadecimal: {_shown(line)}") from None
+        return _payload(data) if transport is None else _frame(transport, data)
+
+    lines = _hexadecimal_text(iter(text), name or "stdin: ")
+    return _each_line(name, lines, decode_line)
+
+
+def _hexadecimal_text(text: Iterator[str], name: str) -> Iterator[str]:
+    """The same lines; ConfigError where the first of them show that it is something else."""
+    first: list[str] = []
+    wrong: list[str] = []
+    for line in text:
+        first.append(line)
+        if _is_hexadecimal(line):
+            if line.strip():
+                break
+        else:
+            wrong.append(line)
+            if len(wrong) == _LINES_TO_TELL:
+                raise ConfigError(f"{name}{_NEITHER}")
+    else:
+        if any("\0" in line or "\ufffd" in line for line in wrong):
+            raise ConfigError(f"{name}{_NEITHER}")
+        text = iter(())  # a terminal asked once more would wait for a second end
+    yield from first
+    yield from text
+
+
+def _is_hexadecimal(line: str) -> bool:
+    """Whether it has only hexadecimal digits, and space between them."""
+    return set("".join(line.split())) <= set(string.hexdigits)
 
 
 def _payload(data: bytes) -> _Printed:
@@ -271,8 +390,10 @@ def _frame(transport: str, data: bytes) -> _Printed:
     return _Printed(lines, faults)
 
 
-def _decode_capture(stream: BinaryIO, name: str) -> int:
+def _decode_capture(stream: BinaryIO, name: str, transport: str | None) -> int:
     """Print each frame of Remote ID; what the rest was is counted on stderr."""
+    if transport is not None:
+        raise ConfigError(f"{name}: --frame is for hexadecimal; a capture tells by itself")
     kinds: Counter[Kind] = Counter()
     numbers = set()
     status = 0

@@ -5,6 +5,10 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import os
+import pty
+import subprocess
+import sys
 from pathlib import Path
 
 import dpkt
@@ -29,8 +33,14 @@ class Terminal:
         self.out: list[str] = []
         self.err: list[str] = []
 
-    def run(self, *arguments: str, stdin: str = "") -> int:
-        self._monkeypatch.setattr("sys.stdin", io.StringIO(stdin))
+    def run(self, *arguments: str, stdin: str | bytes = "") -> int:
+        """Bytes come as from a pipe."""
+        text = (
+            io.StringIO(stdin)
+            if isinstance(stdin, str)
+            else io.TextIOWrapper(io.BufferedReader(io.BytesIO(stdin)))
+        )
+        self._monkeypatch.setattr("sys.stdin", text)
         parser = argparse.ArgumentParser()
         command.add_arguments(parser.add_subparsers(required=True))
         args = parser.parse_args(arguments)
@@ -120,6 +130,110 @@ def test_of_a_torn_pack_the_sound_messages_are_printed_and_the_fault_told(termin
     assert len(terminal.err) == 1
     assert terminal.err[0].startswith("line 1: ")
     assert "cut short" in terminal.err[0]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("{", "not JSON: incomplete"),
+        ("{'type':1}", "not JSON: object keys must be strings (byte 1)"),
+        ("[]", f"[] is no message; allowed: an object such as {command.EXAMPLES[3]}"),
+        ('{"a":1}', "type: missing; allowed: BasicId, Location, Authentication, SelfId, System, OperatorId"),
+        (
+            '{"type":"Nope"}',
+            'type: "Nope"; allowed: BasicId, Location, Authentication, SelfId, System, OperatorId',
+        ),
+        (
+            '{"type":"OperatorId","foo":1}',
+            'OperatorId: "foo" is no key of it; allowed: operator_id_type, operator_id',
+        ),
+        (
+            '{"type":"OperatorId","operator_id":"A"}',
+            "OperatorId.operator_id_type: missing; allowed: a whole number",
+        ),
+        ('{"type":"Location","lat_deg":"x"}', 'Location.lat_deg: "x"; allowed: a number or null'),
+        ('{"type":"Location","lat_deg":1e999}', "a number is too large"),
+        (
+            '{"type":"Location","height_type":2}',
+            "Location.height_type: 2; allowed: 0 above takeoff, 1 above ground",
+        ),
+        (
+            '{"type":"Authentication","auth_type":1,"page":0,"data":"%s"}' % ("#" * 99),
+            f'Authentication.data: "{"#" * 39}...; allowed: base64 text',
+        ),
+        ('{"type":"Location","lat_deg":100}', "Location.lat_deg is 100; allowed: -90 to 90 degrees"),
+        ('{"type":"Location","lon_deg":-181}', "Location.lon_deg is -181; allowed: -180 to 180 degrees"),
+        (
+            '{"type":"System","operator_lat_deg":91}',
+            "System.operator_lat_deg is 91; allowed: -90 to 90 degrees",
+        ),
+        (
+            '{"type":"System","operator_lat_deg":0}',
+            "System.operator_lon_deg: missing; allowed: with System.operator_lat_deg, or neither",
+        ),
+    ],
+)
+def test_what_a_message_may_not_hold_is_told_with_what_it_may(
+    terminal: Terminal, line: str, words: str
+) -> None:
+    for form in ([], ["--pack"], ["--frame", "ble4"]):
+        assert terminal.run("encode", *form, stdin=line) == 1
+        assert [error.replace(".0;", ";") for error in terminal.err] == [f"line 1: {words}"]
+
+
+def test_a_line_that_is_not_hexadecimal_is_told_in_words(terminal: Terminal) -> None:
+    noise = "zz\x1b" + "y" * 100
+    assert terminal.run("decode", stdin=f"{noise}\n0x52\n{HEX[:-1]}\n\n{HEX}\nno\nmore\nhere\n") == 1
+    assert terminal.out == [MESSAGE]
+    assert terminal.err == [
+        f'line 1: not hexadecimal: "zz\\u001b{"y" * 31}...',
+        'line 2: not hexadecimal: "0x52"',
+        f'line 3: its hexadecimal digits are not in pairs: "{HEX[:39]}...',
+        'line 6: not hexadecimal: "no"',
+        'line 7: not hexadecimal: "more"',
+        'line 8: not hexadecimal: "here"',
+    ]
+
+
+@pytest.mark.parametrize("data", [b"# A text\n\nof some\nlines\n" * 9, b"\x89PNG\n", b"a\0b"])
+def test_what_is_neither_capture_nor_hexadecimal_is_told_in_one_line(
+    terminal: Terminal, tmp_path: Path, data: bytes
+) -> None:
+    file = tmp_path / "file"
+    file.write_bytes(data)
+    for name, arguments in (("stdin", []), (str(file), [str(file)])):
+        assert terminal.run("decode", *arguments, stdin=data) == 2
+        words = f"{name}: neither a capture (pcap, pcapng) nor hexadecimal text"
+        assert (terminal.out, terminal.err) == ([], [f"remote-id decode: {words}"])
+
+
+def test_one_wrong_line_is_no_foreign_input(terminal: Terminal) -> None:
+    assert terminal.run("decode", stdin="0x5200\n") == 1
+    assert terminal.err == ['line 1: not hexadecimal: "0x5200"']
+
+
+@pytest.mark.parametrize("action", ["decode", "encode"])
+def test_no_input_at_all_is_said(terminal: Terminal, action: str) -> None:
+    assert terminal.run(action, stdin=b"") == 1
+    assert terminal.err == ["nothing to read: the input is empty"]
+
+
+def test_on_a_terminal_one_end_of_input_ends_it() -> None:
+    ours, theirs = pty.openpty()
+    try:
+        os.write(ours, b"\x04")
+        ended = subprocess.run(
+            [sys.executable, "-m", "companion.cli", "remote-id", "decode"],
+            stdin=theirs,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    assert (ended.returncode, ended.stderr) == (1, "nothing to read: the input is empty\n")
 
 
 @pytest.mark.parametrize(
@@ -264,6 +378,36 @@ def test_a_capture_gives_a_line_for_each_remote_id_frame_and_a_summary(
     ]
 
 
+def test_a_capture_on_stdin_is_read_as_one(terminal: Terminal, tmp_path: Path) -> None:
+    data = capture(tmp_path / "flight.pcap", BEACON, ACK).read_bytes()
+    assert terminal.run("decode", stdin=data) == 0
+    (frame,) = map(json.loads, terminal.out)
+    assert (frame["file"], frame["frame"], frame["address"]) == ("stdin", 1, ADDRESS)
+    assert terminal.err[0].startswith("stdin: 2 frames: 1 Remote ID")
+    assert terminal.run("decode", "--frame", "wifi", stdin=data) == 2
+    assert "stdin: --frame is for hexadecimal" in terminal.err[0]
+
+
+def test_a_reader_that_has_had_enough_is_no_fault_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Closed(io.StringIO):
+        def flush(self) -> None:
+            raise BrokenPipeError
+
+    text = tmp_path / "messages.hex"
+    text.write_text(HEX)
+    for file in (capture(tmp_path / "flight.pcap", BEACON), text):
+        with monkeypatch.context() as patch:
+            patch.setattr("sys.stdout", Closed())
+            parser = argparse.ArgumentParser()
+            command.add_arguments(parser.add_subparsers(required=True))
+            args = parser.parse_args(["decode", str(file)])
+            with pytest.raises(BrokenPipeError):  # the command line ends quietly on it
+                args.run(args)
+        assert capsys.readouterr().err == ""
+
+
 def test_a_fault_in_a_captured_frame_exits_1(terminal: Terminal, tmp_path: Path) -> None:
     file = capture(tmp_path / "flight.pcap", BEACON[:-10])
     assert terminal.run("decode", str(file)) == 1
@@ -303,7 +447,7 @@ def test_files_of_hexadecimal_are_read_and_their_lines_named(terminal: Terminal,
     assert terminal.run("decode", str(one), str(two), str(none)) == 1
     assert terminal.out == [MESSAGE, MESSAGE]
     assert terminal.err[0].startswith(f"{one}: line 2: ")
-    assert terminal.err[1] == f"{none}: nothing to read in 0 lines"
+    assert terminal.err[1] == f"{none}: nothing to read: the input is empty"
     assert terminal.run("decode", str(two)) == 0
     two.write_text(BEACON.hex())
     assert terminal.run("decode", "--frame", "wifi", str(two)) == 0
