@@ -160,9 +160,6 @@ def cells(aircraft: Aircraft, now_s: float) -> dict[str, str]:
     altitude, datum = location.alt_geodetic_m, ""
     if altitude is None:
         altitude, datum = location.alt_baro_m, " baro"
-    operator = _place(system.operator_lat_deg, system.operator_lon_deg)
-    if aircraft.operator_id is not None:
-        operator = f"{plain(aircraft.operator_id.operator_id)} {operator}"
     return {
         "identity": identity_words(basic),
         "type": "-" if basic is None else basic.ua_type.name.lower().replace("_", " "),
@@ -175,7 +172,8 @@ def cells(aircraft: Aircraft, now_s: float) -> dict[str, str]:
         "m/s": _number(location.speed_mps, 1),
         "track": "-" if location.direction_deg is None else f"{location.direction_deg:.0f}°",
         "status": location.status.name.lower().replace("_", " ") if aircraft.location else "-",
-        "operator": operator,
+        "operator": "-" if aircraft.operator_id is None else plain(aircraft.operator_id.operator_id),
+        "operator at": _place(system.operator_lat_deg, system.operator_lon_deg),
         "about": "" if aircraft.self_id is None else plain(aircraft.self_id.text),
         "msg/s": f"{aircraft.rate_per_s(now_s):.1f}",
     }

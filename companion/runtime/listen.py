@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import argparse
 import io
+import math
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TextIO
 
 import msgspec
 from rich import box
@@ -64,12 +65,12 @@ def add_arguments(subparsers: Subparsers) -> None:
         help="without a configuration: hci=CHANNEL, wifi=MONITOR_INTERFACE or ether=HOST:PORT; repeatable",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object for each heard frame")
-    parser.add_argument("--seconds", type=float, help="stop after this long; otherwise with Ctrl-C")
+    parser.add_argument("--seconds", type=_seconds, help="stop after this long; otherwise with Ctrl-C")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Listen as the command line says. Returns the exit code.
+    """Listen as the command line says. Returns the exit code: 1 where the output cannot be written.
 
     Raises:
         ConfigError: there is nothing to listen with, or a radio cannot be opened.
@@ -92,6 +93,11 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with _stop_signal() as stopped:
             listen(radios, _view(as_json=arguments.json), stopped, arguments.seconds)
+    except _CannotWriteError as error:
+        print(f"remote-id listen: the output cannot be written: {error}", file=sys.stderr)
+        with suppress(OSError):
+            sys.stdout.close()  # what it still holds is not tried again at the exit
+        return 1
     finally:
         radios.close()
     return 0
@@ -113,6 +119,16 @@ def listen(radios: Radios, view: View, stopped: Callable[[], bool], seconds: flo
             if seconds is not None and now_s - began_s >= seconds:
                 break
             time.sleep(_POLL_S)
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 <= seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number of seconds, 0 or more")
+    return seconds
 
 
 def _listening(radio: RadioConfig) -> list[RadioConfig]:
@@ -179,6 +195,20 @@ class View(Protocol):
         """Everything, as of now."""
 
 
+class _CannotWriteError(Exception):
+    """The output takes no more: a full disk."""
+
+
+def _say(line: str, stream: TextIO | None = None) -> None:
+    """Print a line at once, on stdout unless another stream is given."""
+    try:
+        print(line, file=stream, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise _CannotWriteError(error.strerror) from error
+
+
 def _view(*, as_json: bool) -> View:
     if as_json:
         return JsonLines()
@@ -240,7 +270,7 @@ class PlainLines:
         return self
 
     def __exit__(self, *error: object) -> None:
-        print(f"radio: {self._words}", flush=True)
+        _say(f"radio: {self._words}")
 
     def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
         """Nothing: the next line holds it."""
@@ -253,12 +283,12 @@ class PlainLines:
         since_s, self._shown_s = self._shown_s, now_s
         if health.text != self._radios:
             self._radios = health.text
-            print(f"radio: {self._words}", flush=True)
+            _say(f"radio: {self._words}")
         for aircraft in heard.newest_first():
             if since_s is not None and aircraft.last_s <= since_s:
                 break
             shown = cells(aircraft, now_s)
-            print("; ".join(f"{name} {value}" for name, value in shown.items() if value), flush=True)
+            _say("; ".join(f"{name} {value}" for name, value in shown.items() if value))
 
 
 class JsonLines:
@@ -272,15 +302,15 @@ class JsonLines:
         return self
 
     def __exit__(self, *error: object) -> None:
-        print(f"radio: {self._words}", file=sys.stderr, flush=True)
+        _say(f"radio: {self._words}", sys.stderr)
 
     def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
         """Print it."""
-        print(json_line(event, utc_s), flush=True)
+        _say(json_line(event, utc_s))
 
     def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
         """Say what changed about the radios."""
         self._words = health_words(health, len(heard))
         if health.text != self._radios:
             self._radios = health.text
-            print(f"radio: {self._words}", file=sys.stderr, flush=True)
+            _say(f"radio: {self._words}", sys.stderr)

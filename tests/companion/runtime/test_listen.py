@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +83,8 @@ def test_everything_an_aircraft_says_is_in_its_row() -> None:
         "m/s": "4.2",
         "track": "123°",
         "status": "airborne",
-        "operator": "FIN87astrdge12k8 47.000000 8.000000",
+        "operator": "FIN87astrdge12k8",
+        "operator at": "47.000000 8.000000",
         "about": "survey",
         "msg/s": "2.2",
     }
@@ -92,7 +95,15 @@ def test_what_is_unknown_is_a_dash() -> None:
     heard.take(frame(Location(alt_baro_m=100.0), rssi_dbm=None), 0.0)
     row = cells(heard.newest_first()[0], 0.0)
     assert (row["identity"], row["type"], row["dBm"], row["position"]) == ("?", "-", "-", "-")
-    assert (row["alt m"], row["m/s"], row["track"], row["operator"]) == ("100.0 baro", "-", "-", "-")
+    assert (row["alt m"], row["m/s"], row["track"]) == ("100.0 baro", "-", "-")
+    assert (row["operator"], row["operator at"]) == ("-", "-")
+
+
+def test_an_operator_without_a_position_is_its_id_alone() -> None:
+    heard = HeardTable()
+    heard.take(frame(OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8")), 0.0)
+    row = cells(heard.newest_first()[0], 0.0)
+    assert (row["operator"], row["operator at"]) == ("FIN87astrdge12k8", "-")
 
 
 def test_messages_a_second_are_those_of_the_last_ten_seconds() -> None:
@@ -269,7 +280,7 @@ def test_a_radio_that_is_not_well_says_so() -> None:
             '[[radio]]\nbackend = "wifi"\nhostapd = "/nowhere"\n',
             "none of the configured ones can listen",
         ),
-        ('[identity]\nuas_id = "A1"\n[[radio]]\nbackend = "ether"\naddress = "x"\n', "expected HOST:PORT"),
+        ('[identity]\nuas_id = "A1"\n[[radio]]\nbackend = "ether"\naddress = "x"\n', "HOST:PORT"),
     ],
 )
 def test_a_configuration_without_a_radio_is_refused_in_words(
@@ -304,3 +315,27 @@ def test_what_sends_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 def test_a_radio_that_is_none_is_refused_in_words(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["remote-id", "listen", "--radio", text]) == 2
     assert f"--radio: {text!r}: allowed are hci=CHANNEL" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["-1", "nan", "inf", "soon"])
+def test_seconds_that_are_none_are_refused_in_words(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["remote-id", "listen", "--radio", "ether=127.0.0.1:9", "--seconds", text])
+    assert stop.value.code == 2
+    assert f"--seconds: {text!r}; allowed: a number of seconds, 0 or more" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_ends_it_in_one_line() -> None:
+    command = ["remote-id", "listen", "--radio", "ether=127.0.0.1:9", "--seconds", "0"]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "companion.cli", *command],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert ended.returncode == 1
+    assert ended.stderr == "remote-id listen: the output cannot be written: No space left on device\n"
