@@ -135,7 +135,9 @@ def _matplotlib() -> Any:
     try:
         import matplotlib
     except ImportError as error:
-        raise ConfigError("matplotlib is not installed: pip install 'dmuca[inspect]'") from error
+        raise ConfigError(
+            "matplotlib is not installed; in the checkout: pip install -e '.[inspect]'"
+        ) from error
     return matplotlib
 
 

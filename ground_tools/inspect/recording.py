@@ -80,7 +80,7 @@ def _rerun() -> Any:
     try:
         import rerun
     except ImportError as error:
-        raise ConfigError("rerun is not installed: pip install 'dmuca[inspect]'") from error
+        raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'") from error
     return rerun
 
 

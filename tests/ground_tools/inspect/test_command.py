@@ -72,7 +72,7 @@ def test_save_goes_with_one_recording(run_folder: Path, extra: list[str]) -> Non
 
 def test_missing_rerun_is_one_line_of_advice(run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(ConfigError, match=r"pip install 'dmuca\[inspect\]'"):
+    with pytest.raises(ConfigError, match=r"in the checkout: pip install -e '\.\[inspect\]'"):
         inspect(run_folder)
     assert inspect(run_folder, "--summary") == 0
 
@@ -137,5 +137,5 @@ def test_missing_matplotlib_is_one_line_of_advice(
     run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(ConfigError, match=r"pip install 'dmuca\[inspect\]'"):
+    with pytest.raises(ConfigError, match=r"in the checkout: pip install -e '\.\[inspect\]'"):
         draw(run_folder, "--out", tmp_path / "p.png")
