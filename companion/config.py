@@ -11,8 +11,9 @@ import itertools
 import math
 import re
 import tomllib
+import types
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 import tomli_w
@@ -25,6 +26,12 @@ from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
+Interface = Annotated[str, Meta(min_length=1, max_length=15)]
+"""Linux gives a network interface no longer name."""
+
+_LINK_FORMS = ("udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT", "serial:DEVICE:BAUD")
+_CHANNEL_FORMS = ("user:NUMBER", "uart:DEVICE:BAUD", "tcp:HOST:PORT")
+_NUMBERS = {"PORT": range(1, 1 << 16), "BAUD": range(1, 10**9), "NUMBER": range(0xFFFF)}
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -169,9 +176,9 @@ class WifiRadio(_Section, frozen=True, tag_field="backend", tag="wifi"):
 
     hostapd: str | None = None
     """Control socket of a running hostapd, such as /var/run/hostapd/wlan0: sends beacons through it."""
-    inject: str | None = None
+    inject: Interface | None = None
     """Monitor interface to inject beacons and NAN frames on."""
-    monitor: str | None = None
+    monitor: Interface | None = None
     """Monitor interface to listen on."""
     channel: Annotated[int, Meta(ge=1, le=177)] = 6
     """What the card is tuned to; where hostapd tells, its word counts."""
@@ -252,6 +259,12 @@ def load(path: Path) -> Config:
         try:
             region = decode_toml(path.parent / config.remote_id.region, Region)
         except ConfigError as error:
+            if isinstance(error.__cause__, FileNotFoundError | IsADirectoryError):
+                raise ConfigError(
+                    f"{path}: remote_id.region: {config.remote_id.region!r}: no such file beside "
+                    f'{path.name}; give the path of a profile from there, such as "regions/us.toml"; the '
+                    "project's profiles stand in config/regions"
+                ) from error
             raise ConfigError(f"{path}: remote_id.region: {error}") from error
         remote_id = msgspec.structs.replace(config.remote_id, region=None)
         config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
@@ -342,11 +355,46 @@ def check(config: Config, name: str) -> None:
         )
     if config.remote_id.component and config.vehicle.component_id == 236:
         raise ConfigError(f"{name}: vehicle.component_id: 236 is taken by remote_id.component")
+    _check_form(config.vehicle.link, _LINK_FORMS, f"{name}: vehicle.link")
     for number, entry in enumerate(config.radio):
-        if isinstance(entry, WifiRadio) and entry.hostapd is entry.inject is entry.monitor is None:
-            raise ConfigError(f"{name}: radio[{number}]: needs hostapd, inject or monitor")
-        if isinstance(entry, HciRadio) and not (entry.send or entry.listen):
-            raise ConfigError(f"{name}: radio[{number}]: send and listen are both false: it would do nothing")
+        _check_radio(entry, f"{name}: radio[{number}]")
+
+
+def _check_radio(entry: RadioConfig, name: str) -> None:
+    match entry:
+        case EtherRadio():
+            _check_form(entry.address, ("HOST:PORT",), f"{name}.address")
+        case HciRadio():
+            _check_form(entry.channel, _CHANNEL_FORMS, f"{name}.channel")
+            if not (entry.send or entry.listen):
+                raise ConfigError(f"{name}: send and listen are both false: it would do nothing")
+        case WifiRadio():
+            if entry.hostapd is entry.inject is entry.monitor is None:
+                raise ConfigError(f"{name}: needs hostapd, inject or monitor")
+            interface = (entry.hostapd or "").rpartition("/")[2]
+            if entry.hostapd is not None and not 1 <= len(interface) <= 15:
+                raise ConfigError(
+                    f"{name}.hostapd: {entry.hostapd!r}: the path must end with the name of a network "
+                    f"interface, 1 to 15 characters; {interface!r} has {len(interface)}"
+                )
+        case ArduRemoteIdRadio():
+            _check_form(entry.link, _LINK_FORMS, f"{name}.link")
+
+
+def _check_form(text: str, forms: tuple[str, ...], name: str) -> None:
+    if not any(_has_form(text, form) for form in forms):
+        allowed = " or ".join((", ".join(forms[:-1]), forms[-1])) if len(forms) > 1 else forms[0]
+        raise ConfigError(f"{name}: {text!r}: allowed: {allowed}; PORT is 1 to 65535")
+
+
+def _has_form(text: str, form: str) -> bool:
+    """Whether a text is, say, what "tcp:HOST:PORT" stands for."""
+    start, _, number = text.rpartition(":")
+    head, _, word = form.rpartition(":")
+    kind = head.removesuffix("HOST").removesuffix("DEVICE")
+    fits = start == head if kind == head else start.startswith(kind) and len(start) > len(kind)
+    is_number = number.isascii() and number.isdigit() and len(number) < 10
+    return fits and is_number and int(number) in _NUMBERS[word]
 
 
 T = TypeVar("T")
@@ -398,19 +446,53 @@ def _explain(text: str, raw: object, kind: type) -> str:
     value = raw
     for part in re.findall(r"[^.\[\]]+", key):
         value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
-    if what.startswith("Invalid value") and key.endswith("backend"):
+    if key.endswith("].backend"):
         allowed = ", ".join(repr(c.__struct_config__.tag) for c in get_args(RadioConfig))
         return f"{key}: {value!r}: allowed are {allowed}"
     if key == "radio" and "array" in what:
         return "radio: one table for each radio is needed: write [[radio]]"
-    if what.startswith("Invalid enum value"):
-        *section, field = re.findall(r"[^.\[\]]+", re.sub(r"\[\d+\]$", "", key))
-        hint = get_type_hints(_struct_at(kind, ".".join(section), raw))[field]
-        allowed = ", ".join(repr(v) for v in _choices(hint))
-        return f"{key}: {value!r}: allowed are {allowed}"
+    hint = _hint_at(kind, key, raw)
+    if key.endswith("[...]"):
+        return f"{key.removesuffix('[...]')}: every value in it must be {_wanted(hint)}"
     # Nothing of what may hold the operator's secret characters is repeated.
     held = "" if key == "remote_id.operator_id" else f" {value!r}:"
-    return f"{key}:{held} {what[0].lower()}{what[1:]}".replace("`", "")
+    if what.startswith("Invalid enum value"):
+        return f"{key}:{held} allowed are {_listed(_choices(hint))}"
+    return f"{key}:{held} expected {_wanted(hint)}"
+
+
+def _wanted(hint: object, bounds: Meta | None = None) -> str:
+    """What a key takes, in words."""
+    if get_origin(hint) is Annotated:
+        inner, *metas = get_args(hint)
+        return _wanted(inner, metas[0])
+    if get_origin(hint) in (types.UnionType, Union):
+        return " or ".join(dict.fromkeys(_wanted(a) for a in get_args(hint) if a is not types.NoneType))
+    choices = _choices(hint)
+    if get_origin(hint) in (tuple, list):
+        return f'a list such as ["{choices[0]}"]' if choices else "a list"
+    if choices:
+        return f"one of {_listed(choices)}"
+    if hint is str:
+        length = _range(bounds.min_length, bounds.max_length) if bounds else ""
+        return f"text of {length} characters" if length else "text"
+    if hint is int or hint is float:
+        above = f"more than {bounds.gt:g}" if bounds and bounds.gt is not None else ""
+        limits = " and ".join(filter(None, (above, _range(bounds.ge, bounds.le) if bounds else "")))
+        return ("a whole number" if hint is int else "a number") + (f", {limits}" if limits else "")
+    return "true or false" if hint is bool else "a table"
+
+
+def _range(low: float | None, high: float | None) -> str:
+    if low is not None and high is not None:
+        return f"{low:g} to {high:g}"
+    if low is not None:
+        return f"at least {low:g}"
+    return "" if high is None else f"at most {high:g}"
+
+
+def _listed(values: list[object]) -> str:
+    return ", ".join(repr(v) for v in values)
 
 
 def _choices(hint: object) -> list[object]:
@@ -420,6 +502,18 @@ def _choices(hint: object) -> list[object]:
     if get_origin(hint) is Literal:
         return list(get_args(hint))
     return [choice for inner in get_args(hint) for choice in _choices(inner)]
+
+
+def _hint_at(kind: type, key: str, raw: object) -> Any:
+    """The type of the value that `key` leads to, or of what stands in it as "[...]" says."""
+    name = re.sub(r"(\[[^]]*\])+$", "", key)
+    section, _, field = name.rpartition(".")
+    hint = get_type_hints(_struct_at(kind, section, raw), include_extras=True)[field]
+    for inside in re.findall(r"\[([^]]*)\]", key[len(name) :]):
+        while get_origin(hint) is Annotated:
+            hint = get_args(hint)[0]
+        hint = get_args(hint)[1 if inside == "..." else 0]
+    return hint
 
 
 def _struct_at(kind: type, key: str, raw: object) -> type:

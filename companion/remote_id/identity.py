@@ -70,13 +70,13 @@ def check_serial(text: str) -> None:
     length = _LENGTHS.get(text[_SERIAL_HEAD - 1])
     if length is None:
         raise ValueError(
-            f"{text!r}: character 5 is {text[_SERIAL_HEAD - 1]!r}; it tells how many follow: 1 to 9, or "
-            "A to F for 10 to 15"
+            f"{text!r}: character 5 is {text[_SERIAL_HEAD - 1]!r}; by CTA-2063-A it tells how many follow: "
+            "1 to 9, or A to F for 10 to 15"
         )
     if len(text) - _SERIAL_HEAD != length:
         raise ValueError(
-            f"{text!r}: character 5 is {text[_SERIAL_HEAD - 1]!r}, so {length} must follow it; "
-            f"{len(text) - _SERIAL_HEAD} do"
+            f"{text!r}: character 5, {text[_SERIAL_HEAD - 1]!r}, tells by CTA-2063-A how many follow it: "
+            f"{length}, not {len(text) - _SERIAL_HEAD}"
         )
 
 

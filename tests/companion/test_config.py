@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import re
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from companion import config as configuration
 from companion.errors import ConfigError
+from companion.radio import ether_wire, hci_channel
+from companion.runtime import links
 
+CONFIG = Path(__file__).parents[2] / "config"
 IDENTITY = '[identity]\nuas_id = "A1"\n'
 TRAJECTORY = """altitude = "home"
 waypoint = [
@@ -31,12 +37,18 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         ("", "identity: missing"),
         ("[identity]\n", "identity.uas_id: missing"),
         ("[foo]\na = 1\n", "foo: unknown key; allowed here: identity, vehicle, "),
-        (IDENTITY + "[limits]\nmax_speed_mps = 500\n", "limits.max_speed_mps: 500: expected float <= 50"),
+        (
+            IDENTITY + "[limits]\nmax_speed_mps = 500\n",
+            "limits.max_speed_mps: 500: expected a number, more than 0 and at most 50",
+        ),
         (
             IDENTITY + "[limits]\nmax_sped_mps = 5\n",
             "limits.max_sped_mps: unknown key; allowed here: ",
         ),
-        (IDENTITY + '[limits]\nmax_speed_mps = "x"\n', "limits.max_speed_mps: 'x': expected float, got str"),
+        (
+            IDENTITY + '[limits]\nmax_speed_mps = "x"\n',
+            "limits.max_speed_mps: 'x': expected a number, more than 0",
+        ),
         (IDENTITY + "[limits]\nmax_speed_mps = nan\n", "limits.max_speed_mps: nan is not a finite number"),
         (IDENTITY + '[flight]\nuse = "fly"\n', "flight.trajectory: missing"),
         (IDENTITY + '[flight]\ntrajectory = "mission"\n', "flight.mission_speed_mps: missing"),
@@ -55,8 +67,67 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
             "radio[0].chanel: unknown key; allowed here: channel, send, listen",
         ),
         (IDENTITY + '[[radio]]\nbackend = "wifi"\n', "radio[0]: needs hostapd, inject or monitor"),
-        (IDENTITY + '[remote_id]\nregion = "xy.toml"\n', "xy.toml: cannot be read"),
-        (IDENTITY + '[remote_id]\nregion = "xy.toml"\n', "c.toml: remote_id.region: "),
+        (
+            IDENTITY + '[remote_id]\nregion = "us"\n',
+            "c.toml: remote_id.region: 'us': no such file beside c.toml; give the path of a profile from "
+            'there, such as "regions/us.toml"; the project\'s profiles stand in config/regions',
+        ),
+        (IDENTITY + '[remote_id]\nregion = "."\n', "c.toml: remote_id.region: '.': no such file beside"),
+        (IDENTITY + '[remote_id]\nregion = "c.toml"\n', "c.toml: identity: unknown key"),
+        (
+            IDENTITY + '[remote_id]\ntransports = "wifi"\n',
+            """remote_id.transports: 'wifi': expected a list such as ["ble4"]""",
+        ),
+        (IDENTITY + "[remote_id]\ntransports = []\n", "transports: []: expected a list such as"),
+        (IDENTITY + "[remote_id]\nrate = 11\n", "remote_id.rate: 11: expected a whole number, 1 to 10"),
+        (IDENTITY + "[remote_id]\nrate = 1.5\n", "remote_id.rate: 1.5: expected a whole number, 1 to 10"),
+        (IDENTITY + "[remote_id]\nclass_eu = 9\n", "class_eu: 9: expected a whole number, 0 to 7"),
+        (IDENTITY + "[remote_id]\ncomponent = 1\n", "component: 1: expected true or false"),
+        (IDENTITY + "[remote_id]\noperator_id = 5\n", "operator_id: expected text of 1 to 24 characters"),
+        (IDENTITY + "[flight]\nuse = 3\n", "flight.use: 3: expected one of 'watch', 'fly'"),
+        (IDENTITY + "[flight]\nstart_utc_s = true\n", "flight.start_utc_s: True: expected a number"),
+        (IDENTITY + "[traffic.keys]\nA1 = 3\n", "traffic.keys: every value in it must be text"),
+        ("radio = [3]\n" + IDENTITY, "radio[0]: 3: expected a table"),
+        (IDENTITY + "[[radio]]\nbackend = 3\n", "radio[0].backend: 3: allowed are 'null', 'ether'"),
+        ("identity = 3\n", "identity: 3: expected a table"),
+        (
+            IDENTITY + "[region]\nbeacon_channels = ['x']\n",
+            "beacon_channels[0]: 'x': expected a whole number",
+        ),
+        (
+            IDENTITY + "[region]\ntransport_sets = [['x']]\n",
+            "region.transport_sets[0][0]: 'x': allowed are 'ble4'",
+        ),
+        (
+            IDENTITY + '[vehicle]\nlink = "udp:127.0.0.1:14540"\n',
+            "c.toml: vehicle.link: 'udp:127.0.0.1:14540': allowed: udpin:HOST:PORT, udpout:HOST:PORT, "
+            "tcp:HOST:PORT or serial:DEVICE:BAUD; PORT is 1 to 65535",
+        ),
+        (
+            IDENTITY + '[[radio]]\nbackend = "null"\n[[radio]]\nbackend = "ether"\naddress = "h"\n',
+            "c.toml: radio[1].address: 'h': allowed: HOST:PORT; PORT is 1 to 65535",
+        ),
+        (
+            IDENTITY + '[[radio]]\nbackend = "hci"\nchannel = "hci0"\n',
+            "c.toml: radio[0].channel: 'hci0': allowed: user:NUMBER, uart:DEVICE:BAUD or tcp:HOST:PORT; PORT",
+        ),
+        (
+            IDENTITY + '[[radio]]\nbackend = "arduremoteid"\nlink = "/dev/ttyACM0"\n',
+            "c.toml: radio[0].link: '/dev/ttyACM0': allowed: udpin:HOST:PORT, ",
+        ),
+        (
+            IDENTITY + '[[radio]]\nbackend = "wifi"\ninject = "interface0123456"\n',
+            "c.toml: radio[0].inject: 'interface0123456': expected text of 1 to 15 characters",
+        ),
+        (
+            IDENTITY + '[[radio]]\nbackend = "wifi"\nmonitor = "interface0123456"\n',
+            "c.toml: radio[0].monitor: 'interface0123456': expected text of 1 to 15 characters",
+        ),
+        (
+            IDENTITY + '[[radio]]\nbackend = "wifi"\nhostapd = "/run/hostapd/interface0123456"\n',
+            "c.toml: radio[0].hostapd: '/run/hostapd/interface0123456': the path must end with the name of a "
+            "network interface, 1 to 15 characters; 'interface0123456' has 16",
+        ),
         (
             IDENTITY + '[[radio]]\nbackend = "null"\nx = 1\n',
             "radio[0].x: unknown key; allowed here: no other",
@@ -94,7 +165,7 @@ def test_no_error_text_holds_the_operators_secret(tmp_path, value):
     ("old", "new", "message"),
     [
         ("t_s = 60.0", "t_s = 0.0", "waypoint[1].t_s: 0 s is not after the one before it (0 s)"),
-        ("lat_deg = 47.001", "lat_deg = 97.0", "waypoint[1].lat_deg: 97.0: expected float <= 90"),
+        ("lat_deg = 47.001", "lat_deg = 97.0", "waypoint[1].lat_deg: 97.0: expected a number, -90 to 90"),
         ("alt_m = 30.0 }", "alt = 30.0 }", "waypoint[0].alt: unknown key; allowed here: t_s, lat_deg"),
         ('"home"', '"hom"', "altitude: 'hom': allowed are 'home', 'msl', 'geodetic'"),
     ],
@@ -125,9 +196,88 @@ def test_flying_deaf_is_refused(tmp_path):
         configuration.load(path)
 
 
+def tells_form(opened: Callable[[], object]) -> bool:
+    """Whether what opens a name takes its form; opening it is another matter."""
+    try:
+        opened()
+    except ConfigError as error:
+        return "allowed are" not in str(error) and "expected HOST:PORT" not in str(error)
+    return True
+
+
+LINKS = ["udpin:h:1", "udpout:[::1]:65535", "tcp:a.b:5760", "serial:/dev/null:57600", "serial:/dev/a:b:9"]
+NO_LINKS = ["", "udp:h:1", "udpin:h", "udpin::1", "udpin:h:", "udpin:h:x", "udpin:h:65536", "serial:/dev/a",
+            "serial::9", "serial:/dev/a:x", "udpin:h:-1"]  # fmt: skip
+CHANNELS = ["user:0", "user:65534", "uart:/dev/null:115200", "tcp:h:1", "tcp:[::1]:65535"]
+NO_CHANNELS = ["", "user", "user:", "user:x", "user:a:0", "user:65535", "user:²", "uart:/dev/a", "uart::9",
+               "uart:/dev/a:0", "tcp:h", "tcp::1", "tcp:h:0", "tcp:h:65536", "udp:h:1"]  # fmt: skip
+ADDRESSES = ["127.0.0.1:1", "h:65535"]
+NO_ADDRESSES = ["", "h", ":1", "h:", "h:x", "h:-1", "h:65536", "h:²"]
+
+
+@pytest.mark.parametrize(
+    ("radio", "key", "text", "right"),
+    [
+        *((None, "link", text, text in LINKS) for text in LINKS + NO_LINKS),
+        *(("arduremoteid", "link", text, text in LINKS) for text in LINKS + NO_LINKS),
+        *(("hci", "channel", text, text in CHANNELS) for text in CHANNELS + NO_CHANNELS),
+        *(("ether", "address", text, text in ADDRESSES) for text in ADDRESSES + NO_ADDRESSES),
+    ],
+)
+def test_the_form_of_a_link_is_checked_as_those_do_that_open_it(
+    tmp_path, monkeypatch, radio, key, text, right
+):
+    def unopened(*_args: object, **_keys: object) -> None:
+        raise ConfigError("not opened")
+
+    for where in (links, hci_channel):
+        for name in ("TcpLink", "UdpLink", "SerialLink", "UserChannel", "UartChannel", "TcpChannel"):
+            monkeypatch.setattr(where, name, unopened, raising=False)
+    openers = {
+        "link": lambda: links.open_link(text),
+        "channel": lambda: hci_channel.open_channel(text),
+        "address": lambda: ether_wire.parse_endpoint(text, "address"),
+    }
+    assert tells_form(openers[key]) is right
+    head = f'[[radio]]\nbackend = "{radio}"\n' if radio else "[vehicle]\n"
+    path = write(tmp_path, f'{IDENTITY}{head}{key} = "{text}"\n')
+    if right:
+        configuration.load(path)
+    else:
+        with pytest.raises(ConfigError, match=rf"\.{key}: .*: allowed: "):
+            configuration.load(path)
+
+
+@pytest.mark.parametrize("text", ["udpin:h:0", "udpout:h:0", "tcp:h:0", "serial:/dev/a:0"])
+def test_a_link_to_port_or_baud_0_is_refused(tmp_path, text):
+    with pytest.raises(ConfigError, match=r"vehicle\.link: "):
+        configuration.load(write(tmp_path, f'{IDENTITY}[vehicle]\nlink = "{text}"\n'))
+
+
+@pytest.mark.parametrize("region", ["", f'[remote_id]\nregion = "{CONFIG}/regions/none.toml"\n'])
+def test_a_serial_number_of_any_form_will_do_without_a_law(tmp_path, region):
+    text = '[identity]\nuas_id = "ABC123"\n'
+    assert configuration.load(write(tmp_path, text + region)).identity.uas_id == "ABC123"
+    with pytest.raises(ConfigError, match=r"identity\.uas_id: 'ABC123': .*by CTA-2063-A"):
+        configuration.load(write(tmp_path, f'{text}[remote_id]\nregion = "{CONFIG}/regions/us.toml"\n'))
+
+
+def test_the_example_shows_every_key_and_every_key_it_shows_is_right(tmp_path):
+    example = re.sub(r"(?m)^# (?=\[\[|[a-z0-9_]+ = )", "", (CONFIG / "companion.toml").read_text())
+    for name in ("regions", "trajectory.toml"):
+        (tmp_path / name).symlink_to(CONFIG / name)
+    loaded = configuration.load(write(tmp_path, example))
+    shown = tomllib.loads(example)
+    for section in set(configuration.Config.__struct_fields__) - {"radio", "path", "region"}:
+        assert shown[section].keys() == set(getattr(loaded, section).__struct_fields__), section
+    kinds = {type(radio) for radio in loaded.radio}
+    assert kinds == set(get_args(configuration.RadioConfig))
+    for keys, radio in zip(shown["radio"], loaded.radio, strict=True):
+        assert keys.keys() == {"backend", *radio.__struct_fields__}
+
+
 def test_the_profiles_in_the_project_load():
-    folder = Path(__file__).parents[2] / "config"
-    profiles = sorted(folder.glob("companion*.toml"))
+    profiles = sorted(CONFIG.glob("companion*.toml"))
     assert profiles
     for profile in profiles:
         configuration.load(profile)

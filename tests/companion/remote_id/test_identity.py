@@ -66,11 +66,11 @@ def test_a_serial_number_by_cta_2063_a_is_taken(text: str) -> None:
         ("1596B0000DMUCa01", "character 14 is 'a'"),
         ("1596B0000DMUCÄ01", "character 14 is 'Ä'"),
         ("15960", "5 characters"),
-        ("159600", "character 5 is '0'"),
+        ("159600", "character 5 is '0'; by CTA-2063-A it tells"),
         ("1596G0000DMUCA01", "character 5 is 'G'"),
-        ("1596A0000DMUCA01", "10 must follow it; 11 do"),
-        ("1596F0000DMUCA01", "15 must follow it; 11 do"),
-        ("1596F0000DMUCA0123456", "15 must follow it; 16 do"),
+        ("1596A0000DMUCA01", "character 5, 'A', tells by CTA-2063-A how many follow it: 10, not 11"),
+        ("1596F0000DMUCA01", "how many follow it: 15, not 11"),
+        ("1596F0000DMUCA0123456", "how many follow it: 15, not 16"),
     ],
 )
 def test_a_wrong_serial_number_is_refused_where_it_is_wrong(text: str, says: str) -> None:
