@@ -29,6 +29,7 @@ Ratio = Annotated[float, Meta(ge=0, le=1)]
 Interface = Annotated[str, Meta(min_length=1, max_length=15)]
 """Linux gives a network interface no longer name."""
 
+_RAW_IDS = (IdType.UTM_ASSIGNED_UUID, IdType.SPECIFIC_SESSION)
 _LINK_FORMS = ("udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT", "serial:DEVICE:BAUD")
 _CHANNEL_FORMS = ("user:NUMBER", "uart:DEVICE:BAUD", "tcp:HOST:PORT")
 _NUMBERS = {"PORT": range(1, 1 << 16), "BAUD": range(1, 10**9), "NUMBER": range(0xFFFF)}
@@ -55,7 +56,8 @@ class VehicleConfig(_Section, frozen=True):
 class IdentityConfig(_Section, frozen=True):
     """Who we are on the air."""
 
-    uas_id: Annotated[str, Meta(min_length=1, max_length=20)]
+    uas_id: Annotated[str, Meta(min_length=1, max_length=40)]
+    """UUID and session id: in a file hexadecimal digits, here the raw form of `BasicId.uas_id`."""
     id_type: IdType = IdType.SERIAL_NUMBER
     ua_type: UaType = UaType.HELICOPTER_OR_MULTIROTOR
     registration_id: Annotated[str, Meta(min_length=1, max_length=20)] | None = None
@@ -250,6 +252,8 @@ def load(path: Path) -> Config:
         ConfigError: names the file, the key, what it holds and what is allowed.
     """
     config = decode_toml(path, Config)
+    if config.identity.id_type in _RAW_IDS:
+        config = msgspec.structs.replace(config, identity=_raw_identity(config.identity, path))
     trajectory = config.flight.trajectory
     if config.path is not None:
         _check_times(config.path, f"{path}: path")
@@ -274,6 +278,17 @@ def load(path: Path) -> Config:
         config = msgspec.structs.replace(config, traffic=traffic)
     check(config, str(path))
     return config
+
+
+def _raw_identity(identity: IdentityConfig, path: Path) -> IdentityConfig:
+    try:
+        raw = bytes.fromhex(identity.uas_id.replace("-", "")).decode("latin-1")
+    except ValueError as error:
+        raise ConfigError(
+            f"{path}: identity.uas_id: {identity.uas_id!r}: with id_type {int(identity.id_type)} it is "
+            "written in hexadecimal digits, two for each byte, such as 123e4567-e89b-42d3-a456-426614174000"
+        ) from error
+    return msgspec.structs.replace(identity, uas_id=raw)
 
 
 def _public_key(text: str, identity: str, path: Path) -> str:
@@ -313,7 +328,10 @@ def public(config: Config) -> Config:
 
 def dump(config: Config) -> bytes:
     """The public configuration as TOML that stands alone; `load` reads it back."""
-    return tomli_w.dumps(without_none(msgspec.to_builtins(public(config)))).encode()
+    plain = without_none(msgspec.to_builtins(public(config)))
+    if config.identity.id_type in _RAW_IDS:
+        plain["identity"]["uas_id"] = config.identity.uas_id.encode("latin-1").hex()
+    return tomli_w.dumps(plain).encode()
 
 
 def check(config: Config, name: str) -> None:

@@ -173,6 +173,8 @@ def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: 
 
 def _check_uas_id(identity: IdentityConfig, region: Region) -> list[str]:
     text = identity.uas_id
+    if len(text) > _ON_AIR_MAX:
+        raise ValueError(f"{text!r}: {len(text)} characters; {_ON_AIR_MAX} go on the air")
     match identity.id_type:
         case IdType.UTM_ASSIGNED_UUID:
             _check_uuid(_raw(text))

@@ -189,6 +189,37 @@ def test_a_resolved_configuration_stands_alone_and_reads_back_equal(tmp_path):
     assert len(loaded.path.waypoint) == 2
 
 
+@pytest.mark.parametrize(
+    ("id_type", "text", "raw"),
+    [
+        (3, "123e4567-e89b-42d3-a456-426614174000", "123e4567e89b42d3a456426614174000"),
+        (3, "123E4567E89B42D3A456426614174000", "123e4567e89b42d3a456426614174000"),
+        (4, "0120010030000000000000000000000001", "0120010030000000000000000000000001"),
+        (4, "02a1a2a3a4a5a6a7a8", "02a1a2a3a4a5a6a7a8"),
+    ],
+)
+def test_an_identity_of_raw_bytes_is_written_in_hexadecimal_digits(tmp_path, id_type, text, raw):
+    head = f"[identity]\nid_type = {id_type}\n"
+    loaded = configuration.load(write(tmp_path, f'{head}uas_id = "{text}"\n'))
+    assert loaded.identity.uas_id == bytes.fromhex(raw).decode("latin-1")
+    resolved = tmp_path / "resolved.toml"
+    resolved.write_bytes(configuration.dump(loaded))
+    assert configuration.load(resolved) == loaded
+    for wrong in (text[:-1], text + "zz", "drone"):
+        with pytest.raises(ConfigError, match=r"c\.toml: identity\.uas_id: .*hexadecimal digits"):
+            configuration.load(write(tmp_path, f'{head}uas_id = "{wrong}"\n'))
+    with pytest.raises(ConfigError, match=r"c\.toml: identity\.uas_id: .* bytes"):
+        configuration.load(write(tmp_path, f'{head}uas_id = "{text[:-2]}"\n'))
+
+
+@pytest.mark.parametrize("id_type", [1, 2])
+def test_an_identity_of_text_has_20_characters_at_most(tmp_path, id_type):
+    text = f'[identity]\nid_type = {id_type}\nuas_id = "{"A" * 21}"\n'
+    with pytest.raises(ConfigError, match=r"identity\.uas_id: .*: 21 characters; 20 go on the air"):
+        configuration.load(write(tmp_path, text))
+    assert configuration.load(write(tmp_path, text.replace("A" * 21, "A" * 20))).identity.id_type == id_type
+
+
 def test_flying_deaf_is_refused(tmp_path):
     write(tmp_path, TRAJECTORY, "t.toml")
     path = write(tmp_path, IDENTITY + '[flight]\nuse = "fly"\ntrajectory = "t.toml"\n')
