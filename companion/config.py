@@ -411,8 +411,10 @@ def _has_form(text: str, form: str) -> bool:
     head, _, word = form.rpartition(":")
     kind = head.removesuffix("HOST").removesuffix("DEVICE")
     fits = start == head if kind == head else start.startswith(kind) and len(start) > len(kind)
-    is_number = number.isascii() and number.isdigit() and len(number) < 10
-    return fits and is_number and int(number) in _NUMBERS[word]
+    if not (fits and number.isascii() and number.isdigit() and len(number) < 10):
+        return False
+    # Listening on port 0 takes any free one.
+    return int(number) in _NUMBERS[word] or (kind == "udpin:" and int(number) == 0)
 
 
 T = TypeVar("T")

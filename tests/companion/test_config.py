@@ -236,7 +236,14 @@ def tells_form(opened: Callable[[], object]) -> bool:
     return True
 
 
-LINKS = ["udpin:h:1", "udpout:[::1]:65535", "tcp:a.b:5760", "serial:/dev/null:57600", "serial:/dev/a:b:9"]
+LINKS = [
+    "udpin:h:1",
+    "udpin:h:0",
+    "udpout:[::1]:65535",
+    "tcp:a.b:5760",
+    "serial:/dev/null:57600",
+    "serial:/dev/a:b:9",
+]
 NO_LINKS = ["", "udp:h:1", "udpin:h", "udpin::1", "udpin:h:", "udpin:h:x", "udpin:h:65536", "serial:/dev/a",
             "serial::9", "serial:/dev/a:x", "udpin:h:-1"]  # fmt: skip
 CHANNELS = ["user:0", "user:65534", "uart:/dev/null:115200", "tcp:h:1", "tcp:[::1]:65535"]
@@ -279,7 +286,7 @@ def test_the_form_of_a_link_is_checked_as_those_do_that_open_it(
             configuration.load(path)
 
 
-@pytest.mark.parametrize("text", ["udpin:h:0", "udpout:h:0", "tcp:h:0", "serial:/dev/a:0"])
+@pytest.mark.parametrize("text", ["udpout:h:0", "tcp:h:0", "serial:/dev/a:0"])
 def test_a_link_to_port_or_baud_0_is_refused(tmp_path, text):
     with pytest.raises(ConfigError, match=r"vehicle\.link: "):
         configuration.load(write(tmp_path, f'{IDENTITY}[vehicle]\nlink = "{text}"\n'))
