@@ -38,6 +38,7 @@ from companion.remote_id.messages import (
 RATES: Final = {BLE4: "BT4_RATE", BLE5: "BT5_RATE", WIFI_BEACON: "WIFI_BCN_RATE", WIFI_NAN: "WIFI_NAN_RATE"}
 MAX_RATE: Final = 5
 """Greatest rate in the firmware's own table (per second)."""
+_BLUETOOTH: Final = (RATES[BLE4], RATES[BLE5])
 OPEN_WAIT_S: Final = 8.0
 """A module that starts when its port is opened needs some seconds."""
 _POLL_S: Final = 0.05
@@ -138,7 +139,7 @@ class ArduRemoteIdTransport:
         channel = self._module.params.get("WIFI_CHANNEL")
         return int(channel) if channel and self.capabilities & {WIFI_BEACON, WIFI_NAN} else None
 
-    def configure(self, rates: Mapping[str, int]) -> None:
+    def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
         """Switch on what is wanted and off. Only too low a rate is set: each set wears the module's flash.
 
         A Bluetooth transport that is switched on here comes on the air when the module is power-cycled:
@@ -164,13 +165,16 @@ class ArduRemoteIdTransport:
                 f"({self._named(self._on) or 'none'}), "
                 "or have it set by whoever holds the module's key (a signed command)"
             )
-        for name, rate in low.items():
-            before = params[name]
-            self._set(name, float(rate))
-            if name in (RATES[BLE4], RATES[BLE5]):
-                self._raised.setdefault(name, before)
-        self._configured = True
-        self._wanted = frozenset(rates)
+        words = tuple(self._outcome(RATES[t], rate, probe=probe) for t, rate in sorted(rates.items()))
+        if not probe:
+            for name, rate in low.items():
+                before = params[name]
+                self._set(name, float(rate))
+                if name in _BLUETOOTH:
+                    self._raised.setdefault(name, before)
+            self._configured = True
+            self._wanted = frozenset(rates)
+        return words
 
     # ------------------------------------------------------------ in flight
 
@@ -282,6 +286,20 @@ class ArduRemoteIdTransport:
                 f"{self._name}: {transport}: {rate} messages a second; the module sends 1 to {MAX_RATE}"
             )
 
+    def _outcome(self, name: str, rate: int, *, probe: bool) -> str:
+        """What is done for a transport that is to have this rate."""
+        before = self._module.params[name]
+        if before >= rate:
+            return f"{name} stays at {before:g}"
+        text = (
+            f"would set {name} to {rate} (it is {before:g})"
+            if probe
+            else f"set {name} to {rate} (was {before:g})"
+        )
+        if name in _BLUETOOTH and before == 0.0:
+            text += ": it comes on the air when the module is power-cycled"
+        return text
+
     def _set(self, name: str, rate: float) -> None:
         params = self._module.params
         for _ in range(_SET_TIMES):
@@ -356,7 +374,12 @@ class ArduRemoteIdTransport:
         if waiting := self._waiting:
             wrong.append(f"power-cycle the module: {self._named(waiting)} was switched on and starts with it")
         if lost := self._wanted - self._on:
-            wrong.append(f"no longer on: {self._named(lost)}")
+            what = (
+                "its lock does not let it be switched on again"
+                if self._locked
+                else "restart the companion, on the ground, to switch it on again"
+            )
+            wrong.append(f"no longer on: {self._named(lost)}: {what}")
         if self._first_s is None or now_s - self._first_s < _SETTLE_S:
             return wrong
         if not self._good(now_s):

@@ -75,8 +75,9 @@ class EtherTransport:
         """The channel of the standard: the simulated air has no other."""
         return 6
 
-    def configure(self, rates: Mapping[str, int]) -> None:
+    def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
         """Nothing to prepare."""
+        return ()
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
         """Send these messages once. Raises ValueError for a transport outside `capabilities`."""

@@ -157,8 +157,9 @@ class HciTransport:
         """None: Bluetooth."""
         return None
 
-    def configure(self, rates: Mapping[str, int]) -> None:
+    def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
         """Nothing to prepare: every frame is an advertising event of its own."""
+        return ()
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
         """Send these messages once. Raises ValueError for a transport outside `capabilities`."""

@@ -32,8 +32,9 @@ class NullTransport:
         """None."""
         return None
 
-    def configure(self, rates: Mapping[str, int]) -> None:
+    def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
         """Nothing to prepare."""
+        return ()
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
         """Raises ValueError: there is nothing to send with."""

@@ -60,8 +60,14 @@ class Transport(Protocol):
         """Channel that its Wi-Fi frames go out on; None without Wi-Fi."""
         ...
 
-    def configure(self, rates: Mapping[str, int]) -> None:
+    def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
         """Prepare for these transports and message rates (per second), before arming; may take seconds.
+
+        Args:
+            probe: change nothing, here or on the hardware, and only say what would be changed.
+
+        Returns:
+            The rates of a radio that repeats by itself, in words: what was set on it, what it had already.
 
         Raises:
             ConfigError: the hardware cannot, in words.

@@ -127,11 +127,12 @@ class WifiTransport:
         told = None if self._hostapd is None else self._hostapd.status.channel
         return told or self._config.channel
 
-    def configure(self, rates: Mapping[str, int]) -> None:
+    def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
         """Nothing to prepare. Raises ConfigError for a transport outside `capabilities`."""
         wrong = sorted(rates.keys() - self.capabilities)
         if wrong:
             raise ConfigError(f"radio: this Wi-Fi radio cannot send {', '.join(wrong)}{self._because()}")
+        return ()
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
         """Send these messages once: into hostapd's beacon, or as one injected frame (per 9 messages).

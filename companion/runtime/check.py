@@ -1,4 +1,4 @@
-"""`companion check`: validate, probe the link and the radio, say in plain words what is missing."""
+"""`companion check`: validate, probe the radios and the link, say in plain words what is missing."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 from companion.autopilot.link import AutopilotLink
 from companion.avoidance.path import check_path
-from companion.config import Config
-from companion.remote_id.broadcaster import asked_rates
+from companion.config import ArduRemoteIdRadio, Config
+from companion.errors import ConfigError
 from companion.remote_id.identity import check_identity
-from companion.remote_id.law import keep_floor, longest_period_s, too_slow
 from companion.runtime.kept_link import KeptLink
+from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 
 _RADIO_S = 2.5
@@ -21,16 +21,16 @@ def check(config: Config, say: Callable[[str], None]) -> int:
     """Probe what the configuration names. Returns 0 when all is there, 1 otherwise.
 
     Raises:
-        ConfigError: the link or the radio cannot be opened.
+        ConfigError: the path cannot be flown, or the link not be opened.
     """
     check_path(config, "configuration")
     say(f"configuration: valid; region {config.region.name}")
     for note in check_identity(config.identity, config.remote_id, config.region):
         say(f"configuration: {note}")
+    radios = _probe_radios(config, say)
     vehicle = _probe_link(config, say)
-    radio = _probe_radio(config, say)
-    say("check: ready" if vehicle and radio else "check: NOT ready")
-    return 0 if vehicle and radio else 1
+    say("check: ready" if vehicle and radios else "check: NOT ready")
+    return 0 if vehicle and radios else 1
 
 
 def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
@@ -49,35 +49,44 @@ def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
         say(f"vehicle: {config.vehicle.link}: no vehicle within {config.vehicle.wait_s:g} s")
         return False
     say(f"vehicle: {protocol.vehicle}")
+    for text in _module_of_another(config, protocol.vehicle.system_id):
+        say(text)
     return protocol.vehicle.refusal is None
 
 
-def _probe_radio(config: Config, say: Callable[[str], None]) -> bool:
-    radio = Radios(config, sending=False)
+def _module_of_another(config: Config, system_id: int) -> list[str]:
+    """Remote ID modules that are told to belong to another vehicle."""
+    return [
+        f"radio[{number}].system_id: {entry.system_id}, but the vehicle is system {system_id}: the module "
+        f"takes the first system id that it hears for its own, and its ARM_STATUS then goes to vehicle "
+        f"{entry.system_id}; set system_id = {system_id} and power-cycle the module"
+        for number, entry in enumerate(config.radio)
+        if isinstance(entry, ArduRemoteIdRadio) and entry.system_id != system_id
+    ]
+
+
+def _probe_radios(config: Config, say: Callable[[str], None]) -> bool:
+    failed: list[str] = []
+    radios = Radios(config, sending=False, failed=failed.append)
     try:
         end = time.monotonic() + _RADIO_S
-        while time.monotonic() < end and not radio.health(time.monotonic()).ok:
-            radio.events(time.monotonic())
+        waits = config.has_radio and bool(radios.radios)
+        while waits and time.monotonic() < end and not radios.health(time.monotonic()).ok:
+            radios.events(time.monotonic())
             time.sleep(0.05)
-        health = radio.health(time.monotonic())
-        say(f"radio: {health.text}")
-        for text in health.missing:
-            say(f"radio: {text}")
-        decided = keep_floor(asked_rates(config), config.region, health.can_send)
-        if config.has_radio or not decided.legal:
-            rates = ", ".join(f"{t} {rate}/s" for t, rate in decided.rates.items()) or "nothing"
-            say(f"remote ID: {rates}" + (f" ({decided.reason})" if decided.reason else ""))
-        channel = radio.state(time.monotonic()).wifi_channel
-        longest_s = longest_period_s(config.region, "wifi", channel)
-        if longest_s is not None and 0.0 < decided.rates.get("wifi", 0) * longest_s < 1.0:
-            say(f"remote ID: on channel {channel} a beacon every {longest_s:g} s at least, whatever is asked")
-        slow = too_slow(decided.rates, config.region, channel, config.flight.setpoint_rate_hz)
-        if slow is not None:
-            say(f"remote ID: {slow}")
+        now = time.monotonic()
+        for line in (*radios.lines(now), *failed) or (f"radio: {radios.health(now).text}",):
+            say(line)
+        if failed:
             return False
-        if not decided.legal or (config.has_radio and not decided.rates):
-            return False
+        prepared = prepare(config, radios)
+        for line in prepared.lines:
+            say(line)
         # To watch without a radio is a choice; to fly without one is refused by the configuration.
-        return health.ok or (not config.has_radio and config.flight.use == "watch")
+        works = radios.health(time.monotonic()).ok
+        return prepared.legal and (works or (not config.has_radio and config.flight.use == "watch"))
+    except ConfigError as error:
+        say(str(error))
+        return False
     finally:
-        radio.close()
+        radios.close()

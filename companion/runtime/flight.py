@@ -25,9 +25,8 @@ from companion.events import AuthorityChanged, Broadcast, FlightMode, Say, Sever
 from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Header, Step
-from companion.remote_id.broadcaster import asked_rates
-from companion.remote_id.law import keep_floor, too_slow, whole_rates
 from companion.runtime.kept_link import KeptLink
+from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
 from companion.runtime.voice import Voice
@@ -137,26 +136,9 @@ class Flight:
             self._close()
 
     def _arm_broadcast(self, config: Config) -> None:
-        """Prepare the radios for what goes on the air.
-
-        Raises:
-            ConfigError: they cannot; or `use = "fly"` and the region's law cannot be kept by what sends. With
-                radios that only listen the vehicle must have a module of its own; the heart waits for it.
-        """
-        decided = keep_floor(asked_rates(config), config.region, self.radio.capabilities)
-        if not decided.legal:
-            text = f"remote_id: {decided.reason}"
-            if config.flight.use == "fly" and self.radio.capabilities:
-                raise ConfigError(text)
-            self._say(f"{text}: nothing is broadcast, unless the vehicle has a Remote ID module of its own")
-            return
-        channel = self.radio.wifi_channel
-        slow = too_slow(decided.rates, config.region, channel, config.flight.setpoint_rate_hz)
-        if slow is not None and config.flight.use == "fly":
-            raise ConfigError(f"remote_id: {slow}")
-        for text in filter(None, (decided.reason, slow)):
-            self._say(f"remote_id: {text}")
-        self.radio.configure(whole_rates(decided.rates, config.region, channel))
+        """Prepare the radios for what goes on the air. Raises ConfigError as `prepare` does."""
+        for line in prepare(config, self.radio).lines:
+            self._say(line)
 
     # ------------------------------------------------------------ phases
 

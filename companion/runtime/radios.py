@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 from companion.config import (
@@ -54,15 +54,24 @@ def open_radio(entry: RadioConfig, uas_id: str) -> Transport:
 class Radios:
     """The configured radios.
 
+    In texts they go by their place in the configuration (radio[0], ...) where there is more than one: two of
+    a kind cannot be told apart otherwise.
+
     Args:
         sending: False opens and hears, but neither configures nor sends.
+        failed: takes why a radio cannot be opened; it is left out then. Without this the first one ends all.
 
     Raises:
         ConfigError: one cannot be opened.
     """
 
-    def __init__(self, config: Config, *, sending: bool = True) -> None:
+    def __init__(
+        self, config: Config, *, sending: bool = True, failed: Callable[[str], None] | None = None
+    ) -> None:
         self._sending = sending
+        self._alone = len(config.radio) < 2
+        self._places: list[int] = []
+        """In the configuration, of each that is open."""
         self._state: RadioState | None = None
         self.radios: list[Transport] = []
         try:
@@ -70,7 +79,12 @@ class Radios:
                 try:
                     self.radios.append(open_radio(entry, config.identity.uas_id))
                 except ConfigError as error:
-                    raise ConfigError(f"radio[{number}]: {error}") from error
+                    text = f"radio[{number}]: {error}"
+                    if failed is None:
+                        raise ConfigError(text) from error
+                    failed(text)
+                else:
+                    self._places.append(number)
         except ConfigError:
             self.close()
             raise
@@ -85,14 +99,36 @@ class Radios:
         """Channel of the first Wi-Fi radio."""
         return next((r.wifi_channel for r in self.radios if r.wifi_channel is not None), None)
 
-    def configure(self, rates: Mapping[str, int]) -> None:
-        """Prepare each radio for the transports that it is to send. Raises ConfigError."""
-        if not self._sending:
-            return
+    def configure(self, rates: Mapping[str, int]) -> list[str]:
+        """Prepare each radio for the transports that it is to send; without `sending` only ask whether it
+        could be.
+
+        Returns:
+            What was, or would be, set on each that repeats by itself.
+
+        Raises:
+            ConfigError: one cannot be; nothing is changed on any of them where that shows beforehand.
+        """
         left = dict(rates)
-        for radio in self.radios:
-            mine = {t: left.pop(t) for t in sorted(radio.capabilities & left.keys())}
-            radio.configure(mine)
+        parts = [{t: left.pop(t) for t in sorted(r.capabilities & left.keys())} for r in self.radios]
+        words = self._configure(parts, probe=True)
+        return self._configure(parts, probe=False) if self._sending else words
+
+    def _configure(self, parts: list[dict[str, int]], *, probe: bool) -> list[str]:
+        words = []
+        for number, (radio, mine) in enumerate(zip(self.radios, parts, strict=True)):
+            try:
+                texts = radio.configure(mine, probe=probe)
+            except ConfigError as error:
+                raise ConfigError(f"radio[{self._places[number]}]: {error}") from error
+            words += [self._line(number, text) for text in texts]
+        return words
+
+    def _named(self, number: int, text: str) -> str:
+        return text if self._alone else f"radio[{self._places[number]}]: {text}"
+
+    def _line(self, number: int, text: str) -> str:
+        return f"radio: {text}" if self._alone else self._named(number, text)
 
     def events(self, now_s: float) -> list[RemoteIdHeard | RadioState]:
         """What arrived since the last call, and the radios' state where it changed."""
@@ -140,7 +176,7 @@ class Radios:
             confirmed=tuple(sorted(confirmed)),
             own_addresses=tuple(sorted(frozenset().union(*(radio.own_addresses for radio in self.radios)))),
             wifi_channel=self.wifi_channel if beacons is None else self.radios[beacons].wifi_channel,
-            text="; ".join(health.text for health in healths if not health.ok),
+            text="; ".join(self._named(n, health.text) for n, health in enumerate(healths) if not health.ok),
         )
 
     def _is_heard(self, transport: str, sender: int) -> bool:
@@ -150,18 +186,25 @@ class Radios:
 
     def health(self, now_s: float) -> Health:
         """All radios' states as one."""
+        if not self.radios:
+            return NullTransport().health(now_s)
         healths = [radio.health(now_s) for radio in self.radios]
-        if not healths:
-            healths = [NullTransport().health(now_s)]
         return Health(
             ok=all(health.ok for health in healths),
-            text="; ".join(health.text for health in healths),
+            text="; ".join(self._named(n, health.text) for n, health in enumerate(healths)),
             frames_sent=sum(health.frames_sent for health in healths),
             frames_heard=sum(health.frames_heard for health in healths),
             bad_frames=sum(health.bad_frames for health in healths),
             can_send=frozenset().union(*(health.can_send for health in healths)),
-            missing=tuple(text for health in healths for text in health.missing),
+            missing=tuple(
+                self._named(n, text) for n, health in enumerate(healths) for text in health.missing
+            ),
         )
+
+    def lines(self, now_s: float) -> list[str]:
+        """Each radio's state and what it lacks, a line each."""
+        healths = [radio.health(now_s) for radio in self.radios]
+        return [self._line(n, text) for n, h in enumerate(healths) for text in (h.text, *h.missing)]
 
     def close(self) -> None:
         """Go off the air."""

@@ -263,6 +263,25 @@ def test_rates_that_the_module_does_not_have(rate: int) -> None:
     assert bench.module.param_sets == []
 
 
+def test_a_probe_refuses_like_the_real_thing_and_changes_nothing() -> None:
+    bench = Bench(params={"BT5_RATE": 0.0, "BT4_RATE": 3.0})
+    before = bench.radio.capabilities
+    assert bench.radio.configure({BLE4: 2, BLE5: 1, WIFI_BEACON: 2}, probe=True) == (
+        "BT4_RATE stays at 3",
+        "would set BT5_RATE to 1 (it is 0): it comes on the air when the module is power-cycled",
+        "would set WIFI_BCN_RATE to 2 (it is 0)",
+    )
+    with pytest.raises(ConfigError, match="sends 1 to 5"):
+        bench.radio.configure({WIFI_BEACON: 8}, probe=True)
+    assert bench.module.param_sets == []
+    assert bench.radio.capabilities == before
+    assert bench.health().ok
+    assert bench.radio.configure({WIFI_BEACON: 2}) == ("set WIFI_BCN_RATE to 2 (was 0)",)
+    locked = Bench(params={"LOCK_LEVEL": 1.0})
+    with pytest.raises(ConfigError, match="the module is locked"):
+        locked.radio.configure({BLE4: 2}, probe=True)
+
+
 def test_a_module_that_locks_behind_our_back_is_quoted() -> None:
     bench = Bench()
     bench.module._params["LOCK_LEVEL"] = 1.0
@@ -532,9 +551,22 @@ def test_a_transport_that_a_restart_lost_is_told() -> None:
     bench.fly(6.0, WIFI_BEACON, BLE5)
     health = bench.health()
     assert not health.ok
-    assert "no longer on: wifi (WIFI_BCN_RATE 0)" in health.text
+    words = (
+        "no longer on: wifi (WIFI_BCN_RATE 0): restart the companion, on the ground, to switch it on again"
+    )
+    assert words in health.text
     assert health.can_send == health.confirmed == {BLE4, BLE5}
     assert len(bench.module.param_sets) == 1
+
+
+def test_one_that_a_locked_module_lost_is_not_promised_to_come_back() -> None:
+    bench = Bench()
+    bench.radio.configure({WIFI_BEACON: 2})
+    bench.fly(6.0, WIFI_BEACON)
+    bench.module.flash.update(WIFI_BCN_RATE=0.0, LOCK_LEVEL=1.0)
+    bench.module.reboot(bench.wire.now_s)
+    bench.fly(6.0, WIFI_BEACON)
+    assert "(WIFI_BCN_RATE 0): its lock does not let it be switched on again" in bench.health().text
 
 
 @pytest.mark.parametrize(("wifi", "channel"), [(0.0, None), (1.0, 11)])

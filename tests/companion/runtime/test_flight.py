@@ -346,6 +346,7 @@ class Sender(Radio):
 
     def configure(self, rates):
         self.configured = rates
+        return ["radio: set"]
 
 
 @pytest.fixture
@@ -387,4 +388,5 @@ def test_radios_that_only_listen_leave_the_broadcast_to_the_vehicle(arm, said):
 def test_what_the_law_adds_is_configured_and_said(arm, said):
     radio = arm("fly", "ble4", "ble5")
     assert radio.configured == {"ble4": 2, "ble5": 2}
-    assert any(line.startswith("remote_id: radio cannot send on wifi") for line in said)
+    assert "remote ID: ble4 1/s, ble5 1/s (radio cannot send on wifi; region us asks for ble4, ble5)" in said
+    assert "radio: set" in said

@@ -26,9 +26,14 @@ class Fake:
         self.wifi_channel = channel
         self.ok, self.closed = True, False
         self.sent, self.configured, self.inbox = [], [], []
+        self.refusal = None
 
-    def configure(self, rates):
-        self.configured.append(dict(rates))
+    def configure(self, rates, *, probe=False):
+        if self.refusal is not None:
+            raise ConfigError(self.refusal)
+        if not probe:
+            self.configured.append(dict(rates))
+        return (f"{'would set' if probe else 'set'} {sorted(rates)}",)
 
     def broadcast(self, transport, messages, now_s):
         self.sent.append((transport, messages))
@@ -56,7 +61,7 @@ class Fake:
 def opened(monkeypatch):
     """Opens these radios in turn."""
 
-    def open_them(*fakes, sending=True):
+    def open_them(*fakes, **options):
         left = list(fakes)
 
         def open_radio(entry, *_):
@@ -67,7 +72,7 @@ def opened(monkeypatch):
 
         monkeypatch.setattr(radios, "open_radio", open_radio)
         entries = tuple(NullRadio() for _ in fakes)
-        return Radios(Config(identity=IdentityConfig(uas_id="OWN"), radio=entries), sending=sending)
+        return Radios(Config(identity=IdentityConfig(uas_id="OWN"), radio=entries), **options)
 
     return open_them
 
@@ -88,16 +93,46 @@ def test_each_transport_is_sent_by_the_first_radio_that_can_now(opened):
 
 def test_each_radio_is_configured_for_what_it_will_send(opened):
     first, second = Fake(("ble4", "ble5")), Fake(("ble4", "wifi"))
-    opened(first, second).configure({"ble4": 1, "wifi": 5})
+    words = opened(first, second).configure({"ble4": 1, "wifi": 5})
     assert first.configured == [{"ble4": 1}]
     assert second.configured == [{"wifi": 5}]
+    assert words == ["radio[0]: set ['ble4']", "radio[1]: set ['wifi']"]
+
+
+def test_where_one_refuses_none_is_changed(opened):
+    """What is set on a module stays there."""
+    first, second = Fake(("ble4",)), Fake(("wifi",))
+    second.refusal = "locked"
+    with pytest.raises(ConfigError, match=r"radio\[1\]: locked"):
+        opened(first, second).configure({"ble4": 1, "wifi": 5})
+    assert not first.configured
+
+
+def test_two_radios_are_told_apart_in_every_text(opened):
+    first, second = Fake(("ble4",)), Fake(("wifi",))
+    both = opened(first, second)
+    assert both.health(0.0).text == "radio[0]: fine; radio[1]: fine"
+    assert both.lines(0.0) == ["radio[0]: fine", "radio[1]: fine"]
+    second.ok = False
+    assert both.state(0.0).text == "radio[1]: broken"
+    alone = opened(first)
+    assert alone.health(0.0).text == "fine"
+    assert alone.lines(0.0) == ["radio: fine"]
+
+
+def test_one_that_cannot_be_opened_is_left_out_and_the_others_keep_their_places(opened):
+    failed = []
+    both = opened(ConfigError("no such device"), Fake(("wifi",)), sending=False, failed=failed.append)
+    assert failed == ["radio[0]: no such device"]
+    assert both.lines(0.0) == ["radio[1]: fine"]
+    assert both.configure({"wifi": 1}) == ["radio[1]: would set ['wifi']"]
 
 
 def test_in_a_dry_run_nothing_is_sent_or_configured_but_all_is_heard(opened):
     radio = Fake(("wifi",))
     radio.inbox = [HEARD]
     both = opened(radio, sending=False)
-    both.configure({"wifi": 1})
+    assert both.configure({"wifi": 1}) == ["radio: would set ['wifi']"]
     both.broadcast("wifi", MESSAGES, 0.0)
     assert not radio.sent
     assert not radio.configured
@@ -116,7 +151,7 @@ def test_the_state_is_told_once_and_when_it_changes(opened):
     sender.can_send, sender.ok = frozenset(("ble4",)), False
     (changed,) = both.events(2.0)
     assert changed.can_send == changed.monitored == ("ble4",)
-    assert changed.text == "broken"
+    assert changed.text == "radio[0]: broken"
 
 
 def test_a_radio_alone_does_not_hear_itself(opened):
