@@ -63,6 +63,11 @@ class IdentityConfig(_Section, frozen=True):
     registration_id: Annotated[str, Meta(min_length=1, max_length=20)] | None = None
     """Number that the state gave the aircraft; sent as a second Basic ID (Japan asks for both)."""
 
+    @property
+    def name(self) -> str:
+        """`uas_id` as people and files can take it: hexadecimal where it is raw bytes."""
+        return self.uas_id if self.uas_id.isprintable() else self.uas_id.encode("latin-1").hex()
+
 
 class FlightConfig(_Section, frozen=True):
     """What to fly and who may fly it."""

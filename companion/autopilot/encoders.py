@@ -99,9 +99,10 @@ def command_long(command: int, params: tuple[float, ...], system_id: int, confir
 def statustext(severity: int, text: str, text_id: int) -> list[Outgoing]:
     """STATUSTEXT; longer text goes in chunks under `text_id` (1-65535), cut at ten of them.
 
-    Characters outside ASCII become "?": ground stations differ in what else they show.
+    What is not printable ASCII becomes "?": ground stations differ in what else they show, and names in a
+    text come from strangers.
     """
-    data = text.encode("ascii", "replace").replace(b"\0", b"?")
+    data = bytes(code if 0x20 <= code < 0x7F else 0x3F for code in text.encode("ascii", "replace"))
     if len(data) <= TEXT_BYTES:
         return [(mavlink.MAVLINK_MSG_ID_STATUSTEXT, _STATUSTEXT.pack(severity, data, 0, 0))]
     # A zero byte ends the text, so text that fills its last chunk would need an empty one behind it.

@@ -167,7 +167,7 @@ class Flight:
 
     def _open_recorder(self) -> None:
         utc_s = time.time()
-        config, name = self.config, self.config.identity.uas_id
+        config, name = self.config, self.config.identity.name
         aircraft = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
         vehicle = self.onboard.link.vehicle
         folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)

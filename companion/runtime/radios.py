@@ -29,18 +29,21 @@ from companion.runtime.kept_link import KeptLink
 from companion.runtime.links import open_link
 
 
-def open_radio(entry: RadioConfig, uas_id: str) -> Transport:
+def open_radio(entry: RadioConfig, name: str) -> Transport:
     """One radio, open.
+
+    Args:
+        name: of the aircraft; its radio address follows from it.
 
     Raises:
         ConfigError: it cannot be opened; says what is missing.
     """
-    address = radio_address(uas_id)
+    address = radio_address(name)
     match entry:
         case NullRadio():
             return NullTransport()
         case EtherRadio():
-            return EtherTransport(entry.address, uas_id, address)
+            return EtherTransport(entry.address, name, address)
         case WifiRadio():
             return WifiTransport(entry, address)
         case HciRadio():
@@ -77,7 +80,7 @@ class Radios:
         try:
             for number, entry in enumerate(config.radio):
                 try:
-                    self.radios.append(open_radio(entry, config.identity.uas_id))
+                    self.radios.append(open_radio(entry, config.identity.name))
                 except ConfigError as error:
                     text = f"radio[{number}]: {error}"
                     if failed is None:

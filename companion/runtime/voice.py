@@ -31,9 +31,12 @@ class Voice:
         return self._overflowed + self._refused
 
     def say(self, line: str) -> None:
-        """Have a line printed; never waits."""
+        """Have a line printed; never waits.
+
+        Names in it come from strangers: what could steer a terminal is shown as "?".
+        """
         try:
-            self._queue.put_nowait(line)
+            self._queue.put_nowait("".join(c if c.isprintable() else "?" for c in line))
         except queue.Full:
             self._overflowed += 1
 

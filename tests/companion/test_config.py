@@ -319,3 +319,8 @@ def test_the_profiles_in_the_project_load():
     assert profiles
     for profile in profiles:
         configuration.load(profile)
+
+
+def test_an_identity_of_raw_bytes_has_a_name_for_people_and_files():
+    assert configuration.IdentityConfig(uas_id="1596B0000DMUCA01").name == "1596B0000DMUCA01"
+    assert configuration.IdentityConfig(uas_id="\x01\x80").name == "0180"

@@ -69,3 +69,8 @@ def test_other_alphabets_become_question_marks() -> None:
 
 def test_boot_time_wraps_instead_of_failing() -> None:
     assert encoders.velocity_setpoint((0.0, 0.0, 0.0), 2**32 + 5, 1)[1][:4] == (5).to_bytes(4, "little")
+
+
+def test_a_strangers_name_in_a_text_is_printable_ascii():
+    ((_, payload),) = encoders.statustext(4, "conflict with \x1b[2J\x00\u202eé\n", 1)
+    assert payload[1:51].rstrip(b"\0") == b"conflict with ?[2J????"

@@ -47,3 +47,11 @@ def test_a_broken_pipe_raises_nothing(error):
         voice.say("line")
     voice.close()
     assert voice.dropped == 10
+
+
+def test_a_strangers_name_does_not_steer_the_terminal():
+    lines = []
+    voice = Voice(lines.append)
+    voice.say("avoiding: conflict with \x1b[2J\x07EVIL\u202e\nOK: all well")
+    voice.close()
+    assert lines == ["avoiding: conflict with ?[2J?EVIL??OK: all well"]
