@@ -67,7 +67,8 @@ class Broadcaster:
         self._said_s = self._trouble_s = -math.inf
         self._arm_status: ArmStatus | None = None
         self._lacking: str | None = None
-        self._lacking_told: str | None = None
+        self._lacking_told: set[str] = set()
+        self._lacking_s = -math.inf
 
     def ask(self, rates: Mapping[str, int]) -> None:
         """What a policy wants from now on: transports with their Locations a second, up to `MAX_RATE`; those
@@ -129,7 +130,7 @@ class Broadcaster:
             commands += self._schedule.due(rates, can_send, radio.wifi_channel, messages, now_s)
         self._log(rates, commands)
         self._tell_pilot(commands, now_s)
-        self._tell_lacking(own, commands)
+        self._tell_lacking(own, commands, now_s)
         if self._config.remote_id.component:
             self._report(commands)
         return commands
@@ -184,13 +185,18 @@ class Broadcaster:
             commands.append(Say(severity=worst, text=f"DMUCA {trouble}{detail}"))
         self._said, self._said_s = trouble, now_s
 
-    def _tell_lacking(self, own: Ownship, commands: list[Command]) -> None:
-        """In flight the pilot is told once of each thing that is missing in what is told."""
+    def _tell_lacking(self, own: Ownship, commands: list[Command], now_s: float) -> None:
+        """In flight the pilot is told once of each thing that is missing in what is told; never more than one
+        text in a while."""
+        lacking = self.lacking
         if not own.armed:
-            self._lacking_told = None
-        elif (lacking := self.lacking) is not None and lacking != self._lacking_told:
-            self._lacking_told = lacking
-            commands.append(Say(severity=Severity.WARNING, text=f"DMUCA Remote ID: {lacking}"))
+            self._lacking_told.clear()
+            return
+        if lacking is None or lacking in self._lacking_told or now_s - self._lacking_s < _TELL_PERIOD_S:
+            return
+        self._lacking_told.add(lacking)
+        self._lacking_s = now_s
+        commands.append(Say(severity=Severity.WARNING, text=f"DMUCA Remote ID: {lacking}"))
 
     def _report(self, commands: list[Command]) -> None:
         """OPEN_DRONE_ID_ARM_STATUS, where we are the vehicle's Remote ID component."""

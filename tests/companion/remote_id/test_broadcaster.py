@@ -281,6 +281,28 @@ def test_what_the_law_asks_and_nobody_has_told_is_said_once_in_flight(bench):
     assert bench.heart.broadcaster.lacking is None
 
 
+def test_what_is_missing_in_turn_is_said_once_each(bench):
+    """A GNSS fix at the edge, and no operator position."""
+    mine = lawful(bench)
+    texts = []
+    for number in range(600):
+        mine.fix_type = 3 if number % 2 else 0
+        texts += said(mine.step())
+    assert sorted(text for _, text in texts) == [
+        "DMUCA Remote ID: missing location message",
+        "DMUCA Remote ID: missing operator location",
+    ]
+
+
+def test_what_is_missing_is_said_now_and_then_to_a_pilot_who_arms_and_disarms(bench):
+    mine = lawful(bench)
+    texts = []
+    for number in range(600):
+        mine.armed = bool(number % 2)
+        texts += said(mine.step())
+    assert 5 <= len(texts) <= 7
+
+
 def test_on_the_ground_nobody_is_bothered(bench):
     mine = lawful(bench)
     mine.armed = False
