@@ -59,8 +59,8 @@ class _Tape:
     def play(self, recorder: FlightRecorder) -> None:
         """Hand on what was kept, and all that comes."""
         self._recorder = recorder
-        for data in self._early:
-            recorder.write(data)
+        # In one piece: a long wait on a busy link leaves more frames than the recorder's queue takes.
+        recorder.write(b"".join(self._early))
         self._early.clear()
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from companion import record
 from companion.record import Header, Step
+from companion.runtime.flight import _Tape
 from companion.runtime.recorder import FlightRecorder
 
 
@@ -63,6 +64,25 @@ def test_all_is_there_after_close(tmp_path, header):
     items = list(record.read(io.BytesIO((tmp_path / "A.events").read_bytes()), "A"))
     assert items == [header, *(step(float(number)) for number in range(100))]
     assert (tmp_path / "A.tlog").read_bytes() == b"tlog"
+
+
+def test_a_long_wait_on_a_busy_link_crowds_nothing_out(tmp_path, header, monkeypatch):
+    monkeypatch.setattr("companion.runtime.recorder._QUEUE", 10)
+    disk = Disk()
+    recorder = on(disk, FlightRecorder(tmp_path, header, 60.0))
+    disk.may_write.clear()
+    recorder.step(step(0.0))
+    disk.asked.wait()
+    tape = _Tape()
+    for _ in range(50):
+        tape.write(b"early")
+    tape.play(recorder)
+    tape.write(b"late")
+    recorder.step(step(1.0))
+    assert recorder.dropped == 0
+    disk.may_write.set()
+    recorder.close()
+    assert (tmp_path / "A.tlog").read_bytes() == 50 * b"early" + b"late"
 
 
 def test_a_full_disk_is_an_error_that_close_does_not_raise(tmp_path, header, until):
