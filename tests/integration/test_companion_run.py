@@ -214,7 +214,7 @@ def test_check_says_what_is_missing(start, tmp_path):
     assert checked.output.splitlines()[-1] == "check: NOT ready"
     assert "configuration: valid" in checked.output
     assert "vehicle: " in checked.output
-    assert "radio: " in checked.output
+    assert "radio: flies without one" in checked.output
 
 
 def test_the_pilot_takes_over(start, tmp_path):
