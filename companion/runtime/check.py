@@ -82,7 +82,7 @@ def _probe_radios(config: Config, say: Callable[[str], None]) -> bool:
         prepared = prepare(config, radios)
         for line in prepared.lines:
             say(line)
-        # To watch without a radio is a choice. To fly without one takes law = "none", and is not called ready.
+        # To watch without a radio is a choice. To fly without one takes law = "none", and is never ready.
         if config.flight.use == "fly" and not config.has_radio:
             say("radio: flies without one (avoidance.law is none): nobody is heard, nobody is kept apart")
         works = radios.health(time.monotonic()).ok
