@@ -6,14 +6,9 @@ the file points to (the trajectory), so that a resolved configuration stands alo
 
 from __future__ import annotations
 
-import enum
 import itertools
-import math
-import re
-import tomllib
-import types
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Literal
 
 import msgspec
 import tomli_w
@@ -24,6 +19,7 @@ from companion.remote_id.authentication import Verifier, public_key_hex
 from companion.remote_id.identity import check_identity, public_operator_id
 from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
+from companion.toml_input import SECRET, decode_toml, without_none
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
 Interface = Annotated[str, Meta(min_length=1, max_length=15)]
@@ -146,7 +142,7 @@ class RemoteIdConfig(_Section, frozen=True):
     """psi: Locations a second on each; never below the region's floor."""
     self_id: Annotated[str, Meta(max_length=23)] | None = None
     """Free text about the flight."""
-    operator_id: Annotated[str, Meta(min_length=1, max_length=24)] | None = None
+    operator_id: Annotated[str, Meta(min_length=1, max_length=24, extra=SECRET)] | None = None
     """Registration of the operator. EU: whole, with the three secret characters, which are never sent."""
     category_eu: Annotated[int, Meta(ge=0, le=3)] | None = None
     """1 open, 2 specific, 3 certified."""
@@ -420,146 +416,3 @@ def _has_form(text: str, form: str) -> bool:
         return False
     # Listening on port 0 takes any free one.
     return int(number) in _NUMBERS[word] or (kind == "udpin:" and int(number) == 0)
-
-
-T = TypeVar("T")
-
-
-def decode_toml(path: Path, kind: type[T]) -> T:
-    """Read a TOML file into a struct.
-
-    Raises:
-        ConfigError: names the file, the key, what it holds and what is allowed.
-    """
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from error
-    _refuse_non_finite(raw, str(path), "")
-    try:
-        return msgspec.convert(raw, kind)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{path}: {_explain(str(error), raw, kind)}") from error
-
-
-def _refuse_non_finite(value: object, name: str, key: str) -> None:
-    if isinstance(value, dict):
-        for k, v in value.items():
-            _refuse_non_finite(v, name, f"{key}.{k}" if key else k)
-    elif isinstance(value, list):
-        for i, v in enumerate(value):
-            _refuse_non_finite(v, name, f"{key}[{i}]")
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{name}: {key}: {value} is not a finite number")
-
-
-def _explain(text: str, raw: object, kind: type) -> str:
-    """Turn msgspec's words ("Expected `float` <= 50.0 - at `$.limits.max_speed_mps`") into ours."""
-    what, _, where = text.partition(" - at `$")
-    key = where.rstrip("`").lstrip(".")
-    if "unknown field" in what:
-        field = what.split("`")[1]
-        full = f"{key}.{field}" if key else field
-        names = (f.name for f in msgspec.structs.fields(_struct_at(kind, key, raw)))
-        allowed = ", ".join(names) or "no other key"
-        return f"{full}: unknown key; allowed here: {allowed}"
-    if "missing required field" in what:
-        field = what.split("`")[1]
-        return f"{key}.{field}: missing" if key else f"{field}: missing"
-    value = raw
-    for part in re.findall(r"[^.\[\]]+", key):
-        value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
-    if key.endswith("].backend"):
-        allowed = ", ".join(repr(c.__struct_config__.tag) for c in get_args(RadioConfig))
-        return f"{key}: {value!r}: allowed are {allowed}"
-    if key == "radio" and "array" in what:
-        return "radio: one table for each radio is needed: write [[radio]]"
-    hint = _hint_at(kind, key, raw)
-    if key.endswith("[...]"):
-        return f"{key.removesuffix('[...]')}: every value in it must be {_wanted(hint)}"
-    # Nothing of what may hold the operator's secret characters is repeated.
-    held = "" if key == "remote_id.operator_id" else f" {value!r}:"
-    if what.startswith("Invalid enum value"):
-        return f"{key}:{held} allowed are {_listed(_choices(hint))}"
-    return f"{key}:{held} expected {_wanted(hint)}"
-
-
-def _wanted(hint: object, bounds: Meta | None = None) -> str:
-    """What a key takes, in words."""
-    if get_origin(hint) is Annotated:
-        inner, *metas = get_args(hint)
-        return _wanted(inner, metas[0])
-    if get_origin(hint) in (types.UnionType, Union):
-        return " or ".join(dict.fromkeys(_wanted(a) for a in get_args(hint) if a is not types.NoneType))
-    choices = _choices(hint)
-    if get_origin(hint) in (tuple, list):
-        return f'a list such as ["{choices[0]}"]' if choices else "a list"
-    if choices:
-        return f"one of {_listed(choices)}"
-    if hint is str:
-        length = _range(bounds.min_length, bounds.max_length) if bounds else ""
-        return f"text of {length} characters" if length else "text"
-    if hint is int or hint is float:
-        above = f"more than {bounds.gt:g}" if bounds and bounds.gt is not None else ""
-        limits = " and ".join(filter(None, (above, _range(bounds.ge, bounds.le) if bounds else "")))
-        return ("a whole number" if hint is int else "a number") + (f", {limits}" if limits else "")
-    return "true or false" if hint is bool else "a table"
-
-
-def _range(low: float | None, high: float | None) -> str:
-    if low is not None and high is not None:
-        return f"{low:g} to {high:g}"
-    if low is not None:
-        return f"at least {low:g}"
-    return "" if high is None else f"at most {high:g}"
-
-
-def _listed(values: list[object]) -> str:
-    return ", ".join(repr(v) for v in values)
-
-
-def _choices(hint: object) -> list[object]:
-    """The values of an enumeration or of literals, wherever in a type they stand."""
-    if isinstance(hint, type) and issubclass(hint, enum.Enum):
-        return [member.value for member in hint]
-    if get_origin(hint) is Literal:
-        return list(get_args(hint))
-    return [choice for inner in get_args(hint) for choice in _choices(inner)]
-
-
-def _hint_at(kind: type, key: str, raw: object) -> Any:
-    """The type of the value that `key` leads to, or of what stands in it as "[...]" says."""
-    name = re.sub(r"(\[[^]]*\])+$", "", key)
-    section, _, field = name.rpartition(".")
-    hint = get_type_hints(_struct_at(kind, section, raw), include_extras=True)[field]
-    for inside in re.findall(r"\[([^]]*)\]", key[len(name) :]):
-        while get_origin(hint) is Annotated:
-            hint = get_args(hint)[0]
-        hint = get_args(hint)[1 if inside == "..." else 0]
-    return hint
-
-
-def _struct_at(kind: type, key: str, raw: object) -> type:
-    """The struct that describes the section `key` leads to; `raw` tells which of a tagged union."""
-    value = raw
-    for part in re.findall(r"[^.\[\]]+", key):
-        value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
-        if part.isdigit():
-            tag = value.get("backend") if isinstance(value, dict) else None
-            kind = next((c for c in get_args(RadioConfig) if c.__struct_config__.tag == tag), kind)
-            continue
-        hint = get_type_hints(kind)[part]
-        nested = [hint, *get_args(hint), *(a for h in get_args(hint) for a in get_args(h))]
-        kind = next(a for a in nested if isinstance(a, type) and issubclass(a, msgspec.Struct))
-    return kind
-
-
-def without_none(value: object) -> Any:
-    """Plain data as TOML can hold it: keys whose value is None left out."""
-    if isinstance(value, dict):
-        return {k: without_none(v) for k, v in value.items() if v is not None}
-    if isinstance(value, list | tuple):
-        return [without_none(v) for v in value]
-    return value

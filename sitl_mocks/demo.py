@@ -26,10 +26,11 @@ from rich.progress import Progress
 from rich.table import Table
 
 from companion import __version__, record
-from companion.config import Config, without_none
+from companion.config import Config
 from companion.errors import ConfigError
 from companion.runtime.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.runtime.warm import warm_up
+from companion.toml_input import without_none
 from sitl_mocks import settings
 from sitl_mocks.lockstep import TICK_S, UTC_AT_START_S, Run, fly, paths_of
 from sitl_mocks.settings import Scenario

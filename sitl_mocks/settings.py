@@ -13,8 +13,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from companion.config import AvoidanceConfig, LimitsConfig, decode_toml
+from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
+from companion.toml_input import decode_toml
 
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e6)]

@@ -27,11 +27,12 @@ from rich.table import Table
 
 from companion import config as configuration
 from companion import record
-from companion.config import EtherRadio, RecordConfig, VehicleConfig, without_none
+from companion.config import EtherRadio, RecordConfig, VehicleConfig
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
 from companion.radio.frames_io import radio_address
 from companion.runtime.recorder import create_run_folder, write_json, write_manifest
+from companion.toml_input import without_none
 from sitl_mocks import demo
 from sitl_mocks.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
 from sitl_mocks.settings import Scenario

@@ -255,7 +255,7 @@ class HciTransport:
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
                 try:
                     link = self._bring_up()
-                except Exception as error:
+                except Exception as error:  # told in `health`; a radio's fault must not end the flight
                     with self._lock:
                         self._lost = str(error) if isinstance(error, ConfigError) else _fault(error)
                     continue

@@ -13,6 +13,7 @@ import select
 import socket
 import sys
 import termios
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -183,7 +184,7 @@ class UdpLink:
         self._socket.close()
 
 
-class _Stream:
+class _Stream(ABC):
     """Sending, as TCP and serial do it: frames leave whole, and never late."""
 
     def __init__(self, trouble: LinkTrouble) -> None:
@@ -215,13 +216,13 @@ class _Stream:
         except BlockingIOError:
             return 0
 
+    @abstractmethod
     def _write(self, data: bytes) -> int:
         """Hand data to the kernel; how much it took."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _takes_more(self) -> bool:
         """Whether what the kernel took before has left."""
-        raise NotImplementedError
 
 
 class TcpLink(_Stream):

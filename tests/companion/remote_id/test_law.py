@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion import config as configuration
 from companion.config import Config, IdentityConfig, RemoteIdConfig
 from companion.events import (
     Broadcast,
@@ -30,9 +29,10 @@ from companion.remote_id.broadcaster import Broadcaster
 from companion.remote_id.law import keep_floor, too_slow, whole_rates
 from companion.remote_id.messages import BasicId, Location, OperatorId, SelfId, Status, System
 from companion.remote_id.region import Region
+from companion.toml_input import decode_toml
 
 FOLDER = Path(__file__).parents[3] / "config/regions"
-REGIONS = {path.stem: configuration.decode_toml(path, Region) for path in sorted(FOLDER.glob("*.toml"))}
+REGIONS = {path.stem: decode_toml(path, Region) for path in sorted(FOLDER.glob("*.toml"))}
 LAWFUL = [region for region in REGIONS.values() if region.transport_sets]
 ALL = ("ble4", "ble5", "nan", "wifi")
 UTC_S = 1_767_225_600.0

@@ -1,0 +1,179 @@
+"""TOML into structs: what is wrong in a file is said with the key, what it holds and what is allowed.
+
+Knows nothing of any configuration: names, limits and tags are read from the structs.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import re
+import tomllib
+import types
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+from msgspec import Meta
+
+from companion.errors import ConfigError
+
+SECRET: Final = {"secret": True}
+"""As `extra` of a key's Meta: no error text repeats what the key holds."""
+
+T = TypeVar("T")
+
+
+def decode_toml(path: Path, kind: type[T]) -> T:
+    """Read a TOML file into a struct.
+
+    Raises:
+        ConfigError: names the file, the key, what it holds and what is allowed.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    _refuse_non_finite(raw, str(path), "")
+    try:
+        return msgspec.convert(raw, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{path}: {_explain(str(error), raw, kind)}") from error
+
+
+def _refuse_non_finite(value: object, name: str, key: str) -> None:
+    if isinstance(value, dict):
+        for k, v in value.items():
+            _refuse_non_finite(v, name, f"{key}.{k}" if key else k)
+    elif isinstance(value, list):
+        for i, v in enumerate(value):
+            _refuse_non_finite(v, name, f"{key}[{i}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{name}: {key}: {value} is not a finite number")
+
+
+def _explain(text: str, raw: object, kind: type) -> str:
+    """Turn msgspec's words ("Expected `float` <= 50.0 - at `$.limits.max_speed_mps`") into ours."""
+    what, _, where = text.partition(" - at `$")
+    key = where.rstrip("`").lstrip(".")
+    if "unknown field" in what:
+        field = what.split("`")[1]
+        full = f"{key}.{field}" if key else field
+        names = (f.name for f in msgspec.structs.fields(_structs_at(kind, key, raw)[0]))
+        allowed = ", ".join(names) or "no other key"
+        return f"{full}: unknown key; allowed here: {allowed}"
+    if "missing required field" in what:
+        field = what.split("`")[1]
+        return f"{key}.{field}: missing" if key else f"{field}: missing"
+    value = raw
+    for part in re.findall(r"[^.\[\]]+", key):
+        value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
+    section, _, field = key.rpartition(".")
+    tagged = [c.__struct_config__ for c in _structs_at(kind, section, raw)]
+    if field in {c.tag_field for c in tagged}:
+        return f"{key}: {value!r}: allowed are {_listed([c.tag for c in tagged])}"
+    hint = _hint_at(kind, key, raw)
+    if "Expected `array`" in what and _structs(hint):
+        return f"{key}: one table for each {key} is needed: write [[{key}]]"
+    if key.endswith("[...]"):
+        return f"{key.removesuffix('[...]')}: every value in it must be {_wanted(hint)}"
+    held = "" if _is_secret(hint) else f" {value!r}:"
+    if what.startswith("Invalid enum value"):
+        return f"{key}:{held} allowed are {_listed(_choices(hint))}"
+    return f"{key}:{held} expected {_wanted(hint)}"
+
+
+def _wanted(hint: object, bounds: Meta | None = None) -> str:
+    """What a key takes, in words."""
+    if get_origin(hint) is Annotated:
+        inner, *metas = get_args(hint)
+        return _wanted(inner, metas[0])
+    if get_origin(hint) in (types.UnionType, Union):
+        return " or ".join(dict.fromkeys(_wanted(a) for a in get_args(hint) if a is not types.NoneType))
+    choices = _choices(hint)
+    if get_origin(hint) in (tuple, list):
+        return f'a list such as ["{choices[0]}"]' if choices else "a list"
+    if choices:
+        return f"one of {_listed(choices)}"
+    if hint is str:
+        length = _range(bounds.min_length, bounds.max_length) if bounds else ""
+        return f"text of {length} characters" if length else "text"
+    if hint is int or hint is float:
+        above = f"more than {bounds.gt:g}" if bounds and bounds.gt is not None else ""
+        limits = " and ".join(filter(None, (above, _range(bounds.ge, bounds.le) if bounds else "")))
+        return ("a whole number" if hint is int else "a number") + (f", {limits}" if limits else "")
+    return "true or false" if hint is bool else "a table"
+
+
+def _range(low: float | None, high: float | None) -> str:
+    if low is not None and high is not None:
+        return f"{low:g} to {high:g}"
+    if low is not None:
+        return f"at least {low:g}"
+    return "" if high is None else f"at most {high:g}"
+
+
+def _listed(values: list[object]) -> str:
+    return ", ".join(repr(v) for v in values)
+
+
+def _choices(hint: object) -> list[object]:
+    """The values of an enumeration or of literals, wherever in a type they stand."""
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return [member.value for member in hint]
+    if get_origin(hint) is Literal:
+        return list(get_args(hint))
+    return [choice for inner in get_args(hint) for choice in _choices(inner)]
+
+
+def _hint_at(kind: type, key: str, raw: object) -> Any:
+    """The type of the value that `key` leads to, or of what stands in it as "[...]" says."""
+    name = re.sub(r"(\[[^]]*\])+$", "", key)
+    section, _, field = name.rpartition(".")
+    hint = get_type_hints(_structs_at(kind, section, raw)[0], include_extras=True)[field]
+    for inside in re.findall(r"\[([^]]*)\]", key[len(name) :]):
+        while get_origin(hint) is Annotated:
+            hint = get_args(hint)[0]
+        hint = get_args(hint)[1 if inside == "..." else 0]
+    return hint
+
+
+def _structs_at(kind: type, key: str, raw: object) -> list[type[msgspec.Struct]]:
+    """The structs that may describe the section `key` leads to, first the one whose tag stands in `raw`."""
+    value, found = raw, [kind]
+    for part in re.findall(r"[^.\[\]]+", key):
+        if not part.isdigit():
+            found = list(_structs(get_type_hints(found[0])[part]))
+        value = value[int(part)] if isinstance(value, list) else value[part]  # type: ignore[index]
+        found = [c for c in found if _is_tagged(c, value)] + [c for c in found if not _is_tagged(c, value)]
+    return found
+
+
+def _structs(hint: object) -> list[type[msgspec.Struct]]:
+    """The structs in a type, wherever they stand."""
+    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+        return [hint]
+    return [struct for inner in get_args(hint) for struct in _structs(inner)]
+
+
+def _is_tagged(struct: type[msgspec.Struct], value: object) -> bool:
+    tag = struct.__struct_config__
+    return tag.tag_field is not None and isinstance(value, dict) and value.get(tag.tag_field) == tag.tag
+
+
+def _is_secret(hint: object) -> bool:
+    """Whether a key may hold what no text may repeat."""
+    if get_origin(hint) is Annotated and any(meta.extra == SECRET for meta in get_args(hint)[1:]):
+        return True
+    return any(_is_secret(inner) for inner in get_args(hint))
+
+
+def without_none(value: object) -> Any:
+    """Plain data as TOML can hold it: keys whose value is None left out."""
+    if isinstance(value, dict):
+        return {k: without_none(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [without_none(v) for v in value]
+    return value
