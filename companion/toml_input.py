@@ -58,6 +58,9 @@ def _explain(text: str, raw: object, kind: type) -> str:
     """Turn msgspec's words ("Expected `float` <= 50.0 - at `$.limits.max_speed_mps`") into ours."""
     what, _, where = text.partition(" - at `$")
     key = where.rstrip("`").lstrip(".")
+    if not what.startswith(("Expected", "Object", "Invalid")):
+        # A struct's own check of how its keys go together; it begins with the key's name.
+        return f"{key}.{what}" if key else what
     if "unknown field" in what:
         field = what.split("`")[1]
         full = f"{key}.{field}" if key else field

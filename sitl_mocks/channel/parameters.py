@@ -1,0 +1,236 @@
+"""Parameters of the radio channel: durations, powers and the way loss grows with distance.
+
+The defaults are the paper's table "Parameter settings for BLE 4, BLE 5, and Wi-Fi". Durations are in
+milliseconds as there; `Slots` counts them in whole slots, rounded down (section "Packet Reception Model").
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final, Literal
+
+import msgspec
+
+from companion.errors import ConfigError
+from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.toml_input import decode_toml
+
+MODES: Final = (BLE4, BLE5, WIFI_BEACON)
+"""The paper's set of protocols, in the order in which every array of this package holds them."""
+WIFI_CHANNELS: Final = (1, 6, 11)
+SECONDARY_CHANNELS: Final = 37
+"""BLE channels 0-36, on which auxiliary packets hop."""
+OVERLAPPED_CHANNELS: Final = 9
+"""Secondary BLE channels that one Wi-Fi channel covers, as the paper counts them."""
+
+_DAY_MS = 86_400_000.0
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Common to all sections."""
+
+    def _need(self, key: str, low: float, high: float, *, above: bool = False) -> None:
+        """A ValueError unless `low` <= the key's value <= `high` (`above`: more than `low`)."""
+        value = getattr(self, key)
+        # Negated, so that NaN is refused too.
+        if not (low < value <= high if above else low <= value <= high):
+            wanted = f"more than {low:g} and up to {high:g}" if above else f"{low:g} to {high:g}"
+            raise ValueError(f"{key}: {value:g}: expected {wanted}")
+
+
+class BleParameters(_Section, frozen=True, kw_only=True):
+    """BLE 4, and the primary channels of BLE 5."""
+
+    packet_ms: float = 0.376
+    """A_P: one PDU (BLE 5: one pointer) on a primary channel."""
+    gap_ms: float = 0.125
+    """P_I: from the end of one PDU to the next one, on the next channel."""
+    scan_interval_ms: float = 8.0
+    """S_I: time that the receiver stays on one primary channel."""
+    scan_window_ms: float = 2.0
+    """S_W: how long of it, from its beginning, it listens."""
+    random_delay_ms: float = 5.0
+    """R_D: greatest pseudo-random delay of an advertising event. The equations do not use it."""
+    transmit_power_dbm: float = 18.0
+    sensitivity_dbm: float = -85.0
+    max_rate: int = 10
+    """Largest psi: messages in one GNSS period."""
+
+    def __post_init__(self) -> None:
+        self._need("packet_ms", 0.0, _DAY_MS, above=True)
+        self._need("gap_ms", 0.0, _DAY_MS)
+        self._need("scan_interval_ms", 0.0, _DAY_MS, above=True)
+        self._need("scan_window_ms", 0.0, self.scan_interval_ms, above=True)
+        self._need("packet_ms", 0.0, self.scan_window_ms, above=True)
+        self._need("random_delay_ms", 0.0, _DAY_MS)
+        self._need("transmit_power_dbm", -100.0, 100.0)
+        self._need("sensitivity_dbm", -200.0, 0.0)
+        self._need("max_rate", 1, 1000)
+
+
+class Ble5Parameters(BleParameters, frozen=True, kw_only=True):
+    """BLE 5 Long Range: pointers on the primary channels, the message in an auxiliary packet."""
+
+    packet_ms: float = 1.152
+    sensitivity_dbm: float = -97.0
+    auxiliary_offset_ms: float = 5.0
+    """A_Offset: from the beginning of an event to its auxiliary packet."""
+    auxiliary_ms: float = 3.328
+    """T_AUX."""
+    auxiliary_uncertainty_ms: float = 0.0
+    """O_U."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._need("auxiliary_ms", 0.0, _DAY_MS, above=True)
+        self._need("auxiliary_uncertainty_ms", 0.0, _DAY_MS)
+        # The auxiliary packet follows the third pointer; one radio sends both.
+        self._need("auxiliary_offset_ms", 3.0 * self.packet_ms + 2.0 * self.gap_ms, _DAY_MS)
+
+
+class WifiParameters(_Section, frozen=True, kw_only=True):
+    """Wi-Fi beacons."""
+
+    beacon_ms: float = 0.632
+    """B_D."""
+    scan_ms: float = 6.0
+    """T_S: time on one channel."""
+    switch_ms: float = 1.0
+    """C_T: deaf time from one channel to the next."""
+    transmit_power_dbm: float = 18.0
+    sensitivity_dbm: float = -105.0
+    max_rate: int = 10
+
+    def __post_init__(self) -> None:
+        self._need("scan_ms", 0.0, _DAY_MS, above=True)
+        self._need("beacon_ms", 0.0, self.scan_ms, above=True)
+        self._need("switch_ms", 0.0, _DAY_MS)
+        self._need("transmit_power_dbm", -100.0, 100.0)
+        self._need("sensitivity_dbm", -200.0, 0.0)
+        self._need("max_rate", 1, 1000)
+
+
+class PropagationParameters(_Section, frozen=True, kw_only=True):
+    """Log-distance path loss with log-normal shadowing."""
+
+    loss_at_1m_db: float = 52.5
+    """Not in the paper: 52.5 dB gives the ranges that it states (250, 1,000, 2,000 m)."""
+    exponent: float = 2.1
+    shadowing_sigma_db: float = 0.0
+    """The paper says a variance of 6 dB (sigma 2.449 dB); its published delays come out without shadowing."""
+
+    def __post_init__(self) -> None:
+        self._need("loss_at_1m_db", 0.0, 200.0)
+        self._need("exponent", 1.0, 10.0)
+        self._need("shadowing_sigma_db", 0.0, 30.0)
+
+
+class BackgroundLoad(_Section, frozen=True, kw_only=True):
+    """Others in the band: the share of time that foreign transmissions fill a transport's channel at a receiver.
+
+    A packet that meets one of them is lost. Foreign transmissions and the gaps between them are exponential.
+    """
+
+    ble4: float = 0.0
+    ble5: float = 0.0
+    """Primary and secondary channels alike."""
+    wifi: float = 0.0
+    burst_ms: float = 2.0
+    """Mean length of a foreign transmission."""
+
+    def __post_init__(self) -> None:
+        for key in MODES:
+            self._need(key, 0.0, 0.999)
+        self._need("burst_ms", 0.0, _DAY_MS, above=True)
+
+
+class ChannelParameters(_Section, frozen=True, kw_only=True):
+    """Everything that the two channel models share."""
+
+    slot_ms: float = 0.125
+    """Delta."""
+    gnss_period_ms: float = 1000.0
+    """T_GNSS."""
+    wifi_channels: Literal["shared", "random"] = "shared"
+    """Beacons of all aircraft on one channel, which the published delays fit, or each aircraft's on one drawn
+    from 1, 6, 11, which the paper's table says."""
+    ble4: BleParameters = BleParameters()
+    ble5: Ble5Parameters = Ble5Parameters()
+    wifi: WifiParameters = WifiParameters()
+    propagation: PropagationParameters = PropagationParameters()
+    background: BackgroundLoad = BackgroundLoad()
+
+    def __post_init__(self) -> None:
+        self._need("slot_ms", 0.0, _DAY_MS, above=True)
+        self._need("gnss_period_ms", 0.0, _DAY_MS, above=True)
+        shortest = {
+            "ble4.packet_ms": self.ble4.packet_ms,
+            "ble5.packet_ms": self.ble5.packet_ms,
+            "wifi.beacon_ms": self.wifi.beacon_ms,
+        }
+        for key, value in shortest.items():
+            if value < self.slot_ms:
+                raise ValueError(f"{key}: {value:g}: expected at least one slot (slot_ms {self.slot_ms:g})")
+        self._need_room()
+
+    def _need_room(self) -> None:
+        """An event must end before the next one begins, and a collision factor 1 - x must stay above 0."""
+        ble4, ble5, wifi = self.ble4, self.ble5, self.wifi
+        both = ble4.packet_ms + ble5.packet_ms
+        secondary = OVERLAPPED_CHANNELS / SECONDARY_CHANNELS * (ble5.auxiliary_ms + wifi.beacon_ms)
+        event4 = 3.0 * ble4.packet_ms + 2.0 * ble4.gap_ms
+        event5 = ble5.auxiliary_offset_ms + ble5.auxiliary_uncertainty_ms + ble5.auxiliary_ms
+        for mode, rate, longest in (
+            ("ble4", ble4.max_rate, max(event4, both)),
+            ("ble5", ble5.max_rate, max(event5, both, secondary)),
+            ("wifi", wifi.max_rate, max(2.0 * wifi.beacon_ms, secondary)),
+        ):
+            if rate * longest >= self.gnss_period_ms:
+                raise ValueError(
+                    f"{mode}.max_rate: {rate}: expected less than {self.gnss_period_ms / longest:.4g}, "
+                    f"for one event and its chance of collision fill {longest:g} ms of gnss_period_ms"
+                )
+
+
+@dataclass(frozen=True)
+class Slots:
+    """The durations in whole slots, X_d = floor(X / Delta)."""
+
+    parameters: ChannelParameters
+
+    def of(self, duration_ms: float) -> int:
+        """Whole slots in a duration."""
+        # 0.376 / 0.125 must not fall below 3 by rounding of the quotient of decimal fractions.
+        return math.floor(duration_ms / self.parameters.slot_ms + 1e-9)
+
+    @cached_property
+    def gnss_period(self) -> int:
+        """T_GNSS."""
+        return self.of(self.parameters.gnss_period_ms)
+
+    def seconds(self, slots: float) -> float:
+        """Length of a number of slots (s)."""
+        return slots * self.parameters.slot_ms / 1000.0
+
+
+def load(path: Path) -> ChannelParameters:
+    """Read a parameter file.
+
+    Raises:
+        ConfigError: names the file, the key, what it holds and what is allowed.
+    """
+    return decode_toml(path, ChannelParameters)
+
+
+def check_rate(mode: str, rate: int, parameters: ChannelParameters) -> None:
+    """Refuse a message rate that the parameters do not allow.
+
+    Raises:
+        ConfigError: less than 1, or more than the mode's `max_rate`.
+    """
+    largest = {BLE4: parameters.ble4, BLE5: parameters.ble5, WIFI_BEACON: parameters.wifi}[mode].max_rate
+    if not 1 <= rate <= largest:
+        raise ConfigError(f"{mode}: rate {rate}: allowed 1 to {largest}")
