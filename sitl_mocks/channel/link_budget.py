@@ -1,6 +1,7 @@
 """Who reaches whom: log-distance path loss, log-normal shadowing, and the links that follow from positions.
 
-Section "Packet Collision Model" (the sets R and S), parameters of section "Performance of Remote ID Modes". A link counts as reached where transmit power - path loss >= sensitivity.
+Section "Packet Collision Model" (the sets R and S), with the parameters of "Performance of Remote ID Modes". A
+link carries a mode where transmit power - path loss >= sensitivity.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def all_links(
     Raises:
         ValueError: another shape, or shadowing without a generator.
     """
-    positions = np.atleast_3d(positions_m) if positions_m.ndim == 3 else positions_m[None]
+    positions = positions_m if positions_m.ndim == 3 else positions_m[None]
     if positions.ndim != 3 or positions.shape[2] != 3:
         raise ValueError(f"positions have shape {positions_m.shape}; expected (environments, aircraft, 3)")
     environments, aircraft, _ = positions.shape

@@ -129,7 +129,7 @@ class PropagationParameters(_Section, frozen=True, kw_only=True):
 
 
 class BackgroundLoad(_Section, frozen=True, kw_only=True):
-    """Others in the band: the share of time that foreign transmissions fill a transport's channel at a receiver.
+    """Others in the band: share of time that foreign transmissions fill a transport's channel at a receiver.
 
     A packet that meets one of them is lost. Foreign transmissions and the gaps between them are exponential.
     """
@@ -225,12 +225,17 @@ def load(path: Path) -> ChannelParameters:
     return decode_toml(path, ChannelParameters)
 
 
+def max_rates(parameters: ChannelParameters) -> tuple[int, int, int]:
+    """Largest psi of each mode, in the order of `MODES`."""
+    return parameters.ble4.max_rate, parameters.ble5.max_rate, parameters.wifi.max_rate
+
+
 def check_rate(mode: str, rate: int, parameters: ChannelParameters) -> None:
     """Refuse a message rate that the parameters do not allow.
 
     Raises:
         ConfigError: less than 1, or more than the mode's `max_rate`.
     """
-    largest = {BLE4: parameters.ble4, BLE5: parameters.ble5, WIFI_BEACON: parameters.wifi}[mode].max_rate
+    largest = max_rates(parameters)[MODES.index(mode)]
     if not 1 <= rate <= largest:
         raise ConfigError(f"{mode}: rate {rate}: allowed 1 to {largest}")
