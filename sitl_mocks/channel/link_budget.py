@@ -1,7 +1,7 @@
 """Who reaches whom: log-distance path loss, log-normal shadowing, and the links that follow from positions.
 
-Section "Packet Collision Model" (the sets R and S), with the parameters of "Performance of Remote ID Modes". A
-link carries a mode where transmit power - path loss >= sensitivity.
+Section "Packet Collision Model" (the sets R and S), with the parameters of "Performance of Remote ID Modes".
+A link carries a mode where transmit power - path loss >= sensitivity.
 """
 
 from __future__ import annotations

@@ -1,0 +1,163 @@
+"""When a receiver's scan meets a sender's schedule: the matching sets of section "Packet Reception Model".
+
+All times are whole slots. A sender begins at phase t0 of the receiver's scan cycle and repeats its event with
+a period that shares no factor with the cycle, so that the Chinese remainder theorem gives the slots in which
+a packet falls into a scan window.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.radio.transport import BLE4, BLE5
+from sitl_mocks.channel.parameters import ChannelParameters, Slots, check_rate
+
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """How a receiver listens to one mode, and what it must fit into a window."""
+
+    cycle: int
+    """Slots after which the scan repeats (3 S_I, or 3 (T_S + C_T))."""
+    window_starts: tuple[int, int, int]
+    """First slot of the window on each of the three channels."""
+    slack: int
+    """A packet is heard whole when it begins up to so many slots after the window (S_W - A_P, T_S - B_D)."""
+    packet_offsets: tuple[int, ...]
+    """Slots from the beginning of an event to its packet on each channel; one channel only for Wi-Fi."""
+    duration: int
+    """Slots that one such packet takes."""
+
+
+def scan_of(mode: str, parameters: ChannelParameters) -> Scan:
+    """The scan of a mode in whole slots.
+
+    Raises:
+        ValueError: a window is shorter than the packet once both are rounded to slots.
+    """
+    slots = Slots(parameters)
+    offsets: tuple[int, ...] = (0,)
+    if mode in (BLE4, BLE5):
+        ble = parameters.ble4 if mode == BLE4 else parameters.ble5
+        interval, packet, gap = (slots.of(x) for x in (ble.scan_interval_ms, ble.packet_ms, ble.gap_ms))
+        step = packet + gap
+        window, offsets = slots.of(ble.scan_window_ms), (0, step, 2 * step)
+    else:
+        wifi = parameters.wifi
+        window, packet = slots.of(wifi.scan_ms), slots.of(wifi.beacon_ms)
+        interval = window + slots.of(wifi.switch_ms)
+    if packet > window:
+        raise ValueError(
+            f"{mode}: packet of {packet} slots; expected at most the scan window of {window} slots"
+        )
+    return Scan(3 * interval, (0, interval, 2 * interval), window - packet, offsets, packet)
+
+
+def coprime_period(period: int, cycle: int) -> int:
+    """The integer nearest to `period` that shares no factor with `cycle`, the lower one on a tie (A-hat,
+    B-hat).
+
+    Raises:
+        ValueError: `period` or `cycle` is less than 1.
+    """
+    if period < 1 or cycle < 1:
+        raise ValueError(f"period {period}, cycle {cycle}: expected at least 1 slot each")
+    # 1 shares no factor with anything, so that the search ends.
+    return next(
+        near
+        for away in range(period + 1)
+        for near in (period - away, period + away)
+        if near >= 1 and math.gcd(near, cycle) == 1
+    )
+
+
+def first_match(t1: Integers, t2: Integers, period_1: int, period_2: int) -> Integers:
+    """Delta_o of the paper's equation (CRT): the least slot >= 0 that is t1 modulo one period and t2 modulo
+    the other. Arrays broadcast against each other.
+
+    Raises:
+        ValueError: the periods share a factor, or one is less than 1.
+    """
+    if period_1 < 1 or period_2 < 1 or (shared := math.gcd(period_1, period_2)) != 1:
+        what = "expected at least 1" if min(period_1, period_2) < 1 else f"both are multiples of {shared}"
+        raise ValueError(f"periods {period_1} and {period_2}: {what}; the theorem needs coprime periods")
+    by_1 = period_2 * pow(period_2, -1, period_1) if period_1 > 1 else 0
+    by_2 = period_1 * pow(period_1, -1, period_2) if period_2 > 1 else 0
+    both = period_1 * period_2
+    # Reduced first, so that no product leaves 64 bits.
+    return np.asarray((t1 % period_1 * by_1 + t2 % period_2 * by_2) % both, np.int64)
+
+
+def event_period(mode: str, rate: int, parameters: ChannelParameters) -> int:
+    """A-hat or B-hat (slots): the coprime approximation of T_GNSS / psi.
+
+    Raises:
+        ConfigError: the rate is less than 1 or more than the mode's largest.
+    """
+    check_rate(mode, rate, parameters)
+    return coprime_period(Slots(parameters).gnss_period // rate, scan_of(mode, parameters).cycle)
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Packets of one GNSS period that fall whole into a scan window, for every phase; one row each."""
+
+    phase: Integers
+    """t0, from 0 to the scan cycle."""
+    slot: Integers
+    """Slots after t0 at which the packet begins."""
+    channel: Integers
+    """Index of the channel on which it is heard."""
+
+
+def matching_packets(
+    mode: str, rate: int, parameters: ChannelParameters, *, wifi_channel: int = 0
+) -> Matches:
+    """The sets M(t0) of all three channels (BLE), or of one (Wi-Fi), for all phases t0 at once.
+
+    Args:
+        wifi_channel: index of the channel that a Wi-Fi sender uses.
+
+    Raises:
+        ConfigError: the rate is less than 1 or more than the mode's largest.
+    """
+    scan, period = scan_of(mode, parameters), event_period(mode, rate, parameters)
+    horizon = Slots(parameters).gnss_period
+    phases = np.arange(scan.cycle, dtype=np.int64)[:, None]
+    both = period * scan.cycle
+    found = []
+    for index, offset in enumerate(scan.packet_offsets):
+        channel = index if len(scan.packet_offsets) > 1 else wifi_channel
+        window = scan.window_starts[channel] + np.arange(scan.slack + 1, dtype=np.int64)
+        match = first_match(phases + offset, window[None, :], period, scan.cycle)
+        after = (match - phases) % both  # the first one at or after t0
+        while (inside := after <= horizon).any():
+            row, column = np.nonzero(inside)
+            found.append((row, after[row, column], np.full(len(row), channel)))
+            after = after + both
+    if not found:
+        empty = np.zeros(0, np.int64)
+        return Matches(empty, empty, empty)
+    phase, slot, channels = (np.concatenate(part).astype(np.int64) for part in zip(*found, strict=True))
+    order = np.lexsort((slot, phase))
+    return Matches(phase[order], slot[order], channels[order])
+
+
+def heard_packets(
+    mode: str, phase: float, parameters: ChannelParameters, *, wifi_channel: int = 0
+) -> tuple[int, ...]:
+    """Which packets of one event fall whole into a window, when the event begins at this phase of the scan
+    (slots): indices into `Scan.packet_offsets`."""
+    scan = scan_of(mode, parameters)
+    heard = []
+    for index, offset in enumerate(scan.packet_offsets):
+        channel = index if len(scan.packet_offsets) > 1 else wifi_channel
+        if (phase + offset - scan.window_starts[channel]) % scan.cycle <= scan.slack:
+            heard.append(index)
+    return tuple(heard)
