@@ -36,11 +36,7 @@ class Scan:
 
 
 def scan_of(mode: str, parameters: ChannelParameters) -> Scan:
-    """The scan of a mode in whole slots.
-
-    Raises:
-        ValueError: a window is shorter than the packet once both are rounded to slots.
-    """
+    """The scan of a mode in whole slots."""
     slots = Slots(parameters)
     offsets: tuple[int, ...] = (0,)
     if mode in (BLE4, BLE5):
@@ -52,10 +48,6 @@ def scan_of(mode: str, parameters: ChannelParameters) -> Scan:
         wifi = parameters.wifi
         window, packet = slots.of(wifi.scan_ms), slots.of(wifi.beacon_ms)
         interval = window + slots.of(wifi.switch_ms)
-    if packet > window:
-        raise ValueError(
-            f"{mode}: packet of {packet} slots; expected at most the scan window of {window} slots"
-        )
     return Scan(3 * interval, (0, interval, 2 * interval), window - packet, offsets, packet)
 
 
