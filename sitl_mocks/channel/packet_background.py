@@ -1,0 +1,95 @@
+"""Foreign transmissions at the receivers: an on/off process for each receiver and mode."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl_mocks.channel.parameters import MODES, ChannelParameters
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_BLOCK = 256
+
+
+class _Bursts:
+    """An alternating renewal process: exponential busy and idle periods, stationary from its start."""
+
+    def __init__(self, share: float, burst: float, start: float, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._burst = burst
+        self._idle = burst * (1.0 - share) / share
+        # Without memory, what is left of a period that runs at the start is exponential as a whole one is.
+        first = rng.exponential(burst) if rng.random() < share else 0.0
+        self._begin, self._end = np.array([start]), np.array([start + first])
+
+    def overlaps(self, begin: Floats, end: Floats) -> Bools:
+        """Whether each interval meets a burst. Begin must not lie before what was forgotten."""
+        self._extend(float(end.max()))
+        latest = np.searchsorted(self._begin, end, side="left") - 1
+        # Bursts end in the order in which they begin: the latest one that begins before `end` decides.
+        return np.asarray((latest >= 0) & (self._end[latest] > begin), bool)
+
+    def forget(self, before: float) -> None:
+        """Drop bursts that ended before a time; the latest stays, for the process goes on from it."""
+        keep = min(int(np.searchsorted(self._end, before)), len(self._end) - 1)
+        self._begin, self._end = self._begin[keep:], self._end[keep:]
+
+    def _extend(self, until: float) -> None:
+        # Blocks of one size: what is drawn does not depend on how the caller divides time.
+        begins, ends = [self._begin], [self._end]
+        while ends[-1][-1] < until:
+            idle = self._rng.exponential(self._idle, _BLOCK)
+            busy = self._rng.exponential(self._burst, _BLOCK)
+            end = ends[-1][-1] + np.cumsum(idle + busy)
+            begins.append(end - busy)
+            ends.append(end)
+        if len(ends) > 1:
+            self._begin, self._end = np.concatenate(begins), np.concatenate(ends)
+
+
+class Background:
+    """Foreign bursts at every receiver, drawn as far as they are asked for. Times in slots."""
+
+    def __init__(
+        self, parameters: ChannelParameters, nodes: int, start: float, rng: np.random.Generator
+    ) -> None:
+        """
+        Args:
+            parameters: their `background` gives the share of each mode and the mean burst.
+            nodes: number of receivers.
+            start: where the processes begin (slots).
+            rng: parent of one generator for each process, so that none disturbs another.
+        """
+        load = parameters.background
+        burst = load.burst_ms / parameters.slot_ms
+        generators = iter(rng.spawn(len(MODES) * nodes))
+        self._nodes = nodes
+        self._bursts: list[list[_Bursts] | None] = []
+        for mode in MODES:
+            share: float = getattr(load, mode)
+            own = [next(generators) for _ in range(nodes)]
+            self._bursts.append([_Bursts(share, burst, start, g) for g in own] if share > 0.0 else None)
+
+    def overlaps(self, mode: NDArray[np.intp], begin: Floats, end: Floats) -> Bools | None:
+        """Whether each packet meets a burst on its mode at each receiver, shape (packets, nodes).
+
+        None stands for a band without foreign transmissions. Packets that begin before the time of the last
+        `forget` get no valid answer.
+        """
+        if not any(self._bursts):
+            return None
+        met = np.zeros((len(begin), self._nodes), bool)
+        for index, bursts in enumerate(self._bursts):
+            rows = np.nonzero(mode == index)[0]
+            if bursts is None or not len(rows):
+                continue
+            met[rows] = np.stack([b.overlaps(begin[rows], end[rows]) for b in bursts], axis=1)
+        return met
+
+    def forget(self, before: float) -> None:
+        """Drop what no later question can be about: packets that begin at or after `before` still can."""
+        for bursts in self._bursts:
+            for process in bursts or ():
+                process.forget(before)
