@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from companion.errors import ConfigError
+from ground_tools.figure import drawn
 from ground_tools.inspect.flown import (
     Array,
     Flown,
@@ -35,17 +36,6 @@ _TOP_OF_REQUIRED = 6.0
 _WITHOUT = "#7a7a7a"
 _WITH = hexadecimal(colour(0))
 _LIMIT = hexadecimal(LIMIT)
-_STYLE = {
-    "font.size": 13.5,
-    "axes.titlesize": 14,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e4e4e4",
-    "axes.axisbelow": True,
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,25 +86,14 @@ def draw(avoided: Flown, unavoided: Flown | None, path: Path, words: str = "") -
     before = [] if unavoided is None else _known(unavoided)
     if not pairs:
         raise ConfigError("no two aircraft of this run were in the air at once: nothing to draw")
-    matplotlib = _matplotlib()
     centre = crossing(avoided, pairs) if unavoided is None or not before else crossing(unavoided, before)
     if unavoided is not None and before:
         centre = from_frame(centre[None, :], unavoided.origin, avoided.origin)[0]
-    with matplotlib.rc_context(_STYLE):
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-        figure = Figure(figsize=(13, 6.6), layout=ConstrainedLayoutEngine(h_pad=0.1))
-        FigureCanvasAgg(figure)
+    with drawn(path, (13, 6.6)) as figure:
         figure.suptitle(title(avoided, pairs, before, words), fontsize=16, fontweight="bold")
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
         _view_from_above(left, avoided, unavoided, centre)
         _over_time(right, pairs, before, _positions(avoided, unavoided))
-        try:
-            figure.savefig(path, dpi=130)
-        except (OSError, ValueError) as error:
-            raise ConfigError(f"{path}: cannot be written: {error}") from error
 
 
 def title(avoided: Flown, pairs: list[Separation], before: list[Separation], words: str) -> str:
@@ -129,16 +108,6 @@ def _positions(avoided: Flown, unavoided: Flown | None) -> str:
     """Whose positions both are by."""
     kinds = dict.fromkeys([avoided.positions, *([unavoided.positions] if unavoided else [])])
     return " and ".join(kinds)
-
-
-def _matplotlib() -> Any:
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise ConfigError(
-            "matplotlib is not installed; in the checkout: pip install -e '.[inspect]'"
-        ) from error
-    return matplotlib
 
 
 def _known(ways: Flown) -> list[Separation]:

@@ -1,0 +1,50 @@
+"""A matplotlib figure in the project's style, without a display. matplotlib is optional and imported on use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from companion.errors import ConfigError
+
+_STYLE = {
+    "font.size": 13.5,
+    "axes.titlesize": 14,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e4e4e4",
+    "axes.axisbelow": True,
+}
+
+
+@contextmanager
+def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[Any]:
+    """An empty figure (width, height in inches) to draw on; written to `path` at the end.
+
+    Raises:
+        ConfigError: matplotlib is not installed, or `path` cannot be written.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise ConfigError(
+            "matplotlib is not installed; in the checkout: pip install -e '.[inspect]'"
+        ) from error
+    with matplotlib.rc_context(_STYLE):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+        figure = Figure(figsize=size_in, layout=ConstrainedLayoutEngine(h_pad=0.1))
+        FigureCanvasAgg(figure)
+        yield figure
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            figure.savefig(path, dpi=dpi)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path}: cannot be written: {error}") from error
