@@ -1,4 +1,7 @@
-"""A matplotlib figure in the project's style, without a display. matplotlib is optional and imported on use."""
+"""A matplotlib figure in the project's style, without a display.
+
+matplotlib is an optional dependency and imported on use.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any
 
 from companion.errors import ConfigError
 
-_STYLE = {
+_STYLE: Any = {
     "font.size": 13.5,
     "axes.titlesize": 14,
     "axes.titleweight": "bold",
@@ -44,7 +47,6 @@ def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[
         FigureCanvasAgg(figure)
         yield figure
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             figure.savefig(path, dpi=dpi)
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path}: cannot be written: {error}") from error
