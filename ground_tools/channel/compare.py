@@ -214,7 +214,7 @@ def collision_row(
     places, rng = _rng(effort, "collision", uavs), _rng(effort, "collision", variant, mode, uavs)
     lost, expected, silent = [], [], []
     # Schedules that meet once may meet in every period: many short runs say more than a few long ones.
-    for _ in range(10 * effort.environments):
+    for _ in range(max(effort.environments, 100 * effort.environments // uavs)):
         links = all_links(draw_positions(1, uavs, DENSE_M, places), p.propagation, places)
         fleet = fixed_mode(uavs, mode, rate, p, rng)
         seconds = max(5.0, effort.seconds / uavs)
