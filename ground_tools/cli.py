@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from companion.command_line import parser_of, run_command
 from ground_tools import orca_check
+from ground_tools.channel import command as channel_command
 from ground_tools.inspect import command as inspect_command
 from ground_tools.inspect import picture
 
@@ -15,6 +16,7 @@ _EXAMPLES = """examples:
   ground-tools inspect runs/20260101T000000Z-demo
   ground-tools picture runs/20260101T000000Z-demo --out demo.png
   ground-tools orca check cases.json
+  ground-tools channel table --sides 500 --rates 9
 """
 
 
@@ -37,6 +39,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     orca_check.add_arguments(check)
     check.set_defaults(run=orca_check.run)
+    channel = commands.add_parser("channel", help="the radio channel model: tables and pictures")
+    channel_command.add_arguments(channel)
     return run_command(parser, argv)
 
 

@@ -1,0 +1,20 @@
+"""`ground-tools channel`: its subcommands."""
+
+from __future__ import annotations
+
+import argparse
+
+from ground_tools.channel import compare, plot, table
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Subcommands of `ground-tools channel`; each sets `run`."""
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, module, words in (
+        ("table", table, "delay and loss of fixed modes over sizes and rates"),
+        ("plot", plot, "the same delays as a picture"),
+        ("compare", compare, "the equations beside a packet-by-packet simulation"),
+    ):
+        command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)

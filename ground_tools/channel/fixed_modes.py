@@ -1,0 +1,200 @@
+"""Every aircraft on one mode at one rate: system delay and loss over sizes and rates, by Monte Carlo.
+
+Section "Performance of Remote ID Modes". Positions are drawn anew for every environment. The environments of
+a side are the same for all modes, rates and sigmas, so that these differ by what they do, not by the draw.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from sitl_mocks.channel.analytic import Analytic, Fleet, fixed_mode, system_delay_s
+from sitl_mocks.channel.link_budget import Links, all_links, draw_positions
+from sitl_mocks.channel.parameters import MODES, ChannelParameters
+
+Floats = NDArray[np.float64]
+Reading = Literal["shared", "random"]
+READINGS: Final[tuple[Reading, ...]] = ("shared", "random")
+
+_LINKS_AT_ONCE = 90_000
+"""Environments are evaluated in batches of about so many links, which bounds the memory."""
+_NAMES: Final = {BLE4: "BLE 4", BLE5: "BLE 5", WIFI_BEACON: "Wi-Fi"}
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What to evaluate."""
+
+    parameters: ChannelParameters
+    sides_m: tuple[float, ...]
+    rates: dict[str, tuple[int, ...]]
+    """Messages in a GNSS period, for each mode that is evaluated."""
+    sigmas_db: tuple[float, ...]
+    uavs: int
+    samples: int
+    """Environments of each side, at least 2."""
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One mode at one rate in squares of one side."""
+
+    mode: str
+    rate: int
+    side_m: float
+    sigma_db: float
+    wifi_channels: Reading
+    """How beacons spread over the Wi-Fi channels; "shared" for BLE, where it plays no part."""
+    system_delay_ms: float | None
+    """Mean over the environments of the sum over the aircraft of each one's mean delay to those it reaches, 0
+    where it reaches nobody (P0). None where some message never arrives."""
+    system_delay_se_ms: float | None
+    """Monte Carlo standard error."""
+    loss: float | None
+    """Mean over all links that carry the mode; None where there is none in any environment."""
+    loss_se: float | None
+    uavs: int
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What one row is about, within one side and sigma."""
+
+    mode: str
+    reading: Reading
+    rate: int
+
+
+def name_of(mode: str, reading: Reading) -> str:
+    """A mode's name for people, with the reading of its channels where there are two."""
+    return f"{_NAMES[mode]} {reading}" if mode == WIFI_BEACON else _NAMES[mode]
+
+
+def cases_of(settings: Settings) -> tuple[Case, ...]:
+    """All rows of one side and sigma."""
+    return tuple(
+        Case(mode, reading, rate)
+        for mode in MODES
+        for reading in (READINGS if mode == WIFI_BEACON else READINGS[:1])
+        for rate in settings.rates.get(mode, ())
+    )
+
+
+def batches_of(settings: Settings) -> tuple[int, ...]:
+    """Number of environments of each batch."""
+    largest = max(1, _LINKS_AT_ONCE // (settings.uavs * (settings.uavs - 1)))
+    whole, rest = divmod(settings.samples, largest)
+    return (largest,) * whole + ((rest,) if rest else ())
+
+
+def evaluate(settings: Settings, advance: Callable[[], None] = lambda: None) -> Iterator[list[Row]]:
+    """Rows by sigma, then by side; `advance` is called after each batch."""
+    for sigma_db in settings.sigmas_db:
+        for side_m in settings.sides_m:
+            yield evaluate_side(settings, side_m, sigma_db, advance)
+
+
+def evaluate_side(
+    settings: Settings, side_m: float, sigma_db: float, advance: Callable[[], None] = lambda: None
+) -> list[Row]:
+    """The rows of one side and sigma."""
+    propagation = msgspec.structs.replace(settings.parameters.propagation, shadowing_sigma_db=sigma_db)
+    parameters = msgspec.structs.replace(settings.parameters, propagation=propagation)
+    model, uavs = Analytic(parameters), settings.uavs
+    # The side is part of the seed: what a row says does not depend on which others were asked for.
+    bits = int.from_bytes(struct.pack("<d", side_m), "little")
+    place, shadow, channel = map(
+        np.random.default_rng, np.random.SeedSequence([settings.seed, bits]).spawn(3)
+    )
+    found: dict[Case, list[_Batch]] = {case: [] for case in cases_of(settings)}
+    for environments in batches_of(settings):
+        positions = draw_positions(environments, uavs, side_m, place)
+        links = all_links(positions, parameters.propagation, shadow)
+        channels = {
+            reading: fixed_mode(
+                links.nodes,
+                WIFI_BEACON,
+                1,
+                msgspec.structs.replace(parameters, wifi_channels=reading),
+                channel,
+            ).wifi_channel
+            for reading in READINGS
+        }
+        for case, batches in found.items():
+            fleet = fixed_mode(links.nodes, case.mode, case.rate, parameters, channel)
+            fleet = Fleet(fleet.rates, channels[case.reading])
+            batches.append(_batch(model, links, fleet, MODES.index(case.mode), environments))
+        advance()
+    return [_row(case, side_m, sigma_db, batches, settings) for case, batches in found.items()]
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """Per environment, shape (environments,) each."""
+
+    system_delay_s: Floats
+    lost: Floats
+    """Sum of the losses of the links that carry."""
+    carrying: Floats
+    """Number of such links."""
+
+
+def _batch(model: Analytic, links: Links, fleet: Fleet, mode: int, environments: int) -> _Batch:
+    evaluation = model.evaluate(links, fleet)
+    carrying = np.flatnonzero(evaluation.carried[:, mode])
+    environment = links.transmitter[carrying] // (links.nodes // environments)
+    return _Batch(
+        system_delay_s(evaluation, environments),
+        np.bincount(environment, evaluation.loss[carrying, mode], environments).astype(float),
+        np.bincount(environment, minlength=environments).astype(float),
+    )
+
+
+def _row(case: Case, side_m: float, sigma_db: float, batches: list[_Batch], settings: Settings) -> Row:
+    delay_ms, delay_se_ms = mean_and_error(1000.0 * np.concatenate([b.system_delay_s for b in batches]))
+    loss, loss_se = ratio_and_error(
+        np.concatenate([b.lost for b in batches]), np.concatenate([b.carrying for b in batches])
+    )
+    return Row(
+        mode=case.mode,
+        rate=case.rate,
+        side_m=side_m,
+        sigma_db=sigma_db,
+        wifi_channels=case.reading,
+        system_delay_ms=delay_ms,
+        system_delay_se_ms=delay_se_ms,
+        loss=loss,
+        loss_se=loss_se,
+        uavs=settings.uavs,
+        samples=settings.samples,
+    )
+
+
+def mean_and_error(values: Floats) -> tuple[float, float] | tuple[None, None]:
+    """Mean and its standard error; None for both where a value is infinite."""
+    if not np.isfinite(values).all():
+        return None, None
+    return float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
+
+
+def ratio_and_error(parts: Floats, counts: Floats) -> tuple[float, float] | tuple[None, None]:
+    """Sum of the parts by sum of the counts, and its standard error by the delta method: environments are
+    independent, the links of one are not. None for both where there is nothing to count."""
+    total = float(counts.sum())
+    if total == 0.0:
+        return None, None
+    ratio = float(parts.sum()) / total
+    samples = len(counts)
+    spread = float(((parts - ratio * counts) ** 2).sum()) / (samples - 1)
+    return ratio, math.sqrt(spread * samples) / total

@@ -1,0 +1,161 @@
+"""The options that `ground-tools channel table` and `plot` share."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+from companion.errors import ConfigError
+from ground_tools.channel.fixed_modes import Settings
+from sitl_mocks.channel.parameters import MODES, ChannelParameters, check_rate, load, max_rates
+
+SIDES_M: Final = (100.0, 500.0, 1000.0, 3000.0, 5000.0, 10000.0)
+"""The paper's sizes; its "100 m^2" is a square of side 100 m."""
+UAVS: Final = 10
+SAMPLES: Final = 1000
+SEED: Final = 1
+_USUAL_RATES: Final = 10
+_MAX_SIDE_M: Final = 1e6
+_MAX_SIGMA_DB: Final = 30.0
+_MAX_SAMPLES: Final = 100_000
+_MAX_UAVS: Final = 1000
+
+LISTS = "Lists are separated by spaces or commas: --sides 100 500, --rates 1,5,9, --rates 1-10."
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that say what is evaluated."""
+    parser.add_argument(
+        "--sides", nargs="+", metavar="M", help="sides of the squares (default: 100 500 1000 3000 5000 10000)"
+    )
+    parser.add_argument(
+        "--rates",
+        nargs="+",
+        metavar="N",
+        help="messages in a GNSS period (default: 1-10, or up to a mode's max_rate where that is less)",
+    )
+    parser.add_argument("--modes", nargs="+", metavar="MODE", help=f"of {', '.join(MODES)} (default: all)")
+    parser.add_argument(
+        "--sigma",
+        nargs="+",
+        metavar="DB",
+        help="shadowing, standard deviation; the paper's variance of 6 dB is 2.449 "
+        "(default: that of the parameters, 0 in the paper's)",
+    )
+    parser.add_argument("--uavs", type=int, default=UAVS, metavar="N", help="aircraft (default: 10)")
+    parser.add_argument(
+        "--parameters", type=Path, metavar="FILE", help="channel parameters, TOML (default: the paper's)"
+    )
+    add_sampling(parser)
+
+
+def add_sampling(parser: argparse.ArgumentParser) -> None:
+    """Options of the Monte Carlo average."""
+    parser.add_argument(
+        "--samples",
+        type=int,
+        default=SAMPLES,
+        metavar="N",
+        help="environments with positions drawn anew, of each side (default: 1000)",
+    )
+    parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of the draw (default: 1)")
+
+
+def settings_of(args: argparse.Namespace) -> Settings:
+    """What the options ask for.
+
+    Raises:
+        ConfigError: names the option, what it holds and what is allowed.
+    """
+    parameters = ChannelParameters() if args.parameters is None else load(args.parameters)
+    check_sampling(args.samples, args.seed)
+    if not 2 <= args.uavs <= _MAX_UAVS:
+        raise ConfigError(f"--uavs: {args.uavs}: allowed 2 to {_MAX_UAVS}")
+    modes = _modes(args.modes)
+    sides = _numbers("--sides", args.sides, _MAX_SIDE_M, above=True) if args.sides else SIDES_M
+    sigmas: tuple[float, ...] = (parameters.propagation.shadowing_sigma_db,)
+    if args.sigma:
+        sigmas = _numbers("--sigma", args.sigma, _MAX_SIGMA_DB)
+    return Settings(
+        parameters=parameters,
+        sides_m=sides,
+        rates=_rates(args.rates, modes, parameters),
+        sigmas_db=sigmas,
+        uavs=args.uavs,
+        samples=args.samples,
+        seed=args.seed,
+    )
+
+
+def check_sampling(samples: int, seed: int) -> None:
+    """Refuse what cannot be averaged or seeded.
+
+    Raises:
+        ConfigError: names the option, what it holds and what is allowed.
+    """
+    if not 2 <= samples <= _MAX_SAMPLES:
+        raise ConfigError(f"--samples: {samples}: allowed 2 to {_MAX_SAMPLES}")
+    if seed < 0:
+        raise ConfigError(f"--seed: {seed}: allowed 0 and above")
+
+
+def _words(option: str, given: Iterable[str]) -> list[str]:
+    """The items of a list."""
+    words = [word.strip() for part in given for word in part.strip().strip(",").split(",")]
+    if "" in words:
+        raise ConfigError(f"{option}: {' '.join(given)!r}: an item is empty; {LISTS}")
+    return words
+
+
+def _numbers(option: str, given: list[str], largest: float, *, above: bool = False) -> tuple[float, ...]:
+    """Numbers from 0 (`above`: more than 0) to `largest`, each once."""
+    allowed = f"{'more than 0 and up' if above else '0'} to {largest:,.0f}"
+    found = []
+    for word in _words(option, given):
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not (0.0 < value <= largest if above else 0.0 <= value <= largest):
+            raise ConfigError(f"{option}: {word}: allowed: numbers {allowed}")
+        found.append(abs(value))  # -0 is 0
+    return tuple(dict.fromkeys(found))
+
+
+def _modes(given: list[str] | None) -> tuple[str, ...]:
+    if given is None:
+        return MODES
+    words = _words("--modes", given)
+    for word in words:
+        if word not in MODES:
+            raise ConfigError(f"--modes: {word}: allowed: {', '.join(MODES)}")
+    return tuple(mode for mode in MODES if mode in words)
+
+
+def _rates(
+    given: list[str] | None, modes: tuple[str, ...], parameters: ChannelParameters
+) -> dict[str, tuple[int, ...]]:
+    """The rates of each mode, ascending."""
+    if given is None:
+        largest = dict(zip(MODES, max_rates(parameters), strict=True))
+        return {mode: tuple(range(1, min(_USUAL_RATES, largest[mode]) + 1)) for mode in modes}
+    rates: set[int] = set()
+    for word in _words("--rates", given):
+        span = re.fullmatch(r"([0-9]{1,9})(?:-([0-9]{1,9}))?", word)
+        if span is None:
+            raise ConfigError(f"--rates: {word}: expected whole numbers or ranges such as 1-10")
+        low, high = int(span[1]), int(span[2] or span[1])
+        if low > high:
+            raise ConfigError(f"--rates: {word}: the range ends before it begins")
+        for mode in modes:
+            for rate in (low, high):
+                try:
+                    check_rate(mode, rate, parameters)
+                except ConfigError as error:
+                    raise ConfigError(f"--rates: {word}: {error}") from error
+        rates.update(range(low, high + 1))
+    return dict.fromkeys(modes, tuple(sorted(rates)))

@@ -1,0 +1,112 @@
+"""`ground-tools channel table`: delay and loss of the fixed modes, as tables or as JSON lines."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Sequence
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from ground_tools.channel import options
+from ground_tools.channel.fixed_modes import Row, batches_of, evaluate, name_of
+from ground_tools.channel.progress import progress
+
+_LEGEND = (
+    "System delay (ms): the sum over the aircraft of each one's mean delay to those\n"
+    "it reaches, 0 where it reaches nobody; ±: Monte Carlo standard error.\n"
+    "Loss (%): mean over the links in range; - where nobody is in range."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `ground-tools channel table`."""
+    parser.description = (
+        "System delay and loss where every aircraft is on one mode at one rate, by the channel model's "
+        "equations.\n"
+        'Wi-Fi comes in two readings: beacons of all on one channel ("shared"), or each aircraft\'s on one\n'
+        'drawn from 1, 6 and 11 ("random"). For BLE the reading plays no part: one row, "shared".\n'
+        + options.LISTS
+    )
+    parser.epilog = (
+        "example: ground-tools channel table --sides 500,1000 --rates 9-10 --modes ble4,wifi --json"
+    )
+    options.add_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object a line instead of tables")
+
+
+def run(args: argparse.Namespace) -> int:
+    """`ground-tools channel table`. Returns 0.
+
+    Raises:
+        ConfigError: an option or the parameter file is wrong.
+    """
+    settings = options.settings_of(args)
+    console = Console()
+    steps = len(settings.sigmas_db) * len(settings.sides_m) * len(batches_of(settings))
+    with progress("fixed modes", steps) as advance:
+        for rows in evaluate(settings, advance):
+            if args.json:
+                for row in rows:
+                    print(json_line(row), flush=True)
+            else:
+                console.print(table_of(rows))
+    if not args.json:
+        print(_LEGEND)
+    return 0
+
+
+def json_line(row: Row) -> str:
+    """One row as one JSON object."""
+    return json.dumps(dataclasses.asdict(row), allow_nan=False)
+
+
+def table_of(rows: Sequence[Row]) -> Table:
+    """The rows of one side and sigma: rates downwards, modes to the right."""
+    first = rows[0]
+    title = (
+        f"Side {first.side_m:,g} m, sigma {first.sigma_db:g} dB, {first.uavs} aircraft, "
+        f"{first.samples:,} environments; ms and %"
+    )
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    table.add_column("rate", justify="right")
+    modes = list(dict.fromkeys((row.mode, row.wifi_channels) for row in rows))
+    for mode in modes:
+        table.add_column(name_of(*mode).replace("Wi-Fi ", "Wi-Fi\n"), justify="right", no_wrap=True)
+        table.add_column("loss", justify="right", no_wrap=True)
+    cells = {(row.rate, row.mode, row.wifi_channels): row for row in rows}
+    for rate in sorted({row.rate for row in rows}):
+        line = [str(rate)]
+        for mode in modes:
+            row = cells.get((rate, *mode))
+            line += ["", ""] if row is None else [delay_cell(row), loss_cell(row)]
+        table.add_row(*line)
+    return table
+
+
+def delay_cell(row: Row) -> str:
+    """System delay with its error."""
+    if row.system_delay_ms is None or row.system_delay_se_ms is None:
+        return "never"
+    return with_error(row.system_delay_ms, row.system_delay_se_ms)
+
+
+def with_error(value: float, error: float) -> str:
+    """A value and its error to about the digits that the error leaves, at most one decimal."""
+    whole = error >= 10.0
+    return f"{value:.{0 if whole or value >= 1000.0 else 1}f} ±{error:.{0 if whole else 1}f}"
+
+
+def loss_cell(row: Row) -> str:
+    """Loss in percent; "-" where nobody is in range."""
+    return "-" if row.loss is None else f"{100.0 * row.loss:.2f}"
