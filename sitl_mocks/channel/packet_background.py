@@ -27,16 +27,19 @@ class _Bursts:
     def overlaps(self, begin: Floats, end: Floats) -> Bools:
         """Whether each interval meets a burst. Begin must not lie before what was forgotten."""
         self._extend(float(end.max()))
-        latest = np.searchsorted(self._begin, end, side="left") - 1
+        latest = self._begin.searchsorted(end) - 1
         # Bursts end in the order in which they begin: the latest one that begins before `end` decides.
         return np.asarray((latest >= 0) & (self._end[latest] > begin), bool)
 
     def forget(self, before: float) -> None:
         """Drop bursts that ended before a time; the latest stays, for the process goes on from it."""
-        keep = min(int(np.searchsorted(self._end, before)), len(self._end) - 1)
-        self._begin, self._end = self._begin[keep:], self._end[keep:]
+        over = min(int(self._end.searchsorted(before)), len(self._end) - 1)
+        if over >= _BLOCK:
+            self._begin, self._end = self._begin[over:], self._end[over:]
 
     def _extend(self, until: float) -> None:
+        if self._end[-1] >= until:
+            return
         # Blocks of one size: what is drawn does not depend on how the caller divides time.
         begins, ends = [self._begin], [self._end]
         while ends[-1][-1] < until:
@@ -45,8 +48,7 @@ class _Bursts:
             end = ends[-1][-1] + np.cumsum(idle + busy)
             begins.append(end - busy)
             ends.append(end)
-        if len(ends) > 1:
-            self._begin, self._end = np.concatenate(begins), np.concatenate(ends)
+        self._begin, self._end = np.concatenate(begins), np.concatenate(ends)
 
 
 class Background:
@@ -85,7 +87,9 @@ class Background:
             rows = np.nonzero(mode == index)[0]
             if bursts is None or not len(rows):
                 continue
-            met[rows] = np.stack([b.overlaps(begin[rows], end[rows]) for b in bursts], axis=1)
+            since, until = begin[rows], end[rows]
+            for node, process in enumerate(bursts):
+                met[rows, node] = process.overlaps(since, until)
         return met
 
     def forget(self, before: float) -> None:

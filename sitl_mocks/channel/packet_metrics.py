@@ -48,9 +48,10 @@ def sample_delay_s(result: Result, tail_s: float | None = None) -> SampleDelay:
     Counted are the samples taken from 0 s until `tail_s` before the end of the run. Which ones these are
     depends on nothing that happened, so that leaving out the last ones favours neither long nor short delays;
     the tail has to be long enough for `open_samples` to be 0. Standard errors come from the means of 20
-    successive pieces of the run, because one arrival may serve many samples. They hold for the phases and clocks
-    of this run: what differs from one drawing of these to the next shows only in runs with other seeds, and is
-    the larger part where schedules keep step ("paper", or Wi-Fi without a random delay).
+    successive pieces of the run, because one arrival may serve many samples. They hold for the phases and
+    clocks of this run. What differs from one drawing of these to the next shows only in runs with other seeds
+    and is the larger part where schedules keep step: with the "paper" advertiser, for Wi-Fi, which has no
+    random delay, and for some minutes even for Bluetooth, whose random delay is short beside its interval.
 
     Args:
         result: of `simulate`.

@@ -168,7 +168,7 @@ def _standard_schedule(
     mean = durations.gnss_period / rate
     half_delay = durations.random_delay[mode] / 2.0
     if durations.slotted:
-        mean, half_delay = math.floor(mean), math.floor(half_delay)
+        mean, half_delay = float(math.floor(mean)), float(math.floor(half_delay))
     if not assumptions.random_delay:
         half_delay = 0.0
     # One radio ends an event before it begins the next.
