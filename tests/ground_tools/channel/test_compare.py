@@ -1,0 +1,92 @@
+"""The comparison of both channel models: its rows say what they claim, and the commands print them."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from ground_tools.channel import compare
+from ground_tools.channel.compare import COLLISION_VARIANTS, FLEET_VARIANTS, LINK_VARIANTS, Effort
+from ground_tools.cli import main
+from sitl_mocks.channel.parameters import ChannelParameters
+
+PAPER = ChannelParameters()
+EFFORT = Effort(seconds=60.0, environments=4, seed=3)
+
+
+def link(variant, mode, rate):
+    return compare.link_row(PAPER, EFFORT, variant, LINK_VARIANTS[variant], mode, rate)
+
+
+@pytest.mark.parametrize(("mode", "rate"), [("ble4", 9), ("ble5", 10), ("wifi", 10), ("wifi", 8)])
+def test_under_the_same_assumptions_both_models_agree(mode, rate):
+    row = link("as the equations", mode, rate)
+    # The wider of 2 % and the simulation's own error (1.5 times its interval of 95 %).
+    assert row.ratio == pytest.approx(1.0, abs=max(0.02, 1.5 * (row.events_high / row.events - 1.0)))
+    assert row.events_high / row.events - 1.0 < 0.02
+    assert row.never_heard == 0.0
+    assert row.waiting == 0.0
+
+
+def test_locked_phases_leave_pairs_that_never_hear():
+    row = link("phases run on", "ble4", 5)
+    assert row.never_heard > 0.5
+    assert link("phases run on, clocks drift", "ble4", 5).never_heard < row.never_heard
+    assert link("real radios", "ble4", 5).never_heard == 0.0
+
+
+def test_losses_of_independent_senders_come_out():
+    """With random delays collisions are as good as independent, as the products say."""
+    row = compare.collision_row(
+        PAPER, EFFORT, "real radios", COLLISION_VARIANTS["real radios"], "ble4", 9, 30
+    )
+    assert row.analytic == pytest.approx(1.0 - (1.0 - 2 * 0.376 * 9 / 1000) ** 28)
+    assert row.ratio == pytest.approx(1.0, abs=0.15)
+    stronger = compare.collision_row(
+        PAPER, EFFORT, "x", COLLISION_VARIANTS["real radios, capture 6 dB"], "ble4", 9, 30
+    )
+    assert stronger.events < row.events
+
+
+def test_both_models_see_the_same_positions():
+    rows = [
+        compare.fleet_row(PAPER, EFFORT, name, assumptions, "ble4", 9, 3000.0)
+        for name, assumptions in FLEET_VARIANTS.items()
+    ]
+    assert rows[0].analytic == rows[1].analytic
+    assert rows[0].events != rows[1].events
+
+
+def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(compare, "SIDES_M", (3000.0,))
+    monkeypatch.setattr(compare, "FLEETS", (5,))
+    monkeypatch.setattr(compare, "_RECEIVERS", 3)
+    options = ["channel", "compare", "--seconds", "10", "--environments", "2", "--out", str(tmp_path / "new")]
+    assert main([*options, "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {row["study"] for row in rows} == {"link", "collision", "fleet"}
+    assert len(rows) == 30 * len(LINK_VARIANTS) + 3 * len(COLLISION_VARIANTS) + 3 * len(FLEET_VARIANTS)
+    assert (tmp_path / "new" / "compare.png").stat().st_size > 10_000
+    kept = [json.loads(line) for line in (tmp_path / "new" / "compare.json").read_text().splitlines()]
+    assert kept == rows
+    assert all(
+        v is None or not isinstance(v, float) or math.isfinite(v) for row in rows for v in row.values()
+    )
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "allowed"),
+    [
+        ("--seconds", "5", "10 to 86400"),
+        ("--environments", "1", "2 to 10000"),
+        ("--seed", "-1", "0 and above"),
+    ],
+)
+def test_wrong_options_are_named(capsys, option, value, allowed):
+    assert main(["channel", "compare", option, value]) == 2
+    error = capsys.readouterr().err
+    assert option in error
+    assert allowed in error
