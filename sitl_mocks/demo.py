@@ -31,7 +31,7 @@ from companion.errors import ConfigError
 from companion.runtime.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.runtime.warm import warm_up
 from companion.toml_input import without_none
-from sitl_mocks import settings
+from sitl_mocks import air_settings, settings
 from sitl_mocks.lockstep import TICK_S, UTC_AT_START_S, Run, fly, paths_of
 from sitl_mocks.settings import Scenario
 from sitl_mocks.verdict import Deviation, Pair, deviations_of, on_path_limit_m, pairs_of
@@ -50,6 +50,8 @@ class Outcome:
     deviations: list[Deviation]
     wall_s: float
     simulated_s: float
+    air: list[dict[str, object]]
+    """By ordered pair: sender, receiver, and what became of the frames (`PairStats.to_dict`)."""
     messages: dict[str, int]
 
     @property
@@ -95,9 +97,11 @@ class Verdict:
     def as_dict(self) -> dict[str, object]:
         """One JSON object."""
         deviations = self.avoided.deviations
+        air = self.scenario.air
+        radio = {"delay_s": list(air.interval_s)} if air.model == "interval" else {"channel": air.model}
         return {
             "seed": self.seed,
-            "delay_s": list(self.scenario.air.delay_s),
+            **radio,
             "aircraft": len(deviations),
             "min_separation_m": round(self.avoided.min_separation_m, 3),
             "unavoided_min_separation_m": round(self.unavoided.min_separation_m, 3),
@@ -122,7 +126,14 @@ def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
     """Options that choose and change a scenario."""
     parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: five aircraft, S2")
     parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
-    parser.add_argument("--delay", type=float, nargs=2, metavar=("LOW", "HIGH"), help="message delay (s)")
+    air_settings.add_arguments(parser)
+    parser.add_argument(
+        "--delay",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="message delay, channel interval (s)",
+    )
     parser.add_argument("--law", choices=("dmuca", "paper", "none"), help="avoidance law")
 
 
@@ -149,7 +160,10 @@ def run(arguments: argparse.Namespace) -> int:
         aircraft=[d.name for d in verdict.avoided.deviations],
         conflict_limit_m=verdict.limit_m,
     )
-    write_json(folder / "summary.json", {**verdict.as_dict(), "pairs": _pair_rows(verdict)})
+    write_json(
+        folder / "summary.json",
+        {**verdict.as_dict(), "pairs": _pair_rows(verdict), "air": verdict.avoided.air},
+    )
     if arguments.json:
         print(json.dumps(verdict.as_dict()))
     else:
@@ -172,12 +186,8 @@ def scenario_of(arguments: argparse.Namespace) -> Scenario:
         if not 2 <= arguments.aircraft <= 100:
             raise ConfigError(f"--aircraft: {arguments.aircraft}: allowed 2 to 100")
         scenario = msgspec.structs.replace(scenario, aircraft=arguments.aircraft)
-    if arguments.delay is not None:
-        low, high = arguments.delay
-        if not 0.0 <= low <= high <= 60.0:
-            raise ConfigError(f"--delay: {low:g} {high:g}: allowed 0 <= LOW <= HIGH <= 60")
-        air = msgspec.structs.replace(scenario.air, delay_s=(low, high))
-        scenario = msgspec.structs.replace(scenario, air=air)
+    air, channel = air_settings.with_options(scenario.air, scenario.channel, arguments)
+    scenario = msgspec.structs.replace(scenario, air=air, channel=channel)
     if arguments.law is not None:
         avoidance = msgspec.structs.replace(scenario.avoidance, law=arguments.law)
         scenario = msgspec.structs.replace(scenario, avoidance=avoidance)
@@ -261,6 +271,7 @@ def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder:
         deviations=deviations_of(result, paths, on_path_limit_m(scenario)),
         wall_s=time.monotonic() - started,
         simulated_s=len(result.time_s) * TICK_S,
+        air=[{"sender": a, "receiver": b, **stats.to_dict()} for (a, b), stats in result.air.items()],
         messages={"sent": sent, "delivered": sum(p.delivered for p in result.air.values())},
     )
 

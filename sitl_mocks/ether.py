@@ -2,6 +2,7 @@
 
 Pure: no clock and no socket; time and the random generator are passed in, and one generator with one order of
 calls gives one air. It carries (address, transport, frame), which is what a radio reports about a reception.
+The channel decides about each frame at each receiver, at once or later; until then the frame waits here.
 Distances come from the positions a simulator tells (`place`); for a pair of which nobody told both, from the
 Location messages that the two last put on the air.
 """
@@ -18,7 +19,8 @@ import pymap3d
 from companion.events import Vec3
 from companion.radio.frames_io import FrameReceiver
 from companion.remote_id.messages import Location
-from sitl_mocks.channel.simple import Channel
+from sitl_mocks.channel.air import Channel, Outcome, Transmission
+from sitl_mocks.pair_stats import PairStats
 
 MAX_PENDING = 100_000
 """Messages under way at once; more are dropped and counted."""
@@ -44,45 +46,24 @@ class Delivery:
 
 
 @dataclass(slots=True)
-class PairStats:
-    """What became of the frames of one sender on their way to one receiver."""
+class _OnAir:
+    """A frame whose fate the channel has not told for every receiver."""
 
-    sent: int = 0
-    delivered: int = 0
-    lost: int = 0
-    """By the channel, or because the receiver left while they were under way."""
-    overflowed: int = 0
-    """Dropped because too many messages were under way."""
-    unknown_distance: int = 0
-    """Sent while the distance was not known."""
-    age_sum_s: float = 0.0
-    age_min_s: float = math.inf
-    age_max_s: float = 0.0
+    sender: str
+    transport: str
+    frame: bytes
+    address: str
+    sent_s: float
+    brings_position: bool
+    undecided: set[str]
 
-    @property
-    def age_mean_s(self) -> float | None:
-        """Mean age at delivery (s); None before the first."""
-        return self.age_sum_s / self.delivered if self.delivered else None
 
-    def _count_delivery(self, age_s: float) -> None:
-        self.delivered += 1
-        self.age_sum_s += age_s
-        self.age_min_s = min(self.age_min_s, age_s)
-        self.age_max_s = max(self.age_max_s, age_s)
+@dataclass(frozen=True, slots=True)
+class _UnderWay:
+    """A delivery, and whether it brings a position."""
 
-    def to_dict(self) -> dict[str, int | float | None]:
-        """For a JSON line; ages are None before the first delivery."""
-        heard = self.delivered > 0
-        return {
-            "sent": self.sent,
-            "delivered": self.delivered,
-            "lost": self.lost,
-            "overflowed": self.overflowed,
-            "unknown_distance": self.unknown_distance,
-            "age_min_s": self.age_min_s if heard else None,
-            "age_mean_s": self.age_mean_s,
-            "age_max_s": self.age_max_s if heard else None,
-        }
+    delivery: Delivery
+    brings_position: bool
 
 
 class Ether:
@@ -99,8 +80,12 @@ class Ether:
         self._rng = rng
         self._max_pending = max_pending
         self._receivers: dict[str, None] = {}  # a set that keeps the order of joining
-        self._queue: list[tuple[float, int, Delivery]] = []
+        self._on_air: dict[int, _OnAir] = {}
+        self._undecided = 0
+        self._transmissions = 0
+        self._queue: list[tuple[float, int, _UnderWay]] = []
         self._number = 0
+        self._now_s = 0.0
         self._told: dict[str, Vec3] = {}
         # On the ellipsoid and Earth-centred, so that two positions need no common origin; and the altitude.
         self._carried: dict[str, tuple[Vec3, float | None]] = {}
@@ -112,18 +97,29 @@ class Ether:
         self._receivers.setdefault(receiver)
 
     def leave(self, receiver: str) -> None:
-        """`receiver` hears nothing more; what is under way to it is lost and its positions are forgotten."""
+        """`receiver` hears nothing more; what is under way to it is lost and its positions are forgotten.
+
+        What it knew of others, and others of it, ages no further.
+        """
         self._receivers.pop(receiver, None)
         self._told.pop(receiver, None)
         self._carried.pop(receiver, None)
+        for number, on_air in list(self._on_air.items()):
+            if receiver in on_air.undecided:
+                self._pair(on_air.sender, receiver).lost += 1
+                self._close(number, receiver)
         kept = []
         for entry in self._queue:
-            if entry[2].receiver == receiver:
-                self._pair(entry[2].sender, receiver).lost += 1
+            delivery = entry[2].delivery
+            if delivery.receiver == receiver:
+                self._pair(delivery.sender, receiver).lost += 1
             else:
                 kept.append(entry)
         heapq.heapify(kept)
         self._queue = kept
+        for pair, stats in self._stats.items():
+            if receiver in pair:
+                stats.end(self._now_s)
 
     def place(self, name: str, position_ned_m: Vec3) -> None:
         """The simulator tells where `name` is (one common local NED frame for all, m).
@@ -156,31 +152,69 @@ class Ether:
             address: the transmitter's radio address; the sender's name where there is none.
 
         Raises:
-            ValueError: `now_s` or the position is not finite, or the channel gave a delay that is none.
+            ValueError: `now_s` or the position is not finite, the transport is none, or the channel let a
+                frame arrive before it was sent.
         """
         if not math.isfinite(now_s):
             raise ValueError(f"time of sending: {now_s}")
+        self._now_s = now_s
         if position_ned_m is not None:
             self.place(sender, position_ned_m)
         address = sender if address is None else address
-        if sender not in self._told:
-            self._note_carried(sender, transport, address, frame)
+        brings_position = self._read_position(sender, transport, address, frame)
+        distance_m: dict[str, float | None] = {}
         for receiver in self._receivers:
-            if receiver != sender:
-                self._send(now_s, Delivery(receiver, sender, transport, frame, now_s, address))
+            if receiver == sender:
+                continue
+            pair = self._pair(sender, receiver)
+            pair.count_sent(transport)
+            if self._undecided + len(distance_m) >= self._max_pending:
+                pair.overflowed += 1
+                continue
+            distance_m[receiver] = away = self.distance_m(sender, receiver)
+            if away is None:
+                pair.unknown_distance += 1
+        number = self._transmissions
+        self._transmissions += 1
+        if distance_m:
+            self._on_air[number] = _OnAir(
+                sender, transport, frame, address, now_s, brings_position, set(distance_m)
+            )
+            self._undecided += len(distance_m)
+        # Also when nobody is there to hear it: it may collide with what others send.
+        self._channel.transmit(Transmission(number, now_s, sender, transport, distance_m), self._rng)
+        self._settle(now_s)
 
     def due(self, now_s: float) -> list[Delivery]:
-        """What has arrived by `now_s`, in order of arrival; what arrives together, in order of sending."""
+        """What has arrived by `now_s`, in order of arrival; what arrives together, in order of sending.
+
+        A frame that the channel decided late stands behind what an earlier call gave.
+        """
+        self._now_s = now_s
+        self._settle(now_s)
         arrived = []
         while self._queue and self._queue[0][0] <= now_s:
-            delivery = heapq.heappop(self._queue)[2]
-            self._pair(delivery.sender, delivery.receiver)._count_delivery(now_s - delivery.sent_s)
+            under_way = heapq.heappop(self._queue)[2]
+            delivery = under_way.delivery
+            pair = self._pair(delivery.sender, delivery.receiver)
+            pair.count_delivery(delivery.transport, now_s - delivery.sent_s)
+            # The pair of the rest is many pairs: what one heard is not what another knows.
+            if under_way.brings_position and pair is not self._stats.get(REST):
+                pair.refresh(now_s, delivery.sent_s)
             arrived.append(delivery)
         return arrived
 
     def next_due_s(self) -> float | None:
-        """When the next message arrives; None when nothing is under way."""
-        return self._queue[0][0] if self._queue else None
+        """When `due` may have something to give; None when nothing is under way."""
+        times = [self._queue[0][0]] if self._queue else []
+        decision_s = self._channel.next_s()
+        return min(times if decision_s is None else [*times, decision_s], default=None)
+
+    def finish(self, now_s: float) -> None:
+        """The run is over: the ages of information in `stats` are counted up to now."""
+        self._now_s = now_s
+        for stats in self._stats.values():
+            stats.end(now_s)
 
     def distance_m(self, first: str, second: str) -> float | None:
         """Slant distance of two aircraft (m); None when not known."""
@@ -197,29 +231,43 @@ class Ether:
 
     @property
     def stats(self) -> dict[tuple[str, str], PairStats]:
-        """Statistics by (sender, receiver). Ages are those at the moment `due` handed the frame over."""
+        """Statistics by (sender, receiver). Frames count as delivered at the moment `due` hands them over."""
         return self._stats
 
-    def _send(self, now_s: float, delivery: Delivery) -> None:
-        pair = self._pair(delivery.sender, delivery.receiver)
-        pair.sent += 1
-        distance = self.distance_m(delivery.sender, delivery.receiver)
-        if distance is None:
-            pair.unknown_distance += 1
-        delay = self._channel.deliver(
-            delivery.sender, delivery.receiver, delivery.transport, distance, self._rng
-        )
-        if delay is None:
+    def _settle(self, now_s: float) -> None:
+        for outcome in self._channel.settle(now_s, self._rng):
+            on_air = self._on_air.get(outcome.number)
+            # Not there any more when the receiver left, which counted it.
+            if on_air is not None and outcome.receiver in on_air.undecided:
+                self._take(outcome, on_air)
+                self._close(outcome.number, outcome.receiver)
+
+    def _take(self, outcome: Outcome, on_air: _OnAir) -> None:
+        """One frame's fate at one receiver is known."""
+        pair = self._pair(on_air.sender, outcome.receiver)
+        if outcome.arrival_s is None:
             pair.lost += 1
             return
-        if not 0.0 <= delay < math.inf:
-            raise ValueError(f"the channel gave a delay of {delay} s")
+        if not on_air.sent_s <= outcome.arrival_s < math.inf:
+            raise ValueError(f"the channel gave arrival at {outcome.arrival_s} s, sent at {on_air.sent_s} s")
         if len(self._queue) >= self._max_pending:
             pair.overflowed += 1
             return
+        delivery = Delivery(
+            outcome.receiver, on_air.sender, on_air.transport, on_air.frame, on_air.sent_s, on_air.address
+        )
         # The running number settles ties, so that deliveries themselves are never compared.
-        heapq.heappush(self._queue, (now_s + delay, self._number, delivery))
+        entry = (outcome.arrival_s, self._number, _UnderWay(delivery, on_air.brings_position))
+        heapq.heappush(self._queue, entry)
         self._number += 1
+
+    def _close(self, number: int, receiver: str) -> None:
+        """Nothing more is to be told about a frame at a receiver."""
+        undecided = self._on_air[number].undecided
+        undecided.remove(receiver)
+        self._undecided -= 1
+        if not undecided:
+            del self._on_air[number]
 
     def _pair(self, sender: str, receiver: str) -> PairStats:
         key = (sender, receiver)
@@ -227,14 +275,17 @@ class Ether:
             key = REST
         return self._stats.setdefault(key, PairStats())
 
-    def _note_carried(self, sender: str, transport: str, address: str, frame: bytes) -> None:
-        if sender not in self._carried and len(self._carried) >= MAX_CARRIED:
-            return
+    def _read_position(self, sender: str, transport: str, address: str, frame: bytes) -> bool:
+        """Whether a frame brings a position; it is noted for a sender of whom nobody tells it."""
         heard = self._reader.receive(transport, address, frame)
+        found = False
         for message in heard.messages if heard is not None else ():
             if isinstance(message, Location) and message.lat_deg is not None and message.lon_deg is not None:
-                x, y, z = pymap3d.geodetic2ecef(message.lat_deg, message.lon_deg, 0.0)
-                self._carried[sender] = (float(x), float(y), float(z)), message.alt_geodetic_m
+                found = True
+                if sender not in self._told and (sender in self._carried or len(self._carried) < MAX_CARRIED):
+                    x, y, z = pymap3d.geodetic2ecef(message.lat_deg, message.lon_deg, 0.0)
+                    self._carried[sender] = (float(x), float(y), float(z)), message.alt_geodetic_m
+        return found
 
 
 def _carried_distance_m(first: tuple[Vec3, float | None], second: tuple[Vec3, float | None]) -> float:

@@ -17,12 +17,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from select import select
 
+import msgspec
 import numpy as np
 
 from companion.errors import ConfigError, PeerDataError
 from companion.radio import ether_wire
 from companion.radio.ether_wire import Heard, Join, Leave, Send, Welcome
-from sitl_mocks.channel.simple import Channel, SimpleChannel
+from sitl_mocks import air_settings
+from sitl_mocks.air_settings import AirSettings, channel_of
+from sitl_mocks.channel.air import Channel
 from sitl_mocks.ether import Ether
 from sitl_mocks.signals import end_signals
 
@@ -174,19 +177,22 @@ class EtherServer:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `sitl-mocks ether`."""
     parser.description = "The air between simulated aircraft, over UDP on loopback. Ends on Ctrl-C."
-    parser.epilog = "example: sitl-mocks ether --listen 127.0.0.1:14640 --delay 0.2 0.8 --loss 0.1"
+    parser.epilog = (
+        "example: sitl-mocks ether --listen 127.0.0.1:14640 --delay 0.2 0.8 --loss 0.1; "
+        "sitl-mocks ether --channel packets --parameters config/channel/standard.toml"
+    )
     parser.add_argument(
         "--listen",
         default="127.0.0.1:14640",
         metavar="HOST:PORT",
         help="loopback endpoint; port 0 takes a free one",
     )
-    parser.add_argument(
-        "--delay", type=float, nargs=2, default=(0.0, 0.0), metavar=("LOW", "HIGH"), help="delay, uniform (s)"
-    )
-    parser.add_argument("--loss", type=float, default=0.0, metavar="P", help="probability of loss, 0 to 1")
-    parser.add_argument("--range", type=float, default=None, metavar="M", help="nothing is heard farther (m)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of delay and loss")
+    air_settings.add_arguments(parser)
+    interval = parser.add_argument_group("of --channel interval")
+    interval.add_argument("--delay", type=float, nargs=2, metavar=("LOW", "HIGH"), help="delay, uniform (s)")
+    interval.add_argument("--loss", type=float, metavar="P", help="probability of loss, 0 to 1")
+    interval.add_argument("--range", type=float, metavar="M", help="nothing is heard farther (m)")
+    parser.add_argument("--seed", type=int, default=0, help="what the channel draws from")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -197,7 +203,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.seed < 0:
         raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
-    channel = SimpleChannel(delay_s=tuple(args.delay), loss=args.loss, range_m=args.range)
+    channel = _channel(args)
     host, port = ether_wire.parse_endpoint(args.listen, "--listen")
     server = EtherServer(host, port, channel, np.random.default_rng(args.seed))
     with contextlib.closing(server), end_signals() as ended:
@@ -205,8 +211,21 @@ def run(args: argparse.Namespace) -> int:
         while not ended:
             server.wait(time.monotonic())
             server.step(time.monotonic())
+        server.ether.finish(time.monotonic())
         print(json.dumps(server.statistics()), flush=True)
     return 0
+
+
+def _channel(args: argparse.Namespace) -> Channel:
+    air, parameters = air_settings.with_options(AirSettings(delay_s=(0.0, 0.0)), None, args)
+    for option, key in (("loss", "loss"), ("range", "range_m")):
+        value = getattr(args, option)
+        if value is None:
+            continue
+        if air.model != "interval":
+            raise ConfigError(f'--{option}: goes with --channel interval; this air is "{air.model}"')
+        air = msgspec.structs.replace(air, **{key: value})
+    return channel_of(air, parameters)
 
 
 def _bind(host: str, port: int) -> socket.socket:

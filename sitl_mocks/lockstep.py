@@ -29,9 +29,10 @@ from companion.geometry import LocalFrame
 from companion.onboard import Onboard
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
 from companion.record import Step
+from sitl_mocks.air_settings import channel_of
 from sitl_mocks.autopilot import MockVehicle
-from sitl_mocks.channel.simple import SimpleChannel
-from sitl_mocks.ether import Ether, PairStats
+from sitl_mocks.ether import Ether
+from sitl_mocks.pair_stats import PairStats
 from sitl_mocks.scenario import encounter
 from sitl_mocks.settings import Scenario
 from sitl_mocks.vehicle_manners import VehicleMode
@@ -180,8 +181,7 @@ def fly(
         log = None if tlog is None else tlog(name)
         options = vehicle_options(scenario, number, path)
         fleet.append(Aircraft(name, options, config, np.random.default_rng(streams[number]), sink, log))
-    air = scenario.air
-    channel = SimpleChannel(delay_s=air.delay_s, loss=air.loss, range_m=air.range_m)
+    channel = channel_of(scenario.air, scenario.channel, TICK_S)
     ether = Ether(channel, np.random.default_rng(streams[-1]))
     for aircraft in fleet:
         ether.join(aircraft.name)
@@ -196,6 +196,7 @@ def fly(
             truth[number, tick] = aircraft.vehicle.position_ned_m
         if progress is not None and tick % 20 == 0:
             progress(tick / ticks)
+    ether.finish((ticks - 1) * TICK_S)
     flown = [Flown(a.name, truth[number]) for number, a in enumerate(fleet)]
     time_s = np.arange(ticks, dtype=np.float64) * TICK_S - SETTLE_S
     return Run(flown, ether.stats, time_s)

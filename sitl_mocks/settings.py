@@ -16,6 +16,8 @@ from msgspec import Meta
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.toml_input import decode_toml
+from sitl_mocks.air_settings import DEFAULT_DELAY_S, AirSettings, load_parameters
+from sitl_mocks.channel.parameters import ChannelParameters
 
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
@@ -38,17 +40,6 @@ class VehicleSettings(_Section, frozen=True):
     gnss_correlation_s: Positive = 30.0
 
 
-class AirSettings(_Section, frozen=True):
-    """The radio channel between them."""
-
-    delay_s: tuple[NotNegative, NotNegative] = (0.0, 1.0)
-    """Uniform, drawn for each message and receiver."""
-    loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    range_m: Positive | None = None
-    transport: Literal["ble4", "ble5", "wifi", "nan"] = "wifi"
-    rate: Annotated[int, Meta(ge=1, le=10)] = 1
-
-
 class PathSettings(_Section, frozen=True):
     """One aircraft's timed path: rows of time (s), north, east, down (m)."""
 
@@ -66,11 +57,17 @@ class Scenario(_Section, frozen=True):
     """The end of the last path when left out."""
     vehicle: VehicleSettings = VehicleSettings()
     air: AirSettings = AirSettings()
+    channel: ChannelParameters | None = None
+    """What the file says that `air.parameters` names: a resolved scenario stands alone in a run folder."""
     limits: LimitsConfig = LimitsConfig()
     avoidance: AvoidanceConfig = AvoidanceConfig()
 
+    def __post_init__(self) -> None:
+        if self.channel is not None and self.air.model == "interval":
+            raise ValueError('channel: goes with air.model "analytic" or "packets"')
 
-DEFAULT = Scenario(geometry="S2")
+
+DEFAULT = Scenario(geometry="S2", air=AirSettings(delay_s=DEFAULT_DELAY_S))
 """Five aircraft crossing in an 8 m ball."""
 
 
@@ -91,4 +88,19 @@ def load(path: Path) -> Scenario:
                 raise ConfigError(f"{path}: path[{number}].points: time {b[0]:g} s is not after {a[0]:g} s")
             if not all(math.isfinite(v) for v in b):
                 raise ConfigError(f"{path}: path[{number}].points: not a finite number in {b}")
-    return scenario
+    return _with_parameters(scenario, path)
+
+
+def _with_parameters(scenario: Scenario, path: Path) -> Scenario:
+    """The scenario with its channel's parameter file read."""
+    name = scenario.air.parameters
+    if name is None:
+        return scenario
+    if scenario.channel is not None:
+        raise ConfigError(f"{path}: channel: give either it or air.parameters")
+    try:
+        channel = load_parameters(path.parent / name, scenario.air)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: air.parameters: {error}") from error
+    air = msgspec.structs.replace(scenario.air, parameters=None)
+    return msgspec.structs.replace(scenario, air=air, channel=channel)

@@ -17,7 +17,7 @@ import time
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import msgspec
 import numpy as np
@@ -45,6 +45,8 @@ _END_S = 15.0
 _GOOD_GAP_S = 0.1
 _WORST_GAP_S = 0.5
 _GOOD_SHARE = 0.999
+_UNHEARD = 3
+"""Frames of a pair that may lie in a socket when its companion ends."""
 
 
 @dataclass(slots=True)
@@ -203,13 +205,9 @@ def _fly(
 ) -> dict[str, object]:
     paths = [window(p, arguments.duration) for p in paths_of(scenario, arguments.seed)]
     names = names_of(scenario, arguments.seed)
-    air = scenario.air
-    ether_options = ["--delay", str(air.delay_s[0]), str(air.delay_s[1]), "--loss", str(air.loss)]
-    if air.range_m is not None:
-        ether_options += ["--range", str(air.range_m)]
     ether = swarm.start(
         "ether", "sitl_mocks.cli", "ether", "--listen", "127.0.0.1:0", "--seed", str(arguments.seed),
-        *ether_options, piped=True,
+        *_ether_options(scenario, swarm.folder), piped=True,
     )  # fmt: skip
     radio = "127.0.0.1:" + ether.expect(r"ether on .*:(\d+)")
     vehicles = [_start_vehicle(swarm, scenario, n, name, paths[n]) for n, name in enumerate(names)]
@@ -231,6 +229,21 @@ def _fly(
     interrupted = _watch(swarm, start_utc_s, arguments.duration, console)
     bad = swarm.end(companions) + swarm.end(vehicles) + swarm.end([ether])
     return _report(swarm, scenario, names, vehicles, ether, bad, start_utc_s, interrupted=interrupted)
+
+
+def _ether_options(scenario: Scenario, folder: Path) -> list[str]:
+    """The scenario's air as options of `sitl-mocks ether`; parameters go by a file in the run folder."""
+    air = scenario.air
+    options = ["--channel", air.model]
+    if air.model == "interval":
+        options += ["--delay", str(air.interval_s[0]), str(air.interval_s[1]), "--loss", str(air.loss or 0.0)]
+        if air.range_m is not None:
+            options += ["--range", str(air.range_m)]
+    elif scenario.channel is not None:
+        file = folder / "channel.toml"
+        file.write_text(tomli_w.dumps(msgspec.to_builtins(scenario.channel)))
+        options += ["--parameters", str(file)]
+    return options
 
 
 def _start_vehicle(swarm: Swarm, scenario: Scenario, number: int, name: str, path: Points) -> Process:
@@ -291,7 +304,7 @@ def _report(
 ) -> dict[str, object]:
     separation = _separations(swarm.folder, names, start_utc_s)
     gaps = {name: _gaps(vehicle) for name, vehicle in zip(names, vehicles, strict=True)}
-    air = _air(swarm.folder, names, ether.last_json(), scenario.air.loss)
+    air = _air(swarm.folder, names, ether.last_json())
     least = min((float(str(row["min_separation_m"])) for row in separation), default=None)
     good_gaps = all(
         g["share_under_100ms"] >= _GOOD_SHARE and g["largest_s"] <= _WORST_GAP_S for g in gaps.values()
@@ -347,12 +360,13 @@ def _gaps(vehicle: Process) -> dict[str, float]:
     return {"setpoints": received, "share_under_100ms": round(share, 6), "largest_s": largest}
 
 
-def _air(
-    folder: Path, names: list[str], statistics: dict[str, object], loss: float
-) -> list[dict[str, object]]:
-    """Sent by the air's count, heard by each companion's own record; per ordered pair."""
+def _air(folder: Path, names: list[str], statistics: dict[str, object]) -> list[dict[str, object]]:
+    """Sent and lost by the air's count, heard by each companion's own record; per ordered pair.
+
+    What was sent and not lost on the air must have been heard.
+    """
     addresses = {radio_address(name): name for name in names}
-    pairs: dict[str, dict[str, int]] = statistics.get("pairs", {})  # type: ignore[assignment]
+    pairs: dict[str, dict[str, Any]] = statistics.get("pairs", {})  # type: ignore[assignment]
     found: list[dict[str, object]] = []
     for receiver in names:
         heard = _heard(folder, receiver, addresses)
@@ -361,17 +375,15 @@ def _air(
             if sender == receiver or row is None:
                 continue
             count = row["sent"]
-            share = 1.0 - heard.get(sender, 0) / count if count else 1.0
-            # Three standard deviations of the channel's own luck, and two messages under way at the end.
-            allowed = loss + 3.0 * (loss * (1.0 - loss) / max(count, 1)) ** 0.5 + 3.0 / max(count, 1)
+            unheard = count - row["lost"] - heard.get(sender, 0)
             found.append(
                 {
                     "sender": sender,
                     "receiver": receiver,
-                    "sent": count,
+                    **row,
                     "heard": heard.get(sender, 0),
-                    "lost_share": round(share, 4),
-                    "ok": share <= allowed,
+                    "lost_share": round(1.0 - heard.get(sender, 0) / count if count else 1.0, 4),
+                    "ok": unheard <= _UNHEARD,
                 }
             )
     return found

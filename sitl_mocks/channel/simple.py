@@ -1,43 +1,21 @@
-"""The pluggable radio channel, and its plainest implementation: delay, loss and range by fixed numbers.
-
-A channel answers one question per message and receiver: after how long does it arrive, or not at all. What it
-draws comes from the generator that is passed in, so that a seed and an order of calls give one air.
-"""
+"""The plainest radio channel: delay, loss and range by fixed numbers."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from companion.errors import ConfigError
+from sitl_mocks.channel.air import Decisions, Outcome, Transmission
 
 MAX_DELAY_S = 60.0
 
 
-class Channel(Protocol):
-    """What the ether asks of a radio model."""
-
-    def deliver(
-        self, sender: str, receiver: str, transport: str, distance_m: float | None, rng: np.random.Generator
-    ) -> float | None:
-        """Delay of one message on its way to one receiver (s, finite, >= 0); None when it is lost.
-
-        Args:
-            sender: name of the transmitting aircraft.
-            receiver: name of the receiving aircraft.
-            transport: `companion.radio.transport` name.
-            distance_m: between the two (slant), None when it is not known.
-            rng: where the channel draws from.
-        """
-        ...
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class SimpleChannel:
-    """Uniform delay, independent loss, hard range limit.
+    """Uniform delay, independent loss, hard range limit. A `Channel` that decides at once.
 
     Two numbers are drawn for every message and receiver whatever becomes of it. Two runs with one seed thus
     meet the same luck message by message, however differently their aircraft fly.
@@ -52,6 +30,7 @@ class SimpleChannel:
     """Probability that a message is lost."""
     range_m: float | None = None
     """Nothing is heard farther than this. A message over an unknown distance is in range."""
+    _decisions: Decisions = field(default_factory=Decisions, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         low, high = self.delay_s
@@ -65,10 +44,22 @@ class SimpleChannel:
         if self.range_m is not None and not 0.0 < self.range_m < math.inf:
             raise ConfigError(f"channel.range_m: {self.range_m:g}: allowed a finite value > 0")
 
-    def deliver(
-        self, sender: str, receiver: str, transport: str, distance_m: float | None, rng: np.random.Generator
-    ) -> float | None:
-        """See `Channel.deliver`."""
+    def transmit(self, transmission: Transmission, rng: np.random.Generator) -> None:
+        """See `Channel.transmit`."""
+        for receiver, distance_m in transmission.distance_m.items():
+            delay_s = self._delay_s(distance_m, rng)
+            arrival_s = None if delay_s is None else transmission.sent_s + delay_s
+            self._decisions.add(transmission, receiver, arrival_s)
+
+    def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
+        """See `Channel.settle`: all that was sent, in the order of sending."""
+        return self._decisions.take()
+
+    def next_s(self) -> float | None:
+        """See `Channel.next_s`."""
+        return self._decisions.next_s()
+
+    def _delay_s(self, distance_m: float | None, rng: np.random.Generator) -> float | None:
         luck, share = rng.random(2)
         if luck < self.loss:
             return None

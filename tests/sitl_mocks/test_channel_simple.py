@@ -6,12 +6,32 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
+from sitl_mocks.channel.air import Transmission
 from sitl_mocks.channel.simple import SimpleChannel
+
+
+def deliver(channel: SimpleChannel, distance_m: float | None, rng: np.random.Generator) -> float | None:
+    """Delay of one message that is sent at time 0."""
+    channel.transmit(Transmission(0, 0.0, "a", "ble4", {"b": distance_m}), rng)
+    (outcome,) = channel.settle(0.0, rng)
+    return outcome.arrival_s
 
 
 def deliveries(channel: SimpleChannel, distance_m: float | None = 100.0, n: int = 2000) -> list[float | None]:
     rng = np.random.default_rng(7)
-    return [channel.deliver("a", "b", "ble4", distance_m, rng) for _ in range(n)]
+    return [deliver(channel, distance_m, rng) for _ in range(n)]
+
+
+def test_every_receiver_gets_one_outcome_and_it_is_told_once() -> None:
+    channel, rng = SimpleChannel(delay_s=(0.5, 0.5), range_m=50.0), np.random.default_rng(1)
+    assert channel.next_s() is None
+    channel.transmit(Transmission(3, 10.0, "a", "wifi", {"b": 1.0, "c": 60.0}), rng)
+    channel.transmit(Transmission(4, 11.0, "b", "wifi", {"a": 1.0}), rng)
+    assert channel.next_s() == 10.0
+    told = [(o.number, o.receiver, o.arrival_s) for o in channel.settle(11.0, rng)]
+    assert told == [(3, "b", 10.5), (3, "c", None), (4, "a", 11.5)]
+    assert channel.settle(99.0, rng) == []
+    assert channel.next_s() is None
 
 
 def test_a_channel_without_parameters_is_perfect() -> None:
@@ -48,8 +68,8 @@ def test_the_luck_of_a_message_does_not_depend_on_where_the_others_were() -> Non
     channel = SimpleChannel(delay_s=(0.0, 1.0), loss=0.3, range_m=500.0)
     near, mixed = np.random.default_rng(3), np.random.default_rng(3)
     for i in range(200):
-        one = channel.deliver("a", "b", "wifi", 10.0, near)
-        other = channel.deliver("a", "b", "wifi", 10.0 if i % 2 else 900.0, mixed)
+        one = deliver(channel, 10.0, near)
+        other = deliver(channel, 10.0 if i % 2 else 900.0, mixed)
         assert other == (one if i % 2 else None)
 
 

@@ -7,8 +7,10 @@ import pytest
 
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location, SelfId, Status
+from sitl_mocks.channel.air import Channel, Outcome, Transmission
 from sitl_mocks.channel.simple import SimpleChannel
-from sitl_mocks.ether import REST, Delivery, Ether, PairStats
+from sitl_mocks.ether import REST, Delivery, Ether
+from sitl_mocks.pair_stats import PairStats
 
 
 class DistanceProbe:
@@ -16,15 +18,47 @@ class DistanceProbe:
 
     def __init__(self) -> None:
         self.asked: list[float | None] = []
+        self.delay_s = 0.0
+        self._outcomes: list[Outcome] = []
 
-    def deliver(
-        self, sender: str, receiver: str, transport: str, distance_m: float | None, rng: np.random.Generator
-    ) -> float | None:
-        self.asked.append(distance_m)
-        return 0.0
+    def transmit(self, transmission: Transmission, rng: np.random.Generator) -> None:
+        for receiver, distance_m in transmission.distance_m.items():
+            self.asked.append(distance_m)
+            arrival_s = transmission.sent_s + self.delay_s
+            self._outcomes.append(Outcome(transmission.number, receiver, arrival_s))
+
+    def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
+        told, self._outcomes = self._outcomes, []
+        return told
+
+    def next_s(self) -> float | None:
+        return None
 
 
-def make(channel: SimpleChannel | DistanceProbe | None = None, seed: int = 1, **options: int) -> Ether:
+class LateChannel:
+    """Tells what it lets through, and what not, only after a second."""
+
+    def __init__(self, lost: tuple[int, ...] = ()) -> None:
+        self.lost = lost
+        self.open: list[Transmission] = []
+
+    def transmit(self, transmission: Transmission, rng: np.random.Generator) -> None:
+        self.open.append(transmission)
+
+    def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
+        told = [t for t in self.open if t.sent_s + 1.0 <= now_s]
+        self.open = self.open[len(told) :]
+        return [
+            Outcome(t.number, receiver, None if t.number in self.lost else t.sent_s + 0.5)
+            for t in told
+            for receiver in t.distance_m
+        ]
+
+    def next_s(self) -> float | None:
+        return self.open[0].sent_s + 1.0 if self.open else None
+
+
+def make(channel: Channel | None = None, seed: int = 1, **options: int) -> Ether:
     ether = Ether(channel or SimpleChannel(), np.random.default_rng(seed), **options)
     for name in ("a", "b", "c"):
         ether.join(name)
@@ -202,9 +236,110 @@ def test_a_time_that_is_none_is_refused() -> None:
 
 @pytest.mark.parametrize("delay", [-1.0, math.nan, math.inf])
 def test_a_delay_that_is_none_is_a_bug_of_the_channel(delay: float) -> None:
-    class Broken(DistanceProbe):
-        def deliver(self, *_: object) -> float | None:  # type: ignore[override]
-            return delay
+    broken = DistanceProbe()
+    broken.delay_s = delay
+    with pytest.raises(ValueError, match="gave arrival"):
+        make(broken).transmit(0.0, "a", "wifi", b"x")
 
-    with pytest.raises(ValueError, match="gave a delay"):
-        make(Broken()).transmit(0.0, "a", "wifi", b"x")
+
+# ---------------------------------------------------------------- a channel that decides later
+
+
+def test_a_late_decision_is_delivered_when_it_is_made() -> None:
+    ether = make(LateChannel(lost=(1,)))
+    ether.transmit(0.0, "a", "wifi", b"x")
+    ether.transmit(0.2, "a", "wifi", b"y")
+    assert ether.next_due_s() == 1.0
+    assert ether.due(0.9) == []
+    assert [(d.receiver, d.frame, d.sent_s) for d in ether.due(1.0)] == [("b", b"x", 0.0), ("c", b"x", 0.0)]
+    assert ether.next_due_s() == 1.2
+    assert ether.due(5.0) == []
+    assert ether.next_due_s() is None
+    assert (ether.stats["a", "b"].sent, ether.stats["a", "b"].delivered, ether.stats["a", "b"].lost) == (
+        2,
+        1,
+        1,
+    )
+
+
+def test_who_leaves_before_the_decision_loses_the_frame_once_and_for_all() -> None:
+    ether = make(LateChannel())
+    ether.transmit(0.0, "a", "wifi", b"x")
+    ether.leave("b")
+    ether.join("b")
+    assert [d.receiver for d in ether.due(2.0)] == ["c"]
+    pair = ether.stats["a", "b"]
+    assert (pair.sent, pair.delivered, pair.lost) == (1, 0, 1)
+
+
+def test_undecided_frames_are_bounded_too() -> None:
+    ether = make(LateChannel(), max_pending=5)
+    for _ in range(4):
+        ether.transmit(0.0, "a", "wifi", b"x")
+    assert sum(pair.overflowed for pair in ether.stats.values()) == 3
+    assert len(ether.due(2.0)) == 5
+    # What is decided makes room.
+    ether.transmit(2.0, "a", "wifi", b"x")
+    assert len(ether.due(4.0)) == 2
+
+
+# ---------------------------------------------------------------- age of information
+
+
+def location_frames(name: str, transport: str = "wifi") -> list[bytes]:
+    location = Location(status=Status.AIRBORNE, lat_deg=47.0, lon_deg=8.5, alt_geodetic_m=100.0)
+    return FrameSender(radio_address(name)).frames(transport, (location,))
+
+
+def test_only_positions_refresh_what_is_known() -> None:
+    ether = make(SimpleChannel(delay_s=(0.5, 0.5)))
+    (position,) = location_frames("a")
+    (other,) = FrameSender(radio_address("a")).frames("wifi", (SelfId(description_type=0, text="x"),))
+    (nowhere,) = FrameSender(radio_address("a")).frames("wifi", (Location(),))
+    for sent_s, frame in ((0.0, other), (1.0, position), (2.0, other), (3.0, nowhere), (5.0, position)):
+        ether.transmit(sent_s, "a", "wifi", frame)
+        ether.due(sent_s + 0.5)
+    ether.finish(7.5)
+    pair = ether.stats["a", "b"]
+    # Heard at 1.5 (0.5 old), at 5.5 grown to 4.5 and 0.5 again, at the end 2.5.
+    assert pair.first_heard_s == 1.5
+    assert pair.information_age_mean_s == pytest.approx((4.0 * 2.5 + 2.0 * 1.5) / 6.0)
+    assert pair.information_age_max_s == pytest.approx(4.5)
+    assert pair.delivered == 5
+    assert ("b", "a") not in ether.stats
+
+
+def test_what_is_known_of_who_left_ages_no_further() -> None:
+    ether = make()
+    (position,) = location_frames("a")
+    ether.transmit(0.0, "a", "wifi", position)
+    ether.due(0.0)
+    ether.due(2.0)
+    ether.leave("a")
+    ether.due(50.0)
+    ether.finish(100.0)
+    pair = ether.stats["a", "b"]
+    assert (pair.information_age_max_s, pair.observed_s) == (2.0, 2.0)
+
+
+def test_transports_are_counted_apart() -> None:
+    ether = make()
+    for transport in ("ble4", "ble4", "wifi"):
+        (frame,) = location_frames("a", transport)
+        ether.transmit(0.0, "a", transport, frame)
+    ether.due(0.0)
+    assert ether.stats["a", "c"].to_dict()["transports"] == {
+        "ble4": {"sent": 2, "delivered": 2},
+        "wifi": {"sent": 1, "delivered": 1},
+    }
+
+
+def test_pairs_that_share_statistics_have_no_common_age(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sitl_mocks.ether.MAX_PAIRS", 1)
+    ether = make()
+    (position,) = location_frames("a")
+    ether.transmit(0.0, "a", "wifi", position)
+    ether.due(0.0)
+    ether.finish(1.0)
+    assert ether.stats[REST].first_heard_s is None
+    assert ether.stats["a", "b"].first_heard_s == 0.0
