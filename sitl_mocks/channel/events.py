@@ -25,6 +25,8 @@ Bools = NDArray[np.bool_]
 
 _CELLS = 1 << 17
 """Events times nodes that are judged at once: bounds the memory."""
+_FEWEST = 1000
+"""Fewest events that are judged at once: their neighbours in time have to be judged with them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +108,7 @@ def simulate(
 
     tally = _Tally(nodes)
     count = int(np.searchsorted(events.begin, end, side="left"))
-    step = max(1, _CELLS // nodes)
+    step = max(_FEWEST, _CELLS // nodes)
     for low in range(0, count, step):
         high = min(low + step, count)
         # Whatever may overlap these events comes along; its own verdicts fall in its own turn.

@@ -23,6 +23,8 @@ Bools = NDArray[np.bool_]
 FIRST_PRIMARY = 37
 FIRST_WIFI = 40
 _WIFI_HALF_WIDTH_MHZ = 10.0
+_PAIR_CELLS = 1 << 24
+"""Pairs times nodes that are looked at together: bounds the memory."""
 
 
 def _frequencies_mhz() -> Floats:
@@ -183,17 +185,26 @@ def _overlaps(packets: Packets, coverage: Coverage, assumptions: Assumptions) ->
         deaf[victim[same_radio], packets.transmitter[other[same_radio]]] = True
     together = CHANNELS_OVERLAP[packets.channel[victim], packets.channel[other]]
     victim, other = victim[together], other[together]
-    if not len(victim):
-        return disturbed, deaf
-    hit = coverage.reach[packets.mode[other], packets.transmitter[other]]
-    if assumptions.capture_db is not None:
-        hit &= _power_dbm(packets, victim, coverage) < _power_dbm(packets, other, coverage) + (
-            assumptions.capture_db
-        )
     order = np.argsort(victim, kind="stable")
-    victims, first = np.unique(victim[order], return_index=True)
-    disturbed[victims] = np.logical_or.reduceat(hit[order], first, axis=0)
+    victim, other = victim[order], other[order]
+    step = max(1, _PAIR_CELLS // disturbed.shape[1])
+    for low in range(0, len(victim), step):
+        some, others = victim[low : low + step], other[low : low + step]
+        hit = _hits(packets, some, others, coverage, assumptions.capture_db)
+        victims, first = np.unique(some, return_index=True)
+        disturbed[victims] |= np.logical_or.reduceat(hit, first, axis=0)
     return disturbed, deaf
+
+
+def _hits(
+    packets: Packets, victim: Indices, other: Indices, coverage: Coverage, capture_db: float | None
+) -> Bools:
+    """Where the other packet destroys the victim, shape (pairs, nodes)."""
+    hit: Bools = coverage.reach[packets.mode[other], packets.transmitter[other]]
+    if capture_db is not None:
+        power_dbm = _power_dbm(packets, victim, coverage)
+        hit &= power_dbm < _power_dbm(packets, other, coverage) + capture_db
+    return hit
 
 
 def _overlapping_pairs(packets: Packets) -> tuple[Indices, Indices]:
