@@ -11,12 +11,14 @@ from ground_tools import orca_check
 from ground_tools.channel import command as channel_command
 from ground_tools.inspect import command as inspect_command
 from ground_tools.inspect import picture
+from ground_tools.paper import command as paper_command
 
 _EXAMPLES = """examples:
   ground-tools inspect runs/20260101T000000Z-demo
   ground-tools picture runs/20260101T000000Z-demo --out demo.png
   ground-tools orca check cases.json
   ground-tools channel table --sides 500 --rates 9
+  ground-tools paper all
 """
 
 
@@ -29,6 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, module, words in (
         ("inspect", inspect_command, "a run folder as a Rerun recording, or its summary"),
         ("picture", picture, "a run folder as one PNG"),
+        ("paper", paper_command, "the paper's figures, beside what it says of them"),
     ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
         module.add_arguments(command)

@@ -74,6 +74,9 @@ def draw(figure: Any, rows: Sequence[Row], quantity: Quantity) -> None:
         axes.set_visible(False)
     for axes in panels[:, 0]:
         axes.set_ylabel("system delay (ms)" if quantity == "delay" else "loss (%)")
+    # A logarithm has no place where nobody reaches anybody.
+    if quantity == "delay" and any(row.system_delay_ms for row in rows):
+        panels.flat[0].set_yscale("log")
     handles, labels = panels.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
 
@@ -107,9 +110,7 @@ def _panel(axes: Any, rows: Sequence[Row], quantity: Quantity) -> None:
         )
     axes.set_xlabel("messages in a GNSS period")
     axes.xaxis.get_major_locator().set_params(integer=True, nbins=10)
-    if quantity == "delay":
-        axes.set_yscale("log")
-    else:
+    if quantity == "loss":
         axes.set_ylim(bottom=0.0)
 
 

@@ -1,0 +1,1 @@
+"""The paper's published figures, computed anew and set beside what it says of them."""

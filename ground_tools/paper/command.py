@@ -1,0 +1,104 @@
+"""`ground-tools paper`: the paper's figures, computed anew and set beside what it says of them.
+
+A new figure is a module with `report` and `draw`, and its line in `FIGURES`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from companion.errors import ConfigError
+from ground_tools.channel import options
+from ground_tools.channel.progress import progress
+from ground_tools.paper import delay_rate, fixed_modes, packet_loss
+from ground_tools.paper.report import Report, json_rows, show
+from ground_tools.paper.study import Study
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One published figure."""
+
+    name: str
+    """On the command line, and of its picture."""
+    words: str
+    """For the help."""
+    report: Callable[[Study], Report]
+    draw: Callable[[Study, Path], None]
+    sigmas: int
+    """How many sigmas of the study it looks at."""
+
+
+FIGURES: Final = (
+    Figure("delay-rate", "delay against rate for each size", delay_rate.report, delay_rate.draw, 1),
+    Figure("packet-loss", "loss against rate for each size", packet_loss.report, packet_loss.draw, 1),
+    Figure(
+        "fixed-modes",
+        "system delay of the fixed modes by density",
+        fixed_modes.report,
+        fixed_modes.draw,
+        len(fixed_modes.SIGMAS_DB),
+    ),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `ground-tools paper`."""
+    lines = [f"  {figure.name:12s} {figure.words}" for figure in FIGURES]
+    parser.description = (
+        "Compute the paper's figures by the channel model's equations and set them beside what the paper\n"
+        "says of them. A statement that does not hold is a finding, not an error: the exit code stays 0.\n\n"
+        "figures:\n" + "\n".join(lines)
+    )
+    parser.epilog = "example: ground-tools paper fixed-modes --samples 10000"
+    names = [figure.name for figure in FIGURES]
+    parser.add_argument("figure", choices=[*names, "all"], metavar="FIGURE", help="one of them, or all")
+    options.add_sampling(parser)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/paper"),
+        metavar="FOLDER",
+        help="for FIGURE.png (default: runs/paper)",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a line instead of tables")
+
+
+def run(args: argparse.Namespace) -> int:
+    """`ground-tools paper`. Returns 0.
+
+    Raises:
+        ConfigError: an option is wrong, a picture cannot be written, or matplotlib is missing.
+    """
+    options.check_sampling(args.samples, args.seed)
+    chosen = [figure for figure in FIGURES if args.figure in (figure.name, "all")]
+    study = Study(args.samples, args.seed)
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out: {args.out}: cannot be made: {error.strerror}") from error
+    steps = max(figure.sigmas for figure in chosen) * study.steps()
+    with progress("environments", steps) as advance:
+        study.advance = advance
+        found = []
+        for figure in chosen:
+            path = args.out / f"{figure.name}.png"
+            # The picture first: that matplotlib is missing shows before the computation, not after.
+            figure.draw(study, path)
+            found.append((figure, figure.report(study), path))
+    words = Console(stderr=args.json)
+    for figure, report, path in found:
+        if args.json:
+            for row in json_rows(figure.name, report):
+                print(json.dumps(row, allow_nan=False))
+        else:
+            show(report, words)
+        words.print(f"wrote {path}", soft_wrap=True, highlight=False)
+    return 0
