@@ -1,0 +1,268 @@
+"""Frames as packets on the air: fates whenever they are asked for, real collisions, real radios."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from sitl_mocks.channel.air import Outcome, Transmission
+from sitl_mocks.channel.air_packets import MAX_BACKLOG_S, PacketChannel, _events
+from sitl_mocks.channel.link_budget import path_loss_db
+from sitl_mocks.channel.packet_reception import Coverage, Scanners, arrivals, decide
+from sitl_mocks.channel.packet_schedule import packets_of
+from sitl_mocks.channel.packet_timing import REAL, Durations
+from sitl_mocks.channel.parameters import (
+    BackgroundLoad,
+    Ble5Parameters,
+    ChannelParameters,
+    PropagationParameters,
+)
+
+PAPER = ChannelParameters()
+BEACON_S = 0.000632
+NAMES = ("a", "b", "c", "d", "e")
+
+
+def traffic(
+    seed: int, seconds: float = 4.0, tick_s: float = 0.05, jitter_s: float = 0.0
+) -> list[Transmission]:
+    """Five aircraft that move, each sending on all transports at ticks or up to `jitter_s` after them."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0.0, 900.0, (5, 3))
+    frames: list[tuple[float, str, str, dict[str, float | None]]] = []
+    for tick in range(80):
+        distance = np.linalg.norm(places[:, None] - places, axis=2)
+        for sender, name in enumerate(NAMES):
+            away = {other: float(distance[sender, r]) for r, other in enumerate(NAMES) if r != sender}
+            for transport in ("ble4", "ble4", "ble5", "wifi", "nan"):
+                if rng.random() < 0.4:
+                    sent_s = tick * 0.05 + float(rng.uniform(0.0, jitter_s))
+                    frames.append((sent_s, name, transport, {**away}))
+        places += rng.uniform(-40.0, 40.0, (5, 3))
+    frames.sort(key=lambda frame: frame[0])
+    return [Transmission(number, *frame) for number, frame in enumerate(frames)]
+
+
+def settled(
+    channel: PacketChannel, sent: Iterable[Transmission], settle_s: Iterable[float], seed: int = 9
+) -> list[Outcome]:
+    """All outcomes, with the air settled at these times besides the end."""
+    rng, told = np.random.default_rng(seed), []
+    times = sorted(settle_s)
+    for transmission in sent:
+        while times and times[0] <= transmission.sent_s:
+            told += channel.settle(times.pop(0), rng)
+        channel.transmit(transmission, rng)
+    for time_s in [*times, 1e4]:
+        told += channel.settle(time_s, rng)
+    assert channel.next_s() is None
+    return told
+
+
+@pytest.mark.parametrize("spread_s", [0.0, 0.05])
+def test_an_outcome_never_depends_on_when_the_air_is_settled(spread_s: float) -> None:
+    parameters = ChannelParameters(
+        background=BackgroundLoad(ble4=0.2, ble5=0.1, wifi=0.2),
+        propagation=PropagationParameters(shadowing_sigma_db=2.0),
+        ble5=Ble5Parameters(auxiliary_uncertainty_ms=1.0),
+    )
+    sent = traffic(1, jitter_s=0.05 - spread_s)
+    ends = settled(PacketChannel(parameters, spread_s), sent, [])
+    assert sum(o.arrival_s is not None for o in ends) > 200
+    assert {(o.number, o.receiver) for o in ends} == {(t.number, r) for t in sent for r in t.distance_m}
+    assert len(ends) == len({(o.number, o.receiver) for o in ends})
+    ticks = np.arange(0.0, 5.0, 0.05)
+    odd = np.random.default_rng(5).uniform(0.0, 5.0, 400)
+    for times in (ticks, odd, np.concatenate([ticks, odd])):
+        assert settled(PacketChannel(parameters, spread_s), sent, times.tolist()) == ends
+
+
+def test_fates_are_those_of_the_whole_air_judged_at_once() -> None:
+    """Judged one by one with its neighbours, or all together: nobody moves here, so that one matrix holds."""
+    places = np.random.default_rng(2).uniform(0.0, 700.0, (5, 3))
+    distance = np.linalg.norm(places[:, None] - places, axis=2)
+    sent = [
+        Transmission(
+            t.number, t.sent_s, t.sender, t.transport,
+            {r: float(distance[NAMES.index(t.sender), NAMES.index(r)]) for r in t.distance_m},
+        )
+        for t in traffic(3)
+    ]  # fmt: skip
+    channel, rng = PacketChannel(PAPER, 0.05), np.random.default_rng(9)
+    for transmission in sent:
+        channel.transmit(transmission, rng)
+    events, radios = list(channel._around), [channel._radio(name, 0.0, rng) for name in NAMES]
+    durations = Durations.of(PAPER, slotted=False)
+    packets = packets_of(_events(events, {name: k for k, name in enumerate(NAMES)}, durations), durations)
+    whole = decide(
+        packets,
+        Coverage.of(path_loss_db(distance, PAPER.propagation), PAPER),
+        Scanners(np.stack([r.phase for r in radios], axis=1), np.array([r.clock for r in radios])),
+        durations,
+        REAL,
+    )
+    expected = arrivals(packets, whole.received, len(events)) * durations.slot_s
+    told = {(o.number, o.receiver): o.arrival_s for o in channel.settle(1e4, rng)}
+    assert len(events) == len(sent)
+    heard = 0
+    for transmission, row in zip(sent, expected, strict=True):
+        for receiver in transmission.distance_m:
+            arrival_s = told[transmission.number, receiver]
+            wanted = row[NAMES.index(receiver)]
+            assert (arrival_s is None) == bool(np.isnan(wanted))
+            assert arrival_s is None or arrival_s == pytest.approx(wanted)
+            heard += arrival_s is not None
+    # The case is a busy one: alone, a fifth of all would be heard and more.
+    assert 0.02 < heard / len(told) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("transport", "share", "least_s", "most_s"),
+    [
+        ("ble4", 3 * (2.0 - 0.376) / 24.0, 0.000376, 0.005 + 0.001378),
+        ("ble5", 3 * (2.0 - 1.152) / 24.0, 0.008328, 0.005 + 0.008328),
+        ("wifi", (6.0 - 0.632) / 21.0, BEACON_S, BEACON_S),
+        ("nan", (6.0 - 0.632) / 21.0, BEACON_S, BEACON_S),
+    ],
+)
+def test_a_frame_alone_is_heard_as_often_as_windows_are_open(
+    transport: str, share: float, least_s: float, most_s: float
+) -> None:
+    """And arrives with the end of its packet; Bluetooth's random delay of up to 5 ms goes before it."""
+    times = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.15, 60))
+    receivers = dict.fromkeys((f"r{k}" for k in range(150)), 1.0)
+    sent = [Transmission(k, float(t), "s", transport, receivers) for k, t in enumerate(times)]
+    told = settled(PacketChannel(PAPER), sent, [])
+    delays = [o.arrival_s - sent[o.number].sent_s for o in told if o.arrival_s is not None]
+    # Receivers scan independently; frames of random times sample each one's cycle.
+    assert len(delays) / len(told) == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / len(told)))
+    assert least_s - 1e-9 <= min(delays)
+    assert max(delays) <= most_s + 1e-9
+
+
+def beacons(transports: tuple[str, str], away_m: float, frames: int = 200) -> list[Transmission]:
+    """Two aircraft that send at the same instants; 20 others are near the first, so far from the second."""
+    near: dict[str, float | None] = dict.fromkeys((f"r{k}" for k in range(20)), 1.0)
+    far: dict[str, float | None] = dict.fromkeys(near, away_m)
+    return [
+        Transmission(2 * k + n, k * 0.1037, name, transport, away | {("b" if name == "a" else "a"): 1.0})
+        for k in range(frames)
+        for n, (name, transport, away) in enumerate((("a", transports[0], near), ("b", transports[1], far)))
+    ]
+
+
+def heard_of(sent: list[Transmission], channel: PacketChannel, seed: int = 9) -> dict[tuple[str, str], int]:
+    heard: dict[tuple[str, str], int] = {}
+    for outcome in settled(channel, sent, [], seed):
+        if outcome.arrival_s is not None:
+            pair = (sent[outcome.number].sender, outcome.receiver)
+            heard[pair] = heard.get(pair, 0) + 1
+    return heard
+
+
+@pytest.mark.parametrize("transports", [("wifi", "wifi"), ("wifi", "nan"), ("nan", "nan")])
+def test_what_overlaps_on_one_channel_is_lost(transports: tuple[str, str]) -> None:
+    assert heard_of(beacons(transports, 1.0), PacketChannel(PAPER)) == {}
+    # Radios that send at their own times within the tick meet no more.
+    spread = heard_of(beacons(transports, 1.0), PacketChannel(PAPER, 0.05))
+    assert sum(spread.values()) > 1000
+
+
+def test_an_interferer_that_does_not_reach_does_no_harm() -> None:
+    heard = heard_of(beacons(("wifi", "wifi"), 1e6), PacketChannel(PAPER))
+    assert sum(count for (sender, _), count in heard.items() if sender == "a") > 700
+    assert all(sender == "a" for sender, _ in heard)
+
+
+def test_who_sends_does_not_hear() -> None:
+    """Beacons on different channels: the others hear both, the two do not hear each other."""
+    parameters = ChannelParameters(wifi_channels="random")
+    for seed in range(20):
+        heard = heard_of(beacons(("wifi", "wifi"), 1.0), PacketChannel(parameters), seed)
+        if heard:  # the two drew different channels
+            break
+    assert {sender for sender, _ in heard} == {"a", "b"}
+    assert ("a", "b") not in heard
+    assert ("b", "a") not in heard
+
+
+def test_an_interferer_counts_with_where_it_was_when_it_sent() -> None:
+    """It comes near later, and its next frame says so before the air is settled."""
+    sent = beacons(("wifi", "wifi"), 1e6, 1)
+    alone = heard_of(sent[:1], PacketChannel(PAPER))
+    near: dict[str, float | None] = dict.fromkeys(sent[0].distance_m, 1.0)
+    then = heard_of([*sent, Transmission(2, 0.1, "b", "wifi", near)], PacketChannel(PAPER))
+    assert len(alone) > 2
+    assert {pair for pair in then if pair[0] == "a"} == {pair for pair in alone if pair != ("a", "b")}
+
+
+def test_one_radio_sends_one_event_after_the_other() -> None:
+    receivers: dict[str, float | None] = dict.fromkeys((f"r{k}" for k in range(300)), 1.0)
+    sent = [Transmission(k, 0.0, "s", "ble4" if k < 3 else "ble5", receivers) for k in range(4)]
+    arrival_s = [[], [], [], []]  # type: list[list[float]]
+    for outcome in settled(PacketChannel(ChannelParameters()), sent, []):
+        if outcome.arrival_s is not None:
+            arrival_s[outcome.number].append(outcome.arrival_s)
+    assert all(len(times) > 10 for times in arrival_s)
+    for before, after in itertools.pairwise(arrival_s):
+        assert max(before) < min(after)
+
+
+def test_a_radio_that_falls_behind_drops_what_is_out_of_date() -> None:
+    channel, rng = PacketChannel(PAPER), np.random.default_rng(1)
+    for number in range(3000):
+        channel.transmit(Transmission(number, 5.0, "s", "wifi", {"b": 1.0}), rng)
+    dropped = [o.number for o in channel.settle(5.0, rng)]
+    assert dropped == list(range(3000 - len(dropped), 3000))
+    assert 3000 - len(dropped) == math.floor(MAX_BACKLOG_S / BEACON_S) + 1
+    rest = channel.settle(5.0 + MAX_BACKLOG_S + 2 * BEACON_S, rng)
+    assert len(rest) + len(dropped) == 3000
+    # After the rush it sends at once again.
+    channel.transmit(Transmission(3000, 9.0, "s", "wifi", {"b": 1.0}), rng)
+    assert channel.next_s() == pytest.approx(9.0 + BEACON_S, abs=0.0002)
+
+
+def test_each_aircraft_and_mode_has_an_offset_of_its_own_within_the_tick() -> None:
+    offsets = set()
+    for sender in ("a", "b", "c"):
+        receivers: dict[str, float | None] = dict.fromkeys((f"r{k}" for k in range(40)), 1.0)
+        sent = [Transmission(k, k * 0.05, sender, "wifi", receivers) for k in range(20)]
+        told = settled(PacketChannel(PAPER, 0.05), sent, [], seed=ord(sender))
+        own = {
+            round(o.arrival_s - sent[o.number].sent_s - BEACON_S, 9) for o in told if o.arrival_s is not None
+        }
+        assert len(own) == 1
+        offsets |= own
+    assert len(offsets) == 3
+    assert all(0.0 <= offset < 0.05 for offset in offsets)
+
+
+def test_foreign_transmissions_take_their_share() -> None:
+    """Of the packets in a window: idle at the beginning, and for the packet's length."""
+    busy = ChannelParameters(background=BackgroundLoad(wifi=0.5, burst_ms=2.0))
+    times = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.15, 60))
+    receivers: dict[str, float | None] = dict.fromkeys((f"r{k}" for k in range(150)), 1.0)
+    sent = [Transmission(k, float(t), "s", "wifi", receivers) for k, t in enumerate(times)]
+    told = settled(PacketChannel(busy), sent, times.tolist())
+    expected = (6.0 - 0.632) / 21.0 * 0.5 * math.exp(-0.632 / 2.0)
+    share = sum(o.arrival_s is not None for o in told) / len(told)
+    assert share == pytest.approx(expected, abs=4 * math.sqrt(expected / len(told)))
+
+
+def test_what_is_over_is_forgotten() -> None:
+    channel, rng = PacketChannel(PAPER), np.random.default_rng(1)
+    for number in range(200):
+        channel.settle(number * 0.05, rng)
+        channel.transmit(Transmission(number, number * 0.05, "s", "ble5", {"b": 1.0}), rng)
+    assert len(channel._around) <= 2
+
+
+def test_time_does_not_go_back() -> None:
+    channel, rng = PacketChannel(PAPER), np.random.default_rng(1)
+    channel.settle(2.0, rng)
+    with pytest.raises(ValueError, match=r"sent at 1.9 s, after the air was settled at 2.0 s"):
+        channel.transmit(Transmission(0, 1.9, "s", "wifi", {"b": 1.0}), rng)
