@@ -1,5 +1,6 @@
 """The simulated air as a real process: clients hear each other over loopback, hostile bytes are survived."""
 
+import argparse
 import json
 import signal
 import socket
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from companion.radio.ether import EtherTransport
 from companion.radio.ether_wire import SILENCE_S, Heard, Join, Leave, Send, Welcome
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location, SelfId
+from sitl_mocks import ether_server
 from sitl_mocks.channel.simple import SimpleChannel
 from sitl_mocks.ether_server import MAX_CLIENTS, EtherServer
 
@@ -100,6 +103,56 @@ def test_two_clients_hear_each_other_and_the_air_ends_cleanly(number: signal.Sig
     assert statistics["pairs"]["a>b"]["delivered"] == 5
     assert statistics["pairs"]["b>a"]["delivered"] == 10
     assert 0.01 <= statistics["pairs"]["a>b"]["age_min_s"] <= statistics["pairs"]["a>b"]["age_max_s"]
+
+
+def test_the_air_of_packets_lets_through_what_its_channel_does(tmp_path: Path) -> None:
+    """Beacons in real time: some are heard, the lost ones are counted, and so is the age of information."""
+    parameters = tmp_path / "p.toml"
+    parameters.write_text("[wifi]\nscan_ms = 60.0\n")
+    process, endpoint = start("--channel", "packets", "--parameters", str(parameters))
+    radios = {name: EtherTransport(endpoint, name, radio_address(name)) for name in ("a", "b")}
+    heard: list[RemoteIdHeard] = []
+    try:
+        for radio in radios.values():
+            until(lambda radio=radio: answered(radio))  # type: ignore[misc]
+
+        def enough() -> bool:
+            radios["a"].broadcast("wifi", MESSAGES, time.monotonic())
+            heard.extend(radios["b"].heard(time.monotonic()))
+            return len(heard) >= 20
+
+        until(enough)
+    finally:
+        for radio in radios.values():
+            radio.close()
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=GENEROUS_S)
+    assert process.returncode == 0, err
+    pair = json.loads(out.splitlines()[-1])["pairs"]["a>b"]
+    assert pair["delivered"] >= 20
+    # Two thirds of the time it listens on other channels.
+    assert pair["lost"] > 0
+    assert pair["sent"] == pair["delivered"] + pair["lost"]
+    assert pair["transports"]["wifi"]["sent"] == pair["sent"]
+    assert 0.0 < pair["information_age_mean_s"] <= pair["information_age_max_s"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--channel", "packets", "--delay", "0", "1"], "--delay: goes with --channel interval"),
+        (["--channel", "analytic", "--loss", "0.1"], "--loss: goes with --channel interval"),
+        (["--channel", "packets", "--range", "100"], "--range: goes with --channel interval"),
+        (["--parameters", "x.toml"], "--parameters: goes with --channel analytic or --channel packets"),
+        (["--loss", "2"], "channel.loss: 2: allowed 0 to 1"),
+    ],
+)
+def test_options_of_another_channel_are_refused(arguments: list[str], words: str) -> None:
+    parser = argparse.ArgumentParser()
+    ether_server.add_arguments(parser)
+    with pytest.raises(ConfigError) as refused:
+        ether_server.run(parser.parse_args(arguments))
+    assert words in str(refused.value)
 
 
 # ------------------------------------------------------- the server itself, with a clock of the test's own

@@ -12,6 +12,7 @@ import pytest
 from companion.autopilot.tlog import read_tlog
 from companion.events import AuthorityChanged
 from sitl_mocks import cli, lockstep, settings
+from sitl_mocks.air_settings import AirSettings
 from sitl_mocks.lockstep import Flown, Run
 from sitl_mocks.settings import PathSettings, Scenario
 from sitl_mocks.swarm import window
@@ -78,6 +79,27 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another():
     for first, second, third in zip(a.aircraft, b.aircraft, c.aircraft, strict=True):
         np.testing.assert_array_equal(first.position_ned_m, second.position_ned_m)
         assert np.abs(first.position_ned_m - third.position_ned_m).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("model", "transport", "rate"),
+    [("analytic", "wifi", 5), ("packets", "wifi", 5), ("packets", "ble4", 9), ("analytic", "ble5", 10)],
+)
+def test_delays_come_out_of_the_channel(model, transport, rate):
+    """No interval is given; the pair keeps apart by what the channel lets through, and is as old as that."""
+    air = AirSettings(model=model, transport=transport, rate=rate)
+    scenario = msgspec.structs.replace(HEAD_ON, air=air)
+    run = lockstep.fly(scenario, 1)
+    assert least(run) > 10.0
+    assert set(run.air) == {("DMUCA001", "DMUCA002"), ("DMUCA002", "DMUCA001")}
+    for pair in run.air.values():
+        # At most a quarter of a single event's packets fall into a window.
+        assert 0.03 < pair.delivered / pair.sent < 0.32
+        # Frames that are lost make the age longer than the time between two of them.
+        assert 1.5 / rate < pair.information_age_mean_s < 4.0
+        assert pair.age_max_s < 0.2
+    again = lockstep.fly(scenario, 1)
+    assert again.air == run.air
 
 
 def test_wind_and_the_papers_law_fly():
@@ -161,6 +183,21 @@ def test_seeds_as_json_lines_and_exit_code(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["ok"] is False
 
 
+def test_a_channel_model_flies_by_the_command_and_says_so(tmp_path, capsys):
+    scenario = write(tmp_path, SHORT.format(east=60.0))
+    parameters = tmp_path / "p.toml"
+    parameters.write_text('wifi_channels = "random"\n')
+    words = ["--channel", "packets", "--parameters", parameters, "--runs", tmp_path / "runs", "--json"]
+    assert demo("--scenario", scenario, *words) == 0
+    line = json.loads(capsys.readouterr().out)
+    assert line["channel"] == "packets"
+    assert "delay_s" not in line
+    (folder,) = (tmp_path / "runs").iterdir()
+    flown = settings.load(folder / "config.toml")
+    assert (flown.air.model, flown.channel.wifi_channels) == ("packets", "random")
+    assert len(json.loads((folder / "summary.json").read_text())["air"]) == 2
+
+
 def test_a_run_folder_is_whole(tmp_path, capsys):
     scenario = write(tmp_path, SHORT.format(east=60.0))
     assert demo("--scenario", scenario, "--runs", tmp_path / "runs") == 0
@@ -176,6 +213,16 @@ def test_a_run_folder_is_whole(tmp_path, capsys):
     assert times[0] == pytest.approx(lockstep.UTC_AT_START_S, abs=0.1)
     assert times[-1] - times[0] == pytest.approx(15.0, abs=0.2)
     assert settings.load(folder / "config.toml").duration_s == 12.0
+    summary = json.loads((folder / "summary.json").read_text())
+    assert [(row["sender"], row["receiver"]) for row in summary["air"]] == [
+        ("DMUCA001", "DMUCA002"),
+        ("DMUCA002", "DMUCA001"),
+    ]
+    for row in summary["air"]:
+        assert row["transports"] == {"wifi": {"sent": row["sent"], "delivered": row["delivered"]}}
+        assert row["first_heard_s"] < 3.0
+        # Once a second, 0 to 1 s on the way.
+        assert 0.4 < row["information_age_mean_s"] < row["information_age_max_s"] < 3.0
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["seed"] == 1
     assert "numba" in manifest["versions"]
@@ -189,6 +236,10 @@ def test_a_run_folder_is_whole(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (
+            ["--channel", "packets", "--delay", "0", "1"],
+            "--delay: goes with --channel interval",
+        ),
         (["--delay", "2", "1"], "--delay: 2 1: allowed 0 <= LOW <= HIGH <= 60"),
         (["--seed", "-1"], "--seed: -1: allowed 0 and above"),
         (["--aircraft", "1"], "--aircraft: 1: allowed 2 to 100"),
