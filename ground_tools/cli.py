@@ -24,9 +24,7 @@ _EXAMPLES = """examples:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
-    parser = parser_of(
-        "ground-tools", "Desk tools: look at runs, check the law against an oracle.", _EXAMPLES
-    )
+    parser = parser_of("ground-tools", "Desk tools: look at runs, check laws and radio models.", _EXAMPLES)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
         ("inspect", inspect_command, "a run folder as a Rerun recording, or its summary"),

@@ -13,7 +13,14 @@ from rich.progress import Progress
 @contextmanager
 def progress(words: str, steps: int) -> Iterator[Callable[[], None]]:
     """Gives the function to call after each step."""
-    shown = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    shown = Progress(
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+        # Otherwise what is printed meanwhile would leave by stderr too.
+        redirect_stdout=False,
+        redirect_stderr=False,
+    )
     with shown:
         task = shown.add_task(words, total=steps)
         yield lambda: shown.advance(task)

@@ -45,17 +45,17 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option or the parameter file is wrong.
     """
     settings = options.settings_of(args)
-    console = Console()
     steps = len(settings.sigmas_db) * len(settings.sides_m) * len(batches_of(settings))
     with progress("fixed modes", steps) as advance:
-        for rows in evaluate(settings, advance):
-            if args.json:
-                for row in rows:
-                    print(json_line(row), flush=True)
-            else:
-                console.print(table_of(rows))
-    if not args.json:
-        print(_LEGEND)
+        sides = list(evaluate(settings, advance))
+    if args.json:
+        for row in (row for rows in sides for row in rows):
+            print(json_line(row))
+        return 0
+    console = Console()
+    for rows in sides:
+        console.print(table_of(rows))
+    print(_LEGEND)
     return 0
 
 

@@ -138,6 +138,14 @@ def test_json_lines(capsys):
     assert first["system_delay_ms"] == pytest.approx(3131, rel=0.01)
 
 
+def test_progress_in_a_terminal_leaves_the_output_alone(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert cli.main(["channel", "table", "--json", *QUICK, "--rates", "9"]) == 0
+    out, err = capsys.readouterr()
+    assert [json.loads(line)["mode"] for line in out.splitlines()] == ["ble4", "ble5", "wifi", "wifi"]
+    assert "fixed modes" in err
+
+
 def test_json_is_null_where_nobody_is_in_range(capsys):
     assert (
         cli.main(["channel", "table", "--json", "--samples", "2", "--sides", "900000", "--rates", "1"]) == 0
