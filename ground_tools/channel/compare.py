@@ -12,13 +12,14 @@ import argparse
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
@@ -28,7 +29,7 @@ from companion.errors import ConfigError
 from sitl_mocks.channel import packet_metrics, parameters
 from sitl_mocks.channel.analytic import Analytic, fixed_mode, system_delay_s
 from sitl_mocks.channel.delay import single_link_s
-from sitl_mocks.channel.events import simulate
+from sitl_mocks.channel.events import Result, simulate
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions
 from sitl_mocks.channel.packet_timing import PAPER, REAL, Assumptions
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
@@ -37,52 +38,87 @@ Floats = NDArray[np.float64]
 
 _EXACT = replace(PAPER, slotted=False)
 _RUNNING_ON = replace(_EXACT, advertiser="standard", phases="free")
-LINK_VARIANTS: dict[str, Assumptions] = {
-    "as the equations": PAPER,
-    "exact time": _EXACT,
-    "phases run on": _RUNNING_ON,
-    "phases run on, clocks drift": replace(_RUNNING_ON, clock_ppm=REAL.clock_ppm),
-    "real radios": REAL,
+VARIANTS: dict[str, dict[str, Assumptions]] = {
+    "link": {
+        "as the equations": PAPER,
+        "exact time": _EXACT,
+        "phases run on": _RUNNING_ON,
+        "phases run on, clocks drift": replace(_RUNNING_ON, clock_ppm=REAL.clock_ppm),
+        "real radios": REAL,
+    },
+    "collision": {
+        "as the equations": PAPER,
+        "exact time": _EXACT,
+        "deaf while sending": replace(_EXACT, half_duplex=True),
+        "real radios": REAL,
+        "real radios, capture 6 dB": replace(REAL, capture_db=6.0),
+    },
+    "fleet": {"as the equations": PAPER, "real radios": REAL},
 }
-"""Only schedules and scans differ; the last one adds the advertiser's random delay."""
-COLLISION_VARIANTS: dict[str, Assumptions] = {
-    "as the equations": PAPER,
-    "exact time": _EXACT,
-    "deaf while sending": replace(_EXACT, half_duplex=True),
-    "real radios": REAL,
-    "real radios, capture 6 dB": replace(REAL, capture_db=6.0),
-}
-FLEET_VARIANTS: dict[str, Assumptions] = {"as the equations": PAPER, "real radios": REAL}
+"""Assumptions of the packet-by-packet simulator in each study, from the paper's to the standards'."""
 BEST_RATES = {"ble4": 9, "ble5": 10, "wifi": 10}
 SIDES_M = (100.0, 500.0, 1000.0, 3000.0, 5000.0, 10_000.0)
 DENSE_M = 100.0
 FLEETS = (10, 30, 100)
-_RECEIVERS = 200
+RECEIVERS = 200
 _Z = 1.96
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """One comparison. Delays in ms, losses as shares; intervals of 95 %."""
+class Case:
+    """What is compared."""
 
     study: str
     variant: str
     mode: str
     rate: int
     uavs: int
-    side_m: float | None
+    side_m: float | None = None
+
+    @property
+    def assumptions(self) -> Assumptions:
+        """Those of the packet-by-packet simulator."""
+        return VARIANTS[self.study][self.variant]
+
+    @property
+    def column(self) -> int:
+        """Of the mode."""
+        return MODES.index(self.mode)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One comparison. Delays in ms, losses as shares; intervals of 95 %."""
+
+    case: Case
     quantity: str
-    analytic: float
-    events: float
-    events_low: float
-    events_high: float
-    ratio: float
-    """Events over analytic."""
+    equations: float
+    """The paper's."""
+    equations_random: float
+    """The same with Bluetooth events at random phases (`BleParameters.schedule`)."""
+    packets: float
+    packets_low: float
+    packets_high: float
     never_heard: float
     """Share of the pairs in range that heard nothing in the whole run; they are left out of a mean delay."""
     waiting: float
-    """Share of the counted samples that still waited at the end; where above 0, the delay is a lower
-    bound."""
+    """Share of the counted samples that still waited at the end: above 0, the delay is a lower bound."""
+
+    @property
+    def ratio(self) -> float:
+        """Packets over equations."""
+        return self.packets / self.equations if self.equations else math.nan
+
+    @property
+    def ratio_random(self) -> float:
+        """Packets over equations with random phases."""
+        return self.packets / self.equations_random if self.equations_random else math.nan
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON: what is not finite is null."""
+        fields = asdict(self)
+        flat = {**fields.pop("case"), **fields, "ratio": self.ratio, "ratio_random": self.ratio_random}
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in flat.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,178 +156,171 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.seed < 0:
         raise ConfigError(f"--seed: {arguments.seed}: allowed 0 and above")
     p = ChannelParameters() if arguments.parameters is None else parameters.load(arguments.parameters)
+    p = with_schedule(p, "coprime")
     console = Console(stderr=arguments.json)
     rows = list(compare(p, Effort(arguments.seconds, arguments.environments, arguments.seed), console))
     if arguments.json:
         for row in rows:
-            print(json.dumps(as_dict(row)))
+            print(json.dumps(row.as_dict()))
     else:
-        for study in dict.fromkeys(row.study for row in rows):
-            console.print(_table(study, [row for row in rows if row.study == study]))
+        for study in VARIANTS:
+            console.print(_table(study, [row for row in rows if row.case.study == study]))
     if arguments.out is not None:
         from ground_tools.channel.compare_plot import draw
 
         arguments.out.mkdir(parents=True, exist_ok=True)
-        (arguments.out / "compare.json").write_text("".join(json.dumps(as_dict(r)) + "\n" for r in rows))
+        (arguments.out / "compare.json").write_text("".join(json.dumps(r.as_dict()) + "\n" for r in rows))
         draw(rows, arguments.out / "compare.png")
         console.print(f"picture: {arguments.out / 'compare.png'}", soft_wrap=True)
     return 0
 
 
-def as_dict(row: Row) -> dict[str, object]:
-    """For JSON: what is not finite is null."""
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(row).items()}
+def with_schedule(p: ChannelParameters, schedule: Literal["coprime", "random"]) -> ChannelParameters:
+    """The same parameters with this schedule for both Bluetooth modes."""
+    return structs.replace(
+        p,
+        ble4=structs.replace(p.ble4, schedule=schedule),
+        ble5=structs.replace(p.ble5, schedule=schedule),
+    )
+
+
+def cases(p: ChannelParameters) -> list[Case]:
+    """All of all three studies."""
+    largest = dict(zip(MODES, parameters.max_rates(p), strict=True))
+    found = [
+        Case("link", variant, mode, rate, 1 + RECEIVERS)
+        for variant in VARIANTS["link"]
+        for mode in MODES
+        for rate in range(1, 1 + largest[mode])
+    ]
+    found += [
+        Case("collision", variant, mode, rate, uavs, DENSE_M)
+        for variant in VARIANTS["collision"]
+        for mode, rate in BEST_RATES.items()
+        for uavs in FLEETS
+    ]
+    found += [
+        Case("fleet", variant, mode, rate, 10, side_m)
+        for variant in VARIANTS["fleet"]
+        for mode, rate in BEST_RATES.items()
+        for side_m in SIDES_M
+    ]
+    return found
 
 
 def compare(p: ChannelParameters, effort: Effort, console: Console) -> Iterator[Row]:
-    """All three studies, on all cores."""
-    tasks: list[Callable[[], Row]] = []
-    for variant, assumptions in LINK_VARIANTS.items():
-        for mode in MODES:
-            rates = range(1, 1 + parameters.max_rates(p)[MODES.index(mode)])
-            tasks += [partial(link_row, p, effort, variant, assumptions, mode, rate) for rate in rates]
-    for variant, assumptions in COLLISION_VARIANTS.items():
-        for mode, rate in BEST_RATES.items():
-            tasks += [
-                partial(collision_row, p, effort, variant, assumptions, mode, rate, uavs) for uavs in FLEETS
-            ]
-    for variant, assumptions in FLEET_VARIANTS.items():
-        for mode, rate in BEST_RATES.items():
-            tasks += [
-                partial(fleet_row, p, effort, variant, assumptions, mode, rate, side) for side in SIDES_M
-            ]
+    """Every case, on all cores."""
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        futures = [pool.submit(task) for task in tasks]
+        futures = [pool.submit(row_of, p, effort, case) for case in cases(p)]
         for future in track(
             futures, "simulating", console=console, transient=True, disable=not console.is_terminal
         ):
             yield future.result()
 
 
-def link_row(
-    p: ChannelParameters, effort: Effort, variant: str, assumptions: Assumptions, mode: str, rate: int
-) -> Row:
+def row_of(p: ChannelParameters, effort: Effort, case: Case) -> Row:
+    """One comparison, the same whatever else is compared."""
+    return {"link": _link, "collision": _collision, "fleet": _fleet}[case.study](p, effort, case)
+
+
+def _link(p: ChannelParameters, effort: Effort, case: Case) -> Row:
     """One sender in the midst of receivers that do not send."""
-    nodes = 1 + _RECEIVERS
-    rates = np.zeros((nodes, 3), np.intp)
-    rates[0, MODES.index(mode)] = rate
-    near = np.zeros((nodes, nodes))
-    # As much simulated time as the fleets get together; a run long enough for the slowest mode.
-    seconds = max(effort.seconds, 60.0) * 2.0
-    result = simulate(
-        p,
-        assumptions,
-        near,
-        rates,
-        np.ones(nodes, np.intp),
-        seconds,
-        _rng(effort, "link", variant, mode, rate),
-    )
+    rates = np.zeros((case.uavs, 3), np.intp)
+    rates[0, case.column] = case.rate
+    near, channels = np.zeros((case.uavs, case.uavs)), np.ones(case.uavs, np.intp)
+    seconds = 2.0 * max(effort.seconds, 60.0)  # long enough for the slowest mode
+    result = simulate(p, case.assumptions, near, rates, channels, seconds, _rng(effort, case))
     delay = packet_metrics.sample_delay_s(result)
-    index = MODES.index(mode)
-    each = delay.mean_s[0, 1:, index]
-    heard = np.isfinite(each)
-    mean, error = _mean_and_error(1000.0 * each[heard])
-    counted = max(1, round(0.8 * seconds * 1000.0 / p.gnss_period_ms)) * max(1, int(heard.sum()))
-    waiting = float(delay.open_samples[0, 1:, index][heard].sum()) / counted
-    return _row(
-        "link", variant, mode, rate, nodes, None, "delay_ms", 1000.0 * single_link_s(mode, rate, p), mean,
-        error, packet_metrics.never_heard(result), waiting,
-    )  # fmt: skip
+    each = delay.mean_s[0, 1:, case.column]
+    mean, error = _mean_and_error(1000.0 * each[np.isfinite(each)])
+    return Row(
+        case,
+        "delay_ms",
+        1000.0 * single_link_s(case.mode, case.rate, p),
+        1000.0 * single_link_s(case.mode, case.rate, with_schedule(p, "random")),
+        mean,
+        mean - _Z * error,
+        mean + _Z * error,
+        packet_metrics.never_heard(result),
+        _waiting(delay, result, case),
+    )
 
 
-def collision_row(
-    p: ChannelParameters,
-    effort: Effort,
-    variant: str,
-    assumptions: Assumptions,
-    mode: str,
-    rate: int,
-    uavs: int,
-) -> Row:
+def _collision(p: ChannelParameters, effort: Effort, case: Case) -> Row:
     """Everybody near everybody; positions matter only for capture."""
-    index = MODES.index(mode)
-    places, rng = _rng(effort, "collision", uavs), _rng(effort, "collision", variant, mode, uavs)
+    places, rng = _places(effort, case), _rng(effort, case)
     lost, expected, silent = [], [], []
     # Schedules that meet once may meet in every period: many short runs say more than a few long ones.
-    for _ in range(max(effort.environments, 100 * effort.environments // uavs)):
-        links = all_links(draw_positions(1, uavs, DENSE_M, places), p.propagation, places)
-        fleet = fixed_mode(uavs, mode, rate, p, rng)
-        seconds = max(5.0, effort.seconds / uavs)
-        result = simulate(p, assumptions, _matrix(links), fleet.rates, fleet.wifi_channel, seconds, rng)
-        lost.append(float(result.lost[:, :, index].sum() / result.hearable[:, :, index].sum()))
-        expected.append(float(np.nanmean(Analytic(p).evaluate(links, fleet).loss[:, index])))
+    for _ in range(max(effort.environments, 100 * effort.environments // case.uavs)):
+        links = all_links(draw_positions(1, case.uavs, DENSE_M, places), p.propagation, places)
+        fleet = fixed_mode(case.uavs, case.mode, case.rate, p, rng)
+        seconds = max(5.0, effort.seconds / case.uavs)
+        result = simulate(p, case.assumptions, _matrix(links), fleet.rates, fleet.wifi_channel, seconds, rng)
+        lost.append(result.lost[:, :, case.column].sum() / result.hearable[:, :, case.column].sum())
+        expected.append(np.nanmean(Analytic(p).evaluate(links, fleet).loss[:, case.column]))
         silent.append(packet_metrics.never_heard(result))
     mean, error = _mean_and_error(np.array(lost))
-    return _row(
-        "collision", variant, mode, rate, uavs, DENSE_M, "loss", float(np.mean(expected)), mean, error,
-        float(np.mean(silent)), 0.0,
-    )  # fmt: skip
+    product = float(np.mean(expected))
+    low, high = mean - _Z * error, mean + _Z * error
+    return Row(case, "loss", product, product, mean, low, high, float(np.mean(silent)), 0.0)
 
 
-def fleet_row(
-    p: ChannelParameters,
-    effort: Effort,
-    variant: str,
-    assumptions: Assumptions,
-    mode: str,
-    rate: int,
-    side_m: float,
-) -> Row:
-    """System delay of ten aircraft; both models see the same positions. Pairs that never heard count
-    nothing."""
-    uavs, index = 10, MODES.index(mode)
-    # The same positions for every mode and variant.
-    places, rng = _rng(effort, "fleet", round(side_m)), _rng(effort, "fleet", variant, mode, round(side_m))
-    simulated, expected, silent, waiting = [], [], [], []
+def _fleet(p: ChannelParameters, effort: Effort, case: Case) -> Row:
+    """System delay of a fixed mode, both models same positions; pairs that never heard do not count."""
+    assert case.side_m is not None
+    places, rng = _places(effort, case), _rng(effort, case)
+    models = Analytic(p), Analytic(with_schedule(p, "random"))
+    simulated, silent, waiting = [], [], []
+    expected: list[float] = []
+    at_random: list[float] = []
     for _ in range(effort.environments):
-        links = all_links(draw_positions(1, uavs, side_m, places), p.propagation, places)
-        fleet = fixed_mode(uavs, mode, rate, p, rng)
-        expected.append(1000.0 * float(system_delay_s(Analytic(p).evaluate(links, fleet), 1)[0]))
+        links = all_links(draw_positions(1, case.uavs, case.side_m, places), p.propagation, places)
+        fleet = fixed_mode(case.uavs, case.mode, case.rate, p, rng)
+        for model, found in zip(models, (expected, at_random), strict=True):
+            found.append(1000.0 * float(system_delay_s(model.evaluate(links, fleet), 1)[0]))
         seconds = max(effort.seconds, 30.0)
-        result = simulate(p, assumptions, _matrix(links), fleet.rates, fleet.wifi_channel, seconds, rng)
+        result = simulate(p, case.assumptions, _matrix(links), fleet.rates, fleet.wifi_channel, seconds, rng)
         delay = packet_metrics.sample_delay_s(result)
-        mean_s = delay.mean_s[:, :, index]
+        mean_s = delay.mean_s[:, :, case.column]
         heard = np.isfinite(mean_s)
         each = np.where(heard, mean_s, 0.0).sum(axis=1) / np.maximum(heard.sum(axis=1), 1)
         simulated.append(1000.0 * float(each.sum()))
-        silent.append(packet_metrics.never_heard(result))
-        counted = max(1, round(0.8 * seconds * 1000.0 / p.gnss_period_ms)) * max(1, int(heard.sum()))
-        waiting.append(float(delay.open_samples[:, :, index][heard].sum()) / counted)
+        if result.carried.any():
+            silent.append(packet_metrics.never_heard(result))
+            waiting.append(_waiting(delay, result, case))
     # The positions' own spread is common to both models: the interval is that of the paired difference.
     paired, error = _mean_and_error(np.array(simulated) - np.array(expected))
-    analytic = float(np.mean(expected))
-    return _row(
-        "fleet", variant, mode, rate, uavs, side_m, "system_delay_ms", analytic, analytic + paired, error,
-        float(np.nanmean(silent)) if np.isfinite(silent).any() else math.nan, float(np.mean(waiting)),
-    )  # fmt: skip
-
-
-def _row(
-    study: str,
-    variant: str,
-    mode: str,
-    rate: int,
-    uavs: int,
-    side_m: float | None,
-    quantity: str,
-    analytic: float,
-    events: float,
-    error: float,
-    never_heard: float,
-    waiting: float,
-) -> Row:
-    ratio = events / analytic if analytic else math.nan
+    equations = float(np.mean(expected))
+    mean = equations + paired
     return Row(
-        study, variant, mode, rate, uavs, side_m, quantity, analytic, events,
-        events - _Z * error, events + _Z * error, ratio, never_heard, waiting,
-    )  # fmt: skip
+        case,
+        "system_delay_ms",
+        equations,
+        float(np.mean(at_random)),
+        mean,
+        mean - _Z * error,
+        mean + _Z * error,
+        float(np.mean(silent)) if silent else math.nan,
+        float(np.mean(waiting)) if waiting else math.nan,
+    )
 
 
-def _rng(effort: Effort, *what: str | int) -> np.random.Generator:
+def _waiting(delay: packet_metrics.SampleDelay, result: Result, case: Case) -> float:
+    """Share of the samples that pairs with a finite mean still waited for."""
+    heard = np.isfinite(delay.mean_s[:, :, case.column])
+    samples = 0.8 * result.duration_s / result.gnss_period_s * max(1, int(heard.sum()))
+    return float(delay.open_samples[:, :, case.column][heard].sum() / samples)
+
+
+def _places(effort: Effort, case: Case) -> np.random.Generator:
+    """Draws the positions: the same for every mode and variant."""
+    return np.random.default_rng([effort.seed, case.uavs, round(case.side_m or 0.0)])
+
+
+def _rng(effort: Effort, case: Case) -> np.random.Generator:
     """A stream for each case, whatever else is simulated."""
-    words = [int.from_bytes(str(w).encode(), "little") for w in what]
-    return np.random.default_rng([effort.seed, *words])
+    words = (case.study, case.variant, case.mode, case.rate, case.uavs, case.side_m)
+    return np.random.default_rng([effort.seed, *(int.from_bytes(str(w).encode(), "little") for w in words)])
 
 
 def _matrix(links: Links) -> Floats:
@@ -314,22 +343,25 @@ def _table(study: str, rows: list[Row]) -> Table:
     table = Table(title={"link": "One link", "collision": "Packets that meet", "fleet": "Fixed modes"}[study])
     for name in ("assumptions", "mode", "rate", "UAVs", "side"):
         table.add_column(name)
-    for name in ("equations", "packets (95 %)", "ratio", "never heard", "waiting"):
+    table.add_column("equations", justify="right")
+    table.add_column("random phases", justify="right")
+    for name in ("packets (95 %)", "ratio", "ratio, random", "never heard", "waiting"):
         table.add_column(name, justify="right")
     for row in rows:
+        case = row.case
         unit, scale, digits = ("%", 100.0, 2) if row.quantity == "loss" else ("ms", 1.0, 0)
-        half = scale * (row.events_high - row.events_low) / 2.0
-        place = "" if row.side_m is None else f"{row.side_m:g} m"
-        packets = f"{scale * row.events:.{digits}f} ± {half:.{digits}f} {unit}"
+        half = scale * (row.packets_high - row.packets_low) / 2.0
         table.add_row(
-            row.variant,
-            row.mode,
-            str(row.rate),
-            str(row.uavs),
-            place,
-            f"{scale * row.analytic:.{digits}f} {unit}",
-            packets,
+            case.variant,
+            case.mode,
+            str(case.rate),
+            str(case.uavs),
+            "" if case.side_m is None else f"{case.side_m:g} m",
+            f"{scale * row.equations:.{digits}f} {unit}",
+            f"{scale * row.equations_random:.{digits}f} {unit}",
+            f"{scale * row.packets:.{digits}f} ± {half:.{digits}f} {unit}",
             f"{row.ratio:.3f}",
+            f"{row.ratio_random:.3f}",
             f"{100 * row.never_heard:.1f} %",
             f"{100 * row.waiting:.2f} %",
         )

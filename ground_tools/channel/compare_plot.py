@@ -28,9 +28,9 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     """
     with drawn(path, (19, 6.4)) as figure:
         link, collision, fleet = figure.subplots(1, 3)
-        _link(link, [r for r in rows if r.study == "link"])
-        _collision(collision, [r for r in rows if r.study == "collision"])
-        _fleet(fleet, [r for r in rows if r.study == "fleet"])
+        _link(link, [r for r in rows if r.case.study == "link"])
+        _collision(collision, [r for r in rows if r.case.study == "collision"])
+        _fleet(fleet, [r for r in rows if r.case.study == "fleet"])
 
 
 def _colour(mode: str) -> str:
@@ -39,11 +39,11 @@ def _colour(mode: str) -> str:
 
 def _points(axes: Any, rows: Sequence[Row], x: Sequence[float], variant: str, label: str | None) -> None:
     mark, fill = _MARKS[variant]
-    shade = _colour(rows[0].mode)
-    below = [r.events - r.events_low for r in rows]
-    above = [r.events_high - r.events for r in rows]
+    shade = _colour(rows[0].case.mode)
+    below = [r.packets - r.packets_low for r in rows]
+    above = [r.packets_high - r.packets for r in rows]
     axes.errorbar(
-        x, [r.events for r in rows], [below, above], fmt=mark, color=shade, label=label, capsize=3,
+        x, [r.packets for r in rows], [below, above], fmt=mark, color=shade, label=label, capsize=3,
         markerfacecolor="white" if fill == "none" else shade, markersize=7,
     )  # fmt: skip
 
@@ -52,12 +52,15 @@ def _link(axes: Any, rows: list[Row]) -> None:
     axes.set_title("One sender, one receiver")
     for mode in MODES:
         for variant in (_EQUAL, _REAL):
-            mine = [r for r in rows if r.mode == mode and r.variant == variant]
+            mine = [r for r in rows if r.case.mode == mode and r.case.variant == variant]
             if variant == _EQUAL:
                 axes.plot(
-                    [r.rate for r in mine], [r.analytic for r in mine], color=_colour(mode), linewidth=1.5
+                    [r.case.rate for r in mine],
+                    [r.equations for r in mine],
+                    color=_colour(mode),
+                    linewidth=1.5,
                 )
-            _points(axes, mine, [r.rate for r in mine], variant, f"{NAMES[mode]}, {variant}")
+            _points(axes, mine, [r.case.rate for r in mine], variant, f"{NAMES[mode]}, {variant}")
     axes.set_yscale("log")
     axes.set_xlabel("message rate (1/s)")
     axes.set_ylabel("mean delay (ms)")
@@ -68,15 +71,21 @@ def _collision(axes: Any, rows: list[Row]) -> None:
     axes.set_title("Everybody hears everybody")
     for mode in MODES:
         for variant in (_EQUAL, _REAL):
-            mine = [r for r in rows if r.mode == mode and r.variant == variant]
+            mine = [r for r in rows if r.case.mode == mode and r.case.variant == variant]
             if variant == _EQUAL:
-                axes.plot([r.uavs for r in mine], [100 * r.analytic for r in mine], color=_colour(mode))
+                axes.plot([r.case.uavs for r in mine], [100 * r.equations for r in mine], color=_colour(mode))
             shares = [_percent(r) for r in mine]
             _points(
-                axes, shares, [r.uavs * (1.03 if variant == _REAL else 0.97) for r in mine], variant, None
+                axes,
+                shares,
+                [r.case.uavs * (1.03 if variant == _REAL else 0.97) for r in mine],
+                variant,
+                None,
             )
     axes.set_xscale("log")
-    axes.set_xticks(sorted({r.uavs for r in rows}), [str(n) for n in sorted({r.uavs for r in rows})])
+    axes.set_xticks(
+        sorted({r.case.uavs for r in rows}), [str(n) for n in sorted({r.case.uavs for r in rows})]
+    )
     axes.set_xlabel("aircraft, each at its mode's best rate")
     axes.set_ylabel("packets lost to others (%)")
     axes.set_ylim(bottom=0.0)
@@ -85,9 +94,9 @@ def _collision(axes: Any, rows: list[Row]) -> None:
 def _percent(row: Row) -> Row:
     return replace(
         row,
-        events=100.0 * row.events,
-        events_low=100.0 * row.events_low,
-        events_high=100.0 * row.events_high,
+        packets=100.0 * row.packets,
+        packets_low=100.0 * row.packets_low,
+        packets_high=100.0 * row.packets_high,
     )
 
 
@@ -95,10 +104,10 @@ def _fleet(axes: Any, rows: list[Row]) -> None:
     axes.set_title("System delay of 10 aircraft")
     for mode in MODES:
         for variant in (_EQUAL, _REAL):
-            mine = [r for r in rows if r.mode == mode and r.variant == variant]
-            sides = [r.side_m or 0.0 for r in mine]
+            mine = [r for r in rows if r.case.mode == mode and r.case.variant == variant]
+            sides = [r.case.side_m or 0.0 for r in mine]
             if variant == _EQUAL:
-                axes.plot(sides, [r.analytic for r in mine], color=_colour(mode))
+                axes.plot(sides, [r.equations for r in mine], color=_colour(mode))
             _points(axes, mine, sides, variant, None)
     axes.set_xscale("log")
     axes.set_yscale("log")

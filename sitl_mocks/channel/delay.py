@@ -9,6 +9,9 @@ period: with F the probability that a period brings nothing,
 Both E and F are sums over the phases of products of the packets' probabilities. Phases with the same pattern
 give the same product, so that few terms remain (`Terms`) and a mean delay is a polynomial in the loss of one
 packet.
+
+With the parameters' `schedule` "random" the same sum is taken over events that each meet the scan at a phase
+of their own.
 """
 
 from __future__ import annotations
@@ -20,12 +23,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.radio.transport import BLE5
-from sitl_mocks.channel.parameters import ChannelParameters, Slots
-from sitl_mocks.channel.reception import event_period, matching_packets, scan_of
+from companion.radio.transport import BLE4, BLE5
+from sitl_mocks.channel.parameters import ChannelParameters, Slots, check_rate
+from sitl_mocks.channel.reception import event_period, matching_packets, meeting_chances, scan_of
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+Hits = dict[tuple[int, ...], list[float]]
+"""Weight and weighted delay (s) by the tries failed before and the kind of the try."""
+Misses = dict[tuple[int, ...], float]
+"""Weight by the tries failed."""
 
 TRIES = 3
 """A try is one packet of BLE 4 or Wi-Fi, or one auxiliary packet of BLE 5, which 1 to 3 pointers announce."""
@@ -62,18 +70,14 @@ def terms_of(mode: str, rate: int, parameters: ChannelParameters) -> Terms:
     Raises:
         ConfigError: the rate is less than 1 or more than the mode's largest.
     """
-    slots = Slots(parameters)
-    hits: dict[tuple[int, ...], list[float]] = defaultdict(lambda: [0.0, 0.0])
-    misses: dict[tuple[int, ...], float] = defaultdict(float)
-    cycle = scan_of(mode, parameters).cycle
-    for tries in _tries(mode, rate, parameters):
-        failed = [0] * TRIES
-        for pointers, delay_slots in tries:
-            term = hits[*failed, pointers - 1]
-            term[0] += 1.0 / cycle
-            term[1] += slots.seconds(delay_slots) / cycle
-            failed[pointers - 1] += 1
-        misses[tuple(failed)] += 1.0 / cycle
+    check_rate(mode, rate, parameters)
+    hits: Hits = defaultdict(lambda: [0.0, 0.0])
+    misses: Misses = defaultdict(float)
+    ble = {BLE4: parameters.ble4, BLE5: parameters.ble5}.get(mode)
+    if ble is not None and ble.schedule == "random":
+        _add_draws(mode, rate, parameters, hits, misses)
+    else:
+        _add_phases(mode, rate, parameters, hits, misses)
     keys = np.array(sorted(hits), np.int64).reshape(-1, TRIES + 1)
     values = np.array([hits[key] for key in sorted(hits)]).reshape(-1, 2)
     cases = sorted(misses)
@@ -84,8 +88,45 @@ def terms_of(mode: str, rate: int, parameters: ChannelParameters) -> Terms:
         delay_s=values[:, 1],
         missed=np.array(cases, np.int64),
         missed_weight=np.array([misses[case] for case in cases]),
-        period_s=slots.seconds(slots.gnss_period),
+        period_s=parameters.gnss_period_ms / 1000.0,
     )
+
+
+def _add_phases(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, misses: Misses) -> None:
+    """The paper's schedule: every phase of the scan cycle has its own fixed row of tries."""
+    slots, cycle = Slots(parameters), scan_of(mode, parameters).cycle
+    for tries in _tries(mode, rate, parameters):
+        failed = [0] * TRIES
+        for pointers, delay_slots in tries:
+            term = hits[*failed, pointers - 1]
+            term[0] += 1.0 / cycle
+            term[1] += slots.seconds(delay_slots) / cycle
+            failed[pointers - 1] += 1
+        misses[tuple(failed)] += 1.0 / cycle
+
+
+def _add_draws(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, misses: Misses) -> None:
+    """The random schedule: the sample falls anywhere between two events, and each event meets the scan by
+    chance.
+
+    Several packets of one BLE 4 event in windows count like several pointers: one of them is enough.
+    """
+    chance, delay_ms = meeting_chances(mode, parameters)
+    before: Misses = {(0,) * TRIES: 1.0}
+    for event in range(rate):
+        waited_s = ((event + 0.5) * parameters.gnss_period_ms / rate + delay_ms) / 1000.0
+        after: Misses = defaultdict(float)
+        for failed, weight in before.items():
+            after[failed] += weight * (1.0 - sum(chance))
+            for kind in np.flatnonzero(chance).tolist():
+                share = weight * chance[kind]
+                term = hits[*failed, kind]
+                term[0] += share
+                term[1] += share * waited_s
+                one_more = tuple(n + (k == kind) for k, n in enumerate(failed))
+                after[one_more] += share
+        before = after
+    misses.update(before)
 
 
 def _tries(mode: str, rate: int, parameters: ChannelParameters) -> list[list[tuple[int, int]]]:

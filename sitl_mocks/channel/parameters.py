@@ -53,7 +53,11 @@ class BleParameters(_Section, frozen=True, kw_only=True):
     scan_window_ms: float = 2.0
     """S_W: how long of it, from its beginning, it listens."""
     random_delay_ms: float = 5.0
-    """R_D: greatest pseudo-random delay of an advertising event. The equations do not use it."""
+    """R_D: greatest pseudo-random delay of an advertising event. The equations do not use its length."""
+    schedule: Literal["coprime", "random"] = "coprime"
+    """How the equations let events meet the receiver's scan. "coprime" is the paper's: an interval that
+    shares no factor with the scan cycle, begun anew at every GNSS sample. "random": each event at a phase of
+    its own, as the random delay brings it about."""
     transmit_power_dbm: float = 18.0
     sensitivity_dbm: float = -85.0
     max_rate: int = 10

@@ -7,6 +7,7 @@ a packet falls into a scan window.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -153,3 +154,31 @@ def heard_packets(
         if (phase + offset - scan.window_starts[channel]) % scan.cycle <= scan.slack:
             heard.append(index)
     return tuple(heard)
+
+
+def meeting_chances(mode: str, parameters: ChannelParameters) -> tuple[tuple[float, float, float], float]:
+    """A Bluetooth event that begins at any phase of the scan, with exact durations.
+
+    Returns:
+        Probability that exactly 1, 2 and 3 of its packets fall whole into a window; and the mean time (ms)
+        from its beginning until the message is complete, when it is heard.
+    """
+    ble = parameters.ble4 if mode == BLE4 else parameters.ble5
+    slack, cycle = ble.scan_window_ms - ble.packet_ms, 3.0 * ble.scan_interval_ms
+    offsets = [channel * (ble.packet_ms + ble.gap_ms) for channel in range(3)]
+    # Phases of the event at which each packet begins to be heard; between two edges the number is the same.
+    opens = [(channel * ble.scan_interval_ms - offset) % cycle for channel, offset in enumerate(offsets)]
+    edges = sorted({0.0, cycle, *opens, *((x + slack) % cycle for x in opens)})
+    chance, complete = [0.0, 0.0, 0.0], 0.0
+    for low, high in itertools.pairwise(edges):
+        heard = [o for x, o in zip(opens, offsets, strict=True) if ((low + high) / 2.0 - x) % cycle < slack]
+        if heard:
+            share = (high - low) / cycle
+            chance[len(heard) - 1] += share
+            complete += share * (heard[0] + ble.packet_ms)
+    if mode == BLE5:
+        ble5 = parameters.ble5
+        complete = ble5.auxiliary_offset_ms + ble5.auxiliary_uncertainty_ms + ble5.auxiliary_ms
+    elif any(chance):
+        complete /= sum(chance)
+    return (chance[0], chance[1], chance[2]), complete

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from ground_tools.channel import compare
-from ground_tools.channel.compare import COLLISION_VARIANTS, FLEET_VARIANTS, LINK_VARIANTS, Effort
+from ground_tools.channel.compare import VARIANTS, Case, Effort, row_of
 from ground_tools.cli import main
 from sitl_mocks.channel.parameters import ChannelParameters
 
@@ -17,15 +17,15 @@ EFFORT = Effort(seconds=60.0, environments=4, seed=3)
 
 
 def link(variant, mode, rate):
-    return compare.link_row(PAPER, EFFORT, variant, LINK_VARIANTS[variant], mode, rate)
+    return row_of(PAPER, EFFORT, Case("link", variant, mode, rate, 201))
 
 
 @pytest.mark.parametrize(("mode", "rate"), [("ble4", 9), ("ble5", 10), ("wifi", 10), ("wifi", 8)])
 def test_under_the_same_assumptions_both_models_agree(mode, rate):
     row = link("as the equations", mode, rate)
     # The wider of 2 % and the simulation's own error (1.5 times its interval of 95 %).
-    assert row.ratio == pytest.approx(1.0, abs=max(0.02, 1.5 * (row.events_high / row.events - 1.0)))
-    assert row.events_high / row.events - 1.0 < 0.02
+    assert row.ratio == pytest.approx(1.0, abs=max(0.02, 1.5 * (row.packets_high / row.packets - 1.0)))
+    assert row.packets_high / row.packets - 1.0 < 0.02
     assert row.never_heard == 0.0
     assert row.waiting == 0.0
 
@@ -39,36 +39,38 @@ def test_locked_phases_leave_pairs_that_never_hear():
 
 def test_losses_of_independent_senders_come_out():
     """With random delays collisions are as good as independent, as the products say."""
-    row = compare.collision_row(
-        PAPER, EFFORT, "real radios", COLLISION_VARIANTS["real radios"], "ble4", 9, 30
-    )
-    assert row.analytic == pytest.approx(1.0 - (1.0 - 2 * 0.376 * 9 / 1000) ** 28)
+    row = row_of(PAPER, EFFORT, Case("collision", "real radios", "ble4", 9, 30, 100.0))
+    assert row.equations == pytest.approx(1.0 - (1.0 - 2 * 0.376 * 9 / 1000) ** 28)
     assert row.ratio == pytest.approx(1.0, abs=0.15)
-    stronger = compare.collision_row(
-        PAPER, EFFORT, "x", COLLISION_VARIANTS["real radios, capture 6 dB"], "ble4", 9, 30
-    )
-    assert stronger.events < row.events
+    stronger = row_of(PAPER, EFFORT, Case("collision", "real radios, capture 6 dB", "ble4", 9, 30, 100.0))
+    assert stronger.packets < row.packets
 
 
 def test_both_models_see_the_same_positions():
     rows = [
-        compare.fleet_row(PAPER, EFFORT, name, assumptions, "ble4", 9, 3000.0)
-        for name, assumptions in FLEET_VARIANTS.items()
+        row_of(PAPER, EFFORT, Case("fleet", variant, "ble4", 9, 10, 3000.0)) for variant in VARIANTS["fleet"]
     ]
-    assert rows[0].analytic == rows[1].analytic
-    assert rows[0].events != rows[1].events
+    assert rows[0].equations == rows[1].equations
+    assert rows[0].packets != rows[1].packets
+
+
+def test_random_phases_are_nearer_to_real_bluetooth():
+    row = link("real radios", "ble5", 10)
+    assert abs(row.ratio_random - 1.0) < 0.15 < abs(row.ratio - 1.0)
 
 
 def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(compare, "SIDES_M", (3000.0,))
     monkeypatch.setattr(compare, "FLEETS", (5,))
-    monkeypatch.setattr(compare, "_RECEIVERS", 3)
+    monkeypatch.setattr(compare, "RECEIVERS", 3)
     options = ["channel", "compare", "--seconds", "10", "--environments", "2", "--out", str(tmp_path / "new")]
     assert main([*options, "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {row["study"] for row in rows} == {"link", "collision", "fleet"}
-    assert len(rows) == 30 * len(LINK_VARIANTS) + 3 * len(COLLISION_VARIANTS) + 3 * len(FLEET_VARIANTS)
+    assert len(rows) == 30 * len(VARIANTS["link"]) + 3 * len(VARIANTS["collision"]) + 3 * len(
+        VARIANTS["fleet"]
+    )
     assert (tmp_path / "new" / "compare.png").stat().st_size > 10_000
     kept = [json.loads(line) for line in (tmp_path / "new" / "compare.json").read_text().splitlines()]
     assert kept == rows

@@ -16,6 +16,7 @@ from sitl_mocks.channel.collision import Shares, background_survival, shares_of,
 from sitl_mocks.channel.delay import mean_delay_s, single_link_s, terms_of
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions, reached
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
+from sitl_mocks.channel.reception import matching_packets, meeting_chances, scan_of
 
 PAPER = ChannelParameters()
 MODEL = Analytic(PAPER)
@@ -46,8 +47,6 @@ def test_best_rates_and_jumps_of_the_paper():
 def test_delay_is_the_first_success_of_a_simulated_sequence():
     """The terms' polynomial against a sum over the periods one after the other, phases redrawn, by
     enumeration."""
-    from sitl_mocks.channel.reception import matching_packets, scan_of
-
     p = 0.4
     matches, cycle = matching_packets("ble4", 9, PAPER), scan_of("ble4", PAPER).cycle
     within, nothing = 0.0, 0.0
@@ -92,6 +91,50 @@ def test_weights_of_the_terms_are_probabilities():
         first = terms.weight[terms.failed.sum(axis=1) == 0].sum()
         empty = terms.missed_weight[terms.missed.sum(axis=1) == 0].sum()
         assert first + empty == pytest.approx(1.0)
+
+
+def random_schedule(**changes):
+    ble4, ble5 = (
+        msgspec.structs.replace(ble, schedule="random", **changes) for ble in (PAPER.ble4, PAPER.ble5)
+    )
+    return msgspec.structs.replace(PAPER, ble4=ble4, ble5=ble5)
+
+
+@pytest.mark.parametrize(("mode", "window_ms"), [("ble4", 2.0 - 0.376), ("ble5", 2.0 - 1.152)])
+@pytest.mark.parametrize("rate", [1, 4, 10])
+def test_a_random_schedule_is_a_geometric_wait(mode, window_ms, rate):
+    """Each event is heard with the share of phases at which a packet meets its window: (1 / share - 1 / 2)
+    events pass on average from a sample, which falls anywhere between two events."""
+    p, pointer, auxiliary = random_schedule(), 0.7, (0.9 if mode == "ble5" else 1.0)
+    share = 3.0 * window_ms / 24.0 * pointer * auxiliary
+    got = mean_delay_s(terms_of(mode, rate, p), np.array([pointer]), np.array([auxiliary]))[0]
+    behind_s = 0.008328 if mode == "ble5" else (0.376 + 0.501) / 1000.0
+    assert got == pytest.approx((1.0 / share - 0.5) / rate + behind_s, rel=1e-9)
+
+
+def test_a_random_schedule_counts_packets_of_one_event_together():
+    """A window as long as the interval hears two packets of some events; drawn phases give the same
+    shares."""
+    p = random_schedule(scan_window_ms=8.0)
+    (one, two, three), _ = meeting_chances("ble4", p)
+    phases = np.random.default_rng(1).uniform(0.0, 24.0, 100_000)
+    heard = sum(((phases + 0.501 * k - 8.0 * k) % 24.0 <= 8.0 - 0.376).astype(int) for k in range(3))
+    for number, chance in ((1, one), (2, two), (3, three)):
+        share = (heard == number).mean()
+        assert chance == pytest.approx(share, abs=4.0 * (max(share * (1 - share), 1e-9) / len(phases)) ** 0.5)
+    assert two > 0.0
+    pdu = 0.6
+    hit = one * pdu + two * (1.0 - (1.0 - pdu) ** 2)
+    terms = terms_of("ble4", 1, p)
+    delivered = sum(
+        weight * (1.0 - (1.0 - pdu) ** (kind + 1))
+        for weight, kind in zip(terms.weight, terms.kind, strict=True)
+    )
+    assert delivered == pytest.approx(hit)
+
+
+def test_wi_fi_knows_no_random_schedule():
+    assert single_link_s("wifi", 9, random_schedule()) == single_link_s("wifi", 9, PAPER)
 
 
 # ---------------------------------------------------------------- the eight products

@@ -52,14 +52,16 @@ def test_the_standard_s_file_holds_the_airtimes_of_real_frames():
     (advertising_data,) = sender.frames(BLE5, messages)
     (beacon,) = sender.frames(WIFI_BEACON, messages)
 
-    def coded_us(octets):  # LE Coded S=8: preamble 80, access address 256, CI 16, TERM1 24; CRC 192, TERM2 24
+    def coded_us(octets):
+        """LE Coded S=8: preamble 80, access address 256, CI 16, TERM1 24, octets, CRC 192, TERM2 24."""
         return 80 + 256 + 16 + 24 + 64 * octets + 192 + 24
 
-    # AUX_ADV_IND: header 2, extended header length 1, flags 1, AdvA 6, ADI 2. ADV_EXT_IND: 2, 1, 1, 2, AuxPtr 3.
+    # AUX_ADV_IND: header 2, extended header length 1, flags 1, AdvA 6, ADI 2. ADV_EXT_IND ends with AuxPtr 3.
     assert p.ble5.auxiliary_ms == pytest.approx(coded_us(12 + len(advertising_data)) / 1000, abs=1e-9)
     assert p.ble5.packet_ms == pytest.approx(coded_us(9) / 1000, abs=1e-9)
-    assert p.ble4 == ChannelParameters().ble4
-    # 802.11b at 1 Mbit/s: 192 us of preamble and header; the frame check sequence follows the frame. Those 166
+    assert p.ble4.packet_ms == ChannelParameters().ble4.packet_ms
+    assert (p.ble4.schedule, p.ble5.schedule) == ("random", "random")
+    # 802.11b at 1 Mbit/s: 192 us of preamble, header; the frame check sequence follows the frame. These 166
     # octets are an access point's beacon: 11 more of SSID and rates than the shortest, which is ours.
     assert p.wifi.beacon_ms == pytest.approx((192 + 8 * (len(beacon) + 4 + 11)) / 1000, abs=1e-9)
 
