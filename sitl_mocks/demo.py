@@ -33,6 +33,7 @@ from companion.runtime.warm import warm_up
 from companion.toml_input import without_none
 from sitl_mocks import air_settings, settings
 from sitl_mocks.lockstep import TICK_S, UTC_AT_START_S, Run, fly, paths_of
+from sitl_mocks.pair_stats import information_age
 from sitl_mocks.settings import Scenario
 from sitl_mocks.verdict import Deviation, Pair, deviations_of, on_path_limit_m, pairs_of
 
@@ -394,7 +395,8 @@ def _show(verdict: Verdict, folder: Path, console: Console) -> None:
     a = verdict.avoided
     console.print(
         f"{a.simulated_s:.0f} simulated seconds in {a.wall_s:.1f} s ({a.simulated_s / a.wall_s:.0f} times "
-        f"real time on one core); Remote ID: {a.messages['sent']} sent, {a.messages['delivered']} delivered"
+        f"real time on one core); Remote ID: {a.messages['sent']} sent, {a.messages['delivered']} delivered, "
+        f"{information_age(a.air)}"
     )
     word = "[bold green]OK[/]" if verdict.ok else "[bold red]FAILED[/]"
     console.print(

@@ -85,7 +85,9 @@ class Ether:
         self._transmissions = 0
         self._queue: list[tuple[float, int, _UnderWay]] = []
         self._number = 0
+        self._begin_s: float | None = None
         self._now_s = 0.0
+        """Since the first call that told the time, as all ages of information are counted."""
         self._told: dict[str, Vec3] = {}
         # On the ellipsoid and Earth-centred, so that two positions need no common origin; and the altitude.
         self._carried: dict[str, tuple[Vec3, float | None]] = {}
@@ -157,7 +159,7 @@ class Ether:
         """
         if not math.isfinite(now_s):
             raise ValueError(f"time of sending: {now_s}")
-        self._now_s = now_s
+        self._tell_time(now_s)
         if position_ned_m is not None:
             self.place(sender, position_ned_m)
         address = sender if address is None else address
@@ -190,7 +192,7 @@ class Ether:
 
         A frame that the channel decided late stands behind what an earlier call gave.
         """
-        self._now_s = now_s
+        self._tell_time(now_s)
         self._settle(now_s)
         arrived = []
         while self._queue and self._queue[0][0] <= now_s:
@@ -200,7 +202,7 @@ class Ether:
             pair.count_delivery(delivery.transport, now_s - delivery.sent_s)
             # The pair of the rest is many pairs: what one heard is not what another knows.
             if under_way.brings_position and pair is not self._stats.get(REST):
-                pair.refresh(now_s, delivery.sent_s)
+                pair.refresh(self._now_s, self._now_s - (now_s - delivery.sent_s))
             arrived.append(delivery)
         return arrived
 
@@ -212,9 +214,9 @@ class Ether:
 
     def finish(self, now_s: float) -> None:
         """The run is over: the ages of information in `stats` are counted up to now."""
-        self._now_s = now_s
+        self._tell_time(now_s)
         for stats in self._stats.values():
-            stats.end(now_s)
+            stats.end(self._now_s)
 
     def distance_m(self, first: str, second: str) -> float | None:
         """Slant distance of two aircraft (m); None when not known."""
@@ -233,6 +235,11 @@ class Ether:
     def stats(self) -> dict[tuple[str, str], PairStats]:
         """Statistics by (sender, receiver). Frames count as delivered at the moment `due` hands them over."""
         return self._stats
+
+    def _tell_time(self, now_s: float) -> None:
+        if self._begin_s is None:
+            self._begin_s = now_s
+        self._now_s = now_s - self._begin_s
 
     def _settle(self, now_s: float) -> None:
         for outcome in self._channel.settle(now_s, self._rng):

@@ -3,7 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+
+def information_age(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The ages of information in rows of `PairStats.to_dict`, in words."""
+    means = [row["information_age_mean_s"] for row in rows if row["information_age_mean_s"] is not None]
+    if not means:
+        return "nobody heard anybody"
+    largest = max(row["information_age_max_s"] for row in rows if row["information_age_max_s"] is not None)
+    mute = sum(row["first_heard_s"] is None for row in rows)
+    words = f"age of information {sum(means) / len(means):.2f} s on average, {largest:.1f} s at most"
+    return words + (f"; {mute} of {len(rows)} pairs heard nothing" if mute else "")
 
 
 @dataclass(slots=True)
@@ -35,7 +48,7 @@ class PairStats:
     age_max_s: float = 0.0
     transports: dict[str, TransportCount] = field(default_factory=dict)
     first_heard_s: float | None = None
-    """When the first position was delivered; from then on the age of information is counted."""
+    """When the first position was delivered, since the air began; the age of information counts from it."""
     information_age_max_s: float = 0.0
     observed_s: float = 0.0
     """How long it was counted."""

@@ -35,6 +35,7 @@ from companion.runtime.recorder import create_run_folder, write_json, write_mani
 from companion.toml_input import without_none
 from sitl_mocks import demo
 from sitl_mocks.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
+from sitl_mocks.pair_stats import information_age
 from sitl_mocks.settings import Scenario
 from sitl_mocks.vehicle_manners import VehicleMode
 
@@ -423,7 +424,10 @@ def _show(report: dict[str, object], console: Console) -> None:
     console.print(gaps)
     lost = [row["lost_share"] for row in report["air"]]  # type: ignore[attr-defined]
     if lost:
-        console.print(f"Remote ID: {len(lost)} pairs, largest share lost {100 * max(lost):.1f} %")
+        console.print(
+            f"Remote ID: {len(lost)} pairs, largest share lost {100 * max(lost):.1f} %; "
+            f"{information_age(report['air'])}"  # type: ignore[arg-type]
+        )
     for name in report["ended_badly"]:  # type: ignore[attr-defined]
         console.print(f"[red]did not end well:[/] {name}")
     word = "[bold green]OK[/]" if report["ok"] else "[bold red]FAILED[/]"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
+
 from companion.events import AuthorityChanged, Broadcast, Decision, RemoteIdHeard
 from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.read_run import AircraftRecord, Run
@@ -16,6 +18,7 @@ def describe(run: Run) -> dict[str, Any]:
         ConfigError: no aircraft recorded a position.
     """
     ways = flown(run)
+    air, air_problems = _air(run.summary)
     return {
         "run": run.name,
         "clock": ways.clock,
@@ -31,7 +34,8 @@ def describe(run: Run) -> dict[str, Any]:
             }
             for pair in separations(ways.paths)
         ],
-        "problems": [*run.problems, *ways.problems],
+        "air": air,
+        "problems": [*run.problems, *ways.problems, *air_problems],
     }
 
 
@@ -43,6 +47,7 @@ def text(figures: dict[str, Any]) -> str:
     ]
     lines += [_aircraft_line(one) for one in figures["aircraft"]]
     lines += [_pair_line(pair) for pair in figures["separations"]]
+    lines += [_air_line(row) for row in figures["air"]]
     lines += [f"  problem: {problem}" for problem in figures["problems"]]
     return "\n".join(lines)
 
@@ -65,6 +70,33 @@ def _pair_line(pair: dict[str, Any]) -> str:
         f"  {names}: closest {pair['minimum_m']:.2f} m at {pair['minimum_time_s']:.2f} s "
         f"({pair['required_m']:g} m {verdict})"
     )
+
+
+def _air_line(row: dict[str, Any]) -> str:
+    words = f"  {row['sender']} > {row['receiver']}: {row['delivered']} of {row['sent']} frames delivered"
+    if row["information_age_mean_s"] is None:
+        return f"{words}, age of information unknown"
+    return (
+        f"{words}, age of information {row['information_age_mean_s']:.2f} s on average, "
+        f"{row['information_age_max_s']:.2f} s at most"
+    )
+
+
+def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str]]:
+    """What the run's own summary tells of the air, by ordered pair, and what of it cannot be read."""
+    rows = (summary or {}).get("air", [])
+    wanted = {
+        "sender": str,
+        "receiver": str,
+        "sent": int,
+        "delivered": int,
+        "information_age_mean_s": float | None,
+        "information_age_max_s": float | None,
+    }
+    try:
+        return [{key: msgspec.convert(row[key], kind) for key, kind in wanted.items()} for row in rows], []
+    except (KeyError, TypeError, msgspec.ValidationError):
+        return [], ["summary.json: air: not as a run writes it"]
 
 
 def _aircraft(record: AircraftRecord) -> dict[str, Any]:

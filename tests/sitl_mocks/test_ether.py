@@ -301,12 +301,28 @@ def test_only_positions_refresh_what_is_known() -> None:
         ether.due(sent_s + 0.5)
     ether.finish(7.5)
     pair = ether.stats["a", "b"]
-    # Heard at 1.5 (0.5 old), at 5.5 grown to 4.5 and 0.5 again, at the end 2.5.
+    # Heard at 1.5 (0.5 old), at 5.5 grown to 4.5 and 0.5 again, at the end 2.5. The air begins at 0.
     assert pair.first_heard_s == 1.5
     assert pair.information_age_mean_s == pytest.approx((4.0 * 2.5 + 2.0 * 1.5) / 6.0)
     assert pair.information_age_max_s == pytest.approx(4.5)
     assert pair.delivered == 5
     assert ("b", "a") not in ether.stats
+
+
+def test_ages_do_not_hang_on_where_time_begins() -> None:
+    """The process counts from the machine's start, lock-step from 0."""
+    rows = []
+    for begin_s in (0.0, 1e6):
+        ether = make(SimpleChannel(delay_s=(0.25, 0.25)))
+        (position,) = location_frames("a")
+        ether.due(begin_s)
+        for sent_s in (1.0, 4.0):
+            ether.transmit(begin_s + sent_s, "a", "wifi", position)
+            ether.due(begin_s + sent_s + 0.5)
+        ether.finish(begin_s + 10.0)
+        rows.append(ether.stats["a", "b"].to_dict())
+    assert rows[0] == rows[1]
+    assert rows[0]["first_heard_s"] == 1.5
 
 
 def test_what_is_known_of_who_left_ages_no_further() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sitl_mocks.pair_stats import PairStats
+from sitl_mocks.pair_stats import PairStats, information_age
 
 
 def test_age_of_information_is_a_saw_tooth() -> None:
@@ -46,6 +46,15 @@ def test_who_was_never_heard_has_no_age() -> None:
     pair.end(10.0)
     row = pair.to_dict()
     assert row["first_heard_s"] is row["information_age_mean_s"] is row["information_age_max_s"] is None
+
+
+def test_ages_in_words() -> None:
+    heard, mute = PairStats(), PairStats()
+    heard.refresh(1.0, 1.0)
+    heard.end(3.0)
+    assert information_age([mute.to_dict()]) == "nobody heard anybody"
+    assert information_age([heard.to_dict()]) == "age of information 1.00 s on average, 2.0 s at most"
+    assert information_age([heard.to_dict(), mute.to_dict()]).endswith("; 1 of 2 pairs heard nothing")
 
 
 def test_heard_at_the_very_end_there_is_a_largest_age_and_no_mean() -> None:

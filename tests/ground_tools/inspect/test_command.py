@@ -58,6 +58,31 @@ def test_summary_writes_no_recording(run_folder: Path, capsys: pytest.CaptureFix
     assert not (run_folder / "inspect.rrd").exists()
 
 
+def test_summary_shows_what_the_air_let_through(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ages = {"information_age_mean_s": 0.5, "information_age_max_s": 2.25}
+    row = {"sender": "DMUCA001", "receiver": "DMUCA002", "sent": 500, "delivered": 130, **ages, "lost": 370}
+    mute = {"sender": "DMUCA002", "receiver": "DMUCA001", "sent": 9, "delivered": 0, **dict.fromkeys(ages)}
+    (run_folder / "summary.json").write_text(json.dumps({"air": [row, mute]}))
+    assert inspect(run_folder, "--summary") == 0
+    out = capsys.readouterr().out
+    assert (
+        "DMUCA001 > DMUCA002: 130 of 500 frames delivered, age of information 0.50 s on average, 2.25 s"
+        in out
+    )
+    assert "DMUCA002 > DMUCA001: 0 of 9 frames delivered, age of information unknown" in out
+
+
+@pytest.mark.parametrize("air", [3, [3], [{}], [{"sender": 1}], "x", None])
+def test_an_air_that_cannot_be_read_is_a_problem_and_no_more(
+    run_folder: Path, capsys: pytest.CaptureFixture[str], air: object
+) -> None:
+    (run_folder / "summary.json").write_text(json.dumps({"air": air}))
+    assert inspect(run_folder, "--json") == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["air"] == []
+    assert "summary.json: air: not as a run writes it" in figures["problems"]
+
+
 def test_json_is_one_object_a_line(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert inspect(run_folder, run_folder / "unavoided", "--json") == 0
     avoided, unavoided = map(json.loads, capsys.readouterr().out.splitlines())
