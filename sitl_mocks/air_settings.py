@@ -78,7 +78,7 @@ def channel_of(air: AirSettings, parameters: ChannelParameters | None, spread_s:
     Args:
         air: its `parameters` are taken as read.
         parameters: for "analytic" and "packets"; None: the paper's.
-        spread_s: see `PacketChannel`; the time between the instants at which all companions send together.
+        spread_s: see `PacketChannel`; the time between the instants at which a companion sends.
     """
     given = ChannelParameters() if parameters is None else parameters
     if air.model == "analytic":

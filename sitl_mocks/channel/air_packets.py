@@ -8,6 +8,11 @@ its frame is sent. So at `settle(now_s)` every packet that may still come begins
 overlaps nothing that has ended by then. An event that has ended is therefore judged for good, with exactly
 those events beside it that share some of its time; and nothing is drawn in judging. That holds in lock-step
 too, where the frames of a tick are sent after the air was settled at that tick: they begin at or after it.
+
+When does a radio send? At its own time. Companions hand frames over at ticks, in lock-step all at the same
+ones, and processes of one machine share its clock. Radios of aircraft have schedules of their own, which move
+against each other by clock errors and, on Bluetooth, by the random delays R_D, which add up. Without that, two
+aircraft that once send together would do so for ever, and never hear each other.
 """
 
 from __future__ import annotations
@@ -41,8 +46,8 @@ class _Radio:
     phase: Floats
     """Shape (3,): when its scan cycle of each mode begins (slots of its own clock)."""
     clock: float
-    offset_s: Floats
-    """Shape (3,): from the tick to when its controller sends, by mode."""
+    offset_s: list[float]
+    """By mode: from hand-over to its time to send, without clock error, modulo the spread."""
     background: Background
     bluetooth_free_s: float = -math.inf
     wifi_free_s: float = -math.inf
@@ -69,8 +74,8 @@ class PacketChannel:
 
     Args:
         parameters: of the channel.
-        spread_s: in lock-step all companions send at the same instants; each aircraft's radio sends each mode
-            later by an offset of its own, drawn once, below this.
+        spread_s: longest time from a frame's hand-over to its radio's own time to send; where in it that
+            lies is drawn for each aircraft and mode, and moves on. 0: at once, on Bluetooth up to R_D later.
     """
 
     def __init__(self, parameters: ChannelParameters, spread_s: float = 0.0) -> None:
@@ -139,11 +144,10 @@ class PacketChannel:
 
     def _radio(self, name: str, now_s: float, rng: np.random.Generator) -> _Radio:
         def draw() -> _Radio:
-            modes = len(MODES)
             return _Radio(
                 phase=rng.uniform(0.0, 3.0 * self._durations.dwell),
                 clock=1.0 + float(rng.uniform(-1.0, 1.0)) * REAL.clock_ppm * 1e-6,
-                offset_s=rng.uniform(0.0, self._spread_s, modes),
+                offset_s=rng.uniform(0.0, self._spread_s, len(MODES)).tolist(),
                 background=Background(self._parameters, 1, now_s / self._durations.slot_s, rng),
             )
 
@@ -151,7 +155,11 @@ class PacketChannel:
 
     def _send(self, radio: _Radio, mode: int, sent_s: float, random_delay_s: float) -> float | None:
         """When a radio begins to send (s), one event after the other; None when it drops the frame."""
-        earliest_s = sent_s + float(radio.offset_s[mode]) + random_delay_s
+        wait_s = random_delay_s
+        if self._spread_s > 0.0:
+            radio.offset_s[mode] += random_delay_s
+            wait_s = (radio.offset_s[mode] + (radio.clock - 1.0) * sent_s) % self._spread_s
+        earliest_s = sent_s + wait_s
         begin_s = max(earliest_s, radio.wifi_free_s if mode == WIFI else radio.bluetooth_free_s)
         if begin_s - earliest_s > MAX_BACKLOG_S:
             return None
