@@ -11,8 +11,8 @@ too, where the frames of a tick are sent after the air was settled at that tick:
 
 When does a radio send? At its own time. Companions hand frames over at ticks, in lock-step all at the same
 ones, and processes of one machine share its clock. Radios of aircraft have schedules of their own, which move
-against each other by clock errors and, on Bluetooth, by the random delays R_D, which add up. Without that, two
-aircraft that once send together would do so for ever, and never hear each other.
+against each other by clock errors and, on Bluetooth, by the random delays R_D, which add up. Without that,
+two aircraft that once send together would do so for ever, and never hear each other.
 """
 
 from __future__ import annotations
