@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
-from sitl_mocks.channel.analytic import Analytic, Fleet, fixed_mode, system_delay_s
+from sitl_mocks.channel.analytic import Analytic, Fleet, fixed_rates, system_delay_s, wifi_channels
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
 
@@ -121,19 +121,15 @@ def evaluate_side(
     for environments in batches_of(settings):
         positions = draw_positions(environments, uavs, side_m, place)
         links = all_links(positions, parameters.propagation, shadow)
+        # Drawn once, not for each case: see the seed.
         channels = {
-            reading: fixed_mode(
-                links.nodes,
-                WIFI_BEACON,
-                1,
-                msgspec.structs.replace(parameters, wifi_channels=reading),
-                channel,
-            ).wifi_channel
+            reading: wifi_channels(
+                links.nodes, msgspec.structs.replace(parameters, wifi_channels=reading), channel
+            )
             for reading in READINGS
         }
         for case, batches in found.items():
-            fleet = fixed_mode(links.nodes, case.mode, case.rate, parameters, channel)
-            fleet = Fleet(fleet.rates, channels[case.reading])
+            fleet = Fleet(fixed_rates(links.nodes, case.mode, case.rate), channels[case.reading])
             batches.append(_batch(model, links, fleet, MODES.index(case.mode), environments))
         advance()
     return [_row(case, side_m, sigma_db, batches, settings) for case, batches in found.items()]

@@ -41,13 +41,27 @@ def fixed_mode(
     Raises:
         ValueError: random Wi-Fi channels without a generator.
     """
+    return Fleet(fixed_rates(nodes, mode, rate), wifi_channels(nodes, parameters, rng))
+
+
+def fixed_rates(nodes: int, mode: str, rate: int) -> Indices:
+    """`Fleet.rates` where everybody sends on one mode at one rate."""
     rates = np.zeros((nodes, len(MODES)), np.intp)
     rates[:, MODES.index(mode)] = rate
+    return rates
+
+
+def wifi_channels(nodes: int, parameters: ChannelParameters, rng: np.random.Generator | None) -> Indices:
+    """`Fleet.wifi_channel` as the parameters say.
+
+    Raises:
+        ValueError: random Wi-Fi channels without a generator.
+    """
     if parameters.wifi_channels == "shared":
-        return Fleet(rates, np.full(nodes, 1, np.intp))
+        return np.full(nodes, 1, np.intp)
     if rng is None:
         raise ValueError("random Wi-Fi channels need a random generator")
-    return Fleet(rates, rng.integers(len(WIFI_CHANNELS), size=nodes).astype(np.intp))
+    return rng.integers(len(WIFI_CHANNELS), size=nodes).astype(np.intp)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +113,8 @@ class Analytic:
 
         Raises:
             ConfigError: a rate is below 0 or above the mode's largest, or a busy share outside 0 to below 1.
+            ValueError: an array of another shape, rates that are no whole numbers, or a Wi-Fi channel that
+                is no index into `WIFI_CHANNELS`.
         """
         self._check(links, fleet, busy)
         carried = reached(links, self.parameters) & (fleet.rates > 0)[links.transmitter]
@@ -130,9 +146,22 @@ class Analytic:
     def _check(self, links: Links, fleet: Fleet, busy: Floats | None) -> None:
         if fleet.rates.shape != (links.nodes, len(MODES)):
             raise ValueError(f"rates have shape {fleet.rates.shape}; expected ({links.nodes}, {len(MODES)})")
+        if not np.issubdtype(fleet.rates.dtype, np.integer):
+            raise ValueError(f"rates are {fleet.rates.dtype}; expected integers")
+        channels = fleet.wifi_channel
+        if channels.shape != (links.nodes,):
+            raise ValueError(f"wifi_channel has shape {channels.shape}; expected ({links.nodes},)")
+        # Another number would count as a channel of the next receiver.
+        if channels.size and not 0 <= channels.min() <= channels.max() < len(WIFI_CHANNELS):
+            raise ValueError(
+                f"wifi_channel: {channels.min()} to {channels.max()}: expected indices 0 to "
+                f"{len(WIFI_CHANNELS) - 1} into {WIFI_CHANNELS}"
+            )
         for index, (mode, largest) in enumerate(zip(MODES, max_rates(self.parameters), strict=True)):
             rates = fleet.rates[:, index]
             if rates.size and not 0 <= rates.min() <= rates.max() <= largest:
                 raise ConfigError(f"{mode}: rates {rates.min()} to {rates.max()}: allowed 0 to {largest}")
+        if busy is not None and busy.shape != (links.nodes, len(MODES)):
+            raise ValueError(f"busy has shape {busy.shape}; expected ({links.nodes}, {len(MODES)})")
         if busy is not None and not ((busy >= 0.0) & (busy < 1.0)).all():
             raise ConfigError("busy: a share outside 0 to below 1")

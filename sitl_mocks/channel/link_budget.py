@@ -69,11 +69,14 @@ def all_links(
         rng: draws the shadowing, the same for both directions of a pair. Needed where there is shadowing.
 
     Raises:
-        ValueError: another shape, or shadowing without a generator.
+        ValueError: another shape, a position that is not finite, or shadowing without a generator.
     """
     positions = positions_m if positions_m.ndim == 3 else positions_m[None]
     if positions.ndim != 3 or positions.shape[2] != 3:
         raise ValueError(f"positions have shape {positions_m.shape}; expected (environments, aircraft, 3)")
+    # Such an aircraft would reach nobody, which P0 takes for the best of all.
+    if not np.isfinite(positions).all():
+        raise ValueError("a position is not finite")
     environments, aircraft, _ = positions.shape
     first, second = np.triu_indices(aircraft, k=1)
     apart = positions[:, first] - positions[:, second]
@@ -94,7 +97,7 @@ def near_links(
         rng: as for `all_links`.
 
     Raises:
-        ValueError: another shape, or shadowing without a generator.
+        ValueError: another shape, a position that is not finite, or shadowing without a generator.
     """
     # Only whoever simulates thousands of aircraft needs SciPy; it comes with the extra `inspect`.
     from scipy.spatial import cKDTree

@@ -27,6 +27,8 @@ OVERLAPPED_CHANNELS: Final = 9
 """Secondary BLE channels that one Wi-Fi channel covers, as the paper counts them."""
 
 _DAY_MS = 86_400_000.0
+_MAX_CYCLE_SLOTS = 1_000_000
+"""Longest scan cycle; Bluetooth's, of three times 10.24 s, takes a quarter of it."""
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -178,6 +180,18 @@ class ChannelParameters(_Section, frozen=True, kw_only=True):
         for key, value in shortest.items():
             if value < self.slot_ms:
                 raise ValueError(f"{key}: {value:g}: expected at least one slot (slot_ms {self.slot_ms:g})")
+        cycles = {
+            "ble4.scan_interval_ms": self.ble4.scan_interval_ms,
+            "ble5.scan_interval_ms": self.ble5.scan_interval_ms,
+            "wifi.scan_ms and switch_ms": self.wifi.scan_ms + self.wifi.switch_ms,
+        }
+        longest_ms = _MAX_CYCLE_SLOTS * self.slot_ms / 3.0
+        for key, value in cycles.items():
+            if value > longest_ms:
+                raise ValueError(
+                    f"{key}: {value:g}: expected up to {longest_ms:g}, three times which is "
+                    f"{_MAX_CYCLE_SLOTS:,} slots (slot_ms {self.slot_ms:g})"
+                )
         self._need_room()
 
     def _need_room(self) -> None:

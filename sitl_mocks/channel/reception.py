@@ -1,8 +1,9 @@
 """When a receiver's scan meets a sender's schedule: the matching sets of section "Packet Reception Model".
 
 All times are whole slots. A sender begins at phase t0 of the receiver's scan cycle and repeats its event with
-a period that shares no factor with the cycle, so that the Chinese remainder theorem gives the slots in which
-a packet falls into a scan window.
+a period that shares no factor with the cycle. The paper finds the slots in which a packet falls into a scan
+window by the Chinese remainder theorem, window slot by window slot; within one GNSS period it is less work to
+look at every event, and the sets are the same.
 """
 
 from __future__ import annotations
@@ -70,23 +71,6 @@ def coprime_period(period: int, cycle: int) -> int:
     )
 
 
-def first_match(t1: Integers, t2: Integers, period_1: int, period_2: int) -> Integers:
-    """Delta_o of the paper's equation (CRT): the least slot >= 0 that is t1 modulo one period and t2 modulo
-    the other. Arrays broadcast against each other.
-
-    Raises:
-        ValueError: the periods share a factor, or one is less than 1.
-    """
-    if period_1 < 1 or period_2 < 1 or (shared := math.gcd(period_1, period_2)) != 1:
-        what = "expected at least 1" if min(period_1, period_2) < 1 else f"both are multiples of {shared}"
-        raise ValueError(f"periods {period_1} and {period_2}: {what}; the theorem needs coprime periods")
-    by_1 = period_2 * pow(period_2, -1, period_1) if period_1 > 1 else 0
-    by_2 = period_1 * pow(period_1, -1, period_2) if period_2 > 1 else 0
-    both = period_1 * period_2
-    # Reduced first, so that no product leaves 64 bits.
-    return np.asarray((t1 % period_1 * by_1 + t2 % period_2 * by_2) % both, np.int64)
-
-
 def event_period(mode: str, rate: int, parameters: ChannelParameters) -> int:
     """A-hat or B-hat (slots): the coprime approximation of T_GNSS / psi.
 
@@ -122,21 +106,14 @@ def matching_packets(
     """
     scan, period = scan_of(mode, parameters), event_period(mode, rate, parameters)
     horizon = Slots(parameters).gnss_period
-    phases = np.arange(scan.cycle, dtype=np.int64)[:, None]
-    both = period * scan.cycle
+    phases = np.arange(scan.cycle, dtype=np.int64)
     found = []
     for index, offset in enumerate(scan.packet_offsets):
         channel = index if len(scan.packet_offsets) > 1 else wifi_channel
-        window = scan.window_starts[channel] + np.arange(scan.slack + 1, dtype=np.int64)
-        match = first_match(phases + offset, window[None, :], period, scan.cycle)
-        after = (match - phases) % both  # the first one at or after t0
-        while (inside := after <= horizon).any():
-            row, column = np.nonzero(inside)
-            found.append((row, after[row, column], np.full(len(row), channel)))
-            after = after + both
-    if not found:
-        empty = np.zeros(0, np.int64)
-        return Matches(empty, empty, empty)
+        for begun in range(offset, horizon + 1, period):
+            late = (phases + begun - scan.window_starts[channel]) % scan.cycle
+            heard = np.flatnonzero(late <= scan.slack)
+            found.append((heard, np.full(len(heard), begun), np.full(len(heard), channel)))
     phase, slot, channels = (np.concatenate(part).astype(np.int64) for part in zip(*found, strict=True))
     order = np.lexsort((slot, phase))
     return Matches(phase[order], slot[order], channels[order])

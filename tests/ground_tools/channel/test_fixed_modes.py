@@ -89,6 +89,16 @@ def test_a_row_does_not_depend_on_what_else_is_asked():
                 assert row == many[key]
 
 
+@pytest.mark.parametrize("reading", ["shared", "random"])
+def test_a_row_does_not_depend_on_what_else_is_asked_in_later_batches(monkeypatch, reading):
+    """Whatever the parameters say of channels: the table has both readings."""
+    monkeypatch.setattr(fixed_modes, "_LINKS_AT_ONCE", 7 * 90)
+    asked = {"parameters": msgspec.structs.replace(PAPER, wifi_channels=reading), "sides_m": (2000.0,)}
+    alone = rows_of(**asked, rates={"wifi": (10,)})
+    assert alone == {key: row for key, row in rows_of(**asked).items() if key[0] == "wifi"}
+    assert alone == rows_of(sides_m=(2000.0,), rates={"wifi": (10,)})
+
+
 def test_a_row_does_not_depend_on_the_batches(monkeypatch):
     asked = {"sides_m": (2000.0,), "sigmas_db": (3.0,), "samples": 30}
     whole = rows_of(**asked)

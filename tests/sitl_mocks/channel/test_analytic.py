@@ -368,6 +368,27 @@ def test_rates_of_another_fleet_are_refused():
         MODEL.evaluate(links, Fleet(np.ones((3, 3), np.intp), np.zeros(3, np.intp)))
 
 
+@pytest.mark.parametrize("bad", [3, 6, -1])
+def test_wifi_channels_are_indices(bad):
+    """Channel 6 would otherwise be one of the next receivers'."""
+    links, fleet = one_environment(np.full((4, 4), NEAR), [[0, 0, 10]] * 4, [0, 1, 2, bad])
+    with pytest.raises(ValueError, match=r"wifi_channel: .*: expected indices 0 to 2 into \(1, 6, 11\)"):
+        MODEL.evaluate(links, fleet)
+
+
+def test_arrays_of_another_kind_are_refused():
+    links, fleet = one_environment(np.full((2, 2), NEAR), [[0, 0, 10]] * 2)
+    for dtype in (float, bool):
+        with pytest.raises(ValueError, match=f"rates are {dtype.__name__}.*expected integers"):
+            MODEL.evaluate(links, Fleet(fleet.rates.astype(dtype), fleet.wifi_channel))
+    with pytest.raises(ValueError, match=r"wifi_channel has shape \(3,\); expected \(2,\)"):
+        MODEL.evaluate(links, Fleet(fleet.rates, np.ones(3, np.intp)))
+    with pytest.raises(ValueError, match=r"busy has shape \(3, 3\); expected \(2, 3\)"):
+        MODEL.evaluate(links, fleet, np.zeros((3, 3)))
+    small = MODEL.evaluate(links, Fleet(fleet.rates.astype(np.uint8), fleet.wifi_channel))
+    assert np.array_equal(small.delay_s, MODEL.evaluate(links, fleet).delay_s, equal_nan=True)
+
+
 def test_nobody_and_one_alone():
     for n in (0, 1):
         links = all_links(np.zeros((2, n, 3)), PAPER.propagation)

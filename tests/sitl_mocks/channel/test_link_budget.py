@@ -78,6 +78,17 @@ def test_positions_of_another_shape_are_refused(shape):
         all_links(np.zeros(shape), PAPER.propagation)
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_positions_that_are_nowhere_are_refused(bad):
+    positions = np.zeros((2, 3, 3))
+    positions[1, 2, 0] = bad
+    with pytest.raises(ValueError, match="a position is not finite"):
+        all_links(positions, PAPER.propagation)
+    pytest.importorskip("scipy")
+    with pytest.raises(ValueError, match="must be finite"):
+        near_links(positions[1], PAPER)
+
+
 def test_the_search_finds_every_link_that_carries():
     pytest.importorskip("scipy")
     positions = draw_positions(1, 300, 12_000.0, np.random.default_rng(3))[0]

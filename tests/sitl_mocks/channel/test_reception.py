@@ -20,7 +20,6 @@ from sitl_mocks.channel.parameters import (
 from sitl_mocks.channel.reception import (
     coprime_period,
     event_period,
-    first_match,
     heard_packets,
     matching_packets,
     scan_of,
@@ -122,16 +121,50 @@ def test_a_single_event_is_heard_as_the_sets_say(mode):
         assert offsets == sorted(matches.slot[first].tolist())
 
 
-@given(st.integers(1, 5000), st.integers(1, 5000), st.integers(0, 10**6), st.integers(0, 10**6))
-def test_the_theorem(period_1, period_2, t1, t2):
-    if math.gcd(period_1, period_2) != 1:
-        with pytest.raises(ValueError, match=f"periods {period_1} and {period_2}: both are multiples of"):
-            first_match(np.array(t1), np.array(t2), period_1, period_2)
-        return
-    slot = int(first_match(np.array(t1), np.array(t2), period_1, period_2))
-    assert 0 <= slot < period_1 * period_2
-    assert slot % period_1 == t1 % period_1
-    assert slot % period_2 == t2 % period_2
+def theorem(t1, t2, period_1, period_2):
+    """Delta_o of the paper's equation (CRT), term by term."""
+    by_1, by_2 = pow(period_2, -1, period_1), pow(period_1, -1, period_2)
+    return (t1 * period_2 * by_1 + t2 * period_1 * by_2) % (period_1 * period_2)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("rate", [1, 5, 9, 10])
+def test_sets_equal_the_paper_s_theorem(mode, rate):
+    scan, period = scan_of(mode, PAPER), event_period(mode, rate, PAPER)
+    channel, both = 1, period * scan.cycle
+    found = []
+    for phase in range(scan.cycle):
+        for index, offset in enumerate(scan.packet_offsets):
+            where = channel if mode == "wifi" else index
+            for i in range(scan.window_starts[where], scan.window_starts[where] + scan.slack + 1):
+                first = theorem(phase + offset, i, period, scan.cycle)
+                slots = range((first - phase) % both, 8000 + 1, both)
+                found += [(phase, slot, where) for slot in slots]
+    assert rows(matching_packets(mode, rate, PAPER, wifi_channel=channel)) == sorted(found)
+
+
+def test_no_packet_comes_before_its_event():
+    """T_GNSS / psi of 3 slots, coprime to the cycle of 60 only at 1: shorter than the event itself."""
+    ble = {"packet_ms": 1.0, "gap_ms": 0.0, "scan_interval_ms": 20.0, "max_rate": 25}
+    p = ChannelParameters(
+        slot_ms=1.0,
+        gnss_period_ms=95.0,
+        ble4=BleParameters(**ble),
+        ble5=Ble5Parameters(**ble | {"max_rate": 1}, auxiliary_offset_ms=3.0),
+        wifi=WifiParameters(beacon_ms=1.0, max_rate=1),
+    )
+    assert event_period("ble4", 25, p) == 1
+    assert rows(matching_packets("ble4", 25, p)) == enumerated("ble4", 25, p, 0)
+
+
+def test_scans_of_real_phones_take_no_more_memory_than_packets():
+    """4.096 s on each channel, always listening: phases by window slots would be 26 GB."""
+    p = ChannelParameters(ble4=BleParameters(scan_interval_ms=4096.0, scan_window_ms=4096.0))
+    matches = matching_packets("ble4", 9, p)
+    assert scan_of("ble4", p).cycle == 98_304
+    # One channel is listened to at any time: most phases hear one packet of each event, and ten events, 887
+    # slots apart, begin within 8,000.
+    assert np.median(np.bincount(matches.phase, minlength=98_304)) == 10
 
 
 def test_periods_of_the_paper():
@@ -160,5 +193,3 @@ def test_rates_outside_the_limits_are_refused(mode, rate):
 def test_periods_below_one_slot_are_refused():
     with pytest.raises(ValueError, match="period 0, cycle 3: expected at least 1 slot"):
         coprime_period(0, 3)
-    with pytest.raises(ValueError, match="periods 0 and 3: expected at least 1"):
-        first_match(np.array(0), np.array(0), 0, 3)
