@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from companion.errors import ConfigError
 from sitl_mocks.channel.packet_background import Background
 from sitl_mocks.channel.packet_reception import Coverage, Packets, Scanners, arrivals, carries_message, decide
-from sitl_mocks.channel.packet_schedule import draw_schedule, packets_of
-from sitl_mocks.channel.packet_timing import Assumptions, Durations
+from sitl_mocks.channel.packet_schedule import draw_schedule, packets_of, sense_carrier
+from sitl_mocks.channel.packet_timing import WIFI, Assumptions, Durations
 from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameters, check_rate
 
 Floats = NDArray[np.float64]
@@ -45,6 +45,7 @@ class Result:
     sample: Indices
     """Number of the GNSS sample that the event carries."""
     start_s: Floats
+    """When it began to be sent, after any wait for the medium. Beacons that never were sent are not in."""
     sample_s: Floats
     """Time of that sample."""
     heard_event: Indices
@@ -105,6 +106,9 @@ def simulate(
         phase = rng.uniform(0.0, cycles[:, None], (len(cycles), nodes))
     scanners = Scanners(phase, clock)
     background = Background(parameters, nodes, -period - margin, rng)
+    if assumptions.carrier_sense:
+        # Drawn last: what else chance decides is the same with carrier sense and without.
+        events = sense_carrier(events, durations, coverage.reach[WIFI], rng)
 
     tally = _Tally(nodes)
     count = int(np.searchsorted(events.begin, end, side="left"))

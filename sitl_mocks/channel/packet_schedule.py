@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl_mocks.channel.packet_access import defer
 from sitl_mocks.channel.packet_reception import FIRST_PRIMARY, FIRST_WIFI, Packets
 from sitl_mocks.channel.packet_timing import BLE4, BLE5, WIFI, Assumptions, Durations, coprime_interval
 from sitl_mocks.channel.parameters import SECONDARY_CHANNELS, ChannelParameters
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +125,26 @@ def draw_schedule(
     whole = Events(*(np.concatenate([getattr(p, name) for p in pieces]) for name in fields))
     order = np.argsort(whole.begin, kind="stable")
     return whole.take(order), np.array(row_modes, np.intp)
+
+
+def sense_carrier(events: Events, durations: Durations, hears: Bools, rng: np.random.Generator) -> Events:
+    """The events with beacons put off while the medium is busy (see `packet_access`), by time again.
+
+    A beacon carries the sample that it would have carried without waiting. One that still waits when its
+    aircraft wants the next one is never sent and left out.
+
+    Args:
+        hears: shape (nodes, nodes): beacons of the transmitter (row) are sensed by the other (column).
+    """
+    wifi = np.nonzero(events.mode == WIFI)[0]
+    begin = events.begin.copy()
+    begin[wifi] = defer(
+        events.begin[wifi], events.transmitter[wifi], events.channel[wifi], float(durations.length[WIFI, 0]),
+        hears, 1000.0 * durations.slot_s, rng,
+    )  # fmt: skip
+    order = np.argsort(begin, kind="stable")
+    # NaN, the beacons never sent, sorts last.
+    return replace(events, begin=begin).take(order[: len(order) - int(np.isnan(begin).sum())])
 
 
 def _paper_schedule(

@@ -50,6 +50,9 @@ class Assumptions:
     clock_ppm: float
     """Every aircraft's clock is fast or slow by a share drawn uniformly up to this. It drives its advertising
     intervals and its scan pattern; GNSS samples keep true time."""
+    carrier_sense: bool
+    """Who would send a beacon while it hears another's waits as in `packet_access`. Bluetooth never waits.
+    Foreign transmissions are drawn at each receiver for itself: nobody waits for them."""
 
     def __post_init__(self) -> None:
         if self.advertiser not in ("paper", "standard"):
@@ -61,6 +64,8 @@ class Assumptions:
             raise ConfigError(f"capture_db: {self.capture_db:g}: allowed none, or a finite value >= 0")
         if not 0.0 <= self.clock_ppm <= _MAX_CLOCK_PPM:
             raise ConfigError(f"clock_ppm: {self.clock_ppm:g}: allowed 0 to {_MAX_CLOCK_PPM:g}")
+        if self.carrier_sense and self.slotted:
+            raise ConfigError("carrier_sense: not with slotted: backoffs are shorter than a slot")
 
 
 PAPER = Assumptions(
@@ -71,6 +76,7 @@ PAPER = Assumptions(
     half_duplex=False,
     capture_db=None,
     clock_ppm=0.0,
+    carrier_sense=False,
 )
 """As the equations assume; phases are redrawn, for one and the same in all cycles may never deliver."""
 REAL = Assumptions(
@@ -81,8 +87,10 @@ REAL = Assumptions(
     half_duplex=True,
     capture_db=None,
     clock_ppm=20.0,
+    carrier_sense=True,
 )
-"""As radios behave that follow the standards."""
+"""As radios behave that follow the standards. Left out: beacon intervals are whole time units of 1.024 ms, so
+that ten in a second are no more than nearly that; and what `packet_access` names."""
 
 
 @dataclass(frozen=True, slots=True)

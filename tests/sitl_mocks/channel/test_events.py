@@ -140,7 +140,8 @@ def test_nothing_is_heard_beyond_range_or_by_a_mode_that_is_off() -> None:
 
 
 @pytest.mark.parametrize(
-    "assumptions", [PAPER, REAL, replace(PAPER, slotted=False), replace(REAL, slotted=True)]
+    "assumptions",
+    [PAPER, REAL, replace(PAPER, slotted=False), replace(REAL, slotted=True, carrier_sense=False)],
 )
 def test_a_message_arrives_within_its_event(assumptions: Assumptions) -> None:
     result = run([[9, 10, 10]] * 4, 20.0, assumptions)
