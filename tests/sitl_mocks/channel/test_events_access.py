@@ -39,11 +39,14 @@ class Want:
     backoff: int = 0
     heard_by: AbstractSet[int] = ALL
     channel: int = 0
+    length: int = LENGTH
 
 
 def beacon(number: int, want: Want) -> Beacon:
     others = want.heard_by - {want.station}
-    return Beacon(number, want.station, want.channel, float(want.at), float(LENGTH), others, want.backoff)
+    return Beacon(
+        number, want.station, want.channel, float(want.at), float(want.length), others, want.backoff
+    )
 
 
 def begins(*wants: Want) -> list[float | None]:
@@ -101,6 +104,20 @@ def test_countdowns_that_end_together_collide() -> None:
 
 def test_other_channels_do_not_wait() -> None:
     assert begins(Want(0, 100, channel=0), Want(1, 110, channel=1), Want(2, 120, 1)) == [100, 110, 137]
+    # Nor does a countdown stand for them.
+    assert begins(Want(0, 100), Want(1, 110, 10), Want(2, 145, channel=1)) == [100, 155, 145]
+
+
+def test_of_two_beacons_heard_the_one_that_ends_last_counts() -> None:
+    # 0 is heard until 200; 2, hidden from it, from 150 to 160.
+    long, short = Want(0, 100, 0, {1}, length=100), Want(2, 150, 0, {1}, length=10)
+    assert begins(long, Want(1, 120, 1), short) == [100, 207, 150]
+    assert begins(long, short, Want(1, 155, 1)) == [100, 150, 207]
+
+
+def test_a_beacon_that_has_ended_counts_for_a_difs_whatever_else_began() -> None:
+    # 2 begins at 132, heard by nobody.
+    assert begins(Want(0, 100, 0, {1}), Want(2, 132, 0, NOBODY), Want(1, 133, 1)) == [100, 132, 137]
 
 
 def test_a_station_waits_for_its_own_beacon() -> None:
