@@ -27,11 +27,19 @@ _STYLE: Any = {
 
 @contextmanager
 def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[Any]:
-    """An empty figure (width, height in inches) to draw on; written to `path` at the end.
+    """An empty figure (width, height in inches) to draw on; written to `path`, a PNG of the option --out, at
+    the end.
 
     Raises:
-        ConfigError: matplotlib is not installed, or `path` cannot be written.
+        ConfigError: matplotlib is not installed, or `path` cannot be written; where that can be known, before
+            anything is drawn.
     """
+    # matplotlib would write FILE.png where FILE is given, beside a folder FILE too.
+    if path.suffix.lower() != ".png":
+        raise ConfigError(f"--out: {path}: cannot be written: expected a file name that ends in .png")
+    if path.is_dir() or not path.parent.is_dir():
+        why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
+        raise ConfigError(f"--out: {path}: cannot be written: {why}")
     try:
         import matplotlib
     except ImportError as error:
@@ -49,4 +57,4 @@ def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[
         try:
             figure.savefig(path, dpi=dpi)
         except (OSError, ValueError) as error:
-            raise ConfigError(f"{path}: cannot be written: {error}") from error
+            raise ConfigError(f"--out: {path}: cannot be written: {error}") from error

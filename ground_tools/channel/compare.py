@@ -12,6 +12,7 @@ import argparse
 import json
 import math
 import os
+import signal
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -22,10 +23,13 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from companion.errors import ConfigError
+from ground_tools.channel import compare_plot, options
+from ground_tools.channel.options import SIDES_M, UAVS
+from ground_tools.channel.progress import progress
+from ground_tools.figure import drawn
 from sitl_mocks.channel import packet_metrics, parameters
 from sitl_mocks.channel.analytic import Analytic, fixed_mode, system_delay_s
 from sitl_mocks.channel.delay import single_link_s
@@ -57,7 +61,6 @@ VARIANTS: dict[str, dict[str, Assumptions]] = {
 }
 """Assumptions of the packet-by-packet simulator in each study, from the paper's to the standards'."""
 BEST_RATES = {"ble4": 9, "ble5": 10, "wifi": 10}
-SIDES_M = (100.0, 500.0, 1000.0, 3000.0, 5000.0, 10_000.0)
 DENSE_M = 100.0
 FLEETS = (10, 30, 100)
 RECEIVERS = 200
@@ -132,15 +135,27 @@ class Effort:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `ground-tools channel compare`."""
-    parser.epilog = "example: ground-tools channel compare --seconds 60 --environments 20 --out runs/channel"
-    parser.add_argument("--seconds", type=float, default=60.0, help="simulated seconds of a run (default 60)")
-    parser.add_argument(
-        "--environments", type=int, default=20, help="positions drawn for each case (default 20)"
+    parser.description = (
+        "The channel model's equations beside a packet-by-packet simulation: of one link, of packets that\n"
+        "meet, and of fleets. Takes minutes, on all cores."
     )
-    parser.add_argument("--seed", type=int, default=1, help="what chance draws from (default 1)")
-    parser.add_argument("--parameters", type=Path, help="parameter file (TOML); default: the paper's table")
-    parser.add_argument("--out", type=Path, help="folder for compare.png and compare.json")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    parser.epilog = "example: ground-tools channel compare --seconds 60 --environments 20 --out runs/channel"
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, metavar="S", help="simulated seconds of a run (default: 60)"
+    )
+    parser.add_argument(
+        "--environments",
+        type=int,
+        default=20,
+        metavar="N",
+        help="positions drawn for each case (default: 20)",
+    )
+    options.add_seed(parser)
+    options.add_parameters(parser)
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="for compare.png and compare.json (default: neither)"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object a line instead of tables")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -153,26 +168,42 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds: {arguments.seconds:g}: allowed 10 to 86400")
     if not 2 <= arguments.environments <= 10_000:
         raise ConfigError(f"--environments: {arguments.environments}: allowed 2 to 10000")
-    if arguments.seed < 0:
-        raise ConfigError(f"--seed: {arguments.seed}: allowed 0 and above")
-    p = ChannelParameters() if arguments.parameters is None else parameters.load(arguments.parameters)
-    p = with_schedule(p, "coprime")
+    options.check_seed(arguments.seed)
+    p = with_schedule(options.parameters_of(arguments), "coprime")
+    for (mode, rate), largest in zip(BEST_RATES.items(), parameters.max_rates(p), strict=True):
+        if rate > largest:
+            raise ConfigError(
+                f"--parameters: {arguments.parameters}: {mode}.max_rate: {largest}: "
+                f"this comparison needs {rate} and above"
+            )
+    effort = Effort(arguments.seconds, arguments.environments, arguments.seed)
     console = Console(stderr=arguments.json)
-    rows = list(compare(p, Effort(arguments.seconds, arguments.environments, arguments.seed), console))
-    if arguments.json:
-        for row in rows:
-            print(json.dumps(row.as_dict()))
-    else:
-        for study in VARIANTS:
-            console.print(_table(study, [row for row in rows if row.case.study == study]))
-    if arguments.out is not None:
-        from ground_tools.channel.compare_plot import draw
-
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        (arguments.out / "compare.json").write_text("".join(json.dumps(r.as_dict()) + "\n" for r in rows))
-        draw(rows, arguments.out / "compare.png")
-        console.print(f"picture: {arguments.out / 'compare.png'}", soft_wrap=True)
+    if arguments.out is None:
+        _print(list(compare(p, effort)), console, as_json=arguments.json)
+        return 0
+    options.make_folder(arguments.out)
+    # The picture first: that matplotlib is missing shows before the simulation, not after.
+    with drawn(arguments.out / "compare.png", compare_plot.SIZE_IN) as figure:
+        rows = list(compare(p, effort))
+        lines = "".join(_json_line(row) + "\n" for row in rows)
+        (arguments.out / "compare.json").write_text(lines, encoding="utf-8")
+        _print(rows, console, as_json=arguments.json)
+        compare_plot.draw(figure, rows)
+    console.print(f"wrote {arguments.out / 'compare.png'}", soft_wrap=True, highlight=False)
     return 0
+
+
+def _print(rows: list[Row], console: Console, *, as_json: bool) -> None:
+    if as_json:
+        for row in rows:
+            print(_json_line(row))
+        return
+    for study in VARIANTS:
+        console.print(_table(study, [row for row in rows if row.case.study == study]))
+
+
+def _json_line(row: Row) -> str:
+    return json.dumps(row.as_dict(), allow_nan=False)
 
 
 def with_schedule(p: ChannelParameters, schedule: Literal["coprime", "random"]) -> ChannelParameters:
@@ -200,7 +231,7 @@ def cases(p: ChannelParameters) -> list[Case]:
         for uavs in FLEETS
     ]
     found += [
-        Case("fleet", variant, mode, rate, 10, side_m)
+        Case("fleet", variant, mode, rate, UAVS, side_m)
         for variant in VARIANTS["fleet"]
         for mode, rate in BEST_RATES.items()
         for side_m in SIDES_M
@@ -208,14 +239,22 @@ def cases(p: ChannelParameters) -> list[Case]:
     return found
 
 
-def compare(p: ChannelParameters, effort: Effort, console: Console) -> Iterator[Row]:
+def compare(p: ChannelParameters, effort: Effort) -> Iterator[Row]:
     """Every case, on all cores."""
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        futures = [pool.submit(row_of, p, effort, case) for case in cases(p)]
-        for future in track(
-            futures, "simulating", console=console, transient=True, disable=not console.is_terminal
-        ):
-            yield future.result()
+    asked = cases(p)
+    # Ctrl-C reaches the workers too: it ends them at once and without a word.
+    with (
+        ProcessPoolExecutor(
+            os.cpu_count(), initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)
+        ) as pool,
+        progress("simulating", len(asked)) as advance,
+    ):
+        try:
+            for future in [pool.submit(row_of, p, effort, case) for case in asked]:
+                yield future.result()
+                advance()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def row_of(p: ChannelParameters, effort: Effort, case: Case) -> Row:

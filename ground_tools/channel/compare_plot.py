@@ -5,41 +5,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ground_tools.figure import drawn
-from ground_tools.inspect.palette import colour, hexadecimal
+from ground_tools.channel.fixed_modes import NAMES
+from ground_tools.channel.plot import COLOURS
 from sitl_mocks.channel.parameters import MODES
 
 if TYPE_CHECKING:
     from ground_tools.channel.compare import Row
 
-NAMES = {"ble4": "BLE 4", "ble5": "BLE 5", "wifi": "Wi-Fi"}
+SIZE_IN = (19.0, 6.4)
 _EQUAL, _REAL = "as the equations", "real radios"
 _MARKS = {_EQUAL: ("o", "none"), _REAL: ("D", "full")}
 
 
-def draw(rows: Sequence[Row], path: Path) -> None:
-    """Write the picture.
-
-    Raises:
-        ConfigError: `path` cannot be written, or matplotlib is not installed.
-    """
-    with drawn(path, (19, 6.4)) as figure:
-        link, collision, fleet = figure.subplots(1, 3)
-        _link(link, [r for r in rows if r.case.study == "link"])
-        _collision(collision, [r for r in rows if r.case.study == "collision"])
-        _fleet(fleet, [r for r in rows if r.case.study == "fleet"])
-
-
-def _colour(mode: str) -> str:
-    return hexadecimal(colour(MODES.index(mode)))
+def draw(figure: Any, rows: Sequence[Row]) -> None:
+    """A panel for each study."""
+    link, collision, fleet = figure.subplots(1, 3)
+    _link(link, [r for r in rows if r.case.study == "link"])
+    _collision(collision, [r for r in rows if r.case.study == "collision"])
+    _fleet(fleet, [r for r in rows if r.case.study == "fleet"])
 
 
 def _points(axes: Any, rows: Sequence[Row], x: Sequence[float], variant: str, label: str | None) -> None:
     mark, fill = _MARKS[variant]
-    shade = _colour(rows[0].case.mode)
+    shade = COLOURS[rows[0].case.mode]
     below = [r.packets - r.packets_low for r in rows]
     above = [r.packets_high - r.packets for r in rows]
     axes.errorbar(
@@ -57,7 +47,7 @@ def _link(axes: Any, rows: list[Row]) -> None:
                 axes.plot(
                     [r.case.rate for r in mine],
                     [r.equations for r in mine],
-                    color=_colour(mode),
+                    color=COLOURS[mode],
                     linewidth=1.5,
                 )
             _points(axes, mine, [r.case.rate for r in mine], variant, f"{NAMES[mode]}, {variant}")
@@ -73,7 +63,7 @@ def _collision(axes: Any, rows: list[Row]) -> None:
         for variant in (_EQUAL, _REAL):
             mine = [r for r in rows if r.case.mode == mode and r.case.variant == variant]
             if variant == _EQUAL:
-                axes.plot([r.case.uavs for r in mine], [100 * r.equations for r in mine], color=_colour(mode))
+                axes.plot([r.case.uavs for r in mine], [100 * r.equations for r in mine], color=COLOURS[mode])
             shares = [_percent(r) for r in mine]
             _points(
                 axes,
@@ -107,7 +97,7 @@ def _fleet(axes: Any, rows: list[Row]) -> None:
             mine = [r for r in rows if r.case.mode == mode and r.case.variant == variant]
             sides = [r.case.side_m or 0.0 for r in mine]
             if variant == _EQUAL:
-                axes.plot(sides, [r.equations for r in mine], color=_colour(mode))
+                axes.plot(sides, [r.equations for r in mine], color=COLOURS[mode])
             _points(axes, mine, sides, variant, None)
     axes.set_xscale("log")
     axes.set_yscale("log")

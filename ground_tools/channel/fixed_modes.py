@@ -27,7 +27,7 @@ READINGS: Final[tuple[Reading, ...]] = ("shared", "random")
 
 _LINKS_AT_ONCE = 90_000
 """Environments are evaluated in batches of about so many links, which bounds the memory."""
-_NAMES: Final = {BLE4: "BLE 4", BLE5: "BLE 5", WIFI_BEACON: "Wi-Fi"}
+NAMES: Final = {BLE4: "BLE 4", BLE5: "BLE 5", WIFI_BEACON: "Wi-Fi"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Case:
 
 def name_of(mode: str, reading: Reading) -> str:
     """A mode's name for people, with the reading of its channels where there are two."""
-    return f"{_NAMES[mode]} {reading}" if mode == WIFI_BEACON else _NAMES[mode]
+    return f"{NAMES[mode]} {reading}" if mode == WIFI_BEACON else NAMES[mode]
 
 
 def cases_of(settings: Settings) -> tuple[Case, ...]:

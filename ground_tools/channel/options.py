@@ -1,4 +1,4 @@
-"""The options that `ground-tools channel table` and `plot` share."""
+"""The options that `ground-tools channel table`, `plot` and `compare` share."""
 
 from __future__ import annotations
 
@@ -47,10 +47,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: that of the parameters, 0 in the paper's)",
     )
     parser.add_argument("--uavs", type=int, default=UAVS, metavar="N", help="aircraft (default: 10)")
+    add_parameters(parser)
+    add_sampling(parser)
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """The option that names a parameter file."""
     parser.add_argument(
         "--parameters", type=Path, metavar="FILE", help="channel parameters, TOML (default: the paper's)"
     )
-    add_sampling(parser)
+
+
+def parameters_of(args: argparse.Namespace) -> ChannelParameters:
+    """What the file holds.
+
+    Raises:
+        ConfigError: names the file, the key, what it holds and what is allowed.
+    """
+    return ChannelParameters() if args.parameters is None else load(args.parameters)
 
 
 def add_sampling(parser: argparse.ArgumentParser) -> None:
@@ -62,6 +76,11 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="environments with positions drawn anew, of each side (default: 1000)",
     )
+    add_seed(parser)
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """The option of the random draw."""
     parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of the draw (default: 1)")
 
 
@@ -71,7 +90,7 @@ def settings_of(args: argparse.Namespace) -> Settings:
     Raises:
         ConfigError: names the option, what it holds and what is allowed.
     """
-    parameters = ChannelParameters() if args.parameters is None else load(args.parameters)
+    parameters = parameters_of(args)
     check_sampling(args.samples, args.seed)
     if not 2 <= args.uavs <= _MAX_UAVS:
         raise ConfigError(f"--uavs: {args.uavs}: allowed 2 to {_MAX_UAVS}")
@@ -99,8 +118,29 @@ def check_sampling(samples: int, seed: int) -> None:
     """
     if not 2 <= samples <= _MAX_SAMPLES:
         raise ConfigError(f"--samples: {samples}: allowed 2 to {_MAX_SAMPLES}")
+    check_seed(seed)
+
+
+def check_seed(seed: int) -> None:
+    """Refuse what cannot be a seed.
+
+    Raises:
+        ConfigError: names the option, what it holds and what is allowed.
+    """
     if seed < 0:
         raise ConfigError(f"--seed: {seed}: allowed 0 and above")
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder of the option --out where it is missing.
+
+    Raises:
+        ConfigError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out: {path}: cannot be made: {error.strerror}") from error
 
 
 def _words(option: str, given: Iterable[str]) -> list[str]:

@@ -14,7 +14,6 @@ from typing import Final
 
 from rich.console import Console
 
-from companion.errors import ConfigError
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
 from ground_tools.paper import delay_rate, fixed_modes, packet_loss
@@ -80,10 +79,7 @@ def run(args: argparse.Namespace) -> int:
     options.check_sampling(args.samples, args.seed)
     chosen = [figure for figure in FIGURES if args.figure in (figure.name, "all")]
     study = Study(args.samples, args.seed)
-    try:
-        args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out: {args.out}: cannot be made: {error.strerror}") from error
+    options.make_folder(args.out)
     steps = max(figure.sigmas for figure in chosen) * study.steps()
     with progress("environments", steps) as advance:
         study.advance = advance

@@ -221,7 +221,7 @@ class Slots:
 
     def of(self, duration_ms: float) -> int:
         """Whole slots in a duration."""
-        # 0.376 / 0.125 must not fall below 3 by rounding of the quotient of decimal fractions.
+        # 0.3 / 0.1 must not fall below 3 by rounding of the quotient of decimal fractions.
         return math.floor(duration_ms / self.parameters.slot_ms + 1e-9)
 
     @cached_property

@@ -10,7 +10,7 @@ import pytest
 
 from companion.errors import ConfigError
 from ground_tools import cli
-from ground_tools.channel import options
+from ground_tools.channel import options, plot
 from ground_tools.channel.fixed_modes import Row
 from ground_tools.channel.table import delay_cell, json_line, loss_cell, with_error
 from sitl_mocks.channel.parameters import ChannelParameters
@@ -210,12 +210,23 @@ def test_plot_where_nobody_is_in_range(tmp_path):
     [
         (["--sigma", "0", "1"], "--sigma: 2 values: a picture shows one"),
         (["--sides", *map(str, range(1, 14))], "--sides: 13 values: a picture shows up to 12"),
+        (["--out", "{}/p"], "/p: cannot be written: expected a file name that ends in .png"),
+        (["--out", "{}"], ": cannot be written: expected a file name that ends in .png"),
+        (["--out", "{}/p.jpgg"], "/p.jpgg: cannot be written: expected a file name that ends in .png"),
+        (["--out", "{}/none/p.png"], "/none/p.png: cannot be written: there is no folder "),
+        (["--out", "{}/folder.png"], "/folder.png: cannot be written: it is a folder"),
     ],
 )
-def test_plot_refuses_what_it_cannot_show(tmp_path, capsys, words, what):
-    assert cli.main(["channel", "plot", "--out", str(tmp_path / "p.png"), *words]) == 2
-    assert what in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+def test_plot_refuses_what_it_cannot_show_before_it_computes(tmp_path, capsys, monkeypatch, words, what):
+    monkeypatch.setattr(plot, "evaluate", lambda *_: pytest.fail("computed"))
+    place = tmp_path / "here"
+    (place / "folder.png").mkdir(parents=True)
+    words = [word.replace("{}", str(place)) for word in words]
+    assert cli.main(["channel", "plot", "--out", str(place / "p.png"), *words]) == 2
+    error = capsys.readouterr().err
+    assert what in error
+    assert words[0] in error
+    assert [path.name for path in tmp_path.rglob("*")] == ["here", "folder.png"]
 
 
 def test_plot_without_matplotlib_or_place(tmp_path, capsys, monkeypatch):
@@ -230,8 +241,6 @@ def test_plot_without_matplotlib_or_place(tmp_path, capsys, monkeypatch):
 
 def test_plot_draws_the_rows():
     figures = pytest.importorskip("matplotlib.figure")
-    from ground_tools.channel import plot
-
     figure = figures.Figure()
     rows = [
         row(mode=mode, wifi_channels=reading, side_m=side_m, rate=rate, system_delay_ms=side_m * rate)

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -77,6 +84,58 @@ def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
     assert all(
         v is None or not isinstance(v, float) or math.isfinite(v) for row in rows for v in row.values()
     )
+
+
+def test_what_cannot_be_done_is_said_before_the_simulation(monkeypatch, capsys, tmp_path):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(compare, "compare", lambda *_: pytest.fail("simulated"))
+    (tmp_path / "file").write_text("")
+    slow = tmp_path / "slow.toml"
+    slow.write_text("[ble5]\nmax_rate = 7\n")
+    taken = tmp_path / "taken"
+    (taken / "compare.png").mkdir(parents=True)
+    for words, what in (
+        (
+            ["--parameters", str(slow)],
+            f"--parameters: {slow}: ble5.max_rate: 7: this comparison needs 10",
+        ),
+        (["--out", str(tmp_path / "file")], f"--out: {tmp_path / 'file'}: cannot be made"),
+        (["--out", str(taken)], "compare.png: cannot be written: it is a folder"),
+    ):
+        assert main(["channel", "compare", *words]) == 2
+        assert what in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["channel", "compare", "--out", str(tmp_path / "new")]) == 2
+    assert ".[inspect]" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_it_with_all_its_workers():
+    """Simulations that would take days; the terminal sends the signal to the whole group."""
+    words = ["channel", "compare", "--seconds", "86400", "--environments", "10000"]
+    code = "import sys; from ground_tools.cli import main; sys.exit(main())"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    ) as process:
+        try:
+            while process.poll() is None and workers_ready(process.pid) < (os.cpu_count() or 1):
+                time.sleep(0.1)
+            os.killpg(process.pid, signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+    assert (process.returncode, out, err) == (130, b"", b"")
+
+
+def workers_ready(pid):
+    """How many there are that leave SIGINT to the system."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    status = [Path(f"/proc/{child}/status").read_text().split() for child in children]
+    caught = [int(words[words.index("SigCgt:") + 1], 16) for words in status]
+    return sum(not signals >> (signal.SIGINT - 1) & 1 for signals in caught)
 
 
 @pytest.mark.parametrize(

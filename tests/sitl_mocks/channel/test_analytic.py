@@ -75,6 +75,22 @@ def test_ble5_counts_pointers_of_one_event_together():
     assert got == pytest.approx((hit * 66 * 125e-6 + (1.0 - hit) * 1.0) / hit, rel=1e-12)
 
 
+def test_ble5_delays_count_from_the_sample_in_whole_intervals():
+    """D(xi) = (xi - 1) A_I + A_Offset + O_U + T_AUX: A_I of 2,666 slots, though pointers come every 2,665."""
+    parameters = msgspec.structs.replace(
+        PAPER, ble5=msgspec.structs.replace(PAPER.ble5, auxiliary_uncertainty_ms=1.0)
+    )
+    matches, cycle = matching_packets("ble5", 3, parameters), scan_of("ble5", parameters).cycle
+    delays = []
+    for phase in range(cycle):
+        events = {slot // 2665 for slot in matches.slot[matches.phase == phase].tolist()} & {0, 1, 2}
+        if events:
+            delays.append((min(events) * 2666 + 40 + 8 + 26) * 125e-6)
+    assert 0 < len(delays) < cycle
+    expected = (sum(delays) + (cycle - len(delays)) * 1.0) / len(delays)
+    assert single_link_s("ble5", 3, parameters) == pytest.approx(expected, rel=1e-12)
+
+
 def test_where_nothing_arrives_the_delay_is_infinite():
     for mode, rate in itertools.product(MODES, (1, 10)):
         assert np.isinf(mean_delay_s(terms_of(mode, rate, PAPER), np.zeros(1), np.ones(1))[0])
@@ -112,17 +128,27 @@ def test_a_random_schedule_is_a_geometric_wait(mode, window_ms, rate):
     assert got == pytest.approx((1.0 / share - 0.5) / rate + behind_s, rel=1e-9)
 
 
+def test_a_random_schedule_of_ble5_knows_the_uncertainty():
+    _, behind_ms = meeting_chances("ble5", random_schedule())
+    late = msgspec.structs.replace(random_schedule().ble5, auxiliary_uncertainty_ms=1.5)
+    _, later_ms = meeting_chances("ble5", msgspec.structs.replace(PAPER, ble5=late))
+    assert (behind_ms, later_ms) == (pytest.approx(8.328), pytest.approx(9.828))
+
+
 def test_a_random_schedule_counts_packets_of_one_event_together():
     """A window as long as the interval hears two packets of some events; drawn phases give the same
     shares."""
     p = random_schedule(scan_window_ms=8.0)
-    (one, two, three), _ = meeting_chances("ble4", p)
+    (one, two, three), complete_ms = meeting_chances("ble4", p)
     phases = np.random.default_rng(1).uniform(0.0, 24.0, 100_000)
-    heard = sum(((phases + 0.501 * k - 8.0 * k) % 24.0 <= 8.0 - 0.376).astype(int) for k in range(3))
+    each = np.array([(phases + 0.501 * k - 8.0 * k) % 24.0 <= 8.0 - 0.376 for k in range(3)])
+    heard = each.sum(axis=0)
     for number, chance in ((1, one), (2, two), (3, three)):
         share = (heard == number).mean()
         assert chance == pytest.approx(share, abs=4.0 * (max(share * (1 - share), 1e-9) / len(phases)) ** 0.5)
     assert two > 0.0
+    first_ms = 0.501 * each.argmax(axis=0)[heard > 0] + 0.376
+    assert complete_ms == pytest.approx(first_ms.mean(), abs=4.0 * first_ms.std() / len(first_ms) ** 0.5)
     pdu = 0.6
     hit = one * pdu + two * (1.0 - (1.0 - pdu) ** 2)
     terms = terms_of("ble4", 1, p)
@@ -223,6 +249,27 @@ def test_background_is_the_chance_to_begin_and_end_in_an_idle_time():
     assert got.pointer[0] == pytest.approx(0.5 * np.exp(-1.152 / 2.0))
     assert got.auxiliary[0] == pytest.approx(0.5 * np.exp(-3.328 / 2.0))
     assert got.wifi[0] == 1.0
+
+
+def test_loss_and_delay_come_from_what_survives():
+    """Everything at once: interference of all modes, and a receiver that others disturb as much on each."""
+    rates = np.array([[9, 10, 10], [0, 0, 0], [3, 5, 7]])
+    links, fleet = one_environment(np.full((3, 3), NEAR), rates)
+    loaded = msgspec.structs.replace(
+        PAPER, background=msgspec.structs.replace(PAPER.background, ble4=0.1, ble5=0.2, wifi=0.3)
+    )
+    got, _ = alive(links, fleet)
+    quiet = background_survival(loaded, np.array([[0.1, 0.2, 0.3]]))
+    evaluation = Analytic(loaded).evaluate(links, fleet)
+    at = int(np.flatnonzero((links.transmitter == 0) & (links.receiver == 1))[0])
+    ble4, wifi = got.ble4[at] * quiet.ble4[0], got.wifi[at] * quiet.wifi[0]
+    pointer, auxiliary = got.pointer[at] * quiet.pointer[0], got.auxiliary[at] * quiet.auxiliary[0]
+    assert evaluation.loss[at] == pytest.approx([1 - ble4, 1 - pointer * auxiliary, 1 - wifi], rel=1e-12)
+    for index, (mode, rate, first, second) in enumerate(
+        (("ble4", 9, ble4, 1.0), ("ble5", 10, pointer, auxiliary), ("wifi", 10, wifi, 1.0))
+    ):
+        expected = mean_delay_s(terms_of(mode, rate, PAPER), np.array([first]), np.array([second]))[0]
+        assert evaluation.delay_s[at, index] == pytest.approx(expected, rel=1e-12)
 
 
 def test_busy_receivers_wait_longer_and_only_they():

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from sitl_mocks.channel.link_budget import (
+    Links,
     all_links,
     draw_positions,
     near_links,
     path_loss_db,
     ranges_m,
     reached,
+    thresholds_db,
 )
 from sitl_mocks.channel.parameters import ChannelParameters
 
@@ -38,6 +40,13 @@ def test_reach_ends_at_the_range():
         assert pairs[0, 1]
         assert pairs[1, 0]
         assert not pairs[0, 2]
+
+
+def test_a_loss_of_just_the_threshold_is_heard():
+    limits = thresholds_db(PAPER)
+    assert limits.tolist() == [103.0, 115.0, 123.0]
+    links = Links(2, np.zeros(3, np.intp), np.ones(3, np.intp), limits)
+    assert np.array_equal(reached(links, PAPER), np.tri(3).T.astype(bool))
 
 
 def test_loss_grows_by_21_db_a_decade_and_stays_finite_at_no_distance():
@@ -103,6 +112,19 @@ def test_the_search_finds_every_link_that_carries():
 
     assert 0 < carries.sum() < len(carries) / 4
     assert rows(near, np.ones(len(near.transmitter), bool)) == rows(every, carries)
+
+
+def test_the_search_looks_further_where_there_is_shadowing():
+    pytest.importorskip("scipy")
+    positions = draw_positions(1, 300, 12_000.0, np.random.default_rng(3))[0]
+    distance_m = np.linalg.norm(positions[:, None] - positions[None], axis=2)[np.triu_indices(300, k=1)]
+    furthest_m = ranges_m(PAPER).max() * 10.0 ** (4.0 * 6.0**0.5 / 21.0)
+    near = near_links(positions, SHADOWED, np.random.default_rng(4))
+    assert len(near.transmitter) == 2 * (distance_m <= furthest_m).sum()
+    assert (distance_m > furthest_m).sum() > 0
+    carries = reached(near, SHADOWED).any(axis=1)
+    apart_m = np.linalg.norm(positions[near.transmitter] - positions[near.receiver], axis=1)
+    assert apart_m[carries].max() > 1.2 * ranges_m(PAPER).max()
 
 
 def test_positions_fill_the_box():

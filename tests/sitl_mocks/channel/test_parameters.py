@@ -40,6 +40,40 @@ def test_the_paper_s_durations_in_slots():
     assert slots.seconds(8000) == 1.0
 
 
+def test_decimal_fractions_that_fill_slots_do_so():
+    slots = Slots(msgspec.structs.replace(ChannelParameters(), slot_ms=0.1))
+    assert 0.3 / 0.1 < 3.0
+    assert [slots.of(x) for x in (0.3, 0.376, 8.0)] == [3, 3, 80]
+
+
+@pytest.mark.parametrize(
+    ("changes", "mode", "filled_ms"),
+    [
+        ({"ble4": {"packet_ms": 1.0}}, "ble4", 3.25),
+        ({"ble5": {"packet_ms": 1.3}}, "ble4", 1.676),
+        ({"ble5": {"auxiliary_uncertainty_ms": 1.0}}, "ble5", 9.328),
+        ({"ble4": {"packet_ms": 8.0, "scan_window_ms": 8.0}}, "ble5", 9.152),
+        ({"wifi": {"beacon_ms": 60.0, "scan_ms": 60.0}}, "ble5", 9 / 37 * 63.328),
+        ({"wifi": {"beacon_ms": 1.5}}, "wifi", 3.0),
+        ({"ble5": {"auxiliary_ms": 20.0}}, "wifi", 9 / 37 * 20.632),
+    ],
+)
+def test_a_period_must_hold_its_events_and_their_collisions(changes, mode, filled_ms):
+    """By hand: the event, or what one interferer's message spoils for the others, whichever is longer."""
+    p = ChannelParameters()
+    sections = {key: msgspec.structs.replace(getattr(p, key), **values) for key, values in changes.items()}
+    others = {key: sections.get(key, getattr(p, key)) for key in ("ble4", "ble5", "wifi")}
+    single = {key: msgspec.structs.replace(value, max_rate=1) for key, value in others.items()}
+    fits = math.floor(1000.0 / filled_ms)
+    for rate in (fits, fits + 1):
+        asked = single | {mode: msgspec.structs.replace(single[mode], max_rate=rate)}
+        if rate == fits:
+            ChannelParameters(**asked)
+        else:
+            with pytest.raises(ValueError, match=f"^{mode}.max_rate: {rate}: expected less than"):
+                ChannelParameters(**asked)
+
+
 def test_the_standard_s_file_holds_the_airtimes_of_real_frames():
     p = load(CONFIG / "standard.toml")
     messages = [
