@@ -1,13 +1,15 @@
 """The channel packet by packet, for the frames that are really sent (see `packet_reception`).
 
 Every frame is laid on the time line as its packets, at the time at which its radio sends it. Receivers scan
-on their own clocks, one that sends does not hear, and packets that overlap are lost.
+on their own clocks, one that sends does not hear, and packets that overlap are lost. Wi-Fi stations listen
+before they send (see `packet_access`).
 
 When is an outcome certain? No frame is sent before the time of an earlier call, and no packet begins before
-its frame is sent. So at `settle(now_s)` every packet that may still come begins at or after `now_s`; it
-overlaps nothing that has ended by then. An event that has ended is therefore judged for good, with exactly
-those events beside it that share some of its time; and nothing is drawn in judging. That holds in lock-step
-too, where the frames of a tick are sent after the air was settled at that tick: they begin at or after it.
+its frame is sent. So at `settle(now_s)` every packet that may still come begins at or after `now_s`: who has
+the medium until then is decided, and what may still come overlaps nothing that has ended. An event that has
+ended is therefore judged for good, with exactly those events beside it that share some of its time; and
+nothing is drawn in judging. That holds in lock-step too, where the frames of a tick are sent after the air
+was settled at that tick: they begin at or after it.
 
 When does a radio send? At its own time. Companions hand frames over at ticks, in lock-step all at the same
 ones, and processes of one machine share its clock. Radios of aircraft have schedules of their own, which move
@@ -20,13 +22,14 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sitl_mocks.channel.air import Outcome, Transmission
 from sitl_mocks.channel.air_links import AirLinks, Kept, mode_of
+from sitl_mocks.channel.packet_access import BACKOFF_SLOT_MS, DIFS_MS, MAX_BACKOFF, Beacon, WifiAccess
 from sitl_mocks.channel.packet_background import Background
 from sitl_mocks.channel.packet_reception import FIRST_WIFI, Coverage, Scanners, arrivals, decide
 from sitl_mocks.channel.packet_schedule import Events, packets_of
@@ -57,6 +60,8 @@ class _Radio:
 class _Event:
     """One frame as its radio sends it. Times in slots."""
 
+    number: int
+    """Of its transmission."""
     sender: str
     mode: int
     begin: float
@@ -86,6 +91,10 @@ class PacketChannel:
         self._radios: Kept[str, _Radio] = Kept()
         self._open: list[tuple[float, int, tuple[str, ...], _Event | None]] = []
         self._around: list[_Event] = []
+        slot_ms = parameters.slot_ms
+        self._access = WifiAccess(DIFS_MS / slot_ms, BACKOFF_SLOT_MS / slot_ms)
+        self._wanting: dict[int, _Event] = {}
+        """By number, the Wi-Fi frames for which it is not decided when they begin."""
         self._settled_s = -math.inf
 
     def transmit(self, transmission: Transmission, rng: np.random.Generator) -> None:
@@ -103,16 +112,17 @@ class PacketChannel:
         loss_db = self._links.path_loss_db(sender, transmission.distance_m, rng)
         # The same numbers for every frame, whatever its mode, so that luck does not hang on what others did.
         random_delay, uncertainty = rng.random(2).tolist()
-        secondary = int(rng.integers(SECONDARY_CHANNELS))
-        receivers = tuple(transmission.distance_m)
+        secondary, backoff = int(rng.integers(SECONDARY_CHANNELS)), int(rng.integers(1 + MAX_BACKOFF))
         random_delay_s = random_delay * float(durations.random_delay[mode]) * durations.slot_s
-        begin_s = self._send(radios[sender], mode, sent_s, random_delay_s)
+        begin_s = self._begin_s(radios[sender], mode, sent_s, random_delay_s)
         if begin_s is None:
-            heapq.heappush(self._open, (sent_s, transmission.number, receivers, None))
+            lost = (sent_s, transmission.number, tuple(transmission.distance_m), None)
+            heapq.heappush(self._open, lost)
             return
         auxiliary_delay = float(uncertainty * durations.uncertainty) if mode == BLE5 else 0.0
         begin = begin_s / durations.slot_s
         event = _Event(
+            number=transmission.number,
             sender=sender,
             mode=mode,
             begin=begin,
@@ -122,25 +132,46 @@ class PacketChannel:
             path_loss_db=loss_db,
             radios=radios,
         )
+        if mode != WIFI:
+            self._lay(event)
+            return
+        self._wanting[event.number] = event
+        hears = frozenset(name for name, loss in loss_db.items() if loss <= self._links.thresholds_db[WIFI])
+        self._access.want(
+            Beacon(event.number, sender, event.channel, begin, event.end - begin, hears, backoff)
+        )
+
+    def _lay(self, event: _Event) -> None:
+        """Put an event on the time line."""
         self._around.append(event)
         # One slot more: the times of seconds and of slots may differ by rounding.
-        certain_s = (event.end + 1.0) * durations.slot_s
-        heapq.heappush(self._open, (certain_s, transmission.number, receivers, event))
+        certain_s = (event.end + 1.0) * self._durations.slot_s
+        heapq.heappush(self._open, (certain_s, event.number, tuple(event.path_loss_db), event))
 
     def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
         """See `Channel.settle`: in the order in which the events end."""
         self._settled_s = max(self._settled_s, now_s)
+        slot_s = self._durations.slot_s
+        for number, begin in self._access.advance(self._settled_s / slot_s):
+            event = self._wanting.pop(number)
+            if begin is not None:
+                self._lay(replace(event, begin=begin, end=begin + event.end - event.begin))
+            else:  # a newer frame of its own sender took its place
+                lost = (event.begin * slot_s, number, tuple(event.path_loss_db), None)
+                heapq.heappush(self._open, lost)
         outcomes = []
         while self._open and self._open[0][0] <= now_s:
-            _, number, receivers, event = heapq.heappop(self._open)
-            arrival_s = {} if event is None or not receivers else self._arrivals_s(event)
+            _, number, receivers, ended = heapq.heappop(self._open)
+            arrival_s = {} if ended is None or not receivers else self._arrivals_s(ended)
             outcomes += [Outcome(number, receiver, arrival_s.get(receiver)) for receiver in receivers]
         self._forget(now_s)
         return outcomes
 
     def next_s(self) -> float | None:
         """See `Channel.next_s`."""
-        return self._open[0][0] if self._open else None
+        begins = self._access.next_time()
+        times = [] if begins is None else [begins * self._durations.slot_s]
+        return min([*times, *(entry[0] for entry in self._open[:1])], default=None)
 
     def _radio(self, name: str, now_s: float, rng: np.random.Generator) -> _Radio:
         def draw() -> _Radio:
@@ -153,8 +184,8 @@ class PacketChannel:
 
         return self._radios.get(name, draw)
 
-    def _send(self, radio: _Radio, mode: int, sent_s: float, random_delay_s: float) -> float | None:
-        """When a radio begins to send (s), one event after the other; None when it drops the frame."""
+    def _begin_s(self, radio: _Radio, mode: int, sent_s: float, random_delay_s: float) -> float | None:
+        """When a radio would begin to send (s), one event after the other; None: it drops the frame."""
         wait_s = random_delay_s
         if self._spread_s > 0.0:
             radio.offset_s[mode] += random_delay_s
@@ -165,7 +196,8 @@ class PacketChannel:
             return None
         free_s = begin_s + float(self._durations.span[mode]) * self._durations.slot_s
         if mode == WIFI:
-            radio.wifi_free_s = free_s
+            # A station's next frame comes after a backoff of its own.
+            radio.wifi_free_s = free_s + (DIFS_MS + MAX_BACKOFF * BACKOFF_SLOT_MS) / 1000.0
         else:
             radio.bluetooth_free_s = free_s
         return begin_s

@@ -81,7 +81,7 @@ def test_an_outcome_never_depends_on_when_the_air_is_settled(spread_s: float) ->
         assert settled(PacketChannel(parameters, spread_s), sent, times.tolist()) == ends
 
 
-def test_fates_are_those_of_the_whole_air_judged_at_once() -> None:
+def test_fates_are_those_of_the_whole_air_judged_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Judged one by one with its neighbours, or all together: nobody moves here, so that one matrix holds."""
     places = np.random.default_rng(2).uniform(0.0, 700.0, (5, 3))
     distance = np.linalg.norm(places[:, None] - places, axis=2)
@@ -95,7 +95,15 @@ def test_fates_are_those_of_the_whole_air_judged_at_once() -> None:
     channel, rng = PacketChannel(PAPER, 0.05), np.random.default_rng(9)
     for transmission in sent:
         channel.transmit(transmission, rng)
-    events, radios = list(channel._around), [channel._radio(name, 0.0, rng) for name in NAMES]
+    laid = {}
+    lay = channel._lay
+    monkeypatch.setattr(channel, "_lay", lambda event: laid.setdefault(event.number, event) and lay(event))
+    laid |= {event.number: event for event in channel._around}
+    told = {(o.number, o.receiver): o.arrival_s for o in channel.settle(1e4, rng)}
+    # Beacons that had to wait until their sender's next one were never sent.
+    assert 0.98 * len(sent) < len(laid) <= len(sent)
+    sent = [transmission for transmission in sent if transmission.number in laid]
+    events, radios = [laid[t.number] for t in sent], [channel._radio(name, 0.0, rng) for name in NAMES]
     durations = Durations.of(PAPER, slotted=False)
     packets = packets_of(_events(events, {name: k for k, name in enumerate(NAMES)}, durations), durations)
     whole = decide(
@@ -106,8 +114,6 @@ def test_fates_are_those_of_the_whole_air_judged_at_once() -> None:
         REAL,
     )
     expected = arrivals(packets, whole.received, len(events)) * durations.slot_s
-    told = {(o.number, o.receiver): o.arrival_s for o in channel.settle(1e4, rng)}
-    assert len(events) == len(sent)
     heard = 0
     for transmission, row in zip(sent, expected, strict=True):
         for receiver in transmission.distance_m:
@@ -144,12 +150,16 @@ def test_a_frame_alone_is_heard_as_often_as_windows_are_open(
     assert max(delays) <= most_s + 1e-9
 
 
-def beacons(transports: tuple[str, str], away_m: float, frames: int = 200) -> list[Transmission]:
-    """Two aircraft that send at the same instants; 20 others are near the first, so far from the second."""
+def beacons(
+    transports: tuple[str, str], away_m: float, frames: int = 200, between_m: float = 1e6
+) -> list[Transmission]:
+    """Two aircraft send at the same instants; 20 others are near the first and `away_m` from the second."""
     near: dict[str, float | None] = dict.fromkeys((f"r{k}" for k in range(20)), 1.0)
     far: dict[str, float | None] = dict.fromkeys(near, away_m)
     return [
-        Transmission(2 * k + n, k * 0.1037, name, transport, away | {("b" if name == "a" else "a"): 1.0})
+        Transmission(
+            2 * k + n, k * 0.1037, name, transport, away | {("b" if name == "a" else "a"): between_m}
+        )
         for k in range(frames)
         for n, (name, transport, away) in enumerate((("a", transports[0], near), ("b", transports[1], far)))
     ]
@@ -166,10 +176,29 @@ def heard_of(sent: list[Transmission], channel: PacketChannel, seed: int = 9) ->
 
 @pytest.mark.parametrize("transports", [("wifi", "wifi"), ("wifi", "nan"), ("nan", "nan")])
 def test_what_overlaps_on_one_channel_is_lost(transports: tuple[str, str]) -> None:
+    """The two do not hear each other."""
     assert heard_of(beacons(transports, 1.0), PacketChannel(PAPER)) == {}
     # Radios that send at their own times within the tick meet no more.
     spread = heard_of(beacons(transports, 1.0), PacketChannel(PAPER, 0.05))
     assert sum(spread.values()) > 1000
+
+
+@pytest.mark.parametrize("transports", [("wifi", "wifi"), ("wifi", "nan")])
+def test_who_hears_the_other_waits_for_its_end(transports: tuple[str, str]) -> None:
+    sent = beacons(transports, 1.0, between_m=1.0)
+    told = settled(PacketChannel(PAPER), sent, [])
+    delays = {"a": [], "b": []}  # type: dict[str, list[float]]
+    for outcome in told:
+        if outcome.arrival_s is not None:
+            delays[sent[outcome.number].sender].append(outcome.arrival_s - sent[outcome.number].sent_s)
+    # A quarter of 200 frames at 21 receivers each; the first one begins at once.
+    assert min(len(each) for each in delays.values()) > 800
+    assert delays["a"] == pytest.approx([BEACON_S] * len(delays["a"]))
+    difs_s, slot_s = 50e-6, 20e-6
+    slots = (np.array(delays["b"]) - 2 * BEACON_S - difs_s) / slot_s
+    assert slots == pytest.approx(np.round(slots), abs=1e-4)
+    assert 0 <= round(slots.min()) < 5
+    assert 26 < round(slots.max()) <= 31
 
 
 def test_an_interferer_that_does_not_reach_does_no_harm() -> None:
@@ -182,8 +211,8 @@ def test_who_sends_does_not_hear() -> None:
     """Beacons on different channels: the others hear both, the two do not hear each other."""
     parameters = ChannelParameters(wifi_channels="random")
     for seed in range(20):
-        heard = heard_of(beacons(("wifi", "wifi"), 1.0), PacketChannel(parameters), seed)
-        if heard:  # the two drew different channels
+        heard = heard_of(beacons(("wifi", "wifi"), 1.0, between_m=1.0), PacketChannel(parameters), seed)
+        if ("a", "b") not in heard:  # the two drew different channels, so that neither waits
             break
     assert {sender for sender, _ in heard} == {"a", "b"}
     assert ("a", "b") not in heard
@@ -218,11 +247,14 @@ def test_a_radio_that_falls_behind_drops_what_is_out_of_date() -> None:
         channel.transmit(Transmission(number, 5.0, "s", "wifi", {"b": 1.0}), rng)
     dropped = [o.number for o in channel.settle(5.0, rng)]
     assert dropped == list(range(3000 - len(dropped), 3000))
-    assert 3000 - len(dropped) == math.floor(MAX_BACKLOG_S / BEACON_S) + 1
-    rest = channel.settle(5.0 + MAX_BACKLOG_S + 2 * BEACON_S, rng)
+    turn_s = BEACON_S + 50e-6 + 31 * 20e-6  # with the longest wait for its own last frame
+    assert 3000 - len(dropped) == math.floor(MAX_BACKLOG_S / turn_s) + 1
+    rest = channel.settle(5.0 + MAX_BACKLOG_S + 2 * turn_s, rng)
     assert len(rest) + len(dropped) == 3000
     # After the rush it sends at once again.
     channel.transmit(Transmission(3000, 9.0, "s", "wifi", {"b": 1.0}), rng)
+    assert channel.next_s() == pytest.approx(9.0)
+    assert channel.settle(9.0001, rng) == []
     assert channel.next_s() == pytest.approx(9.0 + BEACON_S, abs=0.0002)
 
 
