@@ -122,16 +122,17 @@ def survival(
 
     def product(mode: int, by: int, share: float, channels: Indices | None = None) -> Floats:
         """Over the senders on mode `by` that reach the receiver, (links,)."""
+        result = np.ones(len(links.receiver))
+        at, wanted = np.flatnonzero(carried[:, by]), np.flatnonzero(carried[:, mode])
+        if not (len(at) and len(wanted)):
+            return result
         factor = np.log1p(-share * rates[:, by])
-        at = np.flatnonzero(carried[:, by])
         key, kinds = links.receiver, 1
         if channels is not None:
             kinds = len(WIFI_CHANNELS)
             key = links.receiver * kinds + channels[links.transmitter]
         total = np.bincount(key[at], factor[links.transmitter[at]], minlength=links.nodes * kinds)
-        wanted = np.flatnonzero(carried[:, mode])
         own = np.where(carried[wanted, by], factor[links.transmitter[wanted]], 0.0)
-        result = np.ones(len(links.receiver))
         # Rounding must not make a probability of more than 1 from an empty product.
         result[wanted] = np.exp(np.minimum(total[key[wanted]] - own, 0.0))
         return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 
 import pytest
@@ -256,4 +257,23 @@ def test_plot_draws_the_rows():
     ]
     assert first.get_legend_handles_labels()[1] == ["BLE 4", "Wi-Fi shared", "Wi-Fi random"]
     assert list(second.containers[1].lines[0].get_ydata()) == [500.0, 1000.0, 1500.0]
+    assert [lines[0].get_linestyle() for lines in second.containers] == ["-", "-", "--"]
     assert first.get_yscale() == second.get_yscale() == "log"
+
+
+def test_plot_draws_losses_in_percent_with_gaps():
+    figures = pytest.importorskip("matplotlib.figure")
+    figure = figures.Figure()
+    losses = {1: 0.05, 2: None, 3: 0.25}
+    plot.draw(figure, [row(rate=rate, loss=loss) for rate, loss in losses.items()], "loss")
+    (axes,) = figure.axes
+    assert axes.containers[0].lines[0].get_ydata() == pytest.approx([5.0, math.nan, 25.0], nan_ok=True)
+    assert (axes.get_ylim()[0], axes.get_yscale()) == (0.0, "linear")
+    (_, _, (bars,)) = axes.containers[0].lines
+    low, high = bars.get_segments()[0][:, 1]
+    assert (low, high) == pytest.approx((4.9, 5.1))
+
+
+def test_json_of_numbers_that_json_does_not_know_is_an_error():
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        json_line(row(loss=math.nan))

@@ -180,6 +180,19 @@ def test_fixed_modes_are_means_over_sizes_at_their_best_rates():
         assert {c.labels["rate"] for c in wifi} == {10}
 
 
+def test_the_rate_is_that_of_least_mean_over_all_sizes():
+    """BLE 4: rate 2 is better in small sizes by 100 ms, rate 3 in large ones by 40 ms; and the other way."""
+    for small_ms, large_ms, best in ((100.0, 40.0, 2), (40.0, 100.0, 3)):
+
+        def changed(mode, side_m, rate, small_ms=small_ms, large_ms=large_ms):
+            if side_m <= 1000:
+                return {2: 10.0, 3: 10.0 + small_ms}.get(rate, 5000.0)
+            return {2: 10.0 + large_ms, 3: 10.0}.get(rate, 5000.0)
+
+        found = fixed_modes.comparisons(rows_of(changed))
+        assert {c.labels["rate"] for c in found} == {best}
+
+
 def test_json_rows():
     report = Report(
         "t",
