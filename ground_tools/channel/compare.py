@@ -65,6 +65,7 @@ DENSE_M = 100.0
 FLEETS = (10, 30, 100)
 RECEIVERS = 200
 _Z = 1.96
+_TABLE_WIDTH = 170
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +199,8 @@ def _print(rows: list[Row], console: Console, *, as_json: bool) -> None:
         for row in rows:
             print(_json_line(row))
         return
+    # In the 80 columns of a pipe or a file numbers would be cut short.
+    console = Console(width=max(console.width, _TABLE_WIDTH))
     for study in VARIANTS:
         console.print(_table(study, [row for row in rows if row.case.study == study]))
 

@@ -86,6 +86,20 @@ def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
     )
 
 
+def test_tables_in_a_pipe_hold_whole_numbers(monkeypatch, capsys):
+    names = Case("fleet", "real radios, capture 6 dB", "wifi", 10, 100, 10_000.0)
+    row = compare.Row(
+        names, "system_delay_ms", 19_001.0, 18_002.0, 19_503.0, 19_000.0, 20_000.0, 0.015, 0.001
+    )
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr(compare, "compare", lambda *_: [row])
+    assert main(["channel", "compare"]) == 0
+    out = capsys.readouterr().out
+    assert "…" not in out
+    for cell in ("real radios, capture 6 dB", "19001 ms", "18002 ms", "19503 ± 500 ms", "1.5 %", "0.10 %"):
+        assert f" {cell} " in out
+
+
 def test_what_cannot_be_done_is_said_before_the_simulation(monkeypatch, capsys, tmp_path):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(compare, "compare", lambda *_: pytest.fail("simulated"))
