@@ -41,6 +41,7 @@ from sitl_mocks.channel.parameters import MODES, ChannelParameters
 Floats = NDArray[np.float64]
 
 _EXACT = replace(PAPER, slotted=False)
+_NOT_LISTENING = replace(REAL, carrier_sense=False)
 _RUNNING_ON = replace(_EXACT, advertiser="standard", phases="free")
 VARIANTS: dict[str, dict[str, Assumptions]] = {
     "link": {
@@ -54,10 +55,15 @@ VARIANTS: dict[str, dict[str, Assumptions]] = {
         "as the equations": PAPER,
         "exact time": _EXACT,
         "deaf while sending": replace(_EXACT, half_duplex=True),
+        "real radios, no carrier sense": _NOT_LISTENING,
         "real radios": REAL,
         "real radios, capture 6 dB": replace(REAL, capture_db=6.0),
     },
-    "fleet": {"as the equations": PAPER, "real radios": REAL},
+    "fleet": {
+        "as the equations": PAPER,
+        "real radios, no carrier sense": _NOT_LISTENING,
+        "real radios": REAL,
+    },
 }
 """Assumptions of the packet-by-packet simulator in each study, from the paper's to the standards'."""
 BEST_RATES = {"ble4": 9, "ble5": 10, "wifi": 10}
