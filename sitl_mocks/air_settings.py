@@ -68,8 +68,17 @@ def load_parameters(path: Path, air: AirSettings) -> ChannelParameters:
         ConfigError: names the file, the key and what is allowed.
     """
     parameters = channel_parameters.load(path)
-    check_rate(WIFI_BEACON if air.transport == WIFI_NAN else air.transport, air.rate, parameters)
+    check_allowed(air, parameters)
     return parameters
+
+
+def check_allowed(air: AirSettings, parameters: ChannelParameters) -> None:
+    """Refuse a rate that the parameters do not allow.
+
+    Raises:
+        ConfigError: names the transport and what is allowed.
+    """
+    check_rate(WIFI_BEACON if air.transport == WIFI_NAN else air.transport, air.rate, parameters)
 
 
 def channel_of(air: AirSettings, parameters: ChannelParameters | None, spread_s: float = 0.0) -> Channel:

@@ -58,7 +58,7 @@ class _OnAir:
     undecided: set[str]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _UnderWay:
     """A delivery, and whether it brings a position."""
 
@@ -101,12 +101,15 @@ class Ether:
     def leave(self, receiver: str) -> None:
         """`receiver` hears nothing more; what is under way to it is lost and its positions are forgotten.
 
-        What it knew of others, and others of it, ages no further.
+        What it knew of others, and others of it, ages no further; frames of its own that are still under way
+        arrive, but begin no new age.
         """
         self._receivers.pop(receiver, None)
         self._told.pop(receiver, None)
         self._carried.pop(receiver, None)
         for number, on_air in list(self._on_air.items()):
+            if on_air.sender == receiver:
+                on_air.brings_position = False
             if receiver in on_air.undecided:
                 self._pair(on_air.sender, receiver).lost += 1
                 self._close(number, receiver)
@@ -115,8 +118,10 @@ class Ether:
             delivery = entry[2].delivery
             if delivery.receiver == receiver:
                 self._pair(delivery.sender, receiver).lost += 1
-            else:
-                kept.append(entry)
+                continue
+            if delivery.sender == receiver:
+                entry[2].brings_position = False
+            kept.append(entry)
         heapq.heapify(kept)
         self._queue = kept
         for pair, stats in self._stats.items():

@@ -16,7 +16,7 @@ from msgspec import Meta
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.toml_input import decode_toml
-from sitl_mocks.air_settings import DEFAULT_DELAY_S, AirSettings, load_parameters
+from sitl_mocks.air_settings import DEFAULT_DELAY_S, AirSettings, check_allowed, load_parameters
 from sitl_mocks.channel.parameters import ChannelParameters
 
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
@@ -95,6 +95,11 @@ def _with_parameters(scenario: Scenario, path: Path) -> Scenario:
     """The scenario with its channel's parameter file read."""
     name = scenario.air.parameters
     if name is None:
+        if scenario.channel is not None:
+            try:
+                check_allowed(scenario.air, scenario.channel)
+            except ConfigError as error:
+                raise ConfigError(f"{path}: channel: {error}") from error
         return scenario
     if scenario.channel is not None:
         raise ConfigError(f"{path}: channel: give either it or air.parameters")

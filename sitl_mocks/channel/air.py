@@ -56,7 +56,7 @@ class Channel(Protocol):
         ...
 
     def next_s(self) -> float | None:
-        """When `settle` will have more to tell; None when nothing is open."""
+        """When `settle` may have more to tell; a call then tells it or moves this on. None: all is told."""
         ...
 
 

@@ -14,8 +14,10 @@ from companion.radio.transport import WIFI_BEACON, WIFI_NAN
 from sitl_mocks.channel.link_budget import path_loss_db, thresholds_db
 from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameters
 
-MAX_KEPT = 10_000
-"""Names or pairs whose draws are kept; the oldest are forgotten, and drawn anew when they come back."""
+MAX_NAMES = 10_000
+"""Names whose draws are kept; the oldest are forgotten, and drawn anew when they come back."""
+MAX_PAIRS = 100_000
+"""Pairs likewise: those of more aircraft than any air here holds at once."""
 UNKNOWN_DISTANCE_M = 1.0
 """What counts where a distance is not known: in range of everything."""
 CHANNEL_6 = WIFI_CHANNELS.index(6)
@@ -25,15 +27,20 @@ Value = TypeVar("Value")
 
 
 class Kept(Generic[Key, Value]):
-    """Draws that are made once for each key."""
+    """Draws that are made once for each key.
 
-    def __init__(self) -> None:
+    Args:
+        limit: how many are kept.
+    """
+
+    def __init__(self, limit: int = MAX_NAMES) -> None:
+        self._limit = limit
         self._values: dict[Key, Value] = {}
 
     def get(self, key: Key, draw: Callable[[], Value]) -> Value:
         """The key's value; drawn when it is met for the first time."""
         if key not in self._values:
-            if len(self._values) >= MAX_KEPT:
+            if len(self._values) >= self._limit:
                 del self._values[next(iter(self._values))]
             self._values[key] = draw()
         return self._values[key]
@@ -59,7 +66,7 @@ class AirLinks:
         self._parameters = parameters
         self.thresholds_db: list[float] = thresholds_db(parameters).tolist()
         """Greatest path loss over which each mode is heard, in the order of `MODES`."""
-        self._shadowing_db: Kept[tuple[str, str], float] = Kept()
+        self._shadowing_db: Kept[tuple[str, str], float] = Kept(MAX_PAIRS)
         self._wifi_channel: Kept[str, int] = Kept()
 
     def path_loss_db(

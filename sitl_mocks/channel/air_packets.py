@@ -170,7 +170,10 @@ class PacketChannel:
     def next_s(self) -> float | None:
         """See `Channel.next_s`."""
         begins = self._access.next_time()
-        times = [] if begins is None else [begins * self._durations.slot_s]
+        times = []
+        if begins is not None:
+            # What begins then is certain when it has ended, as in `_lay`.
+            times.append((begins + float(self._durations.span[WIFI]) + 1.0) * self._durations.slot_s)
         return min([*times, *(entry[0] for entry in self._open[:1])], default=None)
 
     def _radio(self, name: str, now_s: float, rng: np.random.Generator) -> _Radio:
@@ -205,6 +208,8 @@ class PacketChannel:
     def _arrivals_s(self, event: _Event) -> dict[str, float]:
         """When the frame arrived at each receiver that heard it (s)."""
         around = [e for e in self._around if e.begin < event.end and event.begin < e.end and e is not event]
+        # Of a sender's frames the latest says where it is, whenever the air was settled.
+        around.sort(key=lambda e: e.number)
         # Last, so that its own path losses hold where its sender's other frames are beside it.
         around.append(event)
         radios: dict[str, _Radio] = {}

@@ -70,6 +70,8 @@ def test_parameters_are_read_beside_the_scenario_and_checked(tmp_path: Path) -> 
     assert loaded.channel.wifi_channels == "random"
     with pytest.raises(ConfigError, match=r"air.parameters: wifi: rate 5: allowed 1 to 4"):
         scenario(tmp_path, 'model = "packets"\nparameters = "p.toml"\nrate = 5\ntransport = "nan"\n')
+    with pytest.raises(ConfigError, match=r"s.toml: channel: wifi: rate 5: allowed 1 to 4"):
+        scenario(tmp_path, 'model = "packets"\nrate = 5\n[channel.wifi]\nmax_rate = 4\n')
     (tmp_path / "p.toml").write_text("[wifi]\nscan = 4\n")
     with pytest.raises(ConfigError, match=r"s.toml: air.parameters: .*p.toml: wifi.scan: unknown key"):
         scenario(tmp_path, 'model = "packets"\nparameters = "p.toml"\n')

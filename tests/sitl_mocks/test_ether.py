@@ -338,6 +338,22 @@ def test_what_is_known_of_who_left_ages_no_further() -> None:
     assert (pair.information_age_max_s, pair.observed_s) == (2.0, 2.0)
 
 
+@pytest.mark.parametrize("channel", [SimpleChannel(delay_s=(0.5, 0.5)), LateChannel()])
+def test_a_frame_of_who_left_begins_no_new_age(channel: Channel) -> None:
+    """Whether its fate is known or not; it is delivered all the same."""
+    ether = make(channel)
+    (position,) = location_frames("a")
+    ether.transmit(0.0, "a", "wifi", position)
+    ether.due(1.0)
+    ether.transmit(1.5, "a", "wifi", position)
+    ether.leave("a")
+    ether.join("a")
+    assert len(ether.due(2.5)) == 2
+    ether.finish(100.0)
+    pair = ether.stats["a", "b"]
+    assert (pair.delivered, pair.observed_s, pair.information_age_max_s) == (2, 0.5, 1.5)
+
+
 def test_transports_are_counted_apart() -> None:
     ether = make()
     for transport in ("ble4", "ble4", "wifi"):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sitl_mocks.channel import air_links
 from sitl_mocks.channel.air_links import AirLinks, Kept
 from sitl_mocks.channel.parameters import ChannelParameters, PropagationParameters
+from sitl_mocks.ether_server import MAX_CLIENTS
 
 PROPAGATION = PropagationParameters(shadowing_sigma_db=6.0)
 
@@ -46,9 +46,18 @@ def test_wifi_channels_are_shared_or_drawn_once_for_each_sender() -> None:
     assert {drawn.wifi_channel(f"a{k}", "nan", rng) for k in range(30)} == {1}
 
 
-def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(air_links, "MAX_KEPT", 3)
-    kept: Kept[int, int] = Kept()
+def test_shadowing_stays_among_as_many_aircraft_as_the_air_process_takes() -> None:
+    links, rng = AirLinks(ChannelParameters(propagation=PROPAGATION)), np.random.default_rng(1)
+    names = [f"a{k}" for k in range(MAX_CLIENTS)]
+
+    def all_pairs() -> list[dict[str, float]]:
+        return [links.path_loss_db(a, dict.fromkeys(set(names) - {a}, 100.0), rng) for a in names]
+
+    assert all_pairs() == all_pairs()
+
+
+def test_what_is_kept_is_bounded() -> None:
+    kept: Kept[int, int] = Kept(3)
     for key in range(5):
         kept.get(key, lambda key=key: key)  # type: ignore[misc]
     assert [kept.get(key, lambda: -1) for key in (4, 3, 2)] == [4, 3, 2]

@@ -253,9 +253,43 @@ def test_a_radio_that_falls_behind_drops_what_is_out_of_date() -> None:
     assert len(rest) + len(dropped) == 3000
     # After the rush it sends at once again.
     channel.transmit(Transmission(3000, 9.0, "s", "wifi", {"b": 1.0}), rng)
-    assert channel.next_s() == pytest.approx(9.0)
+    assert channel.next_s() == pytest.approx(9.0 + BEACON_S, abs=0.0002)
     assert channel.settle(9.0001, rng) == []
     assert channel.next_s() == pytest.approx(9.0 + BEACON_S, abs=0.0002)
+
+
+def test_who_goes_by_the_times_it_names_hears_every_outcome() -> None:
+    """Beacons of stations that hear each other, some sent faster than they can go out."""
+    near: dict[str, float | None] = dict.fromkeys("abc", 1.0)
+    sent = [
+        Transmission(k, k * 0.0003, "abc"[k % 3], "wifi", {n: 1.0 for n in near if n != "abc"[k % 3]})
+        for k in range(60)
+    ]
+    channel, rng, told = PacketChannel(PAPER), np.random.default_rng(9), []
+    for transmission in sent:
+        channel.transmit(transmission, rng)
+    for _ in range(10 * len(sent)):
+        if (time_s := channel.next_s()) is None:
+            break
+        told += channel.settle(time_s, rng)
+    assert sorted((o.number, o.receiver) for o in told) == sorted(
+        (t.number, receiver) for t in sent for receiver in t.distance_m
+    )
+
+
+def test_of_two_frames_of_one_interferer_the_later_says_where_it_is() -> None:
+    """Whichever was laid first: Bluetooth is at once, a beacon once it is decided that it may begin."""
+    near: dict[str, float | None] = dict.fromkeys((f"r{k}" for k in range(40)), 1.0)
+    far: dict[str, float | None] = dict.fromkeys(near, 1e6)
+    sent = [
+        Transmission(0, 0.0, "b", "wifi", near),
+        Transmission(1, 0.0, "a", "wifi", near),
+        Transmission(2, 0.0001, "b", "ble5", far),
+    ]
+    prompt = ChannelParameters(ble5=Ble5Parameters(random_delay_ms=0.0))
+    once = settled(PacketChannel(prompt), sent, [])
+    assert settled(PacketChannel(prompt), sent, [0.0001]) == once
+    assert any(o.number == 1 and o.arrival_s is not None for o in once)
 
 
 def waits(sender: str, transport: str, seconds: float, seed: int) -> list[float]:
