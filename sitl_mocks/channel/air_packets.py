@@ -240,7 +240,7 @@ class PacketChannel:
     def _forget(self, now_s: float) -> None:
         """Drop events that nothing open or still to come can overlap, and foreign bursts as old."""
         now = now_s / self._durations.slot_s - 1.0
-        since = min((event.begin for *_, event in self._open if event is not None), default=now)
+        since = min([now, *(event.begin for *_, event in self._open if event is not None)])
         for event in self._around:
             if event.end <= since:
                 for radio in event.radios.values():

@@ -20,6 +20,7 @@ from sitl_mocks.channel.parameters import (
     Ble5Parameters,
     ChannelParameters,
     PropagationParameters,
+    WifiParameters,
 )
 
 PAPER = ChannelParameters()
@@ -348,6 +349,24 @@ def test_foreign_transmissions_take_their_share() -> None:
     expected = (6.0 - 0.632) / 21.0 * 0.5 * math.exp(-0.632 / 2.0)
     share = sum(o.arrival_s is not None for o in told) / len(told)
     assert share == pytest.approx(expected, abs=4 * math.sqrt(expected / len(told)))
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_foreign_transmissions_still_to_be_met_are_not_forgotten(seed: int) -> None:
+    """All that is open may lie in the future: a radio has its own time to send."""
+    busy = ChannelParameters(
+        background=BackgroundLoad(wifi=0.3, burst_ms=0.05), wifi=WifiParameters(beacon_ms=0.2)
+    )
+    near: dict[str, float | None] = dict.fromkeys((f"r{k}" for k in range(6)), 1.0)
+    sent = [
+        Transmission(4 * k + n, 1.0 + k * 0.05, name, "ble5" if name == "d" else "wifi", near)
+        for k in range(40)
+        for n, name in enumerate("abcd")
+    ]
+    often = np.arange(1.0, 4.0, 0.0005).tolist()
+    ends = settled(PacketChannel(busy, 0.05), sent, [], seed)
+    assert settled(PacketChannel(busy, 0.05), sent, often, seed) == ends
+    assert any(outcome.arrival_s is not None for outcome in ends)
 
 
 def test_what_is_over_is_forgotten() -> None:
