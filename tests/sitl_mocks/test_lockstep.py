@@ -98,6 +98,8 @@ def test_delays_come_out_of_the_channel(model, transport, rate):
         # Frames that are lost make the age longer than the time between two of them.
         assert 1.5 / rate < pair.information_age_mean_s < 4.0
         assert pair.age_max_s < 0.2
+        # Counted from the first position heard to the last tick.
+        assert pair.first_heard_s + pair.observed_s == pytest.approx(run.time_s[-1] - run.time_s[0])
     again = lockstep.fly(scenario, 1)
     assert again.air == run.air
 

@@ -185,8 +185,10 @@ def test_what_overlaps_on_one_channel_is_lost(transports: tuple[str, str]) -> No
 
 
 @pytest.mark.parametrize("transports", [("wifi", "wifi"), ("wifi", "nan")])
-def test_who_hears_the_other_waits_for_its_end(transports: tuple[str, str]) -> None:
-    sent = beacons(transports, 1.0, between_m=1.0)
+@pytest.mark.parametrize("between_m", [1.0, 2000.0])
+def test_who_hears_the_other_waits_for_its_end(transports: tuple[str, str], between_m: float) -> None:
+    """As far as beacons are heard, which Bluetooth is not."""
+    sent = beacons(transports, 1.0, between_m=between_m)
     told = settled(PacketChannel(PAPER), sent, [])
     delays = {"a": [], "b": []}  # type: dict[str, list[float]]
     for outcome in told:
