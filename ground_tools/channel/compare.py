@@ -380,11 +380,9 @@ def _matrix(links: Links) -> Floats:
 
 def _mean_and_error(values: Floats) -> tuple[float, float]:
     """Mean and standard error; NaN for what cannot be said."""
-    if not len(values):
-        return math.nan, math.nan
-    return float(values.mean()), float(values.std(ddof=1) / len(values) ** 0.5) if len(
-        values
-    ) > 1 else math.nan
+    if len(values) < 2:
+        return (float(values[0]) if len(values) else math.nan), math.nan
+    return float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
 def _table(study: str, rows: list[Row]) -> Table:

@@ -104,8 +104,28 @@ def matching_packets(
     Raises:
         ConfigError: the rate is less than 1 or more than the mode's largest.
     """
-    scan, period = scan_of(mode, parameters), event_period(mode, rate, parameters)
-    horizon = Slots(parameters).gnss_period
+    period = event_period(mode, rate, parameters)
+    return coincidences(scan_of(mode, parameters), period, Slots(parameters).gnss_period, wifi_channel)
+
+
+def coincidences(scan: Scan, period: int, horizon: int, wifi_channel: int = 0) -> Matches:
+    """All slots up to `horizon` at which a packet begins and is heard whole, for all phases at once.
+
+    Two congruences hold at such a slot t, one modulo the sender's period and one modulo the receiver's cycle;
+    by the Chinese remainder theorem (the paper's T) one t in period x cycle solves both. There are far fewer
+    events than slots in a window, so that the solutions are found by walking through the events.
+
+    Args:
+        period: slots from one event to the next.
+
+    Raises:
+        ValueError: the period is less than 1 or shares a factor with the cycle: phases would never meet.
+    """
+    if period < 1 or (shared := math.gcd(period, scan.cycle)) != 1:
+        why = (
+            "expected at least 1" if period < 1 else f"both are multiples of {shared}, expected coprime ones"
+        )
+        raise ValueError(f"period {period}, scan cycle {scan.cycle} slots: {why}")
     phases = np.arange(scan.cycle, dtype=np.int64)
     found = []
     for index, offset in enumerate(scan.packet_offsets):

@@ -18,6 +18,7 @@ from sitl_mocks.channel.parameters import (
     WifiParameters,
 )
 from sitl_mocks.channel.reception import (
+    coincidences,
     coprime_period,
     event_period,
     heard_packets,
@@ -193,3 +194,16 @@ def test_rates_outside_the_limits_are_refused(mode, rate):
 def test_periods_below_one_slot_are_refused():
     with pytest.raises(ValueError, match="period 0, cycle 3: expected at least 1 slot"):
         coprime_period(0, 3)
+
+
+@pytest.mark.parametrize(
+    ("period", "words"),
+    [
+        (8000, "period 8000, scan cycle 192 slots: both are multiples of 64, expected coprime ones"),
+        (801, "period 801, scan cycle 192 slots: both are multiples of 3"),
+        (0, "period 0, scan cycle 192 slots: expected at least 1"),
+    ],
+)
+def test_periods_that_share_a_factor_with_the_scan_are_refused(period, words):
+    with pytest.raises(ValueError, match=words):
+        coincidences(scan_of("ble4", PAPER), period, 8000)
