@@ -81,19 +81,23 @@ def check_allowed(air: AirSettings, parameters: ChannelParameters) -> None:
     check_rate(WIFI_BEACON if air.transport == WIFI_NAN else air.transport, air.rate, parameters)
 
 
-def channel_of(air: AirSettings, parameters: ChannelParameters | None, spread_s: float = 0.0) -> Channel:
+RADIO_SPREAD_S = 0.1
+"""A radio sends at its own time within this after its companion's tick (`PacketChannel`): the interval of the
+highest rate, 10 a second. Companions that share a clock would else send in the same part of it."""
+
+
+def channel_of(air: AirSettings, parameters: ChannelParameters | None) -> Channel:
     """The radio channel.
 
     Args:
         air: its `parameters` are taken as read.
         parameters: for "analytic" and "packets"; None: the paper's.
-        spread_s: see `PacketChannel`; the time between the instants at which a companion sends.
     """
     given = ChannelParameters() if parameters is None else parameters
     if air.model == "analytic":
         return AnalyticChannel(given)
     if air.model == "packets":
-        return PacketChannel(given, spread_s)
+        return PacketChannel(given, RADIO_SPREAD_S)
     return SimpleChannel(delay_s=air.interval_s, loss=air.loss or 0.0, range_m=air.range_m)
 
 

@@ -33,8 +33,6 @@ MAX_CLIENTS = 256
 _MAX_READS = 512
 """Datagrams taken before what is due goes out again: a flood must not hold up deliveries."""
 _POLL_S = 0.1
-RADIO_SPREAD_S = 0.05
-"""A companion's step: its radio sends at its own time within it (`PacketChannel`)."""
 _BUFFER_BYTES = 4 * 1024 * 1024
 
 Endpoint = tuple[str, int]
@@ -227,7 +225,7 @@ def _channel(args: argparse.Namespace) -> Channel:
         if air.model != "interval":
             raise ConfigError(f'--{option}: goes with --channel interval; this air is "{air.model}"')
         air = msgspec.structs.replace(air, **{key: value})
-    return channel_of(air, parameters, RADIO_SPREAD_S)
+    return channel_of(air, parameters)
 
 
 def _bind(host: str, port: int) -> socket.socket:

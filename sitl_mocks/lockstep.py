@@ -181,7 +181,7 @@ def fly(
         log = None if tlog is None else tlog(name)
         options = vehicle_options(scenario, number, path)
         fleet.append(Aircraft(name, options, config, np.random.default_rng(streams[number]), sink, log))
-    channel = channel_of(scenario.air, scenario.channel, TICK_S)
+    channel = channel_of(scenario.air, scenario.channel)
     ether = Ether(channel, np.random.default_rng(streams[-1]))
     for aircraft in fleet:
         ether.join(aircraft.name)
