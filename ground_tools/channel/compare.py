@@ -148,14 +148,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = "example: ground-tools channel compare --seconds 60 --environments 20 --out runs/channel"
     parser.add_argument(
-        "--seconds", type=float, default=60.0, metavar="S", help="simulated seconds of a run (default: 60)"
+        "--seconds",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="simulated seconds of a fleet, at least 30; one link takes twice as long, at least 120; packets that "
+        "meet S / aircraft, at least 5 (default: 60)",
     )
     parser.add_argument(
         "--environments",
         type=int,
         default=20,
         metavar="N",
-        help="positions drawn for each case (default: 20)",
+        help="positions drawn for each case, but for one link (default: 20)",
     )
     options.add_seed(parser)
     options.add_parameters(parser)
@@ -200,6 +205,16 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+_LEGEND = """\
+assumptions: of the packet-by-packet simulation; the equations always make the paper's.
+random phases: the equations with every Bluetooth event at a phase of its own. Ratio: packets over equations.
+One link: mean over the receivers of one sender; nobody else sends. Packets that meet: share lost to others.
+Fixed modes: system delay, the sum over the aircraft of each one's mean delay to those it reaches.
+never heard: pairs in range of which one heard nothing of the other in the whole run; not in the mean delay.
+waiting: messages still waited for at the end; where it is above 0, the delay is a lower bound.
+-: no pair in range."""
+
+
 def _print(rows: list[Row], console: Console, *, as_json: bool) -> None:
     if as_json:
         for row in rows:
@@ -209,6 +224,7 @@ def _print(rows: list[Row], console: Console, *, as_json: bool) -> None:
     console = Console(width=max(console.width, _TABLE_WIDTH))
     for study in VARIANTS:
         console.print(_table(study, [row for row in rows if row.case.study == study]))
+    console.print(_LEGEND, highlight=False)
 
 
 def _json_line(row: Row) -> str:
@@ -406,9 +422,13 @@ def _table(study: str, rows: list[Row]) -> Table:
             f"{scale * row.equations:.{digits}f} {unit}",
             f"{scale * row.equations_random:.{digits}f} {unit}",
             f"{scale * row.packets:.{digits}f} ± {half:.{digits}f} {unit}",
-            f"{row.ratio:.3f}",
-            f"{row.ratio_random:.3f}",
-            f"{100 * row.never_heard:.1f} %",
-            f"{100 * row.waiting:.2f} %",
+            _cell(row.ratio, ".3f"),
+            _cell(row.ratio_random, ".3f"),
+            _cell(100 * row.never_heard, ".1f", " %"),
+            _cell(100 * row.waiting, ".2f", " %"),
         )
     return table
+
+
+def _cell(value: float, form: str, unit: str = "") -> str:
+    return "-" if math.isnan(value) else f"{value:{form}}{unit}"

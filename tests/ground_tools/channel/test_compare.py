@@ -100,6 +100,22 @@ def test_tables_in_a_pipe_hold_whole_numbers(monkeypatch, capsys):
         assert f" {cell} " in out
 
 
+def test_tables_explain_their_columns_and_hold_no_nan(monkeypatch, capsys):
+    nobody = compare.Row(
+        Case("fleet", "as the equations", "ble4", 9, 10, 10_000.0),
+        "system_delay_ms",
+        *(0.0, 0.0, 0.0, 0.0, 0.0),
+        *(math.nan, math.nan),
+    )
+    monkeypatch.setattr(compare, "compare", lambda *_: [nobody])
+    assert main(["channel", "compare"]) == 0
+    out = capsys.readouterr().out
+    assert "nan" not in out
+    assert out.count(" - ") == 4
+    for column in ("random phases", "never heard", "waiting"):
+        assert f"\n{column}: " in out
+
+
 def test_what_cannot_be_done_is_said_before_the_simulation(monkeypatch, capsys, tmp_path):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(compare, "compare", lambda *_: pytest.fail("simulated"))
