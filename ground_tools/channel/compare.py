@@ -152,8 +152,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=60.0,
         metavar="S",
-        help="simulated seconds of a fleet, at least 30; one link takes twice as long, at least 120; packets that "
-        "meet S / aircraft, at least 5 (default: 60)",
+        help="simulated seconds of a fleet, at least 30; one link takes twice as long, at least 120; packets "
+        "that meet S / aircraft, at least 5 (default: 60)",
     )
     parser.add_argument(
         "--environments",
