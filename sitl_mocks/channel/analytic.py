@@ -117,7 +117,8 @@ class Analytic:
                 is no index into `WIFI_CHANNELS`.
         """
         self._check(links, fleet, busy)
-        carried = reached(links, self.parameters) & (fleet.rates > 0)[links.transmitter]
+        # Columns lie in one piece each: they are searched and filled one by one.
+        carried = np.asfortranarray(reached(links, self.parameters) & (fleet.rates > 0)[links.transmitter])
         alive = survival(links, carried, fleet.rates, fleet.wifi_channel, self.parameters)
         ble4, pointer, auxiliary, wifi = alive.ble4, alive.pointer, alive.auxiliary, alive.wifi
         others = busy if busy is not None else self._busy(links.nodes)
@@ -126,17 +127,19 @@ class Analytic:
             ble4, wifi = ble4 * quiet.ble4[at], wifi * quiet.wifi[at]
             pointer, auxiliary = pointer * quiet.pointer[at], auxiliary * quiet.auxiliary[at]
         one = np.ones_like(ble4)
-        delay, loss = np.full(carried.shape, np.nan), np.full(carried.shape, np.nan)
+        delay, loss = (np.full(carried.shape, np.nan, order="F") for _ in range(2))
         for index, (mode, first, second) in enumerate(
             zip(MODES, (ble4, pointer, wifi), (one, auxiliary, one), strict=True)
         ):
             on_mode = np.flatnonzero(carried[:, index])
             loss[on_mode, index] = 1.0 - first[on_mode] * second[on_mode]
-            rates = fleet.rates[links.transmitter[on_mode], index]
-            for rate in np.unique(rates):
-                at = on_mode[rates == rate]
-                terms = terms_of(mode, int(rate), self.parameters)
-                delay[at, index] = mean_delay_s(terms, first[at], second[at])
+            rates = fleet.rates[links.transmitter[on_mode], index].astype(np.int16)  # sorted by radix
+            order = np.argsort(rates, kind="stable")
+            numbers = np.bincount(rates)
+            for rate, at in enumerate(np.split(on_mode[order], np.cumsum(numbers)[:-1])):
+                if len(at):
+                    terms = terms_of(mode, rate, self.parameters)
+                    delay[at, index] = mean_delay_s(terms, first[at], second[at])
         return Evaluation(links, carried, delay, loss)
 
     def _busy(self, nodes: int) -> Floats:

@@ -119,27 +119,43 @@ def survival(
         wifi_channel: shape (nodes,), index into `WIFI_CHANNELS`.
     """
     s = shares_of(parameters)
+    on = [np.flatnonzero(carried[:, mode]) for mode in range(len(MODES))]
+    sender, receiver = [links.transmitter[at] for at in on], [links.receiver[at] for at in on]
 
-    def product(mode: int, by: int, share: float, channels: Indices | None = None) -> Floats:
-        """Over the senders on mode `by` that reach the receiver, (links,)."""
-        result = np.ones(len(links.receiver))
-        at, wanted = np.flatnonzero(carried[:, by]), np.flatnonzero(carried[:, mode])
-        if not (len(at) and len(wanted)):
-            return result
+    def log_product(mode: int, by: int, share: float, channels: Indices | None = None) -> Floats:
+        """Over the senders on mode `by` that reach the receiver; for the links that carry `mode`."""
         factor = np.log1p(-share * rates[:, by])
-        key, kinds = links.receiver, 1
+        key, by_key, kinds = receiver[mode], receiver[by], 1
         if channels is not None:
             kinds = len(WIFI_CHANNELS)
-            key = links.receiver * kinds + channels[links.transmitter]
-        total = np.bincount(key[at], factor[links.transmitter[at]], minlength=links.nodes * kinds)
-        own = np.where(carried[wanted, by], factor[links.transmitter[wanted]], 0.0)
+            key = key * kinds + channels[sender[mode]]
+            by_key = by_key * kinds + channels[sender[by]]
+        total = np.bincount(by_key, factor[sender[by]], minlength=links.nodes * kinds)
+        own = factor[sender[mode]]
+        return np.asarray(total[key] - (own if mode == by else np.where(carried[on[mode], by], own, 0.0)))
+
+    def product(mode: int, *logs: Floats) -> Floats:
+        """Over all interferers, (links,)."""
+        result = np.ones(len(links.receiver))
         # Rounding must not make a probability of more than 1 from an empty product.
-        result[wanted] = np.exp(np.minimum(total[key[wanted]] - own, 0.0))
+        result[on[mode]] = np.exp(np.minimum(sum(logs), 0.0))
         return result
 
     return Survival(
-        ble4=product(_BLE4, _BLE4, s.ble4_by_ble4) * product(_BLE4, _BLE5, s.ble4_by_ble5),
-        pointer=product(_BLE5, _BLE5, s.pointer_by_ble5) * product(_BLE5, _BLE4, s.pointer_by_ble4),
-        auxiliary=product(_BLE5, _BLE5, s.auxiliary_by_ble5) * product(_BLE5, _WIFI, s.auxiliary_by_wifi),
-        wifi=product(_WIFI, _WIFI, s.wifi_by_wifi, wifi_channel) * product(_WIFI, _BLE5, s.wifi_by_ble5),
+        ble4=product(
+            _BLE4, log_product(_BLE4, _BLE4, s.ble4_by_ble4), log_product(_BLE4, _BLE5, s.ble4_by_ble5)
+        ),
+        pointer=product(
+            _BLE5, log_product(_BLE5, _BLE5, s.pointer_by_ble5), log_product(_BLE5, _BLE4, s.pointer_by_ble4)
+        ),
+        auxiliary=product(
+            _BLE5,
+            log_product(_BLE5, _BLE5, s.auxiliary_by_ble5),
+            log_product(_BLE5, _WIFI, s.auxiliary_by_wifi),
+        ),
+        wifi=product(
+            _WIFI,
+            log_product(_WIFI, _WIFI, s.wifi_by_wifi, wifi_channel),
+            log_product(_WIFI, _BLE5, s.wifi_by_ble5),
+        ),
     )
