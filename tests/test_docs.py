@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from companion import config as configuration
+from sitl_mocks import settings
 
 ROOT = Path(__file__).parents[1]
 IDENTITY = '[identity]\nuas_id = "1596B0000DMUCA01"\n'
@@ -21,12 +22,16 @@ BLOCKS = [
 @pytest.mark.parametrize(("name", "number", "block"), BLOCKS, ids=lambda v: str(v)[:24])
 def test_configurations_in_the_documents_load(tmp_path, name, number, block):
     path = tmp_path / "c.toml"
+    if "[air]" in block:  # a scenario
+        path.write_text(block)
+        settings.load(path)
+        return
     path.write_text(block if "[identity]" in block else IDENTITY + block)
     configuration.load(path)
 
 
 def test_there_are_some():
-    assert {name for name, _, _ in BLOCKS} >= {"radios.md"}
+    assert {name for name, _, _ in BLOCKS} >= {"channel.md", "radios.md"}
 
 
 def test_relative_links_lead_somewhere():

@@ -71,7 +71,7 @@ def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(compare, "SIDES_M", (3000.0,))
     monkeypatch.setattr(compare, "FLEETS", (5,))
     monkeypatch.setattr(compare, "RECEIVERS", 3)
-    options = ["channel", "compare", "--seconds", "10", "--environments", "2", "--out", str(tmp_path / "new")]
+    options = ["channel", "compare", "--seconds", "10", "--environments", "10", "--out", str(tmp_path / "new")]
     assert main([*options, "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {row["study"] for row in rows} == {"link", "collision", "fleet"}
@@ -79,7 +79,7 @@ def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
         VARIANTS["fleet"]
     )
     assert (tmp_path / "new" / "compare.png").stat().st_size > 10_000
-    kept = [json.loads(line) for line in (tmp_path / "new" / "compare.json").read_text().splitlines()]
+    kept = [json.loads(line) for line in (tmp_path / "new" / "compare.jsonl").read_text().splitlines()]
     assert kept == rows
     assert all(
         v is None or not isinstance(v, float) or math.isfinite(v) for row in rows for v in row.values()
@@ -172,7 +172,7 @@ def workers_ready(pid):
     ("option", "value", "allowed"),
     [
         ("--seconds", "5", "10 to 86400"),
-        ("--environments", "1", "2 to 10000"),
+        ("--environments", "9", "10 to 10000"),
         ("--seed", "-1", "0 and above"),
     ],
 )
