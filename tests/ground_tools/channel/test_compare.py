@@ -71,8 +71,10 @@ def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(compare, "SIDES_M", (3000.0,))
     monkeypatch.setattr(compare, "FLEETS", (5,))
     monkeypatch.setattr(compare, "RECEIVERS", 3)
-    options = ["channel", "compare", "--seconds", "10", "--environments", "10", "--out", str(tmp_path / "new")]
-    assert main([*options, "--json"]) == 0
+    out = str(tmp_path / "new")
+    assert (
+        main(["channel", "compare", "--seconds", "10", "--environments", "10", "--out", out, "--json"]) == 0
+    )
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {row["study"] for row in rows} == {"link", "collision", "fleet"}
     assert len(rows) == 30 * len(VARIANTS["link"]) + 3 * len(VARIANTS["collision"]) + 3 * len(
