@@ -123,8 +123,8 @@ class PropagationParameters(_Section, frozen=True, kw_only=True):
     """Log-distance path loss with log-normal shadowing."""
 
     loss_at_1m_db: float = 52.55
-    """Not in the paper: this gives ranges of 253, 941 and 2,263 m, where it states 250, 1,000 and 2,000 m,
-    and its published delays within 5 %."""
+    """Not in the paper, calibrated to it: ranges of 253, 941 and 2,263 m, where it states 250, 1,000 and
+    2,000 m, and its published delays within 5 %."""
     exponent: float = 2.1
     shadowing_sigma_db: float = 0.0
     """The paper says a variance of 6 dB (sigma 2.449 dB); its published delays come out without shadowing."""
