@@ -25,6 +25,8 @@ Ratio = Annotated[float, Meta(ge=0, le=1)]
 Interface = Annotated[str, Meta(min_length=1, max_length=15)]
 """Linux gives a network interface no longer name."""
 
+CHOOSER_WORDS = ("rule", "fixed")
+"""What `atmc.policy` may say instead of a path: the one-line rule; the best fixed legal set."""
 _RAW_IDS = (IdType.UTM_ASSIGNED_UUID, IdType.SPECIFIC_SESSION)
 _LINK_FORMS = ("udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT", "serial:DEVICE:BAUD")
 _CHANNEL_FORMS = ("user:NUMBER", "uart:DEVICE:BAUD", "tcp:HOST:PORT")
@@ -154,6 +156,15 @@ class RemoteIdConfig(_Section, frozen=True):
     """Be the vehicle's Remote ID component (236) on MAVLink: heartbeat and OPEN_DRONE_ID_ARM_STATUS."""
 
 
+class AtmcConfig(_Section, frozen=True):
+    """Who chooses the transports and rates in flight. Nobody: they stay as [remote_id] says."""
+
+    policy: Annotated[str, Meta(min_length=1)] | None = None
+    """Path of a policy file (relative to this file; absolute once loaded), or one of `CHOOSER_WORDS`."""
+    period_s: Annotated[float, Meta(ge=0.5, le=60)] = 2.0
+    """Mean time from one decision to the next; they fall at random phases."""
+
+
 class NullRadio(_Section, frozen=True, tag_field="backend", tag="null"):
     """No radio."""
 
@@ -234,6 +245,7 @@ class Config(_Section, frozen=True):
     avoidance: AvoidanceConfig = AvoidanceConfig()
     traffic: TrafficConfig = TrafficConfig()
     remote_id: RemoteIdConfig = RemoteIdConfig()
+    atmc: AtmcConfig = AtmcConfig()
     radio: tuple[RadioConfig, ...] = ()
     """Used together: each transport is sent by the first that can."""
     record: RecordConfig = RecordConfig()
@@ -273,6 +285,10 @@ def load(path: Path) -> Config:
             raise ConfigError(f"{path}: remote_id.region: {error}") from error
         remote_id = msgspec.structs.replace(config.remote_id, region=None)
         config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
+    if config.atmc.policy is not None and config.atmc.policy not in CHOOSER_WORDS:
+        # Not read here: a companion without its policy flies on a fixed set.
+        where = str((path.parent / config.atmc.policy).absolute())
+        config = msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, policy=where))
     if config.traffic.keys:
         keys = {k: _public_key(text, k, path) for k, text in config.traffic.keys.items()}
         traffic = msgspec.structs.replace(config.traffic, keys=keys)

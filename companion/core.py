@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from companion.atmc.chooser import chooser_of
 from companion.avoidance.authority import HOLDING, State, Trigger, next_state
 from companion.avoidance.law import LawResult, Situation
 from companion.avoidance.plan import Plan
@@ -60,15 +61,20 @@ _QUIET_LOG_S = 1.0
 
 
 class Companion:
-    """One aircraft's mind. Build it, then call `step` with rising times."""
+    """One aircraft's mind. Build it, then call `step` with rising times.
 
-    def __init__(self, config: Config) -> None:
+    Args:
+        policy: content of the file that `config.atmc.policy` names; None where it could not be read.
+    """
+
+    def __init__(self, config: Config, policy: bytes | None = None) -> None:
         self.config = config
         self.own = Ownship()
         self.traffic = Traffic(config.traffic, config.identity.uas_id)
         self.plan = Plan(config)
         self.state = State.STANDBY
         self.broadcaster = Broadcaster(config)
+        self.chooser = chooser_of(config, policy)
         self._late_s = max(_LATE_S, 2.5 / config.flight.setpoint_rate_hz)
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
@@ -139,7 +145,18 @@ class Companion:
             traffic.note_own(now_s, own.position_ned_m(now_s))
             for frame in heard:
                 traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
+        self._choose_transports(now_s, commands)
         commands += self.broadcaster.step(own, now_s)
+
+    def _choose_transports(self, now_s: float, commands: list[Command]) -> None:
+        """The paper's ATMC. It only asks: the law's floor and make before break are the broadcaster's."""
+        broadcaster = self.broadcaster
+        if self.chooser is None or broadcaster.gives_way:
+            return
+        rates, told = self.chooser.step(now_s, self.own, self.traffic, broadcaster.radio, broadcaster.rates)
+        if rates is not None:
+            broadcaster.ask(rates)
+        commands += told
 
     # ------------------------------------------------------------ orient
 

@@ -8,6 +8,7 @@ replay reads them without a second description of the same thing. Units are SI; 
 from __future__ import annotations
 
 import enum
+from typing import Literal
 
 import msgspec
 
@@ -186,6 +187,8 @@ class RemoteIdHeard(Event, frozen=True):
     """Transmitter's radio address."""
     messages: tuple[Message, ...]
     rssi_dbm: float | None = None
+    counter: int | None = None
+    """The frame's message counter, 0-255; None where the radio does not tell it."""
 
 
 class RadioState(Event, frozen=True):
@@ -289,6 +292,15 @@ class BroadcastChanged(Command, frozen=True):
     reason: str
 
 
+class TransportsChosen(Command, frozen=True):
+    """The transports that the own Remote ID is to use were chosen anew: transports with their Locations a
+    second. What goes on the air keeps the region's floor besides (`BroadcastChanged`)."""
+
+    rates: tuple[tuple[str, int], ...]
+    by: Literal["policy", "rule", "fixed", "fallback"]
+    reason: str
+
+
 class TrackFlagged(Command, frozen=True):
     """A track of heard traffic is doubted for a new reason."""
 
@@ -355,6 +367,7 @@ AnyCommand = (
     | Broadcast
     | AuthorityChanged
     | BroadcastChanged
+    | TransportsChosen
     | TrackFlagged
     | Decision
 )

@@ -43,6 +43,7 @@ class Onboard:
         config: Config,
         record: Callable[[Step], None] | None = None,
         *,
+        policy: bytes | None = None,
         commanding: bool = True,
         tlog: TlogWriter | None = None,
         utc_guess_s: float = 0.0,
@@ -51,6 +52,7 @@ class Onboard:
 
         Args:
             record: takes every step of the heart.
+            policy: the policy file that chooses the transports, as `Companion` takes it.
             commanding: False leaves the vehicle alone; the heart works all the same. Nothing is broadcast
                 then (a dry run, a replay), so the vehicle is not told that Remote ID is ready either.
             tlog: takes the MAVLink of both directions.
@@ -59,7 +61,7 @@ class Onboard:
         self.commanding = commanding
         self.tlog = tlog
         self._utc_guess_s = utc_guess_s
-        self.heart = Companion(config)
+        self.heart = Companion(config, policy)
         self.link = AutopilotLink(
             config.vehicle,
             remote_id_component=config.remote_id.component,

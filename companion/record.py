@@ -17,7 +17,7 @@ from companion.config import Config
 from companion.errors import PeerDataError
 from companion.events import AnyCommand, AnyEvent
 
-MAGIC = b"DMUCAEV2"
+MAGIC = b"DMUCAEV3"
 """Ends in the version of the format: raised when events, commands or the configuration change shape."""
 _HEAD = struct.Struct("<II")
 _MAX_RECORD = 16 * 1024 * 1024
@@ -29,6 +29,8 @@ class Header(msgspec.Struct, frozen=True, tag=True, kw_only=True):
     aircraft: str
     software: str
     config: Config
+    policy: bytes | None = None
+    """The file of the policy that chose the transports, whole: a run folder stands alone."""
 
 
 class Step(msgspec.Struct, frozen=True, tag=True, kw_only=True):

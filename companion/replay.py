@@ -61,7 +61,7 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
     heart: Companion | None = None
     for item in records:
         if isinstance(item, Header):
-            heart, result.aircraft = Companion(item.config), item.aircraft
+            heart, result.aircraft = Companion(item.config, item.policy), item.aircraft
             continue
         if heart is None:
             raise PeerDataError(f"{name}: the first record is not a header")

@@ -78,12 +78,17 @@ class Aircraft:
         rng: np.random.Generator,
         record: Callable[[Step], None] | None,
         tlog: ByteSink | None,
+        policy: bytes | None = None,
     ) -> None:
         self.name = name
         self.config = config
         self.vehicle = MockVehicle(options, rng)
         self.onboard = Onboard(
-            config, record, tlog=None if tlog is None else TlogWriter(tlog), utc_guess_s=UTC_AT_START_S
+            config,
+            record,
+            policy=policy,
+            tlog=None if tlog is None else TlogWriter(tlog),
+            utc_guess_s=UTC_AT_START_S,
         )
         address = radio_address(name)
         self.onboard.hear(RadioState(can_send=tuple(sorted(TRANSPORTS)), own_addresses=(address,)))
@@ -159,6 +164,7 @@ def fly(
     seed: int,
     *,
     law: str | None = None,
+    policy: bytes | None = None,
     record: Callable[[str, Config], Callable[[Step], None]] | None = None,
     tlog: Callable[[str], ByteSink] | None = None,
     progress: Callable[[float], None] | None = None,
@@ -168,6 +174,8 @@ def fly(
     Args:
         seed: fixes paths (drawn geometries), navigation errors and the channel.
         law: replaces the scenario's law ("none" is the unavoided baseline).
+        policy: file of the policy that chooses the transports of all aircraft, as `Onboard` takes it. A
+            record must hold it in its header.
         record: called once per aircraft with its name and configuration; returns where its steps go.
         tlog: called once per aircraft with its name; returns where its MAVLink goes.
         progress: called with the share done, about once per simulated second.
@@ -180,7 +188,8 @@ def fly(
         sink = None if record is None else record(name, config)
         log = None if tlog is None else tlog(name)
         options = vehicle_options(scenario, number, path)
-        fleet.append(Aircraft(name, options, config, np.random.default_rng(streams[number]), sink, log))
+        rng = np.random.default_rng(streams[number])
+        fleet.append(Aircraft(name, options, config, rng, sink, log, policy))
     channel = channel_of(scenario.air, scenario.channel)
     ether = Ether(channel, np.random.default_rng(streams[-1]))
     for aircraft in fleet:

@@ -132,6 +132,7 @@ class FrameReceiver:
             address=parsed[0].address or address,
             messages=messages,
             rssi_dbm=rssi_dbm,
+            counter=parsed[0].counter,
         )
 
     def _note(self, error: str) -> None:

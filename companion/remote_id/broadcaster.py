@@ -89,6 +89,21 @@ class Broadcaster:
                     self._monitor.heard(event.transport, now_s)
 
     @property
+    def radio(self) -> RadioState:
+        """What the radios can do, as last told."""
+        return self._radio
+
+    @property
+    def rates(self) -> Mapping[str, int]:
+        """Transports that are to be on the air, with their Locations a second."""
+        return self._decided.rates
+
+    @property
+    def gives_way(self) -> bool:
+        """The vehicle has a Remote ID module of its own: nothing is broadcast from here."""
+        return self._module is not None
+
+    @property
     def trouble(self) -> str | None:
         """Why Remote ID does not work as the law or the configuration asks, in words; None when it does."""
         if self._module is not None:

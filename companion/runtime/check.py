@@ -11,6 +11,7 @@ from companion.config import ArduRemoteIdRadio, Config
 from companion.errors import ConfigError
 from companion.remote_id.identity import check_identity
 from companion.runtime.kept_link import KeptLink
+from companion.runtime.policy import judge_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 
@@ -27,10 +28,23 @@ def check(config: Config, say: Callable[[str], None]) -> int:
     say(f"configuration: valid; region {config.region.name}")
     for note in check_identity(config.identity, config.remote_id, config.region):
         say(f"configuration: {note}")
+    policy = _probe_policy(config, say)
     radios = _probe_radios(config, say)
     vehicle = _probe_link(config, say)
-    say("check: ready" if vehicle and radios else "check: NOT ready")
-    return 0 if vehicle and radios else 1
+    ready = policy and vehicle and radios
+    say("check: ready" if ready else "check: NOT ready")
+    return 0 if ready else 1
+
+
+def _probe_policy(config: Config, say: Callable[[str], None]) -> bool:
+    """In flight a policy that fails is replaced by a fixed legal set; before it, it is to be put right."""
+    try:
+        for line in judge_policy(config):
+            say(line)
+    except ConfigError as error:
+        say(str(error))
+        return False
+    return True
 
 
 def _probe_link(config: Config, say: Callable[[str], None]) -> bool:

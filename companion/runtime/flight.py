@@ -14,6 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
+import msgspec
+
 from companion import __version__
 from companion import config as configuration
 from companion.autopilot.tlog import TlogWriter
@@ -26,6 +28,7 @@ from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Header, Step
 from companion.runtime.kept_link import KeptLink
+from companion.runtime.policy import RUN_FILE, read_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
@@ -95,15 +98,20 @@ class Flight:
             self.link.close()
             self._voice.close()
             raise
+        self._policy = self._read_policy(config)
         guess = time.time() - time.monotonic()
         self._tape = _Tape()
         self.onboard = Onboard(
             config,
             self._record,
+            policy=self._policy,
             commanding=not dry_run,
             tlog=TlogWriter(self._tape),
             utc_guess_s=guess,
         )
+        chooser = self.onboard.heart.chooser
+        if chooser is not None and chooser.trouble is not None:
+            self._say(f"atmc: {chooser.trouble}: a fixed legal set of transports is used instead")
         self.folder: Path | None = None
         self._recorder: FlightRecorder | None = None
         self._early: list[Step] = []
@@ -134,6 +142,14 @@ class Flight:
         finally:
             faulthandler.cancel_dump_traceback_later()
             self._close()
+
+    def _read_policy(self, config: Config) -> bytes | None:
+        """Without its policy the aircraft flies all the same, on a fixed legal set of transports."""
+        try:
+            return read_policy(config)
+        except ConfigError as error:
+            self._say(str(error))
+            return None
 
     def _arm_broadcast(self, config: Config) -> None:
         """Prepare the radios for what goes on the air. Raises ConfigError as `prepare` does."""
@@ -171,8 +187,14 @@ class Flight:
         aircraft = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
         vehicle = self.onboard.link.vehicle
         folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
-        header = Header(aircraft=aircraft, software=__version__, config=configuration.public(config))
+        public = configuration.public(config)
+        header = Header(aircraft=aircraft, software=__version__, config=public, policy=self._policy)
         try:
+            if self._policy is not None:
+                (folder / RUN_FILE).write_bytes(self._policy)
+                config = msgspec.structs.replace(
+                    config, atmc=msgspec.structs.replace(config.atmc, policy=RUN_FILE)
+                )
             (folder / "config.toml").write_bytes(configuration.dump(config))
             write_manifest(
                 folder, "companion run", aircraft=[aircraft], started_utc_s=utc_s, vehicle=str(vehicle)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from companion.remote_id.authentication import AuthenticationData
 from companion.remote_id.messages import BasicId, Message, OperatorId, SelfId, System
+from companion.traffic.reception import Reception
 
 
 @dataclass(slots=True)
@@ -75,6 +76,7 @@ class Source:
     """When a UAS ID signature from here last held (our monotonic time)."""
     signed_utc_s: float = -math.inf
     """Timestamp of the last signature from here that held."""
+    reception: Reception = field(default_factory=Reception)
 
 
 @dataclass(slots=True)
@@ -100,3 +102,7 @@ class Sources:
             self._held.popitem(last=False)
         source = self._held[key] = Source(key, About(transport, address))
         return source
+
+    def held(self, key: str) -> Source | None:
+        """The source of a key, if it is remembered."""
+        return self._held.get(key)

@@ -29,6 +29,7 @@ from companion.traffic.eviction import Ranking
 from companion.traffic.fix import Fix, make_fix
 from companion.traffic.judge import Judge
 from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
+from companion.traffic.reception import Reception
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, off, reach, same
 
 _MAX_RANGE_M = 50_000.0
@@ -121,6 +122,8 @@ class Traffic:
                 signature = self._assembler.take(source.key, message, now_s) or signature
             else:
                 source.about.keep(message)
+        if locations:
+            source.reception.take(heard.counter, now_s)
         genuine = None
         if signature is not None:
             source.about.authentication = signature
@@ -167,6 +170,11 @@ class Traffic:
             )
             for t in self.tracks.values()
         ]
+
+    def receptions(self, track: Track) -> list[tuple[str, Reception]]:
+        """How each radio address of a track comes in, with its transport."""
+        held = (self._sources.held(key) for key in track.sources)
+        return [(s.about.transport, s.reception) for s in held if s is not None]
 
     # ------------------------------------------------------------ the table
 

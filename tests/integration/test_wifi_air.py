@@ -225,7 +225,9 @@ def test_frames_on_the_air_are_heard(
     tap.put(captured(frame + b"\xde\xad\xbe\xef", flags=0x10, rssi_dbm=-90))
     heard = hear(radio, 2)
     assert heard == [
-        RemoteIdHeard(transport=transport, address=OTHER, messages=(BASIC_ID, SELF_ID), rssi_dbm=rssi)
+        RemoteIdHeard(
+            transport=transport, address=OTHER, messages=(BASIC_ID, SELF_ID), rssi_dbm=rssi, counter=7
+        )
         for rssi in (-61.0, -90.0)
     ]
     health = radio.health(0.0)

@@ -80,7 +80,9 @@ def test_a_wifi_frame_tells_its_transport_by_itself(transport: str) -> None:
     (frame,) = FrameSender(ADDRESS).frames(transport, (SELF_ID,))
     receiver = FrameReceiver()
     event = receiver.receive_wifi(frame, -70.0)
-    assert event == RemoteIdHeard(transport=transport, address=ADDRESS, messages=(SELF_ID,), rssi_dbm=-70.0)
+    assert event == RemoteIdHeard(
+        transport=transport, address=ADDRESS, messages=(SELF_ID,), rssi_dbm=-70.0, counter=0
+    )
     assert receiver.receive_wifi(build_nan_sync_beacon(ADDRESS)) is None
     assert receiver.receive("wifi", ADDRESS, build_nan_sync_beacon(ADDRESS)) is None
     other = {"wifi": "nan", "nan": "wifi"}[transport]

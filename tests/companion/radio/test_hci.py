@@ -243,7 +243,7 @@ def test_hearing_in_small_helpings(start: Open, monkeypatch: pytest.MonkeyPatch)
     assert len(heard) == 25
     assert most <= 10
     assert heard[0] == RemoteIdHeard(
-        transport=BLE5, address="c1:02:03:04:05:06", messages=MESSAGES, rssi_dbm=-60.0
+        transport=BLE5, address="c1:02:03:04:05:06", messages=MESSAGES, rssi_dbm=-60.0, counter=0
     )
     assert radio.health(0.0).frames_heard == 25
 

@@ -1,0 +1,161 @@
+"""Asked by the heart at every step: which transports the own Remote ID is to use from now on.
+
+A policy, the rule or the fixed set decides at random phases. When it cannot (no policy at the start, an
+observation outside its training, an answer that is no number, a radio that lost a transport), the fixed legal
+set is taken, the log is told why, and the pilot once for each kind of trouble. Nothing here can break the
+law's floor: the broadcaster keeps it whatever is asked.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Final, Literal
+
+import numpy as np
+
+from companion.atmc.actions import TRANSPORTS, Action, Bools, able, legal, rates_of, transports_of
+from companion.atmc.choice import Mind, Refused
+from companion.atmc.observation import random_phase
+from companion.atmc.policy import PolicyError, check_flyable, load
+from companion.atmc.rule import FIXED, FLYING_RULE, fixed
+from companion.atmc.senses import Senses
+from companion.config import CHOOSER_WORDS, Config
+from companion.events import Command, RadioState, Say, Severity, TransportsChosen
+from companion.ownship import Ownship
+from companion.traffic.tracks import Traffic
+
+By = Literal["policy", "rule", "fixed", "fallback"]
+OLDEST_POSITION_S: Final = 5.0
+"""Distances from an older own position mean nothing."""
+
+
+class Trouble(enum.Enum):
+    """Kinds of trouble beside those of `choice.Why`."""
+
+    NO_POLICY = "no_policy"
+    NO_POSITION = "no_position"
+    RADIO_LOST = "radio_lost"
+
+
+class Chooser:
+    """One aircraft's choice of transports.
+
+    Args:
+        mind: who decides; None with `trouble`, in words, where there should be one.
+    """
+
+    def __init__(self, config: Config, mind: Mind | None, by: By, trouble: str | None = None) -> None:
+        self.by = by
+        self.trouble = trouble
+        """Why the configured policy cannot be followed at all, in words; None when it can."""
+        self._mind = mind
+        self._region = config.region
+        self._uas_id, self._period_s = config.identity.uas_id, config.atmc.period_s
+        self._senses = Senses(config.identity.uas_id)
+        self._numbers = {} if mind is None else {action: i for i, action in enumerate(mind.actions)}
+        self._allowed: Bools = np.zeros(0, bool)
+        self._can_send: tuple[str, ...] = ()
+        self._action: Action | None = None
+        self._count = 0
+        self._next_s: float | None = None
+        self._logged: tuple[object, ...] | None = None
+        self._told: set[enum.Enum] = set()
+
+    def step(
+        self, now_s: float, own: Ownship, traffic: Traffic, radio: RadioState, present: Mapping[str, int]
+    ) -> tuple[dict[str, int] | None, list[Command]]:
+        """What to ask the broadcaster for, and what to say.
+
+        Args:
+            radio: what the radios can do.
+            present: transports that are to be on the air now, with their Locations a second.
+
+        Returns:
+            Transports with their Locations a second, or None where nothing was decided; and commands.
+        """
+        if own.heartbeat is None or not radio.can_send:
+            return None, []
+        if radio.can_send != self._can_send:
+            self._can_send = radio.can_send
+            if self._mind is not None:
+                actions = self._mind.actions
+                self._allowed = legal(actions, self._region) & able(actions, self._can_send)
+            lost = transports_of(self._action or (0, 0, 0)) - set(self._can_send)
+            if self._mind is None:
+                return self._fall_back(Trouble.NO_POLICY, self.trouble or "no policy")
+            if lost:
+                words = f"the radio can no longer send on {', '.join(sorted(lost))}"
+                return self._fall_back(Trouble.RADIO_LOST, words)
+        if self._mind is None or own.position is None:
+            return None, []
+        if self._next_s is None:
+            self._plan(now_s)
+        assert self._next_s is not None
+        if now_s < self._next_s:
+            return None, []
+        self._plan(now_s)
+        return self._decide(self._mind, now_s, own, traffic, present)
+
+    def _plan(self, now_s: float) -> None:
+        """When the next decision falls: never together with the others'."""
+        self._next_s = now_s + self._period_s * (0.5 + random_phase(self._uas_id, self._count))
+        self._count += 1
+
+    def _decide(
+        self, mind: Mind, now_s: float, own: Ownship, traffic: Traffic, present: Mapping[str, int]
+    ) -> tuple[dict[str, int] | None, list[Command]]:
+        age_s = own.age_s(now_s)
+        if not age_s <= OLDEST_POSITION_S:
+            return self._fall_back(Trouble.NO_POSITION, "the own position is old")
+        seen = self._senses.look(now_s, own, traffic, present)
+        ble4, ble5, wifi = (present.get(transport, 0) for transport in TRANSPORTS)
+        answer = mind.choose(seen.own, seen.rows, self._allowed, self._numbers.get((ble4, ble5, wifi)))
+        if isinstance(answer, Refused):
+            return self._fall_back(answer.why, answer.text)
+        self._action = answer.action
+        return rates_of(answer.action), self._tell(self.by, None, f"{len(seen.rows)} aircraft heard")
+
+    def _fall_back(self, why: enum.Enum, words: str) -> tuple[dict[str, int] | None, list[Command]]:
+        """The fixed set that is legal and can be sent. Where there is none, what was asked last stands: the
+        broadcaster makes the best of it, and says that it is not legal."""
+        self._action = fixed(self._region, self._can_send)
+        commands = self._tell("fallback", why, words)
+        return None if self._action is None else rates_of(self._action), commands
+
+    def _tell(self, by: By, why: enum.Enum | None, words: str) -> list[Command]:
+        """The log, when something changed; the pilot, once for each kind of trouble."""
+        rates = tuple(rates_of(self._action).items()) if self._action is not None else ()
+        commands: list[Command] = []
+        if (rates, by, why) != self._logged:
+            self._logged = (rates, by, why)
+            commands.append(TransportsChosen(rates=rates, by=by, reason=words))
+        if why is not None and why not in self._told:
+            self._told.add(why)
+            chosen = " + ".join(f"{transport} {rate}/s" for transport, rate in rates) or "as configured"
+            text = f"DMUCA transports not by {self.by}: {words}; now {chosen}"
+            commands.append(Say(severity=Severity.WARNING, text=text))
+        return commands
+
+
+def chooser_of(config: Config, policy: bytes | None) -> Chooser | None:
+    """The chooser that a configuration asks for; None where the transports stay as configured.
+
+    Args:
+        policy: content of the policy file; None where there is none, or it could not be read.
+    """
+    wanted = config.atmc.policy
+    if wanted in CHOOSER_WORDS:
+        return Chooser(config, *((FLYING_RULE, "rule") if wanted == "rule" else (FIXED, "fixed")))
+    if policy is None and wanted is None:
+        return None
+    name = PurePath(wanted or "policy").name
+    if policy is None:
+        return Chooser(config, None, "policy", f"policy {name} could not be read")
+    try:
+        found = load(policy, name)
+        check_flyable(found)
+    except PolicyError as error:
+        return Chooser(config, None, "policy", f"policy {error}")
+    return Chooser(config, found, "policy")

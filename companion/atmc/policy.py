@@ -1,0 +1,184 @@
+"""A frozen policy: which transports to use, how often, by what is seen (the paper's section "Algorithm
+Design"). Loaded from bytes, checked by its own golden cases, run in NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from companion.atmc.actions import Action, Bools
+from companion.atmc.choice import Choice, Floats, Refused, Why
+from companion.atmc.networks import FlatNetwork, Float32s, Network, PolicyError, SetNetwork, Tensors
+from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
+from companion.atmc.policy_file import MAX_BYTES, Bounds, Golden, Metadata, read, write
+
+__all__ = [
+    "MAX_BYTES",
+    "Bounds",
+    "Golden",
+    "Metadata",
+    "Policy",
+    "PolicyError",
+    "check_flyable",
+    "encode",
+    "golden_of",
+    "load",
+]
+
+GOLDEN_TOLERANCE: Final = 1e-5
+"""Relative to max(1, |q|)."""
+SLACK: Final = 0.05
+"""Beyond the bounds of training, in a column's own unit; every column is of the order of one."""
+_DISTANCE: Final = NEIGHBOUR_COLUMNS.index("log_distance")
+
+
+class Policy:
+    """A policy that can be asked; a `Mind`.
+
+    Raises:
+        PolicyError: the tensors do not fit the metadata. Golden cases are not looked at here.
+    """
+
+    def __init__(self, metadata: Metadata, tensors: Tensors, name: str) -> None:
+        m = self.metadata = metadata
+        self.name = name
+        self._actions: tuple[Action, ...] = m.actions
+        own, columns, actions = len(m.own_columns), len(m.neighbour_columns), len(m.actions)
+        self._network: Network
+        if m.kind == "set":
+            self._network = SetNetwork(tensors, own, columns, actions, name)
+        else:
+            self._network = FlatNetwork(tensors, own, columns, actions, m.neighbours, m.agents, name)
+        self._own_columns = _columns(m.own_columns, OWN_COLUMNS)
+        self._columns = _columns(m.neighbour_columns, NEIGHBOUR_COLUMNS)
+        b = m.bounds
+        self._own_low, self._own_high = _widened(b.own_low, b.own_high)
+        self._low, self._high = _widened(b.neighbour_low, b.neighbour_high)
+
+    @property
+    def actions(self) -> tuple[Action, ...]:
+        """What it can choose."""
+        return self._actions
+
+    def values(self, own_row: Floats, neighbour_rows: Floats, agent: int = 0) -> Float32s:
+        """Q of each action, shape (actions,): higher is better, in seconds of cost.
+
+        Args:
+            own_row: shape (own columns,), all columns of the schema.
+            neighbour_rows: shape (neighbours, neighbour columns), all columns of the schema, in any order of
+                rows. A "flat" policy looks at the nearest `metadata.neighbours`.
+            agent: which network, where each aircraft has its own.
+        """
+        return self._values(*self._selected(own_row, neighbour_rows), agent)
+
+    def choose(
+        self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
+    ) -> Choice | Refused:
+        """See `Mind`. Refuses what training did not see, and values that are not finite."""
+        if not allowed.any():
+            return Refused(Why.NOTHING_ALLOWED, "none of the policy's actions is legal and can be sent")
+        if len(neighbour_rows) > self.metadata.neighbours:
+            most = self.metadata.neighbours
+            return Refused(Why.TOO_MANY, f"{len(neighbour_rows)} neighbours, trained with up to {most}")
+        own, rows = self._selected(own_row, neighbour_rows)
+        # Negated, so that NaN is outside too.
+        if not ((own >= self._own_low) & (own <= self._own_high)).all():
+            return self._outside(own[None], self._own_low, self._own_high, self.metadata.own_columns)
+        if not ((rows >= self._low) & (rows <= self._high)).all():
+            return self._outside(rows, self._low, self._high, self.metadata.neighbour_columns)
+        q = self._values(own, rows, agent)
+        if not np.isfinite(q).all():
+            return Refused(Why.NO_NUMBER, "the network's answer is not a finite number")
+        if current is not None:
+            q[current] += self.metadata.switch_price
+        index = int(np.where(allowed, q, -np.inf).argmax())
+        return Choice(index, self._actions[index])
+
+    def _selected(self, own_row: Floats, neighbour_rows: Floats) -> tuple[Float32s, Float32s]:
+        """The columns that the network takes; for a flat one the nearest neighbours, in their order."""
+        if self.metadata.kind == "flat":
+            nearest = np.argsort(neighbour_rows[:, _DISTANCE], kind="stable")[: self.metadata.neighbours]
+            neighbour_rows = neighbour_rows[nearest]
+        own, rows = own_row.astype(np.float32), neighbour_rows.astype(np.float32)
+        if self._own_columns is not None:
+            own = own[self._own_columns]
+        return own, rows if self._columns is None else rows[:, self._columns]
+
+    def _values(self, own: Float32s, rows: Float32s, agent: int) -> Float32s:
+        with np.errstate(all="ignore"):  # what overflows is found in the result
+            return self._network.values(own, rows, agent)
+
+    def _outside(self, rows: Float32s, low: Float32s, high: Float32s, names: Sequence[str]) -> Refused:
+        at, column = np.argwhere(~((rows >= low) & (rows <= high)))[0]
+        what = "own" if low is self._own_low else "a neighbour's"
+        text = f"{what} {names[column]} {rows[at, column]:.3g}, trained with "
+        return Refused(Why.OUTSIDE, f"{text}{low[column] + SLACK:.3g} to {high[column] - SLACK:.3g}")
+
+
+def _columns(names: Sequence[str], known: Sequence[str]) -> list[int] | None:
+    """Where the columns stand; None for all of them in their order."""
+    return None if tuple(names) == tuple(known) else [known.index(name) for name in names]
+
+
+def _widened(low: Sequence[float], high: Sequence[float]) -> tuple[Float32s, Float32s]:
+    return np.array(low, np.float32) - np.float32(SLACK), np.array(high, np.float32) + np.float32(SLACK)
+
+
+def golden_of(policy: Policy, own_row: Floats, neighbour_rows: Floats, agent: int = 0) -> Golden:
+    """A golden case from what a policy gives now."""
+    q = policy.values(own_row, neighbour_rows, agent)
+    rows = tuple(tuple(map(float, row)) for row in neighbour_rows)
+    return Golden(own=tuple(map(float, own_row)), rows=rows, agent=agent, q=tuple(map(float, q)))
+
+
+def load(data: bytes, name: str, *, max_bytes: int = MAX_BYTES) -> Policy:
+    """Read a policy, and try it on its golden cases.
+
+    Args:
+        name: of the file, for messages.
+        max_bytes: more only on the ground: one network for each aircraft takes much.
+
+    Raises:
+        PolicyError: names the file and what is wrong with it.
+    """
+    metadata, tensors = read(data, name, max_bytes)
+    policy = Policy(metadata, tensors, name)
+    for number, case in enumerate(metadata.golden):
+        rows = np.array(case.rows, float).reshape(len(case.rows), len(NEIGHBOUR_COLUMNS))
+        q, wanted = policy.values(np.array(case.own), rows, case.agent), np.array(case.q)
+        # Negated, so that NaN is wrong too.
+        if not (np.abs(q - wanted) <= GOLDEN_TOLERANCE * np.maximum(1.0, np.abs(wanted))).all():
+            raise PolicyError(f"{name}: golden[{number}]: gives other values here than where it was frozen")
+    return policy
+
+
+def encode(metadata: Metadata, tensors: Tensors, *, max_bytes: int = MAX_BYTES) -> bytes:
+    """The file of a policy. What could not be loaded again is not written.
+
+    Args:
+        metadata: with its golden cases (`golden_of`); the checksum is filled in.
+        tensors: float32, by name, in the layout of torch.nn.Linear.
+        max_bytes: see `load`.
+
+    Raises:
+        PolicyError: `load` would refuse the file.
+    """
+    data = write(metadata, tensors)
+    load(data, metadata.name, max_bytes=max_bytes)
+    return data
+
+
+def check_flyable(policy: Policy) -> None:
+    """Whether a policy can fly on one aircraft.
+
+    Raises:
+        PolicyError: it has a network of its own for each aircraft of its training.
+    """
+    agents = policy.metadata.agents
+    if agents > 1:
+        raise PolicyError(
+            f"{policy.name}: holds {agents} networks, one for each aircraft of its training: nobody knows "
+            "which one this aircraft is. It is for comparison on the ground; fly one with agents = 1"
+        )

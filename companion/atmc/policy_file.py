@@ -1,0 +1,181 @@
+"""The file of a frozen policy: safetensors, with one JSON object under the metadata key "dmuca".
+
+Written on the ground (`policy.encode`), read aboard (`policy.load`). A checksum covers all of it: a flipped
+bit in a list of actions would otherwise pass for another policy.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+import numpy as np
+import safetensors
+import safetensors.numpy
+from msgspec import Meta
+
+from companion.atmc.actions import MAX_RATE
+from companion.atmc.networks import Float32s, PolicyError, Tensors
+from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS, SCHEMA
+
+MAX_BYTES: Final = 1_000_000
+"""Of a policy that flies; its file also stands in every event record."""
+_KEY: Final = "dmuca"
+_LENGTH_BYTES: Final = 8
+_TYPE: Final = "F32"
+
+Rate = Annotated[int, Meta(ge=0, le=MAX_RATE)]
+Count = Annotated[int, Meta(ge=1, le=10_000)]
+Row = tuple[float, ...]
+
+
+class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Common to all parts."""
+
+
+class Bounds(_Part, frozen=True, kw_only=True):
+    """Least and greatest value of each selected column that training saw."""
+
+    neighbour_low: Row
+    neighbour_high: Row
+    own_low: Row
+    own_high: Row
+
+
+class Golden(_Part, frozen=True, kw_only=True):
+    """An observation (whole rows, all columns of the schema) with the values that must come out."""
+
+    own: Row
+    rows: tuple[Row, ...]
+    agent: Annotated[int, Meta(ge=0)] = 0
+    q: Row
+
+
+class Metadata(_Part, frozen=True, kw_only=True):
+    """Everything about a policy but its weights."""
+
+    schema: str = SCHEMA
+    kind: Literal["set", "flat"]
+    objective: Literal["paper", "awareness"]
+    decisions: Literal["together", "phases"]
+    """How all decided in training."""
+    name: Annotated[str, Meta(min_length=1, max_length=80)]
+    neighbours: Count
+    """Most neighbours in training; "flat": rows of the input."""
+    agents: Count = 1
+    """Networks: 1, which all share, or one for each aircraft."""
+    neighbour_columns: Annotated[tuple[str, ...], Meta(min_length=1)]
+    own_columns: tuple[str, ...]
+    actions: Annotated[tuple[tuple[Rate, Rate, Rate], ...], Meta(min_length=1, max_length=10_000)]
+    """Locations a second on each of `actions.TRANSPORTS`."""
+    regions: tuple[str, ...] = ()
+    """Trained for; what is legal is asked anew in flight."""
+    switch_price: Annotated[float, Meta(ge=0)] = 0.0
+    """Taken from the value of every action but the present one (s)."""
+    bounds: Bounds
+    training_config_sha256: str = ""
+    results: dict[str, float] = {}
+    """Measured, for people."""
+    golden: Annotated[tuple[Golden, ...], Meta(min_length=1)]
+    checksum: str = ""
+    """CRC-32 of everything else; filled in by `policy.encode`."""
+
+
+def write(metadata: Metadata, tensors: Tensors) -> bytes:
+    """The bytes of a file, with its checksum. Raises PolicyError for a tensor that is not float32."""
+    arrays: dict[str, Float32s] = {}
+    for key in sorted(tensors):
+        if tensors[key].dtype != np.float32:
+            raise PolicyError(f"{metadata.name}: tensor {key}: {tensors[key].dtype}, expected float32")
+        arrays[key] = np.ascontiguousarray(tensors[key])
+    metadata = msgspec.structs.replace(metadata, checksum=_checksum(metadata, arrays))
+    return safetensors.numpy.save(arrays, {_KEY: msgspec.json.encode(metadata).decode()})
+
+
+def read(data: bytes, name: str, max_bytes: int) -> tuple[Metadata, dict[str, Float32s]]:
+    """Metadata and weights, each checked by itself.
+
+    Raises:
+        PolicyError: names the file and what is wrong.
+    """
+    if len(data) > max_bytes:
+        raise PolicyError(f"{name}: {len(data)} bytes; a policy has at most {max_bytes}")
+    try:
+        found: Iterable[tuple[str, dict[str, Any]]] = safetensors.deserialize(data)  # type: ignore[no-untyped-call]
+    except (safetensors.SafetensorError, ValueError, OverflowError) as error:
+        raise PolicyError(f"{name}: not a safetensors file, or a damaged one: {error}") from error
+    metadata = _metadata(data, name)
+    tensors = {key: _tensor(key, view, name) for key, view in found}
+    if metadata.checksum != _checksum(metadata, tensors):
+        raise PolicyError(f"{name}: checksum differs: the file is damaged")
+    return metadata, tensors
+
+
+def _tensor(key: str, view: dict[str, Any], name: str) -> Float32s:
+    if view["dtype"] != _TYPE:
+        raise PolicyError(f"{name}: tensor {key}: type {view['dtype']}, expected F32")
+    tensor: Float32s = np.frombuffer(view["data"], "<f4").reshape(view["shape"]).astype(np.float32)
+    if not np.isfinite(tensor).all():
+        raise PolicyError(f"{name}: tensor {key}: not finite everywhere")
+    return tensor
+
+
+def _metadata(data: bytes, name: str) -> Metadata:
+    length = int.from_bytes(data[:_LENGTH_BYTES], "little")
+    try:
+        header = msgspec.json.decode(data[_LENGTH_BYTES : _LENGTH_BYTES + length])
+        plain = msgspec.json.decode(header["__metadata__"][_KEY])
+        schema = plain["schema"]
+    except (msgspec.DecodeError, KeyError, TypeError, ValueError) as error:
+        raise PolicyError(f'{name}: metadata "{_KEY}" is missing or damaged: {error}') from error
+    if schema != SCHEMA:
+        raise PolicyError(
+            f"{name}: made for observations of schema {schema!r}; this version builds {SCHEMA!r}: "
+            "use a policy trained for it"
+        )
+    try:
+        metadata = msgspec.convert(plain, Metadata)
+    except (msgspec.ValidationError, ValueError) as error:
+        raise PolicyError(f'{name}: metadata "{_KEY}": {error}') from error
+    _check(metadata, name)
+    return metadata
+
+
+def _check(m: Metadata, name: str) -> None:
+    """What no single field can say."""
+
+    def need(fits: bool, words: str) -> None:
+        if not fits:
+            raise PolicyError(f"{name}: metadata: {words}")
+
+    for key, columns, known, low, high in (
+        (
+            "neighbour",
+            m.neighbour_columns,
+            NEIGHBOUR_COLUMNS,
+            m.bounds.neighbour_low,
+            m.bounds.neighbour_high,
+        ),
+        ("own", m.own_columns, OWN_COLUMNS, m.bounds.own_low, m.bounds.own_high),
+    ):
+        need(len(set(columns)) == len(columns), f"{key}_columns: one stands there twice")
+        need(set(columns) <= set(known), f"{key}_columns: {columns}: allowed: {', '.join(known)}")
+        fits = len(columns) == len(low) == len(high)
+        need(fits and all(a <= b for a, b in zip(low, high, strict=False)), f"bounds: {key}_low, {key}_high")
+    need(all(map(any, m.actions)), "actions: one uses no transport")
+    need(len(set(m.actions)) == len(m.actions), "actions: one stands there twice")
+    need(m.kind == "flat" or m.agents == 1, 'agents: a "set" network is shared by all: 1')
+    for number, case in enumerate(m.golden):
+        fits = len(case.own) == len(OWN_COLUMNS) and len(case.q) == len(m.actions) and case.agent < m.agents
+        fits = fits and all(len(row) == len(NEIGHBOUR_COLUMNS) for row in case.rows)
+        need(fits and len(case.rows) <= m.neighbours, f"golden[{number}]: its sizes do not fit the policy")
+
+
+def _checksum(metadata: Metadata, tensors: Tensors) -> str:
+    crc = zlib.crc32(msgspec.json.encode(msgspec.structs.replace(metadata, checksum="")))
+    for key in sorted(tensors):
+        crc = zlib.crc32(f"{key}{tensors[key].shape}".encode(), crc)
+        crc = zlib.crc32(np.ascontiguousarray(tensors[key], "<f4").tobytes(), crc)
+    return f"{crc:08x}"

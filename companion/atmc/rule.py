@@ -1,0 +1,76 @@
+"""Choosers without a network: the one-line rule, the best fixed legal set, and the fall-back.
+
+Every learned policy stands beside these. All numbers are here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final
+
+from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS, Action, Bools, able, legal
+from companion.atmc.choice import Choice, Floats, Refused, Why
+from companion.atmc.observation import NEIGHBOUR_COLUMNS
+from companion.remote_id.region import Region
+
+BLE4_RANGE_M: Final = 253.0
+"""Of the paper's link budget."""
+FIXED_SETS: Final[tuple[Action, ...]] = (
+    (10, 0, 10),  # Wi-Fi reaches far, BLE 4 gets through where Wi-Fi is crowded
+    (0, 0, 10),
+    (10, 10, 0),
+    (0, 10, 0),
+    (10, 0, 0),
+)
+"""Fixed sets, the best first (awareness objective); among them is one for every legal set of every region."""
+PAPER_NEAR: Final[Action] = (0, 0, 10)
+PAPER_FAR: Final[Action] = (9, 0, 0)
+FLYING_NEAR: Final[Action] = (10, 0, 10)
+FLYING_FAR: Final[Action] = (0, 0, 10)
+
+_DISTANCE: Final = NEIGHBOUR_COLUMNS.index("log_distance")
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One line: `near` when anyone is heard within a distance, else `far`. A `Mind`.
+
+    Where that is not allowed, the first of `FIXED_SETS` that is; else the first allowed action.
+    """
+
+    actions: tuple[Action, ...]
+    near: Action
+    far: Action
+    within_m: float = BLE4_RANGE_M
+
+    def choose(
+        self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
+    ) -> Choice | Refused:
+        """See `Mind`; only distances are looked at."""
+        limit = math.log10(self.within_m) / 4.0
+        is_near = bool((neighbour_rows[:, _DISTANCE] <= limit).any())
+        can = {action: i for i, action in enumerate(self.actions) if allowed[i]}
+        if not can:
+            return Refused(Why.NOTHING_ALLOWED, "no set of transports is legal and can be sent")
+        wanted = (self.near if is_near else self.far, *FIXED_SETS, *can)
+        action = next(action for action in wanted if action in can)
+        return Choice(can[action], action)
+
+
+PAPER_RULE: Final = Rule(PAPER_ACTIONS, near=PAPER_NEAR, far=PAPER_FAR)
+"""For the paper's objective: Wi-Fi at 10 if anyone is within the range of BLE 4, else BLE 4 at 9."""
+FLYING_RULE: Final = Rule(SET_ACTIONS, near=FLYING_NEAR, far=FLYING_FAR)
+"""Wi-Fi at 10, and BLE 4 at 10 beside it when anyone is heard within its range."""
+FIXED: Final = Rule(SET_ACTIONS, near=FIXED_SETS[0], far=FIXED_SETS[0])
+"""The best fixed set."""
+
+
+def fixed(region: Region, can_send: Collection[str]) -> Action | None:
+    """The fall-back: the first of `FIXED_SETS` that is legal and can be sent; None when none is.
+
+    It is what flies when there is no policy to follow. Then, too, the broadcaster keeps the region's floor.
+    """
+    allowed = legal(FIXED_SETS, region) & able(FIXED_SETS, can_send)
+    return next((action for action, fits in zip(FIXED_SETS, allowed, strict=True) if fits), None)

@@ -1,0 +1,127 @@
+"""From tracks to an observation: who is heard, how near, on what, and how well each transport works here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from companion.atmc.actions import TRANSPORTS
+from companion.atmc.choice import Floats
+from companion.atmc.observation import conflict_weight, identity_of, neighbour_rows, own_row
+from companion.ownship import Ownship
+from companion.traffic.reception import HEARD_S, Reception
+from companion.traffic.track import Track
+from companion.traffic.tracks import Traffic
+
+SCAN_SHARE: Final = (14.0 / 64.0, 8.0 / 64.0, 44.0 / 168.0)
+"""Share of a sender's events that the paper's receiver meets with its scan, when nothing else is sent: the
+slots in which a packet can begin to be heard, of those of the scan cycle (BLE 4: 14 of 64 on each of three
+channels, one after the other; BLE 5: 8 of 64; Wi-Fi: 44 on one channel of a cycle of 168)."""
+NEAR_M: Final = 200.0
+"""Senders within it reach us on every transport: what they lose is not for lack of range."""
+FEWEST_SENDERS: Final = 3
+"""Nearest ones that are taken where fewer are near."""
+FEWEST_EXPECTED: Final = 40.0
+"""Messages sent before a share is told: with fewer it is mostly chance."""
+_ENOUGH_EXPECTED: Final = 200.0
+"""Messages sent before a share can count as the best of this receiver."""
+_SIGMAS: Final = 3.0
+_BEST_MEMORY_S: Final = 600.0
+
+
+@dataclass(slots=True)
+class SuccessMeter:
+    """Share of packets that survive, for each transport.
+
+    What arrives of what was sent is divided by what this receiver gets at its best: the scan's share, or more
+    where it has shown more (a receiver that listens all the time). A best that came by chance is guarded
+    against by three standard deviations, and is slowly forgotten.
+    """
+
+    _best: list[float] = field(default_factory=lambda: list(SCAN_SHARE))
+    _last_s: float = math.inf
+
+    def measure(
+        self, now_s: float, senders: Sequence[Sequence[tuple[str, Reception]]]
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Success (0 to 1) and whether it is measured (0 or 1), by transport.
+
+        Args:
+            senders: how each near sender comes in, from `Traffic.receptions`.
+        """
+        fade = math.exp(-max(0.0, now_s - self._last_s) / _BEST_MEMORY_S)
+        self._last_s = now_s
+        success, measured = [], []
+        for k, transport in enumerate(TRANSPORTS):
+            sums = [r.arrivals(now_s) for sender in senders for name, r in sender if name == transport]
+            arrived, expected = sum(a for a, _ in sums), sum(e for _, e in sums)
+            best = self._best[k] = max(SCAN_SHARE[k], fade * self._best[k])
+            share = arrived / expected if expected > 0.0 else 0.0
+            if expected >= _ENOUGH_EXPECTED:
+                surely = share - _SIGMAS * math.sqrt(max(0.0, share * (1.0 - share)) / expected)
+                best = self._best[k] = max(best, surely)
+            known = expected >= FEWEST_EXPECTED
+            success.append(min(1.0, share / best) if known else 0.0)
+            measured.append(1.0 if known else 0.0)
+        return tuple(success), tuple(measured)
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """One observation."""
+
+    own: Floats
+    """Shape (own columns,)."""
+    rows: Floats
+    """Shape (heard neighbours, neighbour columns)."""
+
+
+class Senses:
+    """Builds observations for one aircraft, with the functions that the trainer uses."""
+
+    def __init__(self, uas_id: str) -> None:
+        self._identity = np.array(identity_of(uas_id))
+        self._meter = SuccessMeter()
+
+    def look(self, now_s: float, own: Ownship, traffic: Traffic, rates: Mapping[str, int]) -> Seen:
+        """What is seen now. Needs an own position.
+
+        Args:
+            rates: own transports with their Locations a second.
+        """
+        tracks = [t for t in traffic.tracks.values() if now_s - t.received_s <= HEARD_S]
+        receptions = [traffic.receptions(track) for track in tracks]
+        distance_m, closing_mps = _relative(now_s, own, tracks)
+        heard = np.zeros((len(tracks), len(TRANSPORTS)))
+        for row, parts in zip(heard, receptions, strict=True):
+            for transport, reception in parts:
+                if transport in TRANSPORTS:
+                    k = TRANSPORTS.index(transport)
+                    row[k] = max(row[k], reception.rate(now_s))
+        nearest = np.argsort(distance_m, kind="stable")
+        count = max(FEWEST_SENDERS, int((distance_m <= NEAR_M).sum()))
+        success, measured = self._meter.measure(now_s, [receptions[i] for i in nearest[:count]])
+        own_rates = np.array([float(rates.get(transport, 0)) for transport in TRANSPORTS])
+        return Seen(
+            own_row(np, own_rates, np.array(success), np.array(measured), self._identity),
+            neighbour_rows(np, distance_m, conflict_weight(np, distance_m, closing_mps), heard),
+        )
+
+
+def _relative(now_s: float, own: Ownship, tracks: Sequence[Track]) -> tuple[Floats, Floats]:
+    """Distance (m) of each track now, and the speed (m/s) at which it shrinks; horizontal where the other's
+    height is not known."""
+    shape = (len(tracks), 3)
+    place = np.array([t.position_ned_m for t in tracks]).reshape(shape)
+    velocity = np.array([t.velocity_ned_mps for t in tracks]).reshape(shape)
+    age_s = np.array([max(0.0, now_s - t.sample_s) for t in tracks]).reshape(-1, 1)
+    away = place + age_s * velocity - np.array(own.position_ned_m(now_s))
+    moving = velocity - np.array(own.velocity_ned_mps)
+    level = np.array([not t.vertical_known for t in tracks], bool)
+    away[level, 2] = moving[level, 2] = 0.0
+    distance_m = np.sqrt((away * away).sum(axis=1))
+    return distance_m, -(away * moving).sum(axis=1) / np.maximum(distance_m, 1.0)

@@ -1,0 +1,63 @@
+"""The policy file, read for the heart and judged before flight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from companion.atmc.actions import legal
+from companion.atmc.policy import MAX_BYTES, check_flyable, load
+from companion.config import CHOOSER_WORDS, ArduRemoteIdRadio, Config
+from companion.errors import ConfigError
+
+RUN_FILE = "policy.safetensors"
+"""Its name in a run folder."""
+
+
+def read_policy(config: Config) -> bytes | None:
+    """Content of the configured policy file, damaged or not; None where none is configured.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    where = config.atmc.policy
+    if where is None or where in CHOOSER_WORDS:
+        return None
+    try:
+        with Path(where).open("rb") as file:
+            return file.read(MAX_BYTES + 1)  # a larger one is refused, whatever its size
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not the name of a file"
+        raise ConfigError(
+            f"atmc.policy: {where}: cannot be read: {reason}; allowed: the path of a policy file, beside "
+            f"the configuration, or {' or '.join(CHOOSER_WORDS)}"
+        ) from error
+
+
+def judge_policy(config: Config) -> list[str]:
+    """Lines for the user on who chooses the transports; none where nobody does.
+
+    Raises:
+        ConfigError: the policy cannot be read, is damaged, or cannot fly here.
+    """
+    where = config.atmc.policy
+    if where is None:
+        return []
+    lines = []
+    if any(isinstance(radio, ArduRemoteIdRadio) for radio in config.radio):
+        lines.append("atmc: a module with ArduRemoteID repeats at its own rates; only other radios follow")
+    data = read_policy(config)
+    if data is None:
+        return [f"atmc: transports are chosen by the words of atmc.policy: {where}", *lines]
+    policy = load(data, where)
+    check_flyable(policy)
+    m = policy.metadata
+    allowed = int(legal(policy.actions, config.region).sum())
+    if not allowed:
+        raise ConfigError(
+            f"atmc.policy: {where}: none of its actions is legal in region {config.region.name}"
+        )
+    return [
+        f'atmc: transports are chosen by policy "{m.name}" ({m.objective}), up to {m.neighbours} neighbours; '
+        f"{allowed} of {len(m.actions)} actions are legal in region {config.region.name}",
+        *lines,
+    ]
