@@ -1,0 +1,177 @@
+"""The environment in which policies learn and are measured: many fleets side by side, [environment, aircraft, ...].
+
+Section "MDP Transformation" of the paper. A step: the aircraft observe, some or all of them choose, the channel
+gives the delays, and positions are drawn anew (the paper) or flown on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+import torch
+from torch import Tensor
+
+from companion.atmc.observation import conflict_weight, neighbour_rows, own_row
+from ground_tools.atmc.channel import TorchChannel
+from ground_tools.atmc.objective import Air, Objective, costs
+from ground_tools.atmc.world import World, WorldSettings, draw, move, redraw
+
+HEARD_WITHIN_S = 3.0
+"""A transport on which a neighbour was not heard for so long counts as not in use."""
+
+
+class EnvSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How environments come about and go on."""
+
+    world: WorldSettings = WorldSettings()
+    positions: Literal["redrawn", "flown"] = "redrawn"
+    """Between two steps: everybody at a new place, as the paper says, or `step_s` of flight."""
+    side_drawn: Literal["step", "episode"] = "step"
+    """When the square is drawn anew."""
+    step_s: float = 1.0
+    lossy: bool = False
+    """Neighbours are heard by chance, as their messages get through, and not for certain."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What all aircraft see, in the columns of `companion.atmc.observation`."""
+
+    own: Tensor
+    """(E, N, 16)."""
+    rows: Tensor
+    """(E, N, N, 8): by observer and neighbour."""
+    heard: Tensor
+    """(E, N, N): which of the rows are there."""
+
+
+class Env:
+    """Many fleets of one size.
+
+    Args:
+        generator: draws everything; its device is that of all tensors.
+    """
+
+    def __init__(
+        self,
+        settings: EnvSettings,
+        objective: Objective,
+        environments: int,
+        aircraft: int,
+        generator: torch.Generator,
+    ) -> None:
+        self.settings = settings
+        self.objective = objective
+        self.environments, self.aircraft = environments, aircraft
+        self._generator = generator
+        self._others = 1.0 - torch.eye(aircraft, device=generator.device)
+        self.reset()
+
+    @property
+    def channel(self) -> TorchChannel:
+        """The objective's channel, with its actions."""
+        return self.objective.channel
+
+    def reset(self) -> None:
+        """New environments, in which everybody does something at random."""
+        shape, device = (self.environments, self.aircraft), self._generator.device
+        self.action = torch.randint(
+            len(self.channel.actions), shape, generator=self._generator, device=device
+        )
+        """(E, N): what everybody does now; indices into the channel's actions."""
+        identity = torch.randint(2, (*shape, 4), generator=self._generator, device=device)
+        self.identity = identity.to(torch.float32) * 2.0 - 1.0
+        self.place(draw(self.settings.world, *shape, self._generator))
+
+    def place(self, world: World) -> None:
+        """Go on in this world."""
+        self.world = world
+        self._distance = world.distance_m()
+        loss = path_loss_db(self._distance, self.channel) + world.shadowing_db
+        reach = self.channel.reach(loss, world.wifi_channel, world.busy)
+        self._conflict = conflict_weight(torch, self._distance, world.closing_mps(self._distance))
+        self.air = Air(reach, self._conflict * self._others)
+
+    def observe(self) -> Observation:
+        """What everybody sees now."""
+        rates = self.channel.rates[self.action]
+        reach = torch.stack(self.air.reach.modes, -1)
+        logs = None
+        if self.settings.lossy or self.world.busy.any():
+            logs = self.channel.log_survivals(self.air.reach, self.action)
+        on = (rates > 0)[:, None].to(torch.float32) * reach
+        if self.settings.lossy:
+            assert logs is not None
+            on = on * self._received(logs)
+        rows = neighbour_rows(torch, self._distance, self._conflict, rates[:, None] * on)
+        success, measured = self._success(on, logs)
+        return Observation(
+            own_row(torch, rates, success, measured, self.identity), rows, on.amax(-1)
+        )
+
+    def _received(self, logs: tuple[Tensor, ...]) -> Tensor:
+        """(E, receiver, sender, 3): on which transports something was heard lately, by chance."""
+        level = self.channel.level_of[self.action][:, None]
+        first, pointer, auxiliary, beacon = logs
+        delays = [
+            self.channel.log_delay_at(0, level[..., 0], first),
+            self.channel.log_delay_at(1, level[..., 1], pointer, auxiliary),
+            self.channel.log_delay_at(2, level[..., 2], beacon),
+        ]
+        missing = torch.exp(-HEARD_WITHIN_S * torch.exp(-torch.stack(delays, -1)))
+        luck = torch.rand(missing.shape, generator=self._generator, device=missing.device)
+        return (luck >= missing).to(torch.float32)
+
+    def _success(self, on: Tensor, logs: tuple[Tensor, ...] | None) -> tuple[Tensor, Tensor]:
+        """(E, N, 3) each: mean survival of the packets of those who are heard, and where it is known."""
+        shape = (*self.action.shape, 3)
+        if logs is None:
+            # The paper's aircraft measure nothing.
+            return on.new_zeros(shape), on.new_zeros(shape)
+        first, pointer, auxiliary, beacon = logs
+        alive = torch.exp(torch.stack([first, pointer + auxiliary, beacon], -1))
+        heard = on.sum(2)
+        measured = (heard > 0).to(torch.float32)
+        return (alive * on).sum(2) / heard.clamp(min=1.0), measured
+
+    def act(self, action: Tensor, moving: Tensor | None = None) -> Tensor:
+        """Change what is sent; positions stay.
+
+        Args:
+            action: (E, N).
+            moving: (E, N), who changes; None: all.
+
+        Returns:
+            Cost (s) of each aircraft's messages, (E, N).
+        """
+        self.action = action if moving is None else torch.where(moving, action, self.action)
+        return costs(self.objective, self.air, self.action)
+
+    def go_on(self) -> None:
+        """The next positions."""
+        s = self.settings
+        if s.positions == "flown":
+            self.place(move(self.world, s.step_s))
+        elif s.side_drawn == "step":
+            self.place(draw(s.world, self.environments, self.aircraft, self._generator))
+        else:
+            self.place(redraw(self.world, self._generator))
+
+
+def path_loss_db(distance_m: Tensor, channel: TorchChannel) -> Tensor:
+    """Log-distance path loss without shadowing (dB)."""
+    p = channel.parameters.propagation
+    return p.loss_at_1m_db + 10.0 * p.exponent * torch.log10(distance_m)
+
+
+def paper_reward(cost_s: Tensor, reaches: Tensor, local: float = 1.0, shared: float = 1.0) -> Tensor:
+    """The paper's reward, alpha r_local + beta r_global (section "Reward Function"), in seconds.
+
+    Args:
+        cost_s: (E, N), each one's mean delay to those it reaches.
+        reaches: (E, N), whether it reaches anybody: both parts are sums over those, and empty without them.
+    """
+    mean = cost_s.mean(1, keepdim=True)
+    return (-local * cost_s + shared * (mean - cost_s)) * reaches

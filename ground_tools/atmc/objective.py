@@ -1,0 +1,158 @@
+"""What a fleet's choice costs: the paper's objective, and awareness, for which the policy that flies is trained.
+
+Each gives three things of a fleet's present actions: the total, every aircraft's own cost for every action that
+it could take instead, and the difference cost, which adds what that action does to the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from ground_tools.atmc.channel import Reach, TorchChannel
+
+MISS_S = 3.0
+"""An aircraft out of reach counts like one of this age."""
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """A batch of fleets as the objectives see them."""
+
+    reach: Reach
+    weight: Tensor
+    """(environments, receiver, sender): how much the receiver must know of the sender; see
+    `companion.atmc.observation.conflict_weight`. The paper's objective does not use it."""
+
+
+class Objective(Protocol):
+    """A cost (s) of what all aircraft send."""
+
+    channel: TorchChannel
+
+    def each(self, air: Air, action: Tensor, logs: tuple[Tensor, ...]) -> Tensor:
+        """Cost of each aircraft's own messages, (environments, aircraft), differentiable in `logs`."""
+        ...
+
+    def own(self, air: Air, logs: tuple[Tensor, ...]) -> Tensor:
+        """The same for each of its actions while all others keep theirs, (environments, aircraft, actions)."""
+        ...
+
+
+def costs(objective: Objective, air: Air, action: Tensor) -> Tensor:
+    """Cost of each aircraft's messages (s), (environments, aircraft)."""
+    with torch.no_grad():
+        return objective.each(air, action, objective.channel.log_survivals(air.reach, action))
+
+
+def own_costs(objective: Objective, air: Air, action: Tensor) -> Tensor:
+    """Cost of each aircraft's messages (s) for each of its actions, (environments, aircraft, actions)."""
+    with torch.no_grad():
+        return objective.own(air, objective.channel.log_survivals(air.reach, action))
+
+
+def difference_costs(objective: Objective, air: Air, action: Tensor) -> tuple[Tensor, Tensor]:
+    """The present cost of each aircraft's messages (s), (environments, aircraft), and what the fleet's total
+    would be for each of its actions, up to a number for each aircraft, (environments, aircraft, actions)."""
+    with torch.no_grad():
+        logs = objective.channel.log_survivals(air.reach, action)
+        own = objective.own(air, logs)
+    leaves = tuple(log.detach().requires_grad_() for log in logs)
+    with torch.enable_grad():
+        each = objective.each(air, action, leaves)
+        gradients = torch.autograd.grad(each.sum(), leaves, allow_unused=True)
+    known = [
+        torch.zeros_like(leaf) if gradient is None else gradient
+        for leaf, gradient in zip(leaves, gradients, strict=True)
+    ]
+    with torch.no_grad():
+        return each.detach(), own + objective.channel.harm(air.reach, known)
+
+
+class PaperObjective:
+    """P0: the sum over aircraft of the mean delay (s) to those whom each one reaches; 0 for one that reaches
+    nobody. Every action is one protocol."""
+
+    def __init__(self, channel: TorchChannel) -> None:
+        if ((channel.level_of > 0).sum(1) != 1).any():
+            raise ValueError("P0 takes exactly one protocol for each action")
+        self.channel = channel
+        self._mode = (channel.level_of > 0).long().argmax(1)
+
+    def each(self, air: Air, action: Tensor, logs: tuple[Tensor, ...]) -> Tensor:
+        """See `Objective.each`."""
+        c, level, mode = self.channel, self.channel.level_of[action], self._mode[action]
+        total = torch.zeros(action.shape, device=action.device)
+        for index, (first, second) in enumerate(_packets(logs)):
+            chosen = (mode == index).to(total.dtype)
+            carried = air.reach.modes[index] * chosen[:, None, :]
+            delay = torch.exp(c.log_delay_at(index, level[:, None, :, index], first, second))
+            total = total + (delay * carried).sum(1) / carried.sum(1).clamp(min=1.0)
+        return total
+
+    def own(self, air: Air, logs: tuple[Tensor, ...]) -> Tensor:
+        """See `Objective.own`."""
+        c = self.channel
+        parts = []
+        for index, (first, second) in enumerate(_packets(logs)):
+            carried = air.reach.modes[index]
+            delay = torch.exp(c.log_delay(index, first, second))
+            mean = (delay * carried[..., None]).sum(1) / carried.sum(1).clamp(min=1.0)[..., None]
+            parts.append(torch.cat([torch.zeros_like(mean[..., :1]), mean], -1))
+        return torch.cat(
+            [parts[self._mode[a]][..., c.level_of[a, self._mode[a]], None] for a in range(len(c.actions))], -1
+        )
+
+
+class AwarenessObjective:
+    """The age of what everybody knows of everybody whom it could soon be in conflict with.
+
+    A message crosses a link on any of the sender's transports; times between receptions are taken for
+    exponential, so that rates of reception add up: h = sum of 1 / mean delay over the transports in reach.
+    Ages above MISS_S count as MISS_S: the expected age is (1 - exp(-h MISS_S)) / h, and MISS_S where nothing
+    gets through. A cost is the sum over receivers of weight times age (s).
+    """
+
+    def __init__(self, channel: TorchChannel) -> None:
+        self.channel = channel
+
+    def each(self, air: Air, action: Tensor, logs: tuple[Tensor, ...]) -> Tensor:
+        """See `Objective.each`."""
+        level = self.channel.level_of[action]
+        heard: Tensor | float = 0.0
+        for index, (first, second) in enumerate(_packets(logs)):
+            there = level[:, None, :, index]
+            delay = self.channel.log_delay_at(index, there, first, second)
+            heard = heard + torch.exp(-delay) * (air.reach.modes[index] * (there > 0))
+        assert isinstance(heard, Tensor)
+        return (age_s(heard) * air.weight).sum(1)
+
+    def own(self, air: Air, logs: tuple[Tensor, ...]) -> Tensor:
+        """See `Objective.own`."""
+        c = self.channel
+        rates = []
+        for index, (first, second) in enumerate(_packets(logs)):
+            heard = torch.exp(-c.log_delay(index, first, second)) * air.reach.modes[index][..., None]
+            rates.append(torch.cat([torch.zeros_like(heard[..., :1]), heard], -1))
+        costs = [
+            (
+                age_s(sum(rates[mode][..., c.level_of[a, mode]] for mode in range(3)))  # type: ignore[arg-type]
+                * air.weight
+            ).sum(1)
+            for a in range(len(c.actions))
+        ]
+        return torch.stack(costs, -1)
+
+
+def age_s(rate: Tensor) -> Tensor:
+    """Expected age (s), ages above MISS_S counted as that, for receptions at `rate` (1/s)."""
+    at = rate.clamp(min=1e-4)
+    return -torch.expm1(-at * MISS_S) / at
+
+
+def _packets(logs: tuple[Tensor, ...]) -> tuple[tuple[Tensor, Tensor | None], ...]:
+    ble4, pointer, auxiliary, wifi = logs
+    return (ble4, None), (pointer, auxiliary), (wifi, None)
