@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.errors import ConfigError
+from companion.radio.transport import WIFI_BEACON
+from sitl_mocks.channel import carrier_sense
 from sitl_mocks.channel.collision import background_survival, survival
 from sitl_mocks.channel.delay import mean_delay_s, terms_of
 from sitl_mocks.channel.link_budget import Bools, Indices, Links, reached
@@ -127,6 +129,7 @@ class Analytic:
             ble4, wifi = ble4 * quiet.ble4[at], wifi * quiet.wifi[at]
             pointer, auxiliary = pointer * quiet.pointer[at], auxiliary * quiet.auxiliary[at]
         one = np.ones_like(ble4)
+        sensed = self._sensed_load(links, carried, fleet)
         delay, loss = (np.full(carried.shape, np.nan, order="F") for _ in range(2))
         for index, (mode, first, second) in enumerate(
             zip(MODES, (ble4, pointer, wifi), (one, auxiliary, one), strict=True)
@@ -137,10 +140,19 @@ class Analytic:
             order = np.argsort(rates, kind="stable")
             numbers = np.bincount(rates)
             for rate, at in enumerate(np.split(on_mode[order], np.cumsum(numbers)[:-1])):
-                if len(at):
+                if len(at) and mode == WIFI_BEACON and sensed is not None:
+                    load = sensed[links.transmitter[at]]
+                    delay[at, index] = carrier_sense.delay_s(rate, first[at], load, self.parameters)
+                elif len(at):
                     terms = terms_of(mode, rate, self.parameters)
                     delay[at, index] = mean_delay_s(terms, first[at], second[at])
         return Evaluation(links, carried, delay, loss)
+
+    def _sensed_load(self, links: Links, carried: Bools, fleet: Fleet) -> Floats | None:
+        """Shape (nodes,): Wi-Fi load around each aircraft; None where beacons are sent blindly."""
+        if self.parameters.wifi.access == "independent":
+            return None
+        return carrier_sense.sensed_load(links, carried, fleet.rates, fleet.wifi_channel, self.parameters)
 
     def _busy(self, nodes: int) -> Floats:
         load = self.parameters.background

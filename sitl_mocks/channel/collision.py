@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl_mocks.channel.carrier_sense import log_survival
 from sitl_mocks.channel.link_budget import Bools, Indices, Links
 from sitl_mocks.channel.parameters import (
     MODES,
@@ -108,7 +109,7 @@ def survival(
     wifi_channel: Indices,
     parameters: ChannelParameters,
 ) -> Survival:
-    """The eight products for every link.
+    """The eight products for every link; Wi-Fi among itself as the parameters' `access` says.
 
     A sender's own packets on other modes do not disturb it, and a receiver's own do not disturb what it
     hears: the sets R hold neither.
@@ -141,6 +142,14 @@ def survival(
         result[on[mode]] = np.exp(np.minimum(sum(logs), 0.0))
         return result
 
+    def beacons(blind: Floats) -> tuple[Floats, ...]:
+        """Over the stations on Wi-Fi, given the product over all of them."""
+        if parameters.wifi.access == "independent":
+            return (blind,)
+        sensed, among_sensed = log_survival(links, carried, rates, wifi_channel, parameters)
+        # Rounding must not make hidden stations out of none.
+        return np.minimum(blind - sensed, 0.0), among_sensed
+
     return Survival(
         ble4=product(
             _BLE4, log_product(_BLE4, _BLE4, s.ble4_by_ble4), log_product(_BLE4, _BLE5, s.ble4_by_ble5)
@@ -155,7 +164,7 @@ def survival(
         ),
         wifi=product(
             _WIFI,
-            log_product(_WIFI, _WIFI, s.wifi_by_wifi, wifi_channel),
+            *beacons(log_product(_WIFI, _WIFI, s.wifi_by_wifi, wifi_channel)),
             log_product(_WIFI, _BLE5, s.wifi_by_ble5),
         ),
     )

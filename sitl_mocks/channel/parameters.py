@@ -106,6 +106,11 @@ class WifiParameters(_Section, frozen=True, kw_only=True):
     """T_S: time on one channel."""
     switch_ms: float = 1.0
     """C_T: deaf time from one channel to the next."""
+    access: Literal["independent", "carrier_sense"] = "independent"
+    """How the equations let beacons begin. "independent" is the paper's: whatever others send, at an interval
+    begun anew at every GNSS sample. "carrier_sense": stations that hear each other take turns, and intervals
+    run on (see `carrier_sense`). Of `Analytic` only: `AnalyticChannel`, which decides frame by frame, always
+    takes beacons as independent, and the packet-by-packet simulator has assumptions of its own."""
     transmit_power_dbm: float = 18.0
     sensitivity_dbm: float = -105.0
     max_rate: int = 10
