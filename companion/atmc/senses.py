@@ -30,7 +30,7 @@ FEWEST_EXPECTED: Final = 40.0
 _ENOUGH_EXPECTED: Final = 200.0
 """Messages sent before a share can count as the best of this receiver."""
 _SIGMAS: Final = 3.0
-_BEST_MEMORY_S: Final = 600.0
+_BEST_MEMORY_S: Final = 3600.0
 
 
 @dataclass(slots=True)
@@ -93,8 +93,7 @@ class Senses:
         Args:
             rates: own transports with their Locations a second.
         """
-        tracks = [t for t in traffic.tracks.values() if now_s - t.received_s <= HEARD_S]
-        receptions = [traffic.receptions(track) for track in tracks]
+        tracks, receptions = _heard_lately(now_s, traffic)
         distance_m, closing_mps = _relative(now_s, own, tracks)
         heard = np.zeros((len(tracks), len(TRANSPORTS)))
         for row, parts in zip(heard, receptions, strict=True):
@@ -110,6 +109,17 @@ class Senses:
             own_row(np, own_rates, np.array(success), np.array(measured), self._identity),
             neighbour_rows(np, distance_m, conflict_weight(np, distance_m, closing_mps), heard),
         )
+
+
+def _heard_lately(now_s: float, traffic: Traffic) -> tuple[list[Track], list[list[tuple[str, Reception]]]]:
+    """Who is on the air, with news or without, and how each comes in."""
+    tracks, receptions = [], []
+    for track in traffic.tracks.values():
+        parts = traffic.receptions(track)
+        if now_s - max([track.received_s, *(r.heard_s for _, r in parts)]) <= HEARD_S:
+            tracks.append(track)
+            receptions.append(parts)
+    return tracks, receptions
 
 
 def _relative(now_s: float, own: Ownship, tracks: Sequence[Track]) -> tuple[Floats, Floats]:

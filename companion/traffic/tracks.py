@@ -257,6 +257,9 @@ class Traffic:
         track = self._match(known, fix, now_s)
         if track is None:
             return self._open(identity, known, source, fix, now_s)
+        if source.key not in track.sources:
+            # Also without news: on two transports the same message comes twice.
+            track.sources.append(source.key)
         if same(track.content, fix.content):
             # An advertisement that goes on without news says nothing about now, nor about clocks.
             self.counts.old += 1
@@ -278,8 +281,6 @@ class Traffic:
         track.sigma_m, track.vertical_known, track.content = fix.sigma_m, fix.vertical_known, fix.content
         track.messages += 1
         track.about.update(source.about)
-        if source.key not in track.sources:
-            track.sources.append(source.key)
         if track.messages == ESTABLISHED or track.messages % _RANKED_EVERY == 0:
             self._rank(track)
         self.counts.updates += 1
