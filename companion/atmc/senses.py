@@ -112,13 +112,31 @@ class Senses:
 
 
 def _heard_lately(now_s: float, traffic: Traffic) -> tuple[list[Track], list[list[tuple[str, Reception]]]]:
-    """Who is on the air, with news or without, and how each comes in."""
-    tracks, receptions = [], []
+    """Who is on the air, with news or without, and how each comes in.
+
+    One aircraft may have several tracks, such as one from BLE 4 until its name comes, and the one of its
+    beacons. The law keeps clear of all of them; here an identity, or a radio address, is one neighbour, at
+    its newest place.
+    """
+    names = {
+        key.partition("/")[2]: track.identity
+        for track in traffic.tracks.values()
+        if track.identity not in track.sources
+        for key in track.sources
+    }
+    groups: dict[str, list[Track]] = {}
     for track in traffic.tracks.values():
-        parts = traffic.receptions(track)
-        if now_s - max([track.received_s, *(r.heard_s for _, r in parts)]) <= HEARD_S:
-            tracks.append(track)
-            receptions.append(parts)
+        name = track.identity
+        if name in track.sources:
+            address = name.partition("/")[2]
+            name = names.get(address, address)
+        groups.setdefault(name, []).append(track)
+    tracks, receptions = [], []
+    for group in groups.values():
+        parts = [part for track in group for part in traffic.receptions(track)]
+        if now_s - max([t.received_s for t in group] + [r.heard_s for _, r in parts]) <= HEARD_S:
+            tracks.append(max(group, key=lambda t: t.received_s))
+            receptions.append(list({id(r): (transport, r) for transport, r in parts}.values()))
     return tracks, receptions
 
 

@@ -107,7 +107,9 @@ def move(own, now_s):
     )
 
 
-def hear(traffic, own, now_s, name, north_m, counter=0, transport="wifi", speed_mps=6.0, alt_m=447.0):
+def hear(
+    traffic, own, now_s, name, north_m, counter=0, transport="wifi", speed_mps=6.0, alt_m=447.0, named=True
+):
     lat, lon, _ = own.frame.to_geodetic(north_m, 0.0, 0.0)
     place = Location(
         lat_deg=lat,
@@ -119,7 +121,9 @@ def hear(traffic, own, now_s, name, north_m, counter=0, transport="wifi", speed_
         timestamp_s=round(now_s, 1),
     )
     basic = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.AEROPLANE, uas_id=name)
-    heard = RemoteIdHeard(transport=transport, address=name, messages=(basic, place), counter=counter)
+    heard = RemoteIdHeard(
+        transport=transport, address=name, messages=(basic, place) if named else (place,), counter=counter
+    )
     traffic.hear(heard, now_s, own.utc_offset_s, own.frame, 47.0 if alt_m is not None else None)
 
 
@@ -158,6 +162,21 @@ def test_only_who_was_heard_lately_counts(own):
     hear(traffic, own, 1.0, "A", 200.0)
     assert len(senses.look(1.0 + HEARD_S, own, traffic, {}).rows) == 1
     assert len(senses.look(1.1 + HEARD_S, own, traffic, {}).rows) == 0
+
+
+def test_an_aircraft_of_several_tracks_is_one_neighbour(own):
+    traffic, senses = Traffic(TrafficConfig(), "OWN"), Senses("OWN")
+    for k in range(40):
+        now_s = 0.1 * k
+        hear(traffic, own, now_s, "A", 200.0, k)
+        # Nameless on BLE 4 at first: a track of its own.
+        hear(traffic, own, now_s, "A", 200.0, k, transport="ble4", named=k >= 20)
+        if k in (10, 39):
+            tracks = len(traffic.tracks)
+            seen = senses.look(now_s, own, traffic, {})
+            assert (tracks, len(seen.rows)) == (2, 1)
+            assert list(seen.rows[0, 2:5]) == [1.0, 0.0, 1.0]
+    assert senses._meter.measure(4.0, [])[1] == (0.0, 0.0, 0.0)
 
 
 def test_without_a_known_height_distance_is_horizontal(own):
