@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from companion.command_line import parser_of, run_command
 from ground_tools import orca_check
+from ground_tools.atmc import command as atmc_command
 from ground_tools.channel import command as channel_command
 from ground_tools.inspect import command as inspect_command
 from ground_tools.inspect import picture
@@ -19,6 +20,7 @@ _EXAMPLES = """examples:
   ground-tools orca check cases.json
   ground-tools channel table --sides 500 --rates 9
   ground-tools paper all
+  ground-tools atmc train --algorithm madqn --seeds 1-5
 """
 
 
@@ -42,6 +44,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     check.set_defaults(run=orca_check.run)
     channel = commands.add_parser("channel", help="the radio channel model: tables and pictures")
     channel_command.add_arguments(channel)
+    atmc = commands.add_parser("atmc", help="policies that choose transports and rates: training")
+    atmc_command.add_arguments(atmc)
     return run_command(parser, argv)
 
 

@@ -34,6 +34,11 @@ class Learner(Protocol):
         """Go on from a `state`, bit for bit."""
         ...
 
-    def frozen(self) -> bytes:
-        """The present policy as a file of `companion.atmc.policy`."""
+    def frozen(self, name: str, results: dict[str, float]) -> bytes:
+        """The present policy as a file of `companion.atmc.policy`.
+
+        Args:
+            name: of the run, for messages.
+            results: what `validate` gave for it, for people.
+        """
         ...
