@@ -22,6 +22,8 @@ _LONGEST_GAP_S = 10.0
 _FASTEST = 20.0
 """Locations a second. A counter that steps faster was set anew, or is made up."""
 _STEP_SLACK = 3.0
+_OVERTAKEN = 8
+"""Frames that come so many counts late were sent before the last one that was heard."""
 _SHORTEST_SPAN_S = 0.5
 
 
@@ -52,6 +54,9 @@ class Reception:
         before, gap_s = self._counter, now_s - self._news_s
         steps = 1 if counter is None or before is None else (counter - before) & 0xFF
         if steps == 0:
+            return
+        if steps > 0xFF - _OVERTAKEN:
+            self._arrived = min(self._arrived + 1.0, self._expected)
             return
         self._counter, self._news_s = counter, now_s
         if gap_s > _LONGEST_GAP_S or steps > _FASTEST * gap_s + _STEP_SLACK:

@@ -84,6 +84,17 @@ def test_without_a_counter_arrivals_are_the_rate_and_no_share_is_told():
     assert reception.arrivals(30.0) == (0.0, 0.0)
 
 
+def test_frames_that_overtake_each_other_are_all_arrivals():
+    reception = Reception()
+    rng = np.random.default_rng(1)
+    frames = sorted((0.1 * k + rng.uniform(0.15, 0.6), k & 0xFF) for k in range(300))
+    for arrived_s, counter in frames:
+        reception.take(counter, arrived_s)
+    arrived, expected = reception.arrivals(frames[-1][0])
+    assert 0.9 * expected < arrived <= expected
+    assert reception.rate(frames[-1][0]) == 10
+
+
 def test_made_up_counters_move_little():
     reception = Reception()
     rng = np.random.default_rng(1)
