@@ -13,6 +13,9 @@ tell the stations k apart that reach the receiver i of a link from j, on j's cha
 u v(u) is the mean number of others that begin together with j: c u^2 / (1 - u) while there is time for all,
 (u - 1) / a when there is not. Then all that is asked for is still sent, several at a time.
 
+The paper's factors for an auxiliary packet of BLE 5 draw its channel anew for each beacon that it may meet;
+but it lies on one channel, and 28 of 37 are free of any Wi-Fi channel (`log_auxiliary_under_wifi`).
+
 The beacon waits, W = w (B_D + h) v(u), and its interval runs on past a GNSS sample, so that a receiver's scan
 meets it after the same number of beacons again and again (`running_terms`), until the waits blur that
 (`blur`).
@@ -29,10 +32,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.radio.transport import WIFI_BEACON
+from companion.radio.transport import BLE5, WIFI_BEACON
 from sitl_mocks.channel.delay import TRIES, Terms, mean_delay_s
 from sitl_mocks.channel.link_budget import Bools, Indices, Links
-from sitl_mocks.channel.parameters import MODES, ChannelParameters, check_rate
+from sitl_mocks.channel.parameters import (
+    MODES,
+    OVERLAPPED_CHANNELS,
+    SECONDARY_CHANNELS,
+    WIFI_CHANNELS,
+    ChannelParameters,
+    check_rate,
+)
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +57,8 @@ WAIT: Final = 16.5
 BLUR: Final = 10.7
 """Waits of this part of a scan cycle leave half of the regularity with which scans and beacons meet."""
 
-_WIFI = MODES.index(WIFI_BEACON)
+_BLE5, _WIFI = MODES.index(BLE5), MODES.index(WIFI_BEACON)
+_NOTHING = 1e-300
 _PHASES = 2048
 _LONGEST_PATTERN = 256
 _DENSE_NODES = 1024
@@ -95,6 +106,30 @@ def log_survival(
     sensed = sensed_load(links, carried, rates, wifi_channel, parameters)
     factors, both = _over_common(links, on, wifi_channel, np.stack([blind, load]))
     return factors, -both * crowding(sensed)[links.transmitter[on]]
+
+
+def log_auxiliary_under_wifi(
+    links: Links, carried: Bools, rates: Indices, wifi_channel: Indices, parameters: ChannelParameters
+) -> Floats:
+    """Log of the probability that an auxiliary packet meets no beacon, for the links that carry BLE 5, (on,).
+
+    On one of the 9 secondary channels under a Wi-Fi channel it meets all beacons there, else none of them.
+
+    Args: as for `collision.survival`.
+    """
+    on, by = np.flatnonzero(carried[:, _BLE5]), np.flatnonzero(carried[:, _WIFI])
+    sender, receiver = links.transmitter[on], links.receiver[on]
+    together_ms = parameters.ble5.auxiliary_ms + parameters.wifi.beacon_ms
+    # Long packets at a high rate leave nothing on such a channel.
+    idle = np.maximum(1.0 - together_ms / parameters.gnss_period_ms * rates[:, _WIFI], 1e-12)
+    factor = np.log(idle)
+    hit = np.zeros(len(on))
+    for channel in range(len(WIFI_CHANNELS)):
+        some = by[wifi_channel[links.transmitter[by]] == channel]
+        total = np.bincount(links.receiver[some], factor[links.transmitter[some]], minlength=links.nodes)
+        own = carried[on, _WIFI] & (wifi_channel[sender] == channel)
+        hit += 1.0 - np.exp(np.minimum(total[receiver] - np.where(own, factor[sender], 0.0), 0.0))
+    return np.asarray(np.log1p(-OVERLAPPED_CHANNELS / SECONDARY_CHANNELS * hit), float)
 
 
 def _heard_on_own_channel(links: Links, carried: Bools, wifi_channel: Indices) -> tuple[Indices, Indices]:
@@ -202,12 +237,12 @@ def delay_s(rate: int, survival: Floats, sensed: Floats, parameters: ChannelPara
     met = (wifi.scan_ms - wifi.beacon_ms) / cycle_ms
     wait_ms = WAIT * (wifi.beacon_ms + GAP_MS) * crowding(sensed)
     regular = mean_delay_s(running_terms(rate, parameters), survival, np.ones_like(survival))
-    with np.errstate(divide="ignore"):
-        by_chance = interval_s * (1.0 / (met * survival) - 0.5) + wifi.beacon_ms / 1000.0
     blurred = blur(wait_ms, cycle_ms)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        by_chance = interval_s * (1.0 / (met * survival) - 0.5) + wifi.beacon_ms / 1000.0
+        mixed = (1.0 - blurred) * regular + blurred * by_chance
     # Where nothing survives both are infinite, and one of the shares may be 0.
-    mixed = np.where(survival > 0.0, regular + blurred * (by_chance - regular), np.inf)
-    return np.asarray(mixed + wait_ms / 1000.0, float)
+    return np.where(survival > _NOTHING, mixed, np.inf) + wait_ms / 1000.0
 
 
 def blur(wait_ms: Floats, cycle_ms: float) -> Floats:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl_mocks.channel.carrier_sense import log_survival
+from sitl_mocks.channel.carrier_sense import log_auxiliary_under_wifi, log_survival
 from sitl_mocks.channel.link_budget import Bools, Indices, Links
 from sitl_mocks.channel.parameters import (
     MODES,
@@ -160,7 +160,9 @@ def survival(
         auxiliary=product(
             _BLE5,
             log_product(_BLE5, _BLE5, s.auxiliary_by_ble5),
-            log_product(_BLE5, _WIFI, s.auxiliary_by_wifi),
+            log_auxiliary_under_wifi(links, carried, rates, wifi_channel, parameters)
+            if parameters.wifi.access == "carrier_sense"
+            else log_product(_BLE5, _WIFI, s.auxiliary_by_wifi),
         ),
         wifi=product(
             _WIFI,
