@@ -47,9 +47,9 @@ def _madqn() -> Parts:
 
 
 def _madqn_shared() -> Parts:
-    from ground_tools.atmc.madqn import Madqn, MadqnSettings
+    from ground_tools.atmc.madqn import Madqn, SharedMadqnSettings
 
-    return Parts(MadqnSettings(shared_network=True), Madqn)
+    return Parts(SharedMadqnSettings(), Madqn)
 
 
 def _maddpg() -> Parts:

@@ -42,6 +42,12 @@ class MadqnSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     hidden: tuple[Count, ...] = (256, 128)
 
 
+class SharedMadqnSettings(MadqnSettings, frozen=True, kw_only=True):
+    """The same with one network, which takes one batch in an update."""
+
+    shared_network: bool = True
+
+
 class Madqn:
     """A `Learner`."""
 

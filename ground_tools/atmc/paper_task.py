@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Annotated
@@ -53,6 +54,12 @@ class TaskSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Decisions of each of those fleets."""
 
 
+@functools.cache
+def _objective(device: torch.device) -> PaperObjective:
+    """The paper's; its tables take a second."""
+    return PaperObjective(TorchChannel(ChannelParameters(), PAPER_ACTIONS, device))
+
+
 class PaperTask:
     """One fleet to learn from.
 
@@ -65,7 +72,7 @@ class PaperTask:
         self.device = generator.device
         self.actions = PAPER_ACTIONS
         self.inputs = inputs(settings.uavs)
-        self.objective = PaperObjective(TorchChannel(ChannelParameters(), PAPER_ACTIONS, self.device))
+        self.objective = _objective(self.device)
         self._env = Env(settings.environment, self.objective, 1, settings.uavs, generator)
 
     def reset(self) -> Tensor:

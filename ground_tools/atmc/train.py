@@ -71,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
     try:
         from ground_tools.atmc import training
     except ModuleNotFoundError as error:
-        raise ConfigError(f"{error.name} is not installed: pip install 'dmuca[train]'") from error
+        raise ConfigError(
+            f"{error.name} is not installed; in the checkout: pip install -e '.[train]'"
+        ) from error
     if args.device is not None:
         training.device_of(args.device)
     if args.resume is not None:
@@ -79,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
         jobs = [training.resumed_job(args.resume, args.device, _episodes(args))]
     else:
         seeds = _seeds(args.seed, args.seeds)
+        at_once = _jobs(args.jobs, len(seeds))
         settings = _settings(args)
         root = args.out or Path("runs/atmc")
         jobs = [
@@ -89,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
             whole = training.train(jobs[0], lambda *now: display.show(0, *now))
         code = 0 if whole else 130
     else:
-        code = _side_by_side(jobs, _jobs(args.jobs, len(jobs)))
+        code = _side_by_side(jobs, at_once)
     for job in jobs:
         print(job.folder)
     if code == 130:

@@ -1,0 +1,200 @@
+"""`ground-tools atmc train`: run folders, going on, stopping, and what users get wrong."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from companion.atmc import policy
+from companion.errors import ConfigError
+from ground_tools import cli
+from ground_tools.atmc import training
+from ground_tools.atmc.algorithms import ALGORITHMS
+from ground_tools.atmc.flat import MAX_BYTES
+
+TINY = """
+episodes = 4
+batch = 16
+buffer_steps = 15
+hidden = [16, 8]
+[task]
+uavs = 4
+steps = 10
+validation_environments = 2
+validation_steps = 2
+"""
+
+
+@pytest.fixture(autouse=True)
+def _validate_often(monkeypatch):
+    often = replace(ALGORITHMS["madqn"], validate_every=2, checkpoint_every=3)
+    monkeypatch.setitem(ALGORITHMS, "madqn", often)
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "tiny.toml"
+    path.write_text(TINY)
+    return path
+
+
+def train(config: Path, root: Path, *more: str) -> tuple[int, list[Path]]:
+    code = cli.main(
+        ["atmc", "train", "--algorithm", "madqn", "--config", str(config), "--out", str(root), *more]
+    )
+    return code, sorted(root.iterdir())
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "metrics.csv").open() as file:
+        found = list(csv.DictReader(file))
+    for row in found:
+        assert float(row.pop("seconds")) > 0.0
+    return found
+
+
+def test_run_folder(config, tmp_path, capsys):
+    code, (folder,) = train(config, tmp_path / "runs", "--seed", "7")
+    assert code == 0
+    assert capsys.readouterr().out.strip() == str(folder)
+    names = {path.name.split(".")[0] for path in folder.iterdir()}
+    assert names == {"config", "manifest", "metrics", "events", "checkpoint", "policy"}
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert (manifest["algorithm"], manifest["seed"], manifest["device"]) == ("madqn", 7, "cpu")
+    assert {"git_commit", "torch", "versions"} <= manifest.keys()
+    found = rows(folder)
+    assert [row["episode"] for row in found] == ["1", "2", "3", "4"]
+    assert [bool(row["validation_score"]) for row in found] == [False, True, False, True]
+    assert {"reward", "delay_ms", "loss", "exploration", "reward_uav3", "delay_ms_uav3"} <= found[0].keys()
+    best = policy.load((folder / "policy.safetensors").read_bytes(), "best", max_bytes=MAX_BYTES)
+    scores = [float(row["validation_score"]) for row in found if row["validation_score"]]
+    assert best.metadata.results["score"] == pytest.approx(min(scores))
+    again = training.resumed_job(folder, None, None).settings
+    assert (again.episodes, again.task.uavs, again.discount) == (4, 4, 0.95)
+
+
+def test_a_longer_run_is_the_same_as_one_that_was_resumed(config, tmp_path):
+    _, (whole,) = train(config, tmp_path / "whole", "--episodes", "5")
+    _, (part,) = train(config, tmp_path / "part", "--episodes", "3")
+    assert cli.main(["atmc", "train", "--resume", str(part), "--episodes", "5"]) == 0
+    shorter = [row for row in rows(part) if row["episode"] != "3"]  # the last round of all is validated too
+    assert shorter == [row for row in rows(whole) if row["episode"] != "3"]
+    states = [torch.load(folder / "checkpoint.pt", weights_only=True)["learner"] for folder in (whole, part)]
+    assert torch.equal(states[0]["network"]["weights.0"], states[1]["network"]["weights.0"])
+    assert torch.equal(states[0]["generator"], states[1]["generator"])
+
+
+def test_rows_after_the_checkpoint_are_made_anew(config, tmp_path):
+    _, (folder,) = train(config, tmp_path / "runs", "--episodes", "3")
+    with (folder / "metrics.csv").open("a") as file:
+        file.write("4,torn")
+    assert cli.main(["atmc", "train", "--resume", str(folder), "--episodes", "4"]) == 0
+    assert [row["episode"] for row in rows(folder)] == ["1", "2", "3", "4"]
+
+
+def test_seeds_side_by_side(config, tmp_path):
+    code, folders = train(config, tmp_path / "many", "--seeds", "1-2", "--episodes", "2")
+    assert code == 0
+    _, (alone,) = train(config, tmp_path / "alone", "--seed", "2", "--episodes", "2")
+    assert [json.loads((f / "manifest.json").read_text())["seed"] for f in folders] == [1, 2]
+    assert [row["reward"] for row in rows(folders[1])] == [row["reward"] for row in rows(alone)]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopping_leaves_complete_files(number, config, tmp_path):
+    command = [sys.executable, "-m", "ground_tools.cli", "atmc", "train", "--algorithm", "madqn"]
+    command += ["--config", str(config), "--out", str(tmp_path / "runs"), "--episodes", "100000"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        give_up = time.monotonic() + 60.0
+        while not list((tmp_path / "runs").glob("*/metrics.csv")) and time.monotonic() < give_up:
+            time.sleep(0.05)
+        os.kill(process.pid, number)
+        assert process.wait(30) == 130
+    finally:
+        process.kill()
+    assert "--resume" in process.stderr.read()
+    (folder,) = (tmp_path / "runs").iterdir()
+    done = torch.load(folder / "checkpoint.pt", weights_only=True)["learner"]["done"]
+    assert done == len(rows(folder)) > 0
+    assert not list(folder.glob("*.new"))
+    assert cli.main(["atmc", "train", "--resume", str(folder), "--episodes", str(done + 1)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("batches = 3", "batches: unknown key; allowed here: task, "),
+        ("discount = 1.5", "discount: 1.5: expected a number, 0 to 1"),
+        ("[task]\nuavs = 1", "task.uavs: 1: expected a whole number, 2 to 100"),
+        ("[task.environment.world]\nsides = 'big'", "task.environment.world.sides: 'big'"),
+        ("hidden = 3", "hidden: 3: expected a list"),
+    ],
+)
+def test_wrong_keys_are_named(text, words, config, tmp_path, capsys):
+    config.write_text(text)
+    assert cli.main(["atmc", "train", "--algorithm", "madqn", "--config", str(config)]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert str(config) in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--algorithm", "madqn", "--config", "nowhere.toml"], "nowhere.toml: cannot be read"),
+        (["--algorithm", "madqn", "--seeds", "5-1"], "--seeds: 5-1: expected a range"),
+        (["--algorithm", "madqn", "--seed", "-1"], "--seed: -1: allowed"),
+        (["--algorithm", "madqn", "--episodes", "0"], "--episodes: 0: allowed"),
+        (["--algorithm", "madqn", "--seeds", "1-2", "--jobs", "0"], "--jobs: 0: allowed"),
+        (["--resume", "nowhere"], "--resume: nowhere: not the folder of a training run"),
+        (["--resume", "nowhere", "--seed", "1"], "--seed: cannot go with --resume"),
+        (["--algorithm", "madqn", "--out", "/proc/x"], "/proc/x: cannot be written"),
+    ],
+)
+def test_wrong_options_are_named(options, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["atmc", "train", *options]) == 2
+    assert words in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_device_that_is_not_there(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ConfigError, match="--device: cuda"):
+        training.device_of("cuda")
+
+
+def test_a_damaged_checkpoint_is_named(config, tmp_path, capsys):
+    _, (folder,) = train(config, tmp_path / "runs", "--episodes", "1")
+    (folder / "checkpoint.pt").write_bytes(b"torn")
+    assert cli.main(["atmc", "train", "--resume", str(folder)]) == 2
+    assert "checkpoint.pt: cannot be read" in capsys.readouterr().err
+
+
+def test_pytorch_missing_is_said_in_one_line(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    for name in [name for name in sys.modules if name.startswith("ground_tools.atmc.training")]:
+        monkeypatch.delitem(sys.modules, name)
+    import ground_tools.atmc
+
+    monkeypatch.delattr(ground_tools.atmc, "training", raising=False)
+    assert cli.main(["atmc", "train", "--algorithm", "madqn"]) == 2
+    assert "pip install -e '.[train]'" in capsys.readouterr().err
+
+
+def test_no_command_loads_pytorch_before_it_needs_it():
+    code = "import ground_tools.cli, sys; print('torch' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert found.stdout.strip() == "False"
