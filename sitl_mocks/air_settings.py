@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from companion.errors import ConfigError
 from companion.radio.transport import WIFI_BEACON, WIFI_NAN
+from companion.remote_id.region import TransportName
 from sitl_mocks.channel import parameters as channel_parameters
 from sitl_mocks.channel.air import Channel
 from sitl_mocks.channel.air_analytic import AnalyticChannel
@@ -40,8 +41,12 @@ class AirSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """None: nothing is lost."""
     range_m: Annotated[float, Meta(gt=0, le=1e6)] | None = None
     """None: everywhere."""
-    transport: Literal["ble4", "ble5", "wifi", "nan"] = "wifi"
+    transports: Annotated[tuple[TransportName, ...], Meta(min_length=1, max_length=4)] = ("wifi",)
+    """What all aircraft send on, together; where [atmc] chooses, until its first choice."""
     rate: Annotated[int, Meta(ge=1, le=10)] = 1
+    """Locations a second on each."""
+    region: str | None = None
+    """Path of a region profile (relative to this file), whose floor all keep; None: no law."""
 
     def __post_init__(self) -> None:
         if self.model == "interval":
@@ -73,12 +78,13 @@ def load_parameters(path: Path, air: AirSettings) -> ChannelParameters:
 
 
 def check_allowed(air: AirSettings, parameters: ChannelParameters) -> None:
-    """Refuse a rate that the parameters do not allow.
+    """Refuse a rate that the parameters do not allow on one of the transports.
 
     Raises:
         ConfigError: names the transport and what is allowed.
     """
-    check_rate(WIFI_BEACON if air.transport == WIFI_NAN else air.transport, air.rate, parameters)
+    for transport in air.transports:
+        check_rate(WIFI_BEACON if transport == WIFI_NAN else transport, air.rate, parameters)
 
 
 RADIO_SPREAD_S = 0.1
@@ -118,7 +124,7 @@ def with_options(
         ConfigError: an option that does not go with the model, or a wrong parameter file.
     """
     if arguments.channel is not None and arguments.channel != air.model:
-        air = AirSettings(model=arguments.channel, transport=air.transport, rate=air.rate)
+        air = AirSettings(model=arguments.channel, transports=air.transports, rate=air.rate)
         if air.model == "interval":
             parameters = None
     if arguments.parameters is not None:

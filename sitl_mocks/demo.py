@@ -7,14 +7,11 @@ import json
 import multiprocessing
 import os
 import queue
-import shutil
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
-from dataclasses import dataclass
 from multiprocessing.queues import Queue
 from pathlib import Path
 from typing import BinaryIO
@@ -23,7 +20,6 @@ import msgspec
 import tomli_w
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from companion import __version__, record
 from companion.config import Config
@@ -31,85 +27,14 @@ from companion.errors import ConfigError
 from companion.runtime.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.runtime.warm import warm_up
 from companion.toml_input import without_none
-from sitl_mocks import air_settings, settings
+from sitl_mocks import air_settings, choosing, settings
+from sitl_mocks.demo_report import Outcome, Verdict, pair_rows, seed_table, show
 from sitl_mocks.lockstep import TICK_S, UTC_AT_START_S, Run, fly, paths_of
-from sitl_mocks.pair_stats import information_age
-from sitl_mocks.settings import Scenario
-from sitl_mocks.verdict import Deviation, Pair, deviations_of, on_path_limit_m, pairs_of
+from sitl_mocks.settings import RANDOM, Scenario
+from sitl_mocks.verdict import deviations_of, on_path_limit_m, pairs_of
 
 _TRUTH_TICKS = 2
 _EXAMPLE = "example: sitl-mocks demo --delay 1 2 --seed 7; sitl-mocks demo --seeds 1-20 --delay 2 3 --json"
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """One flight of one seed, reduced to what the verdict needs."""
-
-    seed: int
-    avoided: bool
-    pairs: list[Pair]
-    deviations: list[Deviation]
-    wall_s: float
-    simulated_s: float
-    air: list[dict[str, object]]
-    """By ordered pair: sender, receiver, and what became of the frames (`PairStats.to_dict`)."""
-    messages: dict[str, int]
-
-    @property
-    def min_separation_m(self) -> float:
-        """Least separation of any pair."""
-        return min(p.min_separation_m for p in self.pairs)
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """One seed, both flights."""
-
-    seed: int
-    scenario: Scenario
-    avoided: Outcome
-    unavoided: Outcome
-
-    @property
-    def limit_m(self) -> float:
-        """Separation that must hold: both conflict radii."""
-        return 2.0 * self.scenario.avoidance.conflict_radius_m
-
-    @property
-    def ok(self) -> bool:
-        """Every pair kept apart, and everyone back on the path at the end."""
-        return not self.reasons()
-
-    def reasons(self) -> list[str]:
-        """What did not hold, in words."""
-        found = []
-        near = [p for p in self.avoided.pairs if p.min_separation_m <= self.limit_m]
-        if near:
-            found.append(f"{len(near)} of {len(self.avoided.pairs)} pairs came within {self.limit_m:g} m")
-        deviations, on_path = self.avoided.deviations, on_path_limit_m(self.scenario)
-        away = [d.final_m for d in deviations if d.final_m > on_path]
-        if away:
-            found.append(
-                f"{len(away)} of {len(deviations)} aircraft not back on the path at the end "
-                f"(worst {max(away):.1f} m, limit {on_path:g} m)"
-            )
-        return found
-
-    def as_dict(self) -> dict[str, object]:
-        """One JSON object."""
-        deviations = self.avoided.deviations
-        air = self.scenario.air
-        radio = {"delay_s": list(air.interval_s)} if air.model == "interval" else {"channel": air.model}
-        return {
-            "seed": self.seed,
-            **radio,
-            "aircraft": len(deviations),
-            "min_separation_m": round(self.avoided.min_separation_m, 3),
-            "unavoided_min_separation_m": round(self.unavoided.min_separation_m, 3),
-            "max_deviation_m": round(max(d.largest_m for d in deviations), 3),
-            "final_deviation_m": round(max(d.final_m for d in deviations), 3),
-            "ok": self.ok,
-        }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -136,6 +61,7 @@ def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
         help="message delay, channel interval (s)",
     )
     parser.add_argument("--law", choices=("dmuca", "paper", "none"), help="avoidance law")
+    choosing.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -145,15 +71,19 @@ def run(arguments: argparse.Namespace) -> int:
         ConfigError: an option or the scenario file is wrong.
     """
     scenario = scenario_of(arguments)
+    policy = choosing.read_policy(scenario)
     console = Console(stderr=arguments.json)
     seconds = warm_up()
     if seconds > 1.0:
         console.print(f"compiled the avoidance kernels in {seconds:.1f} s (kept for the next time)")
     if arguments.seeds is not None:
-        return _many(scenario, _parse_seeds(arguments.seeds), console, as_json=arguments.json)
+        return _many(scenario, policy, _parse_seeds(arguments.seeds), console, as_json=arguments.json)
     folder = create_run_folder(arguments.runs, "demo", time.time())
-    (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(scenario))))
-    verdict = next(_fly_all(scenario, [arguments.seed], console, folder))
+    if scenario.atmc.policy == RANDOM:
+        console.print("no event records: a heart does not choose at random, so that a replay would differ")
+    kept = choosing.keep(folder, scenario, policy)
+    (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(kept))))
+    verdict = next(_fly_all(scenario, policy, [arguments.seed], console, folder))
     write_manifest(
         folder,
         "sitl-mocks demo",
@@ -163,12 +93,17 @@ def run(arguments: argparse.Namespace) -> int:
     )
     write_json(
         folder / "summary.json",
-        {**verdict.as_dict(), "pairs": _pair_rows(verdict), "air": verdict.avoided.air},
+        {
+            **verdict.as_dict(),
+            "pairs": pair_rows(verdict),
+            "air": verdict.avoided.air,
+            "transports": {name: chosen.to_dict() for name, chosen in verdict.avoided.chosen.items()},
+        },
     )
     if arguments.json:
         print(json.dumps(verdict.as_dict()))
     else:
-        _show(verdict, folder, console)
+        show(verdict, folder, console)
     return 0 if verdict.ok else 1
 
 
@@ -192,7 +127,7 @@ def scenario_of(arguments: argparse.Namespace) -> Scenario:
     if arguments.law is not None:
         avoidance = msgspec.structs.replace(scenario.avoidance, law=arguments.law)
         scenario = msgspec.structs.replace(scenario, avoidance=avoidance)
-    return scenario
+    return choosing.with_options(scenario, arguments)
 
 
 def _parse_seeds(text: str) -> list[int]:
@@ -202,15 +137,17 @@ def _parse_seeds(text: str) -> list[int]:
     return list(range(int(first), int(last or first) + 1))
 
 
-def _many(scenario: Scenario, seeds: list[int], console: Console, *, as_json: bool) -> int:
+def _many(
+    scenario: Scenario, policy: bytes | None, seeds: list[int], console: Console, *, as_json: bool
+) -> int:
     started = time.monotonic()
     verdicts = []
-    for verdict in _fly_all(scenario, seeds, console, None):
+    for verdict in _fly_all(scenario, policy, seeds, console, None):
         verdicts.append(verdict)
         if as_json:
             print(json.dumps(verdict.as_dict()), flush=True)
     if not as_json:
-        console.print(_seed_table(verdicts))
+        console.print(seed_table(verdicts))
     good = sum(v.ok for v in verdicts)
     simulated = sum(v.avoided.simulated_s + v.unavoided.simulated_s for v in verdicts)
     wall = time.monotonic() - started
@@ -232,7 +169,15 @@ def _initialise(progress: Queue[tuple[int, float]]) -> None:
     _progress = progress
 
 
-def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder: Path | None) -> Outcome:
+def _fly_one(
+    scenario: Scenario,
+    seed: int,
+    task: int,
+    *,
+    avoided: bool,
+    folder: Path | None,
+    policy: bytes | None = None,
+) -> Outcome:
     """One flight, in a worker process."""
     started = time.monotonic()
     paths = paths_of(scenario, seed)
@@ -245,7 +190,7 @@ def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder:
 
         def recorder(name: str, config: Config) -> Callable[[record.Step], None]:
             assert folder is not None
-            header = record.Header(aircraft=name, software=__version__, config=config)
+            header = record.Header(aircraft=name, software=__version__, config=config, policy=policy)
             file = EventFile(folder / f"{name}.events", header)
             files.callback(file.close)
             return file.step
@@ -258,7 +203,8 @@ def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder:
             scenario,
             seed,
             law=None if avoided else "none",
-            record=recorder if folder is not None else None,
+            policy=policy,
+            record=recorder if folder is not None and scenario.atmc.policy != RANDOM else None,
             tlog=tlog if folder is not None else None,
             progress=progress,
         )
@@ -274,6 +220,7 @@ def _fly_one(scenario: Scenario, seed: int, task: int, *, avoided: bool, folder:
         simulated_s=len(result.time_s) * TICK_S,
         air=[{"sender": a, "receiver": b, **stats.to_dict()} for (a, b), stats in result.air.items()],
         messages={"sent": sent, "delivered": sum(p.delivered for p in result.air.values())},
+        chosen=result.chosen,
     )
 
 
@@ -293,7 +240,7 @@ def _workers(seeds: list[int]) -> int:
 
 
 def _fly_all(
-    scenario: Scenario, seeds: list[int], console: Console, folder: Path | None
+    scenario: Scenario, policy: bytes | None, seeds: list[int], console: Console, folder: Path | None
 ) -> Iterator[Verdict]:
     """Both flights of every seed, on all cores; verdicts in the order of the seeds."""
     context = multiprocessing.get_context("spawn")
@@ -310,7 +257,9 @@ def _fly_all(
                 where = folder if folder is None or avoided else folder / "unavoided"
                 if where is not None:
                     where.mkdir(exist_ok=True)
-                future = pool.submit(_fly_one, scenario, seed, task, avoided=avoided, folder=where)
+                future = pool.submit(
+                    _fly_one, scenario, seed, task, avoided=avoided, folder=where, policy=policy
+                )
                 tasks[future] = int(task)
         outcomes: dict[tuple[int, bool], Outcome] = {}
         waiting = list(seeds)
@@ -348,86 +297,3 @@ def _completed(
             except queue.Empty:
                 break
             bar.update(task, completed=share)  # type: ignore[arg-type]
-
-
-# ---------------------------------------------------------------- words
-
-
-def _pair_rows(verdict: Verdict) -> list[dict[str, object]]:
-    before = {(p.first, p.second): p for p in verdict.unavoided.pairs}
-    return [
-        {
-            "pair": [p.first, p.second],
-            "min_separation_m": round(p.min_separation_m, 3),
-            "at_s": round(p.at_s, 2),
-            "unavoided_min_separation_m": round(before[p.first, p.second].min_separation_m, 3),
-        }
-        for p in verdict.avoided.pairs
-    ]
-
-
-def _show(verdict: Verdict, folder: Path, console: Console) -> None:
-    limit = verdict.limit_m
-    table = Table(title=f"Least separation of each pair (must stay above {limit:g} m)")
-    table.add_column("pair")
-    for name in ("without avoidance", "with avoidance", "at"):
-        table.add_column(name, justify="right")
-    for row in _pair_rows(verdict):
-        before, after = float(str(row["unavoided_min_separation_m"])), float(str(row["min_separation_m"]))
-        mark = "green" if after > limit else "red"
-        table.add_row(
-            " - ".join(verdict_name for verdict_name in row["pair"]),  # type: ignore[attr-defined]
-            f"[{'red' if before <= limit else 'default'}]{before:.2f} m[/]",
-            f"[{mark}]{after:.2f} m[/]",
-            f"{row['at_s']} s",
-        )
-    console.print(table)
-    paths = Table(
-        title=f"Return to the timed path (on the path: within {on_path_limit_m(verdict.scenario):g} m)"
-    )
-    paths.add_column("aircraft")
-    for name in ("largest deviation", "back after", "at the end"):
-        paths.add_column(name, justify="right")
-    for d in verdict.avoided.deviations:
-        back = "-" if d.back_s is None else f"{d.back_s:.1f} s"
-        paths.add_row(d.name, f"{d.largest_m:.1f} m", back, f"{d.final_m:.1f} m")
-    console.print(paths)
-    a = verdict.avoided
-    console.print(
-        f"{a.simulated_s:.0f} simulated seconds in {a.wall_s:.1f} s ({a.simulated_s / a.wall_s:.0f} times "
-        f"real time on one core); Remote ID: {a.messages['sent']} sent, {a.messages['delivered']} delivered, "
-        f"{information_age(a.air)}"
-    )
-    word = "[bold green]OK[/]" if verdict.ok else "[bold red]FAILED[/]"
-    console.print(
-        f"{word}: least separation {a.min_separation_m:.2f} m with avoidance, "
-        f"{verdict.unavoided.min_separation_m:.2f} m without; limit {limit:g} m",
-        soft_wrap=True,
-    )
-    for reason in verdict.reasons():
-        console.print(f"  {reason}", soft_wrap=True)
-    console.print(f"run folder: {folder}", soft_wrap=True)
-    console.print(f"look at it: {command('ground-tools')} inspect {folder} --summary", soft_wrap=True)
-
-
-def command(name: str) -> str:
-    """How to call one of our commands from where this one was called."""
-    beside = Path(sys.argv[0]).with_name(name)
-    return name if shutil.which(name) or not beside.exists() else str(beside)
-
-
-def _seed_table(verdicts: list[Verdict]) -> Table:
-    table = Table()
-    for name in ("seed", "without", "with", "largest deviation", "at the end", "ok"):
-        table.add_column(name, justify="right")
-    for v in verdicts:
-        row = v.as_dict()
-        table.add_row(
-            str(v.seed),
-            f"{row['unavoided_min_separation_m']:.2f} m",
-            f"{row['min_separation_m']:.2f} m",
-            f"{row['max_deviation_m']:.1f} m",
-            f"{row['final_deviation_m']:.1f} m",
-            "yes" if v.ok else "NO",
-        )
-    return table

@@ -231,6 +231,12 @@ class Ether:
             return _carried_distance_m(self._carried[first], self._carried[second])
         return None
 
+    def information_age_s(self, sender: str, receiver: str) -> float | None:
+        """Age (s), at the last time told, of what `receiver` knows of `sender`; None before any news."""
+        stats = self._stats.get((sender, receiver))
+        freshest_s = None if stats is None else stats.freshest_s
+        return None if freshest_s is None else self._now_s - freshest_s
+
     @property
     def receivers(self) -> tuple[str, ...]:
         """Who listens, in order of joining."""

@@ -7,15 +7,18 @@ companion, Remote ID frames between companions. Time is a number that this loop 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.atmc.chooser import Chooser
 from companion.autopilot.tlog import ByteSink, TlogWriter
 from companion.config import (
+    AtmcConfig,
     Config,
     FlightConfig,
     IdentityConfig,
@@ -24,17 +27,18 @@ from companion.config import (
     VehicleConfig,
     Waypoint,
 )
-from companion.events import Firmware, RadioState
+from companion.events import Firmware, RadioState, RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.onboard import Onboard
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
 from companion.record import Step
 from sitl_mocks.air_settings import channel_of
 from sitl_mocks.autopilot import MockVehicle
+from sitl_mocks.choosing import Chosen, RandomMind
 from sitl_mocks.ether import Ether
 from sitl_mocks.pair_stats import PairStats
 from sitl_mocks.scenario import encounter
-from sitl_mocks.settings import Scenario
+from sitl_mocks.settings import RANDOM, Scenario
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions
 
@@ -42,6 +46,12 @@ TICK_S = 0.05
 UTC_AT_START_S = 1_767_225_590.0
 """2025-12-31 23:59:50 UTC: the hour of the Remote ID timestamp wraps ten seconds into every run."""
 HOME = LocalFrame(47.397, 8.545, 400.0)
+_PREFIX = "1596"
+"""Manufacturer code of simulated serial numbers, where a law asks for their form."""
+_OPERATOR_EU = "FIN87astrdge12k8-xyz"
+"""The sample number of ASD-STAN EN 4709-002."""
+_DECODED = 4096
+"""Frames whose decoding is kept: all receivers of one frame read the same."""
 SETTLE_S = 3.0
 """Time for the companions to find their vehicles and take them, before the paths' clock starts."""
 
@@ -65,6 +75,8 @@ class Run:
     air: dict[tuple[str, str], PairStats]
     time_s: NDArray[np.float64]
     """Path time of every tick."""
+    chosen: dict[str, Chosen]
+    """By aircraft: the transports that it used."""
 
 
 class Aircraft:
@@ -79,6 +91,7 @@ class Aircraft:
         record: Callable[[Step], None] | None,
         tlog: ByteSink | None,
         policy: bytes | None = None,
+        random_choice: np.random.Generator | None = None,
     ) -> None:
         self.name = name
         self.config = config
@@ -90,10 +103,12 @@ class Aircraft:
             tlog=None if tlog is None else TlogWriter(tlog),
             utc_guess_s=UTC_AT_START_S,
         )
+        if random_choice is not None:
+            self.onboard.heart.chooser = Chooser(config, RandomMind(random_choice), "policy")
         address = radio_address(name)
         self.onboard.hear(RadioState(can_send=tuple(sorted(TRANSPORTS)), own_addresses=(address,)))
         self.sender = FrameSender(address)
-        self.receiver = FrameReceiver()
+        self.chosen = Chosen()
 
 
 def paths_of(scenario: Scenario, seed: int) -> list[Points]:
@@ -137,6 +152,13 @@ def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOpt
     )
 
 
+def uas_id_of(scenario: Scenario, name: str) -> str:
+    """The identity of an aircraft: its name, as a serial number where the region asks for its form."""
+    if scenario.region.serial_number == "any":
+        return name
+    return f"{_PREFIX}{len(name):X}{name}"
+
+
 def companion_config(scenario: Scenario, name: str, path: Points, law: str | None) -> Config:
     """The companion's configuration for one aircraft; `law` replaces the scenario's."""
     waypoints = []
@@ -146,15 +168,24 @@ def companion_config(scenario: Scenario, name: str, path: Points, law: str | Non
     avoidance = scenario.avoidance
     if law is not None:
         avoidance = msgspec.structs.replace(avoidance, law=law)
+    atmc = scenario.atmc
+    if atmc.policy == RANDOM:
+        atmc = AtmcConfig(period_s=atmc.period_s)
     return Config(
-        identity=IdentityConfig(uas_id=name),
+        identity=IdentityConfig(uas_id=uas_id_of(scenario, name)),
         vehicle=VehicleConfig(),
         flight=FlightConfig(
             use="fly", start="utc", start_utc_s=UTC_AT_START_S + SETTLE_S, take_in_flight=True
         ),
         limits=scenario.limits,
         avoidance=avoidance,
-        remote_id=RemoteIdConfig(transports=(scenario.air.transport,), rate=scenario.air.rate),
+        remote_id=RemoteIdConfig(
+            transports=scenario.air.transports,
+            rate=scenario.air.rate,
+            operator_id=_OPERATOR_EU if scenario.region.operator_id == "eu" else None,
+        ),
+        region=scenario.region,
+        atmc=atmc,
         path=TrajectoryFile(altitude="msl", waypoint=tuple(waypoints)),
     )
 
@@ -168,6 +199,7 @@ def fly(
     record: Callable[[str, Config], Callable[[Step], None]] | None = None,
     tlog: Callable[[str], ByteSink] | None = None,
     progress: Callable[[float], None] | None = None,
+    watch: Callable[[Ether], None] | None = None,
 ) -> Run:
     """Fly a scenario once.
 
@@ -179,6 +211,7 @@ def fly(
         record: called once per aircraft with its name and configuration; returns where its steps go.
         tlog: called once per aircraft with its name; returns where its MAVLink goes.
         progress: called with the share done, about once per simulated second.
+        watch: called with the air at the end of every tick.
     """
     paths = paths_of(scenario, seed)
     streams = np.random.SeedSequence(seed).spawn(len(paths) + 1)
@@ -188,8 +221,9 @@ def fly(
         sink = None if record is None else record(name, config)
         log = None if tlog is None else tlog(name)
         options = vehicle_options(scenario, number, path)
+        luck = np.random.default_rng(streams[number].spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
         rng = np.random.default_rng(streams[number])
-        fleet.append(Aircraft(name, options, config, rng, sink, log, policy))
+        fleet.append(Aircraft(name, options, config, rng, sink, log, policy, luck))
     channel = channel_of(scenario.air, scenario.channel)
     ether = Ether(channel, np.random.default_rng(streams[-1]))
     for aircraft in fleet:
@@ -198,20 +232,31 @@ def fly(
     ticks = math.ceil((end_s + SETTLE_S) / TICK_S) + 1
     truth = np.empty((len(fleet), ticks, 3))
     by_name = {aircraft.name: aircraft for aircraft in fleet}
+    read = lru_cache(_DECODED)(FrameReceiver().receive)
     for tick in range(ticks):
         now_s = tick * TICK_S
-        _tick(now_s, fleet, by_name, ether)
+        _tick(now_s, fleet, by_name, ether, read)
+        if watch is not None:
+            watch(ether)
         for number, aircraft in enumerate(fleet):
             truth[number, tick] = aircraft.vehicle.position_ned_m
         if progress is not None and tick % 20 == 0:
             progress(tick / ticks)
     ether.finish((ticks - 1) * TICK_S)
+    for aircraft in fleet:
+        aircraft.chosen.end((ticks - 1) * TICK_S)
     flown = [Flown(a.name, truth[number]) for number, a in enumerate(fleet)]
     time_s = np.arange(ticks, dtype=np.float64) * TICK_S - SETTLE_S
-    return Run(flown, ether.stats, time_s)
+    return Run(flown, ether.stats, time_s, {a.name: a.chosen for a in fleet})
 
 
-def _tick(now_s: float, fleet: list[Aircraft], by_name: dict[str, Aircraft], ether: Ether) -> None:
+def _tick(
+    now_s: float,
+    fleet: Sequence[Aircraft],
+    by_name: dict[str, Aircraft],
+    ether: Ether,
+    read: Callable[[str, str, bytes], RemoteIdHeard | None],
+) -> None:
     for aircraft in fleet:
         aircraft.vehicle.advance(now_s)
         data = aircraft.vehicle.drain()
@@ -220,7 +265,7 @@ def _tick(now_s: float, fleet: list[Aircraft], by_name: dict[str, Aircraft], eth
         ether.place(aircraft.name, aircraft.vehicle.position_ned_m)
     for delivery in ether.due(now_s):
         receiver = by_name[delivery.receiver]
-        heard = receiver.receiver.receive(delivery.transport, delivery.address, delivery.frame)
+        heard = read(delivery.transport, delivery.address, delivery.frame)
         if heard is not None:
             receiver.onboard.hear(heard)
     for aircraft in fleet:
@@ -229,4 +274,5 @@ def _tick(now_s: float, fleet: list[Aircraft], by_name: dict[str, Aircraft], eth
                 ether.transmit(
                     now_s, aircraft.name, broadcast.transport, frame, address=aircraft.sender.address
                 )
+        aircraft.chosen.note(now_s, aircraft.onboard.heart.broadcaster.rates)
         aircraft.vehicle.receive(aircraft.onboard.drain(now_s), now_s)

@@ -62,6 +62,11 @@ class PairStats:
         return self.age_sum_s / self.delivered if self.delivered else None
 
     @property
+    def freshest_s(self) -> float | None:
+        """When the freshest position that is known was sent, since the air began; None while none is."""
+        return self._freshest_s
+
+    @property
     def information_age_mean_s(self) -> float | None:
         """Time average of the age of information (s), up to the last position or `end`; None before that."""
         return self._age_area_s2 / self.observed_s if self.observed_s > 0.0 else None

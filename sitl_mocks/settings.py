@@ -13,8 +13,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from companion.config import AvoidanceConfig, LimitsConfig
+from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
+from companion.remote_id.region import Region
 from companion.toml_input import decode_toml
 from sitl_mocks.air_settings import DEFAULT_DELAY_S, AirSettings, check_allowed, load_parameters
 from sitl_mocks.channel.parameters import ChannelParameters
@@ -59,6 +60,10 @@ class Scenario(_Section, frozen=True):
     air: AirSettings = AirSettings()
     channel: ChannelParameters | None = None
     """What the file says that `air.parameters` names: a resolved scenario stands alone in a run folder."""
+    region: Region = Region()
+    """What the file says that `air.region` names."""
+    atmc: AtmcConfig = AtmcConfig()
+    """Who chooses the transports of all aircraft, as in a companion's file; `policy` may also be "random"."""
     limits: LimitsConfig = LimitsConfig()
     avoidance: AvoidanceConfig = AvoidanceConfig()
 
@@ -67,6 +72,9 @@ class Scenario(_Section, frozen=True):
             raise ValueError('channel: goes with air.model "analytic" or "packets"')
 
 
+RANDOM = "random"
+"""What `atmc.policy` may say only here: a legal set drawn anew at every decision."""
+POLICY_WORDS = (*CHOOSER_WORDS, RANDOM)
 DEFAULT = Scenario(geometry="S2", air=AirSettings(delay_s=DEFAULT_DELAY_S))
 """Five aircraft crossing in an 8 m ball."""
 
@@ -88,7 +96,36 @@ def load(path: Path) -> Scenario:
                 raise ConfigError(f"{path}: path[{number}].points: time {b[0]:g} s is not after {a[0]:g} s")
             if not all(math.isfinite(v) for v in b):
                 raise ConfigError(f"{path}: path[{number}].points: not a finite number in {b}")
-    return _with_parameters(scenario, path)
+    return _with_policy(_with_region(_with_parameters(scenario, path), path), path)
+
+
+def load_region(path: Path) -> Region:
+    """Read a region profile. Raises ConfigError naming the file and the key."""
+    return decode_toml(path, Region)
+
+
+def _with_region(scenario: Scenario, path: Path) -> Scenario:
+    """The scenario with its region's profile read."""
+    name = scenario.air.region
+    if name is None:
+        return scenario
+    if scenario.region != Region():
+        raise ConfigError(f"{path}: region: give either it or air.region")
+    try:
+        region = load_region(path.parent / name)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: air.region: {error}") from error
+    air = msgspec.structs.replace(scenario.air, region=None)
+    return msgspec.structs.replace(scenario, air=air, region=region)
+
+
+def _with_policy(scenario: Scenario, path: Path) -> Scenario:
+    """The scenario with the whole path of its policy."""
+    name = scenario.atmc.policy
+    if name is None or name in POLICY_WORDS:
+        return scenario
+    atmc = msgspec.structs.replace(scenario.atmc, policy=str((path.parent / name).absolute()))
+    return msgspec.structs.replace(scenario, atmc=atmc)
 
 
 def _with_parameters(scenario: Scenario, path: Path) -> Scenario:

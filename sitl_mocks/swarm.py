@@ -14,9 +14,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import IO, Any
 
 import msgspec
@@ -33,10 +34,12 @@ from companion.events import RemoteIdHeard
 from companion.radio.frames_io import radio_address
 from companion.runtime.recorder import create_run_folder, write_json, write_manifest
 from companion.toml_input import without_none
-from sitl_mocks import demo
+from sitl_mocks import choosing, demo
+from sitl_mocks.choosing import choices_in_words, chosen_of
+from sitl_mocks.demo_report import command as command_here
 from sitl_mocks.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
 from sitl_mocks.pair_stats import information_age
-from sitl_mocks.settings import Scenario
+from sitl_mocks.settings import RANDOM, Scenario
 from sitl_mocks.vehicle_manners import VehicleMode
 
 _EXAMPLE = "example: sitl-mocks swarm --duration 120 --delay 0 1"
@@ -175,8 +178,12 @@ def run(arguments: argparse.Namespace) -> int:
     if not 10.0 <= arguments.duration <= 3600.0:
         raise ConfigError(f"--duration: {arguments.duration:g}: allowed 10 to 3600")
     scenario = demo.scenario_of(arguments)
+    if scenario.atmc.policy == RANDOM:
+        raise ConfigError(f"--policy: {RANDOM}: goes with sitl-mocks demo; no companion chooses at random")
+    policy = choosing.read_policy(scenario)
     console = Console(stderr=arguments.json)
     folder = create_run_folder(arguments.runs, "swarm", time.time())
+    scenario = choosing.keep(folder, scenario, policy)
     (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(scenario))))
     names = names_of(scenario, arguments.seed)
     write_manifest(
@@ -193,7 +200,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _show(report, console)
     console.print(f"run folder: {folder}", soft_wrap=True)
-    console.print(f"look at it: {demo.command('ground-tools')} inspect {folder} --summary", soft_wrap=True)
+    console.print(f"look at it: {command_here('ground-tools')} inspect {folder} --summary", soft_wrap=True)
     return 0 if report["ok"] else 1
 
 
@@ -306,6 +313,7 @@ def _report(
     separation = _separations(swarm.folder, names, start_utc_s)
     gaps = {name: _gaps(vehicle) for name, vehicle in zip(names, vehicles, strict=True)}
     air = _air(swarm.folder, names, ether.last_json())
+    chosen = {name: chosen_of(_records(swarm.folder, name)) for name in names}
     least = min((float(str(row["min_separation_m"])) for row in separation), default=None)
     good_gaps = all(
         g["share_under_100ms"] >= _GOOD_SHARE and g["largest_s"] <= _WORST_GAP_S for g in gaps.values()
@@ -326,6 +334,9 @@ def _report(
         "separations": separation,
         "setpoint_gaps": gaps,
         "air": air,
+        "policy": None if scenario.atmc.policy is None else PurePath(scenario.atmc.policy).name,
+        "transports": {name: one.to_dict() for name, one in chosen.items()},
+        "transports_in_words": choices_in_words(list(chosen.values())),
     }
 
 
@@ -392,15 +403,20 @@ def _air(folder: Path, names: list[str], statistics: dict[str, object]) -> list[
 
 def _heard(folder: Path, receiver: str, addresses: dict[str, str]) -> dict[str, int]:
     counts: dict[str, int] = {}
-    for file in folder.glob(f"*-{receiver}/*.events"):
-        with file.open("rb") as stream:
-            for item in record.read(stream, str(file)):
-                if isinstance(item, record.Step):
-                    for event in item.events:
-                        if isinstance(event, RemoteIdHeard):
-                            name = addresses.get(event.address, event.address)
-                            counts[name] = counts.get(name, 0) + 1
+    for item in _records(folder, receiver):
+        if isinstance(item, record.Step):
+            for event in item.events:
+                if isinstance(event, RemoteIdHeard):
+                    name = addresses.get(event.address, event.address)
+                    counts[name] = counts.get(name, 0) + 1
     return counts
+
+
+def _records(folder: Path, name: str) -> Iterator[record.Record]:
+    """The event record of one aircraft."""
+    for file in folder.glob(f"*-{name}/*.events"):
+        with file.open("rb") as stream:
+            yield from record.read(stream, str(file))
 
 
 def _show(report: dict[str, object], console: Console) -> None:
@@ -428,6 +444,8 @@ def _show(report: dict[str, object], console: Console) -> None:
             f"Remote ID: {len(lost)} pairs, largest share lost {100 * max(lost):.1f} %; "
             f"{information_age(report['air'])}"  # type: ignore[arg-type]
         )
+    if report["policy"] is not None:
+        console.print(report["transports_in_words"], highlight=False)
     for name in report["ended_badly"]:  # type: ignore[attr-defined]
         console.print(f"[red]did not end well:[/] {name}")
     word = "[bold green]OK[/]" if report["ok"] else "[bold red]FAILED[/]"

@@ -69,7 +69,7 @@ def test_parameters_are_read_beside_the_scenario_and_checked(tmp_path: Path) -> 
     assert loaded.channel is not None
     assert loaded.channel.wifi_channels == "random"
     with pytest.raises(ConfigError, match=r"air.parameters: wifi: rate 5: allowed 1 to 4"):
-        scenario(tmp_path, 'model = "packets"\nparameters = "p.toml"\nrate = 5\ntransport = "nan"\n')
+        scenario(tmp_path, 'model = "packets"\nparameters = "p.toml"\nrate = 5\ntransports = ["ble4", "nan"]\n')
     with pytest.raises(ConfigError, match=r"s.toml: channel: wifi: rate 5: allowed 1 to 4"):
         scenario(tmp_path, 'model = "packets"\nrate = 5\n[channel.wifi]\nmax_rate = 4\n')
     (tmp_path / "p.toml").write_text("[wifi]\nscan = 4\n")
@@ -80,7 +80,7 @@ def test_parameters_are_read_beside_the_scenario_and_checked(tmp_path: Path) -> 
 def test_a_resolved_scenario_stands_alone(tmp_path: Path) -> None:
     """As it lies in a run folder: what the parameter file said stands in it."""
     packets = settings.load(CHANNELS.parent / "scenarios" / "packets.toml")
-    assert (packets.air.model, packets.air.transport, packets.air.rate) == ("packets", "wifi", 5)
+    assert (packets.air.model, packets.air.transports, packets.air.rate) == ("packets", ("wifi",), 5)
     assert packets.channel is not None
     assert packets.channel != ChannelParameters()
     copy = tmp_path / "config.toml"
@@ -89,16 +89,16 @@ def test_a_resolved_scenario_stands_alone(tmp_path: Path) -> None:
 
 
 def test_options_replace_the_file() -> None:
-    fixed = AirSettings(delay_s=(1.0, 2.0), loss=0.5, transport="ble4", rate=9)
+    fixed = AirSettings(delay_s=(1.0, 2.0), loss=0.5, transports=("ble4", "wifi"), rate=9)
     assert with_options(fixed, None, options()) == (fixed, None)
     air, parameters = with_options(fixed, None, options("--channel", "packets"))
-    assert (air, parameters) == (AirSettings(model="packets", transport="ble4", rate=9), None)
+    assert (air, parameters) == (AirSettings(model="packets", transports=("ble4", "wifi"), rate=9), None)
     file = str(CHANNELS / "standard.toml")
     _, parameters = with_options(air, None, options("--parameters", file))
     assert parameters is not None
     assert with_options(air, parameters, options("--channel", "analytic"))[1] is parameters
     back = with_options(air, parameters, options("--channel", "interval", "--delay", "0", "2"))
-    assert back == (AirSettings(delay_s=(0.0, 2.0), transport="ble4", rate=9), None)
+    assert back == (AirSettings(delay_s=(0.0, 2.0), transports=("ble4", "wifi"), rate=9), None)
 
 
 @pytest.mark.parametrize(

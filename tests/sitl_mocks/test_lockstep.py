@@ -68,7 +68,7 @@ def test_what_the_air_does_not_carry_nobody_knows():
 @pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
 @pytest.mark.parametrize("transport", ["wifi", "ble4", "ble5", "nan"])
 def test_every_transport_and_firmware_avoids_head_on(transport, firmware):
-    scenario = with_delay(HEAD_ON, 0.0, 1.0, transport=transport)
+    scenario = with_delay(HEAD_ON, 0.0, 1.0, transports=(transport,))
     vehicle = msgspec.structs.replace(scenario.vehicle, firmware=firmware)
     assert least(lockstep.fly(msgspec.structs.replace(scenario, vehicle=vehicle), 1)) > 10.0
 
@@ -87,7 +87,7 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another():
 )
 def test_delays_come_out_of_the_channel(model, transport, rate):
     """No interval is given; the pair keeps apart by what the channel lets through, and is as old as that."""
-    air = AirSettings(model=model, transport=transport, rate=rate)
+    air = AirSettings(model=model, transports=(transport,), rate=rate)
     scenario = msgspec.structs.replace(HEAD_ON, air=air)
     run = lockstep.fly(scenario, 1)
     assert least(run) > 10.0
@@ -123,7 +123,7 @@ def test_wind_and_the_papers_law_fly():
 
 def run_of(*tracks):
     time_s = np.arange(len(tracks[0])) * 0.05
-    return Run([Flown(f"A{n}", np.asarray(t, float)) for n, t in enumerate(tracks)], {}, time_s)
+    return Run([Flown(f"A{n}", np.asarray(t, float)) for n, t in enumerate(tracks)], {}, time_s, {})
 
 
 def test_separation_between_ticks():
