@@ -1,12 +1,15 @@
-"""The analytic channel on PyTorch, for many environments at once, and what one aircraft's choice does to all.
+"""The analytic channel on PyTorch, for many fleets at once, and what one aircraft's choice does to all.
 
 The same equations as `sitl_mocks.channel.analytic` (a test holds both together), with two differences that
 training needs. Every environment is dense, all aircraft against all. And it gives the *difference cost*: what
 each aircraft's total would become for each of its actions, its own delay exactly, the delay of the others to
 first order, from one forward and one backward pass.
 
-Mean delays are polynomials in the survival of one packet. They are tabulated as log delay over log survival,
-which is smooth, and linear where little survives.
+What the others send acts on a link through a few sums over them (`Loads`), each linear in what one of them
+adds: the backward pass goes through the same sums, turned round.
+
+Mean delays are tabulated as log delay over log survival (and, where Wi-Fi stations listen before they send, over
+the load around the sender), which is smooth, and linear where little survives.
 """
 
 from __future__ import annotations
@@ -16,33 +19,74 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from companion.atmc.actions import Action
+from sitl_mocks.channel import carrier_sense
 from sitl_mocks.channel.collision import background_survival, shares_of
 from sitl_mocks.channel.delay import mean_delay_s, terms_of
 from sitl_mocks.channel.link_budget import thresholds_db
-from sitl_mocks.channel.parameters import MODES, ChannelParameters
+from sitl_mocks.channel.parameters import (
+    MODES,
+    OVERLAPPED_CHANNELS,
+    SECONDARY_CHANNELS,
+    WIFI_CHANNELS,
+    ChannelParameters,
+)
 
 _BLE4, _BLE5, _WIFI = range(len(MODES))
-PRODUCTS = ("ble4", "pointer", "auxiliary", "wifi")
 _LOWEST = -8.0
 """Log survival at which the tables end; log delay goes on linearly from there."""
 _NODES = {_BLE4: 401, _BLE5: 121, _WIFI: 401}
+_HIGHEST_LOAD, _LOAD_NODES = 2.5, 101
+"""Of the tables of Wi-Fi; a higher load counts as this one."""
+
+Loads = dict[str, Tensor]
+"""What the others' packets add up to, by name; each of shape (environments, receiver, sender), log survivals but
+for "common" and "sensed", which are shares of time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
     """Who hears whom, of `environments` fleets of `aircraft` each.
 
-    Every tensor is of shape (environments, receiver, sender), floating, 1 or 0, with zeros on the diagonal.
+    Matrices are of shape (environments, receiver, sender), floating, 1 or 0, with zeros on the diagonal.
     """
 
     modes: tuple[Tensor, Tensor, Tensor]
     same_channel: Tensor
-    """1 where both send their beacons on one Wi-Fi channel."""
-    quiet: tuple[Tensor, ...]
-    """By product, (environments, receiver): log survival of a packet among what others send in the band."""
+    """1 where both send their beacons on one Wi-Fi channel; 1 on the diagonal."""
+    on_channel: Tensor
+    """(environments, aircraft, Wi-Fi channels), 1 on its own."""
+    quiet: dict[str, Tensor]
+    """By packet, (environments, receiver): log survival among what others send in the band."""
+
+
+@dataclass(frozen=True, slots=True)
+class Packets:
+    """Log survival of each packet of each link, (environments, receiver, sender), and the Wi-Fi load (share of
+    time) around each sender, (environments, 1, sender)."""
+
+    ble4: Tensor
+    pointer: Tensor
+    auxiliary: Tensor
+    wifi: Tensor
+    sensed: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A share of one of the `Loads`: what senders on one mode add to it."""
+
+    load: str
+    mode: int
+    factors: Tensor
+    """By level of the rate."""
+    spread: str
+    """Over whom: "all" who reach the receiver; "channel" 0, 1 or 2 of them; those on the sender's Wi-Fi channel
+    whom it does not sense ("hidden"), all ("shared"), or whom both sense ("common"); and whom the sender senses
+    ("sensed")."""
 
 
 class TorchChannel:
@@ -67,87 +111,118 @@ class TorchChannel:
             [[levels[mode].index(a[mode]) for mode in range(3)] for a in actions], device=self.device
         )
         """Shape (actions, 3): index into the rates of each mode, of which the first is 0."""
+        self._listens = parameters.wifi.access == "carrier_sense"
         self._tables = [self._table(mode, levels[mode][1:]) for mode in range(3)]
-        self.thresholds_db = torch.tensor(
-            thresholds_db(parameters), dtype=torch.float32, device=self.device
-        )
+        self.thresholds_db = torch.tensor(thresholds_db(parameters), dtype=torch.float32, device=self.device)
+        self._parts = self._make_parts(levels)
+
+    def _make_parts(self, levels: Sequence[Sequence[int]]) -> list[_Part]:
+        parameters, period_ms = self.parameters, self.parameters.gnss_period_ms
         s = shares_of(parameters)
-        self._carrier_sense = False
-        pairs = {
-            ("ble4", _BLE4): s.ble4_by_ble4,
-            ("ble4", _BLE5): s.ble4_by_ble5,
-            ("pointer", _BLE5): s.pointer_by_ble5,
-            ("pointer", _BLE4): s.pointer_by_ble4,
-            ("auxiliary", _BLE5): s.auxiliary_by_ble5,
-            ("auxiliary", _WIFI): s.auxiliary_by_wifi,
-            ("wifi", _WIFI): s.wifi_by_wifi,
-            ("wifi", _BLE5): s.wifi_by_ble5,
-        }
-        self._shares = pairs
-        # What each level of each mode takes from the log survival of each product.
-        self._factors = {
-            (product, mode): torch.tensor(
-                np.log1p(-share * np.array(levels[mode], float)), dtype=torch.float32, device=self.device
-            )
-            for (product, mode), share in pairs.items()
-        }
+
+        def lost(load: str, mode: int, share: float, spread: str = "all") -> _Part:
+            idle = np.maximum(1.0 - share * np.array(levels[mode], float), 1e-12)
+            factors = torch.tensor(np.log(idle), dtype=torch.float32, device=self.device)
+            return _Part(load, mode, factors, spread)
+
+        parts = [
+            lost("ble4", _BLE4, s.ble4_by_ble4),
+            lost("ble4", _BLE5, s.ble4_by_ble5),
+            lost("pointer", _BLE5, s.pointer_by_ble5),
+            lost("pointer", _BLE4, s.pointer_by_ble4),
+            lost("auxiliary", _BLE5, s.auxiliary_by_ble5),
+            lost("wifi", _BLE5, s.wifi_by_ble5),
+        ]
+        if not self._listens:
+            return [
+                *parts,
+                lost("auxiliary", _WIFI, s.auxiliary_by_wifi),
+                lost("wifi", _WIFI, s.wifi_by_wifi, "shared"),
+            ]
+        together = (parameters.ble5.auxiliary_ms + parameters.wifi.beacon_ms) / period_ms
+        share = carrier_sense.load_of(np.array(levels[_WIFI], float), parameters)
+        filled = torch.tensor(share, dtype=torch.float32, device=self.device)
+        return [
+            *parts,
+            *(lost(f"auxiliary_{c}", _WIFI, together, str(c)) for c in range(len(WIFI_CHANNELS))),
+            lost("wifi", _WIFI, s.wifi_by_wifi, "hidden"),
+            _Part("common", _WIFI, filled, "common"),
+            _Part("sensed", _WIFI, filled, "sensed"),
+        ]
 
     # ------------------------------------------------------------ tables
 
     def _table(self, mode: int, rates: Sequence[int]) -> Tensor:
-        """Log mean delay (s) of each rate over the grid of log survival: (nodes, rates), or for BLE 5, of
-        pointer and auxiliary packet, (nodes * nodes, rates)."""
-        nodes = np.linspace(_LOWEST, 0.0, _NODES[mode])
-        first, second = np.exp(nodes), np.ones(len(nodes))
-        if mode == _BLE5:
-            first, second = (grid.ravel() for grid in np.meshgrid(np.exp(nodes), np.exp(nodes), indexing="ij"))
-        columns = [
-            np.log(mean_delay_s(terms_of(MODES[mode], rate, self.parameters), first, second)) for rate in rates
-        ]
+        """Log mean delay (s) of each rate over the grid of `_grid`, (nodes, rates)."""
+        first, second = np.linspace(_LOWEST, 0.0, _NODES[mode]), self._second_axis(mode)
+        if second is not None:
+            first, second = (grid.ravel() for grid in np.meshgrid(first, second, indexing="ij"))
+        columns = []
+        for rate in rates:
+            alive = np.exp(first)
+            if mode == _WIFI and second is not None:
+                delay = carrier_sense.delay_s(rate, alive, second, self.parameters)
+            else:
+                other = np.ones(len(first)) if second is None else np.exp(second)
+                delay = mean_delay_s(terms_of(MODES[mode], rate, self.parameters), alive, other)
+            columns.append(np.log(delay))
         table = np.stack(columns, 1) if columns else np.zeros((len(first), 0))
         return torch.tensor(table, dtype=torch.float32, device=self.device)
 
-    def _place(self, mode: int, log_survival: Tensor) -> tuple[Tensor, Tensor]:
-        """Node below and the share of the way to the next one, which is negative below the grid."""
-        nodes = _NODES[mode]
-        at = (log_survival - _LOWEST) * ((nodes - 1) / -_LOWEST)
-        node = at.detach().floor().clamp(0, nodes - 2).long()
-        return node, at - node
+    def _second_axis(self, mode: int) -> NDArray[np.float64] | None:
+        """What delays depend on beside the survival of the first packet: log survival of BLE 5's auxiliary
+        packet, or the load around a Wi-Fi sender."""
+        if mode == _BLE5:
+            return np.linspace(_LOWEST, 0.0, _NODES[mode])
+        if mode == _WIFI and self._listens:
+            return np.linspace(0.0, _HIGHEST_LOAD, _LOAD_NODES)
+        return None
 
-    def log_delay(self, mode: int, first: Tensor, second: Tensor | None = None) -> Tensor:
-        """Log mean delay (s) of every rate of a mode, (..., rates).
+    def _places(self, mode: int, packets: Packets) -> tuple[tuple[Tensor, Tensor], ...]:
+        """By axis of a mode's table: node below, and share of the way to the next one, which is negative below
+        the grid."""
+        log_survival = (packets.ble4, packets.pointer, packets.wifi)[mode]
+        axes = [((log_survival - _LOWEST) * ((_NODES[mode] - 1) / -_LOWEST), _NODES[mode])]
+        if mode == _BLE5:
+            axes.append(((packets.auxiliary - _LOWEST) * ((_NODES[mode] - 1) / -_LOWEST), _NODES[mode]))
+        elif mode == _WIFI and self._listens:
+            load = packets.sensed.expand_as(log_survival).clamp(max=_HIGHEST_LOAD)
+            axes.append((load * ((_LOAD_NODES - 1) / _HIGHEST_LOAD), _LOAD_NODES))
+        nodes = [at.detach().floor().clamp(0, count - 2).long() for at, count in axes]
+        return tuple((node, at - node) for node, (at, _) in zip(nodes, axes, strict=True))
 
-        Args:
-            first: log survival of one packet (BLE 5: a pointer), any shape.
-            second: of the auxiliary packet; same shape.
-        """
-        table = self._tables[mode]
-        node, part = self._place(mode, first)
+    def _stride(self, mode: int) -> int:
+        """Rows of a mode's table from one node of the first axis to the next."""
+        return _NODES[_BLE5] if mode == _BLE5 else _LOAD_NODES if mode == _WIFI and self._listens else 1
+
+    def log_delay(self, mode: int, packets: Packets) -> Tensor:
+        """Log mean delay (s) of every rate of a mode, (environments, receiver, sender, rates)."""
+        table, stride = self._tables[mode], self._stride(mode)
+        (node, part), *more = self._places(mode, packets)
         part = part[..., None]
-        if mode != _BLE5:
+        if not more:
             return torch.lerp(table[node], table[node + 1], part)
-        assert second is not None
-        nodes = _NODES[mode]
-        other, share = self._place(mode, second)
-        low, high, share = node * nodes + other, (node + 1) * nodes + other, share[..., None]
+        ((other, share),) = more
+        low, share = node * stride + other, share[..., None]
         return torch.lerp(
-            torch.lerp(table[low], table[low + 1], share), torch.lerp(table[high], table[high + 1], share), part
+            torch.lerp(table[low], table[low + 1], share),
+            torch.lerp(table[low + stride], table[low + stride + 1], share),
+            part,
         )
 
-    def log_delay_at(self, mode: int, level: Tensor, first: Tensor, second: Tensor | None = None) -> Tensor:
-        """Log mean delay (s) at one rate for each link, for levels from 1; anything where the level is 0."""
-        table = self._tables[mode]
+    def log_delay_at(self, mode: int, level: Tensor, packets: Packets) -> Tensor:
+        """Log mean delay (s) at one rate for each link, (environments, receiver, sender), for levels from 1;
+        anything where the level is 0."""
+        table, stride = self._tables[mode], self._stride(mode)
         rates = table.shape[1]
         flat, column = table.reshape(-1), (level - 1).clamp(min=0)
-        node, part = self._place(mode, first)
-        if mode != _BLE5:
+        (node, part), *more = self._places(mode, packets)
+        if not more:
             low = node * rates + column
             return torch.lerp(flat[low], flat[low + rates], part)
-        assert second is not None
-        nodes = _NODES[mode]
-        other, share = self._place(mode, second)
-        low = (node * nodes + other) * rates + column
-        high = low + nodes * rates
+        ((other, share),) = more
+        low = (node * stride + other) * rates + column
+        high = low + stride * rates
         return torch.lerp(
             torch.lerp(flat[low], flat[low + rates], share),
             torch.lerp(flat[high], flat[high + rates], share),
@@ -168,58 +243,100 @@ class TorchChannel:
         others = 1.0 - torch.eye(aircraft, device=self.device)
         modes = tuple((path_loss_db <= self.thresholds_db[mode]) * others for mode in range(3))
         same = (wifi_channel[:, :, None] == wifi_channel[:, None, :]).to(torch.float32)
-        if busy is None:
-            quiet = (torch.zeros(environments, aircraft, device=self.device),) * len(PRODUCTS)
-        else:
-            alive = background_survival(self.parameters, busy.reshape(-1, 3).cpu().double().numpy())
-            quiet = tuple(
-                torch.tensor(np.log(getattr(alive, product)), dtype=torch.float32, device=self.device).reshape(
-                    environments, aircraft
-                )
-                for product in PRODUCTS
-            )
-        return Reach((modes[0], modes[1], modes[2]), same, quiet)
+        on_channel = torch.nn.functional.one_hot(wifi_channel, len(WIFI_CHANNELS)).to(torch.float32)
+        share = np.zeros((environments * aircraft, 3))
+        if busy is not None:
+            share = busy.reshape(-1, 3).cpu().double().numpy()
+        alive = background_survival(self.parameters, share)
+        quiet = {
+            packet: torch.tensor(
+                np.log(getattr(alive, packet)), dtype=torch.float32, device=self.device
+            ).reshape(environments, aircraft)[:, :, None]
+            for packet in ("ble4", "pointer", "auxiliary", "wifi")
+        }
+        return Reach((modes[0], modes[1], modes[2]), same, on_channel, quiet)
 
-    def log_survivals(self, reach: Reach, action: Tensor) -> tuple[Tensor, ...]:
-        """By product, (environments, receiver, sender): log survival of a packet of the sender among the packets
-        of all others, whatever the sender itself sends.
+    def loads(self, reach: Reach, action: Tensor) -> Loads:
+        """What the packets of all others than its sender add up to, for each link, whatever the sender sends.
 
         Args:
             action: (environments, aircraft), indices into the actions.
         """
         level = self.level_of[action]
-        total: dict[str, Tensor] = {}
-        for (product, mode), factors in self._factors.items():
-            load = factors[level[..., mode]][:, None, :] * reach.modes[mode]
-            if (product, mode) == ("wifi", _WIFI):
-                # (receiver, sender): the sum over those on the sender's channel, itself included.
-                found = load @ reach.same_channel - load
-            else:
-                found = load.sum(2, keepdim=True) - load
-            total[product] = total[product] + found if product in total else found
-        return tuple(
-            total[product] + quiet[:, :, None]
-            for product, quiet in zip(PRODUCTS, reach.quiet, strict=True)
+        found: Loads = {}
+        for part in self._parts:
+            sent = part.factors[level[..., part.mode]]
+            term = self._spread(part, reach, sent)
+            found[part.load] = found[part.load] + term if part.load in found else term
+        return found
+
+    def _spread(self, part: _Part, reach: Reach, sent: Tensor) -> Tensor:
+        """One part of a load for all links, of what each aircraft adds, (environments, aircraft)."""
+        carried = reach.modes[part.mode]
+        if part.spread == "sensed":
+            return (carried * reach.same_channel * sent[:, None, :]).sum(2)[:, None, :]
+        arriving = carried * sent[:, None, :]
+        if part.spread in ("shared", "hidden", "common"):
+            return arriving @ self._mates(part, reach).transpose(1, 2)
+        if part.spread != "all":
+            arriving = arriving * reach.on_channel[:, None, :, int(part.spread)]
+        return arriving.sum(2, keepdim=True) - arriving
+
+    def _mates(self, part: _Part, reach: Reach) -> Tensor:
+        """(environments, sender, other): whose beacons count on the links of a sender."""
+        sensed = reach.modes[_WIFI] * reach.same_channel
+        if part.spread == "common":
+            return sensed
+        shared = reach.same_channel - torch.eye(sensed.shape[1], device=self.device)
+        return shared if part.spread == "shared" else shared - sensed
+
+    def packets(self, reach: Reach, loads: Loads) -> Packets:
+        """What becomes of each packet among these loads."""
+        quiet, auxiliary, wifi = reach.quiet, loads["auxiliary"], loads["wifi"]
+        sensed = torch.zeros_like(wifi[:, :1])
+        if self._listens:
+            hit = sum(1.0 - torch.exp(loads[f"auxiliary_{c}"]) for c in range(len(WIFI_CHANNELS)))
+            auxiliary = auxiliary + torch.log1p(-OVERLAPPED_CHANNELS / SECONDARY_CHANNELS * hit)
+            sensed = loads["sensed"]
+            wifi = wifi - loads["common"] * _crowding(sensed)
+        return Packets(
+            loads["ble4"] + quiet["ble4"],
+            loads["pointer"] + quiet["pointer"],
+            auxiliary + quiet["auxiliary"],
+            wifi + quiet["wifi"],
+            sensed,
         )
 
-    def harm(self, reach: Reach, gradients: Sequence[Tensor]) -> Tensor:
+    def harm(self, reach: Reach, gradients: Loads) -> Tensor:
         """What each aircraft's action adds to the cost of the others, to first order.
 
         Args:
-            gradients: of the total cost with respect to what `log_survivals` gave.
+            gradients: of the total cost with respect to the loads.
 
         Returns:
             (environments, aircraft, actions), up to a number for each aircraft.
         """
-        by_product = dict(zip(PRODUCTS, gradients, strict=True))
         harm: Tensor | None = None
-        for (product, mode), factors in self._factors.items():
-            gradient, carried = by_product[product], reach.modes[mode]
-            if (product, mode) == ("wifi", _WIFI):
-                felt = ((gradient @ reach.same_channel - gradient) * carried).sum(1)
-            else:
-                felt = ((gradient.sum(2, keepdim=True) - gradient) * carried).sum(1)
-            part = felt[..., None] * factors[self.level_of[:, mode]]
-            harm = part if harm is None else harm + part
+        for part in self._parts:
+            felt = self._gather(part, reach, gradients[part.load])
+            found = felt[..., None] * part.factors[self.level_of[:, part.mode]]
+            harm = found if harm is None else harm + found
         assert harm is not None
         return harm
+
+    def _gather(self, part: _Part, reach: Reach, gradient: Tensor) -> Tensor:
+        """`_spread` turned round, (environments, aircraft)."""
+        carried = reach.modes[part.mode]
+        if part.spread == "sensed":
+            return (carried * reach.same_channel * gradient.transpose(1, 2)).sum(1)
+        if part.spread in ("shared", "hidden", "common"):
+            return ((gradient @ self._mates(part, reach)) * carried).sum(1)
+        felt = ((gradient.sum(2, keepdim=True) - gradient) * carried).sum(1)
+        return felt if part.spread == "all" else felt * reach.on_channel[..., int(part.spread)]
+
+
+def _crowding(load: Tensor) -> Tensor:
+    """`carrier_sense.crowding`."""
+    c, a = carrier_sense.MEETING, carrier_sense.CROWDING
+    free = 1.0 - load
+    return 2.0 * c * load / (free + torch.sqrt(free * free + 4.0 * a * c * load * load))

@@ -6,15 +6,15 @@ gives the delays, and positions are drawn anew (the paper) or flown on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import msgspec
 import torch
 from torch import Tensor
 
 from companion.atmc.observation import conflict_weight, neighbour_rows, own_row
-from ground_tools.atmc.channel import TorchChannel
+from ground_tools.atmc.channel import Packets, TorchChannel
 from ground_tools.atmc.objective import Air, Objective, costs
 from ground_tools.atmc.world import World, WorldSettings, draw, move, redraw
 
@@ -32,7 +32,8 @@ class EnvSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """When the square is drawn anew."""
     step_s: float = 1.0
     lossy: bool = False
-    """Neighbours are heard by chance, as their messages get through, and not for certain."""
+    """Neighbours are heard by chance, as their messages get through, and not for certain; and how well they get
+    through is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,40 +99,35 @@ class Env:
         """What everybody sees now."""
         rates = self.channel.rates[self.action]
         reach = torch.stack(self.air.reach.modes, -1)
-        logs = None
-        if self.settings.lossy or self.world.busy.any():
-            logs = self.channel.log_survivals(self.air.reach, self.action)
-        on = (rates > 0)[:, None].to(torch.float32) * reach
+        packets = None
         if self.settings.lossy:
-            assert logs is not None
-            on = on * self._received(logs)
+            loads = self.channel.loads(self.air.reach, self.action)
+            packets = self.channel.packets(self.air.reach, loads)
+        on = (rates > 0)[:, None].to(torch.float32) * reach
+        if packets is not None:
+            on = on * self._received(packets)
         rows = neighbour_rows(torch, self._distance, self._conflict, rates[:, None] * on)
-        success, measured = self._success(on, logs)
+        success, measured = self._success(on, packets)
         return Observation(
             own_row(torch, rates, success, measured, self.identity), rows, on.amax(-1)
         )
 
-    def _received(self, logs: tuple[Tensor, ...]) -> Tensor:
+    def _received(self, packets: Packets) -> Tensor:
         """(E, receiver, sender, 3): on which transports something was heard lately, by chance."""
         level = self.channel.level_of[self.action][:, None]
-        first, pointer, auxiliary, beacon = logs
-        delays = [
-            self.channel.log_delay_at(0, level[..., 0], first),
-            self.channel.log_delay_at(1, level[..., 1], pointer, auxiliary),
-            self.channel.log_delay_at(2, level[..., 2], beacon),
-        ]
+        delays = [self.channel.log_delay_at(mode, level[..., mode], packets) for mode in range(3)]
         missing = torch.exp(-HEARD_WITHIN_S * torch.exp(-torch.stack(delays, -1)))
         luck = torch.rand(missing.shape, generator=self._generator, device=missing.device)
         return (luck >= missing).to(torch.float32)
 
-    def _success(self, on: Tensor, logs: tuple[Tensor, ...] | None) -> tuple[Tensor, Tensor]:
+    def _success(self, on: Tensor, packets: Packets | None) -> tuple[Tensor, Tensor]:
         """(E, N, 3) each: mean survival of the packets of those who are heard, and where it is known."""
         shape = (*self.action.shape, 3)
-        if logs is None:
+        if packets is None:
             # The paper's aircraft measure nothing.
             return on.new_zeros(shape), on.new_zeros(shape)
-        first, pointer, auxiliary, beacon = logs
-        alive = torch.exp(torch.stack([first, pointer + auxiliary, beacon], -1))
+        p = packets
+        alive = torch.exp(torch.stack([p.ble4, p.pointer + p.auxiliary, p.wifi], -1))
         heard = on.sum(2)
         measured = (heard > 0).to(torch.float32)
         return (alive * on).sum(2) / heard.clamp(min=1.0), measured
@@ -148,6 +144,16 @@ class Env:
         """
         self.action = action if moving is None else torch.where(moving, action, self.action)
         return costs(self.objective, self.air, self.action)
+
+    def state(self) -> dict[str, Any]:
+        """Everything but the generator, for `load`."""
+        world = {f.name: getattr(self.world, f.name) for f in fields(self.world)}
+        return {"world": world, "action": self.action, "identity": self.identity}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        self.action, self.identity = state["action"], state["identity"]
+        self.place(World(**state["world"]))
 
     def go_on(self) -> None:
         """The next positions."""

@@ -12,7 +12,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from ground_tools.atmc.channel import Reach, TorchChannel
+from ground_tools.atmc.channel import Packets, Reach, TorchChannel
+from sitl_mocks.channel.parameters import MODES
 
 MISS_S = 3.0
 """An aircraft out of reach counts like one of this age."""
@@ -33,43 +34,39 @@ class Objective(Protocol):
 
     channel: TorchChannel
 
-    def each(self, air: Air, action: Tensor, logs: tuple[Tensor, ...]) -> Tensor:
-        """Cost of each aircraft's own messages, (environments, aircraft), differentiable in `logs`."""
+    def each(self, air: Air, action: Tensor, packets: Packets) -> Tensor:
+        """Cost of each aircraft's own messages, (environments, aircraft), differentiable in `packets`."""
         ...
 
-    def own(self, air: Air, logs: tuple[Tensor, ...]) -> Tensor:
+    def own(self, air: Air, packets: Packets) -> Tensor:
         """The same for each of its actions while all others keep theirs, (environments, aircraft, actions)."""
         ...
 
 
 def costs(objective: Objective, air: Air, action: Tensor) -> Tensor:
     """Cost of each aircraft's messages (s), (environments, aircraft)."""
+    c = objective.channel
     with torch.no_grad():
-        return objective.each(air, action, objective.channel.log_survivals(air.reach, action))
-
-
-def own_costs(objective: Objective, air: Air, action: Tensor) -> Tensor:
-    """Cost of each aircraft's messages (s) for each of its actions, (environments, aircraft, actions)."""
-    with torch.no_grad():
-        return objective.own(air, objective.channel.log_survivals(air.reach, action))
+        return objective.each(air, action, c.packets(air.reach, c.loads(air.reach, action)))
 
 
 def difference_costs(objective: Objective, air: Air, action: Tensor) -> tuple[Tensor, Tensor]:
     """The present cost of each aircraft's messages (s), (environments, aircraft), and what the fleet's total
     would be for each of its actions, up to a number for each aircraft, (environments, aircraft, actions)."""
+    c = objective.channel
     with torch.no_grad():
-        logs = objective.channel.log_survivals(air.reach, action)
-        own = objective.own(air, logs)
-    leaves = tuple(log.detach().requires_grad_() for log in logs)
+        loads = c.loads(air.reach, action)
+    leaves = {name: load.requires_grad_() for name, load in loads.items()}
     with torch.enable_grad():
-        each = objective.each(air, action, leaves)
-        gradients = torch.autograd.grad(each.sum(), leaves, allow_unused=True)
-    known = [
-        torch.zeros_like(leaf) if gradient is None else gradient
-        for leaf, gradient in zip(leaves, gradients, strict=True)
-    ]
+        packets = c.packets(air.reach, leaves)
+        each = objective.each(air, action, packets)
+        found = torch.autograd.grad(each.sum(), list(leaves.values()), allow_unused=True)
+    gradients = {
+        name: torch.zeros_like(leaf) if gradient is None else gradient
+        for (name, leaf), gradient in zip(leaves.items(), found, strict=True)
+    }
     with torch.no_grad():
-        return each.detach(), own + objective.channel.harm(air.reach, known)
+        return each.detach(), objective.own(air, packets) + c.harm(air.reach, gradients)
 
 
 class PaperObjective:
@@ -82,24 +79,24 @@ class PaperObjective:
         self.channel = channel
         self._mode = (channel.level_of > 0).long().argmax(1)
 
-    def each(self, air: Air, action: Tensor, logs: tuple[Tensor, ...]) -> Tensor:
+    def each(self, air: Air, action: Tensor, packets: Packets) -> Tensor:
         """See `Objective.each`."""
         c, level, mode = self.channel, self.channel.level_of[action], self._mode[action]
         total = torch.zeros(action.shape, device=action.device)
-        for index, (first, second) in enumerate(_packets(logs)):
+        for index in range(len(MODES)):
             chosen = (mode == index).to(total.dtype)
             carried = air.reach.modes[index] * chosen[:, None, :]
-            delay = torch.exp(c.log_delay_at(index, level[:, None, :, index], first, second))
+            delay = torch.exp(c.log_delay_at(index, level[:, None, :, index], packets))
             total = total + (delay * carried).sum(1) / carried.sum(1).clamp(min=1.0)
         return total
 
-    def own(self, air: Air, logs: tuple[Tensor, ...]) -> Tensor:
+    def own(self, air: Air, packets: Packets) -> Tensor:
         """See `Objective.own`."""
         c = self.channel
         parts = []
-        for index, (first, second) in enumerate(_packets(logs)):
+        for index in range(len(MODES)):
             carried = air.reach.modes[index]
-            delay = torch.exp(c.log_delay(index, first, second))
+            delay = torch.exp(c.log_delay(index, packets))
             mean = (delay * carried[..., None]).sum(1) / carried.sum(1).clamp(min=1.0)[..., None]
             parts.append(torch.cat([torch.zeros_like(mean[..., :1]), mean], -1))
         return torch.cat(
@@ -119,23 +116,23 @@ class AwarenessObjective:
     def __init__(self, channel: TorchChannel) -> None:
         self.channel = channel
 
-    def each(self, air: Air, action: Tensor, logs: tuple[Tensor, ...]) -> Tensor:
+    def each(self, air: Air, action: Tensor, packets: Packets) -> Tensor:
         """See `Objective.each`."""
         level = self.channel.level_of[action]
         heard: Tensor | float = 0.0
-        for index, (first, second) in enumerate(_packets(logs)):
+        for index in range(len(MODES)):
             there = level[:, None, :, index]
-            delay = self.channel.log_delay_at(index, there, first, second)
+            delay = self.channel.log_delay_at(index, there, packets)
             heard = heard + torch.exp(-delay) * (air.reach.modes[index] * (there > 0))
         assert isinstance(heard, Tensor)
         return (age_s(heard) * air.weight).sum(1)
 
-    def own(self, air: Air, logs: tuple[Tensor, ...]) -> Tensor:
+    def own(self, air: Air, packets: Packets) -> Tensor:
         """See `Objective.own`."""
         c = self.channel
         rates = []
-        for index, (first, second) in enumerate(_packets(logs)):
-            heard = torch.exp(-c.log_delay(index, first, second)) * air.reach.modes[index][..., None]
+        for index in range(len(MODES)):
+            heard = torch.exp(-c.log_delay(index, packets)) * air.reach.modes[index][..., None]
             rates.append(torch.cat([torch.zeros_like(heard[..., :1]), heard], -1))
         costs = [
             (
@@ -152,7 +149,3 @@ def age_s(rate: Tensor) -> Tensor:
     at = rate.clamp(min=1e-4)
     return -torch.expm1(-at * MISS_S) / at
 
-
-def _packets(logs: tuple[Tensor, ...]) -> tuple[tuple[Tensor, Tensor | None], ...]:
-    ble4, pointer, auxiliary, wifi = logs
-    return (ble4, None), (pointer, auxiliary), (wifi, None)

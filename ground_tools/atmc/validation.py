@@ -1,0 +1,74 @@
+"""A fixed set of fleets on which a policy is measured while it learns: how much it loses against the search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from ground_tools.atmc.deciders import Decider, settle
+from ground_tools.atmc.env import Env, EnvSettings
+from ground_tools.atmc.objective import Objective, costs
+from ground_tools.atmc.search import search
+from ground_tools.atmc.tasks import ObjectiveName
+from ground_tools.atmc.world import SIDES_M, World, WorldSettings, draw
+
+_ROUNDS = 4
+_FLEETS = {"paper": ((5, 80), (10, 60), (20, 20), (50, 4)), "awareness": ((5, 80), (10, 60), (50, 6), (100, 2))}
+"""Aircraft, and how many environments of each size of square."""
+_LOAD = 0.5
+
+
+@dataclass(slots=True)
+class _Case:
+    env: Env
+    world: World
+    floor_s: float
+
+
+class Validation:
+    """Fleets of several sizes in squares of all sizes; for awareness, each also with others in the band.
+
+    Args:
+        seed: of the positions.
+    """
+
+    def __init__(self, objective: Objective, name: ObjectiveName, seed: int) -> None:
+        self._seed = seed
+        self._device = objective.channel.device
+        self._name = name
+        generator = self._fresh()
+        settings = EnvSettings(lossy=name == "awareness")
+        self._cases: dict[str, list[_Case]] = {}
+        loads = (0.0, _LOAD) if name == "awareness" else (0.0,)
+        allowed = torch.ones(len(objective.channel.actions), dtype=torch.bool, device=self._device)
+        for aircraft, count in _FLEETS[name]:
+            for load in loads:
+                cases = self._cases[f"{aircraft}" + ("_loaded" if load else "")] = []
+                for side in SIDES_M:
+                    env = Env(settings, objective, count, aircraft, generator)
+                    world = draw(WorldSettings(sides=side, load=(load, load)), count, aircraft, generator)
+                    env.place(world)
+                    starts = [env.action, torch.full_like(env.action, len(allowed) - 1)]
+                    best = search(objective, env.air, starts, allowed, generator, rounds=25)
+                    cases.append(_Case(env, world, float(costs(objective, env.air, best).sum())))
+
+    def _fresh(self) -> torch.Generator:
+        return torch.Generator(self._device).manual_seed(self._seed)
+
+    def measure(self, decider: Decider) -> dict[str, float]:
+        """Loss against the search in % by fleet size, and "score", their mean."""
+        generator = self._fresh()
+        found = {}
+        for key, cases in self._cases.items():
+            cost = floor = 0.0
+            for case in cases:
+                env = case.env
+                env.action = torch.randint(
+                    len(env.channel.actions), env.action.shape, generator=generator, device=self._device
+                )
+                last = settle(env, decider, _ROUNDS, generator)[-4:]
+                cost += float(torch.stack([c.sum() for c in last]).mean())
+                floor += case.floor_s
+            found[f"loss_{key}_percent"] = 100.0 * (cost / floor - 1.0)
+        return {"score": sum(found.values()) / len(found), **found}
