@@ -16,7 +16,7 @@ from rich.console import Console
 
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
-from ground_tools.paper import delay_rate, fixed_modes, packet_loss
+from ground_tools.paper import closed_loop, delay_rate, fixed_modes, packet_loss
 from ground_tools.paper.report import Report, json_rows, show
 from ground_tools.paper.study import Study
 
@@ -54,11 +54,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Compute the paper's figures by the channel model's equations and set them beside what the paper\n"
         "says of them. A statement that does not hold is a finding, not an error: the exit code stays 0.\n\n"
-        "figures:\n" + "\n".join(lines)
+        "figures:\n" + "\n".join(lines) + "\n\n"
+        f"{closed_loop.NAME} is the experiment that the paper leaves open: transports chosen in flight,\n"
+        "packets on the air, avoidance by what is heard. It has options of its own, takes hours, and\n"
+        "is not one of all. What was flown is kept in its folder and not flown again."
     )
-    parser.epilog = "example: ground-tools paper fixed-modes --samples 10000"
+    parser.epilog = (
+        "examples: ground-tools paper fixed-modes --samples 10000; "
+        "ground-tools paper closed-loop --encounters 20 --methods wifi rule"
+    )
     names = [figure.name for figure in FIGURES]
-    parser.add_argument("figure", choices=[*names, "all"], metavar="FIGURE", help="one of them, or all")
+    parser.add_argument(
+        "figure",
+        choices=[*names, "all", closed_loop.NAME],
+        metavar="FIGURE",
+        help=f"one of them, all, or {closed_loop.NAME}",
+    )
     options.add_sampling(parser)
     parser.add_argument(
         "--out",
@@ -68,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for FIGURE.png (default: runs/paper)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object a line instead of tables")
+    closed_loop.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,6 +88,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option is wrong, a picture cannot be written, or matplotlib is missing.
     """
+    if args.figure == closed_loop.NAME:
+        return closed_loop.run(args)
     options.check_sampling(args.samples, args.seed)
     chosen = [figure for figure in FIGURES if args.figure in (figure.name, "all")]
     study = Study(args.samples, args.seed)
