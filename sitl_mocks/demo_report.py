@@ -94,7 +94,7 @@ class Verdict:
     def _choices(self) -> dict[str, object]:
         chosen = list(self.avoided.chosen.values())
         return {
-            "transports": {name: round(share, 4) for name, share in shares_of(chosen).items()},
+            "shares": {name: round(share, 4) for name, share in shares_of(chosen).items()},
             "switches_per_minute": round(mean_switches(chosen), 3),
         }
 
