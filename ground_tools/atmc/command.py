@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 
-from ground_tools.atmc import train
+from ground_tools.atmc import collect, train
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Subcommands of `ground-tools atmc`; each sets `run`. None loads PyTorch before it runs."""
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name, module, words in (("train", train, "train a policy"),):
+    for name, module, words in (
+        ("train", train, "train a policy"),
+        ("collect", collect, "the paper's runs, measured and in one file"),
+    ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
         module.add_arguments(command)
         command.set_defaults(run=module.run)

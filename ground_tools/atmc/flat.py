@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from companion.atmc import policy
+from companion.atmc import policy, policy_file
 from companion.atmc.actions import Action
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from ground_tools.atmc.env import Observation
@@ -147,6 +147,24 @@ def frozen(
     )
     metadata = msgspec.structs.replace(metadata, golden=golden)
     return policy.encode(metadata, tensors, max_bytes=MAX_BYTES)
+
+
+def thawed(data: bytes, name: str) -> Stack:
+    """The stack of a policy file, on the CPU.
+
+    Raises:
+        PolicyError: names the file and what is wrong with it.
+    """
+    _, tensors = policy_file.read(data, name, MAX_BYTES)
+    layers = [(tensors[f"layer{i}.weight"], tensors[f"layer{i}.bias"]) for i in range(len(tensors) // 2)]
+    networks, _, first = layers[0][0].shape
+    sizes = (first, *(bias.shape[1] for _, bias in layers))
+    stack = Stack(networks, sizes, torch.Generator())
+    with torch.no_grad():
+        for index, (weight, bias) in enumerate(layers):
+            stack.weights[index].copy_(torch.from_numpy(weight).transpose(1, 2))
+            stack.biases[index].copy_(torch.from_numpy(bias)[:, None])
+    return stack
 
 
 def _whole_rows(row: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
@@ -55,7 +56,7 @@ class TaskSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 @functools.cache
-def _objective(device: torch.device) -> PaperObjective:
+def paper_objective(device: torch.device) -> PaperObjective:
     """The paper's; its tables take a second."""
     return PaperObjective(TorchChannel(ChannelParameters(), PAPER_ACTIONS, device))
 
@@ -72,7 +73,7 @@ class PaperTask:
         self.device = generator.device
         self.actions = PAPER_ACTIONS
         self.inputs = inputs(settings.uavs)
-        self.objective = _objective(self.device)
+        self.objective = paper_objective(self.device)
         self._env = Env(settings.environment, self.objective, 1, settings.uavs, generator)
 
     def reset(self) -> Tensor:
@@ -95,9 +96,10 @@ class PaperTask:
     def validate(self, choose: Choose) -> dict[str, float]:
         """Measure a policy on the fixed validation set; see `measure`."""
         s = self.settings
-        return measure(
+        found = measure(
             choose, self.objective, s.uavs, s.validation_environments, s.validation_steps, _VALIDATION_SEED
         )
+        return {"score": found.delays_ms["delay_ms"], **found.delays_ms}
 
     def examples(self, count: int = 8) -> Tensor:
         """Flat observations, of different aircraft in different squares, (count, inputs)."""
@@ -107,10 +109,21 @@ class PaperTask:
         return flat(env.observe())[each, each % self.settings.uavs]
 
 
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Delays of a policy."""
+
+    delays_ms: dict[str, float]
+    """Of the fleet: "delay_ms", the mean over the six squares; "high_ms" and "low_ms", over those of high and
+    low density; one for each square, such as "side_500_ms"."""
+    uav_ms: tuple[float, ...]
+    """Of each aircraft, over all six."""
+
+
 def measure(
     choose: Choose, objective: PaperObjective, uavs: int, environments: int, steps: int, seed: int
-) -> dict[str, float]:
-    """System delays (ms) of a policy: the sum over the aircraft of each one's mean delay to those it reaches.
+) -> Measured:
+    """System delays of a policy: the sum over the aircraft of each one's mean delay to those it reaches.
     Positions are drawn anew at every step, and all decide once, at the same time.
 
     Args:
@@ -118,14 +131,10 @@ def measure(
         environments: fleets in each of the paper's six squares.
         steps: decisions of each fleet that are counted.
         seed: of the draw.
-
-    Returns:
-        "score" and "delay_ms", the mean over the six squares; "high_ms" and "low_ms", over those of high and
-        low density; one for each square, such as "side_500_ms".
     """
     device = objective.channel.device
     generator = torch.Generator(device).manual_seed(seed)
-    sums = []
+    sums, each = [], torch.zeros(uavs, device=device)
     with torch.no_grad():
         for side in SIDES_M:
             settings = EnvSettings(world=WorldSettings(sides=side), side_drawn="episode")
@@ -135,17 +144,18 @@ def measure(
                 cost_s = env.act(choose(flat(env.observe())))
                 if step >= 0:
                     total += cost_s.sum(1).mean()
+                    each += cost_s.mean(0)
                 env.go_on()
             sums.append(1000.0 * total / steps)
     delay_ms = dict(zip(SIDES_M, torch.stack(sums).tolist(), strict=True))
     dynamic = _mean_of(delay_ms, SIDES_M)
-    return {
-        "score": dynamic,
+    delays = {
         "delay_ms": dynamic,
         "high_ms": _mean_of(delay_ms, HIGH_M),
         "low_ms": _mean_of(delay_ms, LOW_M),
         **{f"side_{side:.0f}_ms": value for side, value in delay_ms.items()},
     }
+    return Measured(delays, tuple((1000.0 * each / (steps * len(SIDES_M))).tolist()))
 
 
 def _mean_of(values: dict[float, float], keys: tuple[float, ...]) -> float:

@@ -13,7 +13,7 @@ from torch import nn
 from companion.atmc import policy
 from ground_tools.atmc.algorithms import ALGORITHMS
 from ground_tools.atmc.env import Env, EnvSettings
-from ground_tools.atmc.flat import MAX_BYTES, Stack, clipped, flat, frozen, soft_update
+from ground_tools.atmc.flat import MAX_BYTES, Stack, clipped, flat, frozen, soft_update, thawed
 from ground_tools.atmc.iac import discounted
 from ground_tools.atmc.madqn import Madqn, MadqnSettings, exploration_rate, td_target
 from ground_tools.atmc.paper_task import PaperTask, TaskSettings, measure
@@ -183,7 +183,9 @@ def test_a_frozen_policy_chooses_as_the_network_does():
     task = PaperTask(TASK, torch.Generator().manual_seed(1))
     env = Env(EnvSettings(), task.objective, 20, 4, torch.Generator().manual_seed(2))
     stack = Stack(4, (task.inputs, 16, 30), torch.Generator().manual_seed(3))
-    file = policy.load(frozen(stack, task.actions, "x", {}, task.examples()), "x", max_bytes=MAX_BYTES)
+    data = frozen(stack, task.actions, "x", {}, task.examples())
+    file = policy.load(data, "x", max_bytes=MAX_BYTES)
+    assert same(dict(thawed(data, "x").state_dict()), dict(stack.state_dict()))
     seen = env.observe()
     wanted = stack.of_all(flat(seen)).detach().numpy()
     for e in range(20):
@@ -196,9 +198,11 @@ def test_a_frozen_policy_chooses_as_the_network_does():
 def test_fixed_modes_are_measured_as_published():
     """Wi-Fi at 10 messages, 1,871 ms within 1 %, and its mean of high density."""
     task = PaperTask(TaskSettings(), torch.Generator().manual_seed(1))
-    found = measure(lambda seen: torch.full(seen.shape[:-1], 29), task.objective, 10, 30, 3, 5)
+    measured = measure(lambda seen: torch.full(seen.shape[:-1], 29), task.objective, 10, 30, 3, 5)
+    found = measured.delays_ms
     assert found["high_ms"] == pytest.approx(1900.0, rel=0.01)
-    assert found["score"] == pytest.approx((found["high_ms"] + found["low_ms"]) / 2.0)
+    assert found["delay_ms"] == pytest.approx((found["high_ms"] + found["low_ms"]) / 2.0)
+    assert sum(measured.uav_ms) == pytest.approx(found["delay_ms"], rel=1e-4)
 
 
 # ------------------------------------------------------------ every algorithm

@@ -21,6 +21,7 @@ from ground_tools import cli
 from ground_tools.atmc import training
 from ground_tools.atmc.algorithms import ALGORITHMS
 from ground_tools.atmc.flat import MAX_BYTES
+from ground_tools.atmc.results import read
 
 TINY = """
 episodes = 4
@@ -198,3 +199,19 @@ def test_no_command_loads_pytorch_before_it_needs_it():
     code = "import ground_tools.cli, sys; print('torch' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert found.stdout.strip() == "False"
+
+
+def test_collected_runs(config, tmp_path, capsys):
+    _, (folder,) = train(config, tmp_path / "runs")
+    out = tmp_path / "results.json.gz"
+    arguments = ["atmc", "collect", str(folder), "--configurations", "250", "--out", str(out)]
+    assert cli.main(arguments) == 0
+    (found,) = read(out).runs
+    assert (found.algorithm, found.seed, len(found.reward)) == ("madqn", 1, 4)
+    assert [episode for episode, _ in found.validation] == [2, 4]
+    assert sum(found.best_delay_uav_ms) == pytest.approx(found.best["delay_ms"], rel=1e-2)
+    assert found.last["delay_ms"] > 0.0
+    assert "madqn" in capsys.readouterr().out
+    (folder / "metrics.csv").write_text("episode\n1\n")
+    assert cli.main(arguments) == 2
+    assert "1 of 4 episodes" in capsys.readouterr().err

@@ -1,0 +1,182 @@
+"""`ground-tools atmc collect`: what training runs of the paper's algorithms gave, in one file.
+
+The policies are measured as in the paper's section "Performance of MADQN-ATMC": positions drawn anew at every
+step, one decision of all at the same time, squares of six sizes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from companion.errors import ConfigError
+from ground_tools.atmc.results import CONVERGENCE, UAV_EVERY, Results, Run, write
+from ground_tools.channel.progress import progress
+
+if TYPE_CHECKING:
+    from ground_tools.atmc.paper_task import Measured
+
+_FLEETS = 250
+_SEED = 3_000_017
+"""Neither that of a run nor that of the validation set."""
+_DIGITS = 4
+_SIDES = ("side_100_ms", "side_500_ms", "side_1000_ms", "side_3000_ms", "side_5000_ms", "side_10000_ms")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `ground-tools atmc collect`."""
+    parser.description = (
+        "Measure the policies of finished training runs as the paper does, print a table of all seeds, and\n"
+        "write what figures of the paper need into one file."
+    )
+    parser.epilog = "example: ground-tools atmc collect runs/atmc/*-madqn-seed* --out results.json.gz"
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders of training")
+    parser.add_argument(
+        "--configurations",
+        type=int,
+        default=10_000,
+        metavar="N",
+        help="in each of the six squares (default: 10000)",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=CONVERGENCE, metavar="FILE", help="default: the one in config/atmc"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """`ground-tools atmc collect`. Returns 0.
+
+    Raises:
+        ConfigError: a folder is no finished run, or the file cannot be written.
+    """
+    if args.configurations < _FLEETS or args.configurations % _FLEETS:
+        raise ConfigError(f"--configurations: {args.configurations}: allowed are multiples of {_FLEETS}")
+    try:
+        import torch
+    except ModuleNotFoundError as error:
+        raise ConfigError("torch is not installed; in the checkout: pip install -e '.[train]'") from error
+    torch.set_num_threads(1)
+    runs = []
+    with progress("policies", len(args.runs)) as advance:
+        for folder in args.runs:
+            runs.append(_run(folder, args.configurations))
+            advance()
+    results = Results(configurations=args.configurations, runs=tuple(sorted(runs, key=_place)))
+    write(args.out, results)
+    Console().print(_table(results.runs))
+    print(f"wrote {args.out}")
+    return 0
+
+
+def _place(run: Run) -> tuple[str, int]:
+    return run.algorithm, run.seed
+
+
+def _run(folder: Path, configurations: int) -> Run:
+    """One run, measured."""
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text())
+        algorithm, seed = str(manifest["algorithm"]), int(manifest["seed"])
+        with (folder / "metrics.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{folder}: not the folder of a training run") from error
+    from ground_tools.atmc.training import resumed_job
+
+    job = resumed_job(folder, "cpu", None)
+    if not rows or len(rows) < job.settings.episodes:
+        raise ConfigError(f"{folder}: {len(rows)} of {job.settings.episodes} episodes; --resume it first")
+    uavs = range(job.settings.task.uavs)
+    best, last = (_measured(job, part, configurations) for part in ("best", "last"))
+    return Run(
+        algorithm=algorithm,
+        seed=seed,
+        git_commit=manifest["git_commit"],
+        settings=_plain(job.settings),
+        seconds=round(float(rows[-1]["seconds"]), 1),
+        reward=_column(rows, "reward"),
+        delay_ms=_column(rows, "delay_ms"),
+        reward_uav=tuple(_thinned(_column(rows, f"reward_uav{n}")) for n in uavs),
+        validation=tuple(
+            (int(row["episode"]), _short(float(row["validation_score"])))
+            for row in rows
+            if row["validation_score"]
+        ),
+        best={key: _short(value, 6) for key, value in best.delays_ms.items()},
+        last={key: _short(value, 6) for key, value in last.delays_ms.items()},
+        best_delay_uav_ms=tuple(_short(value) for value in best.uav_ms),
+    )
+
+
+def _measured(job: Any, part: str, configurations: int) -> Measured:
+    """The best policy, or that of the end, on environments that nobody has seen."""
+    import torch
+
+    from ground_tools.atmc.algorithms import ALGORITHMS
+    from ground_tools.atmc.flat import thawed
+    from ground_tools.atmc.paper_task import measure, paper_objective
+
+    if part == "best":
+        path = job.folder / "policy.safetensors"
+        stack = thawed(path.read_bytes(), str(path))
+    else:
+        learner = ALGORITHMS[job.algorithm].parts().make(job.settings, job.seed, torch.device("cpu"))
+        learner.load(torch.load(job.folder / "checkpoint.pt", weights_only=True)["learner"])
+        stack = thawed(learner.frozen("last", {}), "last")
+    return measure(
+        lambda seen: stack.of_all(seen).argmax(-1),
+        paper_objective(torch.device("cpu")),
+        job.settings.task.uavs,
+        _FLEETS,
+        configurations // _FLEETS,
+        _SEED,
+    )
+
+
+def _plain(settings: Any) -> dict[str, object]:
+    import msgspec
+
+    plain: dict[str, object] = msgspec.to_builtins(settings)
+    return plain
+
+
+def _column(rows: Sequence[dict[str, str]], key: str) -> tuple[float, ...]:
+    return tuple(_short(float(row[key])) for row in rows)
+
+
+def _thinned(values: Sequence[float]) -> tuple[float, ...]:
+    parts = (values[at : at + UAV_EVERY] for at in range(0, len(values), UAV_EVERY))
+    return tuple(_short(math.fsum(part) / len(part)) for part in parts)
+
+
+def _short(value: float, digits: int = _DIGITS) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def _table(runs: Sequence[Run]) -> Table:
+    """Every seed: the best policy by square and density, the last one, the time."""
+    table = Table(
+        title="System delay (ms) of the best policy by validation; dynamic of the last one; minutes",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    heads = ("algorithm", "seed", *(s.split("_")[1] for s in _SIDES), "high", "low", "dynamic", "last", "min")
+    for index, head in enumerate(heads):
+        table.add_column(head, justify="right" if index else "left", no_wrap=True)
+    for run in runs:
+        numbers = [run.best[key] for key in (*_SIDES, "high_ms", "low_ms", "delay_ms")]
+        numbers += [run.last["delay_ms"]]
+        table.add_row(
+            run.algorithm, str(run.seed), *(f"{x:.0f}" for x in numbers), f"{run.seconds / 60.0:.1f}"
+        )
+    return table
