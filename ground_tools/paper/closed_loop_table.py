@@ -29,17 +29,18 @@ class Measure:
     key: str
     title: str
     value: Callable[[Row], float | None]
-    statistic: Callable[[Floats], float]
+    statistic: Callable[[Floats], Floats]
+    """Over the last axis."""
     digits: int
     scale: float = 1.0
 
 
-def _mean(values: Floats) -> float:
-    return float(values.mean())
+def _mean(values: Floats) -> Floats:
+    return np.asarray(values.mean(axis=-1))
 
 
-def _low(values: Floats) -> float:
-    return float(np.percentile(values, 5.0))
+def _low(values: Floats) -> Floats:
+    return np.asarray(np.percentile(values, 5.0, axis=-1))
 
 
 LOST: Final = Measure(
@@ -83,7 +84,7 @@ def number(rows: Sequence[Row], measure: Measure) -> Number:
     if any(measure.value(row) is None for row in rows):
         return Number(None, None)
     values = _by_run(rows, measure)
-    value = measure.statistic(np.concatenate(values))
+    value = float(measure.statistic(np.concatenate(values)))
     if measure is LOST and len(values) == len(rows):
         return Number(value, wilson(round(value * len(rows)), len(rows)))
     return Number(value, bootstrap(values, measure.statistic))
@@ -100,7 +101,7 @@ def difference(first: Sequence[Row], second: Sequence[Row], measure: Measure) ->
     values = [np.array(run) for run in runs.values()]
     if not values:
         return Number(None, None)
-    return Number(_mean(np.concatenate(values)), bootstrap(values, _mean))
+    return Number(float(_mean(np.concatenate(values))), bootstrap(values, _mean))
 
 
 def _by_run(rows: Sequence[Row], measure: Measure) -> list[Floats]:

@@ -28,23 +28,23 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
 
 
 def bootstrap(
-    groups: Sequence[Floats], statistic: Callable[[Floats], float], seed: int = 1
+    groups: Sequence[Floats], statistic: Callable[[Floats], Floats], seed: int = 1
 ) -> tuple[float, float] | None:
     """Percentile interval of a statistic.
 
     Args:
         groups: values that belong together (one air) and are drawn together, each of shape (values,).
-        statistic: of all values of a draw.
+        statistic: of all values of a draw, over the last axis.
 
     Returns:
         None for less than two groups: nothing can be said then.
     """
     if len(groups) < 2:
         return None
-    rng = np.random.default_rng(seed)
-    found = [
-        statistic(np.concatenate([groups[i] for i in rng.integers(0, len(groups), len(groups))]))
-        for _ in range(DRAWS)
-    ]
+    drawn = np.random.default_rng(seed).integers(0, len(groups), (DRAWS, len(groups)))
+    if len({len(group) for group in groups}) == 1:
+        found = statistic(np.stack(groups)[drawn].reshape(DRAWS, -1))
+    else:
+        found = np.array([statistic(np.concatenate([groups[i] for i in some])) for some in drawn])
     low, high = np.percentile(found, (2.5, 97.5))
     return float(low), float(high)

@@ -69,7 +69,9 @@ def test_parameters_are_read_beside_the_scenario_and_checked(tmp_path: Path) -> 
     assert loaded.channel is not None
     assert loaded.channel.wifi_channels == "random"
     with pytest.raises(ConfigError, match=r"air.parameters: wifi: rate 5: allowed 1 to 4"):
-        scenario(tmp_path, 'model = "packets"\nparameters = "p.toml"\nrate = 5\ntransports = ["ble4", "nan"]\n')
+        scenario(
+            tmp_path, 'model = "packets"\nparameters = "p.toml"\nrate = 5\ntransports = ["ble4", "nan"]\n'
+        )
     with pytest.raises(ConfigError, match=r"s.toml: channel: wifi: rate 5: allowed 1 to 4"):
         scenario(tmp_path, 'model = "packets"\nrate = 5\n[channel.wifi]\nmax_rate = 4\n')
     (tmp_path / "p.toml").write_text("[wifi]\nscan = 4\n")

@@ -122,7 +122,7 @@ def test_a_damaged_policy_and_one_that_no_law_allows(tmp_path):
     path = tmp_path / "p.safetensors"
     path.write_bytes(policy_file()[:-3])
     damaged = Scenario(atmc=AtmcConfig(policy=str(path)))
-    with pytest.raises(ConfigError, match="p.safetensors"):
+    with pytest.raises(ConfigError, match=r"p\.safetensors"):
         choosing.read_policy(damaged)
     path.write_bytes(policy_file())
     nan = Region(name="only nan", transport_sets=(("nan",),))

@@ -1,0 +1,249 @@
+"""The closed loop: statistics by hand, cells that are kept, the command with two encounters."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.errors import ConfigError
+from companion.remote_id.region import Region
+from ground_tools import cli
+from ground_tools.paper import closed_loop
+from ground_tools.paper.closed_loop_cells import Cell
+from ground_tools.paper.closed_loop_flights import ATMC, BEST_SET, METHODS, Flight, Row, rows_of, scenario_of
+from ground_tools.paper.closed_loop_table import LOST, MEASURES, difference, json_rows, markdown, number
+from ground_tools.paper.intervals import bootstrap, wilson
+from sitl_mocks import settings
+from sitl_mocks.channel.parameters import ChannelParameters
+from tests.companion.atmc.policies import policy_file
+
+US = settings.load_region(Path(__file__).parents[3] / "config" / "regions" / "us.toml")
+BY_KEY = {measure.key: measure for measure in MEASURES}
+
+
+def flight(condition="sparse", method="wifi", seeds=(1,), policy=None, channel=None):
+    return Flight(condition, method, seeds, US, channel or ChannelParameters(), policy)
+
+
+def row(encounter, separation=20.0, age=0.5, run=None, **changes):
+    made = Row(
+        encounter=encounter, run=encounter if run is None else run, aircraft=2,
+        least_separation_m=separation, pairs_lost=int(separation < 10.0), deviation_m=5.0,
+        age_mean_s=age, age_p95_s=1.0, age_max_s=2.0, unheard=0, switches_per_minute=0.0,
+        seconds={"wifi 10": 30.0},
+    )  # fmt: skip
+    return msgspec.structs.replace(made, **changes)
+
+
+# ---------------------------------------------------------------- statistics
+
+
+def test_wilson_against_published_values():
+    """Newcombe (1998), table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29."""
+    for hits, count, low, high in (
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ):
+        assert wilson(hits, count) == pytest.approx((low, high), abs=5e-5)
+    assert wilson(0, 0) == (0.0, 1.0)
+    assert wilson(20, 20) == pytest.approx((1.0 - 0.1611, 1.0), abs=5e-5)
+
+
+def test_bootstrap_of_a_mean_and_of_what_belongs_together():
+    rng = np.random.default_rng(2)
+    values = rng.normal(5.0, 1.0, 400)
+    mean = lambda v: v.mean(axis=-1)  # noqa: E731
+    low, high = bootstrap([np.array([v]) for v in values], mean)
+    assert (low, high) == pytest.approx((values.mean() - 0.098, values.mean() + 0.098), abs=0.02)
+    # Twenty airs of twenty encounters each that share their luck say as much as twenty values.
+    airs = [np.full(20, v) for v in values[:20]]
+    low, high = bootstrap(airs, mean)
+    assert 0.5 < high - low < 1.3
+    assert bootstrap([values], mean) is None
+    ragged = bootstrap([*airs[:-1], airs[-1][:7]], mean)
+    assert ragged == pytest.approx((low, high), abs=0.15)
+    assert bootstrap([np.array([3.0])] * 5, mean) == (3.0, 3.0)
+
+
+def test_numbers_of_a_cell_by_hand():
+    rows = [row(n, separation=5.0 if n == 0 else 10.0 + n, age=0.1 * n) for n in range(11)]
+    assert number(rows, BY_KEY["age_mean_s"]).value == pytest.approx(0.5)
+    assert number(rows, BY_KEY["separation_m"]).value == pytest.approx((5.0 + 155.0) / 11)
+    assert number(rows, BY_KEY["separation_p5_m"]).value == pytest.approx(8.0)
+    lost = number(rows, LOST)
+    assert lost.value == pytest.approx(1 / 11)
+    assert lost.interval == pytest.approx(wilson(1, 11))
+    assert lost.words(1, 100.0) == "9.1 (1.6 to 37.7)"
+    assert number([row(1, age=None)], BY_KEY["age_mean_s"]).value is None
+    one_air = [row(n, run=0) for n in range(3)]
+    assert number(one_air, BY_KEY["age_mean_s"]).interval is None
+
+
+def test_differences_are_taken_encounter_by_encounter():
+    first = [row(1, age=0.4), row(2, age=1.4), row(3, age=9.0)]
+    second = [row(2, age=1.5), row(1, age=0.5), row(4, age=99.0)]
+    found = difference(first, second, BY_KEY["age_mean_s"])
+    assert found.value == pytest.approx(-0.1)
+    assert found.interval == pytest.approx((-0.1, -0.1))
+    assert difference(first, [], BY_KEY["age_mean_s"]).value is None
+
+
+def test_tables_for_documents_and_machines():
+    cells = {("sparse", BEST_SET): [row(1), row(2)], ("sparse", ATMC): [row(1, age=0.3), row(2, age=0.4)]}
+    text = markdown(cells)
+    assert "| sparse | ATMC | 2 | 0.350 (0.300 to 0.400) |" in text
+    assert "| sparse | -0.150 (-0.200 to -0.100) |" in text
+    assert len({line.count("|") for line in text.splitlines() if line.startswith("| sparse | A")}) == 1
+    cell, _, gap = json_rows(cells)
+    assert (cell["kind"], cell["encounters"], cell["runs"]) == ("cell", 2, 2)
+    assert gap["methods"] == [ATMC, BEST_SET]
+    assert gap["age_mean_s"]["value"] == pytest.approx(-0.15)
+    json.dumps(json_rows(cells), allow_nan=False)
+
+
+# ---------------------------------------------------------------- flights
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_all_methods_fly_the_same_encounters(method):
+    ours, groups = scenario_of(flight("dense", method, (5, 6)))
+    theirs, others = scenario_of(flight("dense", "wifi", (5, 6)))
+    assert ours.path == theirs.path
+    assert groups == others
+    assert ours.region == (US if METHODS[method].policy else Region())
+    alone, (group,) = scenario_of(flight("sparse", method, (5,)))
+    assert alone.path == ours.path[: len(group)]
+
+
+def test_load_is_a_matter_of_the_condition():
+    assert scenario_of(flight("loaded"))[0].channel.background.wifi == 0.6
+    assert scenario_of(flight("sparse"))[0].channel.background.wifi == 0.0
+
+
+def test_one_encounter_is_the_same_twice_and_is_lost_without_avoidance():
+    (first,), (again,) = rows_of(flight(seeds=(3,))), rows_of(flight(seeds=(3,)))
+    assert first == again
+    assert first.least_separation_m > 10.0
+    assert 0.1 < first.age_mean_s < first.age_p95_s <= first.age_max_s < 5.0
+    assert first.switches_per_minute == 0.0
+    (unavoided,) = rows_of(flight(method="unavoided", seeds=(3,)))
+    assert unavoided.least_separation_m < 10.0
+    assert unavoided.pairs_lost >= 1
+    assert unavoided.age_mean_s is None
+
+
+# ---------------------------------------------------------------- cells
+
+
+def test_a_cell_is_read_again_and_refuses_other_settings(tmp_path):
+    cell = Cell(tmp_path, flight(), 1)
+    cell.add([row(1), row(2)])
+    again = Cell(tmp_path, flight(seeds=(9,)), 1)
+    assert again.rows == {1: row(1), 2: row(2)}
+    other = ChannelParameters(wifi_channels="random")
+    with pytest.raises(ConfigError, match=r"sparse-wifi.jsonl: made with other settings \(channel: "):
+        Cell(tmp_path, flight(channel=other), 1)
+    with pytest.raises(ConfigError, match=r"crowd: 1, now 3"):
+        Cell(tmp_path, flight(), 3)
+
+
+def test_another_policy_is_another_cell(tmp_path):
+    Cell(tmp_path, flight(method=ATMC, policy=b"one"), 1).add([row(1)])
+    with pytest.raises(ConfigError, match="policy: "):
+        Cell(tmp_path, flight(method=ATMC, policy=b"two"), 1)
+
+
+def test_a_torn_line_is_flown_again(tmp_path):
+    cell = Cell(tmp_path, flight(), 1)
+    cell.add([row(1), row(2)])
+    cell.path.write_text(cell.path.read_text()[:-20])
+    torn = Cell(tmp_path, flight(), 1)
+    assert set(torn.rows) == {1}
+    torn.add([row(2)])
+    assert set(Cell(tmp_path, flight(), 1).rows) == {1, 2}
+
+
+def test_seeds_of_runs():
+    assert closed_loop.seeds_of(0, 3, 1) == [(0,), (1,), (2,)]
+    assert closed_loop.seeds_of(1, 3, 2) == [(100_000, 100_001), (100_002, 100_003)]
+
+
+# ---------------------------------------------------------------- the command
+
+
+def command(*words):
+    return cli.main(["paper", "closed-loop", *map(str, words)])
+
+
+def test_two_encounters_from_end_to_end(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("matplotlib")
+    policy = tmp_path / "p.safetensors"
+    policy.write_bytes(policy_file())
+    words = ["--encounters", 2, "--conditions", "sparse", "--processes", 1, "--out", tmp_path, "--json"]
+    assert command(*words, "--methods", "best-set", "atmc", "--policy", policy) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(r["kind"], r.get("method")) for r in lines] == [
+        ("cell", "best-set"), ("cell", "atmc"), ("difference", None),
+    ]  # fmt: skip
+    assert all(r["encounters"] == 2 for r in lines[:2])
+    assert lines[0]["sets"] == "ble4 10 + wifi 10: 100 %"
+    assert lines[0]["sets"] != lines[1]["sets"]
+    assert (tmp_path / "closed-loop.png").read_bytes().startswith(b"\x89PNG")
+    assert "| sparse | ATMC | 2 |" in (tmp_path / "closed-loop" / "table.md").read_text()
+    # A second time nothing is flown.
+    monkeypatch.setattr(closed_loop, "_fly", None)
+    assert command(*words[:-1], "--methods", "best-set", "atmc", "--policy", policy) == 0
+    assert "ATMC minus best legal set" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (["--encounters", "0"], "--encounters: 0: allowed 1 to"),
+        (["--crowd", "33"], "--crowd: 33: allowed 1 to 32"),
+        (["--processes", "0"], "--processes: 0: allowed 1 to"),
+        (["--seed", "-1"], "--seed: -1: allowed 0 and above"),
+        (["--policy", "/nowhere.safetensors"], "--policy: atmc.policy: /nowhere.safetensors: cannot be read"),
+        (["--region", "/nowhere.toml"], "/nowhere.toml: cannot be read"),
+    ],
+)
+def test_wrong_options_are_one_line(tmp_path, capsys, words, what):
+    assert command("--out", tmp_path, *words) == 2
+    told = capsys.readouterr().err
+    assert what in told
+    assert told.count("\n") == 1
+
+
+def test_ctrl_c_leaves_what_is_complete(tmp_path):
+    words = ["paper", "closed-loop", "--encounters", "400", "--methods", "unavoided", "--out", str(tmp_path)]
+    words += ["--conditions", "sparse", "--processes", "1"]
+    process = subprocess.Popen([sys.executable, "-m", "ground_tools.cli", *words], stdout=subprocess.PIPE)
+    file = tmp_path / "closed-loop" / "sparse-unavoided.jsonl"
+    try:
+        while process.poll() is None and (not file.exists() or file.read_text().count("\n") < 3):
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        told, _ = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode not in (0, 2)
+    assert b"interrupted" in told
+    cell = Cell(tmp_path / "closed-loop", _as_flown(), 1)
+    assert 2 <= len(cell.rows) < 400
+
+
+def _as_flown():
+    from sitl_mocks.channel import parameters
+
+    path = Path(__file__).parents[3] / "config" / "channel" / "standard.toml"
+    return flight(method="unavoided", channel=parameters.load(path))
