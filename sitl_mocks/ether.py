@@ -289,7 +289,10 @@ class Ether:
 
     def _pair(self, sender: str, receiver: str) -> PairStats:
         key = (sender, receiver)
-        if key not in self._stats and len(self._stats) >= MAX_PAIRS:
+        found = self._stats.get(key)
+        if found is not None:
+            return found
+        if len(self._stats) >= MAX_PAIRS:
             key = REST
         return self._stats.setdefault(key, PairStats())
 
