@@ -1,1 +1,2 @@
-"""ATMC on the desk: the environment, the paper's learners and ours, what they are measured by, and the freezing."""
+"""ATMC on the desk: the environment, the paper's learners and ours, what they are measured by, and the
+freezing."""

@@ -64,9 +64,23 @@ def _iac() -> Parts:
     return Parts(IacSettings(), Iac)
 
 
+def _flying() -> Parts:
+    from ground_tools.atmc.flying import FlyingLearner, FlyingSettings
+
+    return Parts(FlyingSettings(), FlyingLearner)
+
+
+def _set_paper() -> Parts:
+    from ground_tools.atmc.flying import PAPER_FLEETS, FlyingLearner, FlyingSettings
+
+    return Parts(FlyingSettings(objective="paper", fleets=PAPER_FLEETS), FlyingLearner)
+
+
 ALGORITHMS: Final[dict[str, Algorithm]] = {
     "madqn": Algorithm("the paper's MADQN-ATMC: a network for each aircraft", _madqn),
     "madqn-shared": Algorithm("the same with one network for all", _madqn_shared),
     "maddpg": Algorithm("the paper's baseline with critics that see everything", _maddpg),
     "iac": Algorithm("the paper's baseline of independent actors and critics", _iac),
+    "flying": Algorithm("the set network that flies: awareness, any number of neighbours", _flying, 2, 2),
+    "set-paper": Algorithm("the set network on the paper's objective", _set_paper, 2, 2),
 }

@@ -8,8 +8,8 @@ first order, from one forward and one backward pass.
 What the others send acts on a link through a few sums over them (`Loads`), each linear in what one of them
 adds: the backward pass goes through the same sums, turned round.
 
-Mean delays are tabulated as log delay over log survival (and, where Wi-Fi stations listen before they send, over
-the load around the sender), which is smooth, and linear where little survives.
+Mean delays are tabulated as log delay over log survival (and, where Wi-Fi stations listen before they send,
+over the load around the sender), which is smooth, and linear where little survives.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _HIGHEST_LOAD, _LOAD_NODES = 2.5, 101
 """Of the tables of Wi-Fi; a higher load counts as this one."""
 
 Loads = dict[str, Tensor]
-"""What the others' packets add up to, by name; each of shape (environments, receiver, sender), log survivals but
-for "common" and "sensed", which are shares of time."""
+"""What the others' packets add up to, by name; each of shape (environments, receiver, sender), log survivals
+but for "common" and "sensed", which are shares of time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ class Reach:
 
 @dataclass(frozen=True, slots=True)
 class Packets:
-    """Log survival of each packet of each link, (environments, receiver, sender), and the Wi-Fi load (share of
-    time) around each sender, (environments, 1, sender)."""
+    """Log survival of each packet of each link, (environments, receiver, sender), and the Wi-Fi load (share
+    of time) around each sender, (environments, 1, sender)."""
 
     ble4: Tensor
     pointer: Tensor
@@ -84,9 +84,9 @@ class _Part:
     factors: Tensor
     """By level of the rate."""
     spread: str
-    """Over whom: "all" who reach the receiver; "channel" 0, 1 or 2 of them; those on the sender's Wi-Fi channel
-    whom it does not sense ("hidden"), all ("shared"), or whom both sense ("common"); and whom the sender senses
-    ("sensed")."""
+    """Over whom: "all" who reach the receiver; "channel" 0, 1 or 2 of them; those on the sender's Wi-Fi
+    channel whom it does not sense ("hidden"), all ("shared"), or whom both sense ("common"); and whom the
+    sender senses ("sensed")."""
 
 
 class TorchChannel:
@@ -179,8 +179,8 @@ class TorchChannel:
         return None
 
     def _places(self, mode: int, packets: Packets) -> tuple[tuple[Tensor, Tensor], ...]:
-        """By axis of a mode's table: node below, and share of the way to the next one, which is negative below
-        the grid."""
+        """By axis of a mode's table: node below, and share of the way to the next one, which is negative
+        below the grid."""
         log_survival = (packets.ble4, packets.pointer, packets.wifi)[mode]
         axes = [((log_survival - _LOWEST) * ((_NODES[mode] - 1) / -_LOWEST), _NODES[mode])]
         if mode == _BLE5:
@@ -295,7 +295,8 @@ class TorchChannel:
         quiet, auxiliary, wifi = reach.quiet, loads["auxiliary"], loads["wifi"]
         sensed = torch.zeros_like(wifi[:, :1])
         if self._listens:
-            hit = sum(1.0 - torch.exp(loads[f"auxiliary_{c}"]) for c in range(len(WIFI_CHANNELS)))
+            met = [1.0 - torch.exp(loads[f"auxiliary_{c}"]) for c in range(len(WIFI_CHANNELS))]
+            hit = torch.stack(met).sum(0)
             auxiliary = auxiliary + torch.log1p(-OVERLAPPED_CHANNELS / SECONDARY_CHANNELS * hit)
             sensed = loads["sensed"]
             wifi = wifi - loads["common"] * _crowding(sensed)

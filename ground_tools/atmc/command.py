@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ground_tools.atmc import collect, train
+from ground_tools.atmc import collect, evaluate_command, freeze_command, train
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -12,6 +12,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
         ("train", train, "train a policy"),
+        ("evaluate", evaluate_command, "what a policy is worth, beside the baselines"),
+        ("freeze", freeze_command, "the file that flies, from a training run"),
         ("collect", collect, "the paper's runs, measured and in one file"),
     ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)

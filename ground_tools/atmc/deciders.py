@@ -77,6 +77,7 @@ def settle(
     found = []
     for _ in range(rounds):
         order = torch.rand(env.action.shape, generator=generator, device=env.action.device).argsort(1)
-        for part in range(parts):
-            found.append(env.act(decider.decide(env.observe(), env.action), order % parts == part))
+        found += [
+            env.act(decider.decide(env.observe(), env.action), order % parts == part) for part in range(parts)
+        ]
     return found

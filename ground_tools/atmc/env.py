@@ -1,7 +1,8 @@
-"""The environment in which policies learn and are measured: many fleets side by side, [environment, aircraft, ...].
+"""The environment in which policies learn and are measured: many fleets side by side, [environment,
+aircraft, ...].
 
-Section "MDP Transformation" of the paper. A step: the aircraft observe, some or all of them choose, the channel
-gives the delays, and positions are drawn anew (the paper) or flown on.
+Section "MDP Transformation" of the paper. A step: the aircraft observe, some or all of them choose, the
+channel gives the delays, and positions are drawn anew (the paper) or flown on.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ class EnvSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """When the square is drawn anew."""
     step_s: float = 1.0
     lossy: bool = False
-    """Neighbours are heard by chance, as their messages get through, and not for certain; and how well they get
-    through is measured."""
+    """Neighbours are heard by chance, as their messages get through, and not for certain; and how well they
+    get through is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,9 +109,7 @@ class Env:
             on = on * self._received(packets)
         rows = neighbour_rows(torch, self._distance, self._conflict, rates[:, None] * on)
         success, measured = self._success(on, packets)
-        return Observation(
-            own_row(torch, rates, success, measured, self.identity), rows, on.amax(-1)
-        )
+        return Observation(own_row(torch, rates, success, measured, self.identity), rows, on.amax(-1))
 
     def _received(self, packets: Packets) -> Tensor:
         """(E, receiver, sender, 3): on which transports something was heard lately, by chance."""

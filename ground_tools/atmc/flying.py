@@ -1,10 +1,10 @@
 """How the set network learns: the policy that flies, and the same network on the paper's objective.
 
-With the difference cost of every action known from one pass through the equations (`objective.difference_costs`)
-nothing has to be tried out: the network learns, for each aircraft and what it sees, how much every action loses
-against the best one. Many fleets of different sizes live side by side; at each update a random part of the
-aircraft of one group acts, mostly as the network says. Together decided would be together regretted: decisions
-fall at random phases, in training as in flight.
+With the difference cost of every action known from one pass through the equations
+(`objective.difference_costs`) nothing has to be tried out: the network learns, for each aircraft and what it
+sees, how much every action loses against the best one. Many fleets of different sizes live side by side; at
+each update a random part of the aircraft of one group acts, mostly as the network says. Together decided
+would be together regretted: decisions fall at random phases, in training as in flight.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 import torch
+from msgspec import Meta
 from torch import Tensor
 from torch.nn import functional
 
@@ -55,6 +56,9 @@ _FLYING_WORLD = EnvSettings(
 )
 
 
+PAPER_FLEETS = ((3, 256), (5, 256), (7, 192), (10, 192), (15, 96), (20, 64), (35, 20), (50, 14))
+
+
 class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything that decides a training run of the set network, but the seed."""
 
@@ -73,9 +77,9 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         (100, 5),
     )
     """Groups: aircraft in a fleet, and how many such fleets live side by side."""
-    rounds: int = 200
-    updates: int = 100
-    """In a round."""
+    episodes: Annotated[int, Meta(ge=1)] = 100
+    """Rounds, each of `updates` updates."""
+    updates: Annotated[int, Meta(ge=1)] = 110
     learning_rate: tuple[float, float] = (1e-3, 1e-5)
     """First and last; between them a cosine."""
     clip: float = 5.0
@@ -110,12 +114,9 @@ class _Group:
 class FlyingLearner:
     """Trains the set network. A `Learner`."""
 
-    def __init__(
-        self, settings: FlyingSettings, seed: int, device: torch.device | str = "cpu", config_sha256: str = ""
-    ) -> None:
+    def __init__(self, settings: FlyingSettings, seed: int, device: torch.device | str = "cpu") -> None:
         self.settings = settings
-        self.rounds, self.done = settings.rounds, 0
-        self._config_sha256 = config_sha256
+        self.rounds, self.done = settings.episodes, 0
         self._device = torch.device(device)
         self._generator = torch.Generator(self._device).manual_seed(seed)
         awareness = settings.objective == "awareness"
@@ -171,7 +172,7 @@ class FlyingLearner:
         s = self.settings
         losses, regrets = [], []
         for update in range(s.updates):
-            share = (self.done * s.updates + update) / (s.rounds * s.updates)
+            share = (self.done * s.updates + update) / (self.rounds * s.updates)
             first, last = s.learning_rate
             rate = last + (first - last) * 0.5 * (1.0 + math.cos(math.pi * share))
             self._optimiser.param_groups[0]["lr"] = rate
@@ -306,7 +307,6 @@ class FlyingLearner:
             regions=("none", "us", "eu") if s.objective == "awareness" else (),
             switch_price=s.switch_price_s,
             bounds=self._frozen_bounds(),
-            training_config_sha256=self._config_sha256,
             results=results,
             golden=(),
         )
@@ -329,5 +329,7 @@ class FlyingLearner:
         for group in self._groups[:_GOLDEN]:
             seen = group.env.observe()
             heard = seen.heard[0, 0] > 0
-            cases.append((seen.own[0, 0].cpu().double().numpy(), seen.rows[0, 0][heard].cpu().double().numpy()))
+            cases.append(
+                (seen.own[0, 0].cpu().double().numpy(), seen.rows[0, 0][heard].cpu().double().numpy())
+            )
         return cases

@@ -1,7 +1,8 @@
-"""What a fleet's choice costs: the paper's objective, and awareness, for which the policy that flies is trained.
+"""What a fleet's choice costs: the paper's objective, and awareness, for which the policy that flies is
+trained.
 
-Each gives three things of a fleet's present actions: the total, every aircraft's own cost for every action that
-it could take instead, and the difference cost, which adds what that action does to the others.
+Each gives three things of a fleet's present actions: the total, every aircraft's own cost for every action
+that it could take instead, and the difference cost, which adds what that action does to the others.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ class Objective(Protocol):
         ...
 
     def own(self, air: Air, packets: Packets) -> Tensor:
-        """The same for each of its actions while all others keep theirs, (environments, aircraft, actions)."""
+        """The same for each of its actions while all others keep theirs, (environments, aircraft,
+        actions)."""
         ...
 
 
@@ -148,4 +150,3 @@ def age_s(rate: Tensor) -> Tensor:
     """Expected age (s), ages above MISS_S counted as that, for receptions at `rate` (1/s)."""
     at = rate.clamp(min=1e-4)
     return -torch.expm1(-at * MISS_S) / at
-

@@ -1,8 +1,8 @@
 """The floor that every policy is measured against: a search over everybody's actions that knows everything.
 
-Best response from several starts: where all difference costs are known, a random part of the aircraft that would
-gain goes to its best action; what does not lower the fleet's total is taken back, and a smaller part tried. It
-is no bound, only the best that is known.
+Best response from several starts: where all difference costs are known, a random part of the aircraft that
+would gain goes to its best action; what does not lower the fleet's total is taken back, and a smaller part
+tried. It is no bound, only the best that is known.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""What training and measuring have in common: the channel of each objective, what the law allows, the baselines."""
+"""What training and measuring have in common: the channel of each objective, what the law allows, the
+baselines."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ AWARENESS_CHANNEL: Final = ChannelParameters(
     ble5=Ble5Parameters(packet_ms=1.168, random_delay_ms=10.0, schedule="random", auxiliary_ms=8.336),
     wifi=WifiParameters(beacon_ms=1.52, access="carrier_sense"),
 )
-"""`config/channel/standard.toml`: airtimes of what is really sent, random phases, stations that listen first."""
+"""`config/channel/standard.toml`: airtimes of what is really sent, random phases, stations that listen
+first."""
 
 REGIONS: Final = {
     "none": Region(),

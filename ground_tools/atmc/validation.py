@@ -1,4 +1,5 @@
-"""A fixed set of fleets on which a policy is measured while it learns: how much it loses against the search."""
+"""A fixed set of fleets on which a policy is measured while it learns: how much it loses against the
+search."""
 
 from __future__ import annotations
 
@@ -14,7 +15,10 @@ from ground_tools.atmc.tasks import ObjectiveName
 from ground_tools.atmc.world import SIDES_M, World, WorldSettings, draw
 
 _ROUNDS = 4
-_FLEETS = {"paper": ((5, 80), (10, 60), (20, 20), (50, 4)), "awareness": ((5, 80), (10, 60), (50, 6), (100, 2))}
+_FLEETS = {
+    "paper": ((5, 80), (10, 60), (20, 20), (50, 4)),
+    "awareness": ((5, 80), (10, 60), (50, 6), (100, 2)),
+}
 """Aircraft, and how many environments of each size of square."""
 _LOAD = 0.5
 

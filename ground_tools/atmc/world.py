@@ -24,8 +24,8 @@ class WorldSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """What is drawn for each environment."""
 
     sides: Literal["paper", "any"] | float = "paper"
-    """Side of the square: one of the paper's six; log-uniform between the least and the greatest of them; or this
-    many metres."""
+    """Side of the square: one of the paper's six; log-uniform between the least and the greatest of them; or
+    this many metres."""
     shadowing_sigma_db: tuple[float, float] = (0.0, 0.0)
     """Drawn uniformly between these for each environment."""
     wifi_channels: Literal["shared", "random", "either"] = "shared"
@@ -66,9 +66,7 @@ class World:
         return -(apart * relative).sum(-1) / distance_m
 
 
-def draw(
-    settings: WorldSettings, environments: int, aircraft: int, generator: torch.Generator
-) -> World:
+def draw(settings: WorldSettings, environments: int, aircraft: int, generator: torch.Generator) -> World:
     """New environments, on the generator's device."""
     device = generator.device
 
@@ -122,9 +120,7 @@ def move(world: World, seconds: float) -> World:
     """All aircraft fly on, and turn back at the edges."""
     side = world.side_m[:, None, None]
     low = torch.tensor([0.0, 0.0, MIN_ALTITUDE_M], device=side.device)
-    extent = torch.cat(
-        [side.expand(-1, 1, 2), torch.full_like(side, MAX_ALTITUDE_M - MIN_ALTITUDE_M)], -1
-    )
+    extent = torch.cat([side.expand(-1, 1, 2), torch.full_like(side, MAX_ALTITUDE_M - MIN_ALTITUDE_M)], -1)
     # Reflected as in two mirrors: an aircraft may cross a small square several times in one step.
     along = (world.position_m - low + world.velocity_mps * seconds) % (2.0 * extent)
     back = along > extent
