@@ -14,43 +14,31 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import combinations
-from pathlib import Path, PurePath
-from typing import IO, Any
+from pathlib import Path
+from typing import IO
 
 import msgspec
 import numpy as np
 import tomli_w
 from rich.console import Console
-from rich.table import Table
 
 from companion import config as configuration
-from companion import record
 from companion.config import EtherRadio, RecordConfig, VehicleConfig
 from companion.errors import ConfigError
-from companion.events import RemoteIdHeard
-from companion.radio.frames_io import radio_address
 from companion.runtime.recorder import create_run_folder, write_json, write_manifest
 from companion.toml_input import without_none
 from sitl_mocks import choosing, demo
-from sitl_mocks.choosing import choices_in_words, chosen_of
 from sitl_mocks.demo_report import command as command_here
 from sitl_mocks.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
-from sitl_mocks.pair_stats import information_age
 from sitl_mocks.settings import RANDOM, Scenario
+from sitl_mocks.swarm_report import limit_m, report_of, show
 from sitl_mocks.vehicle_manners import VehicleMode
 
 _EXAMPLE = "example: sitl-mocks swarm --duration 120 --delay 0 1"
 START_S = 15.0
 """From starting the processes to the paths' time 0: interpreters and kernels load on few cores."""
 _END_S = 15.0
-_GOOD_GAP_S = 0.1
-_WORST_GAP_S = 0.5
-_GOOD_SHARE = 0.999
-_UNHEARD = 3
-"""Frames of a pair that may lie in a socket when its companion ends."""
 
 
 @dataclass(slots=True)
@@ -187,7 +175,7 @@ def run(arguments: argparse.Namespace) -> int:
     (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(scenario))))
     names = names_of(scenario, arguments.seed)
     write_manifest(
-        folder, "sitl-mocks swarm", seed=arguments.seed, aircraft=names, conflict_limit_m=_limit(scenario)
+        folder, "sitl-mocks swarm", seed=arguments.seed, aircraft=names, conflict_limit_m=limit_m(scenario)
     )
     swarm = Swarm(folder)
     try:
@@ -198,14 +186,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(report))
     else:
-        _show(report, console)
+        show(report, console)
     console.print(f"run folder: {folder}", soft_wrap=True)
     console.print(f"look at it: {command_here('ground-tools')} inspect {folder} --summary", soft_wrap=True)
     return 0 if report["ok"] else 1
-
-
-def _limit(scenario: Scenario) -> float:
-    return 2.0 * scenario.avoidance.conflict_radius_m
 
 
 def _fly(
@@ -236,7 +220,10 @@ def _fly(
         companions.append(swarm.start(name, "companion.cli", "run", "--config", str(file), piped=False))
     interrupted = _watch(swarm, start_utc_s, arguments.duration, console)
     bad = swarm.end(companions) + swarm.end(vehicles) + swarm.end([ether])
-    return _report(swarm, scenario, names, vehicles, ether, bad, start_utc_s, interrupted=interrupted)
+    left = {name: vehicle.last_json() for name, vehicle in zip(names, vehicles, strict=True)}
+    return report_of(
+        swarm.folder, scenario, left, ether.last_json(), bad, start_utc_s, interrupted=interrupted
+    )
 
 
 def _ether_options(scenario: Scenario, folder: Path) -> list[str]:
@@ -294,159 +281,3 @@ def _watch(swarm: Swarm, start_utc_s: float, duration_s: float, console: Console
         console.print("stopping")
         return True
     return False
-
-
-# ---------------------------------------------------------------- what came of it
-
-
-def _report(
-    swarm: Swarm,
-    scenario: Scenario,
-    names: list[str],
-    vehicles: list[Process],
-    ether: Process,
-    bad: list[str],
-    start_utc_s: float,
-    *,
-    interrupted: bool,
-) -> dict[str, object]:
-    separation = _separations(swarm.folder, names, start_utc_s)
-    gaps = {name: _gaps(vehicle) for name, vehicle in zip(names, vehicles, strict=True)}
-    air = _air(swarm.folder, names, ether.last_json())
-    chosen = {name: chosen_of(_records(swarm.folder, name)) for name in names}
-    least = min((float(str(row["min_separation_m"])) for row in separation), default=None)
-    good_gaps = all(
-        g["share_under_100ms"] >= _GOOD_SHARE and g["largest_s"] <= _WORST_GAP_S for g in gaps.values()
-    )
-    ok = (
-        not bad
-        and not interrupted
-        and least is not None
-        and least > _limit(scenario)
-        and good_gaps
-        and all(row["ok"] for row in air)
-    )
-    return {
-        "ok": ok,
-        "interrupted": interrupted,
-        "ended_badly": bad,
-        "min_separation_m": least,
-        "separations": separation,
-        "setpoint_gaps": gaps,
-        "air": air,
-        "policy": None if scenario.atmc.policy is None else PurePath(scenario.atmc.policy).name,
-        "transports": {name: one.to_dict() for name, one in chosen.items()},
-        "transports_in_words": choices_in_words(list(chosen.values())),
-    }
-
-
-def _separations(folder: Path, names: list[str], start_utc_s: float) -> list[dict[str, object]]:
-    truth = {}
-    for name in names:
-        rows = np.loadtxt(folder / f"{name}.truth.csv", delimiter=",", skiprows=1, ndmin=2)
-        truth[name] = rows[rows[:, 0] >= start_utc_s]
-    found: list[dict[str, object]] = []
-    for a, b in combinations(names, 2):
-        first, second = truth[a], truth[b]
-        if not len(first) or not len(second):
-            continue
-        other = np.column_stack([np.interp(first[:, 0], second[:, 0], second[:, k]) for k in (1, 2, 3)])
-        distance = np.linalg.norm(first[:, 1:4] - other, axis=1)
-        at = int(np.argmin(distance))
-        found.append(
-            {
-                "pair": [a, b],
-                "min_separation_m": round(float(distance[at]), 3),
-                "at_s": round(float(first[at, 0]) - start_utc_s, 2),
-            }
-        )
-    return found
-
-
-def _gaps(vehicle: Process) -> dict[str, float]:
-    left = vehicle.last_json()
-    received = int(str(left.get("setpoints_received", 0)))
-    late = int(str(left.get("setpoint_gaps_over_100ms", 0)))
-    largest = float(str(left.get("largest_setpoint_gap_s", "inf")))
-    share = 0.0 if received < 2 else 1.0 - late / (received - 1)
-    return {"setpoints": received, "share_under_100ms": round(share, 6), "largest_s": largest}
-
-
-def _air(folder: Path, names: list[str], statistics: dict[str, object]) -> list[dict[str, object]]:
-    """Sent and lost by the air's count, heard by each companion's own record; per ordered pair.
-
-    What was sent and not lost on the air must have been heard.
-    """
-    addresses = {radio_address(name): name for name in names}
-    pairs: dict[str, dict[str, Any]] = statistics.get("pairs", {})  # type: ignore[assignment]
-    found: list[dict[str, object]] = []
-    for receiver in names:
-        heard = _heard(folder, receiver, addresses)
-        for sender in names:
-            row = pairs.get(f"{sender}>{receiver}")
-            if sender == receiver or row is None:
-                continue
-            count = row["sent"]
-            unheard = count - row["lost"] - heard.get(sender, 0)
-            found.append(
-                {
-                    "sender": sender,
-                    "receiver": receiver,
-                    **row,
-                    "heard": heard.get(sender, 0),
-                    "lost_share": round(1.0 - heard.get(sender, 0) / count if count else 1.0, 4),
-                    "ok": unheard <= _UNHEARD,
-                }
-            )
-    return found
-
-
-def _heard(folder: Path, receiver: str, addresses: dict[str, str]) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for item in _records(folder, receiver):
-        if isinstance(item, record.Step):
-            for event in item.events:
-                if isinstance(event, RemoteIdHeard):
-                    name = addresses.get(event.address, event.address)
-                    counts[name] = counts.get(name, 0) + 1
-    return counts
-
-
-def _records(folder: Path, name: str) -> Iterator[record.Record]:
-    """The event record of one aircraft."""
-    for file in folder.glob(f"*-{name}/*.events"):
-        with file.open("rb") as stream:
-            yield from record.read(stream, str(file))
-
-
-def _show(report: dict[str, object], console: Console) -> None:
-    pairs = Table(title="Least separation of each pair")
-    pairs.add_column("pair")
-    pairs.add_column("separation", justify="right")
-    pairs.add_column("at", justify="right")
-    for row in report["separations"]:  # type: ignore[attr-defined]
-        pairs.add_row(" - ".join(row["pair"]), f"{row['min_separation_m']:.2f} m", f"{row['at_s']} s")
-    console.print(pairs)
-    gaps = Table(title="Setpoints at the vehicle")
-    for name in ("aircraft", "received", "gaps under 100 ms", "largest gap"):
-        gaps.add_column(name, justify="left" if name == "aircraft" else "right")
-    for name, gap in report["setpoint_gaps"].items():  # type: ignore[attr-defined]
-        gaps.add_row(
-            name,
-            f"{gap['setpoints']}",
-            f"{100 * gap['share_under_100ms']:.2f} %",
-            f"{gap['largest_s']:.3f} s",
-        )
-    console.print(gaps)
-    lost = [row["lost_share"] for row in report["air"]]  # type: ignore[attr-defined]
-    if lost:
-        console.print(
-            f"Remote ID: {len(lost)} pairs, largest share lost {100 * max(lost):.1f} %; "
-            f"{information_age(report['air'])}"  # type: ignore[arg-type]
-        )
-    if report["policy"] is not None:
-        console.print(report["transports_in_words"], highlight=False)
-    for name in report["ended_badly"]:  # type: ignore[attr-defined]
-        console.print(f"[red]did not end well:[/] {name}")
-    word = "[bold green]OK[/]" if report["ok"] else "[bold red]FAILED[/]"
-    console.print(f"{word}: least separation {report['min_separation_m']} m")

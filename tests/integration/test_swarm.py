@@ -8,8 +8,9 @@ import signal
 
 def test_a_small_swarm_flies_and_ends_cleanly(start, tmp_path):
     swarm = start(
-        "sitl_mocks.cli", "swarm", "--aircraft", "2", "--duration", "10", "--runs", tmp_path / "runs"
-    )
+        "sitl_mocks.cli", "swarm", "--aircraft", "2", "--duration", "10", "--runs", tmp_path / "runs",
+        "--policy", "rule", "--region", "config/regions/us.toml",
+    )  # fmt: skip
     assert swarm.process.wait(150) in (0, 1)
     (folder,) = (tmp_path / "runs").iterdir()
     report = json.loads((folder / "summary.json").read_text())
@@ -19,6 +20,9 @@ def test_a_small_swarm_flies_and_ends_cleanly(start, tmp_path):
     assert len(report["air"]) == 2
     assert all(row["sent"] > 5 for row in report["air"])
     assert report["min_separation_m"] is not None
+    assert report["policy"] == "rule"
+    for choices in report["transports"].values():
+        assert choices["seconds"]["ble4 10 + wifi 10"] > 5.0
 
 
 def test_ctrl_c_leaves_complete_files(start, tmp_path):
