@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         code = _side_by_side(jobs, at_once)
     for job in jobs:
         print(job.folder)
-    if code == 130:
+    if code == 130 and any((job.folder / "checkpoint.pt").exists() for job in jobs):
         print("stopped; go on with --resume FOLDER", file=sys.stderr)
     return code
 
@@ -158,6 +158,8 @@ def _worker(job: Job, index: int, sink: _Sink) -> None:
     except ConfigError as error:
         sink.put((index, str(error)))
         sys.exit(2)
+    except KeyboardInterrupt:  # before training began
+        sys.exit(130)
     sys.exit(0 if whole else 130)
 
 
