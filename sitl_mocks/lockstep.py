@@ -215,15 +215,10 @@ def fly(
     """
     paths = paths_of(scenario, seed)
     streams = np.random.SeedSequence(seed).spawn(len(paths) + 1)
-    fleet = []
-    for number, (name, path) in enumerate(zip(names_of(scenario, seed), paths, strict=True)):
-        config = companion_config(scenario, name, path, law)
-        sink = None if record is None else record(name, config)
-        log = None if tlog is None else tlog(name)
-        options = vehicle_options(scenario, number, path)
-        luck = np.random.default_rng(streams[number].spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
-        rng = np.random.default_rng(streams[number])
-        fleet.append(Aircraft(name, options, config, rng, sink, log, policy, luck))
+    fleet = [
+        _aircraft(scenario, number, name, path, streams[number], law, policy, record, tlog)
+        for number, (name, path) in enumerate(zip(names_of(scenario, seed), paths, strict=True))
+    ]
     channel = channel_of(scenario.air, scenario.channel)
     ether = Ether(channel, np.random.default_rng(streams[-1]))
     for aircraft in fleet:
@@ -248,6 +243,32 @@ def fly(
     flown = [Flown(a.name, truth[number]) for number, a in enumerate(fleet)]
     time_s = np.arange(ticks, dtype=np.float64) * TICK_S - SETTLE_S
     return Run(flown, ether.stats, time_s, {a.name: a.chosen for a in fleet})
+
+
+def _aircraft(
+    scenario: Scenario,
+    number: int,
+    name: str,
+    path: Points,
+    luck: np.random.SeedSequence,
+    law: str | None,
+    policy: bytes | None,
+    record: Callable[[str, Config], Callable[[Step], None]] | None,
+    tlog: Callable[[str], ByteSink] | None,
+) -> Aircraft:
+    """One aircraft of `fly`; its choices, where they are random, take nothing from its navigation's luck."""
+    config = companion_config(scenario, name, path, law)
+    drawn = np.random.default_rng(luck.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
+    return Aircraft(
+        name,
+        vehicle_options(scenario, number, path),
+        config,
+        np.random.default_rng(luck),
+        None if record is None else record(name, config),
+        None if tlog is None else tlog(name),
+        policy,
+        drawn,
+    )
 
 
 def _tick(
