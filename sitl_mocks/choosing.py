@@ -20,7 +20,7 @@ from companion.atmc.choice import Choice, Floats, Refused, Why
 from companion.atmc.policy import check_flyable, load
 from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
-from companion.events import BroadcastChanged
+from companion.events import BroadcastChanged, TransportsChosen
 from companion.record import Record, Step
 from companion.runtime.policy import RUN_FILE
 from companion.runtime.policy import read_policy as read_file
@@ -118,8 +118,20 @@ class Chosen:
     seconds: dict[str, float] = field(default_factory=dict)
     """By set, in words: how long it was in use."""
     switches: int = 0
+    fallback_s: float = 0.0
+    """How long the fall-back was flown, because who was to choose could not."""
+    _by_fallback: bool = False
     _present: str | None = None
     _since_s: float = 0.0
+
+    def take(self, step: Step) -> None:
+        """What a step of the heart says of them."""
+        for command in step.commands:
+            if isinstance(command, BroadcastChanged):
+                self.note(step.now_s, {name: int(rate) for name, rate in command.rates})
+            elif isinstance(command, TransportsChosen):
+                self.end(step.now_s)
+                self._by_fallback = command.by == "fallback"
 
     def note(self, now_s: float, rates: Mapping[str, int]) -> None:
         """What is to be on the air from now on, with Locations a second; the same as before says nothing."""
@@ -134,6 +146,8 @@ class Chosen:
         """Time is counted up to now."""
         if self._present is not None and self._present != SILENT:
             self.seconds[self._present] = self.seconds.get(self._present, 0.0) + now_s - self._since_s
+            if self._by_fallback:
+                self.fallback_s += now_s - self._since_s
         self._since_s = now_s
 
     @property
@@ -147,6 +161,7 @@ class Chosen:
         return {
             "seconds": {name: round(s, 3) for name, s in self.seconds.items()},
             "switches_per_minute": round(self.switches_per_minute, 3),
+            "fallback_s": round(self.fallback_s, 3),
         }
 
 
@@ -156,9 +171,7 @@ def chosen_of(records: Iterable[Record]) -> Chosen:
     for item in records:
         if isinstance(item, Step):
             now_s = item.now_s
-            for command in item.commands:
-                if isinstance(command, BroadcastChanged):
-                    chosen.note(now_s, {name: int(rate) for name, rate in command.rates})
+            chosen.take(item)
     chosen.end(now_s)
     return chosen
 
@@ -187,7 +200,15 @@ def choices_in_words(chosen: Sequence[Chosen], most: int = 5) -> str:
     if len(shares) > most:
         words.append(f"{len(shares) - most} other sets {100.0 * sum(s for _, s in shares[most:]):.0f} %")
     words.append(f"{mean_switches(chosen):.1f} switches a minute an aircraft")
+    if fallback_share(chosen) > 0.0:
+        words.append(f"{100.0 * fallback_share(chosen):.1f} % of the time on the fall-back")
     return f"transports (Locations a second): {', '.join(words)}"
+
+
+def fallback_share(chosen: Sequence[Chosen]) -> float:
+    """Share of all aircraft's time on the fall-back."""
+    whole_s = sum(sum(one.seconds.values()) for one in chosen)
+    return sum(one.fallback_s for one in chosen) / whole_s if whole_s > 0.0 else 0.0
 
 
 def mean_switches(chosen: Sequence[Chosen]) -> float:

@@ -95,10 +95,12 @@ class Aircraft:
     ) -> None:
         self.name = name
         self.config = config
+        self.chosen = Chosen()
+        self._record = record
         self.vehicle = MockVehicle(options, rng)
         self.onboard = Onboard(
             config,
-            record,
+            self._take,
             policy=policy,
             tlog=None if tlog is None else TlogWriter(tlog),
             utc_guess_s=UTC_AT_START_S,
@@ -108,7 +110,12 @@ class Aircraft:
         address = radio_address(name)
         self.onboard.hear(RadioState(can_send=tuple(sorted(TRANSPORTS)), own_addresses=(address,)))
         self.sender = FrameSender(address)
-        self.chosen = Chosen()
+
+    def _take(self, step: Step) -> None:
+        """One step of the heart."""
+        self.chosen.take(step)
+        if self._record is not None:
+            self._record(step)
 
 
 def paths_of(scenario: Scenario, seed: int) -> list[Points]:
@@ -295,5 +302,4 @@ def _tick(
                 ether.transmit(
                     now_s, aircraft.name, broadcast.transport, frame, address=aircraft.sender.address
                 )
-        aircraft.chosen.note(now_s, aircraft.onboard.heart.broadcaster.rates)
         aircraft.vehicle.receive(aircraft.onboard.drain(now_s), now_s)

@@ -19,7 +19,7 @@ from companion.remote_id.region import Region, TransportName
 from sitl_mocks.air_settings import AirSettings
 from sitl_mocks.awareness import AgeLog, awareness_of, weights_of
 from sitl_mocks.channel.parameters import BackgroundLoad, ChannelParameters
-from sitl_mocks.choosing import Chosen
+from sitl_mocks.choosing import Chosen, fallback_share
 from sitl_mocks.encounters import side_by_side
 from sitl_mocks.ether import Ether
 from sitl_mocks.lockstep import Run, fly, names_of
@@ -106,6 +106,8 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     switches_per_minute: float
     seconds: dict[str, float]
     """Of all its aircraft, by set."""
+    fallback_share: float = 0.0
+    """Share of their time on the fall-back, because who was to choose could not."""
 
 
 def scenario_of(flight: Flight) -> tuple[Scenario, list[range]]:
@@ -170,6 +172,7 @@ def _row(flight: Flight, scenario: Scenario, run: Run, seed: int, group: range, 
         unheard=log.unheard() if ages is not None else 0,
         switches_per_minute=round(sum(c.switches_per_minute for c in chosen) / len(chosen), 3),
         seconds=_seconds(chosen),
+        fallback_share=round(fallback_share(chosen), 4),
     )
 
 

@@ -55,6 +55,7 @@ MEASURES: Final = (
     LOST,
     Measure("deviation_m", "deviation (m)", lambda r: r.deviation_m, _mean, 1),
     Measure("switches_per_minute", "switches a minute", lambda r: r.switches_per_minute, _mean, 2),
+    Measure("fallback_share", "on the fall-back (%)", lambda r: r.fallback_share, _mean, 1, 100.0),
 )
 
 
