@@ -59,8 +59,8 @@ _MIN_DISTANCE_M: Final = 1.0
 
 
 def conflict_weight(xp: Any, distance_m: Any, closing_mps: Any) -> Any:
-    """How much a neighbour matters, 0 to 1: by the time until it could be in conflict,
-    1 / (1 + (t / LOOK_AHEAD_S)^4).
+    """How much a neighbour matters, 0 to 1: by the time t until it could be in conflict, 2^-(t /
+    LOOK_AHEAD_S)^2.
 
     Args:
         distance_m: any shape.
@@ -68,8 +68,7 @@ def conflict_weight(xp: Any, distance_m: Any, closing_mps: Any) -> Any:
     """
     gap_m = xp.clip(distance_m - SEPARATION_M, 0.0, None)
     ratio = gap_m / (xp.clip(closing_mps, LEAST_CLOSING_MPS, None) * LOOK_AHEAD_S)
-    square = ratio * ratio
-    return 1.0 / (1.0 + square * square)
+    return xp.exp2(-ratio * ratio)
 
 
 def neighbour_rows(xp: Any, distance_m: Any, conflict: Any, rates: Any) -> Any:

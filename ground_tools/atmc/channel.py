@@ -74,6 +74,11 @@ class Packets:
     wifi: Tensor
     sensed: Tensor
 
+    def of(self, senders: Tensor) -> Packets:
+        """Those of some senders, by their indices."""
+        parts = (self.ble4, self.pointer, self.auxiliary, self.wifi, self.sensed)
+        return Packets(*(part[:, :, senders] for part in parts))
+
 
 @dataclass(frozen=True, slots=True)
 class _Part:

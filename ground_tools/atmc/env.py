@@ -48,6 +48,10 @@ class Observation:
     heard: Tensor
     """(E, N, N): which of the rows are there."""
 
+    def of(self, observers: Tensor) -> Observation:
+        """What some of them see, by their indices."""
+        return Observation(self.own[:, observers], self.rows[:, observers], self.heard[:, observers])
+
 
 class Env:
     """Many fleets of one size.

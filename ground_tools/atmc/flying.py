@@ -35,7 +35,7 @@ from sitl_mocks.channel.parameters import ChannelParameters
 
 _AIRTIME_PRICE_S = 1e-4
 """Of one message a second: an aircraft that matters to nobody is quiet."""
-_ALONE = 0.05
+_ALONE = 0.01
 """Weight of all others together below which an aircraft counts as alone."""
 _SQUARE_BELOW_S = 0.05
 _LEAST_WEIGHT, _NEARLY_BEST_S = 0.1, 0.1
@@ -56,7 +56,7 @@ _FLYING_WORLD = EnvSettings(
 )
 
 
-PAPER_FLEETS = ((3, 256), (5, 256), (7, 192), (10, 192), (15, 96), (20, 64), (35, 20), (50, 14))
+PAPER_FLEETS = ((3, 192), (5, 160), (10, 128), (20, 48), (50, 16))
 
 
 class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -64,17 +64,12 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     objective: Literal["paper", "awareness"] = "awareness"
     fleets: tuple[tuple[int, int], ...] = (
-        (2, 256),
-        (4, 192),
-        (7, 128),
-        (10, 112),
-        (15, 64),
-        (20, 56),
-        (35, 20),
-        (50, 14),
-        (70, 7),
-        (100, 5),
-        (100, 5),
+        (2, 192),
+        (5, 128),
+        (10, 80),
+        (20, 40),
+        (50, 16),
+        (100, 8),
     )
     """Groups: aircraft in a fleet, and how many such fleets live side by side."""
     episodes: Annotated[int, Meta(ge=1)] = 100
@@ -88,8 +83,8 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """How much of the running average of the weights stays at each update; the average is what is frozen."""
     exploration: tuple[float, float] = (0.3, 0.02)
     """Share of the actions taken at random, first and last."""
-    together: float = 0.3
-    """Share of the updates of a fleet at which all of its aircraft act; else 20 to 40 % of them."""
+    acting: tuple[float, float] = (0.2, 0.4)
+    """Share of the aircraft of a fleet that act at an update, drawn between these; at least two of them."""
     going_on: float = 0.4
     """Share of the updates after which positions go on."""
     anew: float = 0.04
@@ -141,7 +136,7 @@ class FlyingLearner:
         widest = len(OWN_COLUMNS)
         self._bounds = torch.full((4, widest), torch.inf, device=self._device)
         """Least of the own columns, of a neighbour's; and of their negatives."""
-        self._validation = Validation(self._objective, settings.objective, seed=1_000_003)
+        self._validation: Validation | None = None
 
     def _group(self, env: Env) -> _Group:
         """The environments with what each aircraft may send."""
@@ -188,15 +183,18 @@ class FlyingLearner:
         }
 
     def _update(self, group: _Group, share: float) -> tuple[Tensor, Tensor]:
+        """Some aircraft of each fleet learn what each action would cost, and act."""
         s, env = self.settings, group.env
-        seen = self._select(env.observe())
+        acting = self._draw_acting(env.aircraft)
+        allowed = group.allowed[:, acting]
+        seen = self._select(env.observe().of(acting))
         self._note(seen)
-        target = self._target(group)
+        target = self._target(group, acting)
         values = self._net(seen.own, seen.rows, seen.heard)
         error = functional.smooth_l1_loss(values, target, beta=_SQUARE_BELOW_S, reduction="none")
         # What is nearly best must be told apart; how bad the bad ones are matters less.
-        weight = (_LEAST_WEIGHT + torch.exp(target / _NEARLY_BEST_S)) * group.allowed
-        loss = 10.0 * (error * weight).sum() / group.allowed.sum()
+        weight = (_LEAST_WEIGHT + torch.exp(target / _NEARLY_BEST_S)) * allowed
+        loss = 10.0 * (error * weight).sum() / allowed.sum()
         self._optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self._net.parameters(), s.clip)
@@ -206,34 +204,38 @@ class FlyingLearner:
             keep = min(s.average, (1.0 + done) / (10.0 + done))
             for mean, now in zip(self._average.parameters(), self._net.parameters(), strict=True):
                 mean.lerp_(now, 1.0 - keep)
-            greedy = values.masked_fill(~group.allowed, -torch.inf).argmax(-1)
+            greedy = values.masked_fill(~allowed, -torch.inf).argmax(-1)
             regret = -target.gather(-1, greedy[..., None]).mean()
-            self._act(group, greedy, share)
+            self._act(group, acting, greedy, share)
         return loss.detach(), regret
 
-    def _target(self, group: _Group) -> Tensor:
-        """Minus the regret (s) of every action, (E, N, actions); 0 for the best one that is allowed."""
-        env = group.env
-        _, cost = difference_costs(self._objective, env.air, env.action)
+    def _draw_acting(self, aircraft: int) -> Tensor:
+        """Indices of those who act, the same in all fleets of a group: they stand in random places."""
+        low, high = self.settings.acting
+        share = low + (high - low) * float(torch.rand((), generator=self._generator, device=self._device))
+        count = min(aircraft, max(2, round(share * aircraft)))
+        return torch.randperm(aircraft, generator=self._generator, device=self._device)[:count]
+
+    def _target(self, group: _Group, acting: Tensor) -> Tensor:
+        """Minus the regret (s) of every action, (E, acting, actions); 0 for the best one that is allowed."""
+        env, allowed = group.env, group.allowed[:, acting]
+        _, cost = difference_costs(self._objective, env.air, env.action, acting)
         if self.settings.objective == "awareness":
             # By how many others there are to tell: seconds of age for each of them.
-            cost = cost / (_ALONE + env.air.weight.sum(1))[..., None]
+            cost = cost / (_ALONE + env.air.weight.sum(1)[:, acting])[..., None]
             cost = cost + _AIRTIME_PRICE_S * self._objective.channel.rates.sum(1)
-        least = cost.masked_fill(~group.allowed, torch.inf).amin(-1, keepdim=True)
+        least = cost.masked_fill(~allowed, torch.inf).amin(-1, keepdim=True)
         return -(cost - least).clamp(max=self.settings.regret_limit_s)
 
-    def _act(self, group: _Group, greedy: Tensor, share: float) -> None:
-        """Some act, a few of them at random; positions go on now and then."""
+    def _act(self, group: _Group, acting: Tensor, greedy: Tensor, share: float) -> None:
+        """They act, a few of them at random; positions go on now and then."""
         s, env, g, device = self.settings, group.env, self._generator, self._device
         explore = s.exploration[1] + (s.exploration[0] - s.exploration[1]) * (1.0 - share)
-        luck = torch.rand(group.allowed.shape, generator=g, device=device)
-        chance = (luck * group.allowed).argmax(-1)
+        allowed = group.allowed[:, acting]
+        chance = (torch.rand(allowed.shape, generator=g, device=device) * allowed).argmax(-1)
         exploring = torch.rand(greedy.shape, generator=g, device=device) < explore
-        action = torch.where(exploring, chance, greedy)
-        part = 0.2 + 0.2 * torch.rand((env.environments, 1), generator=g, device=device)
-        together = torch.rand((env.environments, 1), generator=g, device=device) < s.together
-        moving = together | (torch.rand(greedy.shape, generator=g, device=device) < part)
-        env.action = torch.where(moving, action, env.action)
+        env.action = env.action.clone()
+        env.action[:, acting] = torch.where(exploring, chance, greedy)
         draw = float(torch.rand((), generator=g, device=device))
         if draw < s.anew:
             env.reset()
@@ -265,6 +267,8 @@ class FlyingLearner:
 
     def validate(self) -> dict[str, float]:
         """See `Learner.validate`: how much is lost against the search, the mean over fleet sizes."""
+        if self._validation is None:
+            self._validation = Validation(self._objective, self.settings.objective, seed=1_000_003)
         return self._validation.measure(self)
 
     def state(self) -> dict[str, Any]:

@@ -39,9 +39,9 @@ class Objective(Protocol):
         """Cost of each aircraft's own messages, (environments, aircraft), differentiable in `packets`."""
         ...
 
-    def own(self, air: Air, packets: Packets) -> Tensor:
-        """The same for each of its actions while all others keep theirs, (environments, aircraft,
-        actions)."""
+    def own(self, air: Air, packets: Packets, senders: Tensor) -> Tensor:
+        """The same of some aircraft, for each of its actions while all others keep theirs, (environments,
+        aircraft, actions)."""
         ...
 
 
@@ -52,9 +52,15 @@ def costs(objective: Objective, air: Air, action: Tensor) -> Tensor:
         return objective.each(air, action, c.packets(air.reach, c.loads(air.reach, action)))
 
 
-def difference_costs(objective: Objective, air: Air, action: Tensor) -> tuple[Tensor, Tensor]:
+def difference_costs(
+    objective: Objective, air: Air, action: Tensor, senders: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """The present cost of each aircraft's messages (s), (environments, aircraft), and what the fleet's total
-    would be for each of its actions, up to a number for each aircraft, (environments, aircraft, actions)."""
+    would be for each of its actions, up to a number for each aircraft, (environments, senders, actions).
+
+    Args:
+        senders: indices of those to tell it of; None: all.
+    """
     c = objective.channel
     with torch.no_grad():
         loads = c.loads(air.reach, action)
@@ -68,7 +74,10 @@ def difference_costs(objective: Objective, air: Air, action: Tensor) -> tuple[Te
         for (name, leaf), gradient in zip(leaves.items(), found, strict=True)
     }
     with torch.no_grad():
-        return each.detach(), objective.own(air, packets) + c.harm(air.reach, gradients)
+        if senders is None:
+            senders = torch.arange(action.shape[1], device=action.device)
+        harm = c.harm(air.reach, gradients)[:, senders]
+        return each.detach(), objective.own(air, packets, senders) + harm
 
 
 class PaperObjective:
@@ -92,12 +101,13 @@ class PaperObjective:
             total = total + (delay * carried).sum(1) / carried.sum(1).clamp(min=1.0)
         return total
 
-    def own(self, air: Air, packets: Packets) -> Tensor:
+    def own(self, air: Air, packets: Packets, senders: Tensor) -> Tensor:
         """See `Objective.own`."""
+        packets = packets.of(senders)
         c = self.channel
         parts = []
         for index in range(len(MODES)):
-            carried = air.reach.modes[index]
+            carried = air.reach.modes[index][:, :, senders]
             delay = torch.exp(c.log_delay(index, packets))
             mean = (delay * carried[..., None]).sum(1) / carried.sum(1).clamp(min=1.0)[..., None]
             parts.append(torch.cat([torch.zeros_like(mean[..., :1]), mean], -1))
@@ -129,17 +139,19 @@ class AwarenessObjective:
         assert isinstance(heard, Tensor)
         return (age_s(heard) * air.weight).sum(1)
 
-    def own(self, air: Air, packets: Packets) -> Tensor:
+    def own(self, air: Air, packets: Packets, senders: Tensor) -> Tensor:
         """See `Objective.own`."""
+        packets = packets.of(senders)
         c = self.channel
         rates = []
         for index in range(len(MODES)):
-            heard = torch.exp(-c.log_delay(index, packets)) * air.reach.modes[index][..., None]
+            carried = air.reach.modes[index][:, :, senders]
+            heard = torch.exp(-c.log_delay(index, packets)) * carried[..., None]
             rates.append(torch.cat([torch.zeros_like(heard[..., :1]), heard], -1))
         costs = [
             (
                 age_s(sum(rates[mode][..., c.level_of[a, mode]] for mode in range(3)))  # type: ignore[arg-type]
-                * air.weight
+                * air.weight[:, :, senders]
             ).sum(1)
             for a in range(len(c.actions))
         ]

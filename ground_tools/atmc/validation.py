@@ -17,7 +17,7 @@ from ground_tools.atmc.world import SIDES_M, World, WorldSettings, draw
 _ROUNDS = 4
 _FLEETS = {
     "paper": ((5, 80), (10, 60), (20, 20), (50, 4)),
-    "awareness": ((5, 80), (10, 60), (50, 6), (100, 2)),
+    "awareness": ((5, 60), (10, 40), (20, 15), (50, 4), (100, 1)),
 }
 """Aircraft, and how many environments of each size of square."""
 _LOAD = 0.5
@@ -54,7 +54,7 @@ class Validation:
                     world = draw(WorldSettings(sides=side, load=(load, load)), count, aircraft, generator)
                     env.place(world)
                     starts = [env.action, torch.full_like(env.action, len(allowed) - 1)]
-                    best = search(objective, env.air, starts, allowed, generator, rounds=25)
+                    best = search(objective, env.air, starts, allowed, generator, rounds=20)
                     cases.append(_Case(env, world, float(costs(objective, env.air, best).sum())))
 
     def _fresh(self) -> torch.Generator:

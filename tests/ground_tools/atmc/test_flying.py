@@ -1,0 +1,195 @@
+"""The set network: what it learns from, that it learns, and what comes out as a file."""
+
+from __future__ import annotations
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from companion.atmc.actions import SET_ACTIONS
+from companion.atmc.policy import load
+from ground_tools.atmc.deciders import Chance, Fixed, settle
+from ground_tools.atmc.env import Env, EnvSettings
+from ground_tools.atmc.evaluate import Frozen, Question, evaluate, objective_of
+from ground_tools.atmc.flying import FlyingLearner, FlyingSettings
+from ground_tools.atmc.objective import costs
+from ground_tools.atmc.search import search
+from ground_tools.atmc.world import WorldSettings
+from ground_tools.cli import main
+
+SMALL = FlyingSettings(fleets=((3, 24), (6, 12)), episodes=4, updates=6)
+SMALL_PAPER = msgspec.structs.replace(SMALL, objective="paper")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def learned():
+    """A short run on the paper's objective: enough to be better than chance."""
+    settings = FlyingSettings(objective="paper", fleets=((5, 128), (10, 64)), episodes=3, updates=60)
+    learner = FlyingLearner(settings, 1)
+    while learner.done < learner.rounds:
+        learner.train()
+    return learner
+
+
+@pytest.mark.parametrize("settings", [SMALL, SMALL_PAPER], ids=["awareness", "paper"])
+def test_a_resumed_run_is_the_uninterrupted_one(settings):
+    whole = FlyingLearner(settings, 3)
+    rows = [whole.train() for _ in range(4)]
+    first = FlyingLearner(settings, 3)
+    first.train()
+    first.train()
+    kept = first.state()
+    second = FlyingLearner(settings, 99)
+    second.load(kept)
+    assert [second.train() for _ in range(2)] == rows[2:]
+    assert second.frozen("x", {}) == whole.frozen("x", {})
+
+
+def test_the_same_seed_gives_the_same_run_and_another_seed_another_one():
+    runs = [FlyingLearner(SMALL, seed).train() for seed in (1, 1, 2)]
+    assert runs[0] == runs[1] != runs[2]
+
+
+def test_it_learns(learned):
+    data = learned.frozen("short", {})
+    found = evaluate(data, "short", Question("paper", samples=40))
+    assert found["search_dynamic_ms"] <= found["dynamic_ms"] < 0.9 * found["best_fixed_dynamic_ms"]
+    assert found["rule_dynamic_ms"] >= found["search_dynamic_ms"]
+    assert found["high_ms"] > found["dynamic_ms"] > found["low_ms"]
+
+
+def test_numpy_aboard_and_pytorch_agree(learned):
+    data = learned.frozen("short", {})
+    fleet, policy = Frozen(data, "short"), load(data, "short")
+    objective, _ = objective_of("paper")
+    env = Env(EnvSettings(), objective, 20, 10, torch.Generator().manual_seed(5))
+    seen = env.observe()
+    choice = fleet.decide(seen, env.action)
+    allowed = np.ones(30, bool)
+    differences = []
+    for e in range(20):
+        for n in range(10):
+            heard = seen.heard[e, n] > 0
+            own, rows = seen.own[e, n].double().numpy(), seen.rows[e, n][heard].double().numpy()
+            values = policy.values(own, rows)
+            assert policy.choose(own, rows, allowed, int(env.action[e, n])).index == int(choice[e, n])
+            with torch.no_grad():
+                theirs = learned._average(
+                    seen.own[e, n][learned._own], seen.rows[e, n][:, learned._columns], seen.heard[e, n]
+                )
+            differences.append(np.abs(values - theirs.numpy()).max())
+    assert max(differences) <= 1e-5
+
+
+def test_what_is_not_allowed_is_never_learned_as_best():
+    learner = FlyingLearner(SMALL, 5)
+    for group in learner._groups:
+        target = learner._target(group)
+        assert group.allowed.any(-1).all()
+        best = target.masked_fill(~group.allowed, -torch.inf).amax(-1)
+        assert (best == 0.0).all()
+        # Some radios lack a transport, some regions refuse one.
+        assert not group.allowed.all()
+
+
+def test_the_search_is_never_above_where_it_began_and_finds_the_best_of_two_aircraft():
+    objective, actions = objective_of("awareness")
+    generator = torch.Generator().manual_seed(1)
+    env = Env(EnvSettings(world=WorldSettings(sides=500.0)), objective, 8, 2, generator)
+    allowed = torch.ones(len(actions), dtype=torch.bool)
+    found = search(objective, env.air, [env.action], allowed, generator)
+    least = torch.full((8,), torch.inf)
+    for first in range(len(actions)):
+        for second in range(len(actions)):
+            pair = torch.tensor([first, second]).expand(8, 2)
+            least = torch.minimum(least, costs(objective, env.air, pair).sum(1))
+    total = costs(objective, env.air, found).sum(1)
+    assert (total <= costs(objective, env.air, env.action).sum(1) + 1e-9).all()
+    assert total.numpy() == pytest.approx(least.numpy(), rel=0.01)
+
+
+def test_the_search_keeps_to_what_is_allowed():
+    objective, actions = objective_of("awareness")
+    generator = torch.Generator().manual_seed(1)
+    env = Env(EnvSettings(world=WorldSettings(sides=500.0)), objective, 4, 6, generator)
+    allowed = torch.tensor([action[2] == 0 for action in actions])
+    start = torch.full_like(env.action, SET_ACTIONS.index((10, 10, 0)))
+    found = search(objective, env.air, [start], allowed, generator)
+    assert allowed[found].all()
+
+
+def test_settling_moves_everybody_once_a_round():
+    objective, _ = objective_of("paper")
+    generator = torch.Generator().manual_seed(1)
+    env = Env(EnvSettings(), objective, 3, 10, generator)
+    assert len(settle(env, Fixed(7), 1, generator)) == 4
+    assert (env.action == 7).all()
+    allowed = torch.zeros(30, dtype=torch.bool)
+    allowed[3] = True
+    settle(env, Chance(allowed, generator), 1, generator)
+    assert (env.action == 3).all()
+
+
+# ---------------------------------------------------------------- the command
+
+
+def test_evaluate_prints_one_object(learned, tmp_path, capsys):
+    path = tmp_path / "p.safetensors"
+    path.write_bytes(learned.frozen("short", {}))
+    options = ["--policy", str(path), "--uavs", "5", "--samples", "6", "--json"]
+    assert main(["atmc", "evaluate", *options]) == 0
+    first = json.loads(capsys.readouterr().out)
+    wanted = {
+        "high_ms",
+        "low_ms",
+        "dynamic_ms",
+        "best_fixed_dynamic_ms",
+        "rule_dynamic_ms",
+        "search_dynamic_ms",
+        "decision_us_median",
+        "switches_per_min",
+    }
+    assert wanted <= first.keys()
+    assert main(["atmc", "evaluate", *options]) == 0
+    second = json.loads(capsys.readouterr().out)
+    del first["decision_us_median"], second["decision_us_median"]
+    assert first == second
+    assert main(["atmc", "evaluate", *options[:-1]]) == 0
+    assert "one-line rule" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--uavs", "1"], "--uavs: 1: allowed 2 to"),
+        (["--uavs", "50"], "trained with up to 10 aircraft"),
+        (["--objective", "awareness"], "trained for 'paper'"),
+        (["--load", "0.5"], "--load: the paper's objective"),
+        (["--load", "2"], "--load: 2: allowed 0 to 0.95"),
+        (["--samples", "0"], "--samples: 0: allowed 1 and above"),
+        (["--seed", "-1"], "--seed: -1: allowed 0 and above"),
+        (["--sigma", "99"], "--sigma: 99: allowed 0 to 30"),
+    ],
+)
+def test_what_evaluate_refuses(learned, tmp_path, capsys, options, words):
+    path = tmp_path / "p.safetensors"
+    path.write_bytes(learned.frozen("short", {}))
+    assert main(["atmc", "evaluate", "--policy", str(path), *options]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_policy_that_is_none_is_named(tmp_path, capsys):
+    path = tmp_path / "p.safetensors"
+    assert main(["atmc", "evaluate", "--policy", str(path)]) == 2
+    assert "p.safetensors: No such file" in capsys.readouterr().err
+    path.write_bytes(b"nothing")
+    assert main(["atmc", "evaluate", "--policy", str(path)]) == 2
+    assert "not a safetensors file" in capsys.readouterr().err
