@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from companion.atmc.observation import conflict_weight
 from sitl_mocks import encounters, lockstep
 from sitl_mocks.air_settings import AirSettings
 from sitl_mocks.awareness import AgeLog, awareness_of, weights_of
@@ -118,5 +119,6 @@ def test_weights_begin_with_the_paths_and_fall_with_the_distance():
     weight = weights_of(run, [("a", "b"), ("a", "c")])
     assert weight.shape == (3, 2)
     assert (weight[0] == 0.0).all()
-    # 50 m to go at 10 m/s are half of the look-ahead; 290 m nearly three times of it.
-    np.testing.assert_allclose(weight[1:], [[1 / (1 + 0.5**4), 1 / (1 + 2.9**4)]] * 2)
+    wanted = conflict_weight(np, np.array([60.0, 300.0]), np.zeros(2))
+    np.testing.assert_allclose(weight[1:], [wanted] * 2)
+    assert wanted[0] > 0.5 > wanted[1]
