@@ -45,6 +45,17 @@ class Track:
     """When a signature last held."""
     messages: int = 1
 
+    def take_over(self, other: Track) -> None:
+        """The other track was this aircraft, heard on another transport before it told its name."""
+        self.sources.extend(key for key in other.sources if key not in self.sources)
+        self.messages += other.messages
+        self.opened_s = min(self.opened_s, other.opened_s)
+        if other.sample_s > self.sample_s:
+            self.position_ned_m, self.velocity_ned_mps = other.position_ned_m, other.velocity_ned_mps
+            self.velocity_known, self.vertical_known = other.velocity_known, other.vertical_known
+            self.sample_s, self.received_s = other.sample_s, max(self.received_s, other.received_s)
+            self.sigma_m, self.content = other.sigma_m, other.content
+
     @property
     def flags(self) -> frozenset[Flag]:
         """What is doubtful, or vouched for, about it now."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from companion.avoidance.law import Neighbour
@@ -215,8 +216,19 @@ class Traffic:
         source.about.keep_id(message, source.identity)
 
     def _rename(self, old: str, identity: str) -> None:
-        """Give the nameless tracks of an address their identity, as far as one may have so many."""
+        """Give the nameless tracks of an address their identity, as far as one may have so many.
+
+        On BLE 4 an aircraft's Locations come before its name: what another transport told by name already is
+        the same aircraft, and not a second one that stays behind as a ghost.
+        """
         for track in list(self._by_identity.get(old, ())):
+            others = [t for t in self._by_identity.get(identity, ()) if t is not track]
+            known = self._same_aircraft(track, others)
+            if known is not None and not track.doubts.flags:
+                self._remove(track)
+                known.take_over(track)
+                self._rank(known)
+                continue
             if len(self._by_identity.get(identity, ())) >= _TRACKS_PER_IDENTITY:
                 return
             self._remove(track)
@@ -226,6 +238,24 @@ class Traffic:
             self._add(track)
             if track.doubts.flags != track.doubts.reported:
                 self._judge.reports.mark(track.track_id, track.doubts)
+
+    def _same_aircraft(self, track: Track, others: Iterable[Track]) -> Track | None:
+        """Of the tracks of an identity the one whose aircraft a nameless track can be, as `_match` would
+        take its Locations; the nearest of several."""
+        best, least = None, math.inf
+        for other in others:
+            earlier, later = sorted((track, other), key=lambda t: t.sample_s)
+            elapsed = later.sample_s - earlier.sample_s
+            moved = [
+                p + elapsed * v for p, v in zip(earlier.position_ned_m, earlier.velocity_ned_mps, strict=True)
+            ]
+            away = math.dist(moved[:2], later.position_ned_m[:2])
+            allowed = reach(elapsed, track.sigma_m + other.sigma_m)
+            if not earlier.velocity_known:
+                allowed += self.config.max_speed_mps * elapsed
+            if away <= allowed and away < least:
+                best, least = other, away
+        return best
 
     # ------------------------------------------------------------ one Location
 

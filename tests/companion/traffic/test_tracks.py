@@ -167,6 +167,33 @@ def test_one_aircraft_on_two_transports_is_one_track():
     assert list(listener.tracks) == ["X"]
 
 
+def test_what_was_nameless_on_one_transport_joins_the_track_that_has_the_name():
+    listener = Listener()
+    listener.hear(10.1, basic("X"), location(timestamp_s=10.0), address="w", transport="wifi")
+    listener.hear(10.6, location(timestamp_s=10.5), address="b", transport="ble4")
+    assert len(listener.tracks) == 2
+    listener.hear(10.7, basic("X"), address="b", transport="ble4")
+    (track,) = listener.tracks.values()
+    assert (track.track_id, track.identity) == ("X", "X")
+    assert set(track.sources) == {"wifi/w", "ble4/b"}
+    # The newer of both positions stands; what comes later on either transport updates the one track.
+    assert track.sample_s == pytest.approx(10.5)
+    listener.hear(11.1, location(timestamp_s=11.0), address="b", transport="ble4")
+    listener.hear(11.6, location(timestamp_s=11.5), address="w", transport="wifi")
+    (track,) = listener.tracks.values()
+    assert track.sample_s == pytest.approx(11.5)
+    assert listener.traffic.counts.split == 0
+
+
+def test_a_nameless_track_elsewhere_stays_one_of_its_own():
+    listener = Listener()
+    listener.hear(10.1, basic("X"), location(timestamp_s=10.0), address="w", transport="wifi")
+    listener.hear(10.6, location(900.0, timestamp_s=10.5), address="b", transport="ble4")
+    listener.hear(10.7, basic("X"), address="b", transport="ble4")
+    assert len(listener.tracks) == 2
+    assert {t.identity for t in listener.tracks.values()} == {"X"}
+
+
 def test_a_copied_identity_hides_nobody():
     listener = Listener()
     listener.hear(10.0, basic("X"), location(north_m=100.0, timestamp_s=10.0), address="a")
