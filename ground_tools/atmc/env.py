@@ -81,11 +81,16 @@ class Env:
         return self.objective.channel
 
     def reset(self) -> None:
-        """New environments, in which everybody does something at random."""
+        """New environments: in half of them everybody does something at random, in the others all the
+        same."""
         shape, device = (self.environments, self.aircraft), self._generator.device
-        self.action = torch.randint(
-            len(self.channel.actions), shape, generator=self._generator, device=device
+        actions = len(self.channel.actions)
+        each, alike = (
+            torch.randint(actions, size, generator=self._generator, device=device)
+            for size in (shape, (shape[0], 1))
         )
+        uniform = torch.rand((shape[0], 1), generator=self._generator, device=device) < 0.5
+        self.action = torch.where(uniform, alike, each)
         """(E, N): what everybody does now; indices into the channel's actions."""
         identity = torch.randint(2, (*shape, 4), generator=self._generator, device=device)
         self.identity = identity.to(torch.float32) * 2.0 - 1.0

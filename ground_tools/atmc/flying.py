@@ -81,20 +81,22 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """Greatest norm of the gradient."""
     average: float = 0.998
     """How much of the running average of the weights stays at each update; the average is what is frozen."""
-    exploration: tuple[float, float] = (0.3, 0.02)
-    """Share of the actions taken at random, first and last."""
+    exploration: tuple[float, float] = (0.35, 0.2)
+    """Share of the actions taken at random, first and last. Without them what all do alike is all that is
+    seen, and what follows from anything else is forgotten."""
     acting: tuple[float, float] = (0.2, 0.4)
     """Share of the aircraft of a fleet that act at an update, drawn between these; at least two of them."""
     going_on: float = 0.4
     """Share of the updates after which positions go on."""
-    anew: float = 0.04
+    anew: float = 0.08
     """Share of the updates after which a group's environments are drawn anew."""
     regret_limit_s: float = 1.0
     """Actions that lose more count as losing this much."""
     switch_price_s: float = 0.0
     """What a switch must gain, in the network's values; not used in training."""
     masked: float = 0.3
-    """Awareness: share of the aircraft whose radios cannot send on everything."""
+    """Awareness: share of the aircraft whose radios cannot send on everything, in half of the
+    environments."""
 
 
 @dataclass(slots=True)
@@ -153,7 +155,8 @@ class FlyingLearner:
         region = torch.randint(len(sets), (shape[0],), generator=g, device=device)
         law = sets[region][:, None, :]
         lacks = torch.rand((*shape, 3), generator=g, device=device) < 0.5
-        whole = torch.rand((*shape, 1), generator=g, device=device) >= self.settings.masked
+        some = torch.rand((shape[0], 1, 1), generator=g, device=device) < 0.5
+        whole = (torch.rand((*shape, 1), generator=g, device=device) >= self.settings.masked) | ~some
         lacks = (lacks & ~whole).to(torch.float32)
         uses = (self._objective.channel.rates > 0).to(torch.float32)
         possible = law & ((lacks @ uses.T) == 0)
@@ -225,7 +228,8 @@ class FlyingLearner:
             cost = cost / (_ALONE + env.air.weight.sum(1)[:, acting])[..., None]
             cost = cost + _AIRTIME_PRICE_S * self._objective.channel.rates.sum(1)
         least = cost.masked_fill(~allowed, torch.inf).amin(-1, keepdim=True)
-        return -(cost - least).clamp(max=self.settings.regret_limit_s)
+        # What is not allowed may be better than the best; it is not learned from.
+        return -(cost - least).clamp(min=0.0, max=self.settings.regret_limit_s)
 
     def _act(self, group: _Group, acting: Tensor, greedy: Tensor, share: float) -> None:
         """They act, a few of them at random; positions go on now and then."""

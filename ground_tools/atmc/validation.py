@@ -1,5 +1,5 @@
-"""A fixed set of fleets on which a policy is measured while it learns: how much it loses against the
-search."""
+"""A fixed set of fleets on which a policy is measured while it learns: how it does against the best fixed
+mode."""
 
 from __future__ import annotations
 
@@ -7,27 +7,29 @@ from dataclasses import dataclass
 
 import torch
 
+from companion.atmc.rule import FIXED_SETS, PAPER_FAR, PAPER_NEAR
 from ground_tools.atmc.deciders import Decider, settle
 from ground_tools.atmc.env import Env, EnvSettings
 from ground_tools.atmc.objective import Objective, costs
-from ground_tools.atmc.search import search
 from ground_tools.atmc.tasks import ObjectiveName
 from ground_tools.atmc.world import SIDES_M, World, WorldSettings, draw
 
 _ROUNDS = 4
 _FLEETS = {
-    "paper": ((5, 80), (10, 60), (20, 20), (50, 4)),
-    "awareness": ((5, 60), (10, 40), (20, 15), (50, 4), (100, 1)),
+    "paper": ((5, 120), (10, 80), (20, 20), (50, 4)),
+    "awareness": ((5, 60), (10, 40), (20, 15), (50, 3), (100, 1)),
 }
 """Aircraft, and how many environments of each size of square."""
 _LOAD = 0.5
+_MODES = {"paper": (PAPER_NEAR, PAPER_FAR), "awareness": FIXED_SETS[:2]}
 
 
 @dataclass(slots=True)
 class _Case:
     env: Env
     world: World
-    floor_s: float
+    fixed_s: float
+    """Cost of the best of `_MODES` in this square."""
 
 
 class Validation:
@@ -40,12 +42,10 @@ class Validation:
     def __init__(self, objective: Objective, name: ObjectiveName, seed: int) -> None:
         self._seed = seed
         self._device = objective.channel.device
-        self._name = name
         generator = self._fresh()
         settings = EnvSettings(lossy=name == "awareness")
         self._cases: dict[str, list[_Case]] = {}
         loads = (0.0, _LOAD) if name == "awareness" else (0.0,)
-        allowed = torch.ones(len(objective.channel.actions), dtype=torch.bool, device=self._device)
         for aircraft, count in _FLEETS[name]:
             for load in loads:
                 cases = self._cases[f"{aircraft}" + ("_loaded" if load else "")] = []
@@ -53,26 +53,29 @@ class Validation:
                     env = Env(settings, objective, count, aircraft, generator)
                     world = draw(WorldSettings(sides=side, load=(load, load)), count, aircraft, generator)
                     env.place(world)
-                    starts = [env.action, torch.full_like(env.action, len(allowed) - 1)]
-                    best = search(objective, env.air, starts, allowed, generator, rounds=20)
-                    cases.append(_Case(env, world, float(costs(objective, env.air, best).sum())))
+                    fixed = [
+                        float(costs(objective, env.air, torch.full_like(env.action, index)).sum())
+                        for index in map(objective.channel.actions.index, _MODES[name])
+                    ]
+                    cases.append(_Case(env, world, min(fixed)))
 
     def _fresh(self) -> torch.Generator:
         return torch.Generator(self._device).manual_seed(self._seed)
 
     def measure(self, decider: Decider) -> dict[str, float]:
-        """Loss against the search in % by fleet size, and "score", their mean."""
+        """Cost beyond that of the best of two fixed modes in each square (%), by fleet size, and "score",
+        their mean. Every square counts the same."""
         generator = self._fresh()
         found = {}
         for key, cases in self._cases.items():
-            cost = floor = 0.0
+            ratios = []
             for case in cases:
                 env = case.env
                 env.action = torch.randint(
                     len(env.channel.actions), env.action.shape, generator=generator, device=self._device
                 )
                 last = settle(env, decider, _ROUNDS, generator)[-4:]
-                cost += float(torch.stack([c.sum() for c in last]).mean())
-                floor += case.floor_s
-            found[f"loss_{key}_percent"] = 100.0 * (cost / floor - 1.0)
+                cost = float(torch.stack([c.sum() for c in last]).mean())
+                ratios.append(cost / max(case.fixed_s, 1e-9))
+            found[f"uavs{key}_percent"] = 100.0 * (sum(ratios) / len(ratios) - 1.0)
         return {"score": sum(found.values()) / len(found), **found}

@@ -29,7 +29,7 @@ class WorldSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     shadowing_sigma_db: tuple[float, float] = (0.0, 0.0)
     """Drawn uniformly between these for each environment."""
     wifi_channels: Literal["shared", "random", "either"] = "shared"
-    """"either": half of the environments each."""
+    """"either": in three of four environments all share one, in the fourth each has a random one."""
     load: tuple[float, float] = (0.0, 0.0)
     """Share of time that others fill the Wi-Fi channel; drawn uniformly, but in half of the environments the
     lower bound."""
@@ -98,7 +98,7 @@ def draw(settings: WorldSettings, environments: int, aircraft: int, generator: t
         drawn = torch.randint(
             len(WIFI_CHANNELS), (environments, aircraft), generator=generator, device=device
         )
-        share = 1.0 if settings.wifi_channels == "random" else 0.5
+        share = 1.0 if settings.wifi_channels == "random" else 0.25
         channel = torch.where(uniform(environments, 1) < share, drawn, channel)
     low, high = settings.load
     load = torch.where(uniform(environments) < 0.5, low, uniform(environments, low=low, high=high))
