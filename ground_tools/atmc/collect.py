@@ -29,7 +29,6 @@ _FLEETS = 250
 _SEED = 3_000_017
 """Neither that of a run nor that of the validation set."""
 _DIGITS = 4
-_SIDES = ("side_100_ms", "side_500_ms", "side_1000_ms", "side_3000_ms", "side_5000_ms", "side_10000_ms")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -163,18 +162,18 @@ def _short(value: float, digits: int = _DIGITS) -> float:
 
 
 def _table(runs: Sequence[Run]) -> Table:
-    """Every seed: the best policy by square and density, the last one, the time."""
+    """Every seed: the best policy by density, the last one, the time."""
     table = Table(
-        title="System delay (ms) of the best policy by validation; dynamic of the last one; minutes",
+        title="System delay (ms): best policy by validation, last one (dynamic)",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,
     )
-    heads = ("algorithm", "seed", *(s.split("_")[1] for s in _SIDES), "high", "low", "dynamic", "last", "min")
+    heads = ("algorithm", "seed", "high", "low", "dynamic", "last", "minutes")
     for index, head in enumerate(heads):
         table.add_column(head, justify="right" if index else "left", no_wrap=True)
     for run in runs:
-        numbers = [run.best[key] for key in (*_SIDES, "high_ms", "low_ms", "delay_ms")]
+        numbers = [run.best[key] for key in ("high_ms", "low_ms", "delay_ms")]
         numbers += [run.last["delay_ms"]]
         table.add_row(
             run.algorithm, str(run.seed), *(f"{x:.0f}" for x in numbers), f"{run.seconds / 60.0:.1f}"

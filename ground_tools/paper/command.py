@@ -16,7 +16,7 @@ from rich.console import Console
 
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
-from ground_tools.paper import closed_loop, delay_rate, fixed_modes, packet_loss
+from ground_tools.paper import closed_loop, convergence, delay_rate, fixed_modes, packet_loss
 from ground_tools.paper.report import Report, json_rows, show
 from ground_tools.paper.study import Study
 
@@ -32,7 +32,7 @@ class Figure:
     report: Callable[[Study], Report]
     draw: Callable[[Study, Path], None]
     sigmas: int
-    """How many sigmas of the study it looks at."""
+    """How many sigmas of the study it looks at; 0: it does not need the study, and none is computed."""
 
 
 FIGURES: Final = (
@@ -44,6 +44,13 @@ FIGURES: Final = (
         fixed_modes.report,
         fixed_modes.draw,
         len(fixed_modes.SIGMAS_DB),
+    ),
+    Figure(
+        "convergence",
+        "learning of MADQN-ATMC and its baselines, from runs that are kept",
+        lambda _: convergence.report(),
+        lambda _, path: convergence.draw(path),
+        0,
     ),
 )
 

@@ -7,6 +7,7 @@ means over 10 episodes. The reward is the sum over the aircraft, the mean of a s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -60,7 +61,7 @@ def report(path: Path = CONVERGENCE) -> Report:
             "episodes; asked for each seed.",
             "An aircraft fails where its reward ends behind the fleet's median by more than that.",
             "Delays in ms: policy of the best validation, interquartile mean over seeds, ±: its bootstrap "
-            f"error; {results.configurations:,} environments of each size.",
+            f"error, nan for one seed; {results.configurations:,} environments of each size.",
         ),
         statements=tuple(statements(results)),
         comparisons=tuple(comparisons(results)),
@@ -119,7 +120,9 @@ def comparisons(results: Results) -> list[Comparison]:
                 "sigma_db": 0.0,
                 "density": density,
             }
-            ours, error = float(iqm(values)[0]), float(_resampled(values).std(0)[0])
+            ours, error = float(iqm(values)[0]), math.nan
+            if len(values) > 1:
+                error = float(_resampled(values).std(0)[0])
             published = PUBLISHED_MS.get((algorithm, density))
             found.append(Comparison(NAMES[algorithm], labels, ours, error, published))
     return found
@@ -138,6 +141,8 @@ def draw(path: Path, source: Path = CONVERGENCE) -> None:
         for axes, algorithm, letter in zip(panels[1:], _PANELS, "bcd", strict=True):
             if runs := results.of(algorithm):
                 _aircraft(axes, min(runs, key=lambda run: min(ms for _, ms in run.validation)), letter)
+            else:
+                axes.set_title(f"({letter}) {NAMES[algorithm]}: no run is kept")
 
 
 def _system(axes: Any, results: Results) -> None:
@@ -149,7 +154,11 @@ def _system(axes: Any, results: Results) -> None:
         colour = _COLOURS[algorithm]
         axes.fill_between(episodes, low, high, color=colour, alpha=0.22, lw=0)
         axes.plot(
-            episodes, iqm(curves), color=colour, lw=1.8, label=f"{NAMES[algorithm]} ({len(curves)} seeds)"
+            episodes,
+            iqm(curves),
+            color=colour,
+            lw=1.8,
+            label=f"{NAMES[algorithm]} ({len(curves)} seed{'s' * (len(curves) > 1)})",
         )
     axes.set_title("(a) fleet, interquartile mean and 95 % interval over seeds")
     axes.set_xlabel("episode")
