@@ -17,6 +17,8 @@ from companion.errors import ConfigError
 Float32s = NDArray[np.float32]
 Tensors = Mapping[str, Float32s]
 
+MAX_WIDTH: Final = 2048
+"""Outputs of a layer: a wider one, once for each of many neighbours, would hold up the flight loop."""
 SET_LAYERS: Final = ("phi0", "phi1", "rho0", "rho1", "out")
 
 
@@ -127,6 +129,8 @@ def _linear(
     if outputs == 0 or weight.shape != (*lead, outputs, inputs):
         wanted = ", ".join(map(str, (*lead, "outputs", inputs)))
         raise PolicyError(f"{name}: tensor {layer}.weight: shape {weight.shape}, expected ({wanted})")
+    if outputs > MAX_WIDTH:
+        raise PolicyError(f"{name}: tensor {layer}.weight: {outputs} outputs; allowed: up to {MAX_WIDTH}")
     if bias.shape != (*lead, outputs):
         raise PolicyError(f"{name}: tensor {layer}.bias: shape {bias.shape}, expected {(*lead, outputs)}")
     return np.ascontiguousarray(np.swapaxes(weight, -1, -2)), np.ascontiguousarray(bias)
@@ -136,7 +140,7 @@ def _check_names(tensors: Tensors, wanted: set[str], name: str) -> None:
     if missing := sorted(wanted - tensors.keys()):
         raise PolicyError(f"{name}: tensor {missing[0]}: missing")
     if extra := sorted(tensors.keys() - wanted):
-        raise PolicyError(f"{name}: tensor {extra[0]}: unknown; expected {', '.join(sorted(wanted))}")
+        raise PolicyError(f"{name}: tensor {extra[0]:.80}: unknown; expected {', '.join(sorted(wanted))}")
 
 
 def _check_actions(outputs: int, actions: int, name: str) -> None:

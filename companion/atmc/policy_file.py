@@ -25,6 +25,8 @@ MAX_BYTES: Final = 1_000_000
 _KEY: Final = "dmuca"
 _LENGTH_BYTES: Final = 8
 _TYPE: Final = "F32"
+_WORDS: Final = 200
+"""Characters that a message repeats from a file: it may hold a word of a megabyte."""
 
 Rate = Annotated[int, Meta(ge=0, le=MAX_RATE)]
 Count = Annotated[int, Meta(ge=1, le=10_000)]
@@ -105,7 +107,8 @@ def read(data: bytes, name: str, max_bytes: int) -> tuple[Metadata, dict[str, Fl
     try:
         found: Iterable[tuple[str, dict[str, Any]]] = safetensors.deserialize(data)  # type: ignore[no-untyped-call]
     except (safetensors.SafetensorError, ValueError, OverflowError) as error:
-        raise PolicyError(f"{name}: not a safetensors file, or a damaged one: {error}") from error
+        words = f"not a safetensors file, or a damaged one: {error!s:.{_WORDS}}"
+        raise PolicyError(f"{name}: {words}") from error
     metadata = _metadata(data, name)
     tensors = {key: _tensor(key, view, name) for key, view in found}
     if metadata.checksum != _checksum(metadata, tensors):
@@ -115,10 +118,13 @@ def read(data: bytes, name: str, max_bytes: int) -> tuple[Metadata, dict[str, Fl
 
 def _tensor(key: str, view: dict[str, Any], name: str) -> Float32s:
     if view["dtype"] != _TYPE:
-        raise PolicyError(f"{name}: tensor {key}: type {view['dtype']}, expected F32")
-    tensor: Float32s = np.frombuffer(view["data"], "<f4").reshape(view["shape"]).astype(np.float32)
+        raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: type {view['dtype']}, expected F32")
+    try:
+        tensor: Float32s = np.frombuffer(view["data"], "<f4").reshape(view["shape"]).astype(np.float32)
+    except (ValueError, OverflowError) as error:  # too many dimensions, or one of 2^62 beside one of 0
+        raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: shape: {error}") from error
     if not np.isfinite(tensor).all():
-        raise PolicyError(f"{name}: tensor {key}: not finite everywhere")
+        raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: not finite everywhere")
     return tensor
 
 
@@ -128,17 +134,18 @@ def _metadata(data: bytes, name: str) -> Metadata:
         header = msgspec.json.decode(data[_LENGTH_BYTES : _LENGTH_BYTES + length])
         plain = msgspec.json.decode(header["__metadata__"][_KEY])
         schema = plain["schema"]
-    except (msgspec.DecodeError, KeyError, TypeError, ValueError) as error:
-        raise PolicyError(f'{name}: metadata "{_KEY}" is missing or damaged: {error}') from error
+    except (msgspec.DecodeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        words = f'metadata "{_KEY}" is missing or damaged: {error!s:.{_WORDS}}'
+        raise PolicyError(f"{name}: {words}") from error
     if schema != SCHEMA:
         raise PolicyError(
-            f"{name}: made for observations of schema {schema!r}; this version builds {SCHEMA!r}: "
-            "use a policy trained for it"
+            f"{name}: made for observations of schema {schema!r:.{_WORDS}}; this version builds "
+            f"{SCHEMA!r}: use a policy trained for it"
         )
     try:
         metadata = msgspec.convert(plain, Metadata)
     except (msgspec.ValidationError, ValueError) as error:
-        raise PolicyError(f'{name}: metadata "{_KEY}": {error}') from error
+        raise PolicyError(f'{name}: metadata "{_KEY}": {error!s:.{_WORDS}}') from error
     _check(metadata, name)
     return metadata
 
@@ -161,7 +168,7 @@ def _check(m: Metadata, name: str) -> None:
         ("own", m.own_columns, OWN_COLUMNS, m.bounds.own_low, m.bounds.own_high),
     ):
         need(len(set(columns)) == len(columns), f"{key}_columns: one stands there twice")
-        need(set(columns) <= set(known), f"{key}_columns: {columns}: allowed: {', '.join(known)}")
+        need(set(columns) <= set(known), f"{key}_columns: {columns!s:.{_WORDS}}: allowed: {', '.join(known)}")
         fits = len(columns) == len(low) == len(high)
         need(fits and all(a <= b for a, b in zip(low, high, strict=False)), f"bounds: {key}_low, {key}_high")
     need(all(map(any, m.actions)), "actions: one uses no transport")

@@ -29,6 +29,7 @@ from companion.remote_id.region import Region
 from tests.companion.atmc.policies import (
     FN,
     FO,
+    linear,
     metadata,
     observation,
     policy_file,
@@ -265,6 +266,17 @@ def without(key):
     return lambda meta, parts: put({k: v for k, v in meta.items() if k != key}, parts)
 
 
+def odd_tensor(shape, floats):
+    """One tensor of a shape that safetensors lets pass."""
+
+    def damage(meta, parts):
+        entry = {"dtype": "F32", "shape": shape, "data_offsets": [0, 4 * floats]}
+        head = json.dumps({"__metadata__": {"dmuca": json.dumps(meta)}, "a": entry}).encode()
+        return struct.pack("<Q", len(head)) + head + bytes(4 * floats)
+
+    return damage
+
+
 def poked(value):
     def change(tensor):
         tensor = tensor.copy()
@@ -283,6 +295,10 @@ DAMAGES = {
     "other metadata": (lambda meta, parts: safetensors.numpy.save(parts, {"a": "b"}), "missing or damaged"),
     "no JSON": (lambda meta, parts: put("{", parts), "missing or damaged"),
     "no object": (lambda meta, parts: put("[1]", parts), "missing or damaged"),
+    "deep": (lambda meta, parts: put("[" * 50_000 + "]" * 50_000, parts), "missing or damaged"),
+    "65 dimensions": (odd_tensor([1] * 65, 1), "tensor a: shape: "),
+    "nothing of a huge size": (odd_tensor([0, 2**62], 0), "tensor a: shape: "),
+    "a dimension of 2^63": (odd_tensor([2**63, 0], 0), "tensor a: shape: "),
     "schema": (with_meta(schema="dmuca-atmc-0"), "schema 'dmuca-atmc-0'; this version builds"),
     "no schema": (without("schema"), "missing or damaged"),
     "kind": (with_meta(kind="cube"), "Invalid enum value 'cube'"),
@@ -331,6 +347,22 @@ def test_a_damaged_file_is_refused_by_name(name):
     assert isinstance(error.value, ConfigError)
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        with_meta(schema="x" * 300_000),
+        with_meta(own_columns=["x" * 300_000]),
+        with_meta(kind="x" * 300_000),
+        lambda m, p: put({**m, "x" * 300_000: 1}, p),
+        lambda m, p: put(m, {"x" * 300_000: p["out.bias"].astype(np.float16)}),
+    ],
+)
+def test_what_is_told_of_a_damaged_file_is_short(damage):
+    with pytest.raises(PolicyError) as error:
+        load(damage(*parts_of(policy_file())), "x")
+    assert len(str(error.value)) < 600
+
+
 MISSHAPEN = {
     "missing": ("set", lambda p: p.pop("rho1.bias"), "tensor rho1.bias: missing"),
     "unknown": ("set", lambda p: p.update(extra=p["out.bias"]), "tensor extra: unknown"),
@@ -341,6 +373,11 @@ MISSHAPEN = {
     ),
     "bias": ("set", lambda p: p.update({"rho0.bias": p["phi0.bias"]}), r"rho0.bias: shape \(64,\)"),
     "vector": ("set", lambda p: p.update({"out.weight": p["out.bias"]}), "out.weight: shape"),
+    "wide": (
+        "set",
+        lambda p: p.update(linear(np.random.default_rng(0), "phi0", FN, 2049)),
+        "phi0.weight: 2049 outputs; allowed: up to 2048",
+    ),
     "nothing": ("set", lambda p: p.clear(), "missing"),
     "flat missing": ("flat", lambda p: p.pop("layer1.bias"), "layer2.bias: unknown|layer1.bias: missing"),
     "flat lead": ("flat", lambda p: p.update({"layer1.bias": p["layer1.bias"][0]}), "layer1.bias: shape"),
