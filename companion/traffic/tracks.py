@@ -43,6 +43,9 @@ _ECHO_DELAY_S = 3.0
 """Without a timestamp, an own frame may come back this late: some radios repeat the last one."""
 _OWN_SPACING_S = 0.25
 _OWN_SAMPLES = 100
+_JOINED_WITHIN_S = 1.0
+"""Two tracks become one only as far as an aircraft turns aside in this time. If more, a sender with a copied
+name could take an aircraft that was not heard for some seconds off the table."""
 _RANKED_EVERY = 8
 """Messages: an aircraft does not come much nearer between two."""
 
@@ -240,8 +243,10 @@ class Traffic:
                 self._judge.reports.mark(track.track_id, track.doubts)
 
     def _same_aircraft(self, track: Track, others: Iterable[Track]) -> Track | None:
-        """Of the tracks of an identity the one whose aircraft a nameless track can be, as `_match` would
-        take its Locations; the nearest of several."""
+        """Of the tracks of an identity the one whose aircraft a nameless track is; the nearest of several.
+
+        Stricter than `_match`: one of the two places is given up here, and there it has a track of its own.
+        """
         best, least = None, math.inf
         for other in others:
             earlier, later = sorted((track, other), key=lambda t: t.sample_s)
@@ -250,9 +255,10 @@ class Traffic:
                 p + elapsed * v for p, v in zip(earlier.position_ned_m, earlier.velocity_ned_mps, strict=True)
             ]
             away = math.dist(moved[:2], later.position_ned_m[:2])
-            allowed = reach(elapsed, track.sigma_m + other.sigma_m)
+            flown_s = min(elapsed, _JOINED_WITHIN_S)
+            allowed = reach(flown_s, track.sigma_m + other.sigma_m)
             if not earlier.velocity_known:
-                allowed += self.config.max_speed_mps * elapsed
+                allowed += self.config.max_speed_mps * flown_s
             if away <= allowed and away < least:
                 best, least = other, away
         return best

@@ -194,6 +194,19 @@ def test_a_nameless_track_elsewhere_stays_one_of_its_own():
     assert {t.identity for t in listener.tracks.values()} == {"X"}
 
 
+def test_a_copied_name_takes_no_silent_aircraft_off_the_table():
+    """Who was not heard for some seconds could be anywhere; that is no reason to drop where it was heard."""
+    listener = Listener()
+    listener.hear(10.1, location(timestamp_s=10.0), address="b", transport="ble4")
+    for number in range(1, 15):
+        at_s = 10.0 + 0.5 * number
+        copied = location(300.0, timestamp_s=at_s)
+        listener.hear(at_s + 0.1, basic("X"), copied, address="w", transport="wifi")
+    listener.hear(17.2, basic("X"), address="b", transport="ble4")
+    places = sorted(round(t.position_ned_m[0]) for t in listener.traffic.tracks.values())
+    assert places == pytest.approx([100, 300], abs=1)
+
+
 def test_a_copied_identity_hides_nobody():
     listener = Listener()
     listener.hear(10.0, basic("X"), location(north_m=100.0, timestamp_s=10.0), address="a")
