@@ -16,7 +16,16 @@ from rich.console import Console
 
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
-from ground_tools.paper import closed_loop, convergence, delay_rate, fixed_modes, packet_loss
+from ground_tools.paper import (
+    closed_loop,
+    convergence,
+    decision_time,
+    delay_rate,
+    fixed_modes,
+    packet_loss,
+    system_delay,
+    uav_delay,
+)
 from ground_tools.paper.report import Report, json_rows, show
 from ground_tools.paper.study import Study
 
@@ -52,12 +61,33 @@ FIGURES: Final = (
         lambda _, path: convergence.draw(path),
         0,
     ),
+    Figure(
+        "system-delay",
+        "system delay of all methods by density",
+        lambda study: system_delay.report(study.samples, study.seed),
+        lambda study, path: system_delay.draw(study.samples, study.seed, path),
+        0,
+    ),
+    Figure(
+        "uav-delay",
+        "delay of each aircraft, dynamic density",
+        lambda study: uav_delay.report(study.samples, study.seed),
+        lambda study, path: uav_delay.draw(study.samples, study.seed, path),
+        0,
+    ),
+    Figure(
+        "decision-time",
+        "time of one decision aboard, of the policies that ship; --samples: decisions",
+        lambda study: decision_time.report(study.samples, study.seed),
+        lambda study, path: decision_time.draw(study.samples, study.seed, path),
+        0,
+    ),
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `ground-tools paper`."""
-    lines = [f"  {figure.name:12s} {figure.words}" for figure in FIGURES]
+    lines = [f"  {figure.name:13s} {figure.words}" for figure in FIGURES]
     parser.description = (
         "Compute the paper's figures by the channel model's equations and set them beside what the paper\n"
         "says of them. A statement that does not hold is a finding, not an error: the exit code stays 0.\n\n"

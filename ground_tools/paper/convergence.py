@@ -61,7 +61,7 @@ def report(path: Path = CONVERGENCE) -> Report:
             "episodes; asked for each seed.",
             "An aircraft fails where its reward ends behind the fleet's median by more than that.",
             "Delays in ms: policy of the best validation, interquartile mean over seeds, ±: its bootstrap "
-            f"error, nan for one seed; {results.configurations:,} environments of each size.",
+            f"error, none for one seed; {results.configurations:,} environments of each size.",
         ),
         statements=tuple(statements(results)),
         comparisons=tuple(comparisons(results)),

@@ -47,7 +47,7 @@ class Comparison:
     """What it is: `mode`, `wifi_channels`, `rate`, `sigma_db`, `density`."""
     ours_ms: float
     error_ms: float
-    """Monte Carlo standard error."""
+    """Monte Carlo standard error; NaN where none is known."""
     published_ms: float | None
 
     @property
@@ -83,13 +83,20 @@ def show(report: Report, console: Console) -> None:
                 f"{c.labels['sigma_db']:.4g}",
                 f"{c.labels['density']}",
                 "-" if c.published_ms is None else f"{c.published_ms:.2f}",
-                with_error(c.ours_ms, c.error_ms),
+                _ours(c),
                 "-" if c.ratio is None else f"{c.ratio:.3f}",
             )
             for c in report.comparisons
         ]
         columns = ("mode", "rate", "sigma dB", "density", "published", "ours", "ratio")
         console.print(_table(columns, numbers, right=True))
+
+
+def _ours(c: Comparison) -> str:
+    """Our number, with its error where one is known."""
+    if not math.isnan(c.error_ms):
+        return with_error(c.ours_ms, c.error_ms)
+    return f"{c.ours_ms:.1f}" if c.ours_ms >= 10.0 else f"{c.ours_ms:.3g}"
 
 
 def _table(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]], *, right: bool = False) -> Table:

@@ -16,7 +16,15 @@ from ground_tools.paper.command import FIGURES
 from ground_tools.paper.study import SIDES_M, Study, curves_of
 from sitl_mocks.channel.parameters import ChannelParameters
 
-NAMES = ["delay-rate", "packet-loss", "fixed-modes", "convergence"]
+NAMES = [
+    "delay-rate",
+    "packet-loss",
+    "fixed-modes",
+    "convergence",
+    "system-delay",
+    "uav-delay",
+    "decision-time",
+]
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,141 @@
+"""Everything whose delay stands in a figure: learners by their kept runs, the rest measured anew.
+
+Nothing here needs PyTorch; without it nothing is measured, and the figures say so.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from ground_tools.atmc.results import Results, Run
+from ground_tools.channel.options import SIDES_M
+from ground_tools.paper.convergence import NAMES, Floats, iqm
+from ground_tools.paper.study import LARGE_M, SMALL_M
+
+POLICIES: Final = Path(__file__).parents[2] / "config" / "policies"
+SET: Final = "set"
+"""Key of the set network."""
+SET_POLICY: Final = POLICIES / "paper-set.safetensors"
+"""The set network that was trained for the paper's objective."""
+LEARNERS: Final = ("madqn", "maddpg", "iac")
+"""That the paper compares."""
+DENSITIES: Final = {"high": SMALL_M, "low": LARGE_M, "dynamic": SIDES_M}
+_KEYS: Final = {"high": "high_ms", "low": "low_ms", "dynamic": "delay_ms"}
+_DRAWS: Final = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """What was measured of one method."""
+
+    key: str
+    name: str
+    """For people."""
+    rate: int | str
+    """Messages in a GNSS period; "-" where it changes."""
+    system: dict[str, tuple[float, float]]
+    """System delay and its standard error (ms), by density."""
+    uav_ms: tuple[float, ...]
+    """Of each aircraft, dynamic density."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learner:
+    """One algorithm over its seeds."""
+
+    key: str
+    seeds: int
+    system: dict[str, float]
+    """Interquartile mean (ms), by density; of one seed its value."""
+    error: dict[str, float]
+    """Bootstrap standard error (ms); NaN for one seed."""
+    interval: dict[str, tuple[float, float]]
+    """95 % bootstrap interval (ms); empty for one seed."""
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return NAMES[self.key]
+
+    @property
+    def words(self) -> str:
+        """How sure its numbers are."""
+        if not self.interval:
+            return f"{self.name}: one seed, {self.system['dynamic']:.0f} ms dynamic; no interval"
+        low, high = self.interval["dynamic"]
+        mean = f"interquartile mean {self.system['dynamic']:.0f} ms dynamic"
+        return f"{self.name}: {self.seeds} seeds, {mean}, 95 % interval {low:.0f} to {high:.0f} ms"
+
+
+def learner(results: Results, key: str) -> Learner | None:
+    """An algorithm of the kept runs; None where none is kept."""
+    runs = results.of(key)
+    if not runs:
+        return None
+    system, error, interval = {}, {}, {}
+    for density, name in _KEYS.items():
+        values = np.array([[run.best[name]] for run in runs])
+        system[density], error[density] = float(iqm(values)[0]), float("nan")
+        if len(runs) > 1:
+            drawn = _resampled(values)
+            low, high = np.percentile(drawn, (2.5, 97.5))
+            error[density], interval[density] = float(drawn.std()), (float(low), float(high))
+    return Learner(key, len(runs), system, error, interval)
+
+
+def best_run(runs: Sequence[Run]) -> Run:
+    """Of the best validation."""
+    return min(runs, key=lambda run: min(ms for _, ms in run.validation))
+
+
+def absent(results: Results) -> list[str]:
+    """The learners without a kept run, in words."""
+    return [f"{NAMES[key]}: no run is kept; it is absent here" for key in LEARNERS if not results.of(key)]
+
+
+def has_torch() -> bool:
+    """Whether anything can be measured."""
+    return importlib.util.find_spec("torch") is not None
+
+
+@functools.lru_cache(maxsize=4)
+def measured(samples: int, seed: int, policy: Path = SET_POLICY) -> tuple[Delays, ...]:
+    """Fixed modes at their best rates, the set network where its file exists, random, the one-line rule and
+    the search, once for all figures; nothing without PyTorch.
+
+    Args:
+        samples: fleets in each of the six squares.
+        seed: of the draw.
+        policy: of the set network.
+
+    Raises:
+        ConfigError: the policy is none for this task.
+    """
+    if not has_torch():
+        return ()
+    from ground_tools.paper.measured import measure
+
+    return measure(samples, seed, policy if policy.exists() else None)
+
+
+def not_measured(found: Sequence[Delays], policy: Path = SET_POLICY) -> list[str]:
+    """What is missing among the measured ones, in words."""
+    if not found:
+        return ["torch is not installed (pip install -e '.[train]'): only kept runs stand here"]
+    if all(method.key != SET for method in found):
+        return [f"set network: there is no {policy.name}; it is absent here"]
+    return []
+
+
+def _resampled(values: Floats) -> Floats:
+    """Interquartile means of seeds drawn with replacement."""
+    rng = np.random.default_rng(1)
+    found: Floats = iqm(values[rng.integers(0, len(values), (_DRAWS, len(values)))])
+    return found
