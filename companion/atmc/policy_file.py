@@ -103,7 +103,7 @@ def read(data: bytes, name: str, max_bytes: int) -> tuple[Metadata, dict[str, Fl
         PolicyError: names the file and what is wrong.
     """
     if len(data) > max_bytes:
-        raise PolicyError(f"{name}: {len(data)} bytes; a policy has at most {max_bytes}")
+        raise PolicyError(f"{name}: too large: a policy has at most {max_bytes} bytes")
     try:
         found: Iterable[tuple[str, dict[str, Any]]] = safetensors.deserialize(data)  # type: ignore[no-untyped-call]
     except (safetensors.SafetensorError, ValueError, OverflowError) as error:

@@ -48,7 +48,7 @@ def judge_policy(config: Config) -> list[str]:
     data = read_policy(config)
     if data is None:
         return [f"atmc: transports are chosen by the words of atmc.policy: {where}", *lines]
-    policy = load(data, where)
+    policy = load(data, f"atmc.policy: {where}")
     check_flyable(policy)
     m = policy.metadata
     allowed = int(legal(policy.actions, config.region).sum())
