@@ -134,7 +134,7 @@ def draw(decisions: int, seed: int, path: Path, folder: Path = POLICIES) -> None
         axes.set_yticks(places, [t.name for t in timings])
         axes.invert_yaxis()
         axes.set_xscale("log")
-        axes.set_xlabel("ms")
+        axes.set_xlabel("ms, log scale")
         figure.legend(loc="outside lower center", ncols=3, frameon=False)
 
 

@@ -236,13 +236,13 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE, policy
         names = {one.key: f"{one.name} ({one.seeds} seed{'s' * (one.seeds > 1)})" for one in learners}
         names |= {method.key: method.name for method in found}
         axes = figure.subplots()
-        figure.suptitle("System delay of 10 aircraft; bars end at 95 %", fontsize=16, fontweight="bold")
+        figure.suptitle("System delay of 10 aircraft; thin lines: 95 % intervals", fontsize=16, fontweight="bold")
         for index, (key, bars) in enumerate(table.items()):
             _bars(axes, index, len(table), key, names[key], list(bars.values()))
         axes.plot([], [], color="black", lw=2.5, label="published")
         axes.set_xticks(range(len(DENSITIES)), [f"{density} density" for density in DENSITIES])
         axes.set_yscale("log")
-        axes.set_ylabel("system delay (ms)")
+        axes.set_ylabel("system delay (ms, log scale)")
         axes.grid(visible=False, axis="x")
         missing = [*absent(results), *not_measured(found, policy)]
         if missing:

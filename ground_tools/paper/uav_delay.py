@@ -192,7 +192,7 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE) -> Non
         axes.axhline(MADQN_MS, color="black", lw=1.2, ls="--", label="published, MADQN-ATMC")
         axes.set_xticks(range(1, UAVS + 1), [f"UAV {n}" for n in range(1, UAVS + 1)])
         axes.set_yscale("log")
-        axes.set_ylabel("delay (ms)")
+        axes.set_ylabel("delay (ms, log scale)")
         axes.grid(visible=False, axis="x")
         if missing := _missing(results, found):
             axes.set_title("\n".join(missing), fontsize=10, fontweight="normal")
