@@ -236,7 +236,7 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE, policy
         names = {one.key: f"{one.name} ({one.seeds} seed{'s' * (one.seeds > 1)})" for one in learners}
         names |= {method.key: method.name for method in found}
         axes = figure.subplots()
-        figure.suptitle("System delay of 10 aircraft; thin lines: 95 % intervals", fontsize=16, fontweight="bold")
+        figure.suptitle("System delay; thin lines: 95 % intervals", fontsize=16, fontweight="bold")
         for index, (key, bars) in enumerate(table.items()):
             _bars(axes, index, len(table), key, names[key], list(bars.values()))
         axes.plot([], [], color="black", lw=2.5, label="published")
