@@ -43,9 +43,9 @@ _ECHO_DELAY_S = 3.0
 """Without a timestamp, an own frame may come back this late: some radios repeat the last one."""
 _OWN_SPACING_S = 0.25
 _OWN_SAMPLES = 100
-_JOINED_WITHIN_S = 1.0
-"""Two tracks become one only as far as an aircraft turns aside in this time. If more, a sender with a copied
-name could take an aircraft that was not heard for some seconds off the table."""
+_JOINED_WITHIN_M = 15.0
+"""Two tracks become one only this near to each other: what one aircraft tells on two transports comes from
+one receiver. If more, a sender with a copied name could take an aircraft off the table."""
 _RANKED_EVERY = 8
 """Messages: an aircraft does not come much nearer between two."""
 
@@ -247,7 +247,7 @@ class Traffic:
 
         Stricter than `_match`: one of the two places is given up here, and there it has a track of its own.
         """
-        best, least = None, math.inf
+        best, least = None, _JOINED_WITHIN_M
         for other in others:
             earlier, later = sorted((track, other), key=lambda t: t.sample_s)
             elapsed = later.sample_s - earlier.sample_s
@@ -255,11 +255,7 @@ class Traffic:
                 p + elapsed * v for p, v in zip(earlier.position_ned_m, earlier.velocity_ned_mps, strict=True)
             ]
             away = math.dist(moved[:2], later.position_ned_m[:2])
-            flown_s = min(elapsed, _JOINED_WITHIN_S)
-            allowed = reach(flown_s, track.sigma_m + other.sigma_m)
-            if not earlier.velocity_known:
-                allowed += self.config.max_speed_mps * flown_s
-            if away <= allowed and away < least:
+            if away < least:
                 best, least = other, away
         return best
 

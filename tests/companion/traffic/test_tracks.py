@@ -194,17 +194,18 @@ def test_a_nameless_track_elsewhere_stays_one_of_its_own():
     assert {t.identity for t in listener.tracks.values()} == {"X"}
 
 
-def test_a_copied_name_takes_no_silent_aircraft_off_the_table():
+@pytest.mark.parametrize(("away_m", "silent_s"), [(40.0, 0.5), (200.0, 7.0)])
+def test_a_copied_name_takes_no_aircraft_off_the_table(away_m, silent_s):
     """Who was not heard for some seconds could be anywhere; that is no reason to drop where it was heard."""
     listener = Listener()
-    listener.hear(10.1, location(timestamp_s=10.0), address="b", transport="ble4")
-    for number in range(1, 15):
-        at_s = 10.0 + 0.5 * number
-        copied = location(300.0, timestamp_s=at_s)
+    listener.hear(10.1, location(timestamp_s=10.0, speed_mps=0.0), address="b", transport="ble4")
+    for number in range(round(2.0 * silent_s)):
+        at_s = 10.5 + 0.5 * number
+        copied = location(100.0 + away_m, timestamp_s=at_s)
         listener.hear(at_s + 0.1, basic("X"), copied, address="w", transport="wifi")
-    listener.hear(17.2, basic("X"), address="b", transport="ble4")
-    places = sorted(round(t.position_ned_m[0]) for t in listener.traffic.tracks.values())
-    assert places == pytest.approx([100, 300], abs=1)
+    listener.hear(10.2 + silent_s, basic("X"), address="b", transport="ble4")
+    places = sorted(t.position_ned_m[0] for t in listener.traffic.tracks.values())
+    assert places == pytest.approx([100.0, 100.0 + away_m], abs=1.0)
 
 
 def test_a_copied_identity_hides_nobody():
