@@ -111,6 +111,8 @@ def evaluation() -> Any:
             f"{error.name} is not installed; in the checkout: pip install -e '.[train]'"
         ) from error
     torch.set_num_threads(1)
+    # Weights of far-off pairs and what is learned from them are tiny, and denormal numbers slow.
+    torch.set_flush_denormal(True)
     return evaluate
 
 

@@ -33,8 +33,9 @@ from ground_tools.atmc.validation import Validation
 from ground_tools.atmc.world import WorldSettings
 from sitl_mocks.channel.parameters import ChannelParameters
 
-_AIRTIME_PRICE_S = 1e-4
-"""Of one message a second: an aircraft that matters to nobody is quiet."""
+_SILENCE_PRICE_S = 1e-4
+"""Of one message a second less. Whoever hears nobody may only be deaf, and must be easy to hear: without it a
+fleet of which nobody gets through stays silent for ever."""
 _ALONE = 0.01
 """Weight of all others together below which an aircraft counts as alone."""
 _SQUARE_BELOW_S = 0.05
@@ -226,7 +227,7 @@ class FlyingLearner:
         if self.settings.objective == "awareness":
             # By how many others there are to tell: seconds of age for each of them.
             cost = cost / (_ALONE + env.air.weight.sum(1)[:, acting])[..., None]
-            cost = cost + _AIRTIME_PRICE_S * self._objective.channel.rates.sum(1)
+            cost = cost - _SILENCE_PRICE_S * self._objective.channel.rates.sum(1)
         least = cost.masked_fill(~allowed, torch.inf).amin(-1, keepdim=True)
         # What is not allowed may be better than the best; it is not learned from.
         return -(cost - least).clamp(min=0.0, max=self.settings.regret_limit_s)

@@ -15,7 +15,7 @@ from ground_tools.atmc.evaluate_command import evaluation
 
 _MAX_BYTES = 4_000_000
 """The paper's ten networks stay on the ground; what flies is held to less by the one who loads it."""
-_SAMPLES = {5: 400, 10: 400, 20: 100, 50: 20, 100: 6}
+_SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
 """Places in each square, by fleet size, of what a frozen file says of itself."""
 
 
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example: ground-tools atmc freeze runs/atmc/20260101T000000Z-set-seed1 --out atmc.safetensors"
     )
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a training run")
+    parser.add_argument("folder", type=Path, metavar="RUN", help="folder of a training run")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the policy file to write")
     parser.add_argument(
         "--name", metavar="NAME", help="what the policy calls itself (default: the file's name)"
@@ -48,13 +48,13 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: the run has no policy, an option is wrong, or the file cannot be written.
     """
     evaluate = evaluation()
-    source = args.run / "policy.safetensors"
+    source = args.folder / "policy.safetensors"
     metadata, tensors = policy_file.read(evaluate.read_policy(source), str(source), _MAX_BYTES)
     name = args.name or args.out.name.removesuffix(".safetensors")
     price = metadata.switch_price if args.switch_price is None else args.switch_price
     if not 0.0 <= price <= 10.0:
         raise ConfigError(f"--switch-price: {price:g}: allowed 0 to 10")
-    config = evaluate.read_policy(args.run / "config.toml")
+    config = evaluate.read_policy(args.folder / "config.toml")
     metadata = msgspec.structs.replace(
         metadata,
         name=name,

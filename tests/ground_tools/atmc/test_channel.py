@@ -113,7 +113,7 @@ def test_difference_costs_are_what_a_change_really_costs_all(name, aircraft, req
         trials[:, changed] = torch.arange(actions)
         real = torch.stack([costs(objective, env.air, trial[None]).sum() for trial in trials])
         told = difference[0, changed]
-        # To first order in what changes for the others: the choice that it leads to costs next to nothing more.
+        # To first order in what changes for the others: the choice that it leads to costs hardly more.
         assert float(real[told.argmin()] - real.min()) <= 0.002 * float(real.min())
         assert (told - told.min()).numpy() == pytest.approx(
             (real - real.min()).numpy(), rel=0.1, abs=0.01 * float(real.min())
