@@ -53,6 +53,8 @@ class Policy:
             self._network = FlatNetwork(tensors, own, columns, actions, m.neighbours, m.agents, name)
         self._own_columns = _columns(m.own_columns, OWN_COLUMNS)
         self._columns = _columns(m.neighbour_columns, NEIGHBOUR_COLUMNS)
+        names = m.neighbour_columns
+        self._distance = names.index("log_distance") if "log_distance" in names else None
         b = m.bounds
         self._own_low, self._own_high = _widened(b.own_low, b.own_high)
         self._low, self._high = _widened(b.neighbour_low, b.neighbour_high)
@@ -76,7 +78,8 @@ class Policy:
     def choose(
         self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
     ) -> Choice | Refused:
-        """See `Mind`. Refuses what training did not see, and values that are not finite."""
+        """See `Mind`. Refuses what training did not see, and values that are not finite; neighbours
+        farther than any in training are left out."""
         if not allowed.any():
             return Refused(Why.NOTHING_ALLOWED, "none of the policy's actions is legal and can be sent")
         if len(neighbour_rows) > self.metadata.neighbours:
@@ -86,6 +89,9 @@ class Policy:
         # Negated, so that NaN is outside too.
         if not ((own >= self._own_low) & (own <= self._own_high)).all():
             return self._outside(own[None], self._own_low, self._own_high, self.metadata.own_columns)
+        if self._distance is not None:
+            # Who is farther than any in training matters to nobody, and must not end the choosing.
+            rows = rows[~(rows[:, self._distance] > self._high[self._distance])]
         if not ((rows >= self._low) & (rows <= self._high)).all():
             return self._outside(rows, self._low, self._high, self.metadata.neighbour_columns)
         q = self._values(own, rows, agent)

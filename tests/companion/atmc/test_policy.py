@@ -164,7 +164,7 @@ def test_what_is_not_legal_or_not_able_is_never_chosen(sets, can_send, seed, cur
 @pytest.mark.parametrize(
     ("change", "why", "words"),
     [
-        (lambda own, rows: rows.__setitem__((2, 0), 1.3), Why.OUTSIDE, "neighbour's log_distance 1.3"),
+        (lambda own, rows: rows.__setitem__((2, 0), -0.3), Why.OUTSIDE, "neighbour's log_distance -0.3"),
         (lambda own, rows: rows.__setitem__((0, 1), -0.2), Why.OUTSIDE, "neighbour's conflict -0.2"),
         (lambda own, rows: rows.__setitem__((1, 7), np.nan), Why.OUTSIDE, "wifi_rate nan"),
         (lambda own, rows: own.__setitem__(6, np.inf), Why.OUTSIDE, "own ble4_success inf"),
@@ -183,6 +183,16 @@ def test_what_training_did_not_see_is_refused(change, why, words):
     assert isinstance(answer, Refused)
     assert answer.why is why
     assert words in answer.text
+
+
+def test_who_is_farther_than_any_in_training_is_left_out():
+    policy, _ = made()
+    own, rows = observation(np.random.default_rng(1), 4)
+    far = rows.copy()
+    far[2, 0] = 1.3
+    answer = policy.choose(own, far, ALL, None)
+    assert isinstance(answer, Choice)
+    assert answer == policy.choose(own, np.delete(rows, 2, axis=0), ALL, None)
 
 
 def test_a_little_outside_is_not_outside():
