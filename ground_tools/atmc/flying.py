@@ -73,7 +73,7 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         (100, 8),
     )
     """Groups: aircraft in a fleet, and how many such fleets live side by side."""
-    episodes: Annotated[int, Meta(ge=1)] = 100
+    episodes: Annotated[int, Meta(ge=1)] = 40
     """Rounds, each of `updates` updates."""
     updates: Annotated[int, Meta(ge=1)] = 110
     learning_rate: tuple[float, float] = (1e-3, 1e-5)
