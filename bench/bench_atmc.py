@@ -41,9 +41,9 @@ def _training() -> None:
     for group in learner._groups:
         env = group.env
         acting = learner._draw_acting(env.aircraft)
-        whole = _median(lambda g=group: learner._update(g, 0.5))  # type: ignore[misc]
+        whole = _median(lambda g=group: learner._update(g, 0.5))
         seeing = _median(env.observe)
-        costing = _median(lambda g=group, a=acting: learner._target(g, a))  # type: ignore[misc]
+        costing = _median(lambda g=group, a=acting: learner._target(g, a))
         decided = env.environments * max(2, round(0.3 * env.aircraft))
         shares = (seeing / whole, costing / whole, max(0.0, 1.0 - (seeing + costing) / whole))
         table.add_row(
@@ -66,7 +66,7 @@ def _aboard() -> None:
         table.add_column(head, justify="right")
     for neighbours in (0, 9, 50, 99):
         some = np.resize(rows, (neighbours, len(NEIGHBOUR_COLUMNS)))
-        took = _median(lambda some=some: policy.choose(own, some, allowed, 0), 400)  # type: ignore[misc]
+        took = _median(lambda some=some: policy.choose(own, some, allowed, 0), 400)
         table.add_row(str(neighbours), f"{1e6 * took:.0f}", f"{1e6 * took / _PAPER_DECISION_US:.3f}")
     Console().print(table)
 

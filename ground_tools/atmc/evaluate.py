@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import torch
@@ -56,7 +56,7 @@ class Question:
     """Places in each of the paper's six squares."""
     seed: int = 1
     sigma_db: float = 0.0
-    wifi_channels: str = "shared"
+    wifi_channels: Literal["shared", "random"] = "shared"
 
 
 class Frozen:
@@ -243,7 +243,7 @@ def _settings(question: Question, side: float) -> EnvSettings:
     world = WorldSettings(
         sides=side,
         shadowing_sigma_db=(question.sigma_db, question.sigma_db),
-        wifi_channels=question.wifi_channels,  # type: ignore[arg-type]
+        wifi_channels=question.wifi_channels,
         load=(question.load, question.load),
     )
     return EnvSettings(world=world, lossy=question.objective == "awareness")

@@ -189,7 +189,7 @@ class _Run:
         try:
             state = torch.load(path, map_location="cpu", weights_only=True)
             self.learner.load(state["learner"])
-        except Exception as error:
+        except Exception as error:  # a damaged file, or other settings: PyTorch raises of many kinds
             raise ConfigError(f"--resume: {path}: cannot be read with this configuration: {error}") from error
         self._best, self._earlier_s = state["best"], state["seconds"]
 

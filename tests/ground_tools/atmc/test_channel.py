@@ -121,6 +121,24 @@ def test_difference_costs_are_what_a_change_really_costs_all(name, aircraft, req
 
 
 @pytest.mark.parametrize("name", ["paper", "awareness"])
+@pytest.mark.parametrize("side", [300.0, 3000.0])
+def test_what_a_change_does_to_the_others_is_told(name, side, request):
+    objective = request.getfixturevalue(name)
+    env = env_of(objective, 12, fleets=1, seed=6, world=WorldSettings(sides=side, wifi_channels="random"))
+    _, difference = difference_costs(objective, env.air, env.action)
+    actions = len(objective.channel.actions)
+    for changed in range(4):
+        trials = env.action.repeat(actions, 1)
+        trials[:, changed] = torch.arange(actions)
+        each = torch.cat([costs(objective, env.air, trial[None]) for trial in trials])
+        others = each.sum(1) - each[:, changed]
+        told = difference[0, changed] - each[:, changed]
+        now = env.action[0, changed]
+        real, told = others - others[now], told - told[now]
+        assert told.numpy() == pytest.approx(real.numpy(), abs=0.1 * float(real.abs().max()) + 1e-5)
+
+
+@pytest.mark.parametrize("name", ["paper", "awareness"])
 def test_own_action_does_not_disturb_oneself(name, request):
     objective = request.getfixturevalue(name)
     env = env_of(objective, 2, seed=9)
