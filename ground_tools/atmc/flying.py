@@ -38,8 +38,7 @@ _SILENCE_PRICE_S = 1e-4
 fleet of which nobody gets through stays silent for ever."""
 _ALONE = 0.01
 """Weight of all others together below which an aircraft counts as alone."""
-_SQUARE_BELOW_S = 0.05
-_LEAST_WEIGHT, _NEARLY_BEST_S = 0.1, 0.1
+_SQUARE_BELOW_S = 0.1
 _GOLDEN = 6
 
 _PAPER_WORLD = EnvSettings(world=WorldSettings(sides="any"))
@@ -196,9 +195,8 @@ class FlyingLearner:
         target = self._target(group, acting)
         values = self._net(seen.own, seen.rows, seen.heard)
         error = functional.smooth_l1_loss(values, target, beta=_SQUARE_BELOW_S, reduction="none")
-        # What is nearly best must be told apart; how bad the bad ones are matters less.
-        weight = (_LEAST_WEIGHT + torch.exp(target / _NEARLY_BEST_S)) * allowed
-        loss = 10.0 * (error * weight).sum() / allowed.sum()
+        # All alike: a bad action that is learned less carefully is the one that is taken for good.
+        loss = 10.0 * (error * allowed).sum() / allowed.sum()
         self._optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self._net.parameters(), s.clip)
