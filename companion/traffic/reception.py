@@ -15,8 +15,9 @@ HEARD_S = 3.0
 """A transport on which a sender was silent for longer is not counted as used, in training as aboard."""
 UNKNOWN_RATE = 5
 """Locations a second taken of a sender that was heard once: the middle of what is sent."""
+SHARE_MEMORY_S = 10.0
+"""Over which the share that arrives is counted."""
 _RATE_MEMORY_S = 3.0
-_SHARE_MEMORY_S = 10.0
 _LONGEST_GAP_S = 10.0
 """After so long a counter may have wrapped: the gap says nothing."""
 _FASTEST = 20.0
@@ -67,7 +68,7 @@ class Reception:
         self._sent = fade * self._sent + steps
         self._span_s = fade * self._span_s + gap_s
         if counter is not None:
-            fade = math.exp(-gap_s / _SHARE_MEMORY_S)
+            fade = math.exp(-gap_s / SHARE_MEMORY_S)
             self._arrived = fade * self._arrived + 1.0
             self._expected = fade * self._expected + steps
 
@@ -87,5 +88,5 @@ class Reception:
         silent_s = now_s - self.heard_s
         if silent_s > _LONGEST_GAP_S:
             return 0.0, 0.0
-        fade = math.exp(-silent_s / _SHARE_MEMORY_S)
+        fade = math.exp(-silent_s / SHARE_MEMORY_S)
         return fade * self._arrived, fade * self._expected

@@ -73,7 +73,7 @@ def _flying() -> Parts:
 def _set_paper() -> Parts:
     from ground_tools.atmc.flying import PAPER_FLEETS, FlyingLearner, FlyingSettings
 
-    return Parts(FlyingSettings(objective="paper", fleets=PAPER_FLEETS), FlyingLearner)
+    return Parts(FlyingSettings(objective="paper", fleets=PAPER_FLEETS, episodes=40), FlyingLearner)
 
 
 ALGORITHMS: Final[dict[str, Algorithm]] = {

@@ -26,6 +26,7 @@ from companion.atmc.actions import Action
 from sitl_mocks.channel import carrier_sense
 from sitl_mocks.channel.collision import background_survival, shares_of
 from sitl_mocks.channel.delay import mean_delay_s, terms_of
+from sitl_mocks.channel.half_duplex import deaf_shares_of
 from sitl_mocks.channel.link_budget import thresholds_db
 from sitl_mocks.channel.parameters import (
     MODES,
@@ -89,9 +90,9 @@ class _Part:
     factors: Tensor
     """By level of the rate."""
     spread: str
-    """Over whom: "all" who reach the receiver; "channel" 0, 1 or 2 of them; those on the sender's Wi-Fi
-    channel whom it does not sense ("hidden"), all ("shared"), or whom both sense ("common"); and whom the
-    sender senses ("sensed")."""
+    """Over whom: "own", the receiver itself; "all" who reach it; "channel" 0, 1 or 2 of them; those on the
+    sender's Wi-Fi channel whom it does not sense ("hidden"), all ("shared"), or whom both sense ("common");
+    and whom the sender senses ("sensed")."""
 
 
 class TorchChannel:
@@ -138,6 +139,16 @@ class TorchChannel:
             lost("auxiliary", _BLE5, s.auxiliary_by_ble5),
             lost("wifi", _BLE5, s.wifi_by_ble5),
         ]
+        if parameters.bluetooth_half_duplex:
+            deaf = deaf_shares_of(parameters)
+            for mode in (_BLE4, _BLE5):
+                pointer = lost("pointer", mode, deaf.pointer[mode], "own")
+                both = lost("auxiliary", mode, deaf.both[mode], "own")
+                parts += [
+                    lost("ble4", mode, deaf.ble4[mode], "own"),
+                    pointer,
+                    _Part("auxiliary", mode, both.factors - pointer.factors, "own"),
+                ]
         if not self._listens:
             return [
                 *parts,
@@ -234,6 +245,16 @@ class TorchChannel:
             part,
         )
 
+    def undisturbed_s(self) -> Tensor:
+        """Mean delay (s) of each action where nobody else sends, on its fastest transport; (actions,)."""
+        found = torch.full_like(self.rates, torch.inf)
+        for mode, table in enumerate(self._tables):
+            level = self.level_of[:, mode]
+            # Everything survives in the last row; where Wi-Fi listens, a row of no load comes before others.
+            row = -_LOAD_NODES if mode == _WIFI and self._listens else -1
+            found[level > 0, mode] = torch.exp(table[row, level[level > 0] - 1])
+        return found.amin(1)
+
     # ------------------------------------------------------------ the air
 
     def reach(self, path_loss_db: Tensor, wifi_channel: Tensor, busy: Tensor | None = None) -> Reach:
@@ -278,6 +299,8 @@ class TorchChannel:
     def _spread(self, part: _Part, reach: Reach, sent: Tensor) -> Tensor:
         """One part of a load for all links, of what each aircraft adds, (environments, aircraft)."""
         carried = reach.modes[part.mode]
+        if part.spread == "own":
+            return sent[:, :, None].expand_as(carried)
         if part.spread == "sensed":
             return (carried * reach.same_channel * sent[:, None, :]).sum(2)[:, None, :]
         arriving = carried * sent[:, None, :]
@@ -333,6 +356,8 @@ class TorchChannel:
     def _gather(self, part: _Part, reach: Reach, gradient: Tensor) -> Tensor:
         """`_spread` turned round, (environments, aircraft)."""
         carried = reach.modes[part.mode]
+        if part.spread == "own":
+            return gradient.sum(2)
         if part.spread == "sensed":
             return (carried * reach.same_channel * gradient.transpose(1, 2)).sum(1)
         if part.spread in ("shared", "hidden", "common"):

@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 from companion.atmc.observation import conflict_weight, neighbour_rows, own_row
+from companion.atmc.senses import FEWEST_EXPECTED, FEWEST_SENDERS, SCAN_SHARE
+from companion.traffic.reception import SHARE_MEMORY_S
 from ground_tools.atmc.channel import Packets, TorchChannel
 from ground_tools.atmc.objective import Air, Objective, costs
 from ground_tools.atmc.world import World, WorldSettings, draw, move, redraw
@@ -129,7 +131,8 @@ class Env:
         return (luck >= missing).to(torch.float32)
 
     def _success(self, on: Tensor, packets: Packets | None) -> tuple[Tensor, Tensor]:
-        """(E, N, 3) each: mean survival of the packets of those who are heard, and where it is known."""
+        """(E, N, 3) each: share of the packets of those who are heard that survive, as it is counted aboard
+        (`companion.atmc.senses.SuccessMeter`), and where it is known."""
         shape = (*self.action.shape, 3)
         if packets is None:
             # The paper's aircraft measure nothing.
@@ -137,8 +140,15 @@ class Env:
         p = packets
         alive = torch.exp(torch.stack([p.ble4, p.pointer + p.auxiliary, p.wifi], -1))
         heard = on.sum(2)
-        measured = (heard > 0).to(torch.float32)
-        return (alive * on).sum(2) / heard.clamp(min=1.0), measured
+        counted = heard.clamp(min=1.0, max=float(FEWEST_SENDERS)) / heard.clamp(min=1.0)
+        rates = self.channel.rates[self.action][:, None]
+        expected = SHARE_MEMORY_S * counted * (rates * on).sum(2)
+        measured = (expected >= FEWEST_EXPECTED).to(torch.float32)
+        # A mean of few arrivals is mostly chance.
+        whole = expected * torch.tensor(SCAN_SHARE, device=on.device)
+        mean = (alive * on).sum(2) / heard.clamp(min=1.0)
+        arrived = torch.poisson(whole * mean, generator=self._generator)
+        return (arrived / whole.clamp(min=1e-6)).clamp(max=1.0), measured
 
     def act(self, action: Tensor, moving: Tensor | None = None) -> Tensor:
         """Change what is sent; positions stay.

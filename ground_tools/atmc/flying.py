@@ -36,6 +36,9 @@ from sitl_mocks.channel.parameters import ChannelParameters
 _SILENCE_PRICE_S = 1e-4
 """Of one message a second less. Whoever hears nobody may only be deaf, and must be easy to hear: without it a
 fleet of which nobody gets through stays silent for ever."""
+_TIE_PRICE = 0.01
+"""Of an action's delay where nobody else sends. To the paper's objective everything is alike that reaches
+nobody; without it an aircraft whose nearest neighbour is just out of reach may choose what is slowest."""
 _ALONE = 0.01
 """Weight of all others together below which an aircraft counts as alone."""
 _SQUARE_BELOW_S = 0.1
@@ -72,7 +75,7 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         (100, 8),
     )
     """Groups: aircraft in a fleet, and how many such fleets live side by side."""
-    episodes: Annotated[int, Meta(ge=1)] = 40
+    episodes: Annotated[int, Meta(ge=1)] = 80
     """Rounds, each of `updates` updates."""
     updates: Annotated[int, Meta(ge=1)] = 110
     learning_rate: tuple[float, float] = (1e-3, 1e-5)
@@ -81,7 +84,7 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """Greatest norm of the gradient."""
     average: float = 0.998
     """How much of the running average of the weights stays at each update; the average is what is frozen."""
-    exploration: tuple[float, float] = (0.35, 0.2)
+    exploration: tuple[float, float] = (0.35, 0.05)
     """Share of the actions taken at random, first and last. Without them what all do alike is all that is
     seen, and what follows from anything else is forgotten."""
     acting: tuple[float, float] = (0.2, 0.4)
@@ -226,6 +229,8 @@ class FlyingLearner:
             # By how many others there are to tell: seconds of age for each of them.
             cost = cost / (_ALONE + env.air.weight.sum(1)[:, acting])[..., None]
             cost = cost - _SILENCE_PRICE_S * self._objective.channel.rates.sum(1)
+        else:
+            cost = cost + _TIE_PRICE * self._objective.channel.undisturbed_s()
         least = cost.masked_fill(~allowed, torch.inf).amin(-1, keepdim=True)
         # What is not allowed may be better than the best; it is not learned from.
         return -(cost - least).clamp(min=0.0, max=self.settings.regret_limit_s)

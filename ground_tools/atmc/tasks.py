@@ -22,12 +22,13 @@ ObjectiveName = Literal["paper", "awareness"]
 RegionName = Literal["none", "us", "eu"]
 
 AWARENESS_CHANNEL: Final = ChannelParameters(
+    bluetooth_half_duplex=True,
     ble4=BleParameters(random_delay_ms=10.0, schedule="random"),
     ble5=Ble5Parameters(packet_ms=1.168, random_delay_ms=10.0, schedule="random", auxiliary_ms=8.336),
     wifi=WifiParameters(beacon_ms=1.52, access="carrier_sense"),
 )
-"""`config/channel/standard.toml`: airtimes of what is really sent, random phases, stations that listen
-first."""
+"""`config/channel/standard.toml`: airtimes of what is really sent, random phases, radios that do not
+hear while they send, stations that listen first."""
 
 REGIONS: Final = {
     "none": Region(),

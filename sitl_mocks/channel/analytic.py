@@ -16,6 +16,7 @@ from companion.radio.transport import WIFI_BEACON
 from sitl_mocks.channel import carrier_sense
 from sitl_mocks.channel.collision import background_survival, survival
 from sitl_mocks.channel.delay import mean_delay_s, terms_of
+from sitl_mocks.channel.half_duplex import log_hearing
 from sitl_mocks.channel.link_budget import Bools, Indices, Links, reached
 from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameters, max_rates
 
@@ -128,6 +129,9 @@ class Analytic:
             quiet, at = background_survival(self.parameters, others), links.receiver
             ble4, wifi = ble4 * quiet.ble4[at], wifi * quiet.wifi[at]
             pointer, auxiliary = pointer * quiet.pointer[at], auxiliary * quiet.auxiliary[at]
+        if self.parameters.bluetooth_half_duplex:
+            hears = [np.exp(log)[links.receiver] for log in log_hearing(self.parameters, fleet.rates)]
+            ble4, pointer, auxiliary = ble4 * hears[0], pointer * hears[1], auxiliary * hears[2]
         one = np.ones_like(ble4)
         sensed = self._sensed_load(links, carried, fleet)
         delay, loss = (np.full(carried.shape, np.nan, order="F") for _ in range(2))

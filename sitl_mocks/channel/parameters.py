@@ -169,6 +169,9 @@ class ChannelParameters(_Section, frozen=True, kw_only=True):
     wifi_channels: Literal["shared", "random"] = "shared"
     """Beacons of all aircraft on one channel, which the published delays fit, or each aircraft's on one drawn
     from 1, 6, 11, which the paper's table says."""
+    bluetooth_half_duplex: bool = False
+    """Whether the equations take it that a Bluetooth radio does not hear while it sends (see `half_duplex`);
+    the paper's does. Of `Analytic` only, like `wifi.access`."""
     ble4: BleParameters = BleParameters()
     ble5: Ble5Parameters = Ble5Parameters()
     wifi: WifiParameters = WifiParameters()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -14,16 +16,20 @@ from companion.ownship import Ownship
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.traffic.reception import HEARD_S, Reception
 from companion.traffic.tracks import Traffic
-from sitl_mocks.channel.parameters import ChannelParameters
-from sitl_mocks.channel.reception import heard_packets, scan_of
+from sitl_mocks.channel.parameters import WIFI_CHANNELS, load
+from sitl_mocks.channel.reception import meeting_chances
 
 
-@pytest.mark.parametrize("mode", TRANSPORTS)
-def test_the_scan_shares_are_those_of_the_papers_receiver(mode):
-    parameters = ChannelParameters()
-    cycle = scan_of(mode, parameters).cycle
-    met = sum(bool(heard_packets(mode, phase, parameters)) for phase in range(cycle))
-    assert SCAN_SHARE[TRANSPORTS.index(mode)] == pytest.approx(met / cycle)
+def test_the_scan_shares_are_those_of_the_receiver_that_policies_are_trained_for():
+    standard = load(Path(__file__).parents[3] / "config/channel/standard.toml")
+    wifi = standard.wifi
+    cycle_ms = len(WIFI_CHANNELS) * (wifi.scan_ms + wifi.switch_ms)
+    expected = [
+        sum(meeting_chances("ble4", standard)[0]),
+        sum(meeting_chances("ble5", standard)[0]),
+        (wifi.scan_ms - wifi.beacon_ms) / cycle_ms,
+    ]
+    assert pytest.approx(expected, abs=5e-4) == SCAN_SHARE
 
 
 class Sender:

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from companion.atmc.actions import SET_ACTIONS
+from companion.atmc.observation import OWN_COLUMNS
 from companion.atmc.policy import load
 from ground_tools.atmc.deciders import Chance, Fixed, settle
 from ground_tools.atmc.env import Env, EnvSettings
@@ -57,6 +58,28 @@ def test_a_resumed_run_is_the_uninterrupted_one(settings):
 def test_the_same_seed_gives_the_same_run_and_another_seed_another_one():
     runs = [FlyingLearner(SMALL, seed).train() for seed in (1, 1, 2)]
     assert runs[0] == runs[1] != runs[2]
+
+
+def test_what_is_measured_is_what_survives_and_uncertain_where_little_arrives():
+    objective, _ = objective_of("awareness")
+    errors = []
+    for rate in ((10, 0, 10), (3, 0, 2)):
+        world = WorldSettings(sides=100.0, load=(0.5, 0.5))
+        env = Env(EnvSettings(world=world, lossy=True), objective, 200, 5, torch.Generator().manual_seed(3))
+        env.action = torch.full_like(env.action, SET_ACTIONS.index(rate))
+        channel = env.channel
+        packets = channel.packets(env.air.reach, channel.loads(env.air.reach, env.action))
+        alive = torch.exp(packets.ble4).sum(2) - torch.exp(packets.ble4).diagonal(dim1=1, dim2=2)
+        own = env.observe().own
+        told, known = (
+            own[..., OWN_COLUMNS.index("ble4_success")],
+            own[..., OWN_COLUMNS.index("ble4_measured")],
+        )
+        assert float(known.mean()) > 0.9
+        error = told[known > 0] - (alive / 4.0)[known > 0]
+        assert abs(float(error.mean())) < 0.03
+        errors.append(float(error.std()))
+    assert 0.03 < errors[0] < 0.8 * errors[1]
 
 
 def test_it_learns(learned):
