@@ -29,6 +29,8 @@ from companion.traffic.tracks import Traffic
 By = Literal["policy", "rule", "fixed", "fallback"]
 OLDEST_POSITION_S: Final = 5.0
 """Distances from an older own position mean nothing."""
+_SURE_AGAIN: Final = 5
+"""Answers in a row before a policy that could not judge is followed again: each way is a switch."""
 
 
 class Trouble(enum.Enum):
@@ -58,6 +60,8 @@ class Chooser:
         self._allowed: Bools = np.zeros(0, bool)
         self._can_send: tuple[str, ...] = ()
         self._action: Action | None = None
+        self._doubts = 0
+        """Answers that are still wanted before the mind is followed again."""
         self._count = 0
         self._next_s: float | None = None
         self._logged: tuple[object, ...] | None = None
@@ -113,7 +117,11 @@ class Chooser:
         ble4, ble5, wifi = (present.get(transport, 0) for transport in TRANSPORTS)
         answer = mind.choose(seen.own, seen.rows, self._allowed, self._numbers.get((ble4, ble5, wifi)))
         if isinstance(answer, Refused):
+            self._doubts = _SURE_AGAIN
             return self._fall_back(answer.why, answer.text)
+        self._doubts = max(0, self._doubts - 1)
+        if self._doubts:
+            return None, []
         self._action = answer.action
         return rates_of(answer.action), self._tell(self.by, None, f"{len(seen.rows)} aircraft heard")
 

@@ -36,10 +36,10 @@ class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     batch: Count = 256
     buffer_steps: Count = 25_000
     """Steps that the buffer holds. Learning begins when it is full."""
-    learn_every: Count = 50
+    learn_every: Count = 5
     """Steps from one update to the next; the original takes 100 samples."""
     discount: Share = 0.95
-    actor_rate: Rate = 1e-3
+    actor_rate: Rate = 3e-4
     critic_rate: Rate = 1e-3
     soft_update: Share = 0.01
     """Share of the network in the target network after an update; the original's. The paper's 0.999 is not
