@@ -199,7 +199,8 @@ def _measure_side(
     question: Question, objective: Objective, fleet: Frozen, allowed: Tensor, side: float, found: _Sums
 ) -> None:
     """All methods in the same places of one square."""
-    generator = torch.Generator().manual_seed(question.seed * 1_000_003 + int(side))
+    seed = (question.seed * 1_000_003 + int(side)) * 1_000_003
+    generator = torch.Generator().manual_seed(seed)
     chunk = max(1, min(question.samples, _CELLS // question.uavs**2))
     names = ("policy", "rule", "search")
     total = dict.fromkeys(names, 0.0)
@@ -214,6 +215,8 @@ def _measure_side(
             env = Env(settings, objective, some, question.uavs, generator)
             env.action = allowed.nonzero()[:, 0][env.action % int(allowed.sum())]
             _decide(env, fleet, fleet.metadata.decisions, generator)
+        # The same places for every policy, whatever chance it took so far.
+        generator.manual_seed(seed + done)
         env.go_on()
         total["policy"] += float(_decide(env, fleet, fleet.metadata.decisions, generator))
         policy = env.action

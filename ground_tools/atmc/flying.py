@@ -95,7 +95,7 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """Share of the updates after which a group's environments are drawn anew."""
     regret_limit_s: float = 1.0
     """Actions that lose more count as losing this much."""
-    switch_price_s: float = 0.0
+    switch_price_s: float = 0.01
     """What a switch must gain, in the network's values; not used in training."""
     masked: float = 0.3
     """Awareness: share of the aircraft whose radios cannot send on everything, in half of the
