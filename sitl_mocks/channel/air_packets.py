@@ -159,11 +159,15 @@ class PacketChannel:
             else:  # a newer frame of its own sender took its place
                 lost = (event.begin * slot_s, number, tuple(event.path_loss_db), None)
                 heapq.heappush(self._open, lost)
-        outcomes = []
+        over = []
         while self._open and self._open[0][0] <= now_s:
-            _, number, receivers, ended = heapq.heappop(self._open)
-            arrival_s = {} if ended is None or not receivers else self._arrivals_s(ended)
-            outcomes += [Outcome(number, receiver, arrival_s.get(receiver)) for receiver in receivers]
+            over.append(heapq.heappop(self._open))
+        arrival_s = self._arrivals_s([event for *_, event in over if event is not None])
+        outcomes = [
+            Outcome(number, receiver, arrival_s.get((number, receiver)))
+            for _, number, receivers, _ in over
+            for receiver in receivers
+        ]
         self._forget(now_s)
         return outcomes
 
@@ -205,27 +209,30 @@ class PacketChannel:
             radio.bluetooth_free_s = free_s
         return begin_s
 
-    def _arrivals_s(self, event: _Event) -> dict[str, float]:
-        """When the frame arrived at each receiver that heard it (s)."""
-        around = [e for e in self._around if e.begin < event.end and event.begin < e.end and e is not event]
-        # Of a sender's frames the latest says where it is, whenever the air was settled.
-        around.sort(key=lambda e: e.number)
-        # Last, so that its own path losses hold where its sender's other frames are beside it.
-        around.append(event)
+    def _arrivals_s(self, ended: Sequence[_Event]) -> dict[tuple[int, str], float]:
+        """When frames arrived (s), by number and receiver that heard it."""
+        if not any(event.path_loss_db for event in ended):
+            return {}
+        begin, end = min(event.begin for event in ended), max(event.end for event in ended)
+        around = [event for event in self._around if event.begin < end and begin < event.end]
         radios: dict[str, _Radio] = {}
-        for one in reversed(around):
-            for name in (one.sender,) if one is not event else one.radios:
-                radios.setdefault(name, one.radios[name])
-        index = {name: number for number, name in enumerate(radios)}
-        loss_db = np.full((len(radios), len(radios)), np.nan)
+        for one in sorted(ended, key=lambda event: -event.number):
+            for name, radio in one.radios.items():
+                radios.setdefault(name, radio)
         for one in around:
+            radios.setdefault(one.sender, one.radios[one.sender])
+        index = {name: number for number, name in enumerate(radios)}
+        # A row for each frame: senders move from one to the next.
+        loss_db = np.full((len(around), len(radios)), np.nan)
+        for row, one in zip(loss_db, around, strict=True):
             for receiver, loss in one.path_loss_db.items():
                 if receiver in index:
-                    loss_db[index[one.sender], index[receiver]] = loss
+                    row[index[receiver]] = loss
         packets = packets_of(_events(around, index, self._durations), self._durations)
+        packets = replace(packets, place=packets.event)
         outcome = decide(
             packets,
-            Coverage.of(loss_db, self._parameters),
+            Coverage.of_places(loss_db, self._parameters),
             Scanners(
                 np.stack([radio.phase for radio in radios.values()], axis=1),
                 np.array([radio.clock for radio in radios.values()]),
@@ -234,8 +241,14 @@ class PacketChannel:
             REAL,
             _Backgrounds([radio.background for radio in radios.values()]),
         )
-        heard = arrivals(packets, outcome.received, len(around))[-1] * self._durations.slot_s
-        return {name: float(heard[at]) for name, at in index.items() if not math.isnan(heard[at])}
+        heard = arrivals(packets, outcome.received, len(around)) * self._durations.slot_s
+        numbers = {event.number for event in ended}
+        names = list(index)
+        return {
+            (around[row].number, names[column]): float(heard[row, column])
+            for row, column in zip(*np.nonzero(~np.isnan(heard)), strict=True)
+            if around[row].number in numbers
+        }
 
     def _forget(self, now_s: float) -> None:
         """Drop events that nothing open or still to come can overlap, and foreign bursts as old."""

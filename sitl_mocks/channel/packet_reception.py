@@ -54,6 +54,8 @@ class Packets:
     event: Indices
     """Index of the event that the packet is a part of; 0 up to the number of events."""
     transmitter: Indices
+    place: Indices
+    """Row of the coverage that holds for the packet: its transmitter's, where nobody moves."""
     mode: Indices
     """Column of `parameters.MODES`."""
     channel: Indices
@@ -68,17 +70,23 @@ class Coverage:
     """Who reaches whom."""
 
     path_loss_db: Floats
-    """Shape (nodes, nodes), from row to column; inf on the diagonal."""
+    """Shape (places, nodes), from row to column; inf from a node to itself."""
     reach: Bools
-    """Shape (3, nodes, nodes): mode, transmitter, receiver; whoever sends does not reach itself."""
+    """Shape (3, places, nodes): mode, place of sending, receiver; whoever sends does not reach itself."""
     transmit_power_dbm: Floats
     """Shape (3,)."""
 
     @staticmethod
     def of(path_loss_db: Floats, parameters: ChannelParameters) -> Coverage:
         """Coverage from path losses, shape (nodes, nodes). NaN and the diagonal count as out of reach."""
-        loss = np.where(np.isnan(path_loss_db), np.inf, path_loss_db)
+        loss = np.array(path_loss_db, float)
         np.fill_diagonal(loss, np.inf)
+        return Coverage.of_places(loss, parameters)
+
+    @staticmethod
+    def of_places(path_loss_db: Floats, parameters: ChannelParameters) -> Coverage:
+        """Coverage from path losses, shape (places, nodes). NaN counts as out of reach."""
+        loss = np.where(np.isnan(path_loss_db), np.inf, path_loss_db)
         modes = (parameters.ble4, parameters.ble5, parameters.wifi)
         return Coverage(
             path_loss_db=loss,
@@ -124,7 +132,7 @@ def decide(
     """
     auxiliary = (packets.mode == BLE5) & (packets.channel < FIRST_PRIMARY)
     disturbed, deaf = _overlaps(packets, coverage, assumptions)
-    hearable = np.asarray(coverage.reach[packets.mode, packets.transmitter] & ~deaf, bool)
+    hearable = np.asarray(coverage.reach[packets.mode, packets.place] & ~deaf, bool)
     scanned = np.nonzero(~auxiliary)[0]
     hearable[scanned] &= _in_window(packets, scanned, scanners, durations)
     if background is not None and len(packets.begin):
@@ -175,7 +183,7 @@ def _in_window(packets: Packets, rows: Indices, scanners: Scanners, durations: D
 
 def _overlaps(packets: Packets, coverage: Coverage, assumptions: Assumptions) -> tuple[Bools, Bools]:
     """Packets disturbed by others, and packets during which the receiver sends, both (packets, nodes)."""
-    disturbed = np.zeros((len(packets.begin), coverage.reach.shape[1]), bool)
+    disturbed = np.zeros((len(packets.begin), coverage.reach.shape[2]), bool)
     deaf = np.zeros_like(disturbed)
     victim, other = _overlapping_pairs(packets)
     apart = packets.transmitter[victim] != packets.transmitter[other]
@@ -200,7 +208,7 @@ def _hits(
     packets: Packets, victim: Indices, other: Indices, coverage: Coverage, capture_db: float | None
 ) -> Bools:
     """Where the other packet destroys the victim, shape (pairs, nodes)."""
-    hit: Bools = coverage.reach[packets.mode[other], packets.transmitter[other]]
+    hit: Bools = coverage.reach[packets.mode[other], packets.place[other]]
     if capture_db is not None:
         power_dbm = _power_dbm(packets, victim, coverage)
         hit &= power_dbm < _power_dbm(packets, other, coverage) + capture_db
@@ -222,7 +230,7 @@ def _overlapping_pairs(packets: Packets) -> tuple[Indices, Indices]:
 def _power_dbm(packets: Packets, rows: Indices, coverage: Coverage) -> Floats:
     """Received power of packets at every node (dBm), shape (rows, nodes)."""
     sent = coverage.transmit_power_dbm[packets.mode[rows], None]
-    return np.asarray(sent - coverage.path_loss_db[packets.transmitter[rows]], float)
+    return np.asarray(sent - coverage.path_loss_db[packets.place[rows]], float)
 
 
 def _any_pointer(packets: Packets, flag: Bools) -> Bools:

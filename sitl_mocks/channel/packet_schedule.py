@@ -62,6 +62,7 @@ def packets_of(events: Events, durations: Durations) -> Packets:
     return Packets(
         event=event,
         transmitter=events.transmitter[event],
+        place=events.transmitter[event],
         mode=mode,
         channel=np.where(primary, FIRST_PRIMARY + part, events.channel[event]),
         begin=begin,

@@ -280,19 +280,18 @@ def test_who_goes_by_the_times_it_names_hears_every_outcome() -> None:
     )
 
 
-def test_of_two_frames_of_one_interferer_the_later_says_where_it_is() -> None:
-    """Whichever was laid first: Bluetooth is at once, a beacon once it is decided that it may begin."""
-    near: dict[str, float | None] = dict.fromkeys((f"r{k}" for k in range(40)), 1.0)
-    far: dict[str, float | None] = dict.fromkeys(near, 1e6)
+@pytest.mark.parametrize(("beacon", "later", "heard"), [(1.0, 1e6, False), (1e6, 1.0, True)])
+def test_each_frame_of_an_interferer_disturbs_from_where_it_was_sent(beacon, later, heard) -> None:
+    """Whenever the air is settled: Bluetooth is laid at once, a beacon once it may begin."""
     sent = [
-        Transmission(0, 0.0, "b", "wifi", near),
-        Transmission(1, 0.0, "a", "wifi", near),
-        Transmission(2, 0.0001, "b", "ble5", far),
+        Transmission(0, 0.0, "b", "wifi", {f"r{k}": beacon for k in range(40)}),
+        Transmission(1, 0.0, "a", "wifi", {f"r{k}": 1.0 for k in range(40)}),
+        Transmission(2, 0.0001, "b", "ble5", {f"r{k}": later for k in range(40)}),
     ]
     prompt = ChannelParameters(ble5=Ble5Parameters(random_delay_ms=0.0))
     once = settled(PacketChannel(prompt), sent, [])
     assert settled(PacketChannel(prompt), sent, [0.0001]) == once
-    assert any(o.number == 1 and o.arrival_s is not None for o in once)
+    assert any(o.number == 1 and o.arrival_s is not None for o in once) == heard
 
 
 def waits(sender: str, transport: str, seconds: float, seed: int) -> list[float]:

@@ -49,6 +49,7 @@ def packets(*sent: Sent, event: list[int] | None = None) -> Packets:
     return Packets(
         event=np.arange(len(sent)) if event is None else np.array(event),
         transmitter=np.array([s.transmitter for s in sent]),
+        place=np.array([s.transmitter for s in sent]),
         mode=mode,
         channel=np.array([s.channel for s in sent]),
         begin=begin,
