@@ -39,7 +39,7 @@ fleet of which nobody gets through stays silent for ever."""
 _TIE_PRICE = 0.01
 """Of an action's delay where nobody else sends. To the paper's objective everything is alike that reaches
 nobody; without it an aircraft whose nearest neighbour is just out of reach may choose what is slowest."""
-_IMPORTANCE = 0.1, 10.0
+_IMPORTANCE = 0.3, 3.0
 """Least and greatest weight of what an aircraft learns, relative to its fleet."""
 _ALONE = 0.01
 """Weight of all others together below which an aircraft counts as alone."""
@@ -69,11 +69,13 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     objective: Literal["paper", "awareness"] = "awareness"
     fleets: tuple[tuple[int, int], ...] = (
-        (2, 192),
-        (5, 128),
+        (2, 128),
+        (5, 96),
         (10, 80),
         (20, 40),
         (50, 16),
+        (75, 9),
+        (100, 8),
         (100, 8),
     )
     """Groups: aircraft in a fleet, and how many such fleets live side by side."""
