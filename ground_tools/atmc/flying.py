@@ -39,8 +39,6 @@ fleet of which nobody gets through stays silent for ever."""
 _TIE_PRICE = 0.01
 """Of an action's delay where nobody else sends. To the paper's objective everything is alike that reaches
 nobody; without it an aircraft whose nearest neighbour is just out of reach may choose what is slowest."""
-_IMPORTANCE = 0.3, 3.0
-"""Least and greatest weight of what an aircraft learns, relative to its fleet."""
 _ALONE = 0.01
 """Weight of all others together below which an aircraft counts as alone."""
 _SQUARE_BELOW_S = 0.1
@@ -69,13 +67,11 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     objective: Literal["paper", "awareness"] = "awareness"
     fleets: tuple[tuple[int, int], ...] = (
-        (2, 128),
-        (5, 96),
+        (2, 192),
+        (5, 128),
         (10, 80),
         (20, 40),
         (50, 16),
-        (75, 9),
-        (100, 8),
         (100, 8),
     )
     """Groups: aircraft in a fleet, and how many such fleets live side by side."""
@@ -203,8 +199,7 @@ class FlyingLearner:
         values = self._net(seen.own, seen.rows, seen.heard)
         error = functional.smooth_l1_loss(values, target, beta=_SQUARE_BELOW_S, reduction="none")
         # Actions all alike: a bad one that is learned less carefully is the one that is taken for good.
-        weight = allowed * self._importance(group, acting)[..., None]
-        loss = 10.0 * (error * weight).sum() / weight.sum()
+        loss = 10.0 * (error * allowed).sum() / allowed.sum()
         self._optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self._net.parameters(), s.clip)
@@ -225,18 +220,6 @@ class FlyingLearner:
         share = low + (high - low) * float(torch.rand((), generator=self._generator, device=self._device))
         count = min(aircraft, max(2, round(share * aircraft)))
         return torch.randperm(aircraft, generator=self._generator, device=self._device)[:count]
-
-    def _importance(self, group: _Group, acting: Tensor) -> Tensor:
-        """Of what each one learns, (E, acting), relative to its fleet.
-
-        Awareness: targets are by how many others there are to tell, what the fleet loses is not. Who hears
-        nobody may be alone, which is likely and harmless, or deaf in a conflict, which is rare and counts.
-        """
-        if self.settings.objective == "paper":
-            return torch.ones(group.env.environments, len(acting), device=self._device)
-        others = _ALONE + group.env.air.weight.sum(1)
-        low, high = _IMPORTANCE
-        return (others[:, acting] / others.mean(1, keepdim=True)).clamp(low, high)
 
     def _target(self, group: _Group, acting: Tensor) -> Tensor:
         """Minus the regret (s) of every action, (E, acting, actions); 0 for the best one that is allowed."""
