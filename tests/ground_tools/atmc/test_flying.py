@@ -82,6 +82,18 @@ def test_what_is_measured_is_what_survives_and_uncertain_where_little_arrives():
     assert 0.03 < errors[0] < 0.8 * errors[1]
 
 
+def test_who_reaches_nobody_learns_what_would_be_fast():
+    learner = FlyingLearner(msgspec.structs.replace(SMALL_PAPER, fleets=((2, 8),)), 1)
+    (group,) = learner._groups
+    world = group.env.world
+    world.position_m[:] = torch.tensor([[0.0, 0.0, 50.0], [9000.0, 0.0, 50.0]])
+    group.env.place(world)
+    target = learner._target(group, torch.arange(2))
+    delay_s = group.env.channel.undisturbed_s()
+    assert (target.argmax(-1) == delay_s.argmin()).all()
+    assert (target[..., delay_s.argmax()] < -0.05).all()
+
+
 def test_it_learns(learned):
     assert learned.rows[-1]["regret_ms"] < 0.5 * learned.rows[0]["regret_ms"]
 
