@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.errors import ConfigError
-from ground_tools.atmc.results import CONVERGENCE, UAV_EVERY, Results, Run, write
+from ground_tools.atmc.results import CONVERGENCE, UAV_EVERY, Results, Run, read, write
 from ground_tools.channel.progress import progress
 
 if TYPE_CHECKING:
@@ -49,13 +49,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=CONVERGENCE, metavar="FILE", help="default: the one in config/atmc"
     )
+    parser.add_argument(
+        "--add", action="store_true", help="to the runs that FILE holds; the same seeds are replaced"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """`ground-tools atmc collect`. Returns 0.
 
     Raises:
-        ConfigError: a folder is no finished run, or the file cannot be written.
+        ConfigError: a folder is no finished run, the file cannot be written, or runs cannot be added to it.
     """
     if args.configurations < _FLEETS or args.configurations % _FLEETS:
         raise ConfigError(f"--configurations: {args.configurations}: allowed are multiples of {_FLEETS}")
@@ -64,16 +67,31 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise ConfigError("torch is not installed; in the checkout: pip install -e '.[train]'") from error
     torch.set_num_threads(1)
+    held = _held(args) if args.add else {}
     runs = []
     with progress("policies", len(args.runs)) as advance:
         for folder in args.runs:
             runs.append(_run(folder, args.configurations))
             advance()
-    results = Results(configurations=args.configurations, runs=tuple(sorted(runs, key=_place)))
+    all_runs = held | {_place(run): run for run in runs}
+    results = Results(
+        configurations=args.configurations, runs=tuple(all_runs[key] for key in sorted(all_runs))
+    )
     write(args.out, results)
     Console().print(_table(results.runs))
     print(f"wrote {args.out}")
     return 0
+
+
+def _held(args: argparse.Namespace) -> dict[tuple[str, int], Run]:
+    """The runs of the file that is added to."""
+    results = read(args.out)
+    if results.configurations != args.configurations:
+        raise ConfigError(
+            f"--add: {args.out} was measured with --configurations {results.configurations}, "
+            f"not {args.configurations}"
+        )
+    return {_place(run): run for run in results.runs}
 
 
 def _place(run: Run) -> tuple[str, int]:

@@ -12,6 +12,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 import torch
 
@@ -21,7 +22,7 @@ from ground_tools import cli
 from ground_tools.atmc import training
 from ground_tools.atmc.algorithms import ALGORITHMS
 from ground_tools.atmc.flat import MAX_BYTES
-from ground_tools.atmc.results import read
+from ground_tools.atmc.results import Results, read, write
 
 TINY = """
 episodes = 4
@@ -212,6 +213,13 @@ def test_collected_runs(config, tmp_path, capsys):
     assert sum(found.best_delay_uav_ms) == pytest.approx(found.best["delay_ms"], rel=1e-2)
     assert found.last["delay_ms"] > 0.0
     assert "madqn" in capsys.readouterr().out
+    other = msgspec.structs.replace(found, seed=7)
+    replaced = msgspec.structs.replace(found, seconds=1e6)
+    write(out, Results(configurations=250, runs=(replaced, other)))
+    assert cli.main([*arguments, "--add"]) == 0
+    assert read(out).runs == (found, other)
+    assert cli.main([*arguments, "--add", "--configurations", "500"]) == 2
+    assert "measured with --configurations 250, not 500" in capsys.readouterr().err
     (folder / "metrics.csv").write_text("episode\n1\n")
     assert cli.main(arguments) == 2
     assert "1 of 4 episodes" in capsys.readouterr().err
