@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from msgspec import Meta
 from torch import Tensor
-from torch.nn import functional
 
 from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS, Action
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
@@ -39,9 +38,12 @@ fleet of which nobody gets through stays silent for ever."""
 _TIE_PRICE = 0.01
 """Of an action's delay where nobody else sends. To the paper's objective everything is alike that reaches
 nobody; without it an aircraft whose nearest neighbour is just out of reach may choose what is slowest."""
+_IMPORTANCE = 0.1, 10.0
+"""Least and greatest weight of what an aircraft learns, relative to its fleet."""
+_LOSS_SCALE = 50.0
+"""So that the greatest norm of the gradient means something."""
 _ALONE = 0.01
 """Weight of all others together below which an aircraft counts as alone."""
-_SQUARE_BELOW_S = 0.1
 _GOLDEN = 6
 
 _PAPER_WORLD = EnvSettings(world=WorldSettings(sides="any"))
@@ -67,14 +69,17 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     objective: Literal["paper", "awareness"] = "awareness"
     fleets: tuple[tuple[int, int], ...] = (
-        (2, 192),
-        (5, 128),
-        (10, 80),
-        (20, 40),
+        (2, 512),
+        (5, 384),
+        (10, 240),
+        (20, 64),
         (50, 16),
+        (75, 9),
+        (100, 8),
         (100, 8),
     )
-    """Groups: aircraft in a fleet, and how many such fleets live side by side."""
+    """Groups: aircraft in a fleet, and how many such fleets live side by side. Each group has the same
+    share of the updates."""
     episodes: Annotated[int, Meta(ge=1)] = 80
     """Rounds, each of `updates` updates."""
     updates: Annotated[int, Meta(ge=1)] = 110
@@ -197,11 +202,13 @@ class FlyingLearner:
         self._note(seen)
         target = self._target(group, acting)
         values = self._net(seen.own, seen.rows, seen.heard)
-        error = functional.smooth_l1_loss(values, target, beta=_SQUARE_BELOW_S, reduction="none")
-        # Actions all alike: a bad one that is learned less carefully is the one that is taken for good.
-        loss = 10.0 * (error * allowed).sum() / allowed.sum()
+        # Squares, whose least is the mean: deaf in a conflict is rare and costs much, and a loss that
+        # forgives outliers forgets it. Actions all alike: a bad one learned less carefully is taken for good.
+        error = (values - target).square()
+        weight = allowed * self._importance(group, acting)[..., None]
+        loss = _LOSS_SCALE * (error * weight).sum() / weight.sum()
         self._optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(self._net.parameters(), s.clip)
         self._optimiser.step()
         with torch.no_grad():
@@ -220,6 +227,18 @@ class FlyingLearner:
         share = low + (high - low) * float(torch.rand((), generator=self._generator, device=self._device))
         count = min(aircraft, max(2, round(share * aircraft)))
         return torch.randperm(aircraft, generator=self._generator, device=self._device)[:count]
+
+    def _importance(self, group: _Group, acting: Tensor) -> Tensor:
+        """Of what each one learns, (E, acting), relative to its fleet.
+
+        Awareness: targets are by how many others there are to tell, what the fleet loses is not. Who hears
+        nobody may be alone, which is likely and harmless, or deaf in a conflict, which is rare and counts.
+        """
+        if self.settings.objective == "paper":
+            return torch.ones(group.env.environments, len(acting), device=self._device)
+        others = _ALONE + group.env.air.weight.sum(1)
+        low, high = _IMPORTANCE
+        return (others[:, acting] / others.mean(1, keepdim=True)).clamp(low, high)
 
     def _target(self, group: _Group, acting: Tensor) -> Tensor:
         """Minus the regret (s) of every action, (E, acting, actions); 0 for the best one that is allowed."""
