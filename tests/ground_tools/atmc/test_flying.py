@@ -94,6 +94,42 @@ def test_who_reaches_nobody_learns_what_would_be_fast():
     assert (target[..., delay_s.argmax()] < -0.05).all()
 
 
+def test_what_is_rare_and_dear_counts_with_its_mean(monkeypatch):
+    """One in ten that loses a second, whatever it sees: not forgiven as an outlier."""
+    settings = msgspec.structs.replace(SMALL, fleets=((3, 64),), episodes=2, updates=120, average=0.95)
+    learner = FlyingLearner(settings, 1)
+    drawn = torch.Generator().manual_seed(2)
+
+    def target(group, acting):
+        shape = group.allowed[:, acting].shape
+        return -(torch.rand(shape, generator=drawn) < 0.1).float()
+
+    monkeypatch.setattr(learner, "_target", target)
+    learner.train()
+    learner.train()
+    seen = learner._select(learner._groups[0].env.observe())
+    learned = learner._average(seen.own, seen.rows, seen.heard)
+    assert float(learned.detach().mean()) == pytest.approx(-0.1, abs=0.02)
+
+
+def test_what_is_learned_counts_by_how_much_the_aircraft_matters_in_its_fleet():
+    learner = FlyingLearner(msgspec.structs.replace(SMALL, fleets=((4, 8),)), 1)
+    (group,) = learner._groups
+    position = torch.tensor([[0.0, 0.0, 50.0], [60.0, 0.0, 50.0], [400.0, 0.0, 50.0], [9000.0, 0.0, 50.0]])
+    group.env.world.position_m[:] = position
+    group.env.world.velocity_mps[:] = 0.0
+    group.env.place(group.env.world)
+    weight = learner._importance(group, torch.arange(4))
+    matters = 0.01 + group.env.air.weight.sum(1)
+    ratio = matters / matters.mean(1, keepdim=True)
+    assert (weight[:, :2] == ratio[:, :2]).all()
+    assert (weight[:, 0] > 1.5).all()
+    assert (ratio[:, 3] < 0.1).all()
+    assert (weight[:, 3] == 0.1).all()
+    paper = FlyingLearner(msgspec.structs.replace(SMALL_PAPER, fleets=((4, 8),)), 1)
+    assert (paper._importance(paper._groups[0], torch.arange(4)) == 1.0).all()
+
+
 def test_it_learns(learned):
     assert learned.rows[-1]["regret_ms"] < 0.5 * learned.rows[0]["regret_ms"]
 
