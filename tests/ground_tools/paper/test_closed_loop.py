@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
 import subprocess
@@ -18,14 +19,24 @@ from companion.remote_id.region import Region
 from ground_tools import cli
 from ground_tools.paper import closed_loop
 from ground_tools.paper.closed_loop_cells import Cell
-from ground_tools.paper.closed_loop_flights import ATMC, BEST_SET, METHODS, Flight, Row, rows_of, scenario_of
+from ground_tools.paper.closed_loop_flights import (
+    ATMC,
+    BEST_SET,
+    CONDITIONS,
+    METHODS,
+    Flight,
+    Row,
+    rows_of,
+    scenario_of,
+)
 from ground_tools.paper.closed_loop_table import LOST, MEASURES, difference, json_rows, markdown, number
 from ground_tools.paper.intervals import bootstrap, wilson
 from sitl_mocks import settings
 from sitl_mocks.channel.parameters import ChannelParameters
 from tests.companion.atmc.policies import policy_file
 
-US = settings.load_region(Path(__file__).parents[3] / "config" / "regions" / "us.toml")
+ROOT = Path(__file__).parents[3]
+US = settings.load_region(ROOT / "config" / "regions" / "us.toml")
 BY_KEY = {measure.key: measure for measure in MEASURES}
 
 
@@ -247,3 +258,37 @@ def _as_flown():
 
     path = Path(__file__).parents[3] / "config" / "channel" / "standard.toml"
     return flight(method="unavoided", channel=parameters.load(path))
+
+
+# ---------------------------------------------------------------- what ships
+
+
+@pytest.fixture(scope="module")
+def kept():
+    """The cells in config, at the defaults of the command; fails where they are not of what ships now."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seed", type=int, default=1)
+    closed_loop.add_arguments(parser)
+    args = parser.parse_args([])
+    cells, missing = closed_loop.plan(args, ROOT / "config" / "atmc" / "results" / closed_loop.NAME)
+    assert not missing
+    return closed_loop._shown(args, cells)
+
+
+def test_what_ships_was_flown_two_hundred_times_under_each_condition(kept):
+    assert {key: len(rows) for key, rows in kept.items()} == {
+        (condition, method): 200 for condition in CONDITIONS for method in METHODS
+    }
+
+
+def test_the_document_says_what_was_flown(kept):
+    text = (ROOT / "docs" / "atmc.md").read_text()
+    for method in METHODS:
+        cells = [kept[condition, method] for condition in CONDITIONS]
+        ages = [number(rows, BY_KEY["age_mean_s"]) for rows in cells]
+        lost = " / ".join(str(sum(r.least_separation_m < 10.0 for r in rows)) for rows in cells)
+        words = ["" if age.value is None else f" {age.words(3)}" for age in ages]
+        assert f"{' |'.join(words)} | {lost} |" in text.replace("**", "")
+    for condition in CONDITIONS:
+        found = difference(kept[condition, ATMC], kept[condition, BEST_SET], BY_KEY["age_mean_s"])
+        assert found.words(0, 1e3) in text
