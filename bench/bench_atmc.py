@@ -13,6 +13,8 @@ from rich.table import Table
 
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
 from companion.atmc.policy import load
+from companion.errors import ConfigError
+from ground_tools.atmc.torch_setup import set_up_torch
 
 _POLICY = Path(__file__).parents[1] / "config/policies/atmc.safetensors"
 _PAPER_DECISION_US = 3840.0
@@ -24,12 +26,10 @@ _EPISODES, _DECISIONS = 3, 100 * 10
 def main() -> None:
     """Print the tables."""
     try:
-        import torch
-    except ModuleNotFoundError as error:
-        print(f"{error.name} is not installed: no figures of training")
+        set_up_torch()
+    except ConfigError as error:
+        print(f"no figures of training: {error}")
     else:
-        torch.set_num_threads(1)
-        torch.set_flush_denormal(True)
         _learners()
         _training()
     _aboard()

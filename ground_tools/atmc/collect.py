@@ -20,6 +20,7 @@ from rich.table import Table
 
 from companion.errors import ConfigError
 from ground_tools.atmc.results import CONVERGENCE, UAV_EVERY, Results, Run, read, write
+from ground_tools.atmc.torch_setup import set_up_torch
 from ground_tools.channel.progress import progress
 
 if TYPE_CHECKING:
@@ -62,11 +63,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.configurations < _FLEETS or args.configurations % _FLEETS:
         raise ConfigError(f"--configurations: {args.configurations}: allowed are multiples of {_FLEETS}")
-    try:
-        import torch
-    except ModuleNotFoundError as error:
-        raise ConfigError("torch is not installed; in the checkout: pip install -e '.[train]'") from error
-    torch.set_num_threads(1)
+    set_up_torch()
     held = _held(args) if args.add else {}
     runs = []
     with progress("policies", len(args.runs)) as advance:

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.errors import ConfigError
+from ground_tools.atmc.torch_setup import set_up_torch
 
 if TYPE_CHECKING:
     from ground_tools.atmc.evaluate import Question
@@ -102,17 +103,9 @@ def evaluation() -> Any:
     Raises:
         ConfigError: it is not installed.
     """
-    try:
-        import torch
+    set_up_torch()
+    from ground_tools.atmc import evaluate
 
-        from ground_tools.atmc import evaluate
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"{error.name} is not installed; in the checkout: pip install -e '.[train]'"
-        ) from error
-    torch.set_num_threads(1)
-    # Weights of far-off pairs and what is learned from them are tiny, and denormal numbers slow.
-    torch.set_flush_denormal(True)
     return evaluate
 
 

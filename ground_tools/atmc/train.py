@@ -20,6 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from companion.errors import ConfigError
 from companion.toml_input import decode_toml
 from ground_tools.atmc.algorithms import ALGORITHMS
+from ground_tools.atmc.torch_setup import needs_torch
 
 if TYPE_CHECKING:
     from ground_tools.atmc.training import Job
@@ -68,12 +69,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option or the configuration is wrong, or PyTorch is missing.
     """
-    try:
+    with needs_torch():
         from ground_tools.atmc import training
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"{error.name} is not installed; in the checkout: pip install -e '.[train]'"
-        ) from error
     if args.device is not None:
         training.device_of(args.device)
     if args.resume is not None:

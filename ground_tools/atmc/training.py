@@ -39,6 +39,7 @@ from companion.runtime.recorder import create_run_folder, write_manifest
 from companion.toml_input import decode_toml, without_none
 from ground_tools.atmc.algorithms import ALGORITHMS
 from ground_tools.atmc.learner import Learner
+from ground_tools.atmc.torch_setup import set_up_torch
 
 _PREFIX = "validation_"
 
@@ -124,9 +125,7 @@ def train(job: Job, report: Report) -> bool:
         ConfigError: there is no such device, or the checkpoint cannot be read.
     """
     device = device_of(job.device)
-    # One thread for each run: two are slower on networks of this size.
-    torch.set_num_threads(1)
-    torch.set_flush_denormal(True)
+    set_up_torch()
     run = _Run(job, ALGORITHMS[job.algorithm].parts().make(job.settings, job.seed, device))
     try:
         with _stop_asked() as stopped:

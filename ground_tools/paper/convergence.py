@@ -122,7 +122,7 @@ def comparisons(results: Results) -> list[Comparison]:
             }
             ours, error = float(iqm(values)[0]), math.nan
             if len(values) > 1:
-                error = float(_resampled(values).std(0)[0])
+                error = float(resampled(values).std(0)[0])
             published = PUBLISHED_MS.get((algorithm, density))
             found.append(Comparison(NAMES[algorithm], labels, ours, error, published))
     return found
@@ -150,7 +150,7 @@ def _system(axes: Any, results: Results) -> None:
     for algorithm in _present(results):
         curves = np.array([binned(run.reward) for run in results.of(algorithm)])
         episodes = UAV_EVERY * (np.arange(curves.shape[1]) + 0.5)
-        low, high = np.percentile(_resampled(curves), (2.5, 97.5), axis=0)
+        low, high = np.percentile(resampled(curves), (2.5, 97.5), axis=0)
         colour = _COLOURS[algorithm]
         axes.fill_between(episodes, low, high, color=colour, alpha=0.22, lw=0)
         axes.plot(
@@ -213,8 +213,8 @@ def iqm(values: Floats) -> Floats:
     return found
 
 
-def _resampled(values: Floats) -> Floats:
-    """Interquartile means of seeds drawn with replacement, (draws, points)."""
+def resampled(values: Floats) -> Floats:
+    """Interquartile means of seeds drawn with replacement, (seeds, points) to (draws, points)."""
     rng = np.random.default_rng(1)
     found: Floats = iqm(values[rng.integers(0, len(values), (_DRAWS, len(values)))])
     return found

@@ -20,6 +20,7 @@ from companion.atmc.choice import Refused
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
 from companion.atmc.policy import Policy, load
 from companion.errors import ConfigError
+from ground_tools.atmc.torch_setup import set_up_torch
 from ground_tools.channel.options import UAVS
 from ground_tools.figure import drawn
 from ground_tools.paper.methods import POLICIES, has_torch
@@ -194,6 +195,7 @@ def _switches(data: bytes, path: Path, policy: Policy, seed: int) -> str:
     """How often an aircraft of a flying fleet changes what it sends, in words."""
     if not has_torch():
         return "switches are not counted, torch is not installed"
+    set_up_torch()
     from ground_tools.atmc.evaluate import Frozen, Question, objective_of, switches_per_minute
 
     objective, actions = objective_of(policy.metadata.objective)

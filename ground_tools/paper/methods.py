@@ -15,8 +15,9 @@ from typing import Final
 import numpy as np
 
 from ground_tools.atmc.results import Results, Run
+from ground_tools.atmc.torch_setup import set_up_torch
 from ground_tools.channel.options import SIDES_M
-from ground_tools.paper.convergence import NAMES, Floats, iqm
+from ground_tools.paper.convergence import NAMES, iqm, resampled
 from ground_tools.paper.study import LARGE_M, SMALL_M
 
 POLICIES: Final = Path(__file__).parents[2] / "config" / "policies"
@@ -28,7 +29,6 @@ LEARNERS: Final = ("madqn", "maddpg", "iac")
 """That the paper compares."""
 DENSITIES: Final = {"high": SMALL_M, "low": LARGE_M, "dynamic": SIDES_M}
 _KEYS: Final = {"high": "high_ms", "low": "low_ms", "dynamic": "delay_ms"}
-_DRAWS: Final = 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def learner(results: Results, key: str) -> Learner | None:
         values = np.array([[run.best[name]] for run in runs])
         system[density], error[density] = float(iqm(values)[0]), float("nan")
         if len(runs) > 1:
-            drawn = _resampled(values)
+            drawn = resampled(values)
             low, high = np.percentile(drawn, (2.5, 97.5))
             error[density], interval[density] = float(drawn.std()), (float(low), float(high))
     return Learner(key, len(runs), system, error, interval)
@@ -120,6 +120,7 @@ def measured(samples: int, seed: int, policy: Path = SET_POLICY) -> tuple[Delays
     """
     if not has_torch():
         return ()
+    set_up_torch()
     from ground_tools.paper.measured import measure
 
     return measure(samples, seed, policy if policy.exists() else None)
@@ -132,10 +133,3 @@ def not_measured(found: Sequence[Delays], policy: Path = SET_POLICY) -> list[str
     if all(method.key != SET for method in found):
         return [f"set network: there is no {policy.name}; it is absent here"]
     return []
-
-
-def _resampled(values: Floats) -> Floats:
-    """Interquartile means of seeds drawn with replacement."""
-    rng = np.random.default_rng(1)
-    found: Floats = iqm(values[rng.integers(0, len(values), (_DRAWS, len(values)))])
-    return found

@@ -87,6 +87,14 @@ def test_without_torch_nothing_is_measured(monkeypatch):
     assert "torch is not installed" in methods.not_measured(())[0]
 
 
+def test_measuring_takes_one_thread(paper_set):
+    """With two, each waits for the other where the cores have other work: minutes instead of seconds."""
+    torch = pytest.importorskip("torch")
+    torch.set_num_threads(2)
+    assert methods.measured.__wrapped__(2, 1, paper_set)
+    assert torch.get_num_threads() == 1
+
+
 # ------------------------------------------------------------ statements
 
 
