@@ -39,7 +39,8 @@ WITHIN: Final = 0.1
 """Of the way from the first to the last reward: nearer than this is converged, farther behind the median of
 the aircraft is failed."""
 _KEYS: Final = {"high": "high_ms", "low": "low_ms", "dynamic": "delay_ms"}
-_COLOURS: Final = {"madqn": "#1b6ca8", "madqn-shared": "#63b0cd", "maddpg": "#d1732e", "iac": "#7a5195"}
+COLOURS: Final = {"madqn": "#d55e00", "madqn-shared": "#5a5a5a", "maddpg": "#a06e28", "iac": "#cc79a7"}
+"""None of them is that of a protocol, beside which they stand in other figures."""
 _PANELS: Final = ("madqn", "maddpg", "iac")
 _END: Final = 10
 """Last points of a curve that its end is the mean of: 100 episodes."""
@@ -151,7 +152,7 @@ def _system(axes: Any, results: Results) -> None:
         curves = np.array([binned(run.reward) for run in results.of(algorithm)])
         episodes = UAV_EVERY * (np.arange(curves.shape[1]) + 0.5)
         low, high = np.percentile(resampled(curves), (2.5, 97.5), axis=0)
-        colour = _COLOURS[algorithm]
+        colour = COLOURS[algorithm]
         axes.fill_between(episodes, low, high, color=colour, alpha=0.22, lw=0)
         axes.plot(
             episodes,

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
 from ground_tools.atmc.results import CONVERGENCE, Results, read
-from ground_tools.channel.plot import COLOURS
+from ground_tools.channel import plot
 from ground_tools.figure import drawn
 from ground_tools.paper import convergence, fixed_modes
 from ground_tools.paper.methods import (
@@ -38,15 +38,13 @@ PAPERS: Final = (*LEARNERS, BLE4, BLE5, WIFI_BEACON, "random")
 """Methods that stand in the paper's figure."""
 NEAR: Final = 0.1
 """Two delays that differ by less are close; by more, one is significantly higher."""
-_COLOURS: Final = {
-    "madqn": "#1b6ca8",
-    "maddpg": "#d1732e",
-    "iac": "#7a5195",
-    SET: "#2a9d5c",
-    "random": "#9a9a9a",
-    "rule": "#444444",
+COLOURS: Final = {
+    **convergence.COLOURS,
+    **plot.COLOURS,
+    SET: "#56b4e9",
+    "random": "#b4b4b4",
+    "rule": "#5a5a5a",
     "search": "#000000",
-    **COLOURS,
 }
 
 
@@ -259,7 +257,7 @@ def _bars(axes: Any, index: int, number: int, key: str, name: str, bars: Sequenc
         [bar.ms for bar in bars],
         0.9 * width,
         yerr=[[bar.ms - bar.low_ms for bar in bars], [bar.high_ms - bar.ms for bar in bars]],
-        color=_COLOURS[key],
+        color=COLOURS[key],
         label=name,
     )
     for place, density in zip(places, DENSITIES, strict=True):

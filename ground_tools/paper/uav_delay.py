@@ -15,11 +15,11 @@ from typing import Final
 from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
 from ground_tools.atmc.results import CONVERGENCE, Results, Run, read
 from ground_tools.channel.options import UAVS
-from ground_tools.channel.plot import COLOURS
 from ground_tools.figure import drawn
 from ground_tools.paper.convergence import NAMES
 from ground_tools.paper.methods import LEARNERS, SET_POLICY, Delays, best_run, measured, not_measured
 from ground_tools.paper.report import Comparison, Report, Statement
+from ground_tools.paper.system_delay import COLOURS
 
 AROUND: Final = 0.15
 """A delay within this share of a published one is around it."""
@@ -29,7 +29,6 @@ BEHIND_MS: Final = 200.0
 """Published, UAVs 5 and 6 with MADDPG."""
 _FIXED: Final = (BLE4, BLE5, WIFI_BEACON)
 _PLACES: Final = {"madqn": (1, 10), "maddpg": (5, 6), "iac": (2, 4)}
-_COLOURS: Final = {"madqn": "#1b6ca8", "maddpg": "#d1732e", "iac": "#7a5195", "random": "#9a9a9a", **COLOURS}
 
 
 def report(samples: int, seed: int, path: Path = CONVERGENCE) -> Report:
@@ -188,7 +187,7 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE) -> Non
         width = 0.86 / max(1, len(table))
         for index, (key, name, _, uav_ms) in enumerate(table):
             places = [n + (index - (len(table) - 1) / 2.0) * width for n in range(1, UAVS + 1)]
-            axes.bar(places, uav_ms, 0.92 * width, color=_COLOURS[key], label=name)
+            axes.bar(places, uav_ms, 0.92 * width, color=COLOURS[key], label=name)
         axes.axhline(MADQN_MS, color="black", lw=1.2, ls="--", label="published, MADQN-ATMC")
         axes.set_xticks(range(1, UAVS + 1), [f"UAV {n}" for n in range(1, UAVS + 1)])
         axes.set_yscale("log")
