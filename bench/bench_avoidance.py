@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from companion.avoidance import kernels
-from companion.avoidance.law import Neighbour, Situation, make_law
+from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 
@@ -40,7 +40,7 @@ def time_decide(count: int, rng: np.random.Generator) -> tuple[float, float]:
     path = Trajectory([0.0, 1000.0], [(0.0, 0.0, -50.0), (2000.0, 0.0, -50.0)])
     took = []
     for _ in range(10):
-        law = make_law(AvoidanceConfig(), LimitsConfig(), path)
+        law = Law(AvoidanceConfig(), LimitsConfig(), path)
         positions, velocities = scene(count, SPREAD_M["sparse"], rng)
         others = [
             Neighbour(f"uas-{i}", (p[0], p[1], p[2] - 50.0), (v[0], v[1], v[2]), 0.5, 1.5)

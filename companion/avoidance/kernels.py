@@ -12,8 +12,9 @@ Planes are rows (n, d) that ask for n . v >= d. The programs look for a velocity
 line, 2 on a plane, 3 in the ball, 4 the least of the largest violations when there is none; hard planes come
 first and program 4 keeps them whole.
 
-Every function works on arrays that the caller owns and keeps no state, so that a compiled loop over many
-aircraft calls `decide` as it is; it runs uncompiled too. All of them stand in this one file because numba's
+`decide` is all of a law, from the own state, the path and what was heard to the command. Every function works
+on arrays that the caller owns, so that a compiled loop over many aircraft calls it as the aircraft does; it
+runs uncompiled too. All of them stand in this one file because numba's
 cache looks only at the file of the function that is called: a change elsewhere would go unnoticed.
 """
 
@@ -37,10 +38,12 @@ HEAD_ON = 1e-6
 
 # Columns of a row of `neighbours`.
 N_POSITION, N_VELOCITY, N_AGE, N_SIGMA, N_VERTICAL, NEIGHBOUR_COLUMNS = 0, 3, 6, 7, 8, 9
-# Entries of `own`: position, preferred velocity, least and greatest down speed, sigma, time.
-O_POSITION, O_PREFERRED, O_LEAST_DOWN, O_MOST_DOWN, O_SIGMA, O_NOW, OWN_ENTRIES = 0, 3, 6, 7, 8, 9, 10
+# Entries of `own`; floor and ceiling are NED down, infinite (plus, minus) where there is none.
+O_POSITION, O_VELOCITY, O_SIGMA, O_NOW, O_PATH_TIME, O_FLOOR, O_CEILING = 0, 3, 6, 7, 8, 9, 10
+OWN_ENTRIES = 11
 # Entries of `settings`.
 (
+    S_LAW,  # DMUCA, PAPER or NONE
     S_RADIUS,  # both conflict radii, m
     S_LEAST_MARGIN,  # m
     S_SIGMAS,  # margin in standard deviations of the relative error
@@ -51,13 +54,35 @@ O_POSITION, O_PREFERRED, O_LEAST_DOWN, O_MOST_DOWN, O_SIGMA, O_NOW, OWN_ENTRIES 
     S_LOOK,  # s, window of the conflict test
     S_RIGHT,  # rad, turn to the right when in conflict
     S_SPEED,  # greatest speed, m/s
+    S_CLIMB,  # greatest climb, m/s
+    S_DESCENT,  # greatest descent, m/s
+    S_ACCELERATION,  # greatest change of the command, m/s^2
+    S_PERIOD,  # between two decisions, s
+    S_RECOVERY,  # T: time to close the gap to the path's point, s
+    S_TURN,  # s before and after over which the path's corners are rounded, above 0
+    S_QUIET,  # cycles without conflict before the published law recovers
+    S_REGAINED,  # m from the path's point that count as back on it
     SETTINGS_ENTRIES,
-) = range(11)
+) = range(20)
+DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
+# Entries of `state`, what a law remembers: the last command and its time (NaN before the first one), quiet
+# cycles, by how much the path is delayed, samples in the history of own velocities.
+L_COMMAND, L_TIME, L_QUIET, L_DELAY, L_HISTORY, STATE_ENTRIES = 0, 3, 4, 5, 6, 7
 # Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time, distance at the closest.
 V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE, VIEW_COLUMNS = 0, 3, 4, 5, 6, 7
+# Entries of `out`: the command, what would be flown alone; 0 or 1: every plane kept, a volume would be
+# broken by flying alone, on the way back to the path.
+R_CHOSEN, R_WANTED, R_FEASIBLE, R_CONFLICT, R_RECOVERING, OUT_ENTRIES = 0, 3, 6, 7, 8, 9
 
 HARD = 2
 """Hard planes of a decision: the least and the greatest down speed."""
+BOUNDARY_LAG_S = 1.0
+"""From a decision to the vehicle's answer, at floor and ceiling: autopilot lag, period and latency."""
+RESTART_S = 1.0
+"""After a pause longer than this (and five periods) the command starts again from the velocity flown."""
+HISTORY_SPACING_S = 0.04
+HISTORY_SAMPLES = 1024
+"""Half of them stay when they are full: at this spacing 20 s, more than the oldest message's age."""
 
 
 @_compiled
@@ -316,6 +341,28 @@ def closest(
 
 
 @_compiled
+def note_velocity(
+    state: Array, times: Array, velocities: Array, now: float, vn: float, ve: float, vd: float
+) -> None:
+    """Add an own velocity to the history, oldest first; what is not newer or not finite is passed over."""
+    n = int(state[L_HISTORY])
+    if not math.isfinite(now + vn + ve + vd) or (n > 0 and now <= times[n - 1]):
+        return
+    if n > 1 and times[n - 1] - times[n - 2] < HISTORY_SPACING_S:
+        n -= 1  # a fast caller: the newest sample moves along
+    elif n == len(times):
+        half = n // 2
+        for i in range(half):
+            times[i] = times[n - half + i]
+            for c in range(3):
+                velocities[i, c] = velocities[n - half + i, c]
+        n = half
+    times[n] = now
+    velocities[n, 0], velocities[n, 1], velocities[n, 2] = vn, ve, vd
+    state[L_HISTORY] = n + 1
+
+
+@_compiled
 def own_velocity_at(times: Array, velocities: Array, count: int, t: float) -> tuple[float, float, float]:
     """Own velocity at a time, between the samples of the history; its first or last one outside of it."""
     if t <= times[0]:
@@ -338,10 +385,136 @@ def own_velocity_at(times: Array, velocities: Array, count: int, t: float) -> tu
 
 
 @_compiled
-def decide(
+def path_position(times: Array, points: Array, t: float) -> tuple[float, float, float]:
+    """Point of a timed path at a time; its first or last point outside of its own time.
+
+    Args:
+        times: shape (K,), strictly rising, s.
+        points: shape (K, 3), NED, m.
+    """
+    last = len(times) - 1
+    if t <= times[0]:
+        return points[0, 0], points[0, 1], points[0, 2]
+    if t >= times[last]:
+        return points[last, 0], points[last, 1], points[last, 2]
+    low, high = 0, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if times[middle] <= t:
+            low = middle
+        else:
+            high = middle
+    k = (t - times[low]) / (times[high] - times[low])
+    return (
+        points[low, 0] + k * (points[high, 0] - points[low, 0]),
+        points[low, 1] + k * (points[high, 1] - points[low, 1]),
+        points[low, 2] + k * (points[high, 2] - points[low, 2]),
+    )
+
+
+@_compiled
+def path_nearest(
+    times: Array, points: Array, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Time and place of a path's point nearest to a position; the earliest of equally near ones."""
+    least = math.inf
+    t = n = e = d = 0.0
+    for i in range(len(times) - 1):
+        ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
+        sx, sy, sz = points[i + 1, 0] - ax, points[i + 1, 1] - ay, points[i + 1, 2] - az
+        gx, gy, gz = x - ax, y - ay, z - az
+        length2 = sx * sx + sy * sy + sz * sz
+        share = 0.0
+        if length2 > 0.0:
+            share = min(max((gx * sx + gy * sy + gz * sz) / length2, 0.0), 1.0)
+        gx, gy, gz = gx - share * sx, gy - share * sy, gz - share * sz
+        gap2 = gx * gx + gy * gy + gz * gz
+        if gap2 < least:
+            least = gap2
+            t = times[i] + share * (times[i + 1] - times[i])
+            n, e, d = ax + share * sx, ay + share * sy, az + share * sz
+    return t, n, e, d
+
+
+@_compiled
+def _clipped(n: float, e: float, d: float, speed: float) -> tuple[float, float, float]:
+    """The velocity, shortened to a speed where it is faster."""
+    length = math.sqrt(n * n + e * e + d * d)
+    if length <= speed:
+        return n, e, d
+    k = speed / length
+    return n * k, e * k, d * k
+
+
+@_compiled
+def _closing(room: float, acceleration: float) -> float:
+    """Speed at which it still stops at a boundary: v lag + v^2 / (2 a) = room; beyond it, the way back."""
+    if room <= 0.0:
+        return room / BOUNDARY_LAG_S
+    lag = acceleration * BOUNDARY_LAG_S
+    return math.sqrt(lag * lag + 2.0 * acceleration * room) - lag
+
+
+@_compiled
+def _down_speeds(own: Array, settings: Array) -> tuple[float, float]:
+    """Least and greatest down speed: climb, descent, and what still stops before floor and ceiling."""
+    down, acceleration = own[O_POSITION + 2], settings[S_ACCELERATION]
+    least, most = -settings[S_CLIMB], settings[S_DESCENT]
+    most = min(max(_closing(own[O_FLOOR] - down, acceleration), least), most)
+    least = min(max(-_closing(down - own[O_CEILING], acceleration), least), settings[S_DESCENT])
+    return least, most
+
+
+@_compiled
+def _preferred(
+    own: Array, times: Array, points: Array, settings: Array, delay: float, least: float, most: float
+) -> tuple[float, float, float]:
+    """Along the path, and back to its point within T.
+
+    The velocity along the path turns ahead of a corner, over the time that the acceleration limit needs:
+    without that the aircraft overshoots and is led back by the gap alone. No feed-forward after the end.
+    """
+    t, half = own[O_PATH_TIME] - delay, settings[S_TURN]
+    n, e, d = path_position(times, points, t)
+    an, ae, ad = path_position(times, points, t - half)
+    bn, be, bd = path_position(times, points, t + half)
+    mean, gain = 0.5 / half, 1.0 / settings[S_RECOVERY]
+    vn = mean * (bn - an) + gain * (n - own[O_POSITION])
+    ve = mean * (be - ae) + gain * (e - own[O_POSITION + 1])
+    vd = mean * (bd - ad) + gain * (d - own[O_POSITION + 2])
+    return _clipped(vn, ve, min(max(vd, least), most), settings[S_SPEED])
+
+
+@_compiled
+def _published_recovery(
+    own: Array, times: Array, points: Array, settings: Array, state: Array
+) -> tuple[float, float, float]:
+    """The paper's way back to the path, both cases; above v_max the path is delayed by the time it costs."""
+    t = own[O_PATH_TIME] - state[L_DELAY]
+    pn, pe, pd = own[O_POSITION], own[O_POSITION + 1], own[O_POSITION + 2]
+    nearest, n, e, d = path_nearest(times, points, pn, pe, pd)
+    within = nearest - t
+    if within <= 0.0:
+        n, e, d = path_position(times, points, t)
+        within = settings[S_RECOVERY]
+    gap = math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
+    longer = gap / settings[S_SPEED]
+    if longer > within:
+        state[L_DELAY] += longer - within
+        within = longer
+    return (n - pn) / within, (e - pe) / within, (d - pd) / within
+
+
+@_compiled
+def _avoid(
     neighbours: Array,
     count: int,
     own: Array,
+    wn: float,
+    we: float,
+    wd: float,
+    least: float,
+    most: float,
     settings: Array,
     history_times: Array,
     history_velocities: Array,
@@ -351,25 +524,9 @@ def decide(
     view: Array,
     out: Array,
 ) -> tuple[bool, bool]:
-    """One aircraft's decision: predict the others, build the half-spaces, keep right, solve.
-
-    Args:
-        neighbours: shape (at least count, NEIGHBOUR_COLUMNS); NED, m and m/s, at each message's own time.
-        own: OWN_ENTRIES values.
-        settings: SETTINGS_ENTRIES values.
-        history_times, history_velocities: shapes (H,) and (H, 3); own velocities (NED) at rising times; the
-            first `history_count` (at least one) are used. A plane takes the own velocity at the time of the
-            neighbour's sample.
-        planes, scratch: shape (at least HARD + count, 4); written.
-        view: shape (at least count, VIEW_COLUMNS); written.
-        out: shape (3,); the velocity, NED, m/s.
-
-    Returns:
-        Whether every plane is kept, and whether flying the preferred velocity breaks any volume.
-    """
-    planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = 0.0, 0.0, 1.0, own[O_LEAST_DOWN]
-    planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3] = 0.0, 0.0, -1.0, -own[O_MOST_DOWN]
-    wn, we, wd = own[O_PREFERRED], own[O_PREFERRED + 1], own[O_PREFERRED + 2]
+    """Predict the others, build the half-spaces, keep right, solve; whether feasible, whether in conflict."""
+    planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = 0.0, 0.0, 1.0, least
+    planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3] = 0.0, 0.0, -1.0, -most
     scale = settings[S_VERTICAL]
     conflict = False
     for j in range(count):
@@ -440,6 +597,87 @@ def limit(
     return n, e, down
 
 
+@_compiled
+def decide(
+    neighbours: Array,
+    count: int,
+    own: Array,
+    path_times: Array,
+    path_points: Array,
+    settings: Array,
+    state: Array,
+    history_times: Array,
+    history_velocities: Array,
+    planes: Array,
+    scratch: Array,
+    view: Array,
+    out: Array,
+) -> None:
+    """One aircraft's decision by the law of its settings.
+
+    Args:
+        neighbours: shape (at least count, NEIGHBOUR_COLUMNS); NED, m and m/s, at each message's own time.
+        own: OWN_ENTRIES values.
+        path_times, path_points: shapes (K,) and (K, 3): the timed path, before any delay.
+        settings: SETTINGS_ENTRIES values.
+        state: STATE_ENTRIES values; written.
+        history_times, history_velocities: shapes (H,) and (H, 3); own velocities (NED) at rising times;
+            written. A plane takes the own velocity at the time of the neighbour's sample.
+        planes, scratch: shape (at least HARD + count, 4); written.
+        view: shape (at least count, VIEW_COLUMNS); written.
+        out: OUT_ENTRIES values; written.
+    """
+    law, now, speed = settings[S_LAW], own[O_NOW], settings[S_SPEED]
+    vn, ve, vd = own[O_VELOCITY], own[O_VELOCITY + 1], own[O_VELOCITY + 2]
+    least, most = _down_speeds(own, settings)
+    if law == PAPER:
+        # The current velocity is both what is tested for conflict and what is to be kept.
+        state[L_HISTORY] = 0.0
+        wn, we, wd = vn, ve, vd
+    else:
+        wn, we, wd = _preferred(own, path_times, path_points, settings, state[L_DELAY], least, most)
+    note_velocity(state, history_times, history_velocities, now, vn, ve, vd)
+    feasible, conflict = _avoid(
+        neighbours, count, own, wn, we, wd, least, most, settings,
+        history_times, history_velocities, int(state[L_HISTORY]), planes, scratch, view, out,
+    )  # fmt: skip
+    if law == PAPER:
+        state[L_QUIET] = 0.0 if conflict else state[L_QUIET] + 1.0
+        recovering = state[L_QUIET] >= settings[S_QUIET]
+        if recovering:
+            wn, we, wd = _published_recovery(own, path_times, path_points, settings, state)
+            out[0], out[1], out[2] = wn, we, wd
+    else:
+        n, e, d = path_position(path_times, path_points, own[O_PATH_TIME] - state[L_DELAY])
+        gap2 = (n - own[O_POSITION]) ** 2 + (e - own[O_POSITION + 1]) ** 2 + (d - own[O_POSITION + 2]) ** 2
+        recovering = gap2 > settings[S_REGAINED] ** 2 and not (conflict and law == DMUCA)
+        if law == NONE:
+            feasible = True
+            out[0], out[1], out[2] = wn, we, wd
+    period = settings[S_PERIOD]
+    passed = now - state[L_TIME]
+    if not passed <= max(RESTART_S, 5.0 * period):  # the first time NaN
+        passed = period
+        down = min(max(vd, -settings[S_CLIMB]), settings[S_DESCENT])
+        state[0], state[1], state[2] = _clipped(vn, ve, down, speed)
+    change = settings[S_ACCELERATION] * max(passed, 0.0)
+    n, e, d = limit(out, state, change, least, most, speed)
+    state[0], state[1], state[2], state[L_TIME] = n, e, d, now
+    out[0], out[1], out[2] = n, e, d
+    out[R_WANTED], out[R_WANTED + 1], out[R_WANTED + 2] = wn, we, wd
+    out[R_FEASIBLE] = 1.0 if feasible else 0.0
+    out[R_CONFLICT] = 1.0 if conflict else 0.0
+    out[R_RECOVERING] = 1.0 if recovering else 0.0
+
+
+@_compiled
+def begin(state: Array, settings: Array) -> None:
+    """What a law remembers before its first decision; the published one begins as after a recovery."""
+    state[:] = 0.0
+    state[L_TIME] = math.nan
+    state[L_QUIET] = settings[S_QUIET]
+
+
 def warm_up() -> None:
     """Compile, or load from the cache, everything that a decision calls.
 
@@ -448,12 +686,15 @@ def warm_up() -> None:
     """
     neighbours = np.zeros((2, NEIGHBOUR_COLUMNS))
     neighbours[0, :2] = neighbours[1, :2] = 3.0
-    settings = np.ones(SETTINGS_ENTRIES)
-    own = np.zeros(OWN_ENTRIES)
+    times, velocities = np.zeros(4), np.zeros((4, 3))
+    path = np.arange(2.0), np.zeros((2, 3))
     planes, scratch = np.zeros((HARD + 2, 4)), np.zeros((HARD + 2, 4))
-    out = np.zeros(3)
+    view, state, settings = np.zeros((2, VIEW_COLUMNS)), np.zeros(STATE_ENTRIES), np.ones(SETTINGS_ENTRIES)
+    begin(state, settings)
+    note_velocity(state, times, velocities, 0.0, 0.0, 0.0, 0.0)
     decide(
-        neighbours, 2, own, settings, np.zeros(1), np.zeros((1, 3)), 1, planes, scratch,
-        np.zeros((2, VIEW_COLUMNS)), out,
+        neighbours, 2, np.zeros(OWN_ENTRIES), *path, settings, state, times, velocities,
+        planes, scratch, view, np.zeros(OUT_ENTRIES),
     )  # fmt: skip
-    limit(out, out, 1.0, -1.0, 1.0, 1.0)
+    path_position(*path, 0.0)
+    path_nearest(*path, 0.0, 0.0, 0.0)

@@ -1,12 +1,15 @@
 """Decide: from the own state, the timed path and what was heard, one velocity to fly (paper section II).
 
-Three laws share one interface, the same limits and the same kernels:
+Three laws share one interface, the same limits and the same kernel:
 
-- `DmucaLaw` flies. The preferred velocity always leads back to the timed path and always passes through ORCA;
+- "dmuca" flies. The preferred velocity always leads back to the timed path and always passes through ORCA;
   planes are built from the own velocity at the time of each neighbour's sample, so that both sides of an
   encounter split the same geometry; radii grow with declared inaccuracy and age.
-- `PaperLaw` is the published law to the letter, for comparison.
-- `NoAvoidance` follows the path and looks at nobody: the baseline.
+- "paper" is the published law to the letter, for comparison: ORCA around the current velocity, then a
+  recovery that looks at nobody. Where the paper is silent: the flight begins on the path (as after a
+  recovery); overlapping volumes are to part within one period; the command obeys the same limits as every
+  other law's.
+- "none" follows the path and looks at nobody, but reports the tracks: the baseline.
 
 Nothing here reads a clock, a socket or a file, or draws a random number.
 """
@@ -17,7 +20,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -38,14 +40,8 @@ VERTICAL_SCALE = 0.85
 OVERLAP_S = 2.0
 LOOK_S = 30.0
 KEEP_RIGHT_RAD = 0.2
-BOUNDARY_LAG_S = 1.0
-"""From a decision to the vehicle's answer, at floor and ceiling: autopilot lag, period and latency."""
 
-_RESTART_S = 1.0
-"""After a pause longer than this (and five periods) the command starts again from the velocity flown."""
-_HISTORY_SPACING_S = 0.04
-_HISTORY_SAMPLES = 1024
-"""Half of them stay when they are full: at this spacing 20 s, more than the oldest message's age."""
+_LEAST_TURN_S = 0.01
 _BELIEVABLE = 1e7
 """m, m/s: beyond it a neighbour's number is as good as none."""
 
@@ -102,17 +98,34 @@ class LawResult:
     tracks: tuple[TrackView, ...]
 
 
-class Law(Protocol):
-    """One aircraft's law; keeps the own velocity's history and the last command."""
+class Law:
+    """One aircraft's law; keeps the own velocity's history, the last command and the path's delay.
+
+    Checks and fills the tables of `kernels.decide`, which decides, and reads its answer.
+    """
+
+    def __init__(self, avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> None:
+        self._planned = self._trajectory = trajectory
+        self._path = trajectory.arrays
+        self._settings = settings_of(avoidance, limits, trajectory)
+        self._state = np.zeros(k.STATE_ENTRIES)
+        k.begin(self._state, self._settings)
+        self._times, self._velocities = np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3))
+        self._own, self._out = np.zeros(k.OWN_ENTRIES), np.zeros(k.OUT_ENTRIES)
+        self._room(32)
 
     @property
     def trajectory(self) -> Trajectory:
         """The path as it is flown now (a law may delay it)."""
-        ...
+        delay_s = self._state[k.L_DELAY]
+        if self._trajectory.start_s != self._planned.start_s + delay_s:
+            self._trajectory = self._planned.delayed(delay_s)
+        return self._trajectory
 
     def note_velocity(self, now_s: float, velocity_ned_mps: Vec3) -> None:
         """Own velocity between decisions; what is not newer or not finite is passed over."""
-        ...
+        n, e, d = map(float, velocity_ned_mps)
+        k.note_velocity(self._state, self._times, self._velocities, float(now_s), n, e, d)
 
     def decide(self, situation: Situation) -> LawResult:
         """One decision.
@@ -120,81 +133,31 @@ class Law(Protocol):
         Raises:
             ValueError: the own state is not finite, or the ceiling lies below the floor.
         """
-        ...
-
-
-def make_law(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> Law:
-    """The law that the configuration names."""
-    kinds: dict[str, type[DmucaLaw | PaperLaw | NoAvoidance]]
-    kinds = {"dmuca": DmucaLaw, "paper": PaperLaw, "none": NoAvoidance}
-    return kinds[avoidance.law](avoidance, limits, trajectory)
-
-
-class _History:
-    """Own velocities of the last seconds, oldest first."""
-
-    def __init__(self) -> None:
-        self.times = np.zeros(_HISTORY_SAMPLES)
-        self.velocities = np.zeros((_HISTORY_SAMPLES, 3))
-        self.count = 0
-
-    def note(self, now_s: float, velocity: Vec3) -> None:
-        if not all(map(math.isfinite, (now_s, *velocity))):
-            return
-        n = self.count
-        if n and now_s <= self.times[n - 1]:
-            return
-        if n > 1 and self.times[n - 1] - self.times[n - 2] < _HISTORY_SPACING_S:
-            n -= 1  # a fast caller: the newest sample moves along
-        elif n == _HISTORY_SAMPLES:
-            n //= 2
-            self.times[:n] = self.times[-n:]
-            self.velocities[:n] = self.velocities[-n:]
-        self.times[n] = now_s
-        self.velocities[n] = velocity
-        self.count = n + 1
-
-
-class _Common:
-    """What all laws share: the neighbours' table, the limits, the last command."""
-
-    def __init__(self, avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> None:
-        self._avoidance = avoidance
-        self._trajectory = trajectory
-        self._turn_s = 0.5 * trajectory.largest_turn_mps() / limits.max_acceleration_mps2
-        # Plain floats: a whole number in the limits would compile a kernel anew, in flight.
-        self._speed = float(limits.max_speed_mps)
-        self._climb = min(float(limits.max_climb_mps), self._speed)
-        self._descent = min(float(limits.max_descent_mps), self._speed)
-        self._acceleration = float(limits.max_acceleration_mps2)
-        self._settings = self._make_settings()
-        self._history = _History()
-        self._own = np.zeros(k.OWN_ENTRIES)
-        self._out = np.zeros(3)
-        self._previous = np.zeros(3)
-        self._commanded_s: float | None = None
-        self._room(32)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        return self._trajectory
-
-    def note_velocity(self, now_s: float, velocity_ned_mps: Vec3) -> None:
-        self._history.note(now_s, velocity_ned_mps)
-
-    def _make_settings(self) -> k.Array:
-        settings = np.zeros(k.SETTINGS_ENTRIES)
-        settings[k.S_RADIUS] = 2.0 * self._avoidance.conflict_radius_m
-        settings[k.S_LEAST_MARGIN] = LEAST_MARGIN_M
-        settings[k.S_SIGMAS] = SIGMAS
-        settings[k.S_AGE_MARGIN] = AGE_MARGIN_MPS
-        settings[k.S_VERTICAL] = VERTICAL_SCALE
-        settings[k.S_HORIZON] = self._avoidance.horizon_s
-        settings[k.S_OVERLAP] = OVERLAP_S
-        settings[k.S_LOOK] = LOOK_S
-        settings[k.S_RIGHT] = KEEP_RIGHT_RAD
-        settings[k.S_SPEED] = self._speed
-        return settings
+        self._own[:] = _own_row(situation)
+        usable = self._take(situation.neighbours)
+        k.decide(
+            self._neighbours,
+            len(usable),
+            self._own,
+            *self._path,
+            self._settings,
+            self._state,
+            self._times,
+            self._velocities,
+            self._planes,
+            self._scratch,
+            self._view,
+            self._out,
+        )
+        view, out = self._view[: len(usable)].tolist(), self._out.tolist()
+        return LawResult(
+            wanted_ned_mps=(out[3], out[4], out[5]),
+            chosen_ned_mps=(out[0], out[1], out[2]),
+            feasible=out[k.R_FEASIBLE] != 0.0,
+            conflict=out[k.R_CONFLICT] != 0.0,
+            recovering=out[k.R_RECOVERING] != 0.0,
+            tracks=tuple(map(_track, usable, view)),
+        )
 
     def _room(self, count: int) -> None:
         self._neighbours = np.zeros((count, k.NEIGHBOUR_COLUMNS))
@@ -224,162 +187,51 @@ class _Common:
         self._neighbours[: len(usable)] = rows
         return usable
 
-    def _begin(self, s: Situation) -> tuple[float, float]:
-        """Check the own state, note it; the least and the greatest down speed."""
-        state = (*s.position_ned_m, *s.velocity_ned_mps, s.sigma_m)
-        if not (math.isfinite(s.now_s) and math.isfinite(s.path_time_s)):
-            raise ValueError(f"time is not finite: now {s.now_s} s, path {s.path_time_s} s")
-        if not all(-_BELIEVABLE < x < _BELIEVABLE for x in state):  # NaN fails too
-            raise ValueError(f"own state is not a finite place and velocity: {state}")
-        self._history.note(s.now_s, s.velocity_ned_mps)
-        return self._down_speeds(s)
 
-    def _down_speeds(self, s: Situation) -> tuple[float, float]:
-        """Climb, descent, and what still stops before floor and ceiling."""
-        least, most = -self._climb, self._descent
-        floor, ceiling, down = s.floor_down_m, s.ceiling_down_m, s.position_ned_m[2]
-        if floor is not None:
-            if not math.isfinite(floor) or (ceiling is not None and ceiling >= floor):
-                raise ValueError(f"floor (down {floor} m) must be finite and below the ceiling ({ceiling} m)")
-            most = min(max(_closing(floor - down, self._acceleration), least), most)
-        if ceiling is not None:
-            if not math.isfinite(ceiling):
-                raise ValueError(f"ceiling (down {ceiling} m) is not finite")
-            least = min(max(-_closing(down - ceiling, self._acceleration), -self._climb), self._descent)
-        return least, most
-
-    def _avoid(
-        self, s: Situation, wish: Vec3, least: float, most: float
-    ) -> tuple[bool, bool, tuple[TrackView, ...]]:
-        """Run the kernel: whether feasible, whether in conflict, the tracks; its velocity is in `_out`."""
-        usable = self._take(s.neighbours)
-        self._own[:] = (*s.position_ned_m, *wish, least, most, s.sigma_m, s.now_s)
-        history = self._history
-        feasible, conflict = k.decide(
-            self._neighbours,
-            len(usable),
-            self._own,
-            self._settings,
-            history.times,
-            history.velocities,
-            history.count,
-            self._planes,
-            self._scratch,
-            self._view,
-            self._out,
-        )
-        view = self._view[: len(usable)].tolist()
-        return feasible, conflict, tuple(map(_track, usable, view))
-
-    def _limited(self, s: Situation, least: float, most: float) -> Vec3:
-        """The velocity in `_out` within every limit, seen from the last command; becomes the last command."""
-        period = float(self._avoidance.period_s)
-        dt = period if self._commanded_s is None else s.now_s - self._commanded_s
-        if self._commanded_s is None or dt > max(_RESTART_S, 5.0 * period):
-            n, e, d = s.velocity_ned_mps
-            self._previous[:] = _clipped((n, e, min(max(d, -self._climb), self._descent)), self._speed)
-            dt = period
-        change = self._acceleration * max(float(dt), 0.0)
-        chosen: Vec3 = k.limit(self._out, self._previous, change, least, most, self._speed)
-        self._previous[:] = chosen
-        self._commanded_s = s.now_s
-        return chosen
-
-    def _preferred(self, s: Situation, least: float, most: float) -> Vec3:
-        """Along the path, and back to its point within T.
-
-        The velocity along the path turns ahead of a corner, over the time that the acceleration limit needs:
-        without that the aircraft overshoots and is led back by the gap alone. No feed-forward after the end.
-        """
-        path = self._trajectory
-        target = path.position(s.path_time_s)
-        velocity = path.mean_velocity(s.path_time_s, self._turn_s)
-        gain = 1.0 / self._avoidance.recovery_time_s
-        n, e, d = (v + gain * (p - q) for v, p, q in zip(velocity, target, s.position_ned_m, strict=True))
-        return _clipped((n, e, min(max(d, least), most)), self._speed)
-
-    def _off_path(self, s: Situation) -> bool:
-        target = self._trajectory.position(s.path_time_s)
-        return math.dist(target, s.position_ned_m) > self._avoidance.regained_m
-
-
-class DmucaLaw(_Common):
-    """The law that flies: preferred velocity with feed-forward, keep right, time-consistent planes."""
-
-    def decide(self, situation: Situation) -> LawResult:
-        """One decision. Raises ValueError as `Law.decide` says."""
-        least, most = self._begin(situation)
-        wanted = self._preferred(situation, least, most)
-        feasible, conflict, tracks = self._avoid(situation, wanted, least, most)
-        chosen = self._limited(situation, least, most)
-        recovering = not conflict and self._off_path(situation)
-        return LawResult(wanted, chosen, feasible, conflict, recovering, tracks)
-
-
-class NoAvoidance(_Common):
-    """Follow the path; the tracks are reported, not avoided."""
-
-    def decide(self, situation: Situation) -> LawResult:
-        """One decision. Raises ValueError as `Law.decide` says."""
-        least, most = self._begin(situation)
-        wanted = self._preferred(situation, least, most)
-        _, conflict, tracks = self._avoid(situation, wanted, least, most)
-        self._out[:] = wanted
-        chosen = self._limited(situation, least, most)
-        return LawResult(wanted, chosen, True, conflict, self._off_path(situation), tracks)
-
-
-class PaperLaw(_Common):
-    """The published law: ORCA around the current velocity, then a recovery that looks at nobody.
-
-    Where the paper is silent: the flight begins on the path (as after a recovery); overlapping volumes are to
-    part within one period; the command obeys the same limits as every other law's.
-    """
-
-    def __init__(self, avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> None:
-        super().__init__(avoidance, limits, trajectory)
-        self._quiet_cycles = avoidance.n_noncollide
-
-    def _make_settings(self) -> k.Array:
-        settings = np.zeros(k.SETTINGS_ENTRIES)  # no margin, no turn to the right
-        settings[k.S_RADIUS] = 2.0 * self._avoidance.conflict_radius_m
+def settings_of(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> k.Array:
+    """Settings of `kernels.decide` for one aircraft and its path, shape (SETTINGS_ENTRIES,)."""
+    settings = np.zeros(k.SETTINGS_ENTRIES)
+    settings[k.S_LAW] = {"dmuca": k.DMUCA, "paper": k.PAPER, "none": k.NONE}[avoidance.law]
+    settings[k.S_RADIUS] = 2.0 * avoidance.conflict_radius_m
+    settings[k.S_HORIZON] = avoidance.horizon_s
+    if avoidance.law == "paper":  # no margin, no turn to the right
         settings[k.S_VERTICAL] = 1.0
-        settings[k.S_HORIZON] = settings[k.S_LOOK] = self._avoidance.horizon_s
-        settings[k.S_OVERLAP] = self._avoidance.period_s
-        settings[k.S_SPEED] = self._speed
-        return settings
+        settings[k.S_LOOK] = avoidance.horizon_s
+        settings[k.S_OVERLAP] = avoidance.period_s
+    else:
+        settings[k.S_LEAST_MARGIN] = LEAST_MARGIN_M
+        settings[k.S_SIGMAS] = SIGMAS
+        settings[k.S_AGE_MARGIN] = AGE_MARGIN_MPS
+        settings[k.S_VERTICAL] = VERTICAL_SCALE
+        settings[k.S_OVERLAP] = OVERLAP_S
+        settings[k.S_LOOK] = LOOK_S
+        settings[k.S_RIGHT] = KEEP_RIGHT_RAD
+    settings[k.S_SPEED] = limits.max_speed_mps
+    settings[k.S_CLIMB] = min(limits.max_climb_mps, limits.max_speed_mps)
+    settings[k.S_DESCENT] = min(limits.max_descent_mps, limits.max_speed_mps)
+    settings[k.S_ACCELERATION] = limits.max_acceleration_mps2
+    settings[k.S_PERIOD] = avoidance.period_s
+    settings[k.S_RECOVERY] = avoidance.recovery_time_s
+    settings[k.S_TURN] = max(
+        0.5 * trajectory.largest_turn_mps() / limits.max_acceleration_mps2, _LEAST_TURN_S
+    )
+    settings[k.S_QUIET] = avoidance.n_noncollide
+    settings[k.S_REGAINED] = avoidance.regained_m
+    return settings
 
-    def decide(self, situation: Situation) -> LawResult:
-        """One decision. Raises ValueError as `Law.decide` says."""
-        least, most = self._begin(situation)
-        # The current velocity is both what is tested for conflict and what is to be kept.
-        wanted = situation.velocity_ned_mps
-        self._history.count = 0
-        self._history.note(situation.now_s, wanted)
-        feasible, conflict, tracks = self._avoid(situation, wanted, least, most)
-        self._quiet_cycles = 0 if conflict else self._quiet_cycles + 1
-        recovering = self._quiet_cycles >= self._avoidance.n_noncollide
-        if recovering:
-            wanted = self._recovery(situation)
-            self._out[:] = wanted
-        chosen = self._limited(situation, least, most)
-        return LawResult(wanted, chosen, feasible, conflict, recovering, tracks)
 
-    def _recovery(self, s: Situation) -> Vec3:
-        """Velocity back to the path; above v_max, the path is delayed by the time that clipping costs."""
-        t = s.path_time_s
-        t_nearest, nearest = self._trajectory.nearest(s.position_ned_m)
-        if t_nearest > t:
-            target, within = nearest, t_nearest - t
-        else:
-            target, within = self._trajectory.position(t), self._avoidance.recovery_time_s
-        gap = math.dist(target, s.position_ned_m)
-        speed = self._speed
-        if gap > speed * within:
-            self._trajectory = self._trajectory.delayed(gap / speed - within)
-            within = gap / speed
-        n, e, d = ((a - b) / within for a, b in zip(target, s.position_ned_m, strict=True))
-        return (n, e, d)
+def _own_row(s: Situation) -> tuple[float, ...]:
+    """The own state as the kernels take it; raises ValueError as `Law.decide` says."""
+    state = (*s.position_ned_m, *s.velocity_ned_mps, s.sigma_m)
+    floor = math.inf if s.floor_down_m is None else s.floor_down_m
+    ceiling = -math.inf if s.ceiling_down_m is None else s.ceiling_down_m
+    if not (math.isfinite(s.now_s) and math.isfinite(s.path_time_s)):
+        raise ValueError(f"time is not finite: now {s.now_s} s, path {s.path_time_s} s")
+    if not all(-_BELIEVABLE < x < _BELIEVABLE for x in state):  # NaN fails too
+        raise ValueError(f"own state is not a finite place and velocity: {state}")
+    if not ceiling < floor:
+        raise ValueError(f"floor (down {floor} m) must be a number below the ceiling (down {ceiling} m)")
+    return (*state, s.now_s, s.path_time_s, floor, ceiling)
 
 
 def _track(neighbour: Neighbour, view: list[float]) -> TrackView:
@@ -393,18 +245,3 @@ def _track(neighbour: Neighbour, view: list[float]) -> TrackView:
         time_to_closest_s=view[k.V_TIME],
         closest_m=view[k.V_DISTANCE],
     )
-
-
-def _clipped(v: Vec3, speed: float) -> Vec3:
-    length = math.hypot(*v)
-    if length <= speed:
-        return v
-    return (v[0] * speed / length, v[1] * speed / length, v[2] * speed / length)
-
-
-def _closing(room_m: float, acceleration: float) -> float:
-    """Speed at which it still stops at a boundary: v lag + v^2 / (2 a) = room; beyond it, the way back."""
-    if room_m <= 0.0:
-        return room_m / BOUNDARY_LAG_S
-    a_lag = acceleration * BOUNDARY_LAG_S
-    return math.sqrt(a_lag * a_lag + 2.0 * acceleration * room_m) - a_lag

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from companion.autopilot.mission import path_from_mission
-from companion.avoidance.law import Law, make_law
+from companion.avoidance.law import Law
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import check_speeds
 from companion.config import Config, TrajectoryFile
@@ -112,7 +112,7 @@ class Plan:
             if own.utc_offset_s is None:
                 return self.refuse("it starts at a UTC and the vehicle does not know UTC yet")
             self._start_s = flight.start_utc_s - own.utc_offset_s
-        self.law = make_law(self._config.avoidance, limits, trajectory)
+        self.law = Law(self._config.avoidance, limits, trajectory)
         self.home_alt_msl_m = home
         self._said = None
         return []

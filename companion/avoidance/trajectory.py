@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.avoidance import kernels
 from companion.config import LimitsConfig
 from companion.errors import ConfigError
 from companion.events import Vec3
@@ -94,31 +95,21 @@ class Trajectory:
         """Time of the last waypoint: the expected arrival."""
         return self._times[-1]
 
+    @property
+    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Times, shape (K,), and waypoints, shape (K, 3), for the kernels."""
+        return self._times_array, self._points_array
+
     def position(self, t_s: float) -> Vec3:
         """Point of the path at a time; the first or last point outside the path's own time."""
-        if t_s <= self._times[0]:
-            return self._points[0]
-        if t_s >= self._times[-1]:
-            return self._points[-1]
-        k = bisect.bisect_right(self._times, t_s) - 1
-        n, e, d = self._points[k]
-        vn, ve, vd = self._legs[k]
-        dt = t_s - self._times[k]
-        return (n + vn * dt, e + ve * dt, d + vd * dt)
+        point: Vec3 = kernels.path_position(self._times_array, self._points_array, float(t_s))
+        return point
 
     def velocity(self, t_s: float) -> Vec3:
         """Velocity of the path at a time (at a waypoint: of the leg that begins); zero outside the path."""
         if not self._times[0] <= t_s < self._times[-1]:
             return _STILL
         return self._legs[bisect.bisect_right(self._times, t_s) - 1]
-
-    def mean_velocity(self, t_s: float, half_s: float) -> Vec3:
-        """Mean velocity from `half_s` before to `half_s` after a time: corners, start and end rounded off."""
-        if half_s <= 0.0:
-            return self.velocity(t_s)
-        a, b = self.position(t_s - half_s), self.position(t_s + half_s)
-        scale = 0.5 / half_s
-        return (scale * (b[0] - a[0]), scale * (b[1] - a[1]), scale * (b[2] - a[2]))
 
     def largest_turn_mps(self) -> float:
         """Largest change of velocity (m/s) at a waypoint; the path begins and ends at rest."""
@@ -127,16 +118,9 @@ class Trajectory:
 
     def nearest(self, position_ned_m: Vec3) -> tuple[float, Vec3]:
         """Time and place of the path's point nearest to a position; the earliest of equally near ones."""
-        start, step = self._points_array[:-1], np.diff(self._points_array, axis=0)
-        to_position = np.asarray(position_ned_m) - start
-        length2 = np.einsum("ij,ij->i", step, step)
-        along = np.einsum("ij,ij->i", to_position, step)
-        share = np.clip(np.divide(along, length2, out=np.zeros_like(along), where=length2 > 0.0), 0.0, 1.0)
-        gap = to_position - share[:, None] * step
-        k = int(np.argmin(np.einsum("ij,ij->i", gap, gap)))
-        t_s = self._times[k] + float(share[k]) * (self._times[k + 1] - self._times[k])
-        n, e, d = (start[k] + share[k] * step[k]).tolist()
-        return t_s, (n, e, d)
+        n, e, d = map(float, position_ned_m)
+        t_s, *point = kernels.path_nearest(self._times_array, self._points_array, n, e, d)
+        return t_s, (point[0], point[1], point[2])
 
     def max_speed(self) -> float:
         """Speed of the fastest leg (m/s)."""

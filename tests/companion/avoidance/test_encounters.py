@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from companion.avoidance.law import Law, Neighbour, Situation, make_law
+from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from sitl_mocks.scenario import CROSSING_S, encounter
@@ -136,7 +136,7 @@ def _least_distance(position: np.ndarray, step: np.ndarray) -> float:
 def laws_for(kind: str, aircraft: int, seed: int, avoidance: AvoidanceConfig) -> list[Law]:
     """One law for each aircraft of an encounter."""
     paths = encounter(kind, aircraft, seed)  # type: ignore[arg-type]
-    return [make_law(avoidance, LimitsConfig(), Trajectory.from_rows(rows)) for rows in paths]
+    return [Law(avoidance, LimitsConfig(), Trajectory.from_rows(rows)) for rows in paths]
 
 
 WINDOW = (CROSSING_S - 70.0, CROSSING_S + 60.0)

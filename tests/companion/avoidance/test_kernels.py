@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from companion.avoidance import kernels as k
-from companion.avoidance.law import Neighbour, Situation, make_law
+from companion.avoidance.law import Law, Neighbour, Situation, settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 
@@ -43,12 +43,13 @@ def unit(v: Any) -> np.ndarray:
 def test_warm_up_compiles_everything_that_flies() -> None:
     """After it, a decision with any neighbours compiles nothing more."""
     k.warm_up()
-    compiled = {f: len(f.signatures) for f in (k.decide, k.limit)}
+    flown = (k.decide, k.note_velocity, k.begin, k.path_position, k.path_nearest)
+    compiled = {f: len(f.signatures) for f in flown}
     assert all(compiled.values())
-    law = make_law(AvoidanceConfig(), LimitsConfig(), Trajectory([0, 9], [(0, 0, -50), (9, 0, -50)]))
+    law = Law(AvoidanceConfig(), LimitsConfig(), Trajectory([0, 9], [(0, 0, -50), (9, 0, -50)]))
     law.decide(Situation(1.0, 1.0, (0.0, 0.0, -50.0), (1.0, 0.0, 0.0), 1.0, (), -20.0, None))
     law.decide(Situation(2, 2, (0, 0, -50), (1, 0, 0), 1, (Neighbour("a", (5, 5, -50), (0, 0, 0), 1, 2),)))
-    assert {f: len(f.signatures) for f in (k.decide, k.limit)} == compiled
+    assert {f: len(f.signatures) for f in flown} == compiled
 
 
 def test_planes_of_the_oracle() -> None:
@@ -232,42 +233,42 @@ def test_own_velocity_history() -> None:
 
 @njit
 def _each(
-    own: Any, others: Any, settings: Any, times: Any, velocities: Any, work: Any, view: Any, out: Any
-) -> None:
+    own: Any, others: Any, path: Any, settings: Any, states: Any, times: Any, velocities: Any, work: Any,
+    view: Any, out: Any,
+) -> None:  # fmt: skip
     for i in range(len(own)):
         k.decide(
-            others[i],
-            others.shape[1],
-            own[i],
-            settings,
-            times,
-            velocities[i],
-            1,
-            work[0],
-            work[1],
-            view,
-            out[i],
-        )
+            others[i], others.shape[1], own[i], path[0], path[1], settings, states[i], times[i],
+            velocities[i], work[0], work[1], view, out[i],
+        )  # fmt: skip
 
 
 def test_a_compiled_loop_over_aircraft_calls_the_same_kernel() -> None:
     rng = np.random.default_rng(2)
     fleet, crowd = 20, 6
+    path = Trajectory([0, 100], [(0, 0, 0), (200, 0, 0)])
+    law = settings_of(AvoidanceConfig(), LimitsConfig(), path)
     own = np.zeros((fleet, k.OWN_ENTRIES))
     own[:, :6] = rng.normal(0, 3, (fleet, 6))
-    own[:, k.O_LEAST_DOWN], own[:, k.O_MOST_DOWN], own[:, k.O_SIGMA] = -2.0, 2.0, 1.5
+    own[:, k.O_SIGMA], own[:, k.O_PATH_TIME] = 1.5, 2.0
+    own[:, k.O_FLOOR], own[:, k.O_CEILING] = np.inf, -np.inf
     others = np.ones((fleet, crowd, k.NEIGHBOUR_COLUMNS))
     others[:, :, :6] = rng.normal(0, [40, 40, 15, 3, 3, 1], (fleet, crowd, 6))
-    law = np.array([10, 2, 3.8, 0.5, 0.85, 20, 2, 30, 0.2, 5], dtype=float)
-    assert len(law) == k.SETTINGS_ENTRIES
-    times, velocities = np.zeros(1), rng.normal(0, 2, (fleet, 1, 3))
+    states = np.zeros((fleet, k.STATE_ENTRIES))
+    times, velocities = np.zeros((fleet, 9)), np.zeros((fleet, 9, 3))
     work, view = np.zeros((2, k.HARD + crowd, 4)), np.zeros((crowd, k.VIEW_COLUMNS))
-    together, alone = np.zeros((fleet, 3)), np.zeros(3)
-    _each(own, others, law, times, velocities, work, view, together)
+    together, alone = np.zeros((fleet, k.OUT_ENTRIES)), np.zeros(k.OUT_ENTRIES)
+    for state in states:
+        k.begin(state, law)
+    before = states.copy()
+    _each(own, others, path.arrays, law, states, times, velocities, work, view, together)
     for i in range(fleet):
-        k.decide(others[i], crowd, own[i], law, times, velocities[i], 1, work[0], work[1], view, alone)
+        k.decide(
+            others[i], crowd, own[i], *path.arrays, law, before[i], np.zeros(9), np.zeros((9, 3)), *work,
+            view, alone,
+        )  # fmt: skip
         np.testing.assert_array_equal(alone, together[i])
-        assert np.linalg.norm(alone) <= 5.0 + 1e-9
+        assert 0.0 < np.linalg.norm(alone[:3]) <= 5.0 + 1e-9
 
 
 def test_uncompiled_gives_the_same_numbers() -> None:

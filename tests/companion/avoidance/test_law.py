@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.avoidance import kernels
-from companion.avoidance.law import Law, LawResult, Neighbour, PaperLaw, Situation, make_law
+from companion.avoidance.law import Law, LawResult, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 
@@ -24,7 +24,7 @@ NORTH = Trajectory([0, 200], [(0, 0, -50), (400, 0, -50)])  # 2 m/s
 
 
 def law(name: Any = "dmuca", path: Trajectory = NORTH, limits: LimitsConfig = LIMITS, **keys: Any) -> Law:
-    return make_law(AvoidanceConfig(law=name, **keys), limits, path)
+    return Law(AvoidanceConfig(law=name, **keys), limits, path)
 
 
 def situation(
@@ -292,10 +292,10 @@ def test_history_reaches_back_to_the_oldest_message(rate_hz: int) -> None:
     for step in range(60 * rate_hz + 1):
         one.note_velocity(step / rate_hz, (0.01 * step / rate_hz, 0.0, 0.0))
         if step % (7 * rate_hz) == 0 and step >= 16 * rate_hz:
-            h = one._history  # type: ignore[attr-defined]
+            count = int(one._state[kernels.L_HISTORY])
             for age in (0.0, 3.0, 15.0):
                 t = step / rate_hz - age
-                n, _, _ = kernels.own_velocity_at(h.times, h.velocities, h.count, t)
+                n, _, _ = kernels.own_velocity_at(one._times, one._velocities, count, t)
                 assert n == pytest.approx(0.01 * t, abs=1e-3)
 
 
@@ -364,7 +364,6 @@ def test_paper_delay_does_not_run_away() -> None:
 
 def test_paper_waits_for_n_cycles_and_is_blind_in_recovery() -> None:
     one = paper()
-    assert isinstance(one, PaperLaw)
     meeting = other((140.0, 0.0, -50.0), (-2.0, 0.0, 0.0), age=0.0)
     first = one.decide(situation(50.0, others=[meeting]))
     assert first.conflict
@@ -387,7 +386,9 @@ def test_paper_waits_for_n_cycles_and_is_blind_in_recovery() -> None:
 def test_nothing_is_compiled_in_flight() -> None:
     """Whatever number types configuration and state have, warm-up has compiled the kernels for them."""
     kernels.warm_up()
-    before = [len(f.signatures) for f in (kernels.decide, kernels.limit)]
+    k = kernels
+    compiled = (k.decide, k.note_velocity, k.begin, k.path_position, k.path_nearest)
+    before = [len(f.signatures) for f in compiled]
     whole = LimitsConfig(max_speed_mps=5, max_climb_mps=2, max_descent_mps=2, max_acceleration_mps2=1)
     path = Trajectory([0, 100], [(0, 0, -50), (100, 0, -50)])
     for name in LAWS:
@@ -396,7 +397,9 @@ def test_nothing_is_compiled_in_flight() -> None:
             one.note_velocity(0, (1, 0, 0))
             one.decide(Situation(1, 1, (0, 0, -50), (1, 0, 0), 1, others, -20, -100))
             one.decide(Situation(np.float64(2), 1, (np.float64(0), 0, -50), (1, 0, 0), 1, others))
-    assert [len(f.signatures) for f in (kernels.decide, kernels.limit)] == before
+            one.trajectory.position(3)
+            one.trajectory.nearest((1, 2, -50))
+    assert [len(f.signatures) for f in compiled] == before
 
 
 def test_cost_of_a_decision() -> None:
