@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from companion.command_line import parser_of, run_command
 from ground_tools import orca_check
 from ground_tools.atmc import command as atmc_command
+from ground_tools.campaign import command as campaign_command
 from ground_tools.channel import command as channel_command
 from ground_tools.inspect import command as inspect_command
 from ground_tools.inspect import picture
@@ -18,6 +19,7 @@ _EXAMPLES = """examples:
   ground-tools inspect runs/20260101T000000Z-demo
   ground-tools picture runs/20260101T000000Z-demo --out demo.png
   ground-tools orca check cases.json
+  ground-tools campaign run --generator S2 --aircraft 5 --seeds 1-1000
   ground-tools channel table --sides 500 --rates 9
   ground-tools paper all
   ground-tools atmc train --algorithm madqn --seeds 1-5
@@ -44,6 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     check.set_defaults(run=orca_check.run)
     channel = commands.add_parser("channel", help="the radio channel model: tables and pictures")
     channel_command.add_arguments(channel)
+    campaign = commands.add_parser("campaign", help="encounters flown by the thousand")
+    campaign_command.add_arguments(campaign)
     atmc = commands.add_parser("atmc", help="policies that choose transports and rates: training")
     atmc_command.add_arguments(atmc)
     return run_command(parser, argv)

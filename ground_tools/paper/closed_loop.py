@@ -8,12 +8,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
-import signal
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,8 +21,9 @@ from companion.runtime.warm import warm_up
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
 from ground_tools.figure import drawn
+from ground_tools.kept import Kept
 from ground_tools.paper import closed_loop_table as table
-from ground_tools.paper.closed_loop_cells import Cell
+from ground_tools.paper.closed_loop_cells import cell
 from ground_tools.paper.closed_loop_flights import (
     ATMC,
     CONDITIONS,
@@ -38,10 +35,14 @@ from ground_tools.paper.closed_loop_flights import (
     Row,
     rows_of,
 )
+from ground_tools.workers import in_parallel
 from sitl_mocks import settings
 from sitl_mocks.channel import parameters
 from sitl_mocks.choosing import read_policy
 from sitl_mocks.encounters import MAX_SIDE_BY_SIDE
+
+Cells = dict[tuple[str, str], Kept[Row]]
+"""By condition and method."""
 
 NAME: Final = "closed-loop"
 _CONFIG: Final = Path(__file__).parents[2] / "config"
@@ -127,9 +128,7 @@ def _check(args: argparse.Namespace) -> None:
             raise ConfigError(f"--{key}: {value}: allowed 1 to {most}")
 
 
-def plan(
-    args: argparse.Namespace, folder: Path
-) -> tuple[dict[tuple[str, str], Cell], list[tuple[tuple[str, str], Flight]]]:
+def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tuple[str, str], Flight]]]:
     """The cells that are asked for, and the flights that they lack, each with its cell's key.
 
     Raises:
@@ -144,7 +143,7 @@ def plan(
             policy = read_policy(wanted)
         except ConfigError as error:
             raise ConfigError(f"--policy: {error}; --methods without {ATMC} takes none") from error
-    cells: dict[tuple[str, str], Cell] = {}
+    cells: Cells = {}
     missing = []
     for condition in args.conditions:
         size = args.crowd if condition == DENSE else 1
@@ -152,8 +151,8 @@ def plan(
             # Without avoidance nothing hangs on the air.
             runs = seeds_of(args.seed, args.encounters, 1 if method == UNAVOIDED else size)
             flights = [Flight(condition, method, seeds, region, channel, policy) for seeds in runs]
-            cell = cells[condition, method] = Cell(folder, flights[0], size)
-            missing += [((condition, method), f) for f in flights if not set(f.seeds) <= cell.rows.keys()]
+            kept = cells[condition, method] = cell(folder, flights[0], size)
+            missing += [((condition, method), f) for f in flights if not set(f.seeds) <= kept.rows.keys()]
     return cells, missing
 
 
@@ -163,7 +162,7 @@ def seeds_of(seed: int, encounters: int, size: int) -> list[tuple[int, ...]]:
     return [tuple(range(first + at, first + at + size)) for at in range(0, encounters, size)]
 
 
-def _shown(args: argparse.Namespace, cells: dict[tuple[str, str], Cell]) -> dict[tuple[str, str], list[Row]]:
+def _shown(args: argparse.Namespace, cells: Cells) -> dict[tuple[str, str], list[Row]]:
     """The encounters that are asked for, in their order."""
     first = args.seed * _MAX_ENCOUNTERS
     wanted = range(first, first + args.encounters)
@@ -174,33 +173,21 @@ def _shown(args: argparse.Namespace, cells: dict[tuple[str, str], Cell]) -> dict
 
 
 def _fly(
-    cells: dict[tuple[str, str], Cell],
+    cells: Cells,
     missing: Sequence[tuple[tuple[str, str], Flight]],
     processes: int,
     words: Console,
 ) -> None:
     """Fly on several processes; each run is kept as soon as it is over."""
     warm_up()
-    with _pool(min(processes, len(missing))) as pool, progress("runs", len(missing)) as advance:
-        try:
-            futures = {pool.submit(rows_of, flight): key for key, flight in missing}
-            for future in as_completed(futures):
-                cells[futures[future]].add(future.result())
-                advance()
-        except KeyboardInterrupt:
-            # The workers do not hear Ctrl-C, and the pool would wait for what they have begun.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():
-                child.terminate()
-            words.print("interrupted; what was flown is kept, and the same command goes on from there")
-            raise
+    with progress("runs", len(missing)) as advance:
+        for (key, _), rows in in_parallel(_rows, missing, processes, words):
+            cells[key].add(rows)
+            advance()
 
 
-@contextmanager
-def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
-        yield pool
+def _rows(item: tuple[tuple[str, str], Flight]) -> list[Row]:
+    return rows_of(item[1])
 
 
 # ---------------------------------------------------------------- the picture

@@ -14,8 +14,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from ground_tools.intervals import Floats, bootstrap, wilson
 from ground_tools.paper.closed_loop_flights import ATMC, BEST_SET, METHODS, SEPARATION_M, Row
-from ground_tools.paper.intervals import Floats, bootstrap, wilson
 
 Interval = tuple[float, float]
 Rows = Mapping[tuple[str, str], Sequence[Row]]

@@ -17,8 +17,9 @@ import pytest
 from companion.errors import ConfigError
 from companion.remote_id.region import Region
 from ground_tools import cli
+from ground_tools.intervals import bootstrap, wilson
 from ground_tools.paper import closed_loop
-from ground_tools.paper.closed_loop_cells import Cell
+from ground_tools.paper.closed_loop_cells import cell as cell_of
 from ground_tools.paper.closed_loop_flights import (
     ATMC,
     BEST_SET,
@@ -30,7 +31,6 @@ from ground_tools.paper.closed_loop_flights import (
     scenario_of,
 )
 from ground_tools.paper.closed_loop_table import LOST, MEASURES, difference, json_rows, markdown, number
-from ground_tools.paper.intervals import bootstrap, wilson
 from sitl_mocks import settings
 from sitl_mocks.channel.parameters import ChannelParameters
 from tests.companion.atmc.policies import policy_file
@@ -157,31 +157,31 @@ def test_one_encounter_is_the_same_twice_and_is_lost_without_avoidance():
 
 
 def test_a_cell_is_read_again_and_refuses_other_settings(tmp_path):
-    cell = Cell(tmp_path, flight(), 1)
+    cell = cell_of(tmp_path, flight(), 1)
     cell.add([row(1), row(2)])
-    again = Cell(tmp_path, flight(seeds=(9,)), 1)
+    again = cell_of(tmp_path, flight(seeds=(9,)), 1)
     assert again.rows == {1: row(1), 2: row(2)}
     other = ChannelParameters(wifi_channels="random")
     with pytest.raises(ConfigError, match=r"sparse-wifi.jsonl: made with other settings \(channel: "):
-        Cell(tmp_path, flight(channel=other), 1)
+        cell_of(tmp_path, flight(channel=other), 1)
     with pytest.raises(ConfigError, match=r"crowd: 1, now 3"):
-        Cell(tmp_path, flight(), 3)
+        cell_of(tmp_path, flight(), 3)
 
 
 def test_another_policy_is_another_cell(tmp_path):
-    Cell(tmp_path, flight(method=ATMC, policy=b"one"), 1).add([row(1)])
+    cell_of(tmp_path, flight(method=ATMC, policy=b"one"), 1).add([row(1)])
     with pytest.raises(ConfigError, match="policy: "):
-        Cell(tmp_path, flight(method=ATMC, policy=b"two"), 1)
+        cell_of(tmp_path, flight(method=ATMC, policy=b"two"), 1)
 
 
 def test_a_torn_line_is_flown_again(tmp_path):
-    cell = Cell(tmp_path, flight(), 1)
+    cell = cell_of(tmp_path, flight(), 1)
     cell.add([row(1), row(2)])
     cell.path.write_text(cell.path.read_text()[:-20])
-    torn = Cell(tmp_path, flight(), 1)
+    torn = cell_of(tmp_path, flight(), 1)
     assert set(torn.rows) == {1}
     torn.add([row(2)])
-    assert set(Cell(tmp_path, flight(), 1).rows) == {1, 2}
+    assert set(cell_of(tmp_path, flight(), 1).rows) == {1, 2}
 
 
 def test_seeds_of_runs():
@@ -249,7 +249,7 @@ def test_ctrl_c_leaves_what_is_complete(tmp_path):
         process.kill()
     assert process.returncode not in (0, 2)
     assert b"interrupted" in told
-    cell = Cell(tmp_path / "closed-loop", _as_flown(), 1)
+    cell = cell_of(tmp_path / "closed-loop", _as_flown(), 1)
     assert 2 <= len(cell.rows) < 400
 
 

@@ -1,0 +1,209 @@
+"""`ground-tools campaign`: encounters flown by the thousand, and what the law is worth."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from companion.errors import ConfigError
+from ground_tools.campaign import cells as campaign
+from ground_tools.campaign.cells import Cell, Row
+from ground_tools.campaign.generators import NAMES
+from ground_tools.channel import options
+from ground_tools.channel.progress import progress
+from ground_tools.intervals import wilson
+from ground_tools.workers import in_parallel
+
+_MOST_SEEDS = 1_000_000
+_MOST_AIRCRAFT = 200
+_AIRCRAFT_AT_ONCE = 500
+"""Aircraft that a worker flies before it hands over what came of them."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The commands under `campaign`."""
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    command = commands.add_parser(
+        "run",
+        help="one kind of encounter, beside the same without avoidance",
+        description="Fly encounters with the companion's law and, for the risk ratio, the same ones without.",
+        epilog="example: ground-tools campaign run --generator S2 --aircraft 5 --delay 1 2 --seeds 1-1000",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.add_argument("--generator", required=True, choices=NAMES, metavar="NAME", help=", ".join(NAMES))
+    command.add_argument("--aircraft", type=int, default=5, metavar="N", help="default: 5")
+    command.add_argument("--delay", type=float, nargs=2, default=(0.0, 1.0), metavar=("A", "B"),
+                         help="of each message, drawn from A to B seconds (default: 0 1)")  # fmt: skip
+    command.add_argument("--seeds", default="1-100", metavar="FROM-TO", help="default: 1-100")
+    command.add_argument(
+        "--law", choices=("dmuca", "paper"), default="dmuca", help="who avoids (default: dmuca)"
+    )
+    command.add_argument("--speed", type=float, default=5.0, metavar="M/S", help="greatest (default: 5)")
+    command.add_argument("--loss", type=float, default=0.0, metavar="SHARE", help="of messages (default: 0)")
+    command.add_argument("--blind", type=float, default=0.0, metavar="SHARE",
+                         help="of aircraft that send and do not avoid (default: 0)")  # fmt: skip
+    command.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="keep what is flown there, and do not fly again what is (default: nowhere)",
+    )
+    command.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
+    command.add_argument("--json", action="store_true", help="one JSON object")
+    command.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """`ground-tools campaign run`. Returns 0.
+
+    Raises:
+        ConfigError: an option is wrong, or a file cannot be read or written.
+    """
+    cell, seeds = _cell(args), _seeds(args.seeds)
+    words = Console(stderr=True)
+    began = time.perf_counter()
+    unavoided = campaign.baseline(cell)
+    found, flown = fly_missing([cell, unavoided], seeds, args.out, _processes(args.processes), words)
+    report = summary(found[cell], found[unavoided])
+    report["wall_s"] = round(time.perf_counter() - began, 3)
+    report["flight_s"] = flown * campaign.duration_s(cell)
+    if args.json:
+        print(json.dumps(report, allow_nan=False))
+    else:
+        _show(cell, report, Console())
+    return 0
+
+
+def fly_missing(
+    wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, processes: int, words: Console
+) -> tuple[dict[Cell, list[Row]], int]:
+    """The rows of every cell, in the order of the seeds, and how many of them were flown now.
+
+    Args:
+        folder: where rows are kept and looked for; None: nowhere.
+
+    Raises:
+        ConfigError: a file cannot be read or written, or an encounter cannot be drawn.
+    """
+    rows: dict[Cell, dict[int, Row]] = {cell: {} for cell in wanted}
+    files = {}
+    if folder is not None:
+        options.make_folder(folder)
+        files = {cell: campaign.kept(folder, cell) for cell in wanted}
+        rows = {cell: dict(file.rows) for cell, file in files.items()}
+    parts = []
+    for cell in wanted:
+        missing = [seed for seed in seeds if seed not in rows[cell]]
+        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft)
+        parts += [(cell, missing[at : at + size]) for at in range(0, len(missing), size)]
+    if parts:
+        campaign.fly(wanted[0], parts[0][1][:1])  # compiled once, for all workers
+    with progress("flights", len(parts)) as advance:
+        for (cell, _), found in in_parallel(_fly, parts, processes, words):
+            if cell in files:
+                files[cell].add(found)
+            rows[cell].update((row.seed, row) for row in found)
+            advance()
+    flown = sum(len(missing) for _, missing in parts)
+    return {cell: [rows[cell][seed] for seed in seeds] for cell in wanted}, flown
+
+
+def _fly(part: tuple[Cell, list[int]]) -> list[Row]:
+    return campaign.fly(*part)
+
+
+def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
+    """What is printed of one cell, beside the same encounters without avoidance."""
+    losses, losses_unavoided = campaign.lost(rows), campaign.lost(unavoided)
+    low, high = wilson(losses, len(rows))
+    share = losses_unavoided / len(unavoided)
+    return {
+        "runs": len(rows),
+        "collisions": campaign.collided(rows),
+        "losses_of_separation": losses,
+        "unavoided_collisions": campaign.collided(unavoided),
+        "unavoided_losses_of_separation": losses_unavoided,
+        "min_separation_m": min(row.separation_m for row in rows),
+        "median_min_separation_m": campaign.median([row.separation_m for row in rows]),
+        "unavoided_median_min_separation_m": campaign.median([row.separation_m for row in unavoided]),
+        "worst_seed": min(rows, key=lambda row: row.separation_m).seed,
+        "risk_ratio": losses / len(rows) / share if share else None,
+        # Of the avoided share alone: that of the unavoided is near 1, and known far better.
+        "risk_ratio_interval": [low / share, high / share] if share else None,
+        "median_max_deviation_m": campaign.median([row.deviation_m for row in rows]),
+        "median_away_s": campaign.median([row.away_s for row in rows]),
+        "median_lost_s": campaign.median([row.lost_s for row in rows]),
+        "median_path_ratio": campaign.median([row.path_ratio for row in rows]),
+    }
+
+
+def _cell(args: argparse.Namespace) -> Cell:
+    low, high = args.delay
+    for key, value, least, most in (
+        ("aircraft", args.aircraft, 2, _MOST_AIRCRAFT),
+        ("speed", args.speed, 1.0, 50.0),
+        ("loss", args.loss, 0.0, 1.0),
+        ("blind", args.blind, 0.0, 1.0),
+    ):
+        if not least <= value <= most:
+            raise ConfigError(f"--{key}: {value:g}: allowed {least:g} to {most:g}")
+    if not 0.0 <= low <= high <= 60.0:
+        raise ConfigError(f"--delay: {low:g} {high:g}: allowed are two rising numbers from 0 to 60")
+    return Cell(
+        generator=args.generator,
+        aircraft=args.aircraft,
+        law=args.law,
+        speed_mps=args.speed,
+        delay_s=(low, high),
+        loss=args.loss,
+        blind=args.blind,
+    )
+
+
+def _seeds(text: str) -> range:
+    match = re.fullmatch(r"(\d+)-(\d+)", text)
+    if match is None or not int(match[1]) <= int(match[2]) < int(match[1]) + _MOST_SEEDS:
+        raise ConfigError(
+            f"--seeds: {text}: allowed is FROM-TO, rising, {_MOST_SEEDS:,} at most, such as 1-100"
+        )
+    return range(int(match[1]), int(match[2]) + 1)
+
+
+def _processes(asked: int | None) -> int:
+    if asked is not None and not 1 <= asked <= 1024:
+        raise ConfigError(f"--processes: {asked}: allowed 1 to 1024")
+    return asked or os.cpu_count() or 1
+
+
+def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
+    """The same in words."""
+    low, high = cell.delay_s
+    r = report
+    lines = [
+        f"{cell.generator}, {cell.aircraft} aircraft, law {cell.law}, delays {low:g} to {high:g} s: "
+        f"{r['runs']} runs",
+        f"lost separation ({campaign.SEPARATION_M:g} m): {r['losses_of_separation']}, collisions: "
+        f"{r['collisions']}; unavoided {r['unavoided_losses_of_separation']}, {r['unavoided_collisions']}",
+    ]
+    if r["risk_ratio"] is not None:
+        at_least, at_most = r["risk_ratio_interval"]
+        lines.append(f"risk ratio {r['risk_ratio']:.4f} (95 %: {at_least:.4f} to {at_most:.4f})")
+    lines += [
+        f"least separation: {r['min_separation_m']:.2f} m (seed {r['worst_seed']}), "
+        f"median {r['median_min_separation_m']:.2f} m; unavoided median "
+        f"{r['unavoided_median_min_separation_m']:.2f} m",
+        f"medians: largest deviation {r['median_max_deviation_m']:.1f} m, "
+        f"away for {r['median_away_s']:.1f} s, "
+        f"path delayed by {r['median_lost_s']:.1f} s, way flown {r['median_path_ratio']:.3f} of the planned",
+        f"{r['flight_s']:,.0f} s flown in {r['wall_s']:.1f} s",
+    ]
+    for line in lines:
+        words.print(line, highlight=False, soft_wrap=True)

@@ -1,0 +1,293 @@
+"""One flight of a fleet, all in compiled code: vehicles, GNSS errors, messages, the companion's own law.
+
+Vehicles answer a velocity command with a first-order lag and a limited acceleration. Every aircraft sends
+its state once a period, at its own phase; each of the others gets it after a delay of its own, or not at all.
+Positions carry a time-correlated GNSS error, the same in what is sent and what the aircraft flies by; sent
+velocities carry white noise, and messages are quantised as Remote ID does (ASTM F3411-22a). The decision is
+`companion.avoidance.kernels.decide`, as it flies.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Annotated, TypeVar, cast
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numba import config, njit
+from numpy.typing import NDArray
+
+from companion.avoidance import kernels as k
+from companion.avoidance.law import OLDEST_S
+
+Array = NDArray[np.float64]
+
+COLLISION_M = 2.0
+AWAY_M = 15.0
+"""Farther than this from the timed point counts as away from the path."""
+
+# Entries of `world`.
+(
+    W_START,  # s, on the paths' clock
+    W_END,  # s
+    W_STEP,  # s
+    W_PERIOD,  # steps from one decision to the next
+    W_MESSAGE,  # steps from one message to the next
+    W_DELAY_LOW,  # s
+    W_DELAY_HIGH,  # s
+    W_LOSS,  # share of messages that a receiver does not get
+    W_SIGMA,  # m for each axis
+    W_SIGMA_MEMORY,  # s
+    W_SIGMA_VELOCITY,  # m/s for each axis
+    W_DECLARED,  # m, what everybody says of the own position's error
+    W_QUANTISED,  # 0 or 1
+    W_LAG,  # s
+    W_ACCELERATION,  # m/s^2
+    WORLD_ENTRIES,
+) = range(16)
+# Columns of a message: its time (s), position, velocity.
+M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
+# What comes of a flight.
+(
+    F_SEPARATION,  # least distance of any pair, m
+    F_TIME,  # when, s
+    F_FIRST,  # of which pair
+    F_SECOND,
+    F_DEVIATION,  # largest distance of any aircraft from its timed point, m
+    F_AWAY,  # longest time that any of them was away from it, s
+    F_BACK,  # largest distance at the end, m
+    F_LOST,  # largest delay of a path, s
+    F_PATH_RATIO,  # way flown by all over way planned for all
+    F_MANOEUVRES,  # times that a conflict began, of all
+    F_INFEASIBLE,  # share of decisions that could not keep every plane
+    FLIGHT_ENTRIES,
+) = range(12)
+
+
+class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a fleet flies in."""
+
+    start_s: float = 0.0
+    end_s: float = 500.0
+    step_s: Annotated[float, Meta(gt=0)] = 0.1
+    delay_s: tuple[float, float] = (0.0, 1.0)
+    """Of every message to every receiver, drawn uniformly."""
+    loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    sigma_m: Annotated[float, Meta(ge=0)] = 1.5
+    """GNSS error, one standard deviation for each axis."""
+    sigma_memory_s: Annotated[float, Meta(gt=0)] = 30.0
+    sigma_mps: Annotated[float, Meta(ge=0)] = 0.3
+    declared_m: Annotated[float, Meta(ge=0)] = 1.5
+    quantised: bool = True
+    message_s: Annotated[float, Meta(gt=0)] = 1.0
+    lag_s: Annotated[float, Meta(gt=0)] = 0.5
+    acceleration_mps2: Annotated[float, Meta(gt=0)] = 2.5
+
+    def row(self, period_s: float) -> Array:
+        """As the kernel takes it, shape (WORLD_ENTRIES,)."""
+        row = np.zeros(WORLD_ENTRIES)
+        row[W_START], row[W_END], row[W_STEP] = self.start_s, self.end_s, self.step_s
+        row[W_PERIOD] = max(1, round(period_s / self.step_s))
+        row[W_MESSAGE] = max(1, round(self.message_s / self.step_s))
+        row[W_DELAY_LOW], row[W_DELAY_HIGH] = self.delay_s
+        row[W_LOSS], row[W_QUANTISED] = self.loss, self.quantised
+        row[W_SIGMA], row[W_SIGMA_MEMORY] = self.sigma_m, self.sigma_memory_s
+        row[W_SIGMA_VELOCITY], row[W_DECLARED] = self.sigma_mps, self.declared_m
+        row[W_LAG], row[W_ACCELERATION] = self.lag_s, self.acceleration_mps2
+        return row
+
+
+Function = TypeVar("Function")
+_LAW = hashlib.sha256(Path(k.__file__).read_bytes()).hexdigest()[:12]
+
+
+def _compiled(function: Function) -> Function:
+    """With a cache for each state of the law: numba looks only at the file of the function that is called,
+    and what is compiled here holds the law, too."""
+    held = vars(config)["CACHE_DIR"]
+    vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _LAW)
+    try:
+        return cast(Function, njit(cache=True, error_model="numpy")(function))
+    finally:
+        vars(config)["CACHE_DIR"] = held
+
+
+@_compiled
+def _quantise(message: Array) -> None:
+    """Speed in 0.25 m/s, direction in degrees, vertical speed in 0.5 m/s, 1e-7 degrees, heights in 0.5 m."""
+    speed = round(math.hypot(message[4], message[5]) / 0.25) * 0.25
+    course = round(math.atan2(message[5], message[4]) * 180.0 / math.pi) * math.pi / 180.0
+    message[1], message[2] = round(message[1] / 0.0111) * 0.0111, round(message[2] / 0.0111) * 0.0111
+    message[3] = round(message[3] / 0.5) * 0.5
+    message[4], message[5] = speed * math.cos(course), speed * math.sin(course)
+    message[6] = round(message[6] / 0.5) * 0.5
+
+
+@_compiled
+def _least_distance2(position: Array, before: Array, i: int, j: int) -> float:
+    """Square of the least distance of two aircraft on their straight ways of one step."""
+    px, py, pz = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1], before[j, 2] - before[i, 2]
+    dx, dy, dz = (
+        position[j, 0] - position[i, 0] - px,
+        position[j, 1] - position[i, 1] - py,
+        position[j, 2] - position[i, 2] - pz,
+    )
+    d2 = dx * dx + dy * dy + dz * dz
+    if d2 > 0.0:
+        share = min(max(-(px * dx + py * dy + pz * dz) / d2, 0.0), 1.0)
+        px, py, pz = px + share * dx, py + share * dy, pz + share * dz
+    return float(px * px + py * py + pz * pz)
+
+
+@_compiled
+def fly(
+    rng: np.random.Generator,
+    world: Array,
+    path_times: Array,
+    path_points: Array,
+    settings: Array,
+    trace: Array,
+    result: Array,
+) -> None:
+    """Fly a fleet along its paths.
+
+    Args:
+        rng: every draw of the flight.
+        world: WORLD_ENTRIES values.
+        path_times, path_points: shapes (A, K) and (A, K, 3): each aircraft's timed path, NED.
+        settings: shape (A, SETTINGS_ENTRIES): each aircraft's law.
+        trace: shape (steps, A, 3): true positions; written as far as it goes, empty where nobody looks.
+        result: FLIGHT_ENTRIES values; written.
+    """
+    fleet = path_times.shape[0]
+    step, lag, most = world[W_STEP], world[W_LAG], world[W_ACCELERATION]
+    steps = round((world[W_END] - world[W_START]) / step)
+    every, message_every = int(world[W_PERIOD]), int(world[W_MESSAGE])
+    slots = int(world[W_DELAY_HIGH] / (message_every * step)) + 2
+    keep = math.exp(-step / world[W_SIGMA_MEMORY])
+    fresh = math.sqrt(1.0 - keep * keep) * world[W_SIGMA]
+
+    position, before, velocity = np.zeros((fleet, 3)), np.zeros((fleet, 3)), np.zeros((fleet, 3))
+    error, command = np.zeros((fleet, 3)), np.zeros((fleet, 3))
+    phase = np.zeros(fleet, np.int64)
+    sent = np.zeros((fleet, slots, MESSAGE_COLUMNS))  # the sender's last messages
+    arrival = np.full((fleet, fleet, slots), math.inf)  # (receiver, sender, slot)
+    heard = np.zeros((fleet, fleet, MESSAGE_COLUMNS))
+    heard[:, :, M_TIME] = -math.inf
+    state = np.zeros((fleet, k.STATE_ENTRIES))
+    times, velocities = np.zeros((fleet, k.HISTORY_SAMPLES)), np.zeros((fleet, k.HISTORY_SAMPLES, 3))
+    own, neighbours = np.zeros(k.OWN_ENTRIES), np.zeros((fleet, k.NEIGHBOUR_COLUMNS))
+    planes, scratch = np.zeros((k.HARD + fleet, 4)), np.zeros((k.HARD + fleet, 4))
+    view, out = np.zeros((fleet, k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
+    in_conflict, away_since = np.zeros(fleet), np.full(fleet, math.inf)
+    flown = planned = manoeuvres = infeasible = decisions = 0.0
+    result[:] = 0.0
+    result[F_SEPARATION] = math.inf
+
+    for i in range(fleet):
+        n, e, d = k.path_position(path_times[i], path_points[i], world[W_START])
+        position[i, 0], position[i, 1], position[i, 2] = n, e, d
+        bn, be, bd = k.path_position(path_times[i], path_points[i], world[W_START] + step)
+        velocity[i, 0], velocity[i, 1], velocity[i, 2] = (bn - n) / step, (be - e) / step, (bd - d) / step
+        for c in range(3):
+            command[i, c] = velocity[i, c]
+            error[i, c] = rng.normal(0.0, world[W_SIGMA])
+        phase[i] = rng.integers(0, message_every)
+        k.begin(state[i], settings[i])
+
+    for tick in range(steps):
+        now = world[W_START] + tick * step
+        for i in range(fleet):
+            if (tick + phase[i]) % message_every == 0:
+                slot = ((tick + phase[i]) // message_every) % slots
+                message = sent[i, slot]
+                message[M_TIME] = now
+                for c in range(3):
+                    message[M_POSITION + c] = position[i, c] + error[i, c]
+                    message[M_VELOCITY + c] = velocity[i, c] + rng.normal(0.0, world[W_SIGMA_VELOCITY])
+                if world[W_QUANTISED] != 0.0:
+                    _quantise(message)
+                for j in range(fleet):
+                    if j != i:
+                        delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
+                        lost = world[W_LOSS] > 0.0 and rng.random() < world[W_LOSS]
+                        arrival[j, i, slot] = math.inf if lost else now + delay
+        if tick % every == 0:
+            for i in range(fleet):
+                count = 0
+                for j in range(fleet):
+                    if j == i:
+                        continue
+                    for slot in range(slots):
+                        if arrival[i, j, slot] <= now:
+                            arrival[i, j, slot] = math.inf
+                            if sent[j, slot, M_TIME] > heard[i, j, M_TIME]:
+                                heard[i, j] = sent[j, slot]
+                    age = now - heard[i, j, M_TIME]
+                    if age <= OLDEST_S:
+                        row = neighbours[count]
+                        for c in range(6):
+                            row[c] = heard[i, j, M_POSITION + c]
+                        row[k.N_AGE], row[k.N_SIGMA], row[k.N_VERTICAL] = age, world[W_DECLARED], 1.0
+                        count += 1
+                for c in range(3):
+                    own[k.O_POSITION + c] = position[i, c] + error[i, c]
+                    own[k.O_VELOCITY + c] = velocity[i, c]
+                own[k.O_SIGMA], own[k.O_NOW], own[k.O_PATH_TIME] = world[W_DECLARED], now, now
+                own[k.O_FLOOR], own[k.O_CEILING] = math.inf, -math.inf
+                k.decide(
+                    neighbours, count, own, path_times[i], path_points[i], settings[i], state[i], times[i],
+                    velocities[i], planes, scratch, view, out,
+                )  # fmt: skip
+                command[i, 0], command[i, 1], command[i, 2] = out[0], out[1], out[2]
+                decisions += 1.0
+                infeasible += 1.0 - out[k.R_FEASIBLE]
+                if out[k.R_CONFLICT] > in_conflict[i]:
+                    manoeuvres += 1.0
+                in_conflict[i] = out[k.R_CONFLICT]
+
+        for i in range(fleet):
+            an, ae, ad = (
+                (command[i, 0] - velocity[i, 0]) / lag,
+                (command[i, 1] - velocity[i, 1]) / lag,
+                (command[i, 2] - velocity[i, 2]) / lag,
+            )
+            size = math.sqrt(an * an + ae * ae + ad * ad)
+            if size > most:
+                an, ae, ad = an * most / size, ae * most / size, ad * most / size
+            for c, a in enumerate((an, ae, ad)):
+                before[i, c] = position[i, c]
+                position[i, c] += (velocity[i, c] + 0.5 * step * a) * step
+                velocity[i, c] += step * a
+                error[i, c] = keep * error[i, c] + fresh * rng.normal(0.0, 1.0)
+            if tick < len(trace):
+                trace[tick, i] = position[i]
+            n, e, d = k.path_position(path_times[i], path_points[i], now + step)
+            pn, pe, pd = k.path_position(path_times[i], path_points[i], now)
+            planned += math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
+            flown += math.sqrt(
+                (position[i, 0] - before[i, 0]) ** 2
+                + (position[i, 1] - before[i, 1]) ** 2
+                + (position[i, 2] - before[i, 2]) ** 2
+            )
+            gap = math.sqrt((n - position[i, 0]) ** 2 + (e - position[i, 1]) ** 2 + (d - position[i, 2]) ** 2)
+            result[F_DEVIATION] = max(result[F_DEVIATION], gap)
+            away_since[i] = min(away_since[i], now) if gap > AWAY_M else math.inf
+            result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
+            if tick == steps - 1:
+                result[F_BACK] = max(result[F_BACK], gap)
+                result[F_LOST] = max(result[F_LOST], state[i, k.L_DELAY])
+        for i in range(fleet):
+            for j in range(i):
+                near2 = _least_distance2(position, before, i, j)
+                if near2 < result[F_SEPARATION]:
+                    result[F_SEPARATION], result[F_TIME] = near2, now
+                    result[F_FIRST], result[F_SECOND] = j, i
+
+    result[F_SEPARATION] = math.sqrt(result[F_SEPARATION])
+    result[F_PATH_RATIO] = flown / planned if planned > 0.0 else 1.0
+    result[F_MANOEUVRES] = manoeuvres
+    result[F_INFEASIBLE] = infeasible / max(decisions, 1.0)

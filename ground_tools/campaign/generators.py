@@ -1,0 +1,187 @@
+"""Encounters to fly: who meets whom, how. Timed straight paths in local NED, from a seed.
+
+Each generator draws a fleet that meets around (0, 0), 100 m above the ground, at `MEETING_S`; flown as
+planned, nearly every draw loses separation. Planned speeds are 0.5 to 0.75 of the greatest speed, except on
+S1 to S3, which are `sitl_mocks.scenario`'s: an aircraft without speed in reserve cannot catch up with a timed
+path. Draws in which two aircraft begin or end nearer than `APART_M` are drawn again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl_mocks.scenario import encounter
+
+Rows = NDArray[np.floating[Any]]
+Paths = NDArray[np.float64]
+
+MEETING_S: Final = 120.0
+END_S: Final = 240.0
+HEIGHT_M: Final = 100.0
+APART_M: Final = 40.0
+_SLOW, _FAST = 0.5, 0.75
+"""Planned speeds, in parts of the greatest."""
+_MISS_M = 5.0
+"""Offsets from the exact meeting, up to this to each side and half of it in height."""
+_IN_TRAIL_S = 15.0
+_MOST_DRAWS = 1_000
+
+Generator = Callable[[int, float, np.random.Generator], tuple[Rows, Rows, Rows]]
+"""From the number of aircraft, the greatest speed (m/s) and a generator: where each is at the meeting time
+(A, 3), its heading (A,) and its speed (A,)."""
+
+
+def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Paths, Paths]:
+    """One encounter; the same arguments give the same paths.
+
+    Args:
+        name: of `NAMES`.
+        aircraft: how many, at least 2.
+        speed_mps: greatest speed of each; S1 to S3 need at least 5.
+
+    Returns:
+        Times (A, K) in s and waypoints (A, K, 3), NED, m.
+
+    Raises:
+        ValueError: an unknown name, too few aircraft, or more than fit apart.
+    """
+    if name in ("S1", "S2", "S3"):
+        rows = np.array(encounter(name, aircraft, seed))  # type: ignore[arg-type]
+        # The same paths, flown faster: all times shrink about the crossing.
+        rows[:, :, 0] *= 5.0 / speed_mps
+        return np.array(rows[:, :, 0], np.float64), np.array(rows[:, :, 1:], np.float64)
+    if name not in _GENERATORS:
+        raise ValueError(f"generator {name!r}: allowed are {', '.join(NAMES)}")
+    if aircraft < 2:
+        raise ValueError(f"{aircraft} aircraft: an encounter takes at least 2")
+    number = list(_GENERATORS).index(name) + 10
+    rng = np.random.default_rng([number, aircraft, seed])
+    for _ in range(_MOST_DRAWS):
+        place, heading, speed = _GENERATORS[name](aircraft, speed_mps, rng)
+        way = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(aircraft)])
+        place = place + np.array([0.0, 0.0, -HEIGHT_M])
+        begin, end = place - MEETING_S * way, place + (END_S - MEETING_S) * way
+        if min(_least_distance(begin), _least_distance(end)) > APART_M:
+            times = np.tile([0.0, END_S], (aircraft, 1))
+            return times, np.array(np.stack([begin, end], axis=1), np.float64)
+    raise ValueError(f"generator {name}: {aircraft} aircraft do not fit {APART_M:g} m apart")
+
+
+def _offsets(aircraft: int, rng: np.random.Generator) -> Rows:
+    return rng.uniform(-_MISS_M, _MISS_M, (aircraft, 3)) * [1.0, 1.0, 0.5]
+
+
+def _speeds(aircraft: int, most: float, rng: np.random.Generator) -> Rows:
+    return most * rng.uniform(_SLOW, _FAST, aircraft)
+
+
+def _along(heading: Rows, distance: Rows) -> Rows:
+    """Points (A, 3) at a distance (m) along a heading."""
+    return np.column_stack([np.cos(heading) * distance, np.sin(heading) * distance, np.zeros(len(heading))])
+
+
+def _in_trail(aircraft: int, sides: Rows, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """Streams of one speed through the middle, one behind the other; `sides`: each stream's heading."""
+    stream = np.arange(aircraft) % len(sides)
+    heading = sides[stream]
+    speed = _speeds(1, most, rng).repeat(aircraft)
+    number = np.arange(aircraft) // len(sides)
+    behind = (number - number.mean()) * max(_IN_TRAIL_S * speed[0], APART_M * 1.05)
+    return _along(heading, -behind) + _offsets(aircraft, rng), heading, speed
+
+
+def _head_on(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    return _in_trail(aircraft, np.array([turn, turn + math.pi]), most, rng)
+
+
+def _crossing(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """Two lanes at 30 to 150 degrees."""
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    between = rng.choice([-1.0, 1.0]) * rng.uniform(math.radians(30.0), math.radians(150.0))
+    return _in_trail(aircraft, np.array([turn, turn + between]), most, rng)
+
+
+def _streams(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """Four streams, from all sides."""
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    return _in_trail(aircraft, turn + 0.5 * math.pi * np.arange(4.0), most, rng)
+
+
+def _overtaking(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """All the same way, up to five at speeds of their own through one place at once; fives side by side."""
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    number, five = np.arange(aircraft) % 5, np.arange(aircraft) // 5
+    speed = most * (0.25 + 0.5 * number / max(1, min(aircraft, 5) - 1))
+    across = _along(np.full(aircraft, turn + math.pi / 2.0), five * 2.0 * APART_M)
+    return across + _offsets(aircraft, rng), np.full(aircraft, turn), speed
+
+
+def _circle(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """From all round through the middle, at angles and speeds of their own."""
+    heading = rng.uniform(0.0, 2.0 * math.pi, aircraft)
+    return _offsets(aircraft, rng), heading, _speeds(aircraft, most, rng)
+
+
+def _wall(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """One against a row of all others, side by side."""
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    heading = np.full(aircraft, turn + math.pi)
+    heading[0] = turn
+    across = np.zeros(aircraft)
+    across[1:] = (np.arange(aircraft - 1) - (aircraft - 1) // 2) * APART_M * 1.3
+    sideways = np.full(aircraft, turn + math.pi / 2.0)
+    speed = _speeds(1, most, rng).repeat(aircraft)
+    return _along(sideways, across) + _offsets(aircraft, rng), heading, speed
+
+
+def _matrix(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """Two rows, each side by side, that cross at right angles: each meets one of the other row."""
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    row = np.arange(aircraft) % 2
+    heading = turn + 0.5 * math.pi * row
+    number = np.arange(aircraft) // 2
+    across = (number - number.max() / 2.0) * APART_M * 1.3
+    speed = _speeds(1, most, rng).repeat(aircraft)
+    return _along(heading + 0.5 * math.pi, across) + _offsets(aircraft, rng), heading, speed
+
+
+def _funnel(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """From an arc (90 degrees, or 8 for each) through one place, shortly one after the other, apart again."""
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    arc = math.radians(max(90.0, 8.0 * aircraft))
+    heading = turn + arc * ((np.arange(aircraft) + 0.5) / aircraft - 0.5)
+    speed = _speeds(1, most, rng).repeat(aircraft)
+    behind = rng.permutation(aircraft) * 1.0 * speed
+    return _along(heading, -behind + behind.mean()) + _offsets(aircraft, rng), heading, speed
+
+
+def _random(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """Anywhere in a box at the meeting time: some 4,000 m^2 for each aircraft, 10 m high."""
+    side = math.sqrt(4_000.0 * aircraft)
+    place = rng.uniform(-0.5, 0.5, (aircraft, 3)) * [side, side, 10.0]
+    return place, rng.uniform(0.0, 2.0 * math.pi, aircraft), _speeds(aircraft, most, rng)
+
+
+_GENERATORS: Final[dict[str, Generator]] = {
+    "head-on": _head_on,
+    "crossing": _crossing,
+    "overtaking": _overtaking,
+    "circle": _circle,
+    "wall": _wall,
+    "matrix": _matrix,
+    "funnel": _funnel,
+    "streams": _streams,
+    "random": _random,
+}
+NAMES: Final = ("S1", "S2", "S3", *_GENERATORS)
+
+
+def _least_distance(points: Rows) -> float:
+    gaps = np.linalg.norm(points[:, None] - points[None], axis=2)
+    return float(gaps[np.triu_indices(len(points), 1)].min())

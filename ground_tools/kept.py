@@ -1,0 +1,87 @@
+"""Results that are kept line by line, so that a run that was cut short goes on.
+
+The first line of a file says what its rows were made with; a file that was made with anything else is
+refused. A line that a kill tore is as if it were not there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import msgspec
+
+from companion.errors import ConfigError
+
+Row = TypeVar("Row", bound=msgspec.Struct)
+
+
+class Kept(Generic[Row]):
+    """One file.
+
+    Args:
+        path: in a folder that is there.
+        made_with: what the rows hang on, beside the software.
+        row: their type.
+        key: the number of a row; a later row replaces an earlier one of the same number.
+
+    Raises:
+        ConfigError: the file was made with other settings, or cannot be read.
+    """
+
+    def __init__(
+        self, path: Path, made_with: dict[str, Any], row: type[Row], key: Callable[[Row], int]
+    ) -> None:
+        self.path = path
+        self._made_with, self._row, self._key = made_with, row, key
+        self.rows: dict[int, Row] = {}
+        """By number."""
+        if path.exists():
+            self._read()
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Keep more rows.
+
+        Raises:
+            ConfigError: the file cannot be written.
+        """
+        try:
+            begun = self.path.exists()
+            with self.path.open("a") as file:
+                if not begun:
+                    file.write(json.dumps(self._made_with) + "\n")
+                file.write("".join(msgspec.json.encode(row).decode() + "\n" for row in rows))
+        except OSError as error:
+            raise ConfigError(f"--out: {self.path}: cannot be written: {error.strerror}") from error
+        self.rows.update((self._key(row), row) for row in rows)
+
+    def _read(self) -> None:
+        try:
+            text = self.path.read_text()
+            first, *lines = text.splitlines()
+            header = json.loads(first)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"--out: {self.path}: cannot be read; remove it to fly it anew") from error
+        if header != self._made_with:
+            raise ConfigError(
+                f"--out: {self.path}: made with other settings ({_difference(header, self._made_with)}); "
+                "remove it, or choose another folder"
+            )
+        for line in lines:
+            try:
+                row = msgspec.json.decode(line, type=self._row)
+            except msgspec.DecodeError:
+                continue  # torn by a kill in the middle of a line
+            self.rows[self._key(row)] = row
+        if not text.endswith("\n"):
+            with self.path.open("a") as file:
+                file.write("\n")
+
+
+def _difference(found: Any, wanted: dict[str, Any]) -> str:
+    if not isinstance(found, dict):
+        return "no header"
+    keys = [key for key in {**wanted, **found} if found.get(key) != wanted.get(key)]
+    return ", ".join(f"{key}: {found.get(key)}, now {wanted.get(key)}" for key in keys)

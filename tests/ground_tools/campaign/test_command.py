@@ -1,0 +1,142 @@
+"""`ground-tools campaign run`: what it prints, what it keeps, what it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from ground_tools import cli
+from ground_tools.campaign import cells as campaign
+from ground_tools.campaign.cells import Cell, Row
+from ground_tools.campaign.command import summary
+
+S2 = ["campaign", "run", "--generator", "S2", "--delay", "1", "2"]
+
+
+def row(seed, separation_m, deviation_m=10.0):
+    return Row(seed, separation_m, 1.0, 0, 1, deviation_m, 5.0, 1.0, 0.0, 1.01, 4.0, 0.0)
+
+
+def test_s2_stays_apart_where_the_paths_do_not(capsys):
+    assert cli.main([*S2, "--seeds", "1-12", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["runs"], found["losses_of_separation"], found["collisions"]) == (12, 0, 0)
+    assert found["unavoided_losses_of_separation"] == 12
+    assert found["risk_ratio"] == 0.0
+    assert found["min_separation_m"] > campaign.SEPARATION_M
+    assert 5.0 < found["median_max_deviation_m"] < 40.0
+    assert found["flight_s"] == 2 * 12 * 500.0
+    assert found["wall_s"] > 0.0
+
+
+def test_numbers_of_a_cell():
+    rows = [row(1, 1.5, 30.0), row(2, 9.9, 20.0), row(3, 10.0), row(4, 12.0)]
+    found = summary(rows, [row(1, 1.0), row(2, 2.0), row(3, 5.0), row(4, 30.0)])
+    assert (found["runs"], found["collisions"], found["losses_of_separation"]) == (4, 1, 2)
+    assert (found["unavoided_collisions"], found["unavoided_losses_of_separation"]) == (1, 3)
+    assert found["risk_ratio"] == pytest.approx((2 / 4) / (3 / 4))
+    low, high = found["risk_ratio_interval"]
+    assert low < found["risk_ratio"] < high
+    assert (found["min_separation_m"], found["worst_seed"]) == (1.5, 1)
+    assert found["median_max_deviation_m"] == 15.0
+    assert summary([row(1, 20.0)], [row(1, 20.0)])["risk_ratio"] is None
+
+
+def test_what_is_kept_is_not_flown_again(tmp_path, capsys, monkeypatch):
+    out = ["--out", str(tmp_path / "kept"), "--json"]
+    assert cli.main([*S2, "--seeds", "1-3", *out]) == 0
+    first = json.loads(capsys.readouterr().out)
+    flown = []
+    monkeypatch.setattr(
+        "ground_tools.campaign.command.in_parallel", lambda f, items, *_: flown.extend(items) or []
+    )
+    assert cli.main([*S2, "--seeds", "1-3", *out]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert flown == []
+    assert again["flight_s"] == 0.0
+    for key in ("wall_s", "flight_s"):
+        del first[key], again[key]
+    assert first == again
+
+
+def test_a_torn_line_is_flown_again_and_other_software_is_refused(tmp_path, capsys):
+    out = [*S2, "--seeds", "1-3", "--json", "--out", str(tmp_path)]
+    assert cli.main(out) == 0
+    first = json.loads(capsys.readouterr().out)
+    (path,) = tmp_path.glob("S2-5-dmuca-*.jsonl")
+    whole = path.read_text()
+    path.write_text(whole[:-20])
+    assert cli.main(out) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["flight_s"] == 500.0
+    assert again["min_separation_m"] == first["min_separation_m"]
+    path.write_text(whole.replace('"software": "', '"software": "0'))
+    assert cli.main(out) == 2
+    assert "made with other settings (software: 0" in capsys.readouterr().err
+
+
+def test_cells_that_differ_have_files_that_differ(tmp_path):
+    cell = Cell(generator="S2", aircraft=5)
+    others = [
+        Cell(generator="S2", aircraft=5, law="paper"),
+        Cell(generator="S2", aircraft=5, delay_s=(1.0, 2.0)),
+        Cell(generator="S2", aircraft=5, loss=0.8),
+        Cell(generator="S2", aircraft=5, blind=0.2),
+        Cell(generator="S2", aircraft=5, speed_mps=20.0),
+    ]
+    assert len({c.name for c in [cell, *others]}) == 6
+    assert len({campaign.baseline(c).name for c in [cell, *others]}) == 2  # the speed
+
+
+def test_the_blind_do_not_avoid():
+    """With everybody blind, the flights are the unavoided ones."""
+    cell = Cell(generator="crossing", aircraft=2, blind=1.0)
+    seen = campaign.fly(cell, range(1, 4))
+    unavoided = campaign.fly(Cell(generator="crossing", aircraft=2, law="none", blind=1.0), range(1, 4))
+    assert [r.separation_m for r in seen] == [r.separation_m for r in unavoided]
+    half = campaign.fly(Cell(generator="crossing", aircraft=2, blind=0.5), range(1, 4))
+    assert min(r.separation_m for r in half) > max(r.separation_m for r in seen)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--seeds", "5"], "--seeds: 5: allowed is FROM-TO"),
+        (["--seeds", "9-1"], "--seeds: 9-1: allowed is FROM-TO"),
+        (["--aircraft", "1"], "--aircraft: 1: allowed 2 to 200"),
+        (["--delay", "2", "1"], "--delay: 2 1: allowed are two rising numbers from 0 to 60"),
+        (["--delay", "nan", "1"], "--delay: nan 1: allowed are two rising numbers"),
+        (["--loss", "1.5"], "--loss: 1.5: allowed 0 to 1"),
+        (["--blind", "-1"], "--blind: -1: allowed 0 to 1"),
+        (["--speed", "nan"], "--speed: nan: allowed 1 to 50"),
+        (["--processes", "0"], "--processes: 0: allowed 1 to 1024"),
+        (["--out", "/dev/null/here"], "/dev/null/here"),
+        (["--aircraft", "60", "--generator", "circle"], "seed 1: generator circle: 60 aircraft do not fit"),
+    ],
+)
+def test_what_is_wrong_is_named(options, words, capsys):
+    assert cli.main([*S2, *options]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_ctrl_c_keeps_what_was_flown(tmp_path):
+    command = [sys.executable, "-m", "ground_tools.cli", *S2, "--seeds", "1-200000", "--out", str(tmp_path)]
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    end = time.monotonic() + 120.0
+    while time.monotonic() < end and not any(p.stat().st_size > 2000 for p in tmp_path.glob("*.jsonl")):
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGINT)
+    _, words = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted" in words
+    (path,) = tmp_path.glob("S2-5-dmuca-*.jsonl")
+    assert len(path.read_text().splitlines()) > 1

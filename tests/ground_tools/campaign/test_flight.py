@@ -1,0 +1,191 @@
+"""The campaign's flights: the law is the aircraft's, vehicles and messages are what they are said to be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from companion.avoidance import kernels as k
+from companion.avoidance.law import Law, Neighbour, Situation, settings_of
+from companion.avoidance.trajectory import Trajectory
+from companion.config import AvoidanceConfig, LimitsConfig
+from ground_tools.campaign import flight
+from ground_tools.campaign.flight import World
+from ground_tools.campaign.generators import APART_M, HEIGHT_M, MEETING_S, NAMES, draw
+
+EXACT = World(sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay_s=(0.0, 0.0))
+DMUCA, ALONE = AvoidanceConfig(), AvoidanceConfig(law="none")
+
+
+def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, steps=0):
+    paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
+    settings = np.array([settings_of(avoidance, LimitsConfig(), path) for path in paths])
+    trace, result = np.zeros((steps, len(paths), 3)), np.zeros(flight.FLIGHT_ENTRIES)
+    rng = np.random.default_rng(seed)
+    function(rng, world.row(avoidance.period_s), times, points, settings, trace, result)
+    return result, trace
+
+
+def straight(*ways):
+    """Paths of 60 s from (north, east) to (north, east), 100 m up."""
+    points = np.array([[(n, e, -100.0), (m, f, -100.0)] for n, e, m, f in ways], float)
+    return np.tile([0.0, 60.0], (len(ways), 1)), points
+
+
+# ---------------------------------------------------------------- the law
+
+
+class Heart:
+    """Flies every decision of a flight again by `Law`, from situations and neighbours."""
+
+    def __init__(self, times, points, avoidance):
+        self.laws = [
+            Law(avoidance, LimitsConfig(), Trajectory(t.tolist(), p.tolist()))
+            for t, p in zip(times, points, strict=True)
+        ]
+        self.decide = k.decide
+        self.decisions = 0
+        self.ages = []
+        self._of = {}
+        self._inside = False
+
+    def __call__(self, neighbours, count, own, path_times, path_points, settings, state, *others):
+        out = others[-1]
+        self.decide(neighbours, count, own, path_times, path_points, settings, state, *others)
+        if self._inside:
+            return
+        law = self.laws[self._of.setdefault(state.__array_interface__["data"][0], len(self._of))]
+        heard = [
+            Neighbour(
+                f"uas-{i}", tuple(row[:3].tolist()), tuple(row[3:6].tolist()), row[k.N_AGE], row[k.N_SIGMA]
+            )
+            for i, row in enumerate(neighbours[:count])
+        ]
+        place, velocity = tuple(own[:3].tolist()), tuple(own[3:6].tolist())
+        view = Situation(own[k.O_NOW], own[k.O_PATH_TIME], place, velocity, own[k.O_SIGMA], heard)
+        self._inside = True
+        result = law.decide(view)
+        self._inside = False
+        assert result.chosen_ned_mps == tuple(out[:3].tolist())
+        assert result.wanted_ned_mps == tuple(out[3:6].tolist())
+        assert (result.feasible, result.conflict) == (out[k.R_FEASIBLE] == 1.0, out[k.R_CONFLICT] == 1.0)
+        self.decisions += 1
+        self.ages += neighbours[:count, k.N_AGE].tolist()
+
+
+@pytest.mark.parametrize("law", ["dmuca", "paper"])
+def test_every_command_is_the_one_that_the_heart_gives(law, monkeypatch):
+    """Bit for bit; and the compiled flight is the one that is looked into."""
+    avoidance = AvoidanceConfig(law=law)
+    times, points = draw("crossing", 3, 5.0, 4)
+    world = World(start_s=MEETING_S - 40.0, end_s=MEETING_S + 20.0, delay_s=(1.0, 2.0))
+    compiled, _ = fly(times, points, world, avoidance)
+    heart = Heart(times, points, avoidance)
+    monkeypatch.setattr(k, "decide", heart)
+    result, _ = fly(times, points, world, avoidance, function=flight.fly.py_func)
+    assert heart.decisions == 3 * 300
+    assert result[flight.F_MANOEUVRES] > 0.0
+    assert result == pytest.approx(compiled, rel=1e-9)
+    # A second between messages, one to two on the way, and up to 0.2 s until the next decision.
+    assert 1.0 <= min(heart.ages) < 1.2
+    assert 2.5 < max(heart.ages) <= 3.2
+
+
+# ---------------------------------------------------------------- vehicles and air
+
+
+def test_a_fleet_that_does_not_avoid_flies_its_paths():
+    times, points = straight((-100.0, 0.0, 100.0, 0.0), (0.0, -101.0, 0.0, 99.0))
+    result, trace = fly(times, points, replace(EXACT, end_s=60.0), ALONE, steps=600)
+    assert result[flight.F_SEPARATION] == pytest.approx(1.0 / math.sqrt(2.0), abs=0.05)
+    assert result[flight.F_TIME] == pytest.approx(30.0, abs=0.5)
+    assert (result[flight.F_FIRST], result[flight.F_SECOND]) == (0.0, 1.0)
+    assert result[flight.F_DEVIATION] < 2.0  # it begins and ends at rest, rounded off
+    assert result[flight.F_AWAY] == 0.0
+    assert trace[299, 0] == pytest.approx((0.0, 0.0, -100.0), abs=1.5)
+
+
+def test_avoiding_costs_a_detour_that_is_measured():
+    times, points = straight((-100.0, 0.0, 100.0, 0.0), (0.0, -101.0, 0.0, 99.0))
+    result, _ = fly(times, points, replace(EXACT, end_s=60.0))
+    assert result[flight.F_SEPARATION] > 10.0
+    assert result[flight.F_MANOEUVRES] >= 2.0
+    assert result[flight.F_DEVIATION] > 5.0
+
+
+def test_who_hears_nobody_avoids_nobody():
+    times, points = straight((-100.0, 0.0, 100.0, 0.0), (0.0, -101.0, 0.0, 99.0))
+    deaf, _ = fly(times, points, replace(EXACT, end_s=60.0, loss=1.0))
+    alone, _ = fly(times, points, replace(EXACT, end_s=60.0), ALONE)
+    assert deaf[flight.F_MANOEUVRES] == 0.0
+    assert deaf[flight.F_SEPARATION] == pytest.approx(alone[flight.F_SEPARATION], abs=1e-6)
+
+
+def test_errors_are_as_large_and_as_slow_as_asked():
+    """An aircraft that follows a wrong position is off by what it is wrong by, and slowly so."""
+    times, points = straight((0.0, 0.0, 0.1, 0.0), (5000.0, 0.0, 5000.1, 0.0))
+    times[:, 1] = 4000.0
+    world = replace(EXACT, end_s=4000.0, sigma_m=3.0, sigma_memory_s=100.0)
+    _, trace = fly(times, points, world, ALONE, steps=40_000)
+    east = trace[:, :, 1]
+    assert np.sqrt((east**2).mean()) == pytest.approx(3.0, rel=0.35)
+    assert np.abs(np.diff(east, axis=0)).max() < 0.3
+
+
+def test_messages_are_quantised():
+    message = np.array([0.0, 3.217, -8.141, -100.31, 2.13, -1.07, 0.8])
+    flight._quantise(message)
+    speed, course = math.hypot(message[4], message[5]), math.degrees(math.atan2(message[5], message[4]))
+    assert (speed / 0.25) % 1.0 == pytest.approx(0.0, abs=1e-9)
+    assert speed == pytest.approx(math.hypot(2.13, 1.07), abs=0.125)
+    assert course == pytest.approx(round(course), abs=1e-9)
+    assert (message[3], message[6]) == (-100.5, 1.0)
+    assert message[1:3] == pytest.approx((3.217, -8.141), abs=0.006)
+
+
+def test_same_seed_same_flight_other_seed_another():
+    times, points = draw("S2", 4, 5.0, 3)
+    world = World(start_s=200.0, end_s=300.0)
+    first, again, other = (fly(times, points, world, seed=seed)[0] for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first, again)
+    assert first[flight.F_SEPARATION] != other[flight.F_SEPARATION]
+
+
+# ---------------------------------------------------------------- encounters
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_generators(name):
+    """The same for the same seed; apart at both ends; flown as planned, nearly all lose separation."""
+    lost = 0
+    for seed in range(10):
+        times, points = draw(name, 8, 5.0, seed)
+        again = draw(name, 8, 5.0, seed)
+        np.testing.assert_array_equal(points, again[1])
+        assert times.shape[0] == points.shape[0] == 8
+        assert (np.diff(times) > 0.0).all()
+        for ends in (points[:, 0], points[:, -1]):
+            gaps = np.linalg.norm(ends[:, None] - ends[None], axis=2)[np.triu_indices(8, 1)]
+            assert gaps.min() > APART_M
+        assert np.abs(points[:, :, 2] + HEIGHT_M).max() < 60.0
+        way = np.linalg.norm(np.diff(points, axis=1), axis=2) / np.diff(times)
+        assert way.max() <= 3.76
+        at = np.linspace(times[0, 0], times[0, -1], 2000)
+        place = np.array(
+            [[np.interp(at, t, p[:, c]) for c in range(3)] for t, p in zip(times, points, strict=True)]
+        )
+        gaps = np.linalg.norm(place[:, None] - place[None], axis=2)[np.triu_indices(8, 1)]
+        lost += gaps.min() < 10.0
+    assert lost >= 8
+
+
+def test_what_cannot_be_drawn_is_said():
+    with pytest.raises(ValueError, match="allowed are S1, S2, S3, head-on"):
+        draw("spiral", 4, 5.0, 1)
+    with pytest.raises(ValueError, match="at least 2"):
+        draw("wall", 1, 5.0, 1)
+    with pytest.raises(ValueError, match="do not fit 40 m apart"):
+        draw("circle", 60, 1.0, 1)
