@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from companion.avoidance import kernels
+from companion.avoidance import kernels, law
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -23,6 +23,7 @@ from ground_tools.campaign import flight, generators
 from ground_tools.campaign.flight import World
 from ground_tools.campaign.generators import draw
 from ground_tools.kept import Kept
+from sitl_mocks import scenario
 
 Law = Literal["dmuca", "paper", "none"]
 LAWS: dict[Law, AvoidanceConfig] = {
@@ -126,10 +127,15 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
     Raises:
         ConfigError: it was flown by another state of the law or the world, or cannot be read.
     """
-    files = [inspect.getsourcefile(module) or "" for module in (kernels, flight, generators)]
-    software = hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()[:12]
-    header = {**msgspec.to_builtins(cell), "delay_s": list(cell.delay_s), "software": software}
+    header = {**msgspec.to_builtins(cell), "delay_s": list(cell.delay_s), "software": software()}
     return Kept(folder / f"{cell.name}.jsonl", header, Row, attrgetter("seed"))
+
+
+def software() -> str:
+    """The state of law, world and encounters that flights hang on."""
+    modules = (kernels, law, flight, generators, scenario)
+    files = [inspect.getsourcefile(module) or "" for module in modules]
+    return hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()[:12]
 
 
 def baseline(cell: Cell) -> Cell:

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
+from ground_tools.campaign import tables
 from ground_tools.campaign.cells import Cell, Row
 from ground_tools.campaign.generators import NAMES
 from ground_tools.channel import options
@@ -42,7 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--aircraft", type=int, default=5, metavar="N", help="default: 5")
     command.add_argument("--delay", type=float, nargs=2, default=(0.0, 1.0), metavar=("A", "B"),
                          help="of each message, drawn from A to B seconds (default: 0 1)")  # fmt: skip
-    command.add_argument("--seeds", default="1-100", metavar="FROM-TO", help="default: 1-100")
     command.add_argument(
         "--law", choices=("dmuca", "paper"), default="dmuca", help="who avoids (default: dmuca)"
     )
@@ -50,6 +50,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--loss", type=float, default=0.0, metavar="SHARE", help="of messages (default: 0)")
     command.add_argument("--blind", type=float, default=0.0, metavar="SHARE",
                          help="of aircraft that send and do not avoid (default: 0)")  # fmt: skip
+    _add_common(command, "1-100")
+    command.add_argument("--json", action="store_true", help="one JSON object")
+    command.set_defaults(run=run)
+    command = commands.add_parser(
+        "table",
+        help="many kinds of encounters, a line for each, as Markdown",
+        description="Fly every cell of a table, and each unavoided. A table's numbers are kept in FILE.",
+        epilog="example: ground-tools campaign table generators --seeds 1-1000 --out runs/campaign",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.add_argument("table", choices=tables.TABLES, metavar="TABLE", help=", ".join(tables.TABLES))
+    _add_common(command, "1-1000")
+    command.add_argument("--file", type=Path, metavar="FILE", help="for the table's numbers, as JSON")
+    command.set_defaults(run=run_table)
+
+
+def _add_common(command: argparse.ArgumentParser, seeds: str) -> None:
+    command.add_argument("--seeds", default=seeds, metavar="FROM-TO", help=f"default: {seeds}")
     command.add_argument(
         "--out",
         type=Path,
@@ -57,8 +75,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep what is flown there, and do not fly again what is (default: nowhere)",
     )
     command.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
-    command.add_argument("--json", action="store_true", help="one JSON object")
-    command.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,6 +95,26 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(report, allow_nan=False))
     else:
         _show(cell, report, Console())
+    return 0
+
+
+def run_table(args: argparse.Namespace) -> int:
+    """`ground-tools campaign table`. Returns 0.
+
+    Raises:
+        ConfigError: an option is wrong, or a file cannot be read or written.
+    """
+    seeds, wanted = _seeds(args.seeds), tables.TABLES[args.table]()
+    with_unavoided = dict.fromkeys(c for cell in wanted for c in (cell, campaign.baseline(cell)))
+    words = Console(stderr=True)
+    found, _ = fly_missing(list(with_unavoided), seeds, args.out, _processes(args.processes), words)
+    lines = [
+        tables.Line(cell=cell, found=summary(found[cell], found[campaign.baseline(cell)])) for cell in wanted
+    ]
+    if args.file is not None:
+        ends = (seeds[0], seeds[-1])
+        tables.write(args.file, tables.Kept(software=campaign.software(), seeds=ends, lines=tuple(lines)))
+    print(tables.markdown(lines), end="")
     return 0
 
 

@@ -11,10 +11,13 @@ import time
 
 import pytest
 
+from companion.errors import ConfigError
 from ground_tools import cli
 from ground_tools.campaign import cells as campaign
+from ground_tools.campaign import tables
 from ground_tools.campaign.cells import Cell, Row
 from ground_tools.campaign.command import summary
+from ground_tools.campaign.generators import NAMES
 
 S2 = ["campaign", "run", "--generator", "S2", "--delay", "1", "2"]
 
@@ -140,3 +143,37 @@ def test_ctrl_c_keeps_what_was_flown(tmp_path):
     assert "interrupted" in words
     (path,) = tmp_path.glob("S2-5-dmuca-*.jsonl")
     assert len(path.read_text().splitlines()) > 1
+
+
+# ---------------------------------------------------------------- tables
+
+
+def test_a_table_has_a_line_for_each_cell(tmp_path, capsys):
+    file = tmp_path / "fast.json"
+    assert cli.main(["campaign", "table", "fast", "--seeds", "1-2", "--file", str(file)]) == 0
+    printed = capsys.readouterr().out
+    kept = tables.read(file)
+    assert [line.cell.generator for line in kept.lines] == list(NAMES)
+    assert {line.cell.speed_mps for line in kept.lines} == {20.0}
+    assert (kept.seeds, kept.software) == ((1, 2), campaign.software())
+    assert printed == tables.markdown(kept.lines)
+    assert all(line.found["min_separation_m"] > 10.0 for line in kept.lines)
+
+
+def test_columns_of_what_differs():
+    rows = [row(1, 9.0), row(2, 12.5)]
+    cells = [Cell(generator="S1", aircraft=5, blind=0.2), Cell(generator="S1", aircraft=5, law="paper")]
+    lines = [tables.Line(cell=cell, found=summary(rows, rows)) for cell in cells]
+    head, _, first, second = tables.markdown(lines).splitlines()
+    assert head.startswith("| law | blind | runs | below 10 m |")
+    assert first == "| dmuca | 20% | 2 | 1 | 0 | 1, 0 | 1.0000 (0.1891 to 1.8109) | 9.00 | 10 | 5 |"
+    assert second.startswith("| paper | 0% | 2 |")
+
+
+def test_a_damaged_table_is_said(tmp_path):
+    file = tmp_path / "table.json"
+    with pytest.raises(ConfigError, match="cannot be read: No such file"):
+        tables.read(file)
+    file.write_text('{"software": "x", "seeds": [1, 2], "lines": [{}]}')
+    with pytest.raises(ConfigError, match=r"no table of a campaign: .*lines"):
+        tables.read(file)

@@ -1,0 +1,132 @@
+"""Tables of a campaign: many cells, a line for each, as they stand in docs/safety.md."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from companion.errors import ConfigError
+from ground_tools.campaign.cells import LAWS, Cell
+from ground_tools.campaign.generators import NAMES
+
+DELAYS_S: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))
+
+
+def _generators() -> list[Cell]:
+    """Every generator, by our law and the paper's, with the longest delays."""
+    return [
+        Cell(generator=name, aircraft=5, law=law, delay_s=DELAYS_S[-1])
+        for name in NAMES
+        for law in LAWS
+        if law != "none"
+    ]
+
+
+def _laws() -> list[Cell]:
+    """The reference's sets by both laws over the delays; then what makes them harder."""
+    rows = [
+        Cell(generator=name, aircraft=5, law=law, delay_s=delay_s)
+        for law in LAWS
+        if law != "none"
+        for name in ("S1", "S2", "S3")
+        for delay_s in DELAYS_S
+    ]
+    rows += [Cell(generator="S2", aircraft=n, delay_s=delay_s) for n in (10, 20) for delay_s in DELAYS_S]
+    rows += [
+        Cell(generator=name, aircraft=5, blind=0.2, delay_s=delay_s)
+        for name in ("S1", "S2", "S3")
+        for delay_s in DELAYS_S
+    ]
+    return rows + [Cell(generator=name, aircraft=5, loss=0.8) for name in ("S1", "S2", "S3")]
+
+
+def _fast() -> list[Cell]:
+    """Every generator at 20 m/s."""
+    return [Cell(generator=name, aircraft=5, speed_mps=20.0, delay_s=DELAYS_S[-1]) for name in NAMES]
+
+
+TABLES: Final[dict[str, Callable[[], list[Cell]]]] = {"generators": _generators, "laws": _laws, "fast": _fast}
+
+
+class Line(msgspec.Struct, frozen=True, kw_only=True):
+    """A cell and what came of it."""
+
+    cell: Cell
+    found: dict[str, Any]
+    """`command.summary`."""
+
+
+class Kept(msgspec.Struct, frozen=True, kw_only=True):
+    """A table as it is kept."""
+
+    software: str
+    """State of law and world that flew it."""
+    seeds: tuple[int, int]
+    """First and last."""
+    lines: tuple[Line, ...]
+
+
+def write(path: Path, table: Kept) -> None:
+    """Keep a table.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    try:
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(table)) + b"\n")
+    except OSError as error:
+        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
+
+
+def read(path: Path) -> Kept:
+    """A kept table.
+
+    Raises:
+        ConfigError: there is none, or it is damaged.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Kept)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except msgspec.DecodeError as error:
+        raise ConfigError(f"{path}: no table of a campaign: {error}") from error
+
+
+def markdown(lines: Sequence[Line]) -> str:
+    """A line for each cell; what is alike in all of them has no column."""
+    columns: list[tuple[str, Callable[[Line], str]]] = [
+        ("encounter", lambda line: line.cell.generator),
+        ("aircraft", lambda line: str(line.cell.aircraft)),
+        ("law", lambda line: line.cell.law),
+        ("m/s", lambda line: f"{line.cell.speed_mps:g}"),
+        ("delay (s)", lambda line: "{:g} to {:g}".format(*line.cell.delay_s)),
+        ("blind", lambda line: f"{line.cell.blind:.0%}"),
+        ("lost messages", lambda line: f"{line.cell.loss:.0%}"),
+    ]
+    shown = [c for c in columns if len({c[1](line) for line in lines}) > 1]
+    shown += [
+        ("runs", lambda line: f"{line.found['runs']:,}"),
+        ("below 10 m", lambda line: f"{line.found['losses_of_separation']:,}"),
+        ("hit", lambda line: f"{line.found['collisions']:,}"),
+        (
+            "unavoided: below 10 m, hit",
+            lambda line: "{unavoided_losses_of_separation:,}, {unavoided_collisions:,}".format(**line.found),
+        ),
+        ("risk ratio (95 %)", _risk),
+        ("least (m)", lambda line: f"{line.found['min_separation_m']:.2f}"),
+        ("deviation (m)", lambda line: f"{line.found['median_max_deviation_m']:.0f}"),
+        ("away (s)", lambda line: f"{line.found['median_away_s']:.0f}"),
+    ]
+    rows = [[title for title, _ in shown], ["---"] * len(shown)]
+    rows += [[value(line) for _, value in shown] for line in lines]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _risk(line: Line) -> str:
+    ratio, interval = line.found["risk_ratio"], line.found["risk_ratio_interval"]
+    if ratio is None:
+        return "-"
+    return f"{ratio:.4f} ({interval[0]:.4f} to {interval[1]:.4f})"
