@@ -34,6 +34,17 @@ LAWS: dict[Law, AvoidanceConfig] = {
     ),
     "none": AvoidanceConfig(law="none"),
 }
+WORLDS: dict[str, dict[str, float]] = {
+    "calm": {},
+    "wind": {"gust_mps2": 0.6},
+    "clocks": {"clock_s": 0.5},
+    "velocity": {"own_sigma_mps": 0.3},
+    "layer": {"floor_m": 70.0, "ceiling_m": 130.0},
+    "all": {},
+}
+WORLDS["all"] = {key: value for world in WORLDS.values() for key, value in world.items()}
+"""What each has that the calm one has not. 0.6 m/s^2 is what gusts of 2 m/s do where drag slows by 0.3 of the
+airspeed a second: 8 m/s of wind, a quarter of it in gusts."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
 
 
@@ -47,8 +58,12 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     """Greatest speed of each."""
     delay_s: tuple[float, float] = (0.0, 1.0)
     loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    blind: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    """Share of the aircraft that send and do not avoid; the first ones."""
+    intruders: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    """Share of the aircraft that do not avoid; the first ones."""
+    intruder: str = "blind"
+    """What they do, of `flight.INTRUDERS`."""
+    world: str = "calm"
+    """Of `WORLDS`."""
 
     @property
     def name(self) -> str:
@@ -95,9 +110,15 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
             raise ConfigError(f"seed {seed}: {error}") from error
         paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
         settings = np.array([settings_of(avoidance, limits, path) for path in paths])
-        settings[: round(cell.blind * cell.aircraft), kernels.S_LAW] = kernels.NONE
+        kinds = np.full(cell.aircraft, float(flight.AVOIDS))
+        kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
+        settings[kinds != flight.AVOIDS, kernels.S_LAW] = kernels.NONE
         world = World(
-            start_s=float(times.min()), end_s=float(times.max()), delay_s=cell.delay_s, loss=cell.loss
+            start_s=float(times.min()),
+            end_s=float(times.max()),
+            delay_s=cell.delay_s,
+            loss=cell.loss,
+            **WORLDS[cell.world],  # type: ignore[arg-type]
         )
         result = np.zeros(flight.FLIGHT_ENTRIES)
         flight.fly(
@@ -106,6 +127,7 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
             times,
             points,
             settings,
+            kinds,
             np.zeros((0, cell.aircraft, 3)),
             result,
         )
@@ -139,8 +161,16 @@ def software() -> str:
 
 
 def baseline(cell: Cell) -> Cell:
-    """The same encounters, nobody avoiding; nothing hangs on the air then."""
-    return msgspec.structs.replace(cell, law="none", delay_s=(0.0, 1.0), loss=0.0, blind=0.0)
+    """The same encounters, nobody avoiding; nothing hangs on the air then, nor on who would have avoided."""
+    turning = cell.intruder in ("turning", "frozen") and cell.intruders > 0.0
+    return msgspec.structs.replace(
+        cell,
+        law="none",
+        delay_s=(0.0, 1.0),
+        loss=0.0,
+        intruders=cell.intruders if turning else 0.0,
+        intruder=cell.intruder if turning else "blind",
+    )
 
 
 def duration_s(cell: Cell) -> float:

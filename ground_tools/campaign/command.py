@@ -17,6 +17,7 @@ from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import tables
 from ground_tools.campaign.cells import Cell, Row
+from ground_tools.campaign.flight import INTRUDERS
 from ground_tools.campaign.generators import NAMES
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
@@ -48,8 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--speed", type=float, default=5.0, metavar="M/S", help="greatest (default: 5)")
     command.add_argument("--loss", type=float, default=0.0, metavar="SHARE", help="of messages (default: 0)")
-    command.add_argument("--blind", type=float, default=0.0, metavar="SHARE",
-                         help="of aircraft that send and do not avoid (default: 0)")  # fmt: skip
+    command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
+                         help="of aircraft that do not avoid (default: 0)")  # fmt: skip
+    command.add_argument("--intruder", choices=INTRUDERS, default="blind", metavar="KIND",
+                         help=f"what those do: {', '.join(INTRUDERS)} (default: blind)")  # fmt: skip
+    command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
+                         help=f"{', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
     _add_common(command, "1-100")
     command.add_argument("--json", action="store_true", help="one JSON object")
     command.set_defaults(run=run)
@@ -187,7 +192,7 @@ def _cell(args: argparse.Namespace) -> Cell:
         ("aircraft", args.aircraft, 2, _MOST_AIRCRAFT),
         ("speed", args.speed, 1.0, 50.0),
         ("loss", args.loss, 0.0, 1.0),
-        ("blind", args.blind, 0.0, 1.0),
+        ("intruders", args.intruders, 0.0, 1.0),
     ):
         if not least <= value <= most:
             raise ConfigError(f"--{key}: {value:g}: allowed {least:g} to {most:g}")
@@ -200,7 +205,9 @@ def _cell(args: argparse.Namespace) -> Cell:
         speed_mps=args.speed,
         delay_s=(low, high),
         loss=args.loss,
-        blind=args.blind,
+        intruders=args.intruders,
+        intruder=args.intruder,
+        world=args.world,
     )
 
 

@@ -46,8 +46,25 @@ AWAY_M = 15.0
     W_QUANTISED,  # 0 or 1
     W_LAG,  # s
     W_ACCELERATION,  # m/s^2
+    W_GUST,  # m/s^2 for each axis
+    W_GUST_MEMORY,  # s
+    W_OWN_VELOCITY,  # m/s for each axis, of the error of the own velocity, as slow as that of the position
+    W_CLOCK,  # s, most that a clock is off
+    W_FLOOR,  # NED down, m
+    W_CEILING,  # NED down, m
+    W_SILENT,  # m, within which a silent one is heard
+    W_LIE,  # m, by which a liar's position is off
     WORLD_ENTRIES,
-) = range(16)
+) = range(24)
+# What an aircraft is: one that avoids; one that sends and flies its path (blind), or besides turns and climbs
+# at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), or sends
+# a wrong position (liar).
+AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN = range(6)
+INTRUDERS = {"blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN}
+_TURN_S = 4.0
+"""Between two changes of mind of one that turns."""
+_TURN_RAD = math.radians(60.0)
+"""Most that it turns off its way to the path."""
 # Columns of a message: its time (s), position, velocity.
 M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
 # What comes of a flight.
@@ -56,7 +73,7 @@ M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
     F_TIME,  # when, s
     F_FIRST,  # of which pair
     F_SECOND,
-    F_DEVIATION,  # largest distance of any aircraft from its timed point, m
+    F_DEVIATION,  # largest distance of any aircraft that avoids from its timed point, m
     F_AWAY,  # longest time that any of them was away from it, s
     F_BACK,  # largest distance at the end, m
     F_LOST,  # largest delay of a path, s
@@ -85,6 +102,17 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     message_s: Annotated[float, Meta(gt=0)] = 1.0
     lag_s: Annotated[float, Meta(gt=0)] = 0.5
     acceleration_mps2: Annotated[float, Meta(gt=0)] = 2.5
+    gust_mps2: Annotated[float, Meta(ge=0)] = 0.0
+    """What gusts do to a vehicle that holds its velocity; a steady wind is compensated."""
+    gust_memory_s: Annotated[float, Meta(gt=0)] = 3.0
+    own_sigma_mps: Annotated[float, Meta(ge=0)] = 0.0
+    clock_s: Annotated[float, Meta(ge=0)] = 0.0
+    """Every clock is off by up to this, drawn once."""
+    floor_m: float = -math.inf
+    """Height, as of the generators'."""
+    ceiling_m: float = math.inf
+    silent_m: Annotated[float, Meta(ge=0)] = 100.0
+    lie_m: Annotated[float, Meta(ge=0)] = 50.0
 
     def row(self, period_s: float) -> Array:
         """As the kernel takes it, shape (WORLD_ENTRIES,)."""
@@ -97,6 +125,10 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         row[W_SIGMA], row[W_SIGMA_MEMORY] = self.sigma_m, self.sigma_memory_s
         row[W_SIGMA_VELOCITY], row[W_DECLARED] = self.sigma_mps, self.declared_m
         row[W_LAG], row[W_ACCELERATION] = self.lag_s, self.acceleration_mps2
+        row[W_GUST], row[W_GUST_MEMORY] = self.gust_mps2, self.gust_memory_s
+        row[W_OWN_VELOCITY], row[W_CLOCK] = self.own_sigma_mps, self.clock_s
+        row[W_FLOOR], row[W_CEILING] = -self.floor_m, -self.ceiling_m
+        row[W_SILENT], row[W_LIE] = self.silent_m, self.lie_m
         return row
 
 
@@ -143,12 +175,22 @@ def _least_distance2(position: Array, before: Array, i: int, j: int) -> float:
 
 
 @_compiled
+def _distance(position: Array, i: int, j: int) -> float:
+    return math.sqrt(
+        (position[i, 0] - position[j, 0]) ** 2
+        + (position[i, 1] - position[j, 1]) ** 2
+        + (position[i, 2] - position[j, 2]) ** 2
+    )
+
+
+@_compiled
 def fly(
     rng: np.random.Generator,
     world: Array,
     path_times: Array,
     path_points: Array,
     settings: Array,
+    kinds: Array,
     trace: Array,
     result: Array,
 ) -> None:
@@ -159,6 +201,7 @@ def fly(
         world: WORLD_ENTRIES values.
         path_times, path_points: shapes (A, K) and (A, K, 3): each aircraft's timed path, NED.
         settings: shape (A, SETTINGS_ENTRIES): each aircraft's law.
+        kinds: shape (A,): AVOIDS, or what else an aircraft is.
         trace: shape (steps, A, 3): true positions; written as far as it goes, empty where nobody looks.
         result: FLIGHT_ENTRIES values; written.
     """
@@ -172,6 +215,13 @@ def fly(
 
     position, before, velocity = np.zeros((fleet, 3)), np.zeros((fleet, 3)), np.zeros((fleet, 3))
     error, command = np.zeros((fleet, 3)), np.zeros((fleet, 3))
+    gust, own_error = np.zeros((fleet, 3)), np.zeros((fleet, 3))
+    clock, turn, climb = np.zeros(fleet), np.zeros(fleet), np.zeros(fleet)
+    lie, frozen = np.zeros((fleet, 2)), np.zeros((fleet, 3))
+    gust_keep = math.exp(-step / world[W_GUST_MEMORY])
+    gust_fresh = math.sqrt(1.0 - gust_keep * gust_keep) * world[W_GUST]
+    own_fresh = math.sqrt(1.0 - keep * keep) * world[W_OWN_VELOCITY]
+    mind_every = round(_TURN_S / step)
     phase = np.zeros(fleet, np.int64)
     sent = np.zeros((fleet, slots, MESSAGE_COLUMNS))  # the sender's last messages
     arrival = np.full((fleet, fleet, slots), math.inf)  # (receiver, sender, slot)
@@ -195,7 +245,13 @@ def fly(
         for c in range(3):
             command[i, c] = velocity[i, c]
             error[i, c] = rng.normal(0.0, world[W_SIGMA])
+            frozen[i, c] = velocity[i, c]
+            own_error[i, c] = rng.normal(0.0, world[W_OWN_VELOCITY])
         phase[i] = rng.integers(0, message_every)
+        clock[i] = rng.uniform(-world[W_CLOCK], world[W_CLOCK])
+        bearing = rng.uniform(0.0, 2.0 * math.pi)
+        if kinds[i] == LIAR:
+            lie[i, 0], lie[i, 1] = world[W_LIE] * math.cos(bearing), world[W_LIE] * math.sin(bearing)
         k.begin(state[i], settings[i])
 
     for tick in range(steps):
@@ -204,16 +260,21 @@ def fly(
             if (tick + phase[i]) % message_every == 0:
                 slot = ((tick + phase[i]) // message_every) % slots
                 message = sent[i, slot]
-                message[M_TIME] = now
+                message[M_TIME] = now + clock[i]
                 for c in range(3):
+                    sent_velocity = frozen[i, c] if kinds[i] == FROZEN else velocity[i, c]
                     message[M_POSITION + c] = position[i, c] + error[i, c]
-                    message[M_VELOCITY + c] = velocity[i, c] + rng.normal(0.0, world[W_SIGMA_VELOCITY])
+                    message[M_VELOCITY + c] = sent_velocity + rng.normal(0.0, world[W_SIGMA_VELOCITY])
+                message[M_POSITION] += lie[i, 0]
+                message[M_POSITION + 1] += lie[i, 1]
                 if world[W_QUANTISED] != 0.0:
                     _quantise(message)
                 for j in range(fleet):
                     if j != i:
                         delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
                         lost = world[W_LOSS] > 0.0 and rng.random() < world[W_LOSS]
+                        if kinds[i] == SILENT and _distance(position, i, j) > world[W_SILENT]:
+                            lost = True
                         arrival[j, i, slot] = math.inf if lost else now + delay
         if tick % every == 0:
             for i in range(fleet):
@@ -226,7 +287,7 @@ def fly(
                             arrival[i, j, slot] = math.inf
                             if sent[j, slot, M_TIME] > heard[i, j, M_TIME]:
                                 heard[i, j] = sent[j, slot]
-                    age = now - heard[i, j, M_TIME]
+                    age = max(now + clock[i] - heard[i, j, M_TIME], 0.0)
                     if age <= OLDEST_S:
                         row = neighbours[count]
                         for c in range(6):
@@ -235,14 +296,24 @@ def fly(
                         count += 1
                 for c in range(3):
                     own[k.O_POSITION + c] = position[i, c] + error[i, c]
-                    own[k.O_VELOCITY + c] = velocity[i, c]
+                    own[k.O_VELOCITY + c] = velocity[i, c] + own_error[i, c]
                 own[k.O_SIGMA], own[k.O_NOW], own[k.O_PATH_TIME] = world[W_DECLARED], now, now
-                own[k.O_FLOOR], own[k.O_CEILING] = math.inf, -math.inf
+                own[k.O_FLOOR], own[k.O_CEILING] = world[W_FLOOR], world[W_CEILING]
                 k.decide(
                     neighbours, count, own, path_times[i], path_points[i], settings[i], state[i], times[i],
                     velocities[i], planes, scratch, view, out,
                 )  # fmt: skip
                 command[i, 0], command[i, 1], command[i, 2] = out[0], out[1], out[2]
+                if kinds[i] == TURNING or kinds[i] == FROZEN:
+                    if tick % mind_every == 0:
+                        turn[i] = rng.uniform(-_TURN_RAD, _TURN_RAD)
+                        climb[i] = rng.uniform(-settings[i, k.S_DESCENT], settings[i, k.S_CLIMB])
+                    cosine, sine = math.cos(turn[i]), math.sin(turn[i])
+                    command[i, 0] = cosine * out[0] - sine * out[1]
+                    command[i, 1] = sine * out[0] + cosine * out[1]
+                    command[i, 2] = 0.5 * out[2] - climb[i]
+                if kinds[i] != AVOIDS:
+                    continue
                 decisions += 1.0
                 infeasible += 1.0 - out[k.R_FEASIBLE]
                 if out[k.R_CONFLICT] > in_conflict[i]:
@@ -258,11 +329,17 @@ def fly(
             size = math.sqrt(an * an + ae * ae + ad * ad)
             if size > most:
                 an, ae, ad = an * most / size, ae * most / size, ad * most / size
-            for c, a in enumerate((an, ae, ad)):
+            if world[W_GUST] > 0.0:
+                for c in range(3):
+                    gust[i, c] = gust_keep * gust[i, c] + gust_fresh * rng.normal(0.0, 1.0)
+            for c, answer in enumerate((an, ae, ad)):
+                a = answer + gust[i, c]
                 before[i, c] = position[i, c]
                 position[i, c] += (velocity[i, c] + 0.5 * step * a) * step
                 velocity[i, c] += step * a
                 error[i, c] = keep * error[i, c] + fresh * rng.normal(0.0, 1.0)
+                if own_fresh > 0.0:
+                    own_error[i, c] = keep * own_error[i, c] + own_fresh * rng.normal(0.0, 1.0)
             if tick < len(trace):
                 trace[tick, i] = position[i]
             n, e, d = k.path_position(path_times[i], path_points[i], now + step)
@@ -273,6 +350,8 @@ def fly(
                 + (position[i, 1] - before[i, 1]) ** 2
                 + (position[i, 2] - before[i, 2]) ** 2
             )
+            if kinds[i] != AVOIDS:
+                continue
             gap = math.sqrt((n - position[i, 0]) ** 2 + (e - position[i, 1]) ** 2 + (d - position[i, 2]) ** 2)
             result[F_DEVIATION] = max(result[F_DEVIATION], gap)
             away_since[i] = min(away_since[i], now) if gap > AWAY_M else math.inf

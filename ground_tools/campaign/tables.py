@@ -9,7 +9,8 @@ from typing import Any, Final
 import msgspec
 
 from companion.errors import ConfigError
-from ground_tools.campaign.cells import LAWS, Cell
+from ground_tools.campaign.cells import LAWS, WORLDS, Cell
+from ground_tools.campaign.flight import INTRUDERS
 from ground_tools.campaign.generators import NAMES
 
 DELAYS_S: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))
@@ -36,7 +37,7 @@ def _laws() -> list[Cell]:
     ]
     rows += [Cell(generator="S2", aircraft=n, delay_s=delay_s) for n in (10, 20) for delay_s in DELAYS_S]
     rows += [
-        Cell(generator=name, aircraft=5, blind=0.2, delay_s=delay_s)
+        Cell(generator=name, aircraft=5, intruders=0.2, delay_s=delay_s)
         for name in ("S1", "S2", "S3")
         for delay_s in DELAYS_S
     ]
@@ -48,7 +49,27 @@ def _fast() -> list[Cell]:
     return [Cell(generator=name, aircraft=5, speed_mps=20.0, delay_s=DELAYS_S[-1]) for name in NAMES]
 
 
-TABLES: Final[dict[str, Callable[[], list[Cell]]]] = {"generators": _generators, "laws": _laws, "fast": _fast}
+def _open_ground() -> list[Cell]:
+    """What nobody has an answer to yet."""
+    rows = [
+        Cell(generator=name, aircraft=5, intruders=0.2, intruder=kind, delay_s=DELAYS_S[1])
+        for kind in INTRUDERS
+        for name in ("S2", "crossing", "circle", "random")
+    ]
+    rows += [
+        Cell(generator=name, aircraft=5, world=world, delay_s=DELAYS_S[1])
+        for world in WORLDS
+        for name in ("S2", "crossing", "circle", "random")
+    ]
+    return [*rows, Cell(generator="streams", aircraft=50, delay_s=DELAYS_S[1])]
+
+
+TABLES: Final[dict[str, Callable[[], list[Cell]]]] = {
+    "generators": _generators,
+    "laws": _laws,
+    "fast": _fast,
+    "open-ground": _open_ground,
+}
 
 
 class Line(msgspec.Struct, frozen=True, kw_only=True):
@@ -103,7 +124,8 @@ def markdown(lines: Sequence[Line]) -> str:
         ("law", lambda line: line.cell.law),
         ("m/s", lambda line: f"{line.cell.speed_mps:g}"),
         ("delay (s)", lambda line: "{:g} to {:g}".format(*line.cell.delay_s)),
-        ("blind", lambda line: f"{line.cell.blind:.0%}"),
+        ("intruders", lambda line: _intruders(line.cell)),
+        ("world", lambda line: line.cell.world),
         ("lost messages", lambda line: f"{line.cell.loss:.0%}"),
     ]
     shown = [c for c in columns if len({c[1](line) for line in lines}) > 1]
@@ -123,6 +145,10 @@ def markdown(lines: Sequence[Line]) -> str:
     rows = [[title for title, _ in shown], ["---"] * len(shown)]
     rows += [[value(line) for _, value in shown] for line in lines]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _intruders(cell: Cell) -> str:
+    return f"{cell.intruders:.0%} {cell.intruder}" if cell.intruders else "none"
 
 
 def _risk(line: Line) -> str:

@@ -90,7 +90,7 @@ def test_cells_that_differ_have_files_that_differ(tmp_path):
         Cell(generator="S2", aircraft=5, law="paper"),
         Cell(generator="S2", aircraft=5, delay_s=(1.0, 2.0)),
         Cell(generator="S2", aircraft=5, loss=0.8),
-        Cell(generator="S2", aircraft=5, blind=0.2),
+        Cell(generator="S2", aircraft=5, intruders=0.2),
         Cell(generator="S2", aircraft=5, speed_mps=20.0),
     ]
     assert len({c.name for c in [cell, *others]}) == 6
@@ -99,11 +99,11 @@ def test_cells_that_differ_have_files_that_differ(tmp_path):
 
 def test_the_blind_do_not_avoid():
     """With everybody blind, the flights are the unavoided ones."""
-    cell = Cell(generator="crossing", aircraft=2, blind=1.0)
+    cell = Cell(generator="crossing", aircraft=2, intruders=1.0)
     seen = campaign.fly(cell, range(1, 4))
-    unavoided = campaign.fly(Cell(generator="crossing", aircraft=2, law="none", blind=1.0), range(1, 4))
+    unavoided = campaign.fly(Cell(generator="crossing", aircraft=2, law="none", intruders=1.0), range(1, 4))
     assert [r.separation_m for r in seen] == [r.separation_m for r in unavoided]
-    half = campaign.fly(Cell(generator="crossing", aircraft=2, blind=0.5), range(1, 4))
+    half = campaign.fly(Cell(generator="crossing", aircraft=2, intruders=0.5), range(1, 4))
     assert min(r.separation_m for r in half) > max(r.separation_m for r in seen)
 
 
@@ -116,7 +116,7 @@ def test_the_blind_do_not_avoid():
         (["--delay", "2", "1"], "--delay: 2 1: allowed are two rising numbers from 0 to 60"),
         (["--delay", "nan", "1"], "--delay: nan 1: allowed are two rising numbers"),
         (["--loss", "1.5"], "--loss: 1.5: allowed 0 to 1"),
-        (["--blind", "-1"], "--blind: -1: allowed 0 to 1"),
+        (["--intruders", "-1"], "--intruders: -1: allowed 0 to 1"),
         (["--speed", "nan"], "--speed: nan: allowed 1 to 50"),
         (["--processes", "0"], "--processes: 0: allowed 1 to 1024"),
         (["--out", "/dev/null/here"], "/dev/null/here"),
@@ -162,12 +162,12 @@ def test_a_table_has_a_line_for_each_cell(tmp_path, capsys):
 
 def test_columns_of_what_differs():
     rows = [row(1, 9.0), row(2, 12.5)]
-    cells = [Cell(generator="S1", aircraft=5, blind=0.2), Cell(generator="S1", aircraft=5, law="paper")]
+    cells = [Cell(generator="S1", aircraft=5, intruders=0.2), Cell(generator="S1", aircraft=5, law="paper")]
     lines = [tables.Line(cell=cell, found=summary(rows, rows)) for cell in cells]
     head, _, first, second = tables.markdown(lines).splitlines()
-    assert head.startswith("| law | blind | runs | below 10 m |")
-    assert first == "| dmuca | 20% | 2 | 1 | 0 | 1, 0 | 1.0000 (0.1891 to 1.8109) | 9.00 | 10 | 5 |"
-    assert second.startswith("| paper | 0% | 2 |")
+    assert head.startswith("| law | intruders | runs | below 10 m |")
+    assert first == "| dmuca | 20% blind | 2 | 1 | 0 | 1, 0 | 1.0000 (0.1891 to 1.8109) | 9.00 | 10 | 5 |"
+    assert second.startswith("| paper | none | 2 |")
 
 
 def test_a_damaged_table_is_said(tmp_path):

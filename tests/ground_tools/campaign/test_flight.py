@@ -20,12 +20,14 @@ EXACT = World(sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay
 DMUCA, ALONE = AvoidanceConfig(), AvoidanceConfig(law="none")
 
 
-def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, steps=0):
+def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, steps=0, kinds=None):
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
     settings = np.array([settings_of(avoidance, LimitsConfig(), path) for path in paths])
+    kinds = np.zeros(len(paths)) if kinds is None else np.array(kinds, float)
+    settings[kinds != flight.AVOIDS, k.S_LAW] = k.NONE
     trace, result = np.zeros((steps, len(paths), 3)), np.zeros(flight.FLIGHT_ENTRIES)
     rng = np.random.default_rng(seed)
-    function(rng, world.row(avoidance.period_s), times, points, settings, trace, result)
+    function(rng, world.row(avoidance.period_s), times, points, settings, kinds, trace, result)
     return result, trace
 
 
@@ -189,3 +191,64 @@ def test_what_cannot_be_drawn_is_said():
         draw("wall", 1, 5.0, 1)
     with pytest.raises(ValueError, match="do not fit 40 m apart"):
         draw("circle", 60, 1.0, 1)
+
+
+# ---------------------------------------------------------------- what makes it hard
+
+
+HEAD_ON = straight((-60.0, 0.0, 60.0, 0.0), (60.0, 1.0, -60.0, 1.0))
+SHORT = replace(EXACT, end_s=60.0)
+
+
+def least(world=SHORT, kinds=None, seed=1):
+    return fly(*HEAD_ON, world, seed=seed, kinds=kinds)[0][flight.F_SEPARATION]
+
+
+def test_a_silent_one_is_heard_late_and_a_liar_elsewhere():
+    assert least() > 10.0
+    silent = fly(*HEAD_ON, replace(SHORT, silent_m=15.0), kinds=[flight.AVOIDS, flight.SILENT])[0]
+    assert silent[flight.F_SEPARATION] < 10.0
+    assert least(kinds=[flight.AVOIDS, flight.LIAR]) < least(kinds=[flight.AVOIDS, flight.BLIND])
+    assert least(replace(SHORT, lie_m=0.0), kinds=[flight.AVOIDS, flight.LIAR]) > 10.0
+
+
+def test_one_that_turns_leaves_its_way_and_one_that_is_frozen_tells_nobody():
+    times, points = HEAD_ON
+    _, straight_on = fly(times, points, SHORT, ALONE, steps=600)
+    _, turning = fly(times, points, SHORT, ALONE, steps=600, kinds=[flight.AVOIDS, flight.TURNING])
+    assert np.abs(turning[:, 0] - straight_on[:, 0]).max() == 0.0
+    assert np.abs(turning[:, 1] - straight_on[:, 1]).max() > 3.0
+    spans = turning[1:, 1] - turning[:-1, 1]
+    assert (np.linalg.norm(spans, axis=1) / 0.1).max() < 5.0 + 1e-6
+
+
+def test_wind_shakes_clocks_age_and_velocities_err(monkeypatch):
+    calm = fly(*HEAD_ON, SHORT, ALONE, steps=600)[1]
+    shaken = fly(*HEAD_ON, replace(SHORT, gust_mps2=0.6), ALONE, steps=600)[1]
+    assert 0.2 < np.abs(shaken - calm).max() < 15.0
+    heard = []
+    decide = k.decide
+
+    def spy(neighbours, count, own, *others):
+        heard.append((own[k.O_VELOCITY], *neighbours[:count, k.N_AGE].tolist()))
+        decide(neighbours, count, own, *others)
+
+    monkeypatch.setattr(k, "decide", spy)
+    fly(*HEAD_ON, replace(SHORT, end_s=20.0, clock_s=0.5), function=flight.fly.py_func, seed=3)
+    ages = np.array([h[1] for h in heard if len(h) > 1])
+    assert ages.min() == 0.0  # a clock that leads: never from the future
+    assert ages.max() > 0.9
+    own = np.array([h[0] for h in heard])
+    heard.clear()
+    world = replace(SHORT, end_s=20.0, clock_s=0.5, own_sigma_mps=0.3)
+    fly(*HEAD_ON, world, function=flight.fly.py_func, seed=3)
+    assert np.abs(np.array([h[0] for h in heard])[:2] - own[:2]).max() > 0.02
+
+
+def test_floor_and_ceiling_hold():
+    times, points = straight((-60.0, 0.0, 60.0, 0.0), (60.0, 1.0, -60.0, 1.0))
+    points[0, 1, 2], points[1, 1, 2] = -160.0, -40.0  # through both
+    world = replace(SHORT, floor_m=70.0, ceiling_m=130.0)
+    _, trace = fly(times, points, world, steps=600)
+    assert -130.5 < trace[:, :, 2].min() < -128.0
+    assert -72.0 < trace[:, :, 2].max() < -69.5
