@@ -24,6 +24,7 @@ from companion.atmc.senses import Senses
 from companion.config import CHOOSER_WORDS, Config
 from companion.events import Command, RadioState, Say, Severity, TransportsChosen
 from companion.ownship import Ownship
+from companion.remote_id.broadcaster import asked_rates
 from companion.traffic.tracks import Traffic
 
 By = Literal["policy", "rule", "fixed", "fallback"]
@@ -53,7 +54,7 @@ class Chooser:
         self.trouble = trouble
         """Why the configured policy cannot be followed at all, in words; None when it can."""
         self._mind = mind
-        self._region = config.region
+        self._region, self._configured = config.region, asked_rates(config)
         self._uas_id, self._period_s = config.identity.uas_id, config.atmc.period_s
         self._senses = Senses(config.identity.uas_id)
         self._numbers = {} if mind is None else {action: i for i, action in enumerate(mind.actions)}
@@ -126,22 +127,27 @@ class Chooser:
         return rates_of(answer.action), self._tell(self.by, None, f"{len(seen.rows)} aircraft heard")
 
     def _fall_back(self, why: enum.Enum, words: str) -> tuple[dict[str, int] | None, list[Command]]:
-        """The fixed set that is legal and can be sent. Where there is none, what was asked last stands: the
-        broadcaster makes the best of it, and says that it is not legal."""
+        """The fixed set that is legal and can be sent. Where there is none, what is configured: the
+        broadcaster makes the best of it, and says whether that is legal."""
         self._action = fixed(self._region, self._can_send)
-        commands = self._tell("fallback", why, words)
-        return None if self._action is None else rates_of(self._action), commands
+        return self._rates(), self._tell("fallback", why, words)
+
+    def _rates(self) -> dict[str, int]:
+        """What is asked for now."""
+        return dict(self._configured) if self._action is None else rates_of(self._action)
 
     def _tell(self, by: By, why: enum.Enum | None, words: str) -> list[Command]:
         """The log, when something changed; the pilot, once for each kind of trouble."""
-        rates = tuple(rates_of(self._action).items()) if self._action is not None else ()
+        rates = tuple(self._rates().items())
         commands: list[Command] = []
         if (rates, by, why) != self._logged:
             self._logged = (rates, by, why)
             commands.append(TransportsChosen(rates=rates, by=by, reason=words))
         if why is not None and why not in self._told:
             self._told.add(why)
-            chosen = " + ".join(f"{transport} {rate}/s" for transport, rate in rates) or "as configured"
+            chosen = " + ".join(f"{transport} {rate}/s" for transport, rate in rates)
+            if self._action is None:
+                chosen += " as configured, as far as law and radio allow"
             text = f"DMUCA transports not by {self.by}: {words}; now {chosen}"
             commands.append(Say(severity=Severity.WARNING, text=text))
         return commands

@@ -82,9 +82,6 @@ class Policy:
         farther than any in training are left out."""
         if not allowed.any():
             return Refused(Why.NOTHING_ALLOWED, "none of the policy's actions is legal and can be sent")
-        if len(neighbour_rows) > self.metadata.neighbours:
-            most = self.metadata.neighbours
-            return Refused(Why.TOO_MANY, f"{len(neighbour_rows)} neighbours, trained with up to {most}")
         own, rows = self._selected(own_row, neighbour_rows)
         # Negated, so that NaN is outside too.
         if not ((own >= self._own_low) & (own <= self._own_high)).all():
@@ -92,6 +89,10 @@ class Policy:
         if self._distance is not None:
             # Who is farther than any in training matters to nobody, and must not end the choosing.
             rows = rows[~(rows[:, self._distance] > self._high[self._distance])]
+        most = self.metadata.neighbours
+        count = len(neighbour_rows) if self.metadata.kind == "flat" else len(rows)
+        if count > most:
+            return Refused(Why.TOO_MANY, f"{count} neighbours, trained with up to {most}")
         if not ((rows >= self._low) & (rows <= self._high)).all():
             return self._outside(rows, self._low, self._high, self.metadata.neighbour_columns)
         q = self._values(own, rows, agent)

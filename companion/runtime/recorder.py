@@ -27,8 +27,11 @@ _CLOSE_S = 5.0
 _VERSIONED = ("numpy", "numba", "pymavlink", "msgspec", "pymap3d")
 
 
-def create_run_folder(root: Path, name: str, utc_s: float) -> Path:
+def create_run_folder(root: Path, name: str, utc_s: float, key: str = "record.folder") -> Path:
     """Make `<root>/<utc>-<name>/`; a number is added when it is there already.
+
+    Args:
+        key: what named the root, for messages.
 
     Raises:
         ConfigError: the folder cannot be made.
@@ -41,9 +44,9 @@ def create_run_folder(root: Path, name: str, utc_s: float) -> Path:
         except FileExistsError:
             continue
         except OSError as error:
-            raise ConfigError(f"record.folder: {root}: cannot be written: {error.strerror}") from error
+            raise ConfigError(f"{key}: {root}: cannot be written: {error.strerror}") from error
         return folder
-    raise ConfigError(f"record.folder: {root}: a thousand runs of the name {stamp}-{name} are there already")
+    raise ConfigError(f"{key}: {root}: a thousand runs of the name {stamp}-{name} are there already")
 
 
 def write_manifest(folder: Path, what: str, **facts: object) -> None:

@@ -11,6 +11,7 @@ import csv
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,12 +20,14 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.errors import ConfigError
-from ground_tools.atmc.results import CONVERGENCE, UAV_EVERY, Results, Run, read, write
+from ground_tools.atmc.results import CONVERGENCE, NAMES, UAV_EVERY, Results, Run, read, write
 from ground_tools.atmc.torch_setup import set_up_torch
 from ground_tools.channel.progress import progress
 
 if TYPE_CHECKING:
+    from ground_tools.atmc.flat import Stack
     from ground_tools.atmc.paper_task import Measured
+    from ground_tools.atmc.training import Job
 
 _FLEETS = 250
 _SEED = 3_000_017
@@ -65,10 +68,12 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--configurations: {args.configurations}: allowed are multiples of {_FLEETS}")
     set_up_torch()
     held = _held(args) if args.add else {}
+    # All of them before any is measured, which takes long.
+    found = [_read(folder) for folder in args.runs]
     runs = []
-    with progress("policies", len(args.runs)) as advance:
-        for folder in args.runs:
-            runs.append(_run(folder, args.configurations))
+    with progress("policies", len(found)) as advance:
+        for trained in found:
+            runs.append(_run(trained, args.configurations))
             advance()
     all_runs = held | {_place(run): run for run in runs}
     results = Results(
@@ -95,26 +100,74 @@ def _place(run: Run) -> tuple[str, int]:
     return run.algorithm, run.seed
 
 
-def _run(folder: Path, configurations: int) -> Run:
-    """One run, measured."""
+@dataclass(frozen=True, slots=True)
+class _Trained:
+    """A finished run, read."""
+
+    job: Job
+    manifest: dict[str, Any]
+    rows: list[dict[str, str]]
+    best: Stack
+    last: Stack
+
+
+def _read(folder: Path) -> _Trained:
+    """A run folder, all of it readable.
+
+    Raises:
+        ConfigError: it is no finished run of one of the paper's algorithms, or a file of it is damaged.
+    """
     try:
         manifest = json.loads((folder / "manifest.json").read_text())
-        algorithm, seed = str(manifest["algorithm"]), int(manifest["seed"])
+        algorithm = str(manifest["algorithm"])
         with (folder / "metrics.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{folder}: not the folder of a training run") from error
+    if algorithm not in NAMES:
+        raise ConfigError(f"{folder}: a run of {algorithm}; allowed are those of {', '.join(NAMES)}")
+    from ground_tools.atmc.flat import thawed
     from ground_tools.atmc.training import resumed_job
 
     job = resumed_job(folder, "cpu", None)
     if not rows or len(rows) < job.settings.episodes:
         raise ConfigError(f"{folder}: {len(rows)} of {job.settings.episodes} episodes; --resume it first")
+    missing = {"seconds", "reward", "delay_ms", "validation_score"} - rows[-1].keys()
+    if missing:
+        raise ConfigError(f"{folder}: metrics.csv: the column {min(missing)} is missing")
+    path = folder / "policy.safetensors"
+    try:
+        best = thawed(path.read_bytes(), str(path))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    return _Trained(job, manifest, rows, best, _last(job))
+
+
+def _last(job: Job) -> Stack:
+    """The networks of the end."""
+    import torch
+
+    from ground_tools.atmc.algorithms import ALGORITHMS
+    from ground_tools.atmc.flat import thawed
+
+    learner = ALGORITHMS[job.algorithm].parts().make(job.settings, job.seed, torch.device("cpu"))
+    path = job.folder / "checkpoint.pt"
+    try:
+        learner.load(torch.load(path, weights_only=True)["learner"])
+    except Exception as error:  # a damaged file: PyTorch raises of many kinds
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    return thawed(learner.frozen("last", {}), "last")
+
+
+def _run(trained: _Trained, configurations: int) -> Run:
+    """One run, measured."""
+    job, rows = trained.job, trained.rows
     uavs = range(job.settings.task.uavs)
-    best, last = (_measured(job, part, configurations) for part in ("best", "last"))
+    best, last = (_measured(stack, job, configurations) for stack in (trained.best, trained.last))
     return Run(
-        algorithm=algorithm,
-        seed=seed,
-        git_commit=manifest["git_commit"],
+        algorithm=job.algorithm,
+        seed=job.seed,
+        git_commit=trained.manifest["git_commit"],
         settings=_plain(job.settings),
         seconds=round(float(rows[-1]["seconds"]), 1),
         reward=_column(rows, "reward"),
@@ -131,21 +184,12 @@ def _run(folder: Path, configurations: int) -> Run:
     )
 
 
-def _measured(job: Any, part: str, configurations: int) -> Measured:
-    """The best policy, or that of the end, on environments that nobody has seen."""
+def _measured(stack: Stack, job: Job, configurations: int) -> Measured:
+    """A policy on environments that nobody has seen."""
     import torch
 
-    from ground_tools.atmc.algorithms import ALGORITHMS
-    from ground_tools.atmc.flat import thawed
     from ground_tools.atmc.paper_task import measure, paper_objective
 
-    if part == "best":
-        path = job.folder / "policy.safetensors"
-        stack = thawed(path.read_bytes(), str(path))
-    else:
-        learner = ALGORITHMS[job.algorithm].parts().make(job.settings, job.seed, torch.device("cpu"))
-        learner.load(torch.load(job.folder / "checkpoint.pt", weights_only=True)["learner"])
-        stack = thawed(learner.frozen("last", {}), "last")
     return measure(
         lambda seen: stack.of_all(seen).argmax(-1),
         paper_objective(torch.device("cpu")),

@@ -16,13 +16,10 @@ from torch import Tensor
 
 from companion.atmc.observation import conflict_weight, neighbour_rows, own_row
 from companion.atmc.senses import FEWEST_EXPECTED, FEWEST_SENDERS, SCAN_SHARE
-from companion.traffic.reception import SHARE_MEMORY_S
+from companion.traffic.reception import HEARD_S, SHARE_MEMORY_S
 from ground_tools.atmc.channel import Packets, TorchChannel
 from ground_tools.atmc.objective import Air, Objective, costs
 from ground_tools.atmc.world import World, WorldSettings, draw, move, redraw
-
-HEARD_WITHIN_S = 3.0
-"""A transport on which a neighbour was not heard for so long counts as not in use."""
 
 
 class EnvSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -126,13 +123,14 @@ class Env:
         """(E, receiver, sender, 3): on which transports something was heard lately, by chance."""
         level = self.channel.level_of[self.action][:, None]
         delays = [self.channel.log_delay_at(mode, level[..., mode], packets) for mode in range(3)]
-        missing = torch.exp(-HEARD_WITHIN_S * torch.exp(-torch.stack(delays, -1)))
+        missing = torch.exp(-HEARD_S * torch.exp(-torch.stack(delays, -1)))
         luck = torch.rand(missing.shape, generator=self._generator, device=missing.device)
         return (luck >= missing).to(torch.float32)
 
     def _success(self, on: Tensor, packets: Packets | None) -> tuple[Tensor, Tensor]:
-        """(E, N, 3) each: share of the packets of those who are heard that survive, as it is counted aboard
-        (`companion.atmc.senses.SuccessMeter`), and where it is known."""
+        """(E, N, 3) each: share of the packets of those who are heard that survive, counted as aboard where
+        few are near (`companion.atmc.senses.SuccessMeter`), and where it is known. In a crowd it is surer
+        aboard, where all within `NEAR_M` are counted."""
         shape = (*self.action.shape, 3)
         if packets is None:
             # The paper's aircraft measure nothing.
@@ -170,8 +168,9 @@ class Env:
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
-        self.action, self.identity = state["action"], state["identity"]
-        self.place(World(**state["world"]))
+        device = self._generator.device
+        self.action, self.identity = state["action"].to(device), state["identity"].to(device)
+        self.place(World(**{name: part.to(device) for name, part in state["world"].items()}))
 
     def go_on(self) -> None:
         """The next positions."""

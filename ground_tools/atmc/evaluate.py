@@ -27,11 +27,11 @@ from companion.errors import ConfigError
 from ground_tools.atmc.channel import TorchChannel
 from ground_tools.atmc.deciders import Decider, Fixed, Rule, settle
 from ground_tools.atmc.env import Env, EnvSettings, Observation
-from ground_tools.atmc.flat import MAX_BYTES, flat, thawed
+from ground_tools.atmc.flat import flat, thawed
 from ground_tools.atmc.objective import AwarenessObjective, Objective, PaperObjective, costs
 from ground_tools.atmc.search import search
 from ground_tools.atmc.setnet import SetNet
-from ground_tools.atmc.tasks import AWARENESS_CHANNEL, REGIONS, ObjectiveName, RegionName
+from ground_tools.atmc.tasks import AWARENESS_CHANNEL, MAX_BYTES, REGIONS, ObjectiveName, RegionName
 from ground_tools.atmc.world import SIDES_M, WorldSettings
 from sitl_mocks.channel.parameters import ChannelParameters
 
@@ -132,7 +132,7 @@ def objective_of(name: ObjectiveName) -> tuple[Objective, Sequence[Action]]:
 
 
 def rule_of(name: ObjectiveName, actions: Sequence[Action], allowed: Tensor) -> Rule:
-    """The one-line rule; what is not legal gives way to the first action that is."""
+    """The one-line rule; what is not legal gives way to the last action that is."""
     near, far = (PAPER_NEAR, PAPER_FAR) if name == "paper" else (FLYING_NEAR, FLYING_FAR)
     legal_actions = [action for action, fits in zip(actions, allowed.tolist(), strict=True) if fits]
     near, far = (action if action in legal_actions else legal_actions[-1] for action in (near, far))
@@ -199,7 +199,7 @@ def _measure_side(
     question: Question, objective: Objective, fleet: Frozen, allowed: Tensor, side: float, found: _Sums
 ) -> None:
     """All methods in the same places of one square."""
-    seed = (question.seed * 1_000_003 + int(side)) * 1_000_003
+    seed = (question.seed * 1_000_003 + int(side)) * 1_000_003 % 2**63
     generator = torch.Generator().manual_seed(seed)
     chunk = max(1, min(question.samples, _CELLS // question.uavs**2))
     names = ("policy", "rule", "search")
@@ -216,7 +216,7 @@ def _measure_side(
             env.action = allowed.nonzero()[:, 0][env.action % int(allowed.sum())]
             _decide(env, fleet, fleet.metadata.decisions, generator)
         # The same places for every policy, whatever chance it took so far.
-        generator.manual_seed(seed + done)
+        generator.manual_seed((seed + done) % 2**63)
         env.go_on()
         total["policy"] += float(_decide(env, fleet, fleet.metadata.decisions, generator))
         policy = env.action

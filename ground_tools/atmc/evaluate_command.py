@@ -13,6 +13,7 @@ from rich.table import Table
 
 from companion.errors import ConfigError
 from ground_tools.atmc.torch_setup import set_up_torch
+from ground_tools.channel.options import check_seed
 
 if TYPE_CHECKING:
     from ground_tools.atmc.evaluate import Question
@@ -118,8 +119,7 @@ def _check(question: Question) -> None:
         raise ConfigError("--load: the paper's objective knows nobody else in the band")
     if question.samples < 1:
         raise ConfigError(f"--samples: {question.samples}: allowed 1 and above")
-    if question.seed < 0:
-        raise ConfigError(f"--seed: {question.seed}: allowed 0 and above")
+    check_seed(question.seed)
     if not 0.0 <= question.sigma_db <= 30.0:
         raise ConfigError(f"--sigma: {question.sigma_db:g}: allowed 0 to 30")
 

@@ -21,12 +21,11 @@ from companion.atmc import policy, policy_file
 from companion.atmc.actions import Action
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from ground_tools.atmc.env import Observation
+from ground_tools.atmc.tasks import MAX_BYTES
 
 COLUMNS = ("log_distance", "ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
 """Of each neighbour; a 1 follows where it is heard."""
 OWN = ("ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
-MAX_BYTES = 4_000_000
-"""Of a file: ten of the paper's networks take 2.3 MB. They stay on the ground."""
 _COLUMNS = [NEIGHBOUR_COLUMNS.index(name) for name in COLUMNS]
 _OWN = [OWN_COLUMNS.index(name) for name in OWN]
 

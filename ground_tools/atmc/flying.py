@@ -64,11 +64,17 @@ _FLYING_WORLD = EnvSettings(
 PAPER_FLEETS = ((3, 192), (5, 160), (10, 128), (20, 48), (50, 16))
 
 
+Aircraft = Annotated[int, Meta(ge=2, le=1000)]
+Positive = Annotated[int, Meta(ge=1)]
+Rate = Annotated[float, Meta(gt=0)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+
+
 class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything that decides a training run of the set network, but the seed."""
 
     objective: Literal["paper", "awareness"] = "awareness"
-    fleets: tuple[tuple[int, int], ...] = (
+    fleets: Annotated[tuple[tuple[Aircraft, Positive], ...], Meta(min_length=1)] = (
         (2, 512),
         (5, 384),
         (10, 240),
@@ -80,29 +86,29 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     )
     """Groups: aircraft in a fleet, and how many such fleets live side by side. Each group has the same
     share of the updates."""
-    episodes: Annotated[int, Meta(ge=1)] = 80
+    episodes: Positive = 80
     """Rounds, each of `updates` updates."""
-    updates: Annotated[int, Meta(ge=1)] = 110
-    learning_rate: tuple[float, float] = (1e-3, 1e-5)
+    updates: Positive = 110
+    learning_rate: tuple[Rate, Rate] = (1e-3, 1e-5)
     """First and last; between them a cosine."""
-    clip: float = 5.0
+    clip: Rate = 5.0
     """Greatest norm of the gradient."""
-    average: float = 0.998
+    average: Annotated[float, Meta(ge=0, lt=1)] = 0.998
     """How much of the running average of the weights stays at each update; the average is what is frozen."""
-    exploration: tuple[float, float] = (0.35, 0.05)
+    exploration: tuple[Share, Share] = (0.35, 0.05)
     """Share of the actions taken at random, first and last. Without them what all do alike is all that is
     seen, and what follows from anything else is forgotten."""
-    acting: tuple[float, float] = (0.2, 0.4)
+    acting: tuple[Share, Share] = (0.2, 0.4)
     """Share of the aircraft of a fleet that act at an update, drawn between these; at least two of them."""
-    going_on: float = 0.4
+    going_on: Share = 0.4
     """Share of the updates after which positions go on."""
-    anew: float = 0.08
+    anew: Share = 0.08
     """Share of the updates after which a group's environments are drawn anew."""
-    regret_limit_s: float = 1.0
+    regret_limit_s: Rate = 1.0
     """Actions that lose more count as losing this much."""
-    switch_price_s: float = 0.01
+    switch_price_s: Annotated[float, Meta(ge=0, le=10)] = 0.01
     """What a switch must gain, in the network's values; not used in training."""
-    masked: float = 0.3
+    masked: Share = 0.3
     """Awareness: share of the aircraft whose radios cannot send on everything, in half of the
     environments."""
 
@@ -317,10 +323,10 @@ class FlyingLearner:
         self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
         self._generator.set_state(state["generator"])
-        self._bounds = state["bounds"]
+        self._bounds = state["bounds"].to(self._device)
         for group, kept in zip(self._groups, state["groups"], strict=True):
             group.env.load(kept["env"])
-            group.allowed = kept["allowed"]
+            group.allowed = kept["allowed"].to(self._device)
 
     def frozen(self, name: str, results: dict[str, float]) -> bytes:
         """See `Learner.frozen`."""

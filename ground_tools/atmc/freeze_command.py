@@ -12,9 +12,8 @@ import msgspec
 from companion.atmc import policy, policy_file
 from companion.errors import ConfigError
 from ground_tools.atmc.evaluate_command import evaluation
+from ground_tools.atmc.tasks import MAX_BYTES
 
-_MAX_BYTES = 4_000_000
-"""The paper's ten networks stay on the ground; what flies is held to less by the one who loads it."""
 _SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
 """Places in each square, by fleet size, of what a frozen file says of itself."""
 
@@ -49,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     """
     evaluate = evaluation()
     source = args.folder / "policy.safetensors"
-    metadata, tensors = policy_file.read(evaluate.read_policy(source), str(source), _MAX_BYTES)
+    metadata, tensors = policy_file.read(evaluate.read_policy(source), str(source), MAX_BYTES)
     name = args.name or args.out.name.removesuffix(".safetensors")
     price = metadata.switch_price if args.switch_price is None else args.switch_price
     if not 0.0 <= price <= 10.0:
@@ -61,9 +60,9 @@ def run(args: argparse.Namespace) -> int:
         switch_price=price,
         training_config_sha256=hashlib.sha256(config).hexdigest(),
     )
-    data = policy.encode(metadata, tensors, max_bytes=_MAX_BYTES)
+    data = policy.encode(metadata, tensors, max_bytes=MAX_BYTES)
     results = _results(evaluate, data, str(args.out), metadata)
-    data = policy.encode(msgspec.structs.replace(metadata, results=results), tensors, max_bytes=_MAX_BYTES)
+    data = policy.encode(msgspec.structs.replace(metadata, results=results), tensors, max_bytes=MAX_BYTES)
     try:
         args.out.write_bytes(data)
     except OSError as error:

@@ -15,6 +15,13 @@ from companion.errors import ConfigError
 
 CONVERGENCE: Final = Path(__file__).parents[2] / "config" / "atmc" / "results" / "convergence.json.gz"
 """Of the paper's algorithms."""
+NAMES: Final = {
+    "madqn": "MADQN-ATMC",
+    "madqn-shared": "MADQN-ATMC, one network",
+    "maddpg": "MADDPG",
+    "iac": "IAC",
+}
+"""The paper's algorithms, for people."""
 UAV_EVERY: Final = 10
 """Episodes that a mean for each aircraft stands for."""
 

@@ -20,6 +20,9 @@ from sitl_mocks.channel.parameters import (
 
 ObjectiveName = Literal["paper", "awareness"]
 RegionName = Literal["none", "us", "eu"]
+MAX_BYTES: Final = 4_000_000
+"""Of a policy file: ten of the paper's networks take 2.3 MB. They stay on the ground; what flies is held to
+less by the one who loads it."""
 
 AWARENESS_CHANNEL: Final = ChannelParameters(
     bluetooth_half_duplex=True,

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import queue
 import re
+import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from companion.errors import ConfigError
 from companion.toml_input import decode_toml
 from ground_tools.atmc.algorithms import ALGORITHMS
 from ground_tools.atmc.torch_setup import needs_torch
+from ground_tools.channel.options import check_seed
 
 if TYPE_CHECKING:
     from ground_tools.atmc.training import Job
@@ -124,8 +126,7 @@ def _refuse_with_resume(args: argparse.Namespace) -> None:
 def _seeds(seed: int | None, seeds: str | None) -> Sequence[int]:
     if seeds is None:
         seed = 1 if seed is None else seed
-        if seed < 0:
-            raise ConfigError(f"--seed: {seed}: allowed 0 and above")
+        check_seed(seed)
         return [seed]
     span = re.fullmatch(r"([0-9]{1,9})-([0-9]{1,9})", seeds)
     if span is None or not 0 <= int(span[2]) - int(span[1]) < _MAX_SEEDS:
@@ -168,7 +169,7 @@ def _side_by_side(jobs: Sequence[Job], at_once: int) -> int:
     running: list[Any] = []
     codes: list[int] = []
     stopped = False
-    with _display(jobs) as display:
+    with _display(jobs) as display, _sigterm_as_ctrl_c():
         while running or (waiting and not stopped):
             try:
                 while waiting and not stopped and len(running) < at_once:
@@ -186,6 +187,16 @@ def _side_by_side(jobs: Sequence[Job], at_once: int) -> int:
     if stopped or 130 in codes:
         return 130
     return max((code if code >= 0 else 1 for code in codes), default=0)
+
+
+@contextmanager
+def _sigterm_as_ctrl_c() -> Iterator[None]:
+    """A parent that just went would leave its runs behind."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _drain(sink: Any, display: _Display) -> None:

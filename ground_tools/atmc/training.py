@@ -66,8 +66,8 @@ def new_job(algorithm: str, settings: Any, seed: int, device: str, root: Path) -
     Raises:
         ConfigError: the folder cannot be made.
     """
-    folder = create_run_folder(root, f"{algorithm}-seed{seed}", time.time())
-    (folder / "config.toml").write_bytes(tomli_w.dumps(without_none(msgspec.to_builtins(settings))).encode())
+    folder = create_run_folder(root, f"{algorithm}-seed{seed}", time.time(), "--out")
+    _write_settings(folder, settings)
     write_manifest(
         folder,
         "ground-tools atmc train",
@@ -77,6 +77,10 @@ def new_job(algorithm: str, settings: Any, seed: int, device: str, root: Path) -
         torch=metadata.version("torch"),
     )
     return Job(algorithm, settings, seed, device, folder)
+
+
+def _write_settings(folder: Path, settings: Any) -> None:
+    _replace(folder / "config.toml", tomli_w.dumps(without_none(msgspec.to_builtins(settings))).encode())
 
 
 def resumed_job(folder: Path, device: str | None, episodes: int | None) -> Job:
@@ -101,6 +105,7 @@ def resumed_job(folder: Path, device: str | None, episodes: int | None) -> Job:
     settings: Any = decode_toml(folder / "config.toml", kind)
     if episodes is not None:
         settings = msgspec.structs.replace(settings, episodes=episodes)
+        _write_settings(folder, settings)
     return Job(algorithm, settings, seed, device, folder, resumed=True)
 
 
@@ -122,7 +127,7 @@ def train(job: Job, report: Report) -> bool:
         Whether it came to the end.
 
     Raises:
-        ConfigError: there is no such device, or the checkpoint cannot be read.
+        ConfigError: there is no such device, or a file of an earlier sitting cannot be read.
     """
     device = device_of(job.device)
     set_up_torch()
@@ -213,8 +218,11 @@ class _Metrics:
         self._path = path
         self._rows: list[dict[str, Any]] = []
         if done and path.exists():
-            with path.open(newline="") as file:
-                self._rows = [row for row in csv.DictReader(file) if int(row["episode"]) <= done]
+            try:
+                with path.open(newline="") as file:
+                    self._rows = [row for row in csv.DictReader(file) if int(row["episode"]) <= done]
+            except (OSError, ValueError, KeyError) as error:
+                raise ConfigError(f"--resume: {path}: not the metrics of a run: {error}") from error
         self._columns: list[str] = list(self._rows[0]) if self._rows else []
         if self._rows:
             self._write_all()

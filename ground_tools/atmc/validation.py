@@ -44,7 +44,7 @@ class Validation:
     def __init__(self, objective: Objective, name: ObjectiveName, seed: int) -> None:
         self._seed = seed
         self._device = objective.channel.device
-        generator = self._fresh()
+        generator = self._generator = torch.Generator(self._device).manual_seed(seed)
         settings = EnvSettings(lossy=name == "awareness")
         self._cases: dict[str, list[_Case]] = {}
         loads = (0.0, _LOAD) if name == "awareness" else (0.0,)
@@ -61,13 +61,10 @@ class Validation:
                     ]
                     cases.append(_Case(env, world, min(fixed)))
 
-    def _fresh(self) -> torch.Generator:
-        return torch.Generator(self._device).manual_seed(self._seed)
-
     def measure(self, decider: Decider) -> dict[str, float]:
         """Cost beyond that of the best of two fixed modes in each square (%), by fleet size, and "score",
-        their mean. Every square counts the same."""
-        generator = self._fresh()
+        their mean. Every square counts the same, and chance is the same every time."""
+        generator = self._generator.manual_seed(self._seed)
         found = {}
         for key, cases in self._cases.items():
             ratios = []

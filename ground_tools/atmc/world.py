@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 import torch
+from msgspec import Meta
 from torch import Tensor
 
 from sitl_mocks.channel.parameters import WIFI_CHANNELS
@@ -20,20 +21,25 @@ _MAX_CLIMB_MPS = 2.0
 _MIN_DISTANCE_M = 1.0
 
 
+Sigma = Annotated[float, Meta(ge=0)]
+Load = Annotated[float, Meta(ge=0, lt=1)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+
+
 class WorldSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is drawn for each environment."""
 
-    sides: Literal["paper", "any"] | float = "paper"
+    sides: Literal["paper", "any"] | Annotated[float, Meta(gt=0)] = "paper"
     """Side of the square: one of the paper's six; log-uniform between the least and the greatest of them; or
     this many metres."""
-    shadowing_sigma_db: tuple[float, float] = (0.0, 0.0)
+    shadowing_sigma_db: tuple[Sigma, Sigma] = (0.0, 0.0)
     """Drawn uniformly between these for each environment."""
     wifi_channels: Literal["shared", "random", "either"] = "shared"
     """"either": in three of four environments all share one, in the fourth each has a random one."""
-    load: tuple[float, float] = (0.0, 0.0)
+    load: tuple[Load, Load] = (0.0, 0.0)
     """Share of time that others fill the Wi-Fi channel; drawn uniformly, but in half of the environments the
     lower bound."""
-    bluetooth_load: tuple[float, float] = (0.35, 0.35)
+    bluetooth_load: tuple[Share, Share] = (0.35, 0.35)
     """The Bluetooth channels' share, as a fraction of Wi-Fi's."""
 
 

@@ -18,6 +18,7 @@ SIDES_M: Final = (100.0, 500.0, 1000.0, 3000.0, 5000.0, 10000.0)
 UAVS: Final = 10
 SAMPLES: Final = 1000
 SEED: Final = 1
+MAX_SEED: Final = 2**32 - 1
 _USUAL_RATES: Final = 10
 _MAX_SIDE_M: Final = 1e6
 _MAX_SIGMA_DB: Final = 30.0
@@ -127,8 +128,8 @@ def check_seed(seed: int) -> None:
     Raises:
         ConfigError: names the option, what it holds and what is allowed.
     """
-    if seed < 0:
-        raise ConfigError(f"--seed: {seed}: allowed 0 and above")
+    if not 0 <= seed <= MAX_SEED:
+        raise ConfigError(f"--seed: {seed}: allowed 0 to {MAX_SEED}")
 
 
 def make_folder(path: Path) -> None:

@@ -112,9 +112,16 @@ def run(args: argparse.Namespace) -> int:
             print(json.dumps(row, allow_nan=False))
     else:
         table.show(rows, words)
-    (folder / "table.md").write_text(table.markdown(rows))
+    _write(folder / "table.md", table.markdown(rows))
     words.print(f"wrote {path}, {folder / 'table.md'}", soft_wrap=True, highlight=False)
     return 0
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
 
 
 def _check(args: argparse.Namespace) -> None:

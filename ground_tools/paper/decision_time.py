@@ -20,6 +20,7 @@ from companion.atmc.choice import Refused
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
 from companion.atmc.policy import Policy, load
 from companion.errors import ConfigError
+from ground_tools.atmc.tasks import MAX_BYTES
 from ground_tools.atmc.torch_setup import set_up_torch
 from ground_tools.channel.options import UAVS
 from ground_tools.figure import drawn
@@ -29,8 +30,6 @@ from ground_tools.paper.report import Comparison, Report, Statement
 PUBLISHED_MS: Final = 3.84
 NEIGHBOURS: Final = {"flat": (9,), "set": (9, 50)}
 """By the kind of the policy."""
-_MAX_BYTES: Final = 4_000_000
-"""Of a file; ten networks of the paper take 2.3 MB."""
 _UNTIMED: Final = 20
 
 
@@ -152,7 +151,7 @@ def timed(decisions: int, seed: int, folder: Path = POLICIES) -> Found:
     timings, notes = [], []
     for path in sorted(folder.glob("*.safetensors")):
         data = _bytes(path)
-        policy = load(data, str(path), max_bytes=_MAX_BYTES)
+        policy = load(data, str(path), max_bytes=MAX_BYTES)
         for neighbours in NEIGHBOURS[policy.metadata.kind]:
             times = times_ms(policy, neighbours, decisions)
             if isinstance(times, Refused):

@@ -14,10 +14,10 @@ from typing import Final
 
 import numpy as np
 
-from ground_tools.atmc.results import Results, Run
+from ground_tools.atmc.results import NAMES, Results, Run
 from ground_tools.atmc.torch_setup import set_up_torch
 from ground_tools.channel.options import SIDES_M
-from ground_tools.paper.convergence import NAMES, iqm, resampled
+from ground_tools.paper.convergence import iqm, resampled
 from ground_tools.paper.study import LARGE_M, SMALL_M
 
 POLICIES: Final = Path(__file__).parents[2] / "config" / "policies"

@@ -42,12 +42,13 @@ POLICY = policy_file()
 def bench(make_bench):
     """Builds an aircraft that watches, with a chooser."""
 
-    def build(policy=None, word=None, region=US, radio=ALL, uas_id="OWN", **atmc):
+    def build(policy=None, word=None, region=US, radio=ALL, uas_id="OWN", transports=("wifi",), **atmc):
         made = make_bench(use="watch")
         config = msgspec.structs.replace(
             made.heart.config,
             identity=IdentityConfig(uas_id=uas_id),
             region=region,
+            remote_id=msgspec.structs.replace(made.heart.config.remote_id, transports=transports),
             atmc=AtmcConfig(policy=word, **atmc),
         )
         bench = type(made)(Companion(config, policy))
@@ -233,9 +234,21 @@ def test_no_legal_set_leaves_it_to_the_floor(bench):
     made = bench(word="fixed", radio=RadioState(can_send=("ble4",)))
     made.step(100)
     event = chosen(made)[-1]
-    assert (event.by, event.rates) == ("fallback", ())
+    assert (event.by, event.rates) == ("fallback", (("wifi", 1),))
     assert "legal" in event.reason
-    assert "as configured" in said(made)[0].text
+    assert "now wifi 1/s as configured, as far as law and radio allow" in said(made)[0].text
+
+
+def test_what_is_configured_goes_on_where_no_set_can_be_sent(bench):
+    """A radio that loses Wi-Fi still has NAN, which no set has and the configuration asks for."""
+    radio = RadioState(can_send=("nan", "wifi"))
+    made = bench(word="rule", region=Region(), radio=radio, transports=("nan", "wifi"))
+    made.step(100)
+    assert on_air(made)["wifi"] > 5.0
+    made.extra.append(RadioState(can_send=("nan",)))
+    made.step(40)
+    assert on_air(made).keys() == {"nan"}
+    assert chosen(made)[-1].rates == (("nan", 1), ("wifi", 1))
 
 
 def test_an_old_own_position(bench):

@@ -202,6 +202,14 @@ def test_a_little_outside_is_not_outside():
     assert isinstance(policy.choose(own, rows, ALL, None), Choice)
 
 
+def test_those_who_are_far_do_not_count():
+    policy, _ = made()
+    most = policy.metadata.neighbours
+    own, rows = observation(np.random.default_rng(1), most + 5)
+    rows[1:, 0] = 1.3
+    assert policy.choose(own, rows, ALL, None) == policy.choose(own, rows[:1], ALL, None)
+
+
 @pytest.mark.parametrize("kind", ["set", "flat"])
 def test_more_neighbours_than_in_training_are_refused(kind):
     policy, _ = made(kind)

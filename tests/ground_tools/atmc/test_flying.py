@@ -13,6 +13,7 @@ import torch
 from companion.atmc.actions import SET_ACTIONS
 from companion.atmc.observation import OWN_COLUMNS
 from companion.atmc.policy import load
+from ground_tools.atmc import validation
 from ground_tools.atmc.deciders import Chance, Fixed, settle
 from ground_tools.atmc.env import Env, EnvSettings
 from ground_tools.atmc.evaluate import Frozen, Question, evaluate, objective_of
@@ -42,17 +43,20 @@ def learned():
 
 
 @pytest.mark.parametrize("settings", [SMALL, SMALL_PAPER], ids=["awareness", "paper"])
-def test_a_resumed_run_is_the_uninterrupted_one(settings):
+def test_a_resumed_run_is_the_uninterrupted_one(settings, monkeypatch):
+    monkeypatch.setattr(validation, "_FLEETS", dict.fromkeys(("paper", "awareness"), ((5, 4), (10, 2))))
+
+    def rounds(learner, number):
+        return [(learner.train(), learner.validate(), learner.frozen("x", {})) for _ in range(number)]
+
     whole = FlyingLearner(settings, 3)
-    rows = [whole.train() for _ in range(4)]
+    all_rounds = rounds(whole, 4)
     first = FlyingLearner(settings, 3)
-    first.train()
-    first.train()
-    kept = first.state()
+    rounds(first, 2)
     second = FlyingLearner(settings, 99)
-    second.load(kept)
-    assert [second.train() for _ in range(2)] == rows[2:]
-    assert second.frozen("x", {}) == whole.frozen("x", {})
+    second.load(first.state())
+    assert rounds(second, 2) == all_rounds[2:]
+    assert second.validate() == whole.validate() == all_rounds[-1][1]
 
 
 def test_the_same_seed_gives_the_same_run_and_another_seed_another_one():
@@ -251,7 +255,7 @@ def test_evaluate_prints_one_object(learned, tmp_path, capsys):
         (["--load", "0.5"], "--load: the paper's objective"),
         (["--load", "2"], "--load: 2: allowed 0 to 0.95"),
         (["--samples", "0"], "--samples: 0: allowed 1 and above"),
-        (["--seed", "-1"], "--seed: -1: allowed 0 and above"),
+        (["--seed", "-1"], "--seed: -1: allowed 0 to 4294967295"),
         (["--sigma", "99"], "--sigma: 99: allowed 0 to 30"),
     ],
 )

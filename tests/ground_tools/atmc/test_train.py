@@ -94,6 +94,7 @@ def test_a_longer_run_is_the_same_as_one_that_was_resumed(config, tmp_path):
     states = [torch.load(folder / "checkpoint.pt", weights_only=True)["learner"] for folder in (whole, part)]
     assert torch.equal(states[0]["network"]["weights.0"], states[1]["network"]["weights.0"])
     assert torch.equal(states[0]["generator"], states[1]["generator"])
+    assert (part / "config.toml").read_bytes() == (whole / "config.toml").read_bytes()
 
 
 def test_rows_after_the_checkpoint_are_made_anew(config, tmp_path):
@@ -141,6 +142,8 @@ def test_stopping_leaves_complete_files(number, config, tmp_path):
         ("[task]\nuavs = 1", "task.uavs: 1: expected a whole number, 2 to 100"),
         ("[task.environment.world]\nsides = 'big'", "task.environment.world.sides: 'big'"),
         ("hidden = 3", "hidden: 3: expected a list"),
+        ("[task.environment.world]\nsides = -5.0", "task.environment.world.sides: -5.0"),
+        ("[task.environment.world]\nload = [0.0, 1.0]", "task.environment.world.load"),
     ],
 )
 def test_wrong_keys_are_named(text, words, config, tmp_path, capsys):
@@ -158,11 +161,12 @@ def test_wrong_keys_are_named(text, words, config, tmp_path, capsys):
         (["--algorithm", "madqn", "--config", "nowhere.toml"], "nowhere.toml: cannot be read"),
         (["--algorithm", "madqn", "--seeds", "5-1"], "--seeds: 5-1: expected a range"),
         (["--algorithm", "madqn", "--seed", "-1"], "--seed: -1: allowed"),
+        (["--algorithm", "madqn", "--seed", "99999999999"], "--seed: 99999999999: allowed 0 to 4294967295"),
         (["--algorithm", "madqn", "--episodes", "0"], "--episodes: 0: allowed"),
         (["--algorithm", "madqn", "--seeds", "1-2", "--jobs", "0"], "--jobs: 0: allowed"),
         (["--resume", "nowhere"], "--resume: nowhere: not the folder of a training run"),
         (["--resume", "nowhere", "--seed", "1"], "--seed: cannot go with --resume"),
-        (["--algorithm", "madqn", "--out", "/proc/x"], "/proc/x: cannot be written"),
+        (["--algorithm", "madqn", "--out", "/proc/x"], "--out: /proc/x: cannot be written"),
     ],
 )
 def test_wrong_options_are_named(options, words, capsys, tmp_path, monkeypatch):
@@ -170,6 +174,49 @@ def test_wrong_options_are_named(options, words, capsys, tmp_path, monkeypatch):
     assert cli.main(["atmc", "train", *options]) == 2
     assert words in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("fleets = []", "fleets"),
+        ("fleets = [[1, 4]]", "fleets[0][0]"),
+        ("fleets = [[3, 0]]", "fleets[0][1]"),
+        ("learning_rate = [-1.0, 0.0]", "learning_rate[0]"),
+        ("switch_price_s = -1.0", "switch_price_s"),
+        ("masked = 1.5", "masked"),
+    ],
+)
+def test_wrong_keys_of_the_set_network_are_named(text, key, tmp_path, capsys):
+    path = tmp_path / "flying.toml"
+    path.write_text(text)
+    assert cli.main(["atmc", "train", "--algorithm", "flying", "--config", str(path)]) == 2
+    assert f"{path}: {key}" in capsys.readouterr().err
+
+
+def test_several_runs_end_with_the_one_that_began_them(config, tmp_path):
+    """SIGTERM to the parent alone: the runs stop as at Ctrl-C, and none is left behind."""
+    command = [sys.executable, "-m", "ground_tools.cli", "atmc", "train", "--algorithm", "madqn"]
+    command += ["--config", str(config), "--out", str(tmp_path / "runs"), "--episodes", "100000"]
+    process = subprocess.Popen([*command, "--seeds", "1-2", "--jobs", "2"], stderr=subprocess.PIPE, text=True)
+    try:
+        give_up = time.monotonic() + 60.0
+        while len(list((tmp_path / "runs").glob("*/metrics.csv"))) < 2 and time.monotonic() < give_up:
+            time.sleep(0.05)
+        os.kill(process.pid, signal.SIGTERM)
+        assert process.wait(30) == 130
+    finally:
+        process.kill()
+    for folder in (tmp_path / "runs").iterdir():
+        done = torch.load(folder / "checkpoint.pt", weights_only=True)["learner"]["done"]
+        assert done == len(rows(folder)) > 0
+
+
+def test_metrics_that_are_none_are_named(config, tmp_path, capsys):
+    _, (folder,) = train(config, tmp_path / "runs", "--episodes", "1")
+    (folder / "metrics.csv").write_text("episode\nx\n")
+    assert cli.main(["atmc", "train", "--resume", str(folder), "--episodes", "2"]) == 2
+    assert "metrics.csv: not the metrics of a run" in capsys.readouterr().err
 
 
 def test_a_device_that_is_not_there(monkeypatch):
@@ -223,3 +270,29 @@ def test_collected_runs(config, tmp_path, capsys):
     (folder / "metrics.csv").write_text("episode\n1\n")
     assert cli.main(arguments) == 2
     assert "1 of 4 episodes" in capsys.readouterr().err
+    (folder / "metrics.csv").write_text("episode,seconds\n" + "1,1\n" * 4)
+    assert cli.main(arguments) == 2
+    assert "metrics.csv: the column delay_ms is missing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda f: (f / "policy.safetensors").unlink(), "policy.safetensors: cannot be read: No such file"),
+        (lambda f: (f / "policy.safetensors").write_bytes(b"torn"), "policy.safetensors"),
+        (lambda f: (f / "checkpoint.pt").write_bytes(b"torn"), "checkpoint.pt: cannot be read"),
+        (
+            lambda f: (f / "manifest.json").write_text('{"algorithm": "set-paper"}'),
+            "a run of set-paper; allowed are those of madqn",
+        ),
+    ],
+)
+def test_runs_that_cannot_be_collected_are_named_before_anything_is_measured(
+    spoil, words, config, tmp_path, capsys, monkeypatch
+):
+    _, (good,) = train(config, tmp_path / "good")
+    _, (bad,) = train(config, tmp_path / "bad")
+    spoil(bad)
+    monkeypatch.setattr("ground_tools.atmc.collect._measured", None)
+    assert cli.main(["atmc", "collect", str(good), str(bad), "--configurations", "250"]) == 2
+    assert words in capsys.readouterr().err

@@ -108,7 +108,7 @@ def test_a_parameter_file_sets_sigma_and_rates(tmp_path):
         (["--modes", "lora"], "--modes: lora: allowed: ble4, ble5, wifi"),
         (["--samples", "1"], "--samples: 1: allowed 2 to 100000"),
         (["--samples", "100001"], "--samples: 100001: allowed"),
-        (["--seed", "-1"], "--seed: -1: allowed 0 and above"),
+        (["--seed", "-1"], "--seed: -1: allowed 0 to 4294967295"),
         (["--uavs", "1"], "--uavs: 1: allowed 2 to 1000"),
         (["--uavs", "1001"], "--uavs: 1001: allowed"),
         (["--parameters", "/nowhere/p.toml"], "/nowhere/p.toml: cannot be read"),

@@ -223,7 +223,7 @@ def test_two_encounters_from_end_to_end(tmp_path, capsys, monkeypatch):
         (["--encounters", "0"], "--encounters: 0: allowed 1 to"),
         (["--crowd", "33"], "--crowd: 33: allowed 1 to 32"),
         (["--processes", "0"], "--processes: 0: allowed 1 to"),
-        (["--seed", "-1"], "--seed: -1: allowed 0 and above"),
+        (["--seed", "-1"], "--seed: -1: allowed 0 to 4294967295"),
         (["--policy", "/nowhere.safetensors"], "--policy: atmc.policy: /nowhere.safetensors: cannot be read"),
         (["--region", "/nowhere.toml"], "/nowhere.toml: cannot be read"),
     ],

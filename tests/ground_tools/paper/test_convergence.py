@@ -68,6 +68,20 @@ def test_statements_are_asked_of_each_seed(results):
     assert not found["IAC: most aircraft fail"].holds
 
 
+@pytest.mark.parametrize(("delay_ms", "holds"), [(1090.0, False), (1110.0, True)])
+def test_iac_is_asked_beside_the_worst_of_madqn(delay_ms, holds):
+    words = "IAC does not converge to what MADQN-ATMC reaches"
+    runs = [
+        run("madqn", 1, delay_ms=900.0),
+        run("madqn", 2, delay_ms=1000.0),
+        run("iac", 1, delay_ms=delay_ms),
+    ]
+    (found,) = (s for s in statements(Results(configurations=100, runs=tuple(runs))) if s.published == words)
+    assert found.holds == holds
+    alone = statements(Results(configurations=100, runs=(runs[2],)))
+    assert words not in {s.published for s in alone}
+
+
 def test_delays_stand_beside_the_published_ones(results):
     found = {(c.labels["mode"], c.labels["density"]): c for c in comparisons(results)}
     madqn = found["madqn", "dynamic"]
