@@ -1,8 +1,9 @@
-"""What a decision costs: `python bench/bench_avoidance.py` prints two tables.
+"""What a decision costs: `python bench/bench_avoidance.py` prints three tables.
 
-The first is one aircraft's whole `decide()` from Python (table of neighbours, kernel, report of every track).
-The second is the kernel alone (half-spaces and programs) in a compiled loop, beside RVO2-3D in C++ (-O3,
-float32, one thread); those figures were measured elsewhere, on another machine, and are quoted.
+The first is one aircraft's decision from Python: all of it (table of neighbours, kernel, report of every
+track), and the call of the kernel alone. The second is half-spaces and programs in a compiled loop, beside
+RVO2-3D in C++ (-O3, float32, one thread); those figures were measured elsewhere, on another machine, and are
+quoted. The third is a campaign's flights: simulated seconds a second, on one core.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from companion.avoidance import kernels
 from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
+from ground_tools.campaign import cells as campaign
+from ground_tools.campaign.cells import Cell
 
 COUNTS = (1, 5, 10, 20, 50, 100)
 REFERENCE_US = {
@@ -35,8 +38,8 @@ def scene(count: int, spread_m: float, rng: np.random.Generator) -> tuple[np.nda
     return direction * distance, rng.normal(0.0, 2.0, (count, 3))
 
 
-def time_decide(count: int, rng: np.random.Generator) -> tuple[float, float]:
-    """Median and 99th percentile (us) of `decide()`."""
+def time_decide(count: int, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Median and 99th percentile (us) of `decide()`, and the median of its kernel's call alone."""
     path = Trajectory([0.0, 1000.0], [(0.0, 0.0, -50.0), (2000.0, 0.0, -50.0)])
     took = []
     for _ in range(10):
@@ -52,7 +55,27 @@ def time_decide(count: int, rng: np.random.Generator) -> tuple[float, float]:
             began = time.perf_counter()
             law.decide(own)
             took.append(time.perf_counter() - began)
-    return statistics.median(took) * 1e6, float(np.percentile(took, 99)) * 1e6
+    tables = (law._neighbours, count, law._own, *law._path, law._settings, law._state, law._times,
+              law._velocities, law._planes, law._scratch, law._view, law._out)  # fmt: skip
+    alone = []
+    for _ in range(2000):
+        began = time.perf_counter()
+        kernels.decide(*tables)
+        alone.append(time.perf_counter() - began)
+    return (
+        statistics.median(took) * 1e6,
+        float(np.percentile(took, 99)) * 1e6,
+        statistics.median(alone) * 1e6,
+    )
+
+
+def time_flights(aircraft: int, flights: int) -> float:
+    """Simulated seconds a second of processor time."""
+    cell = Cell(generator="S2", aircraft=aircraft, delay_s=(1.0, 2.0))
+    campaign.fly(cell, [0])
+    began = time.process_time()
+    campaign.fly(cell, range(1, flights + 1))
+    return flights * campaign.duration_s(cell) / (time.process_time() - began)
 
 
 @njit(error_model="numpy")
@@ -100,10 +123,10 @@ def main() -> None:
     rng = np.random.default_rng(1)
     kernels.warm_up()
     print("decide() from Python, us")
-    print("neighbours   median      p99")
+    print("neighbours   median      p99   kernel alone, median")
     for count in COUNTS:
-        median, p99 = time_decide(count, rng)
-        print(f"{count:10d} {median:8.1f} {p99:8.1f}")
+        median, p99, alone = time_decide(count, rng)
+        print(f"{count:10d} {median:8.1f} {p99:8.1f} {alone:22.1f}")
     print("\nplanes and programs, float64, us (median); RVO2-3D: C++ -O3, float32, quoted, another machine")
     print("scene   neighbours     here  infeasible  RVO2-3D    ratio")
     for name, reference in REFERENCE_US.items():
@@ -112,6 +135,9 @@ def main() -> None:
             print(
                 f"{name:7s} {count:10d} {median:8.3f} {infeasible:10.0%} {quoted:8.3f} {median / quoted:8.2f}"
             )
+    print("\nflights of a campaign (S2, delays 1 to 2 s), simulated seconds a second and core")
+    for aircraft, flights in ((5, 100), (10, 40), (20, 10)):
+        print(f"{aircraft:10d} aircraft {time_flights(aircraft, flights):10,.0f}")
 
 
 if __name__ == "__main__":
