@@ -6,9 +6,12 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from rich.console import Console
+
+from companion.errors import ConfigError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -22,6 +25,9 @@ def in_parallel(
     Args:
         function: of a module's top level; runs in processes of their own.
         words: where it is said that Ctrl-C ended it.
+
+    Raises:
+        ConfigError: a worker was killed from outside.
     """
     if not items:
         return
@@ -32,6 +38,11 @@ def in_parallel(
             futures = {pool.submit(function, item): item for item in items}
             for future in as_completed(futures):
                 yield futures.pop(future), future.result()
+        except BrokenProcessPool as error:
+            raise ConfigError(
+                "a worker process was killed (out of memory?); what was flown is kept, and the same command "
+                "goes on from there, with fewer --processes if need be"
+            ) from error
         except KeyboardInterrupt:
             # The workers do not hear Ctrl-C, and the pool would wait for what they have begun.
             pool.shutdown(wait=False, cancel_futures=True)
