@@ -36,7 +36,8 @@ from ground_tools.atmc.world import SIDES_M, WorldSettings
 from sitl_mocks.channel.parameters import ChannelParameters
 
 DENSITIES: Final = {"high": SIDES_M[:3], "low": SIDES_M[3:], "dynamic": SIDES_M}
-_ROUNDS, _COUNTED, _PARTS = 6, 2, 4
+ROUNDS, COUNTED, PARTS = 6, 2, 4
+"""A policy of random phases: rounds of decisions in one place, the last ones that count, parts of a round."""
 _CELLS = 200_000
 """Pairs of aircraft that are computed at a time."""
 _SEARCH_ROUNDS = 60
@@ -256,8 +257,8 @@ def _decide(env: Env, decider: Decider, decisions: str, generator: torch.Generat
     """Sum of all costs (s) once the fleet has decided, the last rounds averaged."""
     if decisions == "together":
         return env.act(decider.decide(env.observe(), env.action)).sum()
-    rounds = 1 if isinstance(decider, Fixed | Rule) else _ROUNDS
-    last = settle(env, decider, rounds, generator, parts=_PARTS)[-_COUNTED * _PARTS :]
+    rounds = 1 if isinstance(decider, Fixed | Rule) else ROUNDS
+    last = settle(env, decider, rounds, generator, parts=PARTS)[-COUNTED * PARTS :]
     if rounds == 1:
         return last[-1].sum()
     return torch.stack([cost.sum() for cost in last]).mean()

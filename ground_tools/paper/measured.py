@@ -18,7 +18,7 @@ from companion.atmc.actions import PAPER_ACTIONS
 from companion.errors import ConfigError
 from ground_tools.atmc.deciders import Chance, Decider, settle
 from ground_tools.atmc.env import Env, EnvSettings, Observation
-from ground_tools.atmc.evaluate import Frozen, read_policy, rule_of
+from ground_tools.atmc.evaluate import COUNTED, PARTS, ROUNDS, Frozen, read_policy, rule_of
 from ground_tools.atmc.objective import costs
 from ground_tools.atmc.paper_task import paper_objective
 from ground_tools.atmc.search import search
@@ -29,9 +29,6 @@ from sitl_mocks.channel.parameters import MODES
 
 _CHUNK: Final = 500
 """Fleets at a time."""
-_ROUNDS, _COUNTED, _PARTS = 6, 2, 4
-"""A policy of random phases: rounds of decisions in one place, the last ones that count, parts of a round; as
-`ground-tools atmc evaluate` has it."""
 _BEFORE: Final = 2
 """Rounds of decisions in the place before, that the first choices follow some of its own."""
 _RULE_ROUNDS: Final = 2
@@ -126,12 +123,12 @@ def _in_one_place(
     alike = torch.stack([found[k].sum(1) for k in range(len(PAPER_ACTIONS))])
     starts = [alike.argmin(0)[:, None].expand_as(env.action)]
     if frozen is not None:
-        found[SET] = _decided(env, frozen, generator, _ROUNDS)
+        found[SET] = _decided(env, frozen, generator, ROUNDS)
         starts.append(env.action)
     chance: Decider = Chance(allowed, generator)
     found["random"] = env.act(chance.decide(env.observe(), env.action))
     rule = rule_of("paper", PAPER_ACTIONS, allowed)
-    found["rule"] = settle(env, rule, _RULE_ROUNDS, generator, parts=_PARTS)[-1]
+    found["rule"] = settle(env, rule, _RULE_ROUNDS, generator, parts=PARTS)[-1]
     starts.append(env.action)
     floor = search(objective, env.air, starts, allowed, generator, _SEARCH_ROUNDS)
     found["search"] = costs(objective, env.air, floor)
@@ -149,14 +146,14 @@ def _decided(env: Env, frozen: Frozen, generator: torch.Generator, rounds: int) 
     counted = []
     for number in range(rounds):
         order = torch.rand(env.action.shape, generator=generator).argsort(1)
-        for part in range(_PARTS):
-            moving = order % _PARTS == part
+        for part in range(PARTS):
+            moving = order % PARTS == part
             seen = env.observe()
             action = env.action.clone()
             some = Observation(seen.own[moving], seen.rows[moving], seen.heard[moving])
             action[moving] = frozen.decide(some, action[moving])
             env.action = action
-            if number >= rounds - _COUNTED:
+            if number >= rounds - COUNTED:
                 counted.append(costs(env.objective, env.air, action))
     return torch.stack(counted).mean(0)
 
