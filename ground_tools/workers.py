@@ -43,10 +43,11 @@ def in_parallel(
                 "a worker process was killed (out of memory?); what was flown is kept, and the same command "
                 "goes on from there, with fewer --processes if need be"
             ) from error
-        except KeyboardInterrupt:
-            # The workers do not hear Ctrl-C, and the pool would wait for what they have begun.
+        except BaseException as error:
+            # The workers do not hear Ctrl-C, and the pool would wait for what is left.
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
-            words.print("interrupted; what was flown is kept, and the same command goes on from there")
+            if isinstance(error, KeyboardInterrupt):
+                words.print("interrupted; what was flown is kept, and the same command goes on from there")
             raise

@@ -34,7 +34,8 @@ HEIGHT_M = 100.0
 CROSSING_BALL_M = {"S1": 30.0, "S2": 8.0}
 CLIMB_M = 25.0
 APART_M = 60.0
-_MOST_DRAWS = 1_000
+_MOST_DRAWS = 100_000
+"""Twenty aircraft on S1 or S2 take some thousand now and then."""
 
 
 def encounter(kind: Kind, aircraft: int, seed: int) -> tuple[Rows, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import time
 
 import pytest
 from rich.console import Console
@@ -29,3 +31,18 @@ def test_every_item_comes_with_its_result():
 def test_a_worker_that_is_killed_is_said():
     with pytest.raises(ConfigError, match="a worker process was killed"):
         list(in_parallel(killed, range(3), 2, Console()))
+
+
+def wrong(number: int) -> int:
+    if number == 0:
+        raise ConfigError("number 0 is wrong")
+    time.sleep(600)
+    return number
+
+
+def test_what_is_wrong_with_one_ends_all():
+    with pytest.raises(ConfigError, match="number 0 is wrong"):
+        list(in_parallel(wrong, range(5), 2, Console()))
+    for child in multiprocessing.active_children():
+        child.join(30)
+        assert child.exitcode is not None
