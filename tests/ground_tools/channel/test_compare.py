@@ -175,7 +175,7 @@ def workers_ready(pid):
     [
         ("--seconds", "5", "10 to 86400"),
         ("--environments", "9", "10 to 10000"),
-        ("--seed", "-1", "0 and above"),
+        ("--seed", "-1", "0 to 4294967295"),
     ],
 )
 def test_wrong_options_are_named(capsys, option, value, allowed):
