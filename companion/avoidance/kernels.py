@@ -363,13 +363,14 @@ def note_velocity(
 
 
 @_compiled
-def own_velocity_at(times: Array, velocities: Array, count: int, t: float) -> tuple[float, float, float]:
-    """Own velocity at a time, between the samples of the history; its first or last one outside of it."""
-    if t <= times[0]:
-        return velocities[0, 0], velocities[0, 1], velocities[0, 2]
+def _between(times: Array, rows: Array, count: int, t: float) -> tuple[float, float, float]:
+    """Of the `count` first rows, at rising times, the one at t on a straight line between two; the first or
+    last one outside of their time."""
     low, high = 0, count - 1
+    if t <= times[low]:
+        return rows[low, 0], rows[low, 1], rows[low, 2]
     if t >= times[high]:
-        return velocities[high, 0], velocities[high, 1], velocities[high, 2]
+        return rows[high, 0], rows[high, 1], rows[high, 2]
     while high - low > 1:
         middle = (low + high) // 2
         if times[middle] <= t:
@@ -378,10 +379,16 @@ def own_velocity_at(times: Array, velocities: Array, count: int, t: float) -> tu
             high = middle
     k = (t - times[low]) / (times[high] - times[low])
     return (
-        velocities[low, 0] + k * (velocities[high, 0] - velocities[low, 0]),
-        velocities[low, 1] + k * (velocities[high, 1] - velocities[low, 1]),
-        velocities[low, 2] + k * (velocities[high, 2] - velocities[low, 2]),
+        rows[low, 0] + k * (rows[high, 0] - rows[low, 0]),
+        rows[low, 1] + k * (rows[high, 1] - rows[low, 1]),
+        rows[low, 2] + k * (rows[high, 2] - rows[low, 2]),
     )
+
+
+@_compiled
+def own_velocity_at(times: Array, velocities: Array, count: int, t: float) -> tuple[float, float, float]:
+    """Own velocity at a time, between the samples of the history; its first or last one outside of it."""
+    return _between(times, velocities, count, t)
 
 
 @_compiled
@@ -392,24 +399,7 @@ def path_position(times: Array, points: Array, t: float) -> tuple[float, float, 
         times: shape (K,), strictly rising, s.
         points: shape (K, 3), NED, m.
     """
-    last = len(times) - 1
-    if t <= times[0]:
-        return points[0, 0], points[0, 1], points[0, 2]
-    if t >= times[last]:
-        return points[last, 0], points[last, 1], points[last, 2]
-    low, high = 0, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if times[middle] <= t:
-            low = middle
-        else:
-            high = middle
-    k = (t - times[low]) / (times[high] - times[low])
-    return (
-        points[low, 0] + k * (points[high, 0] - points[low, 0]),
-        points[low, 1] + k * (points[high, 1] - points[low, 1]),
-        points[low, 2] + k * (points[high, 2] - points[low, 2]),
-    )
+    return _between(times, points, len(times), t)
 
 
 @_compiled

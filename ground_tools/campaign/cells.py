@@ -34,17 +34,15 @@ LAWS: dict[Law, AvoidanceConfig] = {
     ),
     "none": AvoidanceConfig(law="none"),
 }
-WORLDS: dict[str, dict[str, float]] = {
-    "calm": {},
-    "wind": {"gust_mps2": 0.6},
-    "clocks": {"clock_s": 0.5},
-    "velocity": {"own_sigma_mps": 0.3},
-    "layer": {"floor_m": 70.0, "ceiling_m": 130.0},
-    "all": {},
+WORLDS = {
+    "calm": World(),
+    # Gusts of 2 m/s where drag slows by 0.3 of the airspeed a second: 8 m/s of wind, a quarter in gusts.
+    "wind": World(gust_mps2=0.6),
+    "clocks": World(clock_s=0.5),
+    "velocity": World(own_sigma_mps=0.3),
+    "layer": World(floor_m=70.0, ceiling_m=130.0),
+    "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
-WORLDS["all"] = {key: value for world in WORLDS.values() for key, value in world.items()}
-"""What each has that the calm one has not. 0.6 m/s^2 is what gusts of 2 m/s do where drag slows by 0.3 of the
-airspeed a second: 8 m/s of wind, a quarter of it in gusts."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
 
 
@@ -113,12 +111,12 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
         kinds = np.full(cell.aircraft, float(flight.AVOIDS))
         kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
         settings[kinds != flight.AVOIDS, kernels.S_LAW] = kernels.NONE
-        world = World(
+        world = msgspec.structs.replace(
+            WORLDS[cell.world],
             start_s=float(times.min()),
             end_s=float(times.max()),
             delay_s=cell.delay_s,
             loss=cell.loss,
-            **WORLDS[cell.world],  # type: ignore[arg-type]
         )
         result = np.zeros(flight.FLIGHT_ENTRIES)
         flight.fly(

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl_mocks.scenario import encounter
+from sitl_mocks.scenario import Kind, encounter
 
 Rows = NDArray[np.floating[Any]]
 Paths = NDArray[np.float64]
@@ -50,8 +50,8 @@ def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Paths, 
     Raises:
         ValueError: an unknown name, too few aircraft, or more than fit apart.
     """
-    if name in ("S1", "S2", "S3"):
-        rows = np.array(encounter(name, aircraft, seed))  # type: ignore[arg-type]
+    if name in get_args(Kind):
+        rows = np.array(encounter(cast(Kind, name), aircraft, seed))
         # The same paths, flown faster: all times shrink about the crossing.
         rows[:, :, 0] *= 5.0 / speed_mps
         return np.array(rows[:, :, 0], np.float64), np.array(rows[:, :, 1:], np.float64)
@@ -179,7 +179,7 @@ _GENERATORS: Final[dict[str, Generator]] = {
     "streams": _streams,
     "random": _random,
 }
-NAMES: Final = ("S1", "S2", "S3", *_GENERATORS)
+NAMES: Final[tuple[str, ...]] = (*get_args(Kind), *_GENERATORS)
 
 
 def _least_distance(points: Rows) -> float:

@@ -14,6 +14,7 @@ from companion.atmc.policy import check_flyable, load
 from ground_tools import cli
 from ground_tools.atmc import evaluate, freeze_command, validation
 from ground_tools.atmc.flying import FlyingLearner
+from tests.ground_tools.atmc.test_train import TINY
 
 FLYING = """
 episodes = 2
@@ -21,17 +22,7 @@ updates = 2
 fleets = [[5, 4], [3, 4]]
 switch_price_s = 0.03
 """
-MADQN = """
-episodes = 1
-batch = 16
-buffer_steps = 15
-hidden = [16, 8]
-[task]
-uavs = 4
-steps = 10
-validation_environments = 2
-validation_steps = 2
-"""
+MADQN = TINY.replace("episodes = 4", "episodes = 1")
 KEYS = ("dynamic_ms", "best_fixed_dynamic_ms", "rule_dynamic_ms", "search_dynamic_ms")
 
 
