@@ -169,6 +169,48 @@ class MissionCurrent(Event, frozen=True):
     seq: int
 
 
+class FenceArea(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One area of a geofence, seen from above: a polygon, or a circle around its only point."""
+
+    inclusion: bool
+    """True: to be stayed in. False: to be stayed out of."""
+    points: tuple[tuple[float, float], ...]
+    """lat_deg, lon_deg of the corners in order, without the first one again at the end."""
+    radius_m: float | None = None
+    """Of a circle."""
+
+
+class FenceDownloaded(Event, frozen=True):
+    """The whole geofence as the vehicle holds it; no areas: it has none."""
+
+    areas: tuple[FenceArea, ...]
+
+
+class FenceRefused(Event, frozen=True):
+    """A fence download that failed: refused, not finished after all retries, or not understood."""
+
+    reason: str
+
+
+class AdsbVehicle(Event, frozen=True):
+    """ADSB_VEHICLE: what the autopilot's ADS-B receiver hears, crewed traffic above all."""
+
+    icao: int
+    lat_deg: float
+    lon_deg: float
+    alt_m: float | None = None
+    """None: not known."""
+    alt_geometric: bool = False
+    """True: above the WGS84 ellipsoid. False: barometric, from the sea level pressure."""
+    velocity_ned_mps: Vec3 | None = None
+    """None: not known."""
+    age_s: float = 0.0
+    """Time since it was last heard, in whole seconds."""
+    callsign: str = ""
+    emitter: int = 0
+    """ADSB_EMITTER_TYPE."""
+
+
 class VehicleText(Event, frozen=True):
     """STATUSTEXT of the autopilot."""
 
@@ -244,6 +286,27 @@ class SetMode(Command, frozen=True):
 
 class DownloadMission(Command, frozen=True):
     """Fetch the vehicle's mission; answered by MissionDownloaded."""
+
+
+class DownloadFence(Command, frozen=True):
+    """Fetch the vehicle's geofence; answered by FenceDownloaded or FenceRefused."""
+
+
+class Threat(Command, frozen=True):
+    """COLLISION: how near another aircraft comes, for ground stations and the autopilot."""
+
+    track_id: str
+    adsb: bool
+    """Heard by ADS-B, then `track_id` is the ICAO address in hexadecimal digits."""
+    level: int
+    """MAV_COLLISION_THREAT_LEVEL: 0 none, 1 low, 2 high."""
+    acting: bool
+    """The companion flies around it; False: it only tells."""
+    time_to_closest_s: float
+    horizontal_m: float
+    """Least horizontal distance to come."""
+    vertical_m: float
+    """Least vertical distance to come."""
 
 
 class Say(Command, frozen=True):
@@ -351,6 +414,9 @@ AnyEvent = (
     | MissionDownloaded
     | MissionRefused
     | MissionCurrent
+    | FenceDownloaded
+    | FenceRefused
+    | AdsbVehicle
     | VehicleText
     | RemoteIdHeard
     | RadioState
@@ -362,6 +428,8 @@ AnyCommand = (
     VelocitySetpoint
     | SetMode
     | DownloadMission
+    | DownloadFence
+    | Threat
     | Say
     | ArmStatus
     | Broadcast
