@@ -55,7 +55,7 @@ def time_decide(count: int, rng: np.random.Generator) -> tuple[float, float, flo
             began = time.perf_counter()
             law.decide(own)
             took.append(time.perf_counter() - began)
-    tables = (law._neighbours, count, law._own, *law._path, law._settings, law._state, law._times,
+    tables = (law._neighbours, count, law._own, *law._path, law._fence, law._settings, law._state, law._times,
               law._velocities, law._planes, law._scratch, law._view, law._out)  # fmt: skip
     alone = []
     for _ in range(2000):

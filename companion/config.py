@@ -14,7 +14,9 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
+from companion.avoidance.fence import load_fence
 from companion.errors import ConfigError
+from companion.events import FenceArea
 from companion.remote_id.authentication import Verifier, public_key_hex
 from companion.remote_id.identity import check_identity, public_operator_id
 from companion.remote_id.messages import IdType, UaType
@@ -58,6 +60,8 @@ class IdentityConfig(_Section, frozen=True):
     """UUID and session id: in a file hexadecimal digits, here the raw form of `BasicId.uas_id`."""
     id_type: IdType = IdType.SERIAL_NUMBER
     ua_type: UaType = UaType.HELICOPTER_OR_MULTIROTOR
+    icao: Annotated[str, Meta(pattern="^[0-9A-Fa-f]{6}$")] | None = None
+    """Address of the aircraft's own ADS-B transponder, six hexadecimal digits: not to be avoided."""
     registration_id: Annotated[str, Meta(min_length=1, max_length=20)] | None = None
     """Number that the state gave the aircraft; sent as a second Basic ID (Japan asks for both)."""
 
@@ -102,6 +106,8 @@ class LimitsConfig(_Section, frozen=True):
     floor_height_m: float | None = None
     """Height above home."""
     ceiling_height_m: float | None = None
+    fence: str | None = None
+    """Path of a fence file (relative to this file), or "vehicle" for the vehicle's own geofence."""
 
 
 class AvoidanceConfig(_Section, frozen=True):
@@ -110,6 +116,9 @@ class AvoidanceConfig(_Section, frozen=True):
     law: Literal["dmuca", "paper", "none"] = "dmuca"
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Each aircraft's; two of them are the separation that must hold."""
+    crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 150.0
+    """Kept from crewed traffic to the side, or `crewed_vertical_m` in height."""
+    crewed_vertical_m: Annotated[float, Meta(gt=0, le=1000)] = 50.0
     horizon_s: Annotated[float, Meta(gt=0, le=120)] = 20.0
     period_s: Annotated[float, Meta(ge=0.02, le=1)] = 0.2
     recovery_time_s: Annotated[float, Meta(gt=0, le=120)] = 10.0
@@ -236,7 +245,8 @@ class TrajectoryFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Config(_Section, frozen=True):
-    """Everything. `path` and `region` are the files themselves, taken by `load` from where they are named."""
+    """Everything. `path`, `fence` and `region` are the files themselves, taken by `load` from where they are
+    named."""
 
     identity: IdentityConfig
     vehicle: VehicleConfig = VehicleConfig()
@@ -250,6 +260,7 @@ class Config(_Section, frozen=True):
     """Used together: each transport is sent by the first that can."""
     record: RecordConfig = RecordConfig()
     path: TrajectoryFile | None = None
+    fence: tuple[FenceArea, ...] = ()
     region: Region = Region()
 
     @property
@@ -272,6 +283,9 @@ def load(path: Path) -> Config:
         _check_times(config.path, f"{path}: path")
     elif trajectory is not None and trajectory != "mission":
         config = msgspec.structs.replace(config, path=load_trajectory(path.parent / trajectory))
+    fence = config.limits.fence
+    if fence is not None and fence != "vehicle" and not config.fence:
+        config = msgspec.structs.replace(config, fence=load_fence(path.parent / fence))
     if config.remote_id.region is not None:
         try:
             region = decode_toml(path.parent / config.remote_id.region, Region)

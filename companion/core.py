@@ -11,15 +11,19 @@ import math
 from collections.abc import Sequence
 
 from companion.atmc.chooser import chooser_of
+from companion.avoidance.alerts import Alerts
 from companion.avoidance.authority import HOLDING, State, Trigger, next_state
-from companion.avoidance.law import LawResult, Situation
+from companion.avoidance.law import LawResult, Neighbour, Situation
 from companion.avoidance.plan import Plan
 from companion.config import Config
 from companion.events import (
+    AdsbVehicle,
     AuthorityChanged,
     Command,
     Decision,
     Event,
+    FenceDownloaded,
+    FenceRefused,
     Firmware,
     FlightMode,
     Landed,
@@ -39,6 +43,7 @@ from companion.events import (
 from companion.geometry import LocalFrame
 from companion.ownship import Ownship
 from companion.remote_id.broadcaster import Broadcaster
+from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.tracks import Traffic
 
 _TAKE_FROM = {
@@ -70,7 +75,9 @@ class Companion:
     def __init__(self, config: Config, policy: bytes | None = None) -> None:
         self.config = config
         self.own = Ownship()
-        self.traffic = Traffic(config.traffic, config.identity.uas_id)
+        self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
+        self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
+        self.alerts = Alerts(config.avoidance)
         self.plan = Plan(config)
         self.state = State.STANDBY
         self.broadcaster = Broadcaster(config)
@@ -120,11 +127,14 @@ class Companion:
         """Own state and heard messages come in; others are told about ourselves."""
         own, traffic = self.own, self.traffic
         heard: list[RemoteIdHeard] = []
+        seen: list[AdsbVehicle] = []
         for event in events:
             match event:
                 case RemoteIdHeard():
                     heard.append(event)
                     self.broadcaster.take(event, now_s)
+                case AdsbVehicle():
+                    seen.append(event)
                 case RadioState() | OperatorData() | RemoteIdModule():
                     self.broadcaster.take(event, now_s)
                     if isinstance(event, RadioState):
@@ -133,6 +143,10 @@ class Companion:
                     self.plan.take_mission(event, now_s)
                 case MissionRefused():
                     commands += self.plan.refuse(event.reason)
+                case FenceDownloaded():
+                    self.plan.take_fence(event, now_s)
+                case FenceRefused():
+                    commands += self.plan.refuse(f"the vehicle's fence: {event.reason}")
                 case ModeRefused():
                     self._refused = event.reason
                 case _:
@@ -140,11 +154,14 @@ class Companion:
         if own.frame is not self._frame:
             self._frame = own.frame
             traffic.clear()
+            self.adsb.clear()
             self.plan.drop()
         if own.frame is not None and own.position is not None:
             traffic.note_own(now_s, own.position_ned_m(now_s))
             for frame in heard:
                 traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
+            for report in seen:
+                self.adsb.take(report, now_s, own.frame, own.separation_m)
         self._choose_transports(now_s, commands)
         commands += self.broadcaster.step(own, now_s)
 
@@ -208,16 +225,22 @@ class Companion:
             self._healthy_s = now_s + _REFUSED_PAUSE_S
         self._move(now_s, self._triggers(now_s, unfit), unfit, commands)
         self._refused = None
+        due = now_s - self._decided_s >= self.config.avoidance.period_s - 1e-6
         if self.state not in HOLDING or gap_s > self._late_s:
+            if due and unfit is None and self.own.landed(now_s) is Landed.IN_AIR:
+                self._decided_s = now_s
+                self._alert(now_s, self._neighbours(now_s), None, commands)
             return
         law = self.plan.law
         assert law is not None
-        if self._result is None or now_s - self._decided_s >= self.config.avoidance.period_s - 1e-6:
+        if self._result is None or due:
             self._decided_s = now_s
-            self._result = law.decide(self._situation(now_s))
+            situation = self._situation(now_s)
+            self._result = law.decide(situation)
             if self._result.conflict:
                 self._conflict_s = now_s
             self._move(now_s, self._law_triggers(now_s), None, commands)
+            self._alert(now_s, situation.neighbours, self._result, commands)
             self._log(now_s, self._result, commands)
         self._ask_mode(now_s, commands)
         self._commanded_s = now_s
@@ -350,10 +373,24 @@ class Companion:
             position_ned_m=own.position_ned_m(now_s),
             velocity_ned_mps=own.velocity_ned_mps,
             sigma_m=own.sigma_m,
-            neighbours=self.traffic.neighbours(now_s),
+            neighbours=self._neighbours(now_s),
             floor_down_m=plan.boundary_down_m(limits.floor_height_m, own, now_s),
             ceiling_down_m=plan.boundary_down_m(limits.ceiling_height_m, own, now_s),
         )
+
+    def _neighbours(self, now_s: float) -> list[Neighbour]:
+        down_m = self.own.position_ned_m(now_s)[2]
+        return self.traffic.neighbours(now_s) + self.adsb.neighbours(now_s, down_m)
+
+    def _alert(
+        self,
+        now_s: float,
+        neighbours: Sequence[Neighbour],
+        result: LawResult | None,
+        commands: list[Command],
+    ) -> None:
+        position, velocity = self.own.position_ned_m(now_s), self.own.velocity_ned_mps
+        commands += self.alerts.look(now_s, position, velocity, neighbours, result)
 
     def _log(self, now_s: float, result: LawResult, commands: list[Command]) -> None:
         if self.state is State.GUARDING and now_s - self._logged_s < _QUIET_LOG_S - 1e-6:
@@ -370,6 +407,8 @@ class Companion:
                 chosen_ned_mps=result.chosen_ned_mps,
                 feasible=result.feasible,
                 path_ned_m=self.plan.point(now_s),
+                late_s=self.plan.late_s,
+                limits=result.limits,
                 tracks=result.tracks,
             )
         )

@@ -372,6 +372,24 @@ class TrackFlagged(Command, frozen=True):
     text: str
 
 
+class AlertChanged(Command, frozen=True):
+    """The alert level of a track rose or fell."""
+
+    track_id: str
+    level: int
+    """0 none, 1 advisory, 2 caution, 3 warning."""
+    reason: str
+    """Which aircraft, where and when it comes closest, what is done, what bounds it."""
+    time_to_closest_s: float
+    horizontal_m: float
+    """Least horizontal distance, if both keep their velocities."""
+    vertical_m: float
+    acting: bool
+    """The companion flies around it."""
+    limits: tuple[str, ...] = ()
+    """What besides other aircraft bounds the velocity, of `avoidance.law.LIMITS`."""
+
+
 class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """How the law saw one track at a decision."""
 
@@ -386,6 +404,8 @@ class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, g
     """True when the wanted velocity would break this track's volume."""
     time_to_closest_s: float
     closest_m: float
+    active: bool = False
+    """True when this track's half-space bounds the velocity that was chosen."""
 
 
 class Decision(Command, frozen=True):
@@ -400,6 +420,10 @@ class Decision(Command, frozen=True):
     feasible: bool
     path_ned_m: Vec3 | None = None
     """The timed path's point for now."""
+    late_s: float = 0.0
+    """By how much the timed path has waited."""
+    limits: tuple[str, ...] = ()
+    """What besides other aircraft bounds the velocity that was chosen."""
     tracks: tuple[TrackView, ...] = ()
 
 
@@ -437,5 +461,6 @@ AnyCommand = (
     | BroadcastChanged
     | TransportsChosen
     | TrackFlagged
+    | AlertChanged
     | Decision
 )

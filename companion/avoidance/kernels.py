@@ -37,7 +37,16 @@ HEAD_ON = 1e-6
 """Angle (rad) between p and v under which the way out is a convention: to the right."""
 
 # Columns of a row of `neighbours`.
-N_POSITION, N_VELOCITY, N_AGE, N_SIGMA, N_VERTICAL, NEIGHBOUR_COLUMNS = 0, 3, 6, 7, 8, 9
+N_POSITION, N_VELOCITY, N_AGE = 0, 3, 6  # at the message's own time; s
+(
+    N_SIGMA,  # m for each horizontal axis
+    N_SIGMA_VELOCITY,  # m/s for each axis
+    N_GROWTH,  # m/s, what `note_track` says of its past
+    N_SHARE,  # of what is needed that is ours, 0.5 to 1
+    N_VERTICAL,  # 1: its height is known
+    N_CREWED,  # 1: crewed traffic, with separations of its own
+    NEIGHBOUR_COLUMNS,
+) = range(7, 14)
 # Entries of `own`; floor and ceiling are NED down, infinite (plus, minus) where there is none.
 O_POSITION, O_VELOCITY, O_SIGMA, O_NOW, O_PATH_TIME, O_FLOOR, O_CEILING = 0, 3, 6, 7, 8, 9, 10
 OWN_ENTRIES = 11
@@ -47,7 +56,11 @@ OWN_ENTRIES = 11
     S_RADIUS,  # both conflict radii, m
     S_LEAST_MARGIN,  # m
     S_SIGMAS,  # margin in standard deviations of the relative error
-    S_AGE_MARGIN,  # m for each second of age
+    S_QUANTUM,  # m/s, error of a sent velocity's steps
+    S_GROWTH,  # 0: what tracks did before does not count, 1: it does
+    S_CREWED,  # separation from crewed traffic, m
+    S_CREWED_VERTICAL,  # as S_VERTICAL
+    S_CREWED_HORIZON,  # as S_HORIZON, s
     S_VERTICAL,  # factor on vertical distances: under 1 the volume is taller than wide
     S_HORIZON,  # tau, s
     S_OVERLAP,  # time in which to leave a volume, s
@@ -62,24 +75,43 @@ OWN_ENTRIES = 11
     S_TURN,  # s before and after over which the path's corners are rounded, above 0
     S_QUIET,  # cycles without conflict before the published law recovers
     S_REGAINED,  # m from the path's point that count as back on it
+    S_CATCH_UP,  # s: a gap along the path that takes longer to close delays the path; 0: never
     SETTINGS_ENTRIES,
-) = range(20)
+) = range(25)
 DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
 # Entries of `state`, what a law remembers: the last command and its time (NaN before the first one), quiet
 # cycles, by how much the path is delayed, samples in the history of own velocities.
 L_COMMAND, L_TIME, L_QUIET, L_DELAY, L_HISTORY, STATE_ENTRIES = 0, 3, 4, 5, 6, 7
 # Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time, distance at the closest.
 V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE, VIEW_COLUMNS = 0, 3, 4, 5, 6, 7
+# Columns of a row of `fence`, an edge or a circle: number of its area, rising from row to row; what the area
+# is; corners north, east, or a circle's middle and radius, m.
+W_AREA, W_KIND, W_FROM, W_TO, WALL_COLUMNS = 0, 1, 2, 4, 6
+IN_POLYGON, OUT_OF_POLYGON, IN_CIRCLE, OUT_OF_CIRCLE = 0.0, 1.0, 2.0, 3.0
+# What is remembered of a track by `note_track`: a message's time, position, velocity; growth.
+T_TIME, T_POSITION, T_VELOCITY, T_GROWTH, TRACK_ENTRIES = 0, 1, 4, 7, 8
 # Entries of `out`: the command, what would be flown alone; 0 or 1: every plane kept, a volume would be
-# broken by flying alone, on the way back to the path.
-R_CHOSEN, R_WANTED, R_FEASIBLE, R_CONFLICT, R_RECOVERING, OUT_ENTRIES = 0, 3, 6, 7, 8, 9
+# broken by flying alone, on the way back to the path; first row of `planes` that is a neighbour's, hard
+# planes; what the law would command if it could change the velocity at once.
+R_CHOSEN, R_WANTED, R_FEASIBLE, R_CONFLICT, R_RECOVERING = 0, 3, 6, 7, 8
+R_NEIGHBOURS, R_HARD, R_SOLVED, OUT_ENTRIES = 9, 10, 11, 14
 
-HARD = 2
-"""Hard planes of a decision: the least and the greatest down speed."""
+DOWN_SPEEDS = 2
+"""First planes of a decision, hard: the least and the greatest down speed."""
 BOUNDARY_LAG_S = 1.0
 """From a decision to the vehicle's answer, at floor and ceiling: autopilot lag, period and latency."""
 RESTART_S = 1.0
 """After a pause longer than this (and five periods) the command starts again from the velocity flown."""
+FENCE_MARGIN_M = 2.0
+"""Kept from a fence besides two standard deviations of the own position."""
+FENCE_BRAKES = 0.5
+"""Share of the acceleration with which it stops before a fence; the rest is left to turn."""
+NEWS_S = 0.9
+"""A track's past is judged by messages at least this far apart."""
+GROWTH_MEMORY_S = 40.0
+GROWTH_MOST_MPS = 3.0
+GROWTH_AHEAD_S = 4.0
+"""A track's deviations count from its message to this long after now."""
 HISTORY_SPACING_S = 0.04
 HISTORY_SAMPLES = 1024
 """Half of them stay when they are full: at this spacing 20 s, more than the oldest message's age."""
@@ -363,6 +395,39 @@ def note_velocity(
 
 
 @_compiled
+def note_track(
+    track: Array, t: float, pn: float, pe: float, pd: float, vn: float, ve: float, vd: float, sigma: float
+) -> None:
+    """Learn from a new message how fast a track leaves its own predictions.
+
+    A neighbour that manoeuvres is not where its last message says. What noise cannot explain of the distance
+    between a message and the prediction of the one before, over the time between them, is a speed; twice the
+    largest one lately, halved every 28 s, is the growth.
+
+    Args:
+        track: TRACK_ENTRIES values, all 0 but T_TIME, which is -inf, before the first message; written.
+        t: the message's own time, s; an older one is passed over.
+        pn, pe, pd, vn, ve, vd: its position and velocity, NED, m and m/s.
+        sigma: declared error of the position, m for each axis.
+    """
+    passed = t - track[T_TIME]
+    if not passed >= NEWS_S:
+        return
+    if passed < math.inf:
+        away = math.sqrt(
+            (pn - track[T_POSITION] - passed * track[T_VELOCITY]) ** 2
+            + (pe - track[T_POSITION + 1] - passed * track[T_VELOCITY + 1]) ** 2
+            + (pd - track[T_POSITION + 2] - passed * track[T_VELOCITY + 2]) ** 2
+        )
+        noise = 0.35 * (max(sigma, 1.0) + passed)
+        news = min(2.0 * max(away - noise, 0.0) / passed, GROWTH_MOST_MPS)
+        track[T_GROWTH] = max(track[T_GROWTH] * math.exp(-passed / GROWTH_MEMORY_S), news)
+    track[T_TIME] = t
+    track[T_POSITION], track[T_POSITION + 1], track[T_POSITION + 2] = pn, pe, pd
+    track[T_VELOCITY], track[T_VELOCITY + 1], track[T_VELOCITY + 2] = vn, ve, vd
+
+
+@_compiled
 def _between(times: Array, rows: Array, count: int, t: float) -> tuple[float, float, float]:
     """Of the `count` first rows, at rising times, the one at t on a straight line between two; the first or
     last one outside of their time."""
@@ -456,23 +521,121 @@ def _down_speeds(own: Array, settings: Array) -> tuple[float, float]:
 
 
 @_compiled
+def _reach(settings: Array) -> float:
+    """Distance in which the fastest aircraft stops: a fence beyond it binds nobody."""
+    speed = settings[S_SPEED]
+    return float(speed * BOUNDARY_LAG_S + 0.5 * speed * speed / (FENCE_BRAKES * settings[S_ACCELERATION]))
+
+
+@_compiled
+def _nearest_of_wall(wall: Array, n: float, e: float) -> tuple[float, float, float]:
+    """Distance (m) to the nearest point of an edge or a circle, and the unit vector from there to (n, e)."""
+    if wall[W_KIND] >= IN_CIRCLE:
+        dn, de = n - wall[W_FROM], e - wall[W_FROM + 1]
+        length = math.sqrt(dn * dn + de * de)
+        if length < 1e-9:
+            dn, de, length = 1.0, 0.0, 1.0
+        room = math.sqrt((n - wall[W_FROM]) ** 2 + (e - wall[W_FROM + 1]) ** 2) - wall[W_TO]
+        k = 1.0 / length if room >= 0.0 else -1.0 / length
+        return abs(room), k * dn, k * de
+    an, ae = wall[W_FROM], wall[W_FROM + 1]
+    sn, se = wall[W_TO] - an, wall[W_TO + 1] - ae
+    share = min(max(((n - an) * sn + (e - ae) * se) / (sn * sn + se * se), 0.0), 1.0)
+    dn, de = n - an - share * sn, e - ae - share * se
+    length = math.sqrt(dn * dn + de * de)
+    if length < 1e-9:  # on the edge itself: nothing tells the sides apart
+        return 0.0, 0.0, 0.0
+    return length, dn / length, de / length
+
+
+@_compiled
+def inside(fence: Array, first: int, after: int, n: float, e: float) -> bool:
+    """Whether a point is inside the polygon or circle of the rows from `first` to before `after`."""
+    if fence[first, W_KIND] >= IN_CIRCLE:
+        dn, de = n - fence[first, W_FROM], e - fence[first, W_FROM + 1]
+        return bool(dn * dn + de * de < fence[first, W_TO] ** 2)
+    inside = False
+    for i in range(first, after):
+        an, ae = fence[i, W_FROM], fence[i, W_FROM + 1]
+        bn, be = fence[i, W_TO], fence[i, W_TO + 1]
+        if (ae > e) != (be > e) and n < an + (e - ae) / (be - ae) * (bn - an):
+            inside = not inside
+    return inside
+
+
+@_compiled
+def _fence(fence: Array, own: Array, settings: Array, planes: Array, at: int) -> tuple[int, int]:
+    """Planes of the fence, from row `at` on: hard ones, then soft ones; the rows after each.
+
+    On the right side of an area, each wall within reach asks for a speed towards it at which the aircraft
+    still stops before the margin, by the same law as floor and ceiling; standing still is always allowed. On
+    the wrong side there is only the nearest wall of the area, which is to be crossed back: a soft plane.
+    """
+    n, e, speed = own[O_POSITION], own[O_POSITION + 1], settings[S_SPEED]
+    margin = FENCE_MARGIN_M + 2.0 * own[O_SIGMA]
+    reach = margin + _reach(settings)
+    hard = at
+    for soft in range(2):
+        first = 0
+        while first < len(fence):
+            after = first + 1
+            while after < len(fence) and fence[after, W_AREA] == fence[first, W_AREA]:
+                after += 1
+            kind = fence[first, W_KIND]
+            right = inside(fence, first, after, n, e) == (kind in (IN_POLYGON, IN_CIRCLE))
+            if right and soft == 0:
+                for i in range(first, after):
+                    room, dn, de = _nearest_of_wall(fence[i], n, e)
+                    if room < reach:
+                        planes[at, 0], planes[at, 1], planes[at, 2] = dn, de, 0.0
+                        planes[at, 3] = -_closing(
+                            max(room - margin, 0.0), FENCE_BRAKES * settings[S_ACCELERATION]
+                        )
+                        at += 1
+            if not right and soft == 1:
+                room, dn, de = _nearest_of_wall(fence[first], n, e)
+                for i in range(first + 1, after):
+                    other, on, oe = _nearest_of_wall(fence[i], n, e)
+                    if other < room:
+                        room, dn, de = other, on, oe
+                planes[at, 0], planes[at, 1], planes[at, 2] = -dn, -de, 0.0
+                planes[at, 3] = min((room + margin) / BOUNDARY_LAG_S, 0.5 * speed)
+                at += 1
+            first = after
+        if soft == 0:
+            hard = at
+    return hard, at
+
+
+@_compiled
 def _preferred(
     own: Array, times: Array, points: Array, settings: Array, delay: float, least: float, most: float
-) -> tuple[float, float, float]:
-    """Along the path, and back to its point within T.
+) -> tuple[float, float, float, float]:
+    """Along the path, and back to its point within T; and by how much the path is delayed each second.
 
     The velocity along the path turns ahead of a corner, over the time that the acceleration limit needs:
     without that the aircraft overshoots and is led back by the gap alone. No feed-forward after the end.
+
+    A point that runs ahead faster than the speed in reserve can make up for waits: the paper updates the
+    expected arrival where the way back is clipped; here the point slows down as far as its lead is more than
+    what the reserve makes up for within S_CATCH_UP.
     """
     t, half = own[O_PATH_TIME] - delay, settings[S_TURN]
     n, e, d = path_position(times, points, t)
     an, ae, ad = path_position(times, points, t - half)
     bn, be, bd = path_position(times, points, t + half)
     mean, gain = 0.5 / half, 1.0 / settings[S_RECOVERY]
-    vn = mean * (bn - an) + gain * (n - own[O_POSITION])
-    ve = mean * (be - ae) + gain * (e - own[O_POSITION + 1])
-    vd = mean * (bd - ad) + gain * (d - own[O_POSITION + 2])
-    return _clipped(vn, ve, min(max(vd, least), most), settings[S_SPEED])
+    vn, ve, vd = mean * (bn - an), mean * (be - ae), mean * (bd - ad)
+    gn, ge, gd = n - own[O_POSITION], e - own[O_POSITION + 1], d - own[O_POSITION + 2]
+    slower = 0.0
+    speed = math.sqrt(vn * vn + ve * ve + vd * vd)
+    if settings[S_CATCH_UP] > 0.0 and speed > EPSILON and times[0] < t < times[-1]:
+        lead = (gn * vn + ge * ve + gd * vd) / speed
+        reserve = max(settings[S_SPEED] - speed, 0.0)
+        slower = min(max(gain * (lead - reserve * settings[S_CATCH_UP]) / speed, 0.0), 1.0)
+    vn, ve, vd = vn + gain * gn, ve + gain * ge, vd + gain * gd
+    vn, ve, vd = _clipped(vn, ve, min(max(vd, least), most), settings[S_SPEED])
+    return vn, ve, vd, slower
 
 
 @_compiled
@@ -505,6 +668,7 @@ def _avoid(
     wd: float,
     least: float,
     most: float,
+    fence: Array,
     settings: Array,
     history_times: Array,
     history_velocities: Array,
@@ -514,13 +678,22 @@ def _avoid(
     view: Array,
     out: Array,
 ) -> tuple[bool, bool]:
-    """Predict the others, build the half-spaces, keep right, solve; whether feasible, whether in conflict."""
+    """Predict the others, build the half-spaces, keep right, solve; whether feasible, whether in conflict.
+
+    The combined radius is the separation and a margin: S_SIGMAS standard deviations of the relative position
+    now (both positions', and the sent velocity's over the age), and what has been lost since the message to
+    the steps of sent velocities or, where that is more, to the track's manoeuvres.
+    """
     planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = 0.0, 0.0, 1.0, least
     planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3] = 0.0, 0.0, -1.0, -most
-    scale = settings[S_VERTICAL]
+    hard, first = _fence(fence, own, settings, planes, DOWN_SPEEDS)
     conflict = False
     for j in range(count):
         age, level = neighbours[j, N_AGE], neighbours[j, N_VERTICAL] == 0.0
+        radius, scale, horizon = settings[S_RADIUS], settings[S_VERTICAL], settings[S_HORIZON]
+        if neighbours[j, N_CREWED] != 0.0:
+            radius, scale = settings[S_CREWED], settings[S_CREWED_VERTICAL]
+            horizon = settings[S_CREWED_HORIZON]
         vn, ve, vd = neighbours[j, N_VELOCITY], neighbours[j, N_VELOCITY + 1], neighbours[j, N_VELOCITY + 2]
         pn = neighbours[j, N_POSITION] + age * vn - own[O_POSITION]
         pe = neighbours[j, N_POSITION + 1] + age * ve - own[O_POSITION + 1]
@@ -529,11 +702,14 @@ def _avoid(
         rd, wish_d = ad - vd, wd - vd
         if level:  # an unknown height is no way out
             pd, rd, wish_d = 0.0, 0.0, 0.0
-        sigma = math.sqrt(own[O_SIGMA] ** 2 + neighbours[j, N_SIGMA] ** 2)
-        margin = max(settings[S_LEAST_MARGIN], settings[S_SIGMAS] * sigma)
-        radius = settings[S_RADIUS] + margin + settings[S_AGE_MARGIN] * age
+        drift = neighbours[j, N_SIGMA_VELOCITY] * age
+        sigma = math.sqrt(own[O_SIGMA] ** 2 + neighbours[j, N_SIGMA] ** 2 + drift * drift)
+        growth = settings[S_GROWTH] * neighbours[j, N_GROWTH]
+        radius += max(settings[S_LEAST_MARGIN], settings[S_SIGMAS] * sigma)
+        radius += max(settings[S_QUANTUM] * age, growth * (age + GROWTH_AHEAD_S))
 
-        _, near2 = closest(pn, pe, scale * pd, wn - vn, we - ve, scale * wish_d, settings[S_LOOK])
+        look = max(settings[S_LOOK], horizon)
+        _, near2 = closest(pn, pe, scale * pd, wn - vn, we - ve, scale * wish_d, look)
         breaks = near2 < radius * radius
         conflict = conflict or breaks
         t, near2 = closest(pn, pe, pd, wn - vn, we - ve, wish_d, 1e6)
@@ -544,18 +720,20 @@ def _avoid(
 
         # The plane is built where the volume is a ball; its normal is mapped back.
         nn, ne, nd, s = half_space(
-            pn, pe, scale * pd, an - vn, ae - ve, scale * rd, radius, settings[S_HORIZON], settings[S_OVERLAP]
+            pn, pe, scale * pd, an - vn, ae - ve, scale * rd, radius, horizon, settings[S_OVERLAP]
         )
         nd *= scale
         length = math.sqrt(nn * nn + ne * ne + nd * nd)
-        row = HARD + j
+        row = first + j
         planes[row, 0], planes[row, 1], planes[row, 2] = nn / length, ne / length, nd / length
-        planes[row, 3] = (nn * an + ne * ae + nd * ad + 0.5 * s) / length
+        planes[row, 3] = (nn * an + ne * ae + nd * ad + neighbours[j, N_SHARE] * s) / length
     out[0], out[1], out[2] = wn, we, wd
     if conflict and settings[S_RIGHT] != 0.0:
         c, s = math.cos(settings[S_RIGHT]), math.sin(settings[S_RIGHT])
         out[0], out[1] = c * wn - s * we, s * wn + c * we
-    feasible = solve(planes, HARD, HARD + count, settings[S_SPEED], out, scratch, out)
+    feasible = solve(planes, hard, first + count, settings[S_SPEED], out, scratch, out)
+    out[R_NEIGHBOURS], out[R_HARD] = first, hard
+    out[R_SOLVED], out[R_SOLVED + 1], out[R_SOLVED + 2] = out[0], out[1], out[2]
     return feasible, conflict
 
 
@@ -594,6 +772,7 @@ def decide(
     own: Array,
     path_times: Array,
     path_points: Array,
+    fence: Array,
     settings: Array,
     state: Array,
     history_times: Array,
@@ -609,11 +788,12 @@ def decide(
         neighbours: shape (at least count, NEIGHBOUR_COLUMNS); NED, m and m/s, at each message's own time.
         own: OWN_ENTRIES values.
         path_times, path_points: shapes (K,) and (K, 3): the timed path, before any delay.
+        fence: shape (F, WALL_COLUMNS); areas one after the other.
         settings: SETTINGS_ENTRIES values.
         state: STATE_ENTRIES values; written.
         history_times, history_velocities: shapes (H,) and (H, 3); own velocities (NED) at rising times;
             written. A plane takes the own velocity at the time of the neighbour's sample.
-        planes, scratch: shape (at least HARD + count, 4); written.
+        planes, scratch: shape (at least DOWN_SPEEDS + F + count, 4); written.
         view: shape (at least count, VIEW_COLUMNS); written.
         out: OUT_ENTRIES values; written.
     """
@@ -625,10 +805,12 @@ def decide(
         state[L_HISTORY] = 0.0
         wn, we, wd = vn, ve, vd
     else:
-        wn, we, wd = _preferred(own, path_times, path_points, settings, state[L_DELAY], least, most)
+        wn, we, wd, slower = _preferred(own, path_times, path_points, settings, state[L_DELAY], least, most)
+        if now - state[L_TIME] <= RESTART_S:
+            state[L_DELAY] += slower * (now - state[L_TIME])
     note_velocity(state, history_times, history_velocities, now, vn, ve, vd)
     feasible, conflict = _avoid(
-        neighbours, count, own, wn, we, wd, least, most, settings,
+        neighbours, count, own, wn, we, wd, least, most, fence, settings,
         history_times, history_velocities, int(state[L_HISTORY]), planes, scratch, view, out,
     )  # fmt: skip
     if law == PAPER:
@@ -678,13 +860,15 @@ def warm_up() -> None:
     neighbours[0, :2] = neighbours[1, :2] = 3.0
     times, velocities = np.zeros(4), np.zeros((4, 3))
     path = np.arange(2.0), np.zeros((2, 3))
-    planes, scratch = np.zeros((HARD + 2, 4)), np.zeros((HARD + 2, 4))
+    planes, scratch = np.zeros((DOWN_SPEEDS + 2, 4)), np.zeros((DOWN_SPEEDS + 2, 4))
+    fence = np.zeros((0, WALL_COLUMNS))
     view, state, settings = np.zeros((2, VIEW_COLUMNS)), np.zeros(STATE_ENTRIES), np.ones(SETTINGS_ENTRIES)
     begin(state, settings)
     note_velocity(state, times, velocities, 0.0, 0.0, 0.0, 0.0)
     decide(
-        neighbours, 2, np.zeros(OWN_ENTRIES), *path, settings, state, times, velocities,
+        neighbours, 2, np.zeros(OWN_ENTRIES), *path, fence, settings, state, times, velocities,
         planes, scratch, view, np.zeros(OUT_ENTRIES),
     )  # fmt: skip
+    note_track(np.zeros(TRACK_ENTRIES), 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     path_position(*path, 0.0)
     path_nearest(*path, 0.0, 0.0, 0.0)

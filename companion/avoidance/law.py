@@ -33,15 +33,24 @@ OLDEST_S = 15.0
 """A message older than this says nothing any more."""
 LEAST_MARGIN_M = 2.0
 SIGMAS = 3.8
-"""Margin for accuracy: standard deviations of the relative horizontal error, at least LEAST_MARGIN_M."""
-AGE_MARGIN_MPS = 0.5
+"""Margin for accuracy: standard deviations of the relative horizontal error, at least LEAST_MARGIN_M. The
+error of two axes exceeds it with probability exp(-3.8^2 / 2) = 0.07 %."""
+QUANTUM_MPS = 0.2
+"""Error of a velocity in Remote ID's steps: 0.25 m/s, 1 degree and 0.5 m/s vertically, of which 0.85."""
+CATCH_UP_S = 30.0
+"""The timed path waits for an aircraft that could not catch up with it in this time."""
+CREWED_HORIZON_S = 60.0
 VERTICAL_SCALE = 0.85
 """Volumes are 1 / 0.85 times as tall as wide: downwash, and the vertical error of GNSS."""
 OVERLAP_S = 2.0
 LOOK_S = 30.0
 KEEP_RIGHT_RAD = 0.2
 
+LIMITS = ("climb or ceiling", "descent or floor", "fence", "outside the fence", "speed")
+"""Of a decision: what it may not exceed, as far as it got there."""
+
 _LEAST_TURN_S = 0.01
+_ON_PLANE_MPS = 1e-6
 _BELIEVABLE = 1e7
 """m, m/s: beyond it a neighbour's number is as good as none."""
 
@@ -59,8 +68,18 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """Now less the message's own time; a negative one counts as 0."""
     sigma_m: float
     """Declared horizontal error, one standard deviation per axis."""
+    sigma_mps: float = 0.3
+    """Error of the velocity, one standard deviation per axis."""
+    growth_mps: float = 0.0
+    """How fast it leaves its predictions (`kernels.note_track`)."""
+    share: float = 0.5
+    """Least share of what is needed that is ours, 0.5 to 1 (`right_of_way`)."""
     vertical_known: bool = True
     """False: taken as flying at our height, not to be passed above or below."""
+    crewed: bool = False
+    """Keeps the separations of crewed traffic."""
+    adsb: bool = False
+    """Heard by ADS-B; `track_id` is its ICAO address then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +114,8 @@ class LawResult:
     """Flying the wanted velocity would break a neighbour's volume."""
     recovering: bool
     """Off the timed path and on the way back to it."""
+    limits: tuple[str, ...]
+    """What besides other aircraft bounds the velocity now, of `LIMITS`."""
     tracks: tuple[TrackView, ...]
 
 
@@ -104,7 +125,19 @@ class Law:
     Checks and fills the tables of `kernels.decide`, which decides, and reads its answer.
     """
 
-    def __init__(self, avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> None:
+    def __init__(
+        self,
+        avoidance: AvoidanceConfig,
+        limits: LimitsConfig,
+        trajectory: Trajectory,
+        fence: k.Array | None = None,
+    ) -> None:
+        """A law at the start of a flight.
+
+        Args:
+            fence: what `fence.local_fence` makes of areas; None: no fence.
+        """
+        self._fence = np.zeros((0, k.WALL_COLUMNS)) if fence is None else fence
         self._planned = self._trajectory = trajectory
         self._path = trajectory.arrays
         self._settings = settings_of(avoidance, limits, trajectory)
@@ -115,9 +148,14 @@ class Law:
         self._room(32)
 
     @property
+    def late_s(self) -> float:
+        """By how much the path is delayed."""
+        return float(self._state[k.L_DELAY])
+
+    @property
     def trajectory(self) -> Trajectory:
         """The path as it is flown now (a law may delay it)."""
-        delay_s = self._state[k.L_DELAY]
+        delay_s = self.late_s
         if self._trajectory.start_s != self._planned.start_s + delay_s:
             self._trajectory = self._planned.delayed(delay_s)
         return self._trajectory
@@ -140,6 +178,7 @@ class Law:
             len(usable),
             self._own,
             *self._path,
+            self._fence,
             self._settings,
             self._state,
             self._times,
@@ -150,20 +189,30 @@ class Law:
             self._out,
         )
         view, out = self._view[: len(usable)].tolist(), self._out.tolist()
+        first, hard = int(out[k.R_NEIGHBOURS]), int(out[k.R_HARD])
+        binding = self._binding(first + len(usable))
         return LawResult(
             wanted_ned_mps=(out[3], out[4], out[5]),
             chosen_ned_mps=(out[0], out[1], out[2]),
             feasible=out[k.R_FEASIBLE] != 0.0,
             conflict=out[k.R_CONFLICT] != 0.0,
             recovering=out[k.R_RECOVERING] != 0.0,
-            tracks=tuple(map(_track, usable, view)),
+            limits=_limits(binding[:first], hard, self._settings[k.S_SPEED], self._out),
+            tracks=tuple(map(_track, usable, view, binding[first:])),
         )
+
+    def _binding(self, count: int) -> list[bool]:
+        """Which planes the velocity that was found lies on, or beyond."""
+        planes = self._planes[:count]
+        found = self._out[k.R_SOLVED : k.R_SOLVED + 3]
+        binding: list[bool] = (planes[:, :3] @ found <= planes[:, 3] + _ON_PLANE_MPS).tolist()
+        return binding
 
     def _room(self, count: int) -> None:
         self._neighbours = np.zeros((count, k.NEIGHBOUR_COLUMNS))
         self._view = np.zeros((count, k.VIEW_COLUMNS))
-        self._planes = np.zeros((k.HARD + count, 4))
-        self._scratch = np.zeros((k.HARD + count, 4))
+        planes = k.DOWN_SPEEDS + len(self._fence) + count
+        self._planes, self._scratch = np.zeros((planes, 4)), np.zeros((planes, 4))
 
     def _take(self, neighbours: Sequence[Neighbour]) -> list[Neighbour]:
         """Fill the table with the usable neighbours, ordered by name in whatever order they came."""
@@ -172,7 +221,17 @@ class Law:
             return usable
         rows = np.array(
             [
-                (*n.position_ned_m, *n.velocity_ned_mps, max(n.age_s, 0.0), n.sigma_m, n.vertical_known)
+                (
+                    *n.position_ned_m,
+                    *n.velocity_ned_mps,
+                    max(n.age_s, 0.0),
+                    n.sigma_m,
+                    n.sigma_mps,
+                    n.growth_mps,
+                    n.share,
+                    n.vertical_known,
+                    n.crewed,
+                )
                 for n in usable
             ],
             dtype=np.float64,
@@ -188,12 +247,33 @@ class Law:
         return usable
 
 
+def separation_m(avoidance: AvoidanceConfig, crewed: bool) -> tuple[float, float]:
+    """What is to be kept from another: the horizontal radius (m) of a volume that is a ball where vertical
+    distances are scaled by the second number.
+
+    For crewed traffic it is the ellipsoid around the cylinder of both separations, sqrt(2) wider and taller.
+    """
+    if crewed:
+        scale = avoidance.crewed_horizontal_m / avoidance.crewed_vertical_m
+        return math.sqrt(2.0) * avoidance.crewed_horizontal_m, scale
+    return 2.0 * avoidance.conflict_radius_m, VERTICAL_SCALE
+
+
+def horizon_s(avoidance: AvoidanceConfig, crewed: bool) -> float:
+    """How far ahead another is kept clear of."""
+    return max(CREWED_HORIZON_S, avoidance.horizon_s) if crewed else avoidance.horizon_s
+
+
 def settings_of(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> k.Array:
     """Settings of `kernels.decide` for one aircraft and its path, shape (SETTINGS_ENTRIES,)."""
     settings = np.zeros(k.SETTINGS_ENTRIES)
     settings[k.S_LAW] = {"dmuca": k.DMUCA, "paper": k.PAPER, "none": k.NONE}[avoidance.law]
-    settings[k.S_RADIUS] = 2.0 * avoidance.conflict_radius_m
-    settings[k.S_HORIZON] = avoidance.horizon_s
+    settings[k.S_RADIUS], settings[k.S_VERTICAL] = separation_m(avoidance, False)
+    settings[k.S_CREWED], settings[k.S_CREWED_VERTICAL] = separation_m(avoidance, True)
+    settings[k.S_HORIZON], settings[k.S_CREWED_HORIZON] = (
+        horizon_s(avoidance, False),
+        horizon_s(avoidance, True),
+    )
     if avoidance.law == "paper":  # no margin, no turn to the right
         settings[k.S_VERTICAL] = 1.0
         settings[k.S_LOOK] = avoidance.horizon_s
@@ -201,11 +281,12 @@ def settings_of(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Tr
     else:
         settings[k.S_LEAST_MARGIN] = LEAST_MARGIN_M
         settings[k.S_SIGMAS] = SIGMAS
-        settings[k.S_AGE_MARGIN] = AGE_MARGIN_MPS
-        settings[k.S_VERTICAL] = VERTICAL_SCALE
+        settings[k.S_QUANTUM] = QUANTUM_MPS
+        settings[k.S_GROWTH] = 1.0
         settings[k.S_OVERLAP] = OVERLAP_S
         settings[k.S_LOOK] = LOOK_S
         settings[k.S_RIGHT] = KEEP_RIGHT_RAD
+        settings[k.S_CATCH_UP] = CATCH_UP_S if avoidance.law == "dmuca" else 0.0
     settings[k.S_SPEED] = limits.max_speed_mps
     settings[k.S_CLIMB] = min(limits.max_climb_mps, limits.max_speed_mps)
     settings[k.S_DESCENT] = min(limits.max_descent_mps, limits.max_speed_mps)
@@ -234,7 +315,19 @@ def _own_row(s: Situation) -> tuple[float, ...]:
     return (*state, s.now_s, s.path_time_s, floor, ceiling)
 
 
-def _track(neighbour: Neighbour, view: list[float]) -> TrackView:
+def _limits(binding: list[bool], hard: int, speed: float, out: k.Array) -> tuple[str, ...]:
+    """Which of `LIMITS` are reached, from the first planes of a decision and the greatest speed."""
+    reached = (
+        binding[0],
+        binding[1],
+        any(binding[k.DOWN_SPEEDS : hard]),
+        len(binding) > hard,
+        math.hypot(*out[k.R_SOLVED : k.R_SOLVED + 3]) >= speed - _ON_PLANE_MPS,
+    )
+    return tuple(name for name, on in zip(LIMITS, reached, strict=True) if on)
+
+
+def _track(neighbour: Neighbour, view: list[float], active: bool) -> TrackView:
     return TrackView(
         track_id=neighbour.track_id,
         position_ned_m=(view[0], view[1], view[2]),
@@ -244,4 +337,5 @@ def _track(neighbour: Neighbour, view: list[float]) -> TrackView:
         conflict=view[k.V_CONFLICT] != 0.0,
         time_to_closest_s=view[k.V_TIME],
         closest_m=view[k.V_DISTANCE],
+        active=active,
     )

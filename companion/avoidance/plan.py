@@ -10,14 +10,20 @@ from __future__ import annotations
 import math
 
 from companion.autopilot.mission import path_from_mission
+from companion.avoidance.fence import check_areas
 from companion.avoidance.law import Law
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import check_speeds
+from companion.avoidance.walls import walls_of
 from companion.config import Config, TrajectoryFile
 from companion.errors import ConfigError
 from companion.events import (
     Command,
+    DownloadFence,
     DownloadMission,
+    FenceArea,
+    FenceDownloaded,
+    Firmware,
     FlightMode,
     MissionDownloaded,
     MissionItem,
@@ -28,6 +34,8 @@ from companion.events import (
 from companion.ownship import Ownship
 
 _MISSION_FRESH_S = 1.0
+_FENCE_FRESH_S = 30.0
+"""The vehicle's fence is asked for first; the mission may take its time."""
 _RETRY_S = 10.0
 """Between two requests for the mission, and two tries of a path that was refused."""
 
@@ -38,6 +46,8 @@ class Plan:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._items: tuple[MissionItem, ...] = ()
+        self._areas: tuple[FenceArea, ...] = config.fence
+        self._areas_s = -math.inf
         self._items_s = -math.inf
         """When they were downloaded: soon after, vehicle and mission may have moved on."""
         self._tried_s = -math.inf
@@ -56,6 +66,10 @@ class Plan:
         """Keep the downloaded mission for the plan that is made at once."""
         self._items, self._items_s, self._tried_s = event.items, now_s, -math.inf
 
+    def take_fence(self, event: FenceDownloaded, now_s: float) -> None:
+        """Keep the downloaded geofence for the plan that is made at once."""
+        self._areas, self._areas_s, self._tried_s = event.areas, now_s, -math.inf
+
     def refuse(self, reason: str) -> list[Command]:
         """Say why there is no path, once for each reason."""
         if reason == self._said:
@@ -69,6 +83,8 @@ class Plan:
             return []
         self._tried_s = now_s
         try:
+            if self._config.limits.fence == "vehicle" and now_s - self._areas_s > _FENCE_FRESH_S:
+                return [DownloadFence()]
             path = self._config.path
             if path is None:
                 if now_s - self._items_s > _MISSION_FRESH_S:
@@ -112,7 +128,12 @@ class Plan:
             if own.utc_offset_s is None:
                 return self.refuse("it starts at a UTC and the vehicle does not know UTC yet")
             self._start_s = flight.start_utc_s - own.utc_offset_s
-        self.law = Law(self._config.avoidance, limits, trajectory)
+        check_areas(self._areas)
+        any_inclusion = (
+            limits.fence == "vehicle" and own.heartbeat is not None and own.heartbeat.firmware is Firmware.PX4
+        )
+        walls = walls_of(self._areas, own.frame, trajectory, any_inclusion=any_inclusion)
+        self.law = Law(self._config.avoidance, limits, trajectory, walls)
         self.home_alt_msl_m = home
         self._said = None
         return []
@@ -131,6 +152,12 @@ class Plan:
     def path_time_s(self, now_s: float) -> float:
         """Time on the path's clock; 0 before it starts."""
         return 0.0 if self._start_s is None else now_s - self._start_s
+
+    @property
+    def late_s(self) -> float:
+        """By how much the path has waited for the aircraft. Needs a law."""
+        assert self.law is not None
+        return self.law.late_s
 
     def point(self, now_s: float) -> Vec3:
         """The timed path's point for now (local NED, m). Needs a law."""

@@ -17,6 +17,9 @@ SIGMA_UNKNOWN_M = 5.0
 """Horizontal standard deviation taken for a sender that declares no accuracy."""
 SIGMA_MOST_M = 15.0
 """A declared accuracy counts up to this: a volume of kilometres would only make every velocity wrong."""
+SIGMA_MOST_MPS = 0.5
+"""Standard deviation of a velocity whose accuracy is not declared, and the most that a declared one counts:
+receivers measure velocity by Doppler, far better than the bounds that they give for it."""
 SIGMA_CLOCKLESS_M = 5.0
 """Added (in quadrature) for a message that is dated by its reception."""
 VERTICAL_ACCURACY_M = 10.0
@@ -30,6 +33,7 @@ class Fix:
     position: Vec3
     velocity: Vec3 | None
     sigma_m: float
+    sigma_mps: float
     vertical_known: bool
     stamp_s: float | None
     """Our monotonic time of the message by the sender's clock; None when that cannot be believed."""
@@ -68,6 +72,7 @@ def make_fix(
         position=frame.to_ned(message.lat_deg, message.lon_deg, alt_msl_m),
         velocity=_velocity(message),
         sigma_m=sigma,
+        sigma_mps=min(message.speed_accuracy_mps or SIGMA_MOST_MPS, SIGMA_MOST_MPS),
         vertical_known=vertical_known,
         stamp_s=stamp_s,
         lead_s=lead_s,

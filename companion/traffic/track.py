@@ -6,6 +6,10 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.avoidance import kernels
 from companion.events import Vec3
 from companion.remote_id.messages import Location
 from companion.traffic.about import About
@@ -14,6 +18,12 @@ from companion.traffic.plausibility import Doubts, Flag, MotionWindow, noise_m
 
 ESTABLISHED = 3
 """Messages after which a track is not pushed out by a newcomer's first."""
+
+
+def _no_past() -> NDArray[np.float64]:
+    past = np.zeros(kernels.TRACK_ENTRIES)
+    past[kernels.T_TIME] = -math.inf
+    return past
 
 
 @dataclass(slots=True, eq=False)
@@ -29,6 +39,7 @@ class Track:
     sample_s: float
     received_s: float
     sigma_m: float
+    sigma_mps: float
     vertical_known: bool
     content: Location
     leads_s: deque[float]
@@ -44,6 +55,10 @@ class Track:
     vouched_s: float = -math.inf
     """When a signature last held."""
     messages: int = 1
+    past: NDArray[np.float64] = field(default_factory=_no_past)
+    """What `kernels.note_track` remembers."""
+    past_vertical: bool = False
+    """Whether that is with height."""
 
     def take_over(self, other: Track) -> None:
         """The other track was this aircraft, heard on another transport before it told its name."""
@@ -54,7 +69,16 @@ class Track:
             self.position_ned_m, self.velocity_ned_mps = other.position_ned_m, other.velocity_ned_mps
             self.velocity_known, self.vertical_known = other.velocity_known, other.vertical_known
             self.sample_s, self.received_s = other.sample_s, max(self.received_s, other.received_s)
-            self.sigma_m, self.content = other.sigma_m, other.content
+            self.sigma_m, self.sigma_mps, self.content = other.sigma_m, other.sigma_mps, other.content
+
+    def remember(self) -> None:
+        """Learn from the message just taken how fast the aircraft leaves its predictions."""
+        if self.vertical_known != self.past_vertical:
+            # A height that comes or goes is no manoeuvre.
+            self.past[kernels.T_TIME], self.past_vertical = -math.inf, self.vertical_known
+        p, v = self.position_ned_m, self.velocity_ned_mps
+        down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
+        kernels.note_track(self.past, self.sample_s, p[0], p[1], down, v[0], v[1], sinking, self.sigma_m)
 
     @property
     def flags(self) -> frozenset[Flag]:

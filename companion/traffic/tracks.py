@@ -19,18 +19,20 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from companion.avoidance.kernels import T_GROWTH
 from companion.avoidance.law import Neighbour
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard, TrackFlagged, Vec3
 from companion.geometry import LocalFrame
 from companion.remote_id.authentication import Assembler, Verifier
-from companion.remote_id.messages import Authentication, BasicId, IdType, Location
+from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
 from companion.traffic.about import About, Source, Sources
 from companion.traffic.eviction import Ranking
 from companion.traffic.fix import Fix, make_fix
 from companion.traffic.judge import Judge
 from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
 from companion.traffic.reception import Reception
+from companion.traffic.right_of_way import rank_of, share_of
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, off, reach, same
 
 _MAX_RANGE_M = 50_000.0
@@ -76,8 +78,9 @@ class Traffic:
         ConfigError: a key in `config.keys` is none.
     """
 
-    def __init__(self, config: TrafficConfig, own_uas_id: str) -> None:
+    def __init__(self, config: TrafficConfig, own_uas_id: str, own_type: UaType | None = None) -> None:
         self.config = config
+        self._own_rank = rank_of(own_type, None)
         self.own_uas_id = own_uas_id
         self.own_addresses: tuple[str, ...] = ()
         """Radio addresses of our own frames, which a second receiver of ours hears."""
@@ -170,6 +173,9 @@ class Traffic:
                 t.velocity_ned_mps,
                 max(0.0, now_s - t.sample_s),
                 t.sigma_m,
+                t.sigma_mps,
+                float(t.past[T_GROWTH]),
+                share_of(self._own_rank, _rank(t)),
                 t.vertical_known,
             )
             for t in self.tracks.values()
@@ -310,7 +316,9 @@ class Traffic:
         track.position_ned_m, track.velocity_ned_mps = fix.position, velocity
         track.velocity_known = velocity_known
         track.sample_s, track.received_s = sample_s, now_s
-        track.sigma_m, track.vertical_known, track.content = fix.sigma_m, fix.vertical_known, fix.content
+        track.sigma_m, track.sigma_mps, track.content = fix.sigma_m, fix.sigma_mps, fix.content
+        track.vertical_known = fix.vertical_known
+        track.remember()
         track.messages += 1
         track.about.update(source.about)
         if track.messages == ESTABLISHED or track.messages % _RANKED_EVERY == 0:
@@ -367,6 +375,7 @@ class Traffic:
             sample_s=now_s if fix.stamp_s is None else min(fix.stamp_s, now_s),
             received_s=now_s,
             sigma_m=fix.sigma_m,
+            sigma_mps=fix.sigma_mps,
             vertical_known=fix.vertical_known,
             content=fix.content,
             leads_s=deque([first_lead_s], maxlen=_LEADS),
@@ -376,6 +385,7 @@ class Traffic:
             opened_s=now_s,
         )
         track.about.update(source.about)
+        track.remember()
         self._add(track)
         self._judge.first_message(track, known, source, fix, now_s)
         self.counts.updates += 1
@@ -390,3 +400,8 @@ class Traffic:
         self._remove(victim)
         self.counts.evicted += 1
         return True
+
+
+def _rank(track: Track) -> int:
+    told = track.about.basic_id
+    return rank_of(None if told is None else told.ua_type, track.content.status)

@@ -124,6 +124,7 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
             world.row(avoidance.period_s),
             times,
             points,
+            np.zeros((0, kernels.WALL_COLUMNS)),
             settings,
             kinds,
             np.zeros((0, cell.aircraft, 3)),

@@ -189,6 +189,7 @@ def fly(
     world: Array,
     path_times: Array,
     path_points: Array,
+    fence: Array,
     settings: Array,
     kinds: Array,
     trace: Array,
@@ -200,6 +201,7 @@ def fly(
         rng: every draw of the flight.
         world: WORLD_ENTRIES values.
         path_times, path_points: shapes (A, K) and (A, K, 3): each aircraft's timed path, NED.
+        fence: as of `kernels.decide`, the same for all.
         settings: shape (A, SETTINGS_ENTRIES): each aircraft's law.
         kinds: shape (A,): AVOIDS, or what else an aircraft is.
         trace: shape (steps, A, 3): true positions; written as far as it goes, empty where nobody looks.
@@ -230,7 +232,10 @@ def fly(
     state = np.zeros((fleet, k.STATE_ENTRIES))
     times, velocities = np.zeros((fleet, k.HISTORY_SAMPLES)), np.zeros((fleet, k.HISTORY_SAMPLES, 3))
     own, neighbours = np.zeros(k.OWN_ENTRIES), np.zeros((fleet, k.NEIGHBOUR_COLUMNS))
-    planes, scratch = np.zeros((k.HARD + fleet, 4)), np.zeros((k.HARD + fleet, 4))
+    tracks = np.zeros((fleet, fleet, k.TRACK_ENTRIES))
+    tracks[:, :, k.T_TIME] = -math.inf
+    walls = k.DOWN_SPEEDS + len(fence)
+    planes, scratch = np.zeros((walls + fleet, 4)), np.zeros((walls + fleet, 4))
     view, out = np.zeros((fleet, k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
     in_conflict, away_since = np.zeros(fleet), np.full(fleet, math.inf)
     flown = planned = manoeuvres = infeasible = decisions = 0.0
@@ -287,12 +292,18 @@ def fly(
                             arrival[i, j, slot] = math.inf
                             if sent[j, slot, M_TIME] > heard[i, j, M_TIME]:
                                 heard[i, j] = sent[j, slot]
+                                m = heard[i, j]
+                                k.note_track(
+                                    tracks[i, j], m[0], m[1], m[2], m[3], m[4], m[5], m[6], world[W_DECLARED]
+                                )
                     age = max(now + clock[i] - heard[i, j, M_TIME], 0.0)
                     if age <= OLDEST_S:
                         row = neighbours[count]
                         for c in range(6):
                             row[c] = heard[i, j, M_POSITION + c]
                         row[k.N_AGE], row[k.N_SIGMA], row[k.N_VERTICAL] = age, world[W_DECLARED], 1.0
+                        row[k.N_SIGMA_VELOCITY], row[k.N_SHARE] = world[W_SIGMA_VELOCITY], 0.5
+                        row[k.N_GROWTH], row[k.N_CREWED] = tracks[i, j, k.T_GROWTH], 0.0
                         count += 1
                 for c in range(3):
                     own[k.O_POSITION + c] = position[i, c] + error[i, c]
@@ -300,8 +311,8 @@ def fly(
                 own[k.O_SIGMA], own[k.O_NOW], own[k.O_PATH_TIME] = world[W_DECLARED], now, now
                 own[k.O_FLOOR], own[k.O_CEILING] = world[W_FLOOR], world[W_CEILING]
                 k.decide(
-                    neighbours, count, own, path_times[i], path_points[i], settings[i], state[i], times[i],
-                    velocities[i], planes, scratch, view, out,
+                    neighbours, count, own, path_times[i], path_points[i], fence, settings[i], state[i],
+                    times[i], velocities[i], planes, scratch, view, out,
                 )  # fmt: skip
                 command[i, 0], command[i, 1], command[i, 2] = out[0], out[1], out[2]
                 if kinds[i] == TURNING or kinds[i] == FROZEN:
@@ -342,8 +353,9 @@ def fly(
                     own_error[i, c] = keep * own_error[i, c] + own_fresh * rng.normal(0.0, 1.0)
             if tick < len(trace):
                 trace[tick, i] = position[i]
-            n, e, d = k.path_position(path_times[i], path_points[i], now + step)
-            pn, pe, pd = k.path_position(path_times[i], path_points[i], now)
+            late = state[i, k.L_DELAY]
+            n, e, d = k.path_position(path_times[i], path_points[i], now + step - late)
+            pn, pe, pd = k.path_position(path_times[i], path_points[i], now - late)
             planned += math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
             flown += math.sqrt(
                 (position[i, 0] - before[i, 0]) ** 2

@@ -302,11 +302,11 @@ def test_a_serial_number_of_any_form_will_do_without_a_law(tmp_path, region):
 
 def test_the_example_shows_every_key_and_every_key_it_shows_is_right(tmp_path):
     example = re.sub(r"(?m)^# (?=\[\[|[a-z0-9_]+ = )", "", (CONFIG / "companion.toml").read_text())
-    for name in ("regions", "trajectory.toml"):
+    for name in ("regions", "trajectory.toml", "fence.toml"):
         (tmp_path / name).symlink_to(CONFIG / name)
     loaded = configuration.load(write(tmp_path, example))
     shown = tomllib.loads(example)
-    for section in set(configuration.Config.__struct_fields__) - {"radio", "path", "region"}:
+    for section in set(configuration.Config.__struct_fields__) - {"radio", "path", "fence", "region"}:
         assert shown[section].keys() == set(getattr(loaded, section).__struct_fields__), section
     kinds = {type(radio) for radio in loaded.radio}
     assert kinds == set(get_args(configuration.RadioConfig))

@@ -233,13 +233,13 @@ def test_own_velocity_history() -> None:
 
 @njit
 def _each(
-    own: Any, others: Any, path: Any, settings: Any, states: Any, times: Any, velocities: Any, work: Any,
+    own: Any, others: Any, path: Any, fence: Any, settings: Any, states: Any, times: Any, velocities: Any, work: Any,
     view: Any, out: Any,
 ) -> None:  # fmt: skip
     for i in range(len(own)):
         k.decide(
-            others[i], others.shape[1], own[i], path[0], path[1], settings, states[i], times[i],
-            velocities[i], work[0], work[1], view, out[i],
+            others[i], others.shape[1], own[i], path[0], path[1], fence, settings, states[i],
+            times[i], velocities[i], work[0], work[1], view, out[i],
         )  # fmt: skip
 
 
@@ -253,18 +253,20 @@ def test_a_compiled_loop_over_aircraft_calls_the_same_kernel() -> None:
     own[:, k.O_SIGMA], own[:, k.O_PATH_TIME] = 1.5, 2.0
     own[:, k.O_FLOOR], own[:, k.O_CEILING] = np.inf, -np.inf
     others = np.ones((fleet, crowd, k.NEIGHBOUR_COLUMNS))
+    others[:, :, k.N_CREWED] = 0.0
     others[:, :, :6] = rng.normal(0, [40, 40, 15, 3, 3, 1], (fleet, crowd, 6))
     states = np.zeros((fleet, k.STATE_ENTRIES))
     times, velocities = np.zeros((fleet, 9)), np.zeros((fleet, 9, 3))
-    work, view = np.zeros((2, k.HARD + crowd, 4)), np.zeros((crowd, k.VIEW_COLUMNS))
+    work, view = np.zeros((2, k.DOWN_SPEEDS + crowd, 4)), np.zeros((crowd, k.VIEW_COLUMNS))
     together, alone = np.zeros((fleet, k.OUT_ENTRIES)), np.zeros(k.OUT_ENTRIES)
     for state in states:
         k.begin(state, law)
     before = states.copy()
-    _each(own, others, path.arrays, law, states, times, velocities, work, view, together)
+    fence = np.zeros((0, k.WALL_COLUMNS))
+    _each(own, others, path.arrays, fence, law, states, times, velocities, work, view, together)
     for i in range(fleet):
         k.decide(
-            others[i], crowd, own[i], *path.arrays, law, before[i], np.zeros(9), np.zeros((9, 3)), *work,
+            others[i], crowd, own[i], *path.arrays, fence, law, before[i], np.zeros(9), np.zeros((9, 3)), *work,
             view, alone,
         )  # fmt: skip
         np.testing.assert_array_equal(alone, together[i])

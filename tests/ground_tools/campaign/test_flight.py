@@ -20,6 +20,9 @@ EXACT = World(sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay
 DMUCA, ALONE = AvoidanceConfig(), AvoidanceConfig(law="none")
 
 
+OPEN = np.zeros((0, k.WALL_COLUMNS))
+
+
 def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, steps=0, kinds=None):
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
     settings = np.array([settings_of(avoidance, LimitsConfig(), path) for path in paths])
@@ -27,7 +30,7 @@ def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, step
     settings[kinds != flight.AVOIDS, k.S_LAW] = k.NONE
     trace, result = np.zeros((steps, len(paths), 3)), np.zeros(flight.FLIGHT_ENTRIES)
     rng = np.random.default_rng(seed)
-    function(rng, world.row(avoidance.period_s), times, points, settings, kinds, trace, result)
+    function(rng, world.row(avoidance.period_s), times, points, OPEN, settings, kinds, trace, result)
     return result, trace
 
 
@@ -54,15 +57,24 @@ class Heart:
         self._of = {}
         self._inside = False
 
-    def __call__(self, neighbours, count, own, path_times, path_points, settings, state, *others):
+    def __call__(self, neighbours, count, own, path_times, path_points, fence, settings, state, *others):
         out = others[-1]
-        self.decide(neighbours, count, own, path_times, path_points, settings, state, *others)
+        self.decide(neighbours, count, own, path_times, path_points, fence, settings, state, *others)
         if self._inside:
             return
         law = self.laws[self._of.setdefault(state.__array_interface__["data"][0], len(self._of))]
         heard = [
             Neighbour(
-                f"uas-{i}", tuple(row[:3].tolist()), tuple(row[3:6].tolist()), row[k.N_AGE], row[k.N_SIGMA]
+                f"uas-{i}",
+                tuple(row[:3].tolist()),
+                tuple(row[3:6].tolist()),
+                row[k.N_AGE],
+                row[k.N_SIGMA],
+                row[k.N_SIGMA_VELOCITY],
+                row[k.N_GROWTH],
+                row[k.N_SHARE],
+                row[k.N_VERTICAL] == 1.0,
+                row[k.N_CREWED] == 1.0,
             )
             for i, row in enumerate(neighbours[:count])
         ]

@@ -1,0 +1,233 @@
+"""Alert levels: how urgent each heard aircraft is, without flapping, and why.
+
+Levels are judged in the air whether or not the companion flies, from where present velocities lead:
+
+- advisory: its volume (separation and margin) would be entered by flying as planned;
+- caution: its separation would be lost within the horizon, or it shapes the velocity that is flown;
+- warning: its separation would be lost within half of the horizon, or is lost.
+
+A level is raised once `RAISE_OF` of the last `RAISE_IN` looks agree (a warning at once) and falls, to the
+highest level seen meanwhile, when none has been as high for `HOLD_S`: the M of N and the hysteresis of
+DAIDALUS (NASA/TM-20250000684 and its `alerting` parameters), in three levels as there.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from companion.avoidance.law import LawResult, Neighbour, horizon_s, separation_m
+from companion.config import AvoidanceConfig
+from companion.events import AlertChanged, Command, Say, Severity, Threat, Vec3
+
+RAISE_OF, RAISE_IN = 3, 5
+HOLD_S = 4.0
+TELL_S = 1.0
+"""Between two COLLISION messages about one aircraft, and between two texts."""
+MOST_TOLD = 5
+"""Aircraft told as COLLISION at one time, the most urgent ones."""
+
+
+class Level(enum.IntEnum):
+    """Of an alert."""
+
+    NONE = 0
+    ADVISORY = 1
+    CAUTION = 2
+    WARNING = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """How two aircraft come together when both keep their velocities."""
+
+    time_s: float
+    """To the closest point; 0 where they part."""
+    horizontal_m: float
+    """There."""
+    vertical_m: float
+    loss_s: float
+    """Until the separation is lost; infinite: it is not. 0: it is lost already."""
+
+
+def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> Approach:
+    """The approach of another aircraft.
+
+    Args:
+        position: of the other less ours, m.
+        velocity: ours less the other's, m/s.
+        radius_m: horizontal radius of the volume that is to be kept.
+        scale: on vertical distances, where the volume is a ball.
+    """
+    px, py, pz = position[0], position[1], scale * position[2]
+    vx, vy, vz = velocity[0], velocity[1], scale * velocity[2]
+    v2, pv = vx * vx + vy * vy + vz * vz, px * vx + py * vy + pz * vz
+    t = max(pv / v2, 0.0) if v2 > 0.0 else 0.0
+    gap2 = px * px + py * py + pz * pz - radius_m * radius_m
+    loss = math.inf
+    if gap2 <= 0.0:
+        loss = 0.0
+    elif pv > 0.0 and (root := pv * pv - v2 * gap2) >= 0.0:
+        loss = gap2 / (pv + math.sqrt(root))
+    return Approach(
+        time_s=t,
+        horizontal_m=math.hypot(position[0] - t * velocity[0], position[1] - t * velocity[1]),
+        vertical_m=abs(position[2] - t * velocity[2]),
+        loss_s=loss,
+    )
+
+
+@dataclass(slots=True)
+class _Watched:
+    level: Level = Level.NONE
+    seen: deque[Level] = field(default_factory=lambda: deque(maxlen=RAISE_IN))
+    held_s: float = -math.inf
+    """When the level was last seen as high."""
+    below: Level = Level.NONE
+    """Highest one seen since."""
+    told_s: float = -math.inf
+
+    def look(self, level: Level, now_s: float) -> bool:
+        """Take in what was seen now; True when the level changed."""
+        self.seen.append(level)
+        before = self.level
+        agreed = sorted(self.seen, reverse=True)[RAISE_OF - 1] if len(self.seen) >= RAISE_OF else Level.NONE
+        raised = level if level is Level.WARNING else agreed
+        if level >= self.level or raised > self.level:
+            self.level, self.held_s, self.below = max(raised, self.level), now_s, Level.NONE
+        else:
+            self.below = max(self.below, level)
+            if now_s - self.held_s >= HOLD_S:
+                self.level, self.held_s, self.below = self.below, now_s, Level.NONE
+        return self.level is not before
+
+
+class Alerts:
+    """The alert levels of all tracks of a flight."""
+
+    def __init__(self, config: AvoidanceConfig) -> None:
+        self._config = config
+        self._watched: dict[str, _Watched] = {}
+        self._said_s = -math.inf
+
+    @property
+    def levels(self) -> dict[str, Level]:
+        """Of the tracks that have one."""
+        return {name: w.level for name, w in self._watched.items() if w.level is not Level.NONE}
+
+    def look(
+        self,
+        now_s: float,
+        position: Vec3,
+        velocity: Vec3,
+        neighbours: Sequence[Neighbour],
+        result: LawResult | None,
+    ) -> list[Command]:
+        """Judge every neighbour once; what is to be said and logged.
+
+        Args:
+            position, velocity: own, NED, m and m/s.
+            result: the law's last decision; None while it does not fly.
+        """
+        views = {} if result is None else {view.track_id: view for view in result.tracks}
+        limits = () if result is None else result.limits
+        commands: list[Command] = []
+        threats: list[tuple[Level, float, Threat]] = []
+        present = set()
+        for other in neighbours:
+            present.add(other.track_id)
+            view = views.get(other.track_id)
+            way = self._approach(position, velocity, other)
+            seen = self._level(
+                other, way, view is not None and view.conflict, view is not None and view.active
+            )
+            watched = self._watched.setdefault(other.track_id, _Watched())
+            changed = watched.look(seen, now_s)
+            acting = view is not None and view.active and view.conflict
+            if changed:
+                commands.append(_changed(other, watched.level, way, acting, limits))
+            if changed or watched.level >= Level.CAUTION:
+                threats.append((watched.level, way.loss_s, _threat(other, watched.level, way, acting)))
+        for name in [n for n in self._watched if n not in present]:
+            del self._watched[name]
+        commands += self._tell(now_s, threats)
+        return commands + self._say(now_s, commands)
+
+    def _approach(self, position: Vec3, velocity: Vec3, other: Neighbour) -> Approach:
+        p, v, age = other.position_ned_m, other.velocity_ned_mps, other.age_s
+        away = [p[i] + age * v[i] - position[i] for i in range(3)]
+        closing = [velocity[i] - v[i] for i in range(3)]
+        if not other.vertical_known:
+            away[2] = closing[2] = 0.0
+        radius, scale = separation_m(self._config, other.crewed)
+        return approach((away[0], away[1], away[2]), (closing[0], closing[1], closing[2]), radius, scale)
+
+    def _level(self, other: Neighbour, way: Approach, conflict: bool, active: bool) -> Level:
+        horizon = horizon_s(self._config, other.crewed)
+        if way.loss_s <= 0.5 * horizon:
+            return Level.WARNING
+        if way.loss_s <= horizon or (conflict and active):
+            return Level.CAUTION
+        return Level.ADVISORY if conflict or way.loss_s <= 1.5 * horizon else Level.NONE
+
+    def _tell(self, now_s: float, threats: list[tuple[Level, float, Threat]]) -> list[Command]:
+        """Those that may be told again, the most urgent first."""
+        told: list[Command] = []
+        for level, _, threat in sorted(threats, key=lambda t: (-t[0], t[1], t[2].track_id)):
+            watched = self._watched[threat.track_id]
+            ended = level < Level.CAUTION
+            if len(told) == MOST_TOLD or (not ended and now_s - watched.told_s < TELL_S - 1e-6):
+                continue
+            if ended and watched.told_s == -math.inf:
+                continue
+            watched.told_s = -math.inf if ended else now_s
+            told.append(threat)
+        return told
+
+    def _say(self, now_s: float, commands: Sequence[Command]) -> list[Command]:
+        """The most urgent of what rose to caution or warning now, as text; not more than one a second."""
+        risen = [c for c in commands if isinstance(c, AlertChanged) and c.level >= Level.CAUTION]
+        if not risen or now_s - self._said_s < TELL_S - 1e-6:
+            return []
+        self._said_s = now_s
+        worst = max(risen, key=lambda c: c.level)
+        severity = Severity.WARNING if worst.level >= Level.WARNING else Severity.NOTICE
+        return [Say(severity=severity, text=f"DMUCA {worst.reason}")]
+
+
+def _changed(
+    other: Neighbour, level: Level, way: Approach, acting: bool, limits: tuple[str, ...]
+) -> AlertChanged:
+    what = level.name.lower() if level is not Level.NONE else "clear"
+    if way.loss_s == 0.0:
+        where = f"{way.horizontal_m:.0f} m aside, {way.vertical_m:.0f} m in height"
+        where = f"too near: closest {where}"
+    else:
+        where = f"closest {way.horizontal_m:.0f} m aside, {way.vertical_m:.0f} m in height"
+        where = f"{where}, in {way.time_s:.0f} s" if way.time_s > 0.0 else "parting"
+    bounds = f"; bounded by {', '.join(limits)}" if acting and limits else ""
+    return AlertChanged(
+        track_id=other.track_id,
+        level=int(level),
+        reason=f"{what} {other.track_id}: {where}{'; avoiding' if acting else ''}{bounds}",
+        time_to_closest_s=way.time_s,
+        horizontal_m=way.horizontal_m,
+        vertical_m=way.vertical_m,
+        acting=acting,
+        limits=limits,
+    )
+
+
+def _threat(other: Neighbour, level: Level, way: Approach, acting: bool) -> Threat:
+    return Threat(
+        track_id=other.track_id,
+        adsb=other.adsb,
+        level={Level.CAUTION: 1, Level.WARNING: 2}.get(level, 0),
+        acting=acting,
+        time_to_closest_s=way.time_s,
+        horizontal_m=way.horizontal_m,
+        vertical_m=way.vertical_m,
+    )

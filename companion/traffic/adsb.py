@@ -1,0 +1,124 @@
+"""Crewed traffic and others heard by ADS-B, through the autopilot's receiver (ADSB_VEHICLE).
+
+Altitudes decide whether an aircraft passes above or below. A geometric one can be compared with our own; a
+barometric one cannot: transponders send the pressure altitude of the standard atmosphere, 8 m off for each
+hectopascal that the day's pressure differs, and receivers pass it on as it is. It separates only where the
+difference is more than any weather makes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.avoidance.law import Neighbour
+from companion.events import AdsbVehicle, Vec3
+from companion.geometry import LocalFrame
+from companion.traffic.right_of_way import CREWED, FREE, share_of
+
+SIGMA_M = 15.0
+"""One axis; the message does not tell. NACp 8, the least that most airspace asks for, is 93 m at 95 %; GNSS
+receivers of today are a tenth of it."""
+SIGMA_MPS = 1.5
+"""NACv 2: 3 m/s at 95 %."""
+BAROMETRIC_M = 300.0
+"""Weather: 37 hPa off the standard atmosphere."""
+MOST = 200
+EXPIRE_S = 15.0
+_MAX_RANGE_M = 50_000.0
+_STAMP_S = 0.5
+"""Ages come in whole seconds, cut off."""
+_NOT_CREWED = frozenset({14, 17, 18, 19})
+"""ADSB_EMITTER_TYPE: UAV, surface vehicles, point obstacle: the separations of drones do."""
+
+
+@dataclass(slots=True)
+class _Seen:
+    position: Vec3
+    velocity: Vec3
+    at_s: float
+    vertical_known: bool
+    barometric: bool
+    crewed: bool
+
+
+class AdsbTraffic:
+    """Aircraft heard by ADS-B, at most `MOST`; the longest silent is forgotten first.
+
+    Args:
+        own_icao: our own transponder's address, which a receiver aboard hears too; None: we have none.
+    """
+
+    def __init__(self, own_icao: int | None) -> None:
+        self._own_icao = own_icao
+        self._seen: dict[int, _Seen] = {}
+
+    def take(self, event: AdsbVehicle, now_s: float, frame: LocalFrame, separation_m: float | None) -> None:
+        """Take in one report.
+
+        Args:
+            frame: local frame (its altitude datum is mean sea level).
+            separation_m: height of the geoid above the ellipsoid here; None while unknown.
+        """
+        if event.icao == self._own_icao:
+            return
+        at_s = now_s - event.age_s - _STAMP_S
+        before = self._seen.get(event.icao)
+        if before is not None and at_s <= before.at_s:
+            return
+        alt_msl_m = event.alt_m
+        if event.alt_geometric and alt_msl_m is not None:
+            alt_msl_m = None if separation_m is None else alt_msl_m - separation_m
+        position = frame.to_ned(event.lat_deg, event.lon_deg, frame.alt_m if alt_msl_m is None else alt_msl_m)
+        if math.hypot(position[0], position[1]) > _MAX_RANGE_M:
+            return
+        velocity = event.velocity_ned_mps
+        if velocity is None:
+            velocity = (0.0, 0.0, 0.0) if before is None else before.velocity
+            if before is not None and at_s - before.at_s >= 1.0:
+                dn, de, dd = (b - a for a, b in zip(before.position, position, strict=True))
+                k = 1.0 / (at_s - before.at_s)
+                velocity = (k * dn, k * de, k * dd)
+        self._seen.pop(event.icao, None)
+        if len(self._seen) >= MOST:
+            del self._seen[next(iter(self._seen))]
+        self._seen[event.icao] = _Seen(
+            position=position,
+            velocity=velocity,
+            at_s=at_s,
+            vertical_known=alt_msl_m is not None,
+            barometric=not event.alt_geometric,
+            crewed=event.emitter not in _NOT_CREWED,
+        )
+
+    def clear(self) -> None:
+        """Forget all places: the frame they were given in is no more."""
+        self._seen.clear()
+
+    def neighbours(self, now_s: float, own_down_m: float) -> list[Neighbour]:
+        """Every live one, as the law takes it.
+
+        Args:
+            own_down_m: own NED down, that barometric altitudes are told apart from.
+        """
+        for icao in [i for i, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
+            del self._seen[icao]
+        return [_neighbour(icao, seen, now_s, own_down_m) for icao, seen in self._seen.items()]
+
+
+def _neighbour(icao: int, seen: _Seen, now_s: float, own_down_m: float) -> Neighbour:
+    known = seen.vertical_known
+    if seen.barometric:
+        known = known and abs(seen.position[2] - own_down_m) > BAROMETRIC_M
+    return Neighbour(
+        track_id=f"{icao:06X}",
+        position_ned_m=seen.position,
+        velocity_ned_mps=seen.velocity,
+        age_s=max(0.0, now_s - seen.at_s),
+        sigma_m=SIGMA_M,
+        sigma_mps=SIGMA_MPS,
+        share=share_of(FREE, CREWED if seen.crewed else FREE),
+        vertical_known=known,
+        crewed=seen.crewed,
+        adsb=True,
+    )
