@@ -33,7 +33,7 @@ def table(rows=PUBLISHED, flights=3):
     return found
 
 
-def verdicts(found, law="paper"):
+def verdicts(found, law):
     return [(s.verdict, s.ours) for s in dmuca.statements(found, law, 7)]
 
 
@@ -48,6 +48,7 @@ def test_flights_as_published_hold():
     assert list(found[0].checks) == ["seed 7", "seed 8", "seed 9"]
 
 
+@pytest.mark.parametrize(("law", "other"), [("paper", "dmuca"), ("dmuca", "paper")])
 @pytest.mark.parametrize(
     ("delay", "pair", "distance_m", "number", "expected"),
     [
@@ -58,14 +59,14 @@ def test_flights_as_published_hold():
         (2, 0, 2.0, 3, ("holds at 2 of 3", "least 2.00 m, median 2.50 m")),
     ],
 )
-def test_one_flight_that_is_not_as_published(delay, pair, distance_m, number, expected):
+def test_one_flight_that_is_not_as_published(law, other, delay, pair, distance_m, number, expected):
     """Of the law and air that are asked; what others fly is nothing to it."""
     found = table()
-    found[Case("dmuca", DELAYS_S[delay], "exact")][1, pair] = distance_m
-    found[Case("paper", DELAYS_S[delay], "noisy")][1, pair] = distance_m
-    assert {verdict for verdict, _ in verdicts(found)} == {"holds"}
-    found[Case("paper", DELAYS_S[delay], "exact")][1, pair] = distance_m
-    assert verdicts(found)[number] == expected
+    found[Case(other, DELAYS_S[delay], "exact")][1, pair] = distance_m
+    found[Case(law, DELAYS_S[delay], "noisy")][1, pair] = distance_m
+    assert {verdict for verdict, _ in verdicts(found, law)} == {"holds"}
+    found[Case(law, DELAYS_S[delay], "exact")][1, pair] = distance_m
+    assert verdicts(found, law)[number] == expected
 
 
 def test_more_delay_that_does_not_harm():
@@ -134,6 +135,8 @@ def test_flights_are_those_of_the_campaign(law):
 
 def test_what_is_sent_is_true_where_it_is_exact():
     """Unavoided and exact, all fly their paths; noisy ones are off by what they take for their place."""
+    exact = dmuca_flights.IN["exact"]
+    assert (exact.sigma_m, exact.sigma_mps, exact.declared_m, exact.quantised) == (0.0, 0.0, 0.0, False)
     for air, most_m in (("exact", 2.0), ("noisy", 8.0)):
         times, places = fly(Case("none", (0.0, 1.0), air), 1)
         planned = np.array(dmuca_flights.encounter("S2", 5, 1))
