@@ -48,7 +48,7 @@ def draw(samples: int, seed: int, path: Path, advance: Callable[[], None] = lamb
     Raises:
         ConfigError: `path` cannot be written, or matplotlib is missing.
     """
-    with drawn(path, (22, 16.5), dpi=80) as figure:
+    with drawn(path, (20, 15), dpi=75) as figure:
         table = table_of(samples, seed, advance)
         first = interval(DELAYS_S[0])
         figure.suptitle(
@@ -103,7 +103,7 @@ def _in_3d(axes: Any, law: Law, times: Array, places: Array) -> None:
     axes.set_ylabel("north (m)", labelpad=8)
     axes.set_zlabel("height (m)", labelpad=6)
     axes.tick_params(labelsize=10)
-    axes.set_box_aspect(None, zoom=0.95)
+    axes.set_box_aspect(None, zoom=0.82)
     axes.legend(fontsize=10, loc="upper left")
 
 
@@ -180,7 +180,9 @@ def _all_flights(axes: Any, table: Table) -> None:
             manage_ticks=False,
         )
         for box in boxes["boxes"]:
-            box.set_facecolor(colours[law, air])
+            box.set(facecolor=colours[law, air], edgecolor=colours[law, air])
+        for line in (*boxes["whiskers"], *boxes["caps"]):
+            line.set(color=colours[law, air], linewidth=2.0)
         axes.bar([0], [0], color=colours[law, air], label=f"{NAMES[law]}{words}")
     axes.axhline(SEPARATION_M, color="black", lw=1.6, ls="--", label=f"{SEPARATION_M:g} m")
     published = "published, one flight: > 10, 9.75, 2 to 10 m"

@@ -179,6 +179,7 @@ def test_command_line(tmp_path, capsys, monkeypatch):
     assert cli.main(words) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["kind"] for row in rows] == ["statement"] * 10 + ["number"] * (14 + 10)
-    assert {len(row["checks"]) for row in rows[:4]} == {2}
+    assert {tuple(row["checks"]) for row in rows[:4]} == {("seed 5", "seed 6")}
+    assert "paper_0_1_m" in rows[-1]
     assert {row["flights"] for row in rows[10:24]} == {2}
     assert (tmp_path / "dmuca.png").read_bytes().startswith(b"\x89PNG")
