@@ -125,7 +125,7 @@ def _closest(axes: Any, law: Law, times: Array, places: Array) -> None:
     axes.set_title(f"{NAMES[law]}: around the crossing")
     _lines(axes, times, places)
     axes.set_xlim(CROSSING_S - 50.0, CROSSING_S + 50.0)
-    axes.set_ylim(0.0, 80.0)
+    axes.set_ylim(0.0, 100.0)
     axes.set_ylabel("separation (m)")
     axes.legend(fontsize=9, ncols=2, loc="upper right", framealpha=0.9)
 
