@@ -21,6 +21,9 @@ from ground_tools.paper import (
     convergence,
     decision_time,
     delay_rate,
+    dmuca,
+    dmuca_flights,
+    dmuca_picture,
     fixed_modes,
     packet_loss,
     system_delay,
@@ -42,6 +45,8 @@ class Figure:
     draw: Callable[[Study, Path], None]
     sigmas: int
     """How many sigmas of the study it looks at; 0: it does not need the study, and none is computed."""
+    steps: int = 0
+    """Calls of the study's `advance` while it is drawn, beside those for the sigmas."""
 
 
 FIGURES: Final = (
@@ -82,6 +87,14 @@ FIGURES: Final = (
         lambda study, path: decision_time.draw(study.samples, study.seed, path),
         0,
     ),
+    Figure(
+        "dmuca",
+        f"flights and separations of five aircraft; --samples: flights, {dmuca_flights.MOST_FLIGHTS} at most",
+        lambda study: dmuca.report(study.samples, study.seed),
+        lambda study, path: dmuca_picture.draw(study.samples, study.seed, path, study.advance),
+        0,
+        len(dmuca_flights.CASES),
+    ),
 )
 
 
@@ -89,8 +102,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `ground-tools paper`."""
     lines = [f"  {figure.name:13s} {figure.words}" for figure in FIGURES]
     parser.description = (
-        "Compute the paper's figures by the channel model's equations and set them beside what the paper\n"
-        "says of them. A statement that does not hold is a finding, not an error: the exit code stays 0.\n\n"
+        "Compute the paper's figures by the channel model's equations, and by flights, and set them beside\n"
+        "what the paper says of them. A statement that does not hold is a finding, not an error: the exit\n"
+        "code stays 0.\n\n"
         "figures:\n" + "\n".join(lines) + "\n\n"
         f"{closed_loop.NAME} is the experiment that the paper leaves open: transports chosen in flight,\n"
         "packets on the air, avoidance by what is heard. It has options of its own, takes hours, and\n"
@@ -132,6 +146,7 @@ def run(args: argparse.Namespace) -> int:
     study = Study(args.samples, args.seed)
     options.make_folder(args.out)
     steps = max(figure.sigmas for figure in chosen) * study.steps()
+    steps += sum(figure.steps for figure in chosen)
     with progress("environments", steps) as advance:
         study.advance = advance
         found = []

@@ -12,6 +12,9 @@ from rich.table import Table
 
 from ground_tools.channel.table import with_error
 
+Value = str | float | tuple[float, float] | None
+"""Of a table: words, a number, from a number to another, or nothing known."""
+
 
 @dataclass(frozen=True, slots=True)
 class Statement:
@@ -57,6 +60,17 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
+class Numbers:
+    """A table with columns of its own, for what is no delay."""
+
+    title: str
+    columns: dict[str, str]
+    """Heads for people, by key."""
+    rows: tuple[dict[str, Value], ...]
+    """Values by key; those of other keys than the columns' are for machines alone."""
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """All of one figure."""
 
@@ -65,6 +79,7 @@ class Report:
     """How words are meant, how numbers came about."""
     statements: tuple[Statement, ...] = ()
     comparisons: tuple[Comparison, ...] = ()
+    numbers: tuple[Numbers, ...] = ()
 
 
 def show(report: Report, console: Console) -> None:
@@ -90,6 +105,21 @@ def show(report: Report, console: Console) -> None:
         ]
         columns = ("mode", "rate", "sigma dB", "density", "published", "ours", "ratio")
         console.print(_table(columns, numbers, right=True))
+    for table in report.numbers:
+        console.print(table.title, style="bold", highlight=False, soft_wrap=True)
+        words = [tuple(_words(row[key]) for key in table.columns) for row in table.rows]
+        console.print(_table(tuple(table.columns.values()), words, right=True))
+
+
+def _words(value: Value) -> str:
+    """Of a table's value: whole numbers as they are, others with two decimals."""
+    if value is None:
+        return "-"
+    if isinstance(value, tuple):
+        return f"{value[0]:g}-{value[1]:g}"
+    if isinstance(value, float):
+        return f"{value:.2f}"
+    return str(value)
 
 
 def _ours(c: Comparison) -> str:
@@ -133,7 +163,10 @@ def json_rows(figure: str, report: Report) -> list[dict[str, object]]:
         }
         for c in report.comparisons
     ]
-    return statements + numbers
+    tables: list[dict[str, object]] = [
+        {"figure": figure, "kind": "number", **row} for table in report.numbers for row in table.rows
+    ]
+    return statements + numbers + tables
 
 
 def _finite(value: float | None) -> float | None:

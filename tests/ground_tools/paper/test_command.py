@@ -24,6 +24,7 @@ NAMES = [
     "system-delay",
     "uav-delay",
     "decision-time",
+    "dmuca",
 ]
 
 

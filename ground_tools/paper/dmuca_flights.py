@@ -1,0 +1,136 @@
+"""Five aircraft as in the paper's section V, flown by each law under each delay; what each pair keeps.
+
+The paper lets all converge inside a box of 500 m x 500 m x 300 m at 250 s and gives no paths. Crossing points
+anywhere in that box hardly ever conflict (`conflicts_in_the_box`), so S2 of `sitl_mocks.scenario` is flown.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.avoidance.law import settings_of
+from companion.avoidance.trajectory import Trajectory
+from companion.config import LimitsConfig
+from ground_tools.campaign import flight
+from ground_tools.campaign.cells import LAWS, SEPARATION_M, WORLDS, Law
+from ground_tools.campaign.flight import World
+from sitl_mocks.scenario import DURATION_S, encounter
+
+Array = NDArray[np.float64]
+Air = Literal["exact", "noisy"]
+
+AIRCRAFT: Final = 5
+PAIRS: Final = tuple(itertools.combinations(range(AIRCRAFT), 2))
+SPEED_MPS: Final = 5.0
+DELAYS_S: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))
+IN: Final[dict[Air, World]] = {
+    # The paper names no error of what is sent.
+    "exact": World(sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False),
+    "noisy": WORLDS["calm"],
+}
+MOST_FLIGHTS: Final = 200
+"""Of each case: a minute of one core. `ground-tools campaign` flies them by the thousand."""
+BOX_M: Final = (500.0, 500.0, 300.0)
+"""Where the paper's aircraft converge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Flights that differ in their seeds alone."""
+
+    law: Law
+    delay_s: tuple[float, float]
+    """Of every message, drawn uniformly."""
+    air: Air
+
+
+FLOWN_LAWS: Final[tuple[Law, ...]] = ("paper", "dmuca", "none")
+CASES: Final = tuple(
+    Case(law, delay_s, air)
+    for air in IN
+    for law in FLOWN_LAWS
+    for delay_s in (DELAYS_S if law != "none" else DELAYS_S[:1])
+)
+"""Whoever does not avoid flies alike under every delay."""
+Table = dict[Case, Array]
+"""Least distances in m, shape (flights, pairs)."""
+
+
+def fly(case: Case, seed: int) -> tuple[Array, Array]:
+    """One flight; that of the campaign's cell with the same law, delays and seed, where the air is noisy.
+
+    Returns:
+        Times in s, shape (steps,), and true positions, shape (steps, AIRCRAFT, 3), NED in m.
+    """
+    rows = np.array(encounter("S2", AIRCRAFT, seed))
+    times, points = np.ascontiguousarray(rows[:, :, 0]), np.ascontiguousarray(rows[:, :, 1:])
+    avoidance, limits = LAWS[case.law], LimitsConfig(max_speed_mps=SPEED_MPS)
+    paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
+    world = msgspec.structs.replace(IN[case.air], start_s=0.0, end_s=DURATION_S, delay_s=case.delay_s)
+    trace = np.zeros((round(DURATION_S / world.step_s), AIRCRAFT, 3))
+    flight.fly(
+        np.random.default_rng([seed, 7]),
+        world.row(avoidance.period_s),
+        times,
+        points,
+        np.array([settings_of(avoidance, limits, path) for path in paths]),
+        np.full(AIRCRAFT, float(flight.AVOIDS)),
+        trace,
+        np.zeros(flight.FLIGHT_ENTRIES),
+    )
+    return world.step_s * np.arange(1.0, len(trace) + 1.0, dtype=np.float64), trace
+
+
+def gaps(places: Array) -> Array:
+    """From one to the other of each pair, shape (steps, pairs, 3), of positions (steps, aircraft, 3)."""
+    first, second = np.triu_indices(places.shape[1], 1)  # in the order of PAIRS
+    return places[:, second] - places[:, first]
+
+
+def least_distances(places: Array) -> Array:
+    """Of each pair, on straight ways between positions (steps, aircraft, 3); shape (pairs,)."""
+    gap = gaps(places)
+    begin, way = gap[:-1], np.diff(gap, axis=0)
+    length2 = (way * way).sum(axis=2)
+    along = -(begin * way).sum(axis=2) / np.where(length2 > 0.0, length2, 1.0)
+    nearest = begin + np.clip(along, 0.0, 1.0)[:, :, None] * way
+    return np.asarray(np.linalg.norm(nearest, axis=2).min(axis=0), dtype=np.float64)
+
+
+def table_of(samples: int, seed: int, advance: Callable[[], None] = lambda: None) -> Table:
+    """All cases, flown once for picture and report.
+
+    Args:
+        samples: flights of each case, MOST_FLIGHTS at most; of seeds from `seed` on, the same in every case.
+        advance: called after each case.
+    """
+    flights = min(samples, MOST_FLIGHTS)
+    table = {}
+    for case in CASES:
+        table[case] = _flown(case, flights, seed)
+        advance()
+    return table
+
+
+@functools.lru_cache(maxsize=2 * len(CASES))
+def _flown(case: Case, flights: int, seed: int) -> Array:
+    return np.array([least_distances(fly(case, one)[1]) for one in range(seed, seed + flights)])
+
+
+def conflicts_in_the_box(flights: int, seed: int) -> int:
+    """How many of so many draws lose separation unavoided where crossing points lie anywhere in the paper's
+    box: paths of S2, each moved by a draw from the box."""
+    lost = 0
+    for one in range(seed, seed + flights):
+        points = np.array(encounter("S2", AIRCRAFT, one))[:, :, 1:]
+        moved = np.random.default_rng([one, 8]).uniform(-0.5, 0.5, (AIRCRAFT, 1, 3)) * BOX_M
+        lost += bool(least_distances((points + moved).transpose(1, 0, 2)).min() < SEPARATION_M)
+    return lost
