@@ -42,11 +42,12 @@ N_POSITION, N_VELOCITY, N_AGE = 0, 3, 6  # at the message's own time; s
     N_SIGMA,  # m for each horizontal axis
     N_SIGMA_VELOCITY,  # m/s for each axis
     N_GROWTH,  # m/s, what `note_track` says of its past
+    N_SILENT,  # s, age above which it may have stopped
     N_SHARE,  # of what is needed that is ours, 0.5 to 1
     N_VERTICAL,  # 1: its height is known
     N_CREWED,  # 1: crewed traffic, with separations of its own
     NEIGHBOUR_COLUMNS,
-) = range(7, 14)
+) = range(7, 15)
 # Entries of `own`; floor and ceiling are NED down, infinite (plus, minus) where there is none.
 O_POSITION, O_VELOCITY, O_SIGMA, O_NOW, O_PATH_TIME, O_FLOOR, O_CEILING = 0, 3, 6, 7, 8, 9, 10
 OWN_ENTRIES = 11
@@ -88,8 +89,8 @@ V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE, VIEW_COLUMNS = 0, 3, 4, 5,
 # is; corners north, east, or a circle's middle and radius, m.
 W_AREA, W_KIND, W_FROM, W_TO, WALL_COLUMNS = 0, 1, 2, 4, 6
 IN_POLYGON, OUT_OF_POLYGON, IN_CIRCLE, OUT_OF_CIRCLE = 0.0, 1.0, 2.0, 3.0
-# What is remembered of a track by `note_track`: a message's time, position, velocity; growth.
-T_TIME, T_POSITION, T_VELOCITY, T_GROWTH, TRACK_ENTRIES = 0, 1, 4, 7, 8
+# What is remembered of a track by `note_track`: a message's time, position, velocity; growth; silence.
+T_TIME, T_POSITION, T_VELOCITY, T_GROWTH, T_GAP, TRACK_ENTRIES = 0, 1, 4, 7, 8, 9
 # Entries of `out`: the command, what would be flown alone; 0 or 1: every plane kept, a volume would be
 # broken by flying alone, on the way back to the path; first row of `planes` that is a neighbour's, hard
 # planes; what the law would command if it could change the velocity at once.
@@ -112,6 +113,12 @@ GROWTH_MEMORY_S = 40.0
 GROWTH_MOST_MPS = 3.0
 GROWTH_AHEAD_S = 4.0
 """A track's deviations count from its message to this long after now."""
+SILENT_S, SILENT_GAPS = 4.0, 1.5
+"""A track not heard for longer than this and this many of its longest gaps lately may have stopped: messages
+once a second are at most 4 s old at delays up to 3 s."""
+GAP_MEMORY_S = 60.0
+STOPS_S = 1.0
+"""It then stands where it would have been so long after its last message."""
 HISTORY_SPACING_S = 0.04
 HISTORY_SAMPLES = 1024
 """Half of them stay when they are full: at this spacing 20 s, more than the oldest message's age."""
@@ -422,9 +429,16 @@ def note_track(
         noise = 0.35 * (max(sigma, 1.0) + passed)
         news = min(2.0 * max(away - noise, 0.0) / passed, GROWTH_MOST_MPS)
         track[T_GROWTH] = max(track[T_GROWTH] * math.exp(-passed / GROWTH_MEMORY_S), news)
+        track[T_GAP] = max(track[T_GAP] * math.exp(-passed / GAP_MEMORY_S), passed)
     track[T_TIME] = t
     track[T_POSITION], track[T_POSITION + 1], track[T_POSITION + 2] = pn, pe, pd
     track[T_VELOCITY], track[T_VELOCITY + 1], track[T_VELOCITY + 2] = vn, ve, vd
+
+
+@_compiled
+def silent_after(track: Array) -> float:
+    """Age (s) above which a track's silence means something, from what `note_track` remembers."""
+    return float(SILENT_S + SILENT_GAPS * max(track[T_GAP], 1.0) - 0.5)
 
 
 @_compiled
@@ -528,7 +542,7 @@ def _reach(settings: Array) -> float:
 
 
 @_compiled
-def _nearest_of_wall(wall: Array, n: float, e: float) -> tuple[float, float, float]:
+def nearest_of_wall(wall: Array, n: float, e: float) -> tuple[float, float, float]:
     """Distance (m) to the nearest point of an edge or a circle, and the unit vector from there to (n, e)."""
     if wall[W_KIND] >= IN_CIRCLE:
         dn, de = n - wall[W_FROM], e - wall[W_FROM + 1]
@@ -585,7 +599,7 @@ def _fence(fence: Array, own: Array, settings: Array, planes: Array, at: int) ->
             right = inside(fence, first, after, n, e) == (kind in (IN_POLYGON, IN_CIRCLE))
             if right and soft == 0:
                 for i in range(first, after):
-                    room, dn, de = _nearest_of_wall(fence[i], n, e)
+                    room, dn, de = nearest_of_wall(fence[i], n, e)
                     if room < reach:
                         planes[at, 0], planes[at, 1], planes[at, 2] = dn, de, 0.0
                         planes[at, 3] = -_closing(
@@ -593,9 +607,9 @@ def _fence(fence: Array, own: Array, settings: Array, planes: Array, at: int) ->
                         )
                         at += 1
             if not right and soft == 1:
-                room, dn, de = _nearest_of_wall(fence[first], n, e)
+                room, dn, de = nearest_of_wall(fence[first], n, e)
                 for i in range(first + 1, after):
-                    other, on, oe = _nearest_of_wall(fence[i], n, e)
+                    other, on, oe = nearest_of_wall(fence[i], n, e)
                     if other < room:
                         room, dn, de = other, on, oe
                 planes[at, 0], planes[at, 1], planes[at, 2] = -dn, -de, 0.0
@@ -659,6 +673,36 @@ def _published_recovery(
 
 
 @_compiled
+def _half_space_row(
+    planes: Array,
+    row: int,
+    pn: float,
+    pe: float,
+    pd: float,
+    an: float,
+    ae: float,
+    ad: float,
+    vn: float,
+    ve: float,
+    rd: float,
+    scale: float,
+    radius: float,
+    horizon: float,
+    overlap: float,
+    share: float,
+) -> None:
+    """One neighbour's plane, built where its volume is a ball, the normal mapped back.
+
+    p: from us to it; a: our velocity; vn, ve: its level velocity; rd: our down speed less its.
+    """
+    nn, ne, nd, s = half_space(pn, pe, scale * pd, an - vn, ae - ve, scale * rd, radius, horizon, overlap)
+    nd *= scale
+    length = math.sqrt(nn * nn + ne * ne + nd * nd)
+    planes[row, 0], planes[row, 1], planes[row, 2] = nn / length, ne / length, nd / length
+    planes[row, 3] = (nn * an + ne * ae + nd * ad + share * s) / length
+
+
+@_compiled
 def _avoid(
     neighbours: Array,
     count: int,
@@ -688,6 +732,7 @@ def _avoid(
     planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3] = 0.0, 0.0, -1.0, -most
     hard, first = _fence(fence, own, settings, planes, DOWN_SPEEDS)
     conflict = False
+    standing = 0
     for j in range(count):
         age, level = neighbours[j, N_AGE], neighbours[j, N_VERTICAL] == 0.0
         radius, scale, horizon = settings[S_RADIUS], settings[S_VERTICAL], settings[S_HORIZON]
@@ -718,20 +763,34 @@ def _avoid(
         view[j, V_RADIUS], view[j, V_CONFLICT] = radius, 1.0 if breaks else 0.0
         view[j, V_TIME], view[j, V_DISTANCE] = t, math.sqrt(near2)
 
-        # The plane is built where the volume is a ball; its normal is mapped back.
-        nn, ne, nd, s = half_space(
-            pn, pe, scale * pd, an - vn, ae - ve, scale * rd, radius, horizon, settings[S_OVERLAP]
-        )
-        nd *= scale
-        length = math.sqrt(nn * nn + ne * ne + nd * nd)
-        row = first + j
-        planes[row, 0], planes[row, 1], planes[row, 2] = nn / length, ne / length, nd / length
-        planes[row, 3] = (nn * an + ne * ae + nd * ad + neighbours[j, N_SHARE] * s) / length
+        share = neighbours[j, N_SHARE]
+        _half_space_row(
+            planes, first + j, pn, pe, pd, an, ae, ad, vn, ve, rd, scale, radius, horizon,
+            settings[S_OVERLAP], share,
+        )  # fmt: skip
+        if settings[S_GROWTH] != 0.0 and age > neighbours[j, N_SILENT]:
+            # Who falls silent in flight may have lost its GNSS with its last message, and stopped there.
+            back = age - STOPS_S
+            pn, pe, pd = pn - back * vn, pe - back * ve, pd - back * vd
+            an, ae, ad = own[O_VELOCITY], own[O_VELOCITY + 1], own[O_VELOCITY + 2]
+            rd = ad
+            if level:
+                pd, rd, wish_d = 0.0, 0.0, 0.0
+            else:
+                wish_d = wd
+            _, near2 = closest(pn, pe, scale * pd, wn, we, scale * wish_d, look)
+            if near2 < radius * radius:
+                conflict, view[j, V_CONFLICT] = True, 1.0
+            _half_space_row(
+                planes, first + count + standing, pn, pe, pd, an, ae, ad, 0.0, 0.0, rd, scale, radius,
+                horizon, settings[S_OVERLAP], share,
+            )  # fmt: skip
+            standing += 1
     out[0], out[1], out[2] = wn, we, wd
     if conflict and settings[S_RIGHT] != 0.0:
         c, s = math.cos(settings[S_RIGHT]), math.sin(settings[S_RIGHT])
         out[0], out[1] = c * wn - s * we, s * wn + c * we
-    feasible = solve(planes, hard, first + count, settings[S_SPEED], out, scratch, out)
+    feasible = solve(planes, hard, first + count + standing, settings[S_SPEED], out, scratch, out)
     out[R_NEIGHBOURS], out[R_HARD] = first, hard
     out[R_SOLVED], out[R_SOLVED + 1], out[R_SOLVED + 2] = out[0], out[1], out[2]
     return feasible, conflict
@@ -766,6 +825,32 @@ def limit(
 
 
 @_compiled
+def _off_the_fence(planes: Array, hard: int, command: Array, change: float) -> float:
+    """Turn the last command away from the fence plane that it breaks most, as far as the change allows.
+
+    On the straight way from one command to the next a fence would get no more than its part of the change.
+
+    Args:
+        command: the last one; written.
+        change: most that it may change, m/s.
+
+    Returns:
+        What is left of the change.
+    """
+    most, at = 0.0, -1
+    for row in range(DOWN_SPEEDS, hard):
+        short = planes[row, 3] - (planes[row, 0] * command[0] + planes[row, 1] * command[1])
+        if short > most:
+            most, at = short, row
+    if at < 0:
+        return change
+    most = min(most, change)
+    command[0] += most * planes[at, 0]
+    command[1] += most * planes[at, 1]
+    return change - most
+
+
+@_compiled
 def decide(
     neighbours: Array,
     count: int,
@@ -793,7 +878,7 @@ def decide(
         state: STATE_ENTRIES values; written.
         history_times, history_velocities: shapes (H,) and (H, 3); own velocities (NED) at rising times;
             written. A plane takes the own velocity at the time of the neighbour's sample.
-        planes, scratch: shape (at least DOWN_SPEEDS + F + count, 4); written.
+        planes, scratch: shape (at least DOWN_SPEEDS + F + 2 count, 4); written.
         view: shape (at least count, VIEW_COLUMNS); written.
         out: OUT_ENTRIES values; written.
     """
@@ -833,6 +918,8 @@ def decide(
         down = min(max(vd, -settings[S_CLIMB]), settings[S_DESCENT])
         state[0], state[1], state[2] = _clipped(vn, ve, down, speed)
     change = settings[S_ACCELERATION] * max(passed, 0.0)
+    if law != NONE:
+        change = _off_the_fence(planes, int(out[R_HARD]), state, change)
     n, e, d = limit(out, state, change, least, most, speed)
     state[0], state[1], state[2], state[L_TIME] = n, e, d, now
     out[0], out[1], out[2] = n, e, d
@@ -860,7 +947,7 @@ def warm_up() -> None:
     neighbours[0, :2] = neighbours[1, :2] = 3.0
     times, velocities = np.zeros(4), np.zeros((4, 3))
     path = np.arange(2.0), np.zeros((2, 3))
-    planes, scratch = np.zeros((DOWN_SPEEDS + 2, 4)), np.zeros((DOWN_SPEEDS + 2, 4))
+    planes, scratch = np.zeros((DOWN_SPEEDS + 4, 4)), np.zeros((DOWN_SPEEDS + 4, 4))
     fence = np.zeros((0, WALL_COLUMNS))
     view, state, settings = np.zeros((2, VIEW_COLUMNS)), np.zeros(STATE_ENTRIES), np.ones(SETTINGS_ENTRIES)
     begin(state, settings)

@@ -42,6 +42,8 @@ CATCH_UP_S = 30.0
 CREWED_HORIZON_S = 60.0
 VERTICAL_SCALE = 0.85
 """Volumes are 1 / 0.85 times as tall as wide: downwash, and the vertical error of GNSS."""
+_BELIEVABLE = 1e7
+"""m, m/s: beyond it a neighbour's number is as good as none."""
 OVERLAP_S = 2.0
 LOOK_S = 30.0
 KEEP_RIGHT_RAD = 0.2
@@ -51,8 +53,6 @@ LIMITS = ("climb or ceiling", "descent or floor", "fence", "outside the fence", 
 
 _LEAST_TURN_S = 0.01
 _ON_PLANE_MPS = 1e-6
-_BELIEVABLE = 1e7
-"""m, m/s: beyond it a neighbour's number is as good as none."""
 
 _by_id = attrgetter("track_id")
 
@@ -72,6 +72,8 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """Error of the velocity, one standard deviation per axis."""
     growth_mps: float = 0.0
     """How fast it leaves its predictions (`kernels.note_track`)."""
+    silent_s: float = _BELIEVABLE
+    """Age above which it may have stopped (`kernels.silent_after`)."""
     share: float = 0.5
     """Least share of what is needed that is ours, 0.5 to 1 (`right_of_way`)."""
     vertical_known: bool = True
@@ -211,7 +213,7 @@ class Law:
     def _room(self, count: int) -> None:
         self._neighbours = np.zeros((count, k.NEIGHBOUR_COLUMNS))
         self._view = np.zeros((count, k.VIEW_COLUMNS))
-        planes = k.DOWN_SPEEDS + len(self._fence) + count
+        planes = k.DOWN_SPEEDS + len(self._fence) + 2 * count
         self._planes, self._scratch = np.zeros((planes, 4)), np.zeros((planes, 4))
 
     def _take(self, neighbours: Sequence[Neighbour]) -> list[Neighbour]:
@@ -228,6 +230,7 @@ class Law:
                     n.sigma_m,
                     n.sigma_mps,
                     n.growth_mps,
+                    n.silent_s,
                     n.share,
                     n.vertical_known,
                     n.crewed,
@@ -236,7 +239,7 @@ class Law:
             ],
             dtype=np.float64,
         )
-        good = np.abs(rows) < _BELIEVABLE  # False for NaN too
+        good = np.abs(rows) <= _BELIEVABLE  # False for NaN too
         if not good.all():
             kept = good.all(axis=1)
             rows = rows[kept]

@@ -23,7 +23,6 @@ from companion.events import (
     DownloadMission,
     FenceArea,
     FenceDownloaded,
-    Firmware,
     FlightMode,
     MissionDownloaded,
     MissionItem,
@@ -129,10 +128,7 @@ class Plan:
                 return self.refuse("it starts at a UTC and the vehicle does not know UTC yet")
             self._start_s = flight.start_utc_s - own.utc_offset_s
         check_areas(self._areas)
-        any_inclusion = (
-            limits.fence == "vehicle" and own.heartbeat is not None and own.heartbeat.firmware is Firmware.PX4
-        )
-        walls = walls_of(self._areas, own.frame, trajectory, any_inclusion=any_inclusion)
+        walls = walls_of(self._areas, own.frame, trajectory)
         self.law = Law(self._config.avoidance, limits, trajectory, walls)
         self.home_alt_msl_m = home
         self._said = None

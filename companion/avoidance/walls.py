@@ -1,8 +1,8 @@
 """A geofence in the local frame, as the kernels take it, and whether a path keeps it.
 
-Which areas bind differs between firmwares. ArduPilot asks for being inside every inclusion area
-(AC_PolyFence_loader, without the option of a union), PX4 for being inside at least one (Geofence). Exclusion
-areas always bind.
+Every area binds. Firmwares differ in what several inclusion areas mean (ArduPilot: all of them, or any by
+option; PX4: any in older releases, all in newer ones), and the fence does not tell: the stricter reading is
+right for both.
 """
 
 from __future__ import annotations
@@ -22,34 +22,23 @@ from companion.geometry import LocalFrame
 Point = tuple[float, float]
 
 
-def walls_of(
-    areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory, *, any_inclusion: bool
-) -> k.Array:
+def walls_of(areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory) -> k.Array:
     """The walls that an aircraft on this path keeps, shape (F, WALL_COLUMNS).
 
     Args:
         areas: checked (`fence.check_areas`).
-        any_inclusion: True: one inclusion area around the whole path is enough, and those that are not
-            around it do not bind. False: all of them must be.
 
     Raises:
         ConfigError: the path leaves what it must stay in, or enters or grazes what it must stay out of.
     """
     rows: list[tuple[float, ...]] = []
-    left = []
-    held = 0
     for number, area in enumerate(areas):
         walls = _walls(number, area, frame)
         trouble = _trouble(area, walls, trajectory)
-        if trouble is None:
-            rows += walls
-            held += area.inclusion
-        elif not area.inclusion:
-            raise ConfigError(f"fence: area {number} (to be stayed out of): the path {trouble}")
-        else:
-            left.append(f"fence: area {number} (to be stayed in): the path {trouble}")
-    if left and not (any_inclusion and held):
-        raise ConfigError(left[0])
+        if trouble is not None:
+            kind = "in" if area.inclusion else "out of"
+            raise ConfigError(f"fence: area[{number}] (to be stayed {kind}): the path {trouble}")
+        rows += walls
     return np.array(rows) if rows else np.zeros((0, k.WALL_COLUMNS))
 
 

@@ -40,6 +40,7 @@ class _Seen:
     vertical_known: bool
     barometric: bool
     crewed: bool
+    told: tuple[object, ...]
 
 
 class AdsbTraffic:
@@ -64,7 +65,9 @@ class AdsbTraffic:
             return
         at_s = now_s - event.age_s - _STAMP_S
         before = self._seen.get(event.icao)
-        if before is not None and at_s <= before.at_s:
+        told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
+        # ArduPilot repeats the last report for seconds, with the age that it had at first.
+        if before is not None and (at_s <= before.at_s or told == before.told):
             return
         alt_msl_m = event.alt_m
         if event.alt_geometric and alt_msl_m is not None:
@@ -89,6 +92,7 @@ class AdsbTraffic:
             vertical_known=alt_msl_m is not None,
             barometric=not event.alt_geometric,
             crewed=event.emitter not in _NOT_CREWED,
+            told=told,
         )
 
     def clear(self) -> None:

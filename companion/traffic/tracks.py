@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from companion.avoidance.kernels import T_GROWTH
+from companion.avoidance.kernels import T_GROWTH, silent_after
 from companion.avoidance.law import Neighbour
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard, TrackFlagged, Vec3
@@ -175,6 +175,7 @@ class Traffic:
                 t.sigma_m,
                 t.sigma_mps,
                 float(t.past[T_GROWTH]),
+                silent_after(t.past),
                 share_of(self._own_rank, _rank(t)),
                 t.vertical_known,
             )

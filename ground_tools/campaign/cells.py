@@ -13,18 +13,22 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from companion.avoidance import kernels, law
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
+from companion.traffic import adsb, right_of_way
 from ground_tools.campaign import flight, generators
 from ground_tools.campaign.flight import World
 from ground_tools.campaign.generators import draw
 from ground_tools.kept import Kept
 from sitl_mocks import scenario
 
+Table = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Law = Literal["dmuca", "paper", "none"]
 LAWS: dict[Law, AvoidanceConfig] = {
     "dmuca": AvoidanceConfig(),
@@ -41,8 +45,16 @@ WORLDS = {
     "clocks": World(clock_s=0.5),
     "velocity": World(own_sigma_mps=0.3),
     "layer": World(floor_m=70.0, ceiling_m=130.0),
+    "blackout": World(blackout_s=10.0),
+    # One fence beside the paths, for those that all go along one line.
+    "fence": World(),
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
+CREWED_MPS = 50.0
+FENCE_ASIDE_M = 20.0
+_FAR_M = 1e4
+_RESERVE = 0.6
+"""Planned speed over the greatest, where each aircraft has limits of its own."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
 
 
@@ -91,6 +103,11 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     manoeuvres: float
     infeasible: float
     """Share of decisions that could not keep every half-space."""
+    crewed: float
+    """Least of the larger of horizontal and vertical distance from crewed traffic, in separations; infinite:
+    there was none."""
+    fence_m: float
+    """Farthest beyond a fence."""
 
 
 def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
@@ -99,17 +116,20 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
     Raises:
         ConfigError: the generator cannot draw one.
     """
-    avoidance, limits = LAWS[cell.law], LimitsConfig(max_speed_mps=cell.speed_mps)
+    avoidance = LAWS[cell.law]
     rows = []
     for seed in seeds:
         try:
             times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
         except ValueError as error:
             raise ConfigError(f"seed {seed}: {error}") from error
-        paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
-        settings = np.array([settings_of(avoidance, limits, path) for path in paths])
         kinds = np.full(cell.aircraft, float(flight.AVOIDS))
         kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
+        if cell.intruder == "crewed":
+            points[kinds == flight.CREWED] = _crewed_ways(times, points, kinds == flight.CREWED, seed)
+        paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
+        limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
+        settings = np.array([settings_of(avoidance, *own) for own in zip(limits, paths, strict=True)])
         settings[kinds != flight.AVOIDS, kernels.S_LAW] = kernels.NONE
         world = msgspec.structs.replace(
             WORLDS[cell.world],
@@ -124,7 +144,7 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
             world.row(avoidance.period_s),
             times,
             points,
-            np.zeros((0, kernels.WALL_COLUMNS)),
+            _fence_beside(points) if cell.world == "fence" else np.zeros((0, kernels.WALL_COLUMNS)),
             settings,
             kinds,
             np.zeros((0, cell.aircraft, 3)),
@@ -137,6 +157,55 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
         )
         rows.append(Row(seed, *values))
     return rows
+
+
+def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
+    speed = cell.speed_mps
+    if kind == flight.CREWED:
+        speed = CREWED_MPS
+    elif cell.generator == "mixed":
+        speed = path.max_speed() / _RESERVE
+    return LimitsConfig(max_speed_mps=speed)
+
+
+def _crewed_ways(times: Table, points: Table, crewed: Flags, seed: int) -> Table:
+    """Level and straight at CREWED_MPS through the middle of the others' ways, from anywhere.
+
+    Args:
+        times, points: shapes (A, K) and (A, K, 3).
+        crewed: shape (A,), which of them are crewed.
+    """
+    rng = np.random.default_rng([seed, 8])
+    middle = 0.5 * (times.min() + times.max())
+    others = [
+        [np.interp(middle, t, p[:, c]) for c in range(3)]
+        for t, p in zip(times[~crewed], points[~crewed], strict=True)
+    ]
+    heading = rng.uniform(0.0, 2.0 * math.pi, crewed.sum())
+    way = CREWED_MPS * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
+    ways: Table = np.mean(others, axis=0) + (times[crewed] - middle)[:, :, None] * way[:, None]
+    return ways
+
+
+def _fence_beside(points: Table) -> Table:
+    """One inclusion area whose border runs beside all paths, to the right of the first one.
+
+    Raises:
+        ConfigError: the paths do not go along one line.
+    """
+    along = points[0, -1, :2] - points[0, 0, :2]
+    along = along / np.linalg.norm(along)
+    right = np.array([-along[1], along[0]])
+    aside = points[:, :, :2] @ right
+    if np.ptp(aside) > 2.0 * FENCE_ASIDE_M:
+        raise ConfigError('world "fence": the paths must go along one line: head-on or overtaking')
+    edge = aside.max() + FENCE_ASIDE_M
+    corners = [
+        sign * _FAR_M * along + offset * right
+        for sign, offset in ((1.0, edge), (-1.0, edge), (-1.0, -_FAR_M), (1.0, -_FAR_M))
+    ]
+    around = zip(corners, (*corners[1:], corners[0]), strict=True)
+    return np.array([(0.0, kernels.IN_POLYGON, *a, *b) for a, b in around])
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:
@@ -154,14 +223,14 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
 
 def software() -> str:
     """The state of law, world and encounters that flights hang on."""
-    modules = (kernels, law, flight, generators, scenario)
+    modules = (kernels, law, flight, generators, scenario, adsb, right_of_way)
     files = [inspect.getsourcefile(module) or "" for module in modules]
     return hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()[:12]
 
 
 def baseline(cell: Cell) -> Cell:
     """The same encounters, nobody avoiding; nothing hangs on the air then, nor on who would have avoided."""
-    turning = cell.intruder in ("turning", "frozen") and cell.intruders > 0.0
+    turning = cell.intruder in ("turning", "frozen", "crewed") and cell.intruders > 0.0
     return msgspec.structs.replace(
         cell,
         law="none",

@@ -22,10 +22,14 @@ from numpy.typing import NDArray
 
 from companion.avoidance import kernels as k
 from companion.avoidance.law import OLDEST_S
+from companion.traffic import adsb
+from companion.traffic.right_of_way import CREWED as CREWED_RANK
+from companion.traffic.right_of_way import FREE, share_of
 
 Array = NDArray[np.float64]
 
 COLLISION_M = 2.0
+CREWED_SHARE = share_of(FREE, CREWED_RANK)
 AWAY_M = 15.0
 """Farther than this from the timed point counts as away from the path."""
 
@@ -54,17 +58,24 @@ AWAY_M = 15.0
     W_CEILING,  # NED down, m
     W_SILENT,  # m, within which a silent one is heard
     W_LIE,  # m, by which a liar's position is off
+    W_BLACKOUT,  # s for which one aircraft has no GNSS
     WORLD_ENTRIES,
-) = range(24)
+) = range(25)
 # What an aircraft is: one that avoids; one that sends and flies its path (blind), or besides turns and climbs
-# at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), or sends
-# a wrong position (liar).
-AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN = range(6)
-INTRUDERS = {"blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN}
+# at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), sends
+# a wrong position (liar), or is crewed traffic, heard by ADS-B.
+AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED = range(7)
+INTRUDERS = {
+    "blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN, "crewed": CREWED
+}  # fmt: skip
 _TURN_S = 4.0
 """Between two changes of mind of one that turns."""
 _TURN_RAD = math.radians(60.0)
 """Most that it turns off its way to the path."""
+_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S = 15.0, 5.0
+"""A loss of GNSS begins between these times before and after the middle of the flight."""
+_FIT_AGAIN_S = 4.0
+"""From GNSS regained to the next command: the heart waits for a steady state, then takes the vehicle anew."""
 # Columns of a message: its time (s), position, velocity.
 M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
 # What comes of a flight.
@@ -80,8 +91,10 @@ M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
     F_PATH_RATIO,  # way flown by all over way planned for all
     F_MANOEUVRES,  # times that a conflict began, of all
     F_INFEASIBLE,  # share of decisions that could not keep every plane
+    F_CREWED,  # least of the larger of horizontal and vertical distance from crewed traffic, in separations
+    F_FENCE,  # farthest beyond a fence, m
     FLIGHT_ENTRIES,
-) = range(12)
+) = range(14)
 
 
 class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -113,6 +126,9 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ceiling_m: float = math.inf
     silent_m: Annotated[float, Meta(ge=0)] = 100.0
     lie_m: Annotated[float, Meta(ge=0)] = 50.0
+    blackout_s: Annotated[float, Meta(ge=0)] = 0.0
+    """One that avoids has no GNSS for so long around the middle of the flight: it sends nothing, decides
+    nothing and stands still."""
 
     def row(self, period_s: float) -> Array:
         """As the kernel takes it, shape (WORLD_ENTRIES,)."""
@@ -129,6 +145,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         row[W_OWN_VELOCITY], row[W_CLOCK] = self.own_sigma_mps, self.clock_s
         row[W_FLOOR], row[W_CEILING] = -self.floor_m, -self.ceiling_m
         row[W_SILENT], row[W_LIE] = self.silent_m, self.lie_m
+        row[W_BLACKOUT] = self.blackout_s
         return row
 
 
@@ -184,6 +201,23 @@ def _distance(position: Array, i: int, j: int) -> float:
 
 
 @_compiled
+def _beyond(fence: Array, n: float, e: float) -> float:
+    """How far (m) a point is on the wrong side of the area that it is most wrong about; 0: of none."""
+    worst, first = 0.0, 0
+    while first < len(fence):
+        after, near = first, math.inf
+        while after < len(fence) and fence[after, k.W_AREA] == fence[first, k.W_AREA]:
+            room, _, _ = k.nearest_of_wall(fence[after], n, e)
+            near = min(near, room)
+            after += 1
+        kind = fence[first, k.W_KIND]
+        if k.inside(fence, first, after, n, e) != (kind in (k.IN_POLYGON, k.IN_CIRCLE)):
+            worst = max(worst, near)
+        first = after
+    return worst
+
+
+@_compiled
 def fly(
     rng: np.random.Generator,
     world: Array,
@@ -235,12 +269,19 @@ def fly(
     tracks = np.zeros((fleet, fleet, k.TRACK_ENTRIES))
     tracks[:, :, k.T_TIME] = -math.inf
     walls = k.DOWN_SPEEDS + len(fence)
-    planes, scratch = np.zeros((walls + fleet, 4)), np.zeros((walls + fleet, 4))
+    planes, scratch = np.zeros((walls + 2 * fleet, 4)), np.zeros((walls + 2 * fleet, 4))
     view, out = np.zeros((fleet, k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
     in_conflict, away_since = np.zeros(fleet), np.full(fleet, math.inf)
     flown = planned = manoeuvres = infeasible = decisions = 0.0
     result[:] = 0.0
-    result[F_SEPARATION] = math.inf
+    result[F_SEPARATION] = result[F_CREWED] = math.inf
+    dark, dark_from = -1, math.inf
+    if world[W_BLACKOUT] > 0.0:
+        dark = int(rng.integers(0, fleet))
+        middle = 0.5 * (world[W_START] + world[W_END])
+        dark_from = middle + rng.uniform(-_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S)
+        if kinds[dark] != AVOIDS:
+            dark = -1
 
     for i in range(fleet):
         n, e, d = k.path_position(path_times[i], path_points[i], world[W_START])
@@ -261,7 +302,11 @@ def fly(
 
     for tick in range(steps):
         now = world[W_START] + tick * step
+        blacked = now >= dark_from and now < dark_from + world[W_BLACKOUT]
+        unfit = now >= dark_from and now < dark_from + world[W_BLACKOUT] + _FIT_AGAIN_S
         for i in range(fleet):
+            if i == dark and blacked:
+                continue
             if (tick + phase[i]) % message_every == 0:
                 slot = ((tick + phase[i]) // message_every) % slots
                 message = sent[i, slot]
@@ -283,6 +328,9 @@ def fly(
                         arrival[j, i, slot] = math.inf if lost else now + delay
         if tick % every == 0:
             for i in range(fleet):
+                if i == dark and unfit:
+                    command[i] = 0.0
+                    continue
                 count = 0
                 for j in range(fleet):
                     if j == i:
@@ -304,6 +352,11 @@ def fly(
                         row[k.N_AGE], row[k.N_SIGMA], row[k.N_VERTICAL] = age, world[W_DECLARED], 1.0
                         row[k.N_SIGMA_VELOCITY], row[k.N_SHARE] = world[W_SIGMA_VELOCITY], 0.5
                         row[k.N_GROWTH], row[k.N_CREWED] = tracks[i, j, k.T_GROWTH], 0.0
+                        row[k.N_SILENT] = k.silent_after(tracks[i, j])
+                        if kinds[j] == CREWED:
+                            row[k.N_SIGMA], row[k.N_SIGMA_VELOCITY] = adsb.SIGMA_M, adsb.SIGMA_MPS
+                            row[k.N_GROWTH], row[k.N_SHARE], row[k.N_CREWED] = 0.0, CREWED_SHARE, 1.0
+                            row[k.N_SILENT] = 1e7
                         count += 1
                 for c in range(3):
                     own[k.O_POSITION + c] = position[i, c] + error[i, c]
@@ -368,6 +421,15 @@ def fly(
             result[F_DEVIATION] = max(result[F_DEVIATION], gap)
             away_since[i] = min(away_since[i], now) if gap > AWAY_M else math.inf
             result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
+            result[F_FENCE] = max(result[F_FENCE], _beyond(fence, position[i, 0], position[i, 1]))
+            for j in range(fleet):
+                if kinds[j] == CREWED:
+                    level = settings[i, k.S_CREWED] / math.sqrt(2.0)
+                    aside = (
+                        math.hypot(position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]) / level
+                    )
+                    above = abs(position[i, 2] - position[j, 2]) * settings[i, k.S_CREWED_VERTICAL] / level
+                    result[F_CREWED] = min(result[F_CREWED], max(aside, above))
             if tick == steps - 1:
                 result[F_BACK] = max(result[F_BACK], gap)
                 result[F_LOST] = max(result[F_LOST], state[i, k.L_DELAY])

@@ -24,6 +24,8 @@ MEETING_S: Final = 120.0
 END_S: Final = 240.0
 HEIGHT_M: Final = 100.0
 APART_M: Final = 40.0
+LIFT_M: Final = 25.0
+"""From where the lifts begin to where they meet."""
 _SLOW, _FAST = 0.5, 0.75
 """Planned speeds, in parts of the greatest."""
 _MISS_M = 5.0
@@ -64,6 +66,8 @@ def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Paths, 
     for _ in range(_MOST_DRAWS):
         place, heading, speed = _GENERATORS[name](aircraft, speed_mps, rng)
         way = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(aircraft)])
+        if name == "lift":
+            way[:, 2] = LIFT_M / MEETING_S * np.where(np.arange(aircraft) % 2, 1.0, -1.0)
         place = place + np.array([0.0, 0.0, -HEIGHT_M])
         begin, end = place - MEETING_S * way, place + (END_S - MEETING_S) * way
         if min(_least_distance(begin), _least_distance(end)) > APART_M:
@@ -128,6 +132,19 @@ def _circle(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows,
     return _offsets(aircraft, rng), heading, _speeds(aircraft, most, rng)
 
 
+def _mixed(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """As the circle, slow and fast ones: 0.1 to 0.75 of the greatest speed."""
+    heading = rng.uniform(0.0, 2.0 * math.pi, aircraft)
+    return _offsets(aircraft, rng), heading, most * rng.uniform(0.1, _FAST, aircraft)
+
+
+def _lift(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
+    """Pairs that change heights in one column, the columns side by side; nobody goes anywhere else."""
+    column = np.arange(aircraft) // 2
+    across = _along(np.zeros(aircraft), column * APART_M * 1.3)
+    return across + _offsets(aircraft, rng) * [1.0, 1.0, 0.0], np.zeros(aircraft), np.zeros(aircraft)
+
+
 def _wall(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
     """One against a row of all others, side by side."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
@@ -178,6 +195,8 @@ _GENERATORS: Final[dict[str, Generator]] = {
     "funnel": _funnel,
     "streams": _streams,
     "random": _random,
+    "mixed": _mixed,
+    "lift": _lift,
 }
 NAMES: Final[tuple[str, ...]] = (*get_args(Kind), *_GENERATORS)
 

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.avoidance.kernels import WALL_COLUMNS
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import LimitsConfig
@@ -81,6 +82,7 @@ def fly(case: Case, seed: int) -> tuple[Array, Array]:
         world.row(avoidance.period_s),
         times,
         points,
+        np.zeros((0, WALL_COLUMNS)),
         np.array([settings_of(avoidance, limits, path) for path in paths]),
         np.full(AIRCRAFT, float(flight.AVOIDS)),
         trace,

@@ -233,8 +233,8 @@ def test_own_velocity_history() -> None:
 
 @njit
 def _each(
-    own: Any, others: Any, path: Any, fence: Any, settings: Any, states: Any, times: Any, velocities: Any, work: Any,
-    view: Any, out: Any,
+    own: Any, others: Any, path: Any, fence: Any, settings: Any, states: Any, times: Any,
+    velocities: Any, work: Any, view: Any, out: Any,
 ) -> None:  # fmt: skip
     for i in range(len(own)):
         k.decide(
@@ -257,7 +257,7 @@ def test_a_compiled_loop_over_aircraft_calls_the_same_kernel() -> None:
     others[:, :, :6] = rng.normal(0, [40, 40, 15, 3, 3, 1], (fleet, crowd, 6))
     states = np.zeros((fleet, k.STATE_ENTRIES))
     times, velocities = np.zeros((fleet, 9)), np.zeros((fleet, 9, 3))
-    work, view = np.zeros((2, k.DOWN_SPEEDS + crowd, 4)), np.zeros((crowd, k.VIEW_COLUMNS))
+    work, view = np.zeros((2, k.DOWN_SPEEDS + 2 * crowd, 4)), np.zeros((crowd, k.VIEW_COLUMNS))
     together, alone = np.zeros((fleet, k.OUT_ENTRIES)), np.zeros(k.OUT_ENTRIES)
     for state in states:
         k.begin(state, law)
@@ -266,8 +266,8 @@ def test_a_compiled_loop_over_aircraft_calls_the_same_kernel() -> None:
     _each(own, others, path.arrays, fence, law, states, times, velocities, work, view, together)
     for i in range(fleet):
         k.decide(
-            others[i], crowd, own[i], *path.arrays, fence, law, before[i], np.zeros(9), np.zeros((9, 3)), *work,
-            view, alone,
+            others[i], crowd, own[i], *path.arrays, fence, law, before[i], np.zeros(9), np.zeros((9, 3)),
+            *work, view, alone,
         )  # fmt: skip
         np.testing.assert_array_equal(alone, together[i])
         assert 0.0 < np.linalg.norm(alone[:3]) <= 5.0 + 1e-9
