@@ -8,8 +8,10 @@ A pure state machine: time is an argument, nothing here reads a clock or a socke
     socket.send(link.drain())               # whole frames; what leaves is what was drained
 
 Who is listened to: component 1 of one system, the configured one or the first that sends an autopilot's
-HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out. Remote ID
-comes from others by its nature: `remote_id` says whose.
+HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out; ADS-B
+traffic is the vehicle's own stream too, of what its receiver told it (a receiver's own frames, which
+ArduPilot forwards only with ADSB_TYPE = 0, would be the same aircraft twice). Remote ID comes from others by
+its nature: `remote_id` says whose.
 
 Who we are: before the vehicle is known (a `udpout` link must speak first) our heartbeat carries the
 configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground
@@ -40,6 +42,7 @@ from companion.events import (
     ModeRefused,
     Say,
     SetMode,
+    Threat,
     VehicleTime,
     VelocitySetpoint,
 )
@@ -108,7 +111,7 @@ class LinkCounts(RemoteIdCounts):
     bad_values: int = 0
     """Messages with values that no honest vehicle sends."""
     no_position: int = 0
-    """GLOBAL_POSITION_INT before the vehicle knew where it is."""
+    """GLOBAL_POSITION_INT before the vehicle knew where it is, ADSB_VEHICLE without a position."""
     acks_accepted: int = 0
     acks_refused: int = 0
     reboots: int = 0
@@ -359,9 +362,9 @@ class AutopilotLink:
         the next `advance`, once the vehicle is known, and is repeated from then on.
 
         Raises:
-            ValueError: a setpoint that is not finite or absurdly fast, a mode that cannot be commanded, an
-                ArmStatus of who is not the Remote ID component, a command that is not the autopilot's: all
-                bugs of ours.
+            ValueError: a setpoint that is not finite or absurdly fast, a mode that cannot be commanded, a
+                Threat that `encoders.collision` refuses, an ArmStatus of who is not the Remote ID component,
+                a command that is not the autopilot's: all bugs of ours.
         """
         match command:
             case VelocitySetpoint():
@@ -370,6 +373,8 @@ class AutopilotLink:
                 self._send_mode(command.mode, now_s)
             case DownloadMission():
                 self._send_download(now_s)
+            case Threat():
+                self._queue(encoders.collision(command))
             case ArmStatus() if self._component is not None:
                 self._component.report(command)
             case Say():
