@@ -165,19 +165,23 @@ def _told(value: float) -> float:
     return min(max(value, 0.0), MAX_TOLD)
 
 
-def mission_request_list(system_id: int) -> Outgoing:
+def mission_request_list(system_id: int, mission_type: int) -> Outgoing:
     """MISSION_REQUEST_LIST: how many items are there?"""
-    return mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST, _LIST.pack(system_id, AUTOPILOT_COMPONENT, 0)
+    return (
+        mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+        _LIST.pack(system_id, AUTOPILOT_COMPONENT, mission_type),
+    )
 
 
-def mission_request(seq: int, system_id: int, *, as_int: bool) -> Outgoing:
+def mission_request(seq: int, system_id: int, mission_type: int, *, as_int: bool) -> Outgoing:
     """MISSION_REQUEST_INT, or the older MISSION_REQUEST, for one item."""
     message_id = (
         mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT if as_int else mavlink.MAVLINK_MSG_ID_MISSION_REQUEST
     )
-    return message_id, _REQUEST.pack(seq, system_id, AUTOPILOT_COMPONENT, 0)
+    return message_id, _REQUEST.pack(seq, system_id, AUTOPILOT_COMPONENT, mission_type)
 
 
-def mission_ack(system_id: int) -> Outgoing:
-    """MISSION_ACK: the download is complete."""
-    return mavlink.MAVLINK_MSG_ID_MISSION_ACK, _ACK.pack(system_id, AUTOPILOT_COMPONENT, 0, 0)
+def mission_ack(system_id: int, mission_type: int, *, cancelled: bool = False) -> Outgoing:
+    """MISSION_ACK: the download is complete, or given up."""
+    result = mavlink.MAV_MISSION_OPERATION_CANCELLED if cancelled else mavlink.MAV_MISSION_ACCEPTED
+    return mavlink.MAVLINK_MSG_ID_MISSION_ACK, _ACK.pack(system_id, AUTOPILOT_COMPONENT, result, mission_type)

@@ -34,13 +34,17 @@ CASES: list[tuple[encoders.Outgoing, Any]] = [
         encoders.command_long(176, (1.0, 4.0), 7, confirmation=3),
         mavlink.MAVLink_command_long_message(7, 1, 176, 3, 1, 4, 0, 0, 0, 0, 0),
     ),
-    (encoders.mission_request_list(7), mavlink.MAVLink_mission_request_list_message(7, 1, 0)),
+    (encoders.mission_request_list(7, 1), mavlink.MAVLink_mission_request_list_message(7, 1, 1)),
     (
-        encoders.mission_request(300, 7, as_int=True),
-        mavlink.MAVLink_mission_request_int_message(7, 1, 300, 0),
+        encoders.mission_request(300, 7, 1, as_int=True),
+        mavlink.MAVLink_mission_request_int_message(7, 1, 300, 1),
     ),
-    (encoders.mission_request(300, 7, as_int=False), mavlink.MAVLink_mission_request_message(7, 1, 300, 0)),
-    (encoders.mission_ack(7), mavlink.MAVLink_mission_ack_message(7, 1, 0, 0)),
+    (
+        encoders.mission_request(300, 7, 0, as_int=False),
+        mavlink.MAVLink_mission_request_message(7, 1, 300, 0),
+    ),
+    (encoders.mission_ack(7, 1), mavlink.MAVLink_mission_ack_message(7, 1, 0, 1)),
+    (encoders.mission_ack(7, 0, cancelled=True), mavlink.MAVLink_mission_ack_message(7, 1, 15, 0)),
     (encoders.collision(threat()), mavlink.MAVLink_collision_message(0, 0x4B1234, 4, 2, 12.5, 8.0, 30.0)),
     (
         encoders.collision(threat(track_id="1596B0000DMUCA01", adsb=False, level=1, acting=False)),
