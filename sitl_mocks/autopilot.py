@@ -30,12 +30,12 @@ from sitl_mocks.vehicle_links import Link, Payload, SetpointMessage
 from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
 from sitl_mocks.vehicle_mission import (
     MissionBook,
-    MissionDesk,
     StoredItem,
     fault_of,
     stored,
     stored_fence,
 )
+from sitl_mocks.vehicle_mission_desk import MissionDesk
 from sitl_mocks.vehicle_navigation import NOISE_STEPS, NavigationError
 from sitl_mocks.vehicle_options import VehicleOptions
 from sitl_mocks.vehicle_params import ParamBook

@@ -2,8 +2,7 @@
 
 A new list replaces the old one only when its last item has come; a half-done upload is asked for again and
 then dropped. ArduPilot keeps home as item 0 of its mission and asks with MISSION_REQUEST; PX4 has no such
-item and asks with MISSION_REQUEST_INT. Until PX4 hears that a list has arrived, it ignores requests for
-another, and changes (`MissionDesk`); an ArduPilot that receives a list refuses to send it.
+item and asks with MISSION_REQUEST_INT. An ArduPilot that receives a list refuses to send it.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ NO_PLACE = 0x7FFFFFFF
 """x or y of an item without a place of its own, as NaN is where places are floats."""
 _MISSION = int(mavlink.MAV_MISSION_TYPE_MISSION)
 _FENCE = int(mavlink.MAV_MISSION_TYPE_FENCE)
-_ALL = int(mavlink.MAV_MISSION_TYPE_ALL)
 NAV_COMMANDS = frozenset(
     {
         mavlink.MAV_CMD_NAV_WAYPOINT,
@@ -128,6 +126,11 @@ class MissionBook:
     def first_seq(self) -> int:
         """Sequence number of the first item that is flown."""
         return 0 if self._home_first is None else 1
+
+    @property
+    def receiving(self) -> bool:
+        """An upload is under way."""
+        return self._upload is not None
 
     @property
     def flown_count(self) -> int:
@@ -265,91 +268,6 @@ class MissionBook:
 
     def _ack(self, partner: tuple[int, int], result: int) -> MavlinkMessage:
         return mavlink.MAVLink_mission_ack_message(*partner, result, self.kind)
-
-
-@dataclass(slots=True)
-class _Sending:
-    """PX4's state while it sends a list."""
-
-    kind: int
-    partner: tuple[int, int]
-    seq: int
-    """Of the item that may be asked for next."""
-    last_heard_s: float
-
-
-class MissionDesk:
-    """Gives each message of the mission protocol to the list it is about."""
-
-    def __init__(self, manners: Manners, books: tuple[MissionBook, ...]) -> None:
-        self.books = books
-        self._manners = manners
-        self._by_kind = {book.kind: book for book in books}
-        self._sending: _Sending | None = None
-
-    def handle(self, message: MavlinkMessage, now_s: float, link: int) -> list[MavlinkMessage]:
-        """Take one mission message addressed to this vehicle; return the answers for the same link."""
-        name, kind = message.get_type(), getattr(message, "mission_type", _MISSION)
-        partner = (message.get_srcSystem(), message.get_srcComponent())
-        if self._manners.one_transfer:
-            ignored, refused = self._px4_sending(message, kind, partner, now_s)
-            if refused:
-                return [mavlink.MAVLink_mission_ack_message(*partner, mavlink.MAV_MISSION_ERROR, kind)]
-            if ignored:
-                return []
-        book = self._by_kind.get(kind)
-        if book is not None:
-            return book.handle(message, now_s, link)
-        if name == "MISSION_REQUEST_LIST":
-            return [mavlink.MAVLink_mission_count_message(*partner, 0, kind)]
-        if name == "MISSION_CLEAR_ALL":
-            if kind == _ALL:
-                for each in self.books:
-                    each.handle(message, now_s, link)
-            return [mavlink.MAVLink_mission_ack_message(*partner, mavlink.MAV_MISSION_ACCEPTED, kind)]
-        if name in ("MISSION_COUNT", "MISSION_REQUEST", "MISSION_REQUEST_INT"):
-            return [mavlink.MAVLink_mission_ack_message(*partner, mavlink.MAV_MISSION_UNSUPPORTED, kind)]
-        return []
-
-    def tick(self, now_s: float) -> list[tuple[int, MavlinkMessage]]:
-        """What uploads ask for again; messages with their links."""
-        return [retry for book in self.books if (retry := book.tick(now_s)) is not None]
-
-    def reboot(self) -> None:
-        """Forget every transfer."""
-        self._sending = None
-        for book in self.books:
-            book.drop_upload()
-
-    def _px4_sending(
-        self, message: MavlinkMessage, kind: int, partner: tuple[int, int], now_s: float
-    ) -> tuple[bool, bool]:
-        """Follow PX4's state machine; whether the message is ignored, and whether it ends the transfer."""
-        name, sending = message.get_type(), self._sending
-        if sending is not None:
-            done = sending.seq == len(self._by_kind[sending.kind].items)
-            silent = now_s - sending.last_heard_s > self._manners.upload_timeout_s
-            if silent or (done and name == "MISSION_REQUEST_LIST"):
-                sending = self._sending = None
-        if name == "MISSION_REQUEST_LIST":
-            if sending is not None and (sending.kind, sending.partner) != (kind, partner):
-                return True, False
-            if kind in self._by_kind:
-                self._sending = _Sending(kind, partner, 0, now_s)
-            return False, False
-        if name in ("MISSION_COUNT", "MISSION_CLEAR_ALL"):
-            return sending is not None, False
-        ours = sending is not None and (sending.kind, sending.partner) == (kind, partner)
-        if name in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
-            if sending is None or not ours:
-                return True, False
-            if message.seq not in (sending.seq, sending.seq - 1):
-                self._sending = None
-                return False, True
-            sending.seq, sending.last_heard_s = message.seq + 1, now_s
-        elif name == "MISSION_ACK" and ours:
-            self._sending = None
-        return False, False
 
 
 def _from_wire(message: MavlinkMessage) -> StoredItem:

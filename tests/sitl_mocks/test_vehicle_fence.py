@@ -176,6 +176,14 @@ def test_px4_sends_one_list_at_a_time(bench):
     assert item(b, 0) == []
 
 
+def test_px4_that_receives_a_list_sends_none(bench):
+    b = bench(PX4, fence=AREAS)
+    b.send(mavlink.MAVLink_mission_count_message(1, 1, 3, 0))
+    assert ask(b, FENCE) == ask(b, 0) == item(b, 0) == []
+    b.run(6.0)
+    assert len(download(b)) == 8
+
+
 # ---------------------------------------------------------------- with the companion's link
 
 MISSION = tuple(
