@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Callable
 
 import numpy
@@ -21,23 +22,34 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.wire import Frame, MavlinkMessage
 from companion.errors import ConfigError
 from companion.events import Landed, Vec3
+from companion.geometry import LocalFrame
 from sitl_mocks.vehicle_commands import CommandDesk, read_command
 from sitl_mocks.vehicle_dynamics import STEP_S
 from sitl_mocks.vehicle_flight import Flight
 from sitl_mocks.vehicle_links import Link, Payload, SetpointMessage
 from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
-from sitl_mocks.vehicle_mission import MissionBook, StoredItem, fault_of, stored
+from sitl_mocks.vehicle_mission import (
+    MissionBook,
+    StoredItem,
+    fault_of,
+    stored,
+    stored_fence,
+)
+from sitl_mocks.vehicle_mission_desk import MissionDesk
 from sitl_mocks.vehicle_navigation import NOISE_STEPS, NavigationError
 from sitl_mocks.vehicle_options import VehicleOptions
 from sitl_mocks.vehicle_params import ParamBook
 from sitl_mocks.vehicle_remote_id import ODID_MESSAGES, RemoteIdRelay
 from sitl_mocks.vehicle_setpoints import interpret
 from sitl_mocks.vehicle_telemetry import Telemetry
+from sitl_mocks.vehicle_traffic import Traffic
 
 __all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
 
 COMPONENT = 1
 REBOOT_S = 3.0
+KEPT_COLLISIONS = 100
+_ADSB = int(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE)
 _EPSILON_S = 1e-9
 # REQUEST_DATA_STREAM: stream -> message ids.
 _DATA_STREAMS = {
@@ -73,6 +85,8 @@ class MockVehicle:
         """Longest time between two of them."""
         self.setpoint_gaps_over_100ms = 0
         self.reboots = 0
+        self.collisions: deque[tuple[float, MavlinkMessage]] = deque(maxlen=KEPT_COLLISIONS)
+        """The last COLLISION messages, each with when it came."""
         self._manners = MANNERS[options.firmware]
         self._last_setpoint_s: float | None = None
         self._start_s = start_s
@@ -90,6 +104,7 @@ class MockVehicle:
             "PARAM_REQUEST_READ": self._read_param,
             "PARAM_SET": self._set_param,
             "REQUEST_DATA_STREAM": self._take_data_stream,
+            "COLLISION": self._note_collision,
         }
         self._params = ParamBook(
             self._manners, system_id=options.system_id, legacy_names=options.legacy_parameter_names
@@ -99,6 +114,14 @@ class MockVehicle:
             if (fault := fault_of(item)) is not None:
                 raise ConfigError(f"mission item {seq} cannot be flown (MAV_MISSION_RESULT {fault})")
         self._book = MissionBook(self._manners, home_item(options), items)
+        fence = MissionBook(self._manners, None, stored_fence(options.fence, self._manners))
+        self._missions = MissionDesk(self._manners, (self._book, fence))
+        self._traffic = Traffic(
+            options.traffic,
+            LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m),
+            options.geoid_separation_m,
+            listed=self._manners.adsb_listed,
+        )
         self._boot(options, start_s, boot_s=-options.boot_time_offset_s)
         self.open_link(0)
 
@@ -242,22 +265,26 @@ class MockVehicle:
             self._wake(at_s)
         self._after_change()
         builders = self._telemetry.builders
-        for link in self._links.values():
+        for number, link in self._links.items():
             for message_id in link.due(at_s):
-                link.send(builders[message_id](at_s))
+                if message_id == _ADSB:
+                    for report in self._traffic.due(number, at_s):
+                        link.send(report)
+                else:
+                    link.send(builders[message_id](at_s))
             if link.params_due:
                 index = link.params_due.popleft()
                 link.send(self._params.message(self._params.names[index], index))
         if self._remote_id is not None:
             for message in self._remote_id.due(at_s):
                 self._broadcast(message)
-        retry = self._book.tick(at_s)
-        if retry is not None and retry[0] in self._links:
-            self._links[retry[0]].send(retry[1])
+        for asked, request in self._missions.tick(at_s):
+            if asked in self._links:
+                self._links[asked].send(request)
 
     def _after_change(self) -> None:
         """Tell what a step or a message has changed."""
-        flight, book, runner = self._flight, self._book, self._flight.runner
+        flight, runner = self._flight, self._flight.runner
         if flight.mode is not self._shown_mode:
             self._shown_mode = flight.mode
             if self._manners.heartbeat_on_mode_change:
@@ -266,11 +293,10 @@ class MockVehicle:
             self._shown_armed = flight.armed
             if flight.armed:
                 self._broadcast(self._telemetry.home_position(self.now_s))
-        if flight.texts or book.texts:
-            for severity, text in (*flight.texts, *book.texts):
+        for texts in (flight.texts, *(book.texts for book in self._missions.books)):
+            for severity, text in texts:
                 self._send_text(severity, text)
-            flight.texts.clear()
-            book.texts.clear()
+            texts.clear()
         if runner.reached or runner.texts:
             for seq in runner.reached:
                 self._broadcast(mavlink.MAVLink_mission_item_reached_message(seq))
@@ -314,7 +340,7 @@ class MockVehicle:
             start_yaw_rad=self.yaw_rad,
             start_mode=None,
         )
-        self._book.drop_upload()
+        self._missions.reboot()
         self._boot(standing, at_s, boot_s=at_s)
         for link in self._links.values():
             link.drain()
@@ -328,7 +354,7 @@ class MockVehicle:
         if handler is not None:
             handler(message, endpoint, now_s)
         elif kind.startswith("MISSION_"):
-            for answer in self._book.handle(message, now_s, link):
+            for answer in self._missions.handle(message, now_s, link):
                 endpoint.send(answer)
             self._flight.runner.sync()
 
@@ -365,6 +391,9 @@ class MockVehicle:
     def _answer_timesync(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         if message.tc1 == 0:
             endpoint.send(mavlink.MAVLink_timesync_message(self._telemetry.boot_ns(now_s), message.ts1))
+
+    def _note_collision(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        self.collisions.append((now_s, message))
 
     def _list_params(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         endpoint.params_due.clear()

@@ -153,7 +153,7 @@ class CommandDesk:
         if self._manners.refuses_interval_param3 and command.params[2] != 0.0:
             return DENIED
         number = int(message_id)
-        if number not in self._telemetry.builders:
+        if number not in self._telemetry.known:
             self._say_unknown(number)
             return self._manners.unsupported_interval_result
         if interval_us < 0.0:
@@ -169,7 +169,7 @@ class CommandDesk:
         if not math.isfinite(command.params[0]):
             return DENIED
         number = int(command.params[0])
-        known = number in self._telemetry.builders
+        known = number in self._telemetry.known
         interval = command.link.interval(number)
         # 0: not available; -1: off.
         shown = 0 if not known else -1 if interval is None else round(interval * 1e6)

@@ -114,6 +114,14 @@ class Manners:
     upload_timeout_s: float
     upload_retry_s: float
     mission_texts: bool
+    one_transfer: bool
+    """Serves one list at a time, to one partner, item by item in order; False: answers every request."""
+    fence_frames: Mapping[int, int]
+    """MAV_FRAME of a fence's items as given -> as told; others are refused."""
+    fence_altitudes: bool
+    """Keeps the altitudes of a fence's items."""
+    adsb_listed: bool
+    """Streams a list of the aircraft heard, one per interval; False: passes each report on once."""
     # parameters
     param_bytewise: bool
     params: ParamTable
@@ -259,6 +267,10 @@ ARDUPILOT = Manners(
     upload_timeout_s=8.0,
     upload_retry_s=1.0,
     mission_texts=True,
+    one_transfer=False,
+    fence_frames=MappingProxyType(dict.fromkeys((0, 3, 5, 6, 10, 11), 0)),
+    fence_altitudes=False,
+    adsb_listed=True,
     param_bytewise=False,
     params=_ardupilot_params(),
     legacy_names=MappingProxyType(
@@ -317,6 +329,8 @@ PX4 = Manners(
             mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.5,
+            # As fast as they come on the real one; the mock's receiver reports once a second.
+            mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 1.0,
             mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION: 1.0,
             mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM: 1.0,
         }
@@ -363,6 +377,10 @@ PX4 = Manners(
     upload_timeout_s=5.0,
     upload_retry_s=0.25,
     mission_texts=False,
+    one_transfer=True,
+    fence_frames=MappingProxyType({0: 5, 3: 6, 5: 5, 6: 6}),
+    fence_altitudes=True,
+    adsb_listed=False,
     param_bytewise=True,
     params=_px4_params(),
     timeout_param="COM_OF_LOSS_T",

@@ -1,26 +1,26 @@
-"""The stored mission and the MAVLink mission protocol, both ways.
+"""The stored mission and fence, and the MAVLink mission protocol, both ways.
 
-A new mission replaces the old one only when its last item has come; a half-done upload is asked for again and
-then dropped. ArduPilot keeps home as item 0 and asks with MISSION_REQUEST; PX4 has no such item and asks with
-MISSION_REQUEST_INT.
+A new list replaces the old one only when its last item has come; a half-done upload is asked for again and
+then dropped. ArduPilot keeps home as item 0 of its mission and asks with MISSION_REQUEST; PX4 has no such
+item and asks with MISSION_REQUEST_INT. An ArduPilot that receives a list refuses to send it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkMessage
-from companion.events import MissionItem
+from companion.events import FenceArea, MissionItem
 from sitl_mocks.vehicle_manners import Manners
 
 MAX_ITEMS = 700
 NO_PLACE = 0x7FFFFFFF
 """x or y of an item without a place of its own, as NaN is where places are floats."""
 _MISSION = int(mavlink.MAV_MISSION_TYPE_MISSION)
-_ALL = int(mavlink.MAV_MISSION_TYPE_ALL)
+_FENCE = int(mavlink.MAV_MISSION_TYPE_FENCE)
 NAV_COMMANDS = frozenset(
     {
         mavlink.MAV_CMD_NAV_WAYPOINT,
@@ -38,6 +38,15 @@ _PLACED_COMMANDS = NAV_COMMANDS - {
     mavlink.MAV_CMD_NAV_DELAY,
 }
 _GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
+_VERTICES = {
+    True: mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+    False: mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+}
+_CIRCLES = {
+    True: mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION,
+    False: mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION,
+}
+_FENCE_COMMANDS = {mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT, *_VERTICES.values(), *_CIRCLES.values()}
 _FRAMES = _GLOBAL_FRAMES | {int(mavlink.MAV_FRAME_MISSION)}
 
 
@@ -77,11 +86,30 @@ def stored(item: MissionItem) -> StoredItem:
     return StoredItem(item.command, item.frame, (p1, p2, p3, p4), x, y, z)
 
 
-class MissionBook:
-    """The items, and the protocol's state. `revision` counts the replacements."""
+def stored_fence(areas: tuple[FenceArea, ...], manners: Manners) -> tuple[StoredItem, ...]:
+    """The stored form of a fence."""
+    frame = manners.fence_frames[mavlink.MAV_FRAME_GLOBAL]
+    items = []
+    for area in areas:
+        if area.radius_m is None:
+            command, size = _VERTICES[area.inclusion], float(len(area.points))
+        else:
+            command, size = _CIRCLES[area.inclusion], area.radius_m
+        for lat, lon in area.points:
+            params = (size, 0.0, 0.0, 0.0)
+            items.append(StoredItem(command, frame, params, round(lat * 1e7), round(lon * 1e7), 0.0))
+    return tuple(items)
 
-    def __init__(self, manners: Manners, home: StoredItem, items: tuple[StoredItem, ...]) -> None:
+
+class MissionBook:
+    """The items of one list, and the protocol's state. `revision` counts the replacements.
+
+    `home` makes it a mission (where ArduPilot's begins with it), None a fence.
+    """
+
+    def __init__(self, manners: Manners, home: StoredItem | None, items: tuple[StoredItem, ...]) -> None:
         self.home = home
+        self.kind = _FENCE if home is None else _MISSION
         self.revision = 0
         self.loaded_s = -math.inf
         self.requested_seq: int | None = None
@@ -90,13 +118,19 @@ class MissionBook:
         self._manners = manners
         self._upload: _Upload | None = None
         self.items: tuple[StoredItem, ...] = ()
+        self._home_first = home if manners.home_is_item_zero else None
         if items:
-            self.items = (home, *items) if manners.home_is_item_zero else items
+            self.items = items if self._home_first is None else (self._home_first, *items)
 
     @property
     def first_seq(self) -> int:
         """Sequence number of the first item that is flown."""
-        return 1 if self._manners.home_is_item_zero else 0
+        return 0 if self._home_first is None else 1
+
+    @property
+    def receiving(self) -> bool:
+        """An upload is under way."""
+        return self._upload is not None
 
     @property
     def flown_count(self) -> int:
@@ -127,7 +161,8 @@ class MissionBook:
             return None
         if now_s - upload.last_heard_s > self._manners.upload_timeout_s:
             self._upload = None
-            self.texts.append((int(mavlink.MAV_SEVERITY_WARNING), "Mission upload timeout"))
+            name = "Mission" if self.kind == _MISSION else "Fence"
+            self.texts.append((int(mavlink.MAV_SEVERITY_WARNING), f"{name} upload timeout"))
             return upload.link, self._ack(upload.partner, mavlink.MAV_MISSION_OPERATION_CANCELLED)
         if now_s - upload.last_asked_s >= self._manners.upload_retry_s:
             return upload.link, self._ask(upload, now_s)
@@ -140,17 +175,19 @@ class MissionBook:
     def _list(
         self, message: MavlinkMessage, partner: tuple[int, int], now_s: float, link: int
     ) -> list[MavlinkMessage]:
-        kind = message.mission_type
-        count = len(self.items) if kind == _MISSION else 0
-        return [mavlink.MAVLink_mission_count_message(*partner, count, kind)]
+        if self._upload is not None:
+            return [self._ack(partner, mavlink.MAV_MISSION_DENIED)]
+        return [mavlink.MAVLink_mission_count_message(*partner, len(self.items), self.kind)]
 
     def _request(
         self, message: MavlinkMessage, partner: tuple[int, int], now_s: float, link: int
     ) -> list[MavlinkMessage]:
-        seq, kind = message.seq, message.mission_type
-        if kind != _MISSION or seq >= len(self.items):
-            return [self._ack(partner, mavlink.MAV_MISSION_INVALID_SEQUENCE, kind)]
-        item = self.home if seq == 0 and self._manners.home_is_item_zero else self.items[seq]
+        seq, kind = message.seq, self.kind
+        if self._upload is not None:
+            return [self._ack(partner, mavlink.MAV_MISSION_DENIED)]
+        if seq >= len(self.items):
+            return [self._ack(partner, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
+        item = self.items[seq] if self._home_first is None or seq else self._home_first
         head = (*partner, seq, item.frame, item.command, 0, item.autocontinue, *item.params)
         if message.get_type() == "MISSION_REQUEST_INT":
             return [mavlink.MAVLink_mission_item_int_message(*head, item.x, item.y, item.z, kind)]
@@ -160,8 +197,6 @@ class MissionBook:
     def _count(
         self, message: MavlinkMessage, partner: tuple[int, int], now_s: float, link: int
     ) -> list[MavlinkMessage]:
-        if message.mission_type != _MISSION:
-            return [self._ack(partner, mavlink.MAV_MISSION_UNSUPPORTED, message.mission_type)]
         if message.count > MAX_ITEMS:
             return [self._ack(partner, mavlink.MAV_MISSION_NO_SPACE)]
         if self._upload is not None and self._upload.partner != partner:
@@ -176,7 +211,7 @@ class MissionBook:
     ) -> list[MavlinkMessage]:
         upload = self._upload
         if upload is None or upload.partner != partner:
-            return [self._ack(partner, mavlink.MAV_MISSION_ERROR, message.mission_type)]
+            return [self._ack(partner, mavlink.MAV_MISSION_ERROR)]
         upload.last_heard_s = now_s
         if message.seq != len(upload.items):
             repeated = message.seq == len(upload.items) - 1
@@ -184,11 +219,11 @@ class MissionBook:
                 return [self._ask(upload, now_s)]
             return [self._ack(partner, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
         item = _from_wire(message)
-        fault = fault_of(item)
+        fault = fault_of(item) if self.kind == _MISSION else fence_fault_of(item, self._manners)
         if fault is not None:
             self._upload = None
             return [self._ack(partner, fault)]
-        upload.items.append(item)
+        upload.items.append(item if self.kind == _MISSION else _as_fenced(item, self._manners))
         if len(upload.items) < upload.count:
             return [self._ask(upload, now_s)]
         return [self._finish(upload, now_s)]
@@ -196,10 +231,9 @@ class MissionBook:
     def _clear(
         self, message: MavlinkMessage, partner: tuple[int, int], now_s: float, link: int
     ) -> list[MavlinkMessage]:
-        if message.mission_type in (_MISSION, _ALL):
-            self._upload = None
-            self._replace((), now_s)
-        return [self._ack(partner, mavlink.MAV_MISSION_ACCEPTED, message.mission_type)]
+        self._upload = None
+        self._replace((), now_s)
+        return [self._ack(partner, mavlink.MAV_MISSION_ACCEPTED)]
 
     def _set_current(
         self, message: MavlinkMessage, partner: tuple[int, int], now_s: float, link: int
@@ -216,12 +250,14 @@ class MissionBook:
             if self._manners.mission_request_int
             else mavlink.MAVLink_mission_request_message
         )
-        return kind(*upload.partner, len(upload.items), _MISSION)
+        return kind(*upload.partner, len(upload.items), self.kind)
 
     def _finish(self, upload: _Upload, now_s: float) -> MavlinkMessage:
         self._upload = None
+        if self.kind == _FENCE and not _whole(upload.items):
+            return self._ack(upload.partner, mavlink.MAV_MISSION_ERROR)
         self._replace(tuple(upload.items), now_s)
-        if self._manners.mission_texts:
+        if self._manners.mission_texts and self.kind == _MISSION:
             self.texts.append((int(mavlink.MAV_SEVERITY_INFO), "Flight plan received"))
         return self._ack(upload.partner, mavlink.MAV_MISSION_ACCEPTED)
 
@@ -230,8 +266,8 @@ class MissionBook:
         self.loaded_s = now_s
         self.revision += 1
 
-    def _ack(self, partner: tuple[int, int], result: int, kind: int = _MISSION) -> MavlinkMessage:
-        return mavlink.MAVLink_mission_ack_message(*partner, result, kind)
+    def _ack(self, partner: tuple[int, int], result: int) -> MavlinkMessage:
+        return mavlink.MAVLink_mission_ack_message(*partner, result, self.kind)
 
 
 def _from_wire(message: MavlinkMessage) -> StoredItem:
@@ -242,6 +278,46 @@ def _from_wire(message: MavlinkMessage) -> StoredItem:
     )
     params = (message.param1, message.param2, message.param3, message.param4)
     return StoredItem(message.command, message.frame, params, x, y, message.z, message.autocontinue)
+
+
+def fence_fault_of(item: StoredItem, manners: Manners) -> int | None:
+    """MAV_MISSION_RESULT of an item that no fence holds, else None."""
+    if item.frame not in manners.fence_frames:
+        return int(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
+    if item.command not in _FENCE_COMMANDS:
+        return int(mavlink.MAV_MISSION_UNSUPPORTED)
+    return None
+
+
+def _as_fenced(item: StoredItem, manners: Manners) -> StoredItem:
+    """An item as the vehicle tells it: without what it does not keep."""
+    size = 0.0 if item.command == mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT else item.params[0]
+    z = item.z if manners.fence_altitudes else 0.0
+    frame = manners.fence_frames[item.frame]
+    return replace(item, frame=frame, params=(size, 0.0, 0.0, 0.0), z=z)
+
+
+def _whole(items: list[StoredItem]) -> bool:
+    """Every polygon has its vertices, every circle a radius."""
+    at = 0
+    while at < len(items):
+        item = items[at]
+        size = item.params[0]
+        if item.command in _VERTICES.values():
+            # NaN fails this comparison too.
+            if not 3.0 <= size <= 255.0:
+                return False
+            same = [
+                i for i in items[at : at + int(size)] if (i.command, i.params) == (item.command, item.params)
+            ]
+            if len(same) != size:
+                return False
+            at += len(same)
+        elif item.command in _CIRCLES.values() and not size > 0.0:
+            return False
+        else:
+            at += 1
+    return True
 
 
 def fault_of(item: StoredItem) -> int | None:

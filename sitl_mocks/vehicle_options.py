@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from companion.avoidance.fence import check_areas
 from companion.errors import ConfigError
-from companion.events import Firmware, MissionItem, Vec3
+from companion.events import FenceArea, Firmware, MissionItem, Vec3
 from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
+from sitl_mocks.vehicle_traffic import CrewedFlight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +38,10 @@ class VehicleOptions:
     velocity as the first setpoint."""
     mission: tuple[MissionItem, ...] = ()
     """Held from the start, without ArduPilot's home item."""
+    fence: tuple[FenceArea, ...] = ()
+    """Held from the start; the mock tells of it and does not obey it."""
+    traffic: tuple[CrewedFlight, ...] = ()
+    """What its ADS-B receiver hears."""
 
     boot_time_offset_s: float = 120.0
     """The vehicle's own clock at now_s = 0."""
@@ -90,6 +96,10 @@ class VehicleOptions:
         for name in ("start_position_ned_m", "start_velocity_ned_mps", "wind_ned_mps"):
             if not all(math.isfinite(value) for value in getattr(self, name)):
                 raise ConfigError(f"{name} holds a value that is not a finite number")
+        try:
+            check_areas(self.fence)
+        except ConfigError as error:
+            raise ConfigError(f"fence: {error}") from error
         if self.did_enable and not MANNERS[self.firmware].has_did_params:
             raise ConfigError(f"did_enable is no option of {self.firmware.value}; it is ArduPilot's")
         if self.did_require and not self.did_enable:

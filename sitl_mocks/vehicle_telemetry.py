@@ -1,6 +1,7 @@
 """The messages that the mock vehicle sends by itself, each built from the present state.
 
-A message id that is not in `Telemetry.builders` is one that the vehicle does not know.
+A message id that is not in `Telemetry.known` is one that the vehicle does not know. ADSB_VEHICLE is built per
+link, by `sitl_mocks.vehicle_traffic`.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
 )
 _MIN_ACCURACY_M = 0.3
 _MIN_SPEED_ACCURACY_MPS = 0.1
@@ -87,6 +89,7 @@ class Telemetry:
             builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION] = self.remote_id_location
             builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM] = self._remote_id_system
         self.builders: Mapping[int, Builder] = builders
+        self.known = frozenset((*builders, mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE))
 
     def boot_ns(self, now_s: float) -> int:
         """The vehicle's own clock (ns)."""

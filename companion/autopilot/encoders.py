@@ -7,14 +7,16 @@ every layout against pymavlink's.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.events import Vec3
+from companion.events import Threat, Vec3
 
 from .dialect import AUTOPILOT_INVALID, FRAME_LOCAL_NED, VELOCITY_MASK
+from .readers import MAX_ICAO
 
 Outgoing = tuple[int, bytes]
 """Message id and payload."""
@@ -37,6 +39,14 @@ _STATUSTEXT = struct.Struct("<B50sHB")
 _LIST = struct.Struct("<BBB")
 _REQUEST = struct.Struct("<HBBB")
 _ACK = struct.Struct("<BBBB")
+_COLLISION = struct.Struct("<IfffBBB")
+_COLLISION_SRC_ADSB = 0
+_COLLISION_SRC_MAVLINK = 1
+_COLLISION_REPORT = 1
+_COLLISION_MOVE_PERPENDICULAR = 4
+_THREAT_LEVELS = (0, 1, 2)
+MAX_TOLD = 1e6
+"""Seconds or metres; what is farther away is told as this, so that no report fails."""
 
 
 def heartbeat(mav_type: int = TYPE_ONBOARD_CONTROLLER) -> Outgoing:
@@ -116,19 +126,62 @@ def statustext(severity: int, text: str, text_id: int) -> list[Outgoing]:
     ]
 
 
-def mission_request_list(system_id: int) -> Outgoing:
+def collision(threat: Threat) -> Outgoing:
+    """COLLISION: `id` is the ICAO address where `src` is ADSB.
+
+    For Remote ID there is no source of its own; it is told as MAVLINK_GPS_GLOBAL_INT, the one for other
+    aircraft's own reports, with the first four bytes of the SHA-256 of the track's name: the same on every
+    aircraft, and two among a hundred tracks share one with a probability of 1e-6.
+
+    `action` is REPORT, or, where the companion flies around it, MOVE_PERPENDICULAR: the only evasive action
+    that is neither horizontal nor vertical alone, as the law's are.
+
+    Raises:
+        ValueError: a level that MAVLink does not have, an ADS-B track not named by 24 bits in hexadecimal
+            digits: bugs of ours.
+    """
+    if threat.level not in _THREAT_LEVELS:
+        raise ValueError(f"MAV_COLLISION_THREAT_LEVEL {threat.level} is not defined")
+    if threat.adsb:
+        source, number = _COLLISION_SRC_ADSB, int(threat.track_id, 16)
+        if not 0 <= number <= MAX_ICAO:
+            raise ValueError(f"{threat.track_id} is not an ICAO address")
+    else:
+        digest = hashlib.sha256(threat.track_id.encode("utf-8", "replace")).digest()
+        source, number = _COLLISION_SRC_MAVLINK, int.from_bytes(digest[:4], "big")
+    return mavlink.MAVLINK_MSG_ID_COLLISION, _COLLISION.pack(
+        number,
+        _told(threat.time_to_closest_s),
+        _told(threat.vertical_m),
+        _told(threat.horizontal_m),
+        source,
+        _COLLISION_MOVE_PERPENDICULAR if threat.acting else _COLLISION_REPORT,
+        threat.level,
+    )
+
+
+def _told(value: float) -> float:
+    """A number that fits the field; NaN stays NaN, MAVLink's "not known"."""
+    return min(max(value, 0.0), MAX_TOLD)
+
+
+def mission_request_list(system_id: int, mission_type: int) -> Outgoing:
     """MISSION_REQUEST_LIST: how many items are there?"""
-    return mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST, _LIST.pack(system_id, AUTOPILOT_COMPONENT, 0)
+    return (
+        mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+        _LIST.pack(system_id, AUTOPILOT_COMPONENT, mission_type),
+    )
 
 
-def mission_request(seq: int, system_id: int, *, as_int: bool) -> Outgoing:
+def mission_request(seq: int, system_id: int, mission_type: int, *, as_int: bool) -> Outgoing:
     """MISSION_REQUEST_INT, or the older MISSION_REQUEST, for one item."""
     message_id = (
         mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT if as_int else mavlink.MAVLINK_MSG_ID_MISSION_REQUEST
     )
-    return message_id, _REQUEST.pack(seq, system_id, AUTOPILOT_COMPONENT, 0)
+    return message_id, _REQUEST.pack(seq, system_id, AUTOPILOT_COMPONENT, mission_type)
 
 
-def mission_ack(system_id: int) -> Outgoing:
-    """MISSION_ACK: the download is complete."""
-    return mavlink.MAVLINK_MSG_ID_MISSION_ACK, _ACK.pack(system_id, AUTOPILOT_COMPONENT, 0, 0)
+def mission_ack(system_id: int, mission_type: int, *, cancelled: bool = False) -> Outgoing:
+    """MISSION_ACK: the download is complete, or given up."""
+    result = mavlink.MAV_MISSION_OPERATION_CANCELLED if cancelled else mavlink.MAV_MISSION_ACCEPTED
+    return mavlink.MAVLINK_MSG_ID_MISSION_ACK, _ACK.pack(system_id, AUTOPILOT_COMPONENT, result, mission_type)

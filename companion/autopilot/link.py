@@ -8,8 +8,10 @@ A pure state machine: time is an argument, nothing here reads a clock or a socke
     socket.send(link.drain())               # whole frames; what leaves is what was drained
 
 Who is listened to: component 1 of one system, the configured one or the first that sends an autopilot's
-HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out. Remote ID
-comes from others by its nature: `remote_id` says whose.
+HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out; ADS-B
+traffic is the vehicle's own stream too, of what its receiver told it (a receiver's own frames, which
+ArduPilot forwards only with ADSB_TYPE = 0, would be the same aircraft twice). Remote ID comes from others by
+its nature: `remote_id` says whose.
 
 Who we are: before the vehicle is known (a `udpout` link must speak first) our heartbeat carries the
 configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground
@@ -29,8 +31,11 @@ from companion.errors import ConfigError, PeerDataError
 from companion.events import (
     ArmStatus,
     Command,
+    DownloadFence,
     DownloadMission,
     Event,
+    FenceDownloaded,
+    FenceRefused,
     Firmware,
     FlightMode,
     GlobalPosition,
@@ -40,6 +45,7 @@ from companion.events import (
     ModeRefused,
     Say,
     SetMode,
+    Threat,
     VehicleTime,
     VelocitySetpoint,
 )
@@ -54,13 +60,14 @@ from .dialect import (
     DIALECTS,
     refusal,
 )
-from .mission_download import MissionDownload
+from .fence import areas_from_items
+from .mission_download import FENCE, MISSION, MissionDownload
 from .mode_request import ModeRequest
 from .readers import READERS, Fields, heartbeat, unpack
 from .remote_id import RemoteIdComponent, RemoteIdCounts, RemoteIdListener
 from .statustext import TextAssembler
 from .streams import Streams
-from .wire import Frame, FrameScanner, MavlinkWriter, WireCounts
+from .wire import MAGIC_V1, Frame, FrameScanner, MavlinkWriter, WireCounts
 
 HEARTBEAT_PERIOD_S = remote_id.HEARTBEAT_PERIOD_S
 LOST_AFTER_S = 3.0
@@ -108,7 +115,7 @@ class LinkCounts(RemoteIdCounts):
     bad_values: int = 0
     """Messages with values that no honest vehicle sends."""
     no_position: int = 0
-    """GLOBAL_POSITION_INT before the vehicle knew where it is."""
+    """GLOBAL_POSITION_INT before the vehicle knew where it is, ADSB_VEHICLE without a position."""
     acks_accepted: int = 0
     acks_refused: int = 0
     reboots: int = 0
@@ -164,6 +171,8 @@ class AutopilotLink:
         self._text_id = 0
         self._mode: ModeRequest | None = None
         self._download: MissionDownload | None = None
+        self._download_next: int | None = None
+        """Type of the list to be fetched after the one under way: PX4 serves one at a time."""
         self._component = RemoteIdComponent(identity) if remote_id_component else None
         own = frozenset({encoders.AUTOPILOT_COMPONENT, config.component_id})
         self._remote_id = RemoteIdListener(self.counts, own, self._component)
@@ -300,22 +309,33 @@ class AutopilotLink:
         if command == CMD_DO_SET_MODE and self._mode is not None:
             self._mode.on_ack(result)
 
-    def _on_mission_count(self, _frame: Frame, fields: Fields, now_s: float) -> None:
-        if self._download is not None and self._for_us(fields[1], fields[2]):
-            self._download.on_count(fields, now_s)
+    def _on_mission_count(self, frame: Frame, fields: Fields, now_s: float) -> None:
+        download = self._answered(frame, fields[1], fields[2])
+        if download is not None:
+            download.on_count(fields, now_s)
             self._move_download(now_s)
 
     def _on_mission_item(self, frame: Frame, fields: Fields, now_s: float) -> None:
-        if self._download is not None and self._for_us(fields[9], fields[10]):
+        download = self._answered(frame, fields[9], fields[10])
+        if download is not None:
             try:
-                self._download.on_item(frame.message_id, fields, now_s)
+                download.on_item(frame.message_id, fields, now_s)
             finally:
                 self._move_download(now_s)
 
-    def _on_mission_ack(self, _frame: Frame, fields: Fields, now_s: float) -> None:
-        if self._download is not None and self._for_us(fields[0], fields[1]):
-            self._download.on_ack(fields)
+    def _on_mission_ack(self, frame: Frame, fields: Fields, now_s: float) -> None:
+        download = self._answered(frame, fields[0], fields[1])
+        if download is not None:
+            download.on_ack(fields)
             self._move_download(now_s)
+
+    def _answered(self, frame: Frame, target_system: int, target_component: int) -> MissionDownload | None:
+        """The download under way, where an answer of the mission protocol is for us."""
+        if self._download is None or not self._for_us(target_system, target_component):
+            return None
+        if frame.raw[0] == MAGIC_V1:
+            self._download.on_mavlink1()
+        return self._download
 
     def _for_us(self, target_system: int, target_component: int) -> bool:
         """Whether an answer is meant for us; 0 is everybody, and what MAVLink 1 has no field for."""
@@ -359,9 +379,9 @@ class AutopilotLink:
         the next `advance`, once the vehicle is known, and is repeated from then on.
 
         Raises:
-            ValueError: a setpoint that is not finite or absurdly fast, a mode that cannot be commanded, an
-                ArmStatus of who is not the Remote ID component, a command that is not the autopilot's: all
-                bugs of ours.
+            ValueError: a setpoint that is not finite or absurdly fast, a mode that cannot be commanded, a
+                Threat that `encoders.collision` refuses, an ArmStatus of who is not the Remote ID component,
+                a command that is not the autopilot's: all bugs of ours.
         """
         match command:
             case VelocitySetpoint():
@@ -369,7 +389,11 @@ class AutopilotLink:
             case SetMode():
                 self._send_mode(command.mode, now_s)
             case DownloadMission():
-                self._send_download(now_s)
+                self._send_download(MISSION, now_s)
+            case DownloadFence():
+                self._send_download(FENCE, now_s)
+            case Threat():
+                self._queue(encoders.collision(command))
             case ArmStatus() if self._component is not None:
                 self._component.report(command)
             case Say():
@@ -434,15 +458,20 @@ class AutopilotLink:
             self._events.append(ModeRefused(mode=request.mode, reason=request.refused))
         self._mode = None
 
-    def _send_download(self, now_s: float) -> None:
+    def _send_download(self, mission_type: int, now_s: float) -> None:
+        """Fetch a list; the same one anew, or after the other one."""
         vehicle = self._vehicle
         if vehicle is None:
-            self._events.append(MissionRefused(reason="no vehicle has been heard yet"))
-            return
-        # ArduPilot's item 0 is its home, not a part of the mission.
-        skip_home = vehicle.firmware is Firmware.ARDUPILOT
-        self._download = MissionDownload(vehicle.system_id, now_s, skip_home=skip_home)
-        self._move_download(now_s)
+            self._refuse_download(mission_type, "no vehicle has been heard yet")
+        elif self._download is not None and self._download.mission_type != mission_type:
+            self._download_next = mission_type
+        else:
+            # ArduPilot's item 0 is its home, not a part of the mission.
+            skip_home = mission_type == MISSION and vehicle.firmware is Firmware.ARDUPILOT
+            self._download = MissionDownload(
+                vehicle.system_id, now_s, mission_type=mission_type, skip_home=skip_home
+            )
+            self._move_download(now_s)
 
     def _move_download(self, now_s: float) -> None:
         download = self._download
@@ -452,11 +481,24 @@ class AutopilotLink:
         if outgoing is not None:
             self._queue(outgoing)
         if download.failed is not None:
-            self._events.append(MissionRefused(reason=download.failed))
-            self._download = None
-        elif download.items is not None:
+            self._refuse_download(download.mission_type, download.failed)
+        elif download.items is None:
+            return
+        elif download.mission_type == MISSION:
             self._events.append(MissionDownloaded(items=download.items))
-            self._download = None
+        else:
+            try:
+                self._events.append(FenceDownloaded(areas=areas_from_items(download.items)))
+            except PeerDataError as error:
+                self._refuse_download(FENCE, str(error))
+        self._download = None
+        if self._download_next is not None:
+            mission_type, self._download_next = self._download_next, None
+            self._send_download(mission_type, now_s)
+
+    def _refuse_download(self, mission_type: int, reason: str) -> None:
+        refused = MissionRefused if mission_type == MISSION else FenceRefused
+        self._events.append(refused(reason=reason))
 
     def _queue(self, outgoing: encoders.Outgoing) -> None:
         self._queue_frame(self._writer.pack_payload(*outgoing))

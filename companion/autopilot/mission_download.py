@@ -1,8 +1,12 @@
-"""Fetching the vehicle's mission, item by item.
+"""Fetching a list of the vehicle's, its mission or its fence, item by item.
 
 MISSION_REQUEST_LIST -> MISSION_COUNT -> (MISSION_REQUEST_INT -> MISSION_ITEM_INT) per item -> MISSION_ACK,
-each request repeated when its answer does not come; later tries use MISSION_REQUEST; either form of item is
-taken.
+each request repeated when its answer does not come; later tries for a mission use MISSION_REQUEST, which
+vehicles that hold fences by this protocol do not need; either form of item is taken.
+
+Both vehicles' answers tell by `mission_type` which list they are of. MAVLink 1 has no such field: ArduPilot
+refuses to serve a fence on a link set to it, and what an older vehicle sends would be its mission. So a fence
+is given up at the first answer in MAVLink 1.
 """
 
 from __future__ import annotations
@@ -27,7 +31,8 @@ MAX_ITEMS = 2000
 GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
 """MAV_FRAMEs whose x and y are latitude and longitude."""
 _INT32_MAX = 0x7FFF_FFFF
-_MISSION = 0
+MISSION = mavlink.MAV_MISSION_TYPE_MISSION
+FENCE = mavlink.MAV_MISSION_TYPE_FENCE
 _RESULTS: dict[int, str] = {
     number: entry.name.removeprefix("MAV_MISSION_").lower().replace("_", " ")
     for number, entry in mavlink.enums["MAV_MISSION_RESULT"].items()
@@ -48,10 +53,11 @@ def item_from_float(fields: Fields) -> MissionItem:
 
 def _item(fields: Fields, x: float | None, y: float | None) -> MissionItem:
     p1, p2, p3, p4, _x, _y, z, seq, command, _system, _component, frame = fields[:12]
+    name = f"{'fence' if fields[14] == FENCE else 'mission'} item {seq}"
     if frame in GLOBAL_FRAMES and (abs(x or 0.0) > 90.0 or abs(y or 0.0) > 180.0):
-        raise PeerDataError(f"mission item {seq}: position {x}, {y} is not on Earth")
+        raise PeerDataError(f"{name}: position {x}, {y} is not on Earth")
     if math.isinf(z):
-        raise PeerDataError(f"mission item {seq}: altitude is infinite")
+        raise PeerDataError(f"{name}: altitude is infinite")
     return MissionItem(
         seq=seq,
         command=command,
@@ -66,7 +72,10 @@ def _item(fields: Fields, x: float | None, y: float | None) -> MissionItem:
 class MissionDownload:
     """One download: `due` says what to send; ends with `items` or with `failed` (a reason)."""
 
-    def __init__(self, system_id: int, now_s: float, *, skip_home: bool) -> None:
+    def __init__(
+        self, system_id: int, now_s: float, *, mission_type: int = MISSION, skip_home: bool = False
+    ) -> None:
+        self.mission_type = mission_type
         self.items: tuple[MissionItem, ...] | None = None
         self.failed: str | None = None
         self._system_id = system_id
@@ -80,26 +89,34 @@ class MissionDownload:
     def due(self, now_s: float) -> Outgoing | None:
         """What to send now; past the last try or the total time the download has failed."""
         if self.failed is not None:
-            return None
+            return self._cancel()
         if self._count is not None and len(self._got) == self._count:
             self.items = tuple(self._got[1:] if self._skip_home else self._got)
-            return mission_ack(self._system_id)
+            return mission_ack(self._system_id, self.mission_type)
         if now_s < self._next_s:
             return None
         what = "MISSION_COUNT" if self._count is None else f"item {len(self._got)} of {self._count}"
         if self._tries == MAX_TRIES or now_s - self._started_s > TOTAL_S:
             self.failed = f"{what} did not come after {self._tries} tries"
-            return None
+            return self._cancel()
         self._tries += 1
         self._next_s = now_s + RETRY_S
         if self._count is None:
-            return mission_request_list(self._system_id)
-        return mission_request(len(self._got), self._system_id, as_int=self._tries <= INT_TRIES)
+            return mission_request_list(self._system_id, self.mission_type)
+        as_int = self.mission_type == FENCE or self._tries <= INT_TRIES
+        return mission_request(len(self._got), self._system_id, self.mission_type, as_int=as_int)
+
+    def _cancel(self) -> Outgoing | None:
+        """PX4 serves no other list until it hears this, or 5 s have passed. Where it serves somebody else it
+        would complain of us, so nothing is cancelled that has not begun."""
+        return (
+            None if self._count is None else mission_ack(self._system_id, self.mission_type, cancelled=True)
+        )
 
     def on_count(self, fields: Fields, now_s: float) -> None:
         """MISSION_COUNT in wire order; another number than before means another mission: begin again."""
         count, mission_type = fields[0], fields[3]
-        if mission_type != _MISSION or count == self._count:
+        if mission_type != self.mission_type or count == self._count:
             return
         if count > MAX_ITEMS:
             self.failed = f"{count} items are more than the {MAX_ITEMS} that are allowed"
@@ -109,7 +126,7 @@ class MissionDownload:
 
     def on_item(self, message_id: int, fields: Fields, now_s: float) -> None:
         """MISSION_ITEM_INT or MISSION_ITEM in wire order; any but the awaited one is left out."""
-        if fields[14] != _MISSION or self._count is None or fields[7] != len(self._got):
+        if fields[14] != self.mission_type or self._count is None or fields[7] != len(self._got):
             return
         as_int = message_id == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT
         try:
@@ -123,8 +140,15 @@ class MissionDownload:
     def on_ack(self, fields: Fields) -> None:
         """MISSION_ACK in wire order: anything but "accepted" ends the download."""
         result, mission_type = fields[2], fields[3]
-        if mission_type == _MISSION and result != 0:
+        if mission_type == self.mission_type and result != 0:
             self.failed = f"the vehicle answered: {_RESULTS.get(result, f'result {result}')}"
+
+    def on_mavlink1(self) -> None:
+        """An answer came in MAVLink 1, whatever it says."""
+        if self.mission_type != MISSION:
+            self.failed = (
+                "the vehicle speaks MAVLink 1, which carries missions only; set the port to MAVLink 2"
+            )
 
     def _progress(self, now_s: float) -> None:
         self._tries = 0

@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.errors import PeerDataError
 from companion.events import (
+    AdsbVehicle,
     Event,
     FlightMode,
     GlobalPosition,
@@ -41,9 +42,20 @@ MAX_LOCAL_M = 1_000_000.0
 UTC_RANGE_S = (1_420_070_400.0, 4_102_444_800.0)
 """2015 to 2100: an autopilot whose clock says otherwise does not know the time."""
 
+MAX_ICAO = 0xFF_FFFF
+"""ICAO addresses have 24 bits."""
+
 _MAX_FIX_TYPE = 8
 _UINT32_MAX = 0xFFFF_FFFF
 _LANDED = dict(enumerate(Landed))
+# ADSB_FLAGS.
+_VALID_COORDS = 1
+_VALID_ALTITUDE = 2
+_VALID_HEADING = 4
+_VALID_VELOCITY = 8
+_VALID_CALLSIGN = 16
+_ALTITUDE_TYPES = (0, 1)
+"""ADSB_ALTITUDE_TYPE: from a barometer, from GNSS."""
 _UNPACKERS: dict[int, struct.Struct] = {i: m.unpacker for i, m in mavlink.mavlink_map.items()}
 
 
@@ -164,6 +176,60 @@ def mission_current(fields: Fields) -> MissionCurrent:
     return MissionCurrent(seq=fields[0])
 
 
+def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
+    """ADSB_VEHICLE; None without a valid position, or at exactly 0, 0, which ArduPilot drops too.
+
+    `flags` say what is known; velocity needs both VALID_VELOCITY and VALID_HEADING. The vertical speed
+    (positive up) then counts even without VERTICAL_VELOCITY_VALID, as it does in ArduPilot (AP_Avoidance)
+    and PX4: PX4 passes on the first six flags only, so it never sets that one. SIMULATED and SOURCE_UAT
+    traffic is traffic like any other.
+
+    `age_s` is what the receiver told. ArduPilot keeps an aircraft for 5 s after it was last heard, repeats
+    it every second and lets `tslc` stand (AP_ADSB), so there it may be older by that much.
+
+    Raises:
+        PeerDataError: an address of more than 24 bits, a place or altitude not on Earth, an undefined type of
+            altitude, a course beyond 360 deg, a saturated speed.
+    """
+    icao, lat_e7, lon_e7, alt_mm, course, speed, climb, flags, _squawk, alt_type, name, emitter, tslc = fields
+    if not flags & _VALID_COORDS or (lat_e7 == 0 and lon_e7 == 0):
+        return None
+    if icao > MAX_ICAO:
+        raise PeerDataError(f"ICAO address {icao:#x} has more than 24 bits")
+    lat_deg, lon_deg = _position(lat_e7, lon_e7)
+    alt_m = None
+    if flags & _VALID_ALTITUDE:
+        if alt_type not in _ALTITUDE_TYPES:
+            raise PeerDataError(f"ADSB_ALTITUDE_TYPE {alt_type} is not defined")
+        alt_m = _altitude("altitude", alt_mm)
+    velocity = None
+    if flags & _VALID_VELOCITY and flags & _VALID_HEADING:
+        # 36000 itself is PX4's upper end.
+        if course > 36_000:
+            raise PeerDataError(f"course {course / 100} deg is beyond 360")
+        if speed == 0xFFFF or not abs(climb) < 0x7FFF:
+            raise PeerDataError(f"velocity {speed}, {climb} cm/s is saturated")
+        angle = math.radians(course / 100)
+        velocity = (speed / 100 * math.cos(angle), speed / 100 * math.sin(angle), -climb / 100)
+    return AdsbVehicle(
+        icao=icao,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        alt_m=alt_m,
+        alt_geometric=alt_m is not None and alt_type == 1,
+        velocity_ned_mps=velocity,
+        age_s=float(tslc),
+        callsign=_callsign(name) if flags & _VALID_CALLSIGN else "",
+        emitter=emitter,
+    )
+
+
+def _callsign(field: bytes) -> str:
+    """Text up to the first zero; what is not printable ASCII becomes "?", as it comes from strangers."""
+    text = field.split(b"\0", 1)[0]
+    return "".join(chr(code) if 0x20 <= code < 0x7F else "?" for code in text).strip()
+
+
 READERS: dict[int, Callable[[Fields], Event | None]] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: global_position,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: local_position,
@@ -171,6 +237,7 @@ READERS: dict[int, Callable[[Fields], Event | None]] = {
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: vehicle_time,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: landed_state,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
+    mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: adsb_vehicle,
 }
 
 

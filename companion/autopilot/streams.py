@@ -3,6 +3,11 @@
 A fresh ArduPilot link carries only heartbeats, and rates are forgotten at a reboot; PX4 streams unasked. So
 each message is asked for once, its rate is watched, and it is asked for again when it falls short, ever more
 rarely: a vehicle that refuses is not flooded.
+
+ADSB_VEHICLE comes only while there is traffic, so its silence means nothing: it is asked for three times, in
+case requests are lost, and no more once it comes. ArduPilot sends one aircraft per interval and begins its
+list (25 long by default, ADSB_LIST_MAX) anew once a second, on Copter only when asked (MAVn_ADSB is 0); PX4
+sends each report as it comes, unasked.
 """
 
 from __future__ import annotations
@@ -18,8 +23,13 @@ STREAM_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+    mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 25.0,
 }
 """What is asked for; HEARTBEAT and STATUSTEXT come by themselves."""
+
+SPORADIC = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE})
+"""Comes when there is something to tell; the rate is a bound."""
+SPORADIC_REQUESTS = 3
 
 ENOUGH = 0.5
 """Share of the asked rate below which a stream is asked for again."""
@@ -30,24 +40,27 @@ LONGEST_CHECK_S = 30.0
 @dataclass(slots=True)
 class _Stream:
     rate_hz: float
+    sporadic: bool
     received: int = 0
     since_s: float = 0.0
     check_s: float = 0.0
     wait_s: float = FIRST_CHECK_S
-    asked: bool = False
+    requests: int = 0
 
 
 class Streams:
     """Counts what arrives and says what to ask for."""
 
     def __init__(self) -> None:
-        self._streams = {message_id: _Stream(rate) for message_id, rate in STREAM_RATES_HZ.items()}
+        self._streams = {
+            message_id: _Stream(rate, message_id in SPORADIC) for message_id, rate in STREAM_RATES_HZ.items()
+        }
 
     def restart(self, now_s: float) -> None:
         """The vehicle is new or has forgotten its rates: ask for everything at once."""
         for stream in self._streams.values():
             stream.received, stream.since_s, stream.check_s = 0, now_s, now_s
-            stream.wait_s, stream.asked = FIRST_CHECK_S, False
+            stream.wait_s, stream.requests = FIRST_CHECK_S, 0
 
     def received(self, message_id: int) -> None:
         """One message has arrived."""
@@ -64,12 +77,17 @@ class Streams:
     @staticmethod
     def _short(stream: _Stream, now_s: float) -> bool:
         """Close the stream's window; True when it has to be asked for (again)."""
-        wanted = stream.rate_hz * (now_s - stream.since_s) * ENOUGH
-        short = not stream.asked or stream.received < wanted
+        asked = stream.requests > 0
+        if stream.sporadic:
+            if stream.received:
+                stream.requests = SPORADIC_REQUESTS
+            short = stream.requests < SPORADIC_REQUESTS
+        else:
+            short = not asked or stream.received < stream.rate_hz * (now_s - stream.since_s) * ENOUGH
         if not short:
             stream.wait_s = FIRST_CHECK_S
-        elif stream.asked:
+        elif asked:
             stream.wait_s = min(stream.wait_s * 2, LONGEST_CHECK_S)
-        stream.asked = True
+        stream.requests += short
         stream.received, stream.since_s, stream.check_s = 0, now_s, now_s + stream.wait_s
         return short

@@ -13,12 +13,25 @@ from functools import cache
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion import record
+from companion.autopilot import readers
+from companion.autopilot.fence import areas_from_items
 from companion.autopilot.link import AutopilotLink
+from companion.autopilot.mission_download import item_from_int
 from companion.autopilot.wire import MAX_FRAME_BYTES, FrameScanner, MavlinkReader, MavlinkWriter, is_known
+from companion.avoidance.fence import check_areas
 from companion.config import TrafficConfig, VehicleConfig
-from companion.events import DownloadMission, FlightMode, RemoteIdHeard, SetMode
+from companion.errors import ConfigError
+from companion.events import (
+    DownloadFence,
+    DownloadMission,
+    FenceDownloaded,
+    FlightMode,
+    RemoteIdHeard,
+    SetMode,
+)
 from companion.geometry import LocalFrame
 from companion.radio import ether_wire
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
@@ -201,9 +214,62 @@ def _reframed(data: bytes, writer: MavlinkWriter) -> bytes:
     return writer.pack_payload(message_id, data[3:258] or b"\0")
 
 
+def _payload(message: Any) -> bytes:
+    """As laid out; MAVLink 2 cuts zeros from the end, of which these have none."""
+    message.pack(mavlink.MAVLink(None))
+    return bytes(message.get_payload())
+
+
+def _vertex(seq: int, command: int = 5001, size: float = 4.0) -> bytes:
+    """MISSION_ITEM_INT of a fence: corners of a square, then circles."""
+    x, y = 473960000 + 40000 * (seq in (1, 2)), 85430000 + 70000 * (seq in (2, 3))
+    return _payload(
+        mavlink.MAVLink_mission_item_int_message(1, 191, seq, 5, command, 0, 1, size, 0, 0, 0, x, y, 0, 1)
+    )
+
+
+@cache
+def _fence_seeds() -> list[bytes]:
+    square = [_vertex(seq) for seq in range(4)]
+    circle = _vertex(4, 5004, 25.0)
+    return [b"".join(square), circle, b"".join((*square, circle)), _vertex(0, 5000) + circle]
+
+
+@cache
+def _adsb_seeds() -> list[bytes]:
+    values = (0x4B1234, 473970000, 85450000, 0, 500_000, 9000, 6000, -250, b"HBABC", 1, 1)
+    return [_payload(mavlink.MAVLink_adsb_vehicle_message(*values, flags, 7000)) for flags in (0xBF, 0x3F, 3)]
+
+
 @cache
 def _content_seeds() -> list[bytes]:
-    return [frame.message_id.to_bytes(3, "little") + frame.payload for frame in recorded_frames()]
+    fence = [
+        (mavlink.MAVLINK_MSG_ID_MISSION_COUNT, _payload(mavlink.MAVLink_mission_count_message(1, 191, 4, 1))),
+        *((mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT, _vertex(seq)) for seq in range(4)),
+    ]
+    adsb = [(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE, payload) for payload in _adsb_seeds()]
+    recorded = [(frame.message_id, frame.payload) for frame in recorded_frames()]
+    return [number.to_bytes(3, "little") + payload for number, payload in (*recorded, *fence, *adsb)]
+
+
+def _read_adsb(data: bytes) -> None:
+    event = readers.adsb_vehicle(readers.unpack(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE, data))
+    if event is None:
+        raise ConfigError("no position")  # counts as refused
+    _record(0.0, event)
+    numbers = (event.lat_deg, event.lon_deg, event.alt_m or 0.0, *(event.velocity_ned_mps or ()))
+    assert all(map(math.isfinite, numbers))
+
+
+def _read_fence(data: bytes) -> None:
+    size = len(_vertex(0))
+    items = [
+        item_from_int(readers.unpack(mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT, data[at : at + size]))
+        for at in range(0, len(data), size)
+    ]
+    areas = areas_from_items(items)
+    _record(0.0, FenceDownloaded(areas=areas))
+    check_areas(areas)
 
 
 def _decoder() -> Target:
@@ -224,6 +290,8 @@ def _link() -> Target:
         writer = writers[0] if turn % 3 else writers[turn // 3 % len(writers)]
         if turn % 200 == 0:
             link.send(DownloadMission() if turn % 400 else SetMode(mode=FlightMode.EXTERNAL), now_s)
+        if turn % 300 == 0:
+            link.send(DownloadFence(), now_s)
         events = link.receive(_reframed(data, writer), now_s)
         events += link.advance(now_s)
         if events:
@@ -242,6 +310,8 @@ def make_targets() -> list[Target]:
         _hearing_wifi(),
         _scanner(),
         _decoder(),
+        Target("adsb", _adsb_seeds(), taking(_read_adsb, ConfigError)),
+        Target("fence items", _fence_seeds(), taking(_read_fence)),
         _link(),
         *radio_targets.make_targets(),
     ]

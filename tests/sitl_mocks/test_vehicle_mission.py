@@ -53,7 +53,9 @@ def upload(b, items):
 def download(b):
     (count,) = b.send(mavlink.MAVLink_mission_request_list_message(1, 1))
     assert (count.target_system, count.target_component) == (1, 191)
-    return [b.send(mavlink.MAVLink_mission_request_int_message(1, 1, seq))[0] for seq in range(count.count)]
+    got = [b.send(mavlink.MAVLink_mission_request_int_message(1, 1, seq))[0] for seq in range(count.count)]
+    b.send(mavlink.MAVLink_mission_ack_message(1, 1, mavlink.MAV_MISSION_ACCEPTED))
+    return got
 
 
 @pytest.mark.parametrize(
@@ -148,10 +150,10 @@ def test_items_that_cannot_be_flown_are_refused(bench, firmware, bad, result):
 @BOTH
 def test_other_mission_types(bench, firmware):
     b = bench(firmware)
-    (count,) = b.send(mavlink.MAVLink_mission_request_list_message(1, 1, 1))
-    assert (count.count, count.mission_type) == (0, 1)
-    (ack,) = b.send(mavlink.MAVLink_mission_count_message(1, 1, 2, 1))
-    assert (ack.type, ack.mission_type) == (mavlink.MAV_MISSION_UNSUPPORTED, 1)
+    (count,) = b.send(mavlink.MAVLink_mission_request_list_message(1, 1, 2))
+    assert (count.count, count.mission_type) == (0, 2)
+    (ack,) = b.send(mavlink.MAVLink_mission_count_message(1, 1, 2, 2))
+    assert (ack.type, ack.mission_type) == (mavlink.MAV_MISSION_UNSUPPORTED, 2)
 
 
 @BOTH

@@ -10,6 +10,17 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot import encoders
 from companion.autopilot.wire import MavlinkWriter
+from companion.events import Threat
+
+
+def threat(**over: Any) -> Threat:
+    values = {"track_id": "4b1234", "adsb": True, "level": 2, "acting": True}
+    values |= {"time_to_closest_s": 12.5, "horizontal_m": 30.0, "vertical_m": 8.0}
+    return Threat(**(values | over))
+
+
+REMOTE_ID_NUMBER = 0x08DF8A4C
+"""`printf 1596B0000DMUCA01 | sha256sum`, the first eight digits."""
 
 CASES: list[tuple[encoders.Outgoing, Any]] = [
     (encoders.heartbeat(), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)),
@@ -23,13 +34,22 @@ CASES: list[tuple[encoders.Outgoing, Any]] = [
         encoders.command_long(176, (1.0, 4.0), 7, confirmation=3),
         mavlink.MAVLink_command_long_message(7, 1, 176, 3, 1, 4, 0, 0, 0, 0, 0),
     ),
-    (encoders.mission_request_list(7), mavlink.MAVLink_mission_request_list_message(7, 1, 0)),
+    (encoders.mission_request_list(7, 1), mavlink.MAVLink_mission_request_list_message(7, 1, 1)),
     (
-        encoders.mission_request(300, 7, as_int=True),
-        mavlink.MAVLink_mission_request_int_message(7, 1, 300, 0),
+        encoders.mission_request(300, 7, 1, as_int=True),
+        mavlink.MAVLink_mission_request_int_message(7, 1, 300, 1),
     ),
-    (encoders.mission_request(300, 7, as_int=False), mavlink.MAVLink_mission_request_message(7, 1, 300, 0)),
-    (encoders.mission_ack(7), mavlink.MAVLink_mission_ack_message(7, 1, 0, 0)),
+    (
+        encoders.mission_request(300, 7, 0, as_int=False),
+        mavlink.MAVLink_mission_request_message(7, 1, 300, 0),
+    ),
+    (encoders.mission_ack(7, 1), mavlink.MAVLink_mission_ack_message(7, 1, 0, 1)),
+    (encoders.mission_ack(7, 0, cancelled=True), mavlink.MAVLink_mission_ack_message(7, 1, 15, 0)),
+    (encoders.collision(threat()), mavlink.MAVLink_collision_message(0, 0x4B1234, 4, 2, 12.5, 8.0, 30.0)),
+    (
+        encoders.collision(threat(track_id="1596B0000DMUCA01", adsb=False, level=1, acting=False)),
+        mavlink.MAVLink_collision_message(1, REMOTE_ID_NUMBER, 1, 1, 12.5, 8.0, 30.0),
+    ),
     (encoders.statustext(4, "avoiding", 9)[0], mavlink.MAVLink_statustext_message(4, b"avoiding", 0, 0)),
     (encoders.statustext(4, "x" * 60, 9)[1], mavlink.MAVLink_statustext_message(4, b"x" * 10, 9, 1)),
 ]
@@ -74,3 +94,28 @@ def test_boot_time_wraps_instead_of_failing() -> None:
 def test_a_strangers_name_in_a_text_is_printable_ascii():
     ((_, payload),) = encoders.statustext(4, "conflict with \x1b[2J\x00\u202eé\n", 1)
     assert payload[1:51].rstrip(b"\0") == b"conflict with ?[2J????"
+
+
+@pytest.mark.parametrize(
+    ("value", "told"), [(math.inf, 1e6), (1e300, 1e6), (-math.inf, 0.0), (-1.0, 0.0), (math.nan, math.nan)]
+)
+def test_no_number_makes_a_report_fail(value: float, told: float) -> None:
+    outgoing = encoders.collision(threat(time_to_closest_s=value, horizontal_m=value, vertical_m=value))
+    message = mavlink.MAVLink(None).decode(bytearray(MavlinkWriter(1, 191).pack_payload(*outgoing)))
+    numbers = (
+        message.time_to_minimum_delta,
+        message.altitude_minimum_delta,
+        message.horizontal_minimum_delta,
+    )
+    assert numbers == pytest.approx((told, told, told), nan_ok=True)
+
+
+@pytest.mark.parametrize("over", [{"level": 3}, {"level": -1}, {"track_id": "GHI"}, {"track_id": "1000000"}])
+def test_threats_that_are_bugs_of_ours(over: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"not defined|invalid literal|ICAO"):
+        encoders.collision(threat(**over))
+
+
+def test_remote_id_tracks_have_their_own_numbers() -> None:
+    numbers = {encoders.collision(threat(track_id=f"T{n}", adsb=False))[1][:4] for n in range(1000)}
+    assert len(numbers) == 1000

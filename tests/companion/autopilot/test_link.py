@@ -12,6 +12,7 @@ from companion.autopilot.link import MAX_QUEUED_BYTES, AutopilotLink
 from companion.autopilot.streams import STREAM_RATES_HZ
 from companion.config import VehicleConfig
 from companion.events import (
+    AdsbVehicle,
     Broadcast,
     Firmware,
     FlightMode,
@@ -21,6 +22,7 @@ from companion.events import (
     Say,
     SetMode,
     Severity,
+    Threat,
     VehicleText,
     VelocitySetpoint,
 )
@@ -231,6 +233,73 @@ def test_a_dropped_link_is_not_talked_at_and_asked_again_when_it_returns(ardupil
     ardupilot.after(0.1)
     assert set(asked(ardupilot)) == set(STREAM_RATES_HZ)
     assert ardupilot.link.counts.drops == 1
+
+
+ADSB = mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE
+
+
+def adsb(flags: int = 3, icao: int = 0x4B1234) -> mavlink.MAVLink_adsb_vehicle_message:
+    return mavlink.MAVLink_adsb_vehicle_message(
+        icao, 473970000, 85450000, 0, 500_000, 0, 0, 0, b"", 1, 0, flags, 0
+    )
+
+
+def asked_for_traffic(scripted: Scripted, *, traffic_at_s: float) -> list[float]:
+    """When ADSB_VEHICLE is asked for within a minute, with one report at `traffic_at_s`."""
+    asked_at = []
+    for step in range(1, 601):
+        if step % 10 == 0:
+            scripted.heartbeat()
+        if step == round(traffic_at_s * 10):
+            scripted.says(adsb())
+        scripted.after(0.1)
+        if ADSB in asked(scripted):
+            asked_at.append(step / 10)
+    return asked_at
+
+
+def test_traffic_is_asked_for_three_times_and_then_silence_is_believed(ardupilot: Scripted) -> None:
+    # The first time was when the vehicle was first heard.
+    assert asked_for_traffic(ardupilot, traffic_at_s=1e9) == pytest.approx([2.0, 6.0], abs=0.3)
+
+
+def test_traffic_that_comes_is_not_asked_for_again(ardupilot: Scripted) -> None:
+    assert asked_for_traffic(ardupilot, traffic_at_s=1.0) == []
+    scripted = Scripted()
+    assert asked_for_traffic(scripted, traffic_at_s=5.0) == pytest.approx([1.0, 3.0], abs=0.3)
+
+
+# ---------------------------------------------------------------- traffic
+
+
+def test_traffic_is_taken_from_the_autopilot_alone(ardupilot: Scripted) -> None:
+    (event,) = ardupilot.says(adsb())
+    assert isinstance(event, AdsbVehicle)
+    assert event.icao == 0x4B1234
+    # A receiver's own frames, as ArduPilot forwards them, and another vehicle's.
+    assert ardupilot.says(adsb(), component=156) == []
+    assert ardupilot.says(adsb(), system=2) == []
+    assert ardupilot.link.counts.foreign == 2
+    assert ardupilot.says(adsb(flags=0)) == []
+    assert ardupilot.link.counts.no_position == 1
+    assert ardupilot.says(adsb(icao=2**24)) == []
+    assert ardupilot.link.counts.bad_values == 1
+
+
+def test_threats_are_told_as_collision(ardupilot: Scripted) -> None:
+    threat = Threat(
+        track_id="4b1234",
+        adsb=True,
+        level=1,
+        acting=False,
+        time_to_closest_s=20.0,
+        horizontal_m=50.0,
+        vertical_m=10.0,
+    )
+    ardupilot.link.send(threat, ardupilot.now_s)
+    (told,) = ardupilot.told("COLLISION")
+    assert (told.src, told.id, told.action, told.threat_level) == (0, 0x4B1234, 1, 1)
+    assert (told.get_srcSystem(), told.get_srcComponent()) == (1, 191)
 
 
 # ---------------------------------------------------------------- modes

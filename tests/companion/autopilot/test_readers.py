@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot import readers
 from companion.errors import PeerDataError
-from companion.events import GlobalPosition, GnssFix, Landed, VehicleTime
+from companion.events import AdsbVehicle, GlobalPosition, GnssFix, Landed, VehicleTime
 
 ORDER = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: "custom_mode type autopilot base_mode system_status mavlink_version",
@@ -19,6 +19,8 @@ ORDER = {
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: "time_unix_usec time_boot_ms",
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: "vtol_state landed_state",
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: "seq total mission_state mission_mode",
+    mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: "ICAO_address lat lon altitude heading hor_velocity ver_velocity "
+    "flags squawk altitude_type callsign emitter_type tslc",
     mavlink.MAVLINK_MSG_ID_STATUSTEXT: "severity text id chunk_seq",
     mavlink.MAVLINK_MSG_ID_COMMAND_ACK: "command result progress result_param2 target_system "
     "target_component",
@@ -150,3 +152,94 @@ def test_undefined_landed_state_is_bad_data() -> None:
 
 def test_mission_current() -> None:
     assert read(mavlink.MAVLink_mission_current_message(7)).seq == 7
+
+
+# ---------------------------------------------------------------- ADS-B
+
+COORDS, ALTITUDE, HEADING, VELOCITY, CALLSIGN, SQUAWK, VERTICAL = 1, 2, 4, 8, 16, 32, 128
+ALL = COORDS | ALTITUDE | HEADING | VELOCITY | CALLSIGN | SQUAWK | VERTICAL
+
+
+def adsb(**over: Any) -> Any:
+    """500 m up, flying east at 60 m/s and climbing at 2.5 m/s."""
+    values = {"ICAO_address": 0x4B1234, "lat": 473970000, "lon": -85450000, "altitude_type": 0}
+    values |= {"altitude": 500_000, "heading": 9000, "hor_velocity": 6000, "ver_velocity": 250}
+    values |= {"callsign": b"HBABC", "emitter_type": 1, "tslc": 2, "flags": ALL, "squawk": 7000}
+    return mavlink.MAVLink_adsb_vehicle_message(**(values | over))
+
+
+def test_adsb_in_si_and_ned() -> None:
+    event = read(adsb())
+    assert isinstance(event, AdsbVehicle)
+    assert event.velocity_ned_mps == pytest.approx((0.0, 60.0, -2.5))
+    assert (event.icao, event.lat_deg, event.lon_deg, event.alt_m) == (0x4B1234, 47.397, -8.545, 500.0)
+    assert (event.alt_geometric, event.age_s, event.callsign, event.emitter) == (False, 2.0, "HBABC", 1)
+    assert read(adsb(altitude_type=1)).alt_geometric
+
+
+@pytest.mark.parametrize(
+    ("course", "north", "east"),
+    [(0, 1, 0), (18000, -1, 0), (27000, 0, -1), (36000, 1, 0), (4500, 0.5**0.5, 0.5**0.5)],
+)
+def test_the_course_is_clockwise_from_north(course: int, north: float, east: float) -> None:
+    velocity = read(adsb(heading=course)).velocity_ned_mps
+    assert velocity == pytest.approx((60 * north, 60 * east, -2.5))
+
+
+def test_flags_say_what_is_known() -> None:
+    # Fields whose flag is off may hold anything.
+    junk = {"altitude": 2**31 - 1, "altitude_type": 9, "heading": 65535, "hor_velocity": 65535}
+    junk |= {"ver_velocity": -32768, "callsign": b"\xff\xfe"}
+    assert read(adsb(flags=COORDS, **junk)) == AdsbVehicle(
+        icao=0x4B1234, lat_deg=47.397, lon_deg=-8.545, age_s=2.0, emitter=1
+    )
+
+
+@pytest.mark.parametrize("missing", [HEADING, VELOCITY])
+def test_velocity_needs_course_and_speed(missing: int) -> None:
+    assert read(adsb(flags=ALL & ~missing)).velocity_ned_mps is None
+
+
+def test_the_vertical_speed_counts_without_its_flag_as_in_the_firmwares() -> None:
+    assert read(adsb(flags=ALL & ~VERTICAL)).velocity_ned_mps[2] == -2.5
+
+
+@pytest.mark.parametrize("over", [{"flags": ALL & ~COORDS}, {"flags": 0}, {"lat": 0, "lon": 0}])
+def test_no_position_is_no_traffic(over: dict[str, int]) -> None:
+    assert read(adsb(**over)) is None
+
+
+@pytest.mark.parametrize(
+    "over",
+    [
+        {"ICAO_address": 2**24},
+        {"lat": 900000001},
+        {"lon": -1800000001},
+        {"altitude": 50_000_001},
+        {"altitude": -1_000_001},
+        {"altitude_type": 2},
+        {"heading": 36001},
+        {"hor_velocity": 65535},
+        {"ver_velocity": 32767},
+        {"ver_velocity": -32768},
+    ],
+)
+def test_impossible_traffic_is_bad_data(over: dict[str, int]) -> None:
+    with pytest.raises(PeerDataError):
+        read(adsb(**over))
+
+
+@pytest.mark.parametrize(
+    ("field", "text"),
+    [
+        (b"", ""),
+        (b"HBABC   ", "HBABC"),
+        (b"AB\0CD", "AB"),
+        (b"ABCDEFGHI", "ABCDEFGHI"),
+        (b"A\x1b[2J\xe9", "A?[2J?"),
+    ],
+)
+def test_callsigns_are_printable_ascii(field: bytes, text: str) -> None:
+    wire = readers.unpack(246, bytes(27) + field.ljust(9, b"\0") + bytes(2))
+    fields = (0, 1, 1, 0, 0, 0, 0, COORDS | CALLSIGN, *wire[8:])
+    assert readers.adsb_vehicle(fields).callsign == text
