@@ -9,19 +9,17 @@ velocities carry white noise, and messages are quantised as Remote ID does (ASTM
 
 from __future__ import annotations
 
-import hashlib
 import math
-from pathlib import Path
-from typing import Annotated, TypeVar, cast
+from typing import Annotated
 
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numba import config, njit
 from numpy.typing import NDArray
 
 from companion.avoidance import kernels as k
 from companion.avoidance.law import OLDEST_S
+from ground_tools.campaign.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -132,19 +130,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         return row
 
 
-Function = TypeVar("Function")
-_LAW = hashlib.sha256(Path(k.__file__).read_bytes()).hexdigest()[:12]
-
-
-def _compiled(function: Function) -> Function:
-    """With a cache for each state of the law: numba looks only at the file of the function that is called,
-    and what is compiled here holds the law, too."""
-    held = vars(config)["CACHE_DIR"]
-    vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _LAW)
-    try:
-        return cast(Function, njit(cache=True, error_model="numpy")(function))
-    finally:
-        vars(config)["CACHE_DIR"] = held
+_compiled = compiled()
 
 
 @_compiled
