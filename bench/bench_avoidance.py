@@ -1,9 +1,10 @@
-"""What a decision costs: `python bench/bench_avoidance.py` prints three tables.
+"""What a decision costs: `python bench/bench_avoidance.py` prints four tables.
 
 The first is one aircraft's decision from Python: all of it (table of neighbours, kernel, report of every
 track), and the call of the kernel alone. The second is half-spaces and programs in a compiled loop, beside
 RVO2-3D in C++ (-O3, float32, one thread); those figures were measured elsewhere, on another machine, and are
-quoted. The third is a campaign's flights: simulated seconds a second, on one core.
+quoted. The third is one step of a crowd, search for neighbours and all, beside the same reference. The fourth
+is a campaign's flights: simulated seconds a second, on one core.
 """
 
 from __future__ import annotations
@@ -20,14 +21,21 @@ from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign.cells import Cell
+from ground_tools.campaign.crowd import Crowd
 
 COUNTS = (1, 5, 10, 20, 50, 100)
 REFERENCE_US = {
     "sparse": {1: 0.085, 5: 0.36, 10: 0.69, 20: 1.4, 50: 3.4, 100: 10.5},
     "dense": {10: 1.3, 20: 1.9, 50: 7.0, 100: 9.6},
 }
+REFERENCE_STEP_MS = {1_000: 3.5, 10_000: 55.0}
+"""Minima."""
+ROOM_M3 = 1_000.0
+"""Of each aircraft of a crowd: nearly all have more neighbours within reach than are taken."""
+STEPS = 60
 SPREAD_M = {"sparse": 300.0, "dense": 60.0}
-SCENES, REPEATS = 200, 50
+SCENES, PLANES = 200, 10_000
+"""Scenes, and planes built in one timed call: so many that the call from Python (2 us) does not count."""
 
 
 def scene(count: int, spread_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -108,14 +116,37 @@ def time_kernel(count: int, spread_m: float, rng: np.random.Generator) -> tuple[
     """Median (us) over scenes of planes and programs, and the share of scenes without a solution."""
     planes, scratch = np.zeros((count, 4)), np.zeros((count, 4))
     own, out, took, infeasible = np.array([2.0, 0.0, 0.0]), np.zeros(3), [], 0
+    repeats = PLANES // count
     for _ in range(SCENES):
         positions, velocities = scene(count, spread_m, rng)
         _repeat(positions, velocities, planes, scratch, own, out, 1)
         began = time.perf_counter()
-        _repeat(positions, velocities, planes, scratch, own, out, REPEATS)
-        took.append((time.perf_counter() - began) / REPEATS)
+        _repeat(positions, velocities, planes, scratch, own, out, repeats)
+        took.append((time.perf_counter() - began) / repeats)
         infeasible += bool((planes[:, 3] - planes[:, :3] @ out).max() > 1e-6)
     return statistics.median(took) * 1e6, infeasible / SCENES
+
+
+def time_crowd(aircraft: int, rng: np.random.Generator) -> tuple[float, float]:
+    """Least and median (ms) of the steps of a crowd that flies through the middle of a cube.
+
+    With the parameters of RVO2-3D's own example: radius 1.5 m each, up to 2 m/s, horizon 10 s, steps of
+    0.125 s, the 10 first neighbours within 15 m; 1 m/s is wished for, to the opposite point.
+    """
+    position = (rng.random((aircraft, 3)) - 0.5) * (aircraft * ROOM_M3) ** (1 / 3)
+    goal, velocity, new, took = -position, np.zeros((aircraft, 3)), np.zeros((aircraft, 3)), []
+    crowd = Crowd(
+        aircraft, radius_m=3.0, speed_mps=2.0, horizon_s=10.0, overlap_s=0.125, reach_m=15.0, neighbours=10
+    )
+    for _ in range(STEPS):
+        wish = goal - position
+        wish /= np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1.0)
+        began = time.perf_counter()
+        crowd.step(position, velocity, wish, new)
+        took.append(time.perf_counter() - began)
+        velocity[:] = new
+        position += 0.125 * velocity
+    return min(took) * 1e3, statistics.median(took) * 1e3
 
 
 def main() -> None:
@@ -135,6 +166,11 @@ def main() -> None:
             print(
                 f"{name:7s} {count:10d} {median:8.3f} {infeasible:10.0%} {quoted:8.3f} {median / quoted:8.2f}"
             )
+    print("\none step of a crowd with its search for neighbours, ms, one core; RVO2-3D quoted (minima)")
+    print("  aircraft    least   median  RVO2-3D    ratio")
+    for aircraft, quoted in REFERENCE_STEP_MS.items():
+        least, median = time_crowd(aircraft, rng)
+        print(f"{aircraft:10,d} {least:8.2f} {median:8.2f} {quoted:8.1f} {least / quoted:8.2f}")
     print("\nflights of a campaign (S2, delays 1 to 2 s), simulated seconds a second and core")
     for aircraft, flights in ((5, 100), (10, 40), (20, 10)):
         print(f"{aircraft:10d} aircraft {time_flights(aircraft, flights):10,.0f}")

@@ -10,7 +10,8 @@ in: nothing cancels near a head-on encounter.
 
 Planes are rows (n, d) that ask for n . v >= d. The programs look for a velocity in a ball: program 1 on a
 line, 2 on a plane, 3 in the ball, 4 the least of the largest violations when there is none; hard planes come
-first and program 4 keeps them whole.
+first and program 4 keeps them whole. Programs 3 and 4 take up the most violated plane next, not the next in
+the row: a few planes then settle all the others, however many there are.
 
 `decide` is all of a law, from the own state, the path and what was heard to the command. Every function works
 on arrays that the caller owns, so that a compiled loop over many aircraft calls it as the aircraft does; it
@@ -21,13 +22,21 @@ cache looks only at the file of the function that is called: a change elsewhere 
 from __future__ import annotations
 
 import math
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_compiled = njit(cache=True, error_model="numpy")
+Function = TypeVar("Function")
+# Without numba's runtime what allocates does not compile, and references to arrays are not counted.
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
+
+
+def _compiled(function: Function) -> Function:
+    return cast(Function, njit(**_OPTIONS)(function))
+
 
 EPSILON = 1e-9
 """Violations and gaps (m/s) up to this are rounding."""
@@ -83,8 +92,8 @@ DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
 # Entries of `state`, what a law remembers: the last command and its time (NaN before the first one), quiet
 # cycles, by how much the path is delayed, samples in the history of own velocities.
 L_COMMAND, L_TIME, L_QUIET, L_DELAY, L_HISTORY, STATE_ENTRIES = 0, 3, 4, 5, 6, 7
-# Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time, distance at the closest.
-V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE, VIEW_COLUMNS = 0, 3, 4, 5, 6, 7
+# Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time, distance at the closest, plane.
+V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE, V_PLANE, VIEW_COLUMNS = 0, 3, 4, 5, 6, 7, 11
 # Columns of a row of `fence`, an edge or a circle: number of its area, rising from row to row; what the area
 # is; corners north, east, or a circle's middle and radius, m.
 W_AREA, W_KIND, W_FROM, W_TO, WALL_COLUMNS = 0, 1, 2, 4, 6
@@ -151,43 +160,46 @@ def half_space(
     p2 = px * px + py * py + pz * pz
     r2 = radius * radius
     if p2 <= r2:
-        return _sphere(px, py, pz, vx, vy, vz, radius, overlap)
-    wx, wy, wz = vx - px / tau, vy - py / tau, vz - pz / tau
+        return _sphere(px, py, pz, vx, vy, vz, radius, 1.0 / overlap)
+    rate = 1.0 / tau
+    wx, wy, wz = vx - px * rate, vy - py * rate, vz - pz * rate
     wp = wx * px + wy * py + wz * pz
     if wp < 0.0 and wp * wp > r2 * (wx * wx + wy * wy + wz * wz):
-        return _sphere(px, py, pz, vx, vy, vz, radius, tau)
-    length = math.sqrt(p2)
+        return _sphere(px, py, pz, vx, vy, vz, radius, rate)
     cx, cy, cz = py * vz - pz * vy, pz * vx - px * vz, px * vy - py * vx
-    cross = math.sqrt(cx * cx + cy * cy + cz * cz)
-    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-    if cross > HEAD_ON * length * speed:
-        k = 1.0 / (cross * length)
-        ex, ey, ez = (cy * pz - cz * py) * k, (cz * px - cx * pz) * k, (cx * py - cy * px) * k
+    cross2 = cx * cx + cy * cy + cz * cz
+    tangent2 = p2 - r2  # cos(theta)^2 |p|^2
+    if cross2 > HEAD_ON * HEAD_ON * p2 * (vx * vx + vy * vy + vz * vz):
+        k = math.sqrt(tangent2 / cross2)
+        s = k * cross2
+        ex, ey, ez = k * (cy * pz - cz * py), k * (cz * px - cx * pz), k * (cx * py - cy * px)
     else:
+        k = math.sqrt(tangent2 * p2)
+        s = math.sqrt(tangent2 * cross2)
         ex, ey, ez = _right_of(px, py, pz)
-    sine = radius / length
-    cosine = math.sqrt((length - radius) * (length + radius)) / length
-    along = (px * vx + py * vy + pz * vz) / length
-    k = sine / length
-    nx, ny, nz = cosine * ex - k * px, cosine * ey - k * py, cosine * ez - k * pz
-    return nx, ny, nz, sine * along - cosine * cross / length
+        ex, ey, ez = k * ex, k * ey, k * ez
+    # Both terms of n and of u . n over |p|^2: one division for all.
+    k = 1.0 / p2
+    s = radius * (px * vx + py * vy + pz * vz) - s
+    return k * (ex - radius * px), k * (ey - radius * py), k * (ez - radius * pz), k * s
 
 
 @_compiled
 def _sphere(
-    px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, window: float
+    px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, rate: float
 ) -> tuple[float, float, float, float]:
-    """The sphere of radius R / window at p / window: n = w / |w|, s = R / window - |w|."""
-    wx, wy, wz = vx - px / window, vy - py / window, vz - pz / window
+    """The sphere of radius R / window at p / window, rate = 1 / window: n = w / |w|, s = R / window - |w|."""
+    wx, wy, wz = vx - px * rate, vy - py * rate, vz - pz * rate
     length = math.sqrt(wx * wx + wy * wy + wz * wz)
     if length > 1e-9:
-        return wx / length, wy / length, wz / length, radius / window - length
+        k = 1.0 / length
+        return k * wx, k * wy, k * wz, radius * rate - length
     # In the very centre every way out is as long: straight away from the other.
     length = math.sqrt(px * px + py * py + pz * pz)
     if length > 1e-9:
-        return -px / length, -py / length, -pz / length, radius / window
+        return -px / length, -py / length, -pz / length, radius * rate
     # Same place and same velocity: nothing in the data tells the two apart.
-    return 1.0, 0.0, 0.0, radius / window
+    return 1.0, 0.0, 0.0, radius * rate
 
 
 @_compiled
@@ -260,12 +272,12 @@ def _plane(
     # The point in the plane nearest to the wish (or the wish's direction along the plane).
     away = ox * nx + oy * ny + oz * nz
     gx, gy, gz = ox - away * nx, oy - away * ny, oz - away * nz
-    length = math.sqrt(gx * gx + gy * gy + gz * gz)
-    disc = math.sqrt(max(radius * radius - d * d, 0.0))
+    length2 = gx * gx + gy * gy + gz * gz
+    disc2 = max(radius * radius - d * d, 0.0)
     if towards:
-        k = disc / length if length > 1e-9 else 0.0
+        k = math.sqrt(disc2 / length2) if length2 > 1e-18 else 0.0
     else:
-        k = disc / length if length > disc else 1.0
+        k = math.sqrt(disc2 / length2) if length2 > disc2 else 1.0
     x, y, z = d * nx + k * gx, d * ny + k * gy, d * nz + k * gz
     for j in range(i):
         mx, my, mz, f = planes[j, 0], planes[j, 1], planes[j, 2], planes[j, 3]
@@ -291,10 +303,10 @@ def _ball(
     planes: Array, count: int, radius: float, ox: float, oy: float, oz: float, towards: bool
 ) -> tuple[int, float, float, float]:
     """Program 3: how many planes are kept (`count`: all); the velocity nearest to or farthest towards o."""
-    length = math.sqrt(ox * ox + oy * oy + oz * oz)
+    length2 = ox * ox + oy * oy + oz * oz
     k = 1.0
-    if towards or length > radius:
-        k = radius / length
+    if towards or length2 > radius * radius:
+        k = radius / math.sqrt(length2)
     x, y, z = ox * k, oy * k, oz * k
     for i in range(count):
         if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z < planes[i, 3] - EPSILON:
@@ -303,6 +315,21 @@ def _ball(
                 return i, x, y, z
             x, y, z = tx, ty, tz
     return count, x, y, z
+
+
+@_compiled
+def _worst_to(planes: Array, i: int, count: int, x: float, y: float, z: float, allowed: float) -> bool:
+    """Bring the most violated plane of row i and after to row i; False: none by more than allowed (m/s)."""
+    worst = -1
+    for j in range(i, count):
+        violation = planes[j, 3] - (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z)
+        if violation > allowed:
+            worst, allowed = j, violation
+    if worst < 0:
+        return False
+    for c in range(4):
+        planes[i, c], planes[worst, c] = planes[worst, c], planes[i, c]
+    return True
 
 
 @_compiled
@@ -322,23 +349,24 @@ def _least_violation(
         for c in range(4):
             scratch[j, c] = planes[j, c]
     largest = 0.0
-    for i in range(max(first, hard), count):
+    i = max(first, hard)
+    while i < count and _worst_to(planes, i, count, x, y, z, largest + EPSILON):
         nx, ny, nz, d = planes[i, 0], planes[i, 1], planes[i, 2], planes[i, 3]
-        if d - (nx * x + ny * y + nz * z) <= largest + EPSILON:
-            continue
         # Where plane i is violated at least as much as plane j: (n_j - n_i) . v >= d_j - d_i.
         kept = hard
         for j in range(hard, i):
             bx, by, bz = planes[j, 0] - nx, planes[j, 1] - ny, planes[j, 2] - nz
-            length = math.sqrt(bx * bx + by * by + bz * bz)
-            if length > 1e-7:
-                scratch[kept, 0], scratch[kept, 1], scratch[kept, 2] = bx / length, by / length, bz / length
-                scratch[kept, 3] = (planes[j, 3] - d) / length
+            length2 = bx * bx + by * by + bz * bz
+            if length2 > 1e-14:
+                k = 1.0 / math.sqrt(length2)
+                scratch[kept, 0], scratch[kept, 1], scratch[kept, 2] = bx * k, by * k, bz * k
+                scratch[kept, 3] = (planes[j, 3] - d) * k
                 kept += 1
         done, tx, ty, tz = _ball(scratch, kept, radius, nx, ny, nz, True)
         if done == kept:
             x, y, z = tx, ty, tz
         largest = d - (nx * x + ny * y + nz * z)
+        i += 1
     return x, y, z
 
 
@@ -350,7 +378,7 @@ def solve(
 
     Args:
         planes: shape (at least count, 4), rows (n, d): n unit, n . v >= d in m/s. The `hard` first ones must
-            be possible together.
+            be possible together; those after them change places.
         radius: greatest speed, m/s.
         wish: shape (3,), m/s.
         scratch: shape (at least count, 4); written.
@@ -359,11 +387,20 @@ def solve(
     Returns:
         True when every plane is kept.
     """
-    kept, x, y, z = _ball(planes, count, radius, wish[0], wish[1], wish[2], False)
-    if kept < count:
-        x, y, z = _least_violation(planes, hard, count, radius, x, y, z, kept, scratch)
+    ox, oy, oz = wish[0], wish[1], wish[2]
+    kept, x, y, z = _ball(planes, hard, radius, ox, oy, oz, False)
+    feasible = kept == hard
+    # The most violated plane is added next: a few of them settle the others.
+    i = hard
+    while feasible and i < count and _worst_to(planes, i, count, x, y, z, EPSILON):
+        feasible, tx, ty, tz = _plane(planes, i, radius, ox, oy, oz, False)
+        if feasible:
+            x, y, z = tx, ty, tz
+            i += 1
+    if not feasible:
+        x, y, z = _least_violation(planes, hard, count, radius, x, y, z, i, scratch)
     out[0], out[1], out[2] = x, y, z
-    return bool(kept == count)
+    return feasible
 
 
 @_compiled
@@ -768,6 +805,8 @@ def _avoid(
             planes, first + j, pn, pe, pd, an, ae, ad, vn, ve, rd, scale, radius, horizon,
             settings[S_OVERLAP], share,
         )  # fmt: skip
+        for c in range(4):
+            view[j, V_PLANE + c] = planes[first + j, c]
         if settings[S_GROWTH] != 0.0 and age > neighbours[j, N_SILENT]:
             # Who falls silent in flight may have lost its GNSS with its last message, and stopped there.
             back = age - STOPS_S

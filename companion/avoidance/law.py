@@ -191,21 +191,28 @@ class Law:
             self._out,
         )
         view, out = self._view[: len(usable)].tolist(), self._out.tolist()
-        first, hard = int(out[k.R_NEIGHBOURS]), int(out[k.R_HARD])
-        binding = self._binding(first + len(usable))
+        hard, outside = int(out[k.R_HARD]), out[k.R_NEIGHBOURS] > out[k.R_HARD]
+        active = self._binding(self._view[: len(usable), k.V_PLANE :])
         return LawResult(
             wanted_ned_mps=(out[3], out[4], out[5]),
             chosen_ned_mps=(out[0], out[1], out[2]),
             feasible=out[k.R_FEASIBLE] != 0.0,
             conflict=out[k.R_CONFLICT] != 0.0,
             recovering=out[k.R_RECOVERING] != 0.0,
-            limits=_limits(binding[:first], hard, self._settings[k.S_SPEED], self._out),
-            tracks=tuple(map(_track, usable, view, binding[first:])),
+            limits=self._limits(hard, outside),
+            tracks=tuple(map(_track, usable, view, active)),
         )
 
-    def _binding(self, count: int) -> list[bool]:
-        """Which planes the velocity that was found lies on, or beyond."""
-        planes = self._planes[:count]
+    def _limits(self, hard: int, outside: bool) -> tuple[str, ...]:
+        """Which of `LIMITS` the velocity that was found reaches."""
+        least_down, most_down, *fence = self._binding(self._planes[:hard])
+        speed = math.hypot(*self._out[k.R_SOLVED : k.R_SOLVED + 3])
+        fast = speed >= self._settings[k.S_SPEED] - _ON_PLANE_MPS
+        reached = (least_down, most_down, any(fence), outside, fast)
+        return tuple(name for name, on in zip(LIMITS, reached, strict=True) if on)
+
+    def _binding(self, planes: k.Array) -> list[bool]:
+        """Which planes, shape (K, 4), the velocity that was found lies on, or beyond."""
         found = self._out[k.R_SOLVED : k.R_SOLVED + 3]
         binding: list[bool] = (planes[:, :3] @ found <= planes[:, 3] + _ON_PLANE_MPS).tolist()
         return binding
@@ -316,18 +323,6 @@ def _own_row(s: Situation) -> tuple[float, ...]:
     if not ceiling < floor:
         raise ValueError(f"floor (down {floor} m) must be a number below the ceiling (down {ceiling} m)")
     return (*state, s.now_s, s.path_time_s, floor, ceiling)
-
-
-def _limits(binding: list[bool], hard: int, speed: float, out: k.Array) -> tuple[str, ...]:
-    """Which of `LIMITS` are reached, from the first planes of a decision and the greatest speed."""
-    reached = (
-        binding[0],
-        binding[1],
-        any(binding[k.DOWN_SPEEDS : hard]),
-        len(binding) > hard,
-        math.hypot(*out[k.R_SOLVED : k.R_SOLVED + 3]) >= speed - _ON_PLANE_MPS,
-    )
-    return tuple(name for name, on in zip(LIMITS, reached, strict=True) if on)
 
 
 def _track(neighbour: Neighbour, view: list[float], active: bool) -> TrackView:

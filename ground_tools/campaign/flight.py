@@ -9,15 +9,12 @@ velocities carry white noise, and messages are quantised as Remote ID does (ASTM
 
 from __future__ import annotations
 
-import hashlib
 import math
-from pathlib import Path
-from typing import Annotated, TypeVar, cast
+from typing import Annotated
 
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numba import config, njit
 from numpy.typing import NDArray
 
 from companion.avoidance import kernels as k
@@ -25,6 +22,7 @@ from companion.avoidance.law import OLDEST_S
 from companion.traffic import adsb
 from companion.traffic.right_of_way import CREWED as CREWED_RANK
 from companion.traffic.right_of_way import FREE, share_of
+from ground_tools.campaign.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -149,19 +147,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         return row
 
 
-Function = TypeVar("Function")
-_LAW = hashlib.sha256(Path(k.__file__).read_bytes()).hexdigest()[:12]
-
-
-def _compiled(function: Function) -> Function:
-    """With a cache for each state of the law: numba looks only at the file of the function that is called,
-    and what is compiled here holds the law, too."""
-    held = vars(config)["CACHE_DIR"]
-    vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _LAW)
-    try:
-        return cast(Function, njit(cache=True, error_model="numpy")(function))
-    finally:
-        vars(config)["CACHE_DIR"] = held
+_compiled = compiled()
 
 
 @_compiled

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import njit
+from numba import TypingError, jit, njit
 
 from companion.avoidance import kernels as k
 from companion.avoidance.law import Law, Neighbour, Situation, settings_of
@@ -221,6 +221,51 @@ def test_programs_against_brute_force(seed: int) -> None:
     else:
         assert worst.min() > 0.0
         assert own <= worst.min() + 1e-7
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_crowds_programs_are_solved_to_the_end(seed: int) -> None:
+    """A hundred planes: the answer meets the conditions of Karush, Kuhn and Tucker, in any order of planes.
+
+    Feasible: v - wish is a sum, with weights above 0, of the normals of what binds. Infeasible: so is 0, and
+    the weights of the planes of largest violation add up to 1.
+    """
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(100, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    hard = np.array([(0, 0, 1, -2.0), (0, 0, -1, -1.0)])
+    soft = np.column_stack([normals, rng.uniform(-6.0, 4.0 if seed % 2 else -1.0, 100)])
+    wish = rng.normal(size=3) * 4.0
+    ok, v = solve(np.vstack([hard, soft]), wish, hard=2)
+    assert ok != bool(seed % 2)
+    violation = soft[:, 3] - soft[:, :3] @ v
+    largest = 0.0 if ok else violation.max()
+    assert violation.max() <= largest + 1e-9
+    assert (hard[:, 3] - hard[:, :3] @ v).max() <= 1e-9
+    assert np.linalg.norm(v) <= 5.0 + 1e-9
+    worst = soft[violation >= largest - 1e-7, :3]
+    others = hard[hard[:, 3] - hard[:, :3] @ v >= -1e-7, :3]
+    if np.linalg.norm(v) >= 5.0 - 1e-7:
+        others = np.vstack([others, -v / 5.0])
+    pull = np.hstack([np.vstack([worst, others]), np.zeros((len(worst) + len(others), 1))])
+    pull[: len(worst), 3] = 0.0 if ok else 1.0
+    due = np.append(v - wish, 0.0) if ok else np.array([0.0, 0.0, 0.0, 1.0])
+    weights = np.linalg.lstsq(pull.T, due)[0]
+    assert weights.min(initial=0.0) > -1e-7
+    np.testing.assert_allclose(pull.T @ weights, due, atol=1e-7)
+    for _ in range(5):
+        again, other = solve(np.vstack([hard, rng.permutation(soft)]), wish, hard=2)
+        assert again == ok
+        np.testing.assert_allclose(other, v, atol=1e-9)
+
+
+def test_no_kernel_can_allocate() -> None:
+    """A compiled loop over aircraft asks the memory for nothing: what would, does not compile."""
+    kernels = [f for f in vars(k).values() if hasattr(f, "targetoptions")]
+    assert len(kernels) > 20
+    assert not any(f.targetoptions["_nrt"] for f in kernels)
+    with pytest.raises(TypingError, match="NRT required but not enabled"):
+        jit(**k.decide.targetoptions)(lambda: np.zeros(3))()
 
 
 def test_own_velocity_history() -> None:

@@ -1,0 +1,33 @@
+"""numba for functions of the campaign that call the law's kernels."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from numba import config, njit
+
+from companion.avoidance import kernels, law
+from companion.traffic import adsb, right_of_way
+
+Function = TypeVar("Function")
+_LAW = hashlib.sha256(
+    b"".join(Path(str(m.__file__)).read_bytes() for m in (kernels, law, adsb, right_of_way))
+).hexdigest()[:12]
+
+
+def compiled(**options: Any) -> Callable[[Function], Function]:
+    """With a cache for each state of the law: numba looks only at the file of the function that is called,
+    and what is compiled here holds the law and numbers from beside it, too."""
+
+    def decorate(function: Function) -> Function:
+        held = vars(config)["CACHE_DIR"]
+        vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _LAW)
+        try:
+            return cast(Function, njit(cache=True, error_model="numpy", **options)(function))
+        finally:
+            vars(config)["CACHE_DIR"] = held
+
+    return decorate

@@ -1,0 +1,248 @@
+"""One step of a crowd: every aircraft's neighbours from a grid, its half-spaces, its new velocity.
+
+Plain ORCA for thousands of aircraft that know each other exactly: the half-spaces and the programs are the
+companion's (`companion.avoidance.kernels`); messages, margins and paths are what `flight` is for. One step
+reads one state for all and writes one velocity each, so the order of the aircraft means nothing.
+
+The grid is a torus of cubes a little wider than the reach: a cube's index counts modulo the torus' size,
+so that any layout fits into the same arrays; strangers that share a cube are told apart by their distance.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.avoidance import kernels as k
+from ground_tools.campaign.compiled import compiled
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+_compiled = compiled(_nrt=False)
+
+FARTHEST = 1e6
+"""Coordinates up to this many times the reach are taken."""
+# Entries of `limits`.
+C_RADIUS, C_SPEED, C_HORIZON, C_OVERLAP, C_REACH = range(5)
+_WIDER = 1.0 + 1e-6
+"""A cube over the reach: rounding at a border then loses nobody, up to the farthest coordinate."""
+
+
+@_compiled
+def _cube(x: float, width: float, side: int) -> int:
+    """Along one axis, the index of the cube that a coordinate lies in."""
+    return math.floor(x / width) % side
+
+
+@_compiled
+def _urgency(
+    px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, tau: float
+) -> float:
+    """What neighbours are ranked by, least first; computed without a branch.
+
+    Those that overlap, by depth (at most 0); those whose volume is entered within tau as both fly now, by the
+    time until then; all others by distance. The nearest alone would drop a fast one from afar.
+    """
+    p2 = px * px + py * py + pz * pz
+    gap2 = p2 - radius * radius
+    closing = px * vx + py * vy + pz * vz
+    root2 = closing * closing - (vx * vx + vy * vy + vz * vz) * gap2
+    t = gap2 / (closing + math.sqrt(max(root2, 0.0)))
+    meets = (closing > 0.0) & (root2 >= 0.0) & (t <= tau)
+    later = t if meets else tau + p2
+    return gap2 if gap2 <= 0.0 else later
+
+
+@_compiled
+def _first(place: Array, key: Array, near: Integers, slot: int, urgency: float, j: int) -> bool:
+    """Whether row j comes before the one in a slot; as urgent ones by place and velocity, never by number."""
+    if urgency != key[slot]:
+        return bool(urgency < key[slot])
+    for c in range(6):
+        if place[j, c] != place[near[slot], c]:
+            return bool(place[j, c] < place[near[slot], c])
+    return False
+
+
+@_compiled
+def _within(row: int, begin: int, end: int, place: Array, reach2: float, near: Integers, count: int) -> int:
+    """Append what of rows begin to end is within reach of `row`, itself, too, to the `count` of `near`."""
+    x, y, z = place[row, 0], place[row, 1], place[row, 2]
+    for j in range(begin, end):
+        px, py, pz = place[j, 0] - x, place[j, 1] - y, place[j, 2] - z
+        near[count] = j
+        count += int(px * px + py * py + pz * pz <= reach2)
+    return count
+
+
+@_compiled
+def _neighbours(
+    row: int, start: Integers, place: Array, limits: Array, side: int, most: int, key: Array, near: Integers
+) -> int:
+    """The most urgent rows within reach of `row`, most urgent first, into `near`; how many."""
+    reach2, width = limits[C_REACH] * limits[C_REACH], limits[C_REACH] * _WIDER
+    x, y, z = place[row, 0], place[row, 1], place[row, 2]
+    cx, cy, cz = _cube(x, width, side), _cube(y, width, side), _cube(z, width, side)
+    count = 0
+    for ax in range(cx - 1, cx + 2):
+        bx = ax + side if ax < 0 else (ax - side if ax >= side else ax)
+        for ay in range(cy - 1, cy + 2):
+            by = ay + side if ay < 0 else (ay - side if ay >= side else ay)
+            # Along z the cubes are neighbours in memory, but for where the torus closes.
+            base = (bx * side + by) * side
+            low, high = start[base + max(cz - 1, 0)], start[base + min(cz + 2, side)]
+            count = _within(row, low, high, place, reach2, near, count)
+            if cz == 0:
+                count = _within(row, start[base + side - 1], start[base + side], place, reach2, near, count)
+            elif cz == side - 1:
+                count = _within(row, start[base], start[base + 1], place, reach2, near, count)
+    for m in range(count):
+        j = near[m]
+        key[m] = _urgency(
+            place[j, 0] - x, place[j, 1] - y, place[j, 2] - z,
+            place[row, 3] - place[j, 3], place[row, 4] - place[j, 4], place[row, 5] - place[j, 5],
+            limits[C_RADIUS], limits[C_HORIZON],
+        )  # fmt: skip
+    found = 0
+    for m in range(count):
+        urgency, j = key[m], near[m]
+        slot = found
+        if j == row or (found == most and not _first(place, key, near, found - 1, urgency, j)):
+            continue
+        if found < most:
+            found += 1
+        else:
+            slot -= 1
+        while slot > 0 and _first(place, key, near, slot - 1, urgency, j):
+            key[slot], near[slot] = key[slot - 1], near[slot - 1]
+            slot -= 1
+        key[slot], near[slot] = urgency, j
+    return found
+
+
+@_compiled
+def _sort(
+    position: Array, velocity: Array, width: float, side: int, cell: Integers, start: Integers, place: Array,
+    who: Integers,
+) -> None:  # fmt: skip
+    """Counting sort of the aircraft into the cubes of the torus.
+
+    Cube c gets rows start[c] to start[c + 1] of `place` (position and velocity) and of `who` (its number).
+    """
+    start[:] = 0
+    for i in range(len(position)):
+        index = 0
+        for c in range(3):
+            index = index * side + _cube(position[i, c], width, side)
+        cell[i] = index
+        start[index + 2] += 1
+    for index in range(2, len(start)):
+        start[index] += start[index - 1]
+    for i in range(len(position)):
+        row = start[cell[i] + 1]  # moves on to the cube's end
+        start[cell[i] + 1] += 1
+        who[row] = i
+        for c in range(3):
+            place[row, c], place[row, 3 + c] = position[i, c], velocity[i, c]
+
+
+@_compiled
+def _step(
+    position: Array, velocity: Array, wish: Array, limits: Array, side: int, cell: Integers, start: Integers,
+    place: Array, who: Integers, key: Array, near: Integers, planes: Array, scratch: Array, new: Array,
+) -> int:  # fmt: skip
+    """New velocities of all; -1, or the number of an aircraft whose state is refused: nothing is written."""
+    farthest = FARTHEST * limits[C_REACH]
+    for i in range(len(position)):
+        for c in range(3):
+            if not (abs(position[i, c]) <= farthest and math.isfinite(velocity[i, c] + wish[i, c])):
+                return i
+    _sort(position, velocity, limits[C_REACH] * _WIDER, side, cell, start, place, who)
+    for row in range(len(position)):
+        found = _neighbours(row, start, place, limits, side, len(planes), key, near)
+        x, y, z = place[row, 0], place[row, 1], place[row, 2]
+        vx, vy, vz = place[row, 3], place[row, 4], place[row, 5]
+        for slot in range(found):
+            j = near[slot]
+            nx, ny, nz, s = k.half_space(
+                place[j, 0] - x, place[j, 1] - y, place[j, 2] - z,
+                vx - place[j, 3], vy - place[j, 4], vz - place[j, 5],
+                limits[C_RADIUS], limits[C_HORIZON], limits[C_OVERLAP],
+            )  # fmt: skip
+            planes[slot, 0], planes[slot, 1], planes[slot, 2] = nx, ny, nz
+            planes[slot, 3] = nx * vx + ny * vy + nz * vz + 0.5 * s
+        k.solve(planes, 0, found, limits[C_SPEED], wish[who[row]], scratch, new[who[row]])
+    return -1
+
+
+class Crowd:
+    """The arrays in which the steps of a crowd are computed; a step allocates none."""
+
+    def __init__(
+        self,
+        aircraft: int,
+        *,
+        radius_m: float,
+        speed_mps: float,
+        horizon_s: float,
+        overlap_s: float,
+        reach_m: float,
+        neighbours: int,
+    ) -> None:
+        """
+        Args:
+            aircraft: how many.
+            radius_m: combined radius R of two.
+            speed_mps: greatest speed.
+            horizon_s: tau.
+            overlap_s: time in which those that overlap are to separate.
+            reach_m: neighbours are looked for within it. Nobody on a collision course within tau is missed
+                with R + tau times the greatest relative speed.
+            neighbours: most that are taken, the most urgent ones: those that overlap, by depth; those that
+                meet within tau as both fly now, by the time; the others, by distance.
+
+        Raises:
+            ValueError: a number is not above 0.
+        """
+        named = {
+            "aircraft": aircraft, "radius_m": radius_m, "speed_mps": speed_mps, "horizon_s": horizon_s,
+            "overlap_s": overlap_s, "reach_m": reach_m, "neighbours": neighbours,
+        }  # fmt: skip
+        for name, value in named.items():
+            if not 0 < value < math.inf:
+                raise ValueError(f"{name} is {value}; above 0 and finite is allowed")
+        self._limits = np.array([radius_m, speed_mps, horizon_s, overlap_s, reach_m], dtype=float)
+        self._side = max(3, round(aircraft ** (1 / 3)))
+        self._cell, self._who = np.zeros(aircraft, np.int64), np.zeros(aircraft, np.int64)
+        self._start = np.zeros(self._side**3 + 2, np.int64)
+        self._place = np.zeros((aircraft, 6))
+        self._key, self._near = np.zeros(aircraft + 1), np.zeros(aircraft + 1, np.int64)
+        self._planes, self._scratch = np.zeros((neighbours, 4)), np.zeros((neighbours, 4))
+
+    def step(self, position: Array, velocity: Array, wish: Array, new: Array) -> None:
+        """Every aircraft's ORCA velocity, all from the same state.
+
+        Args:
+            position: shape (aircraft, 3), m, coordinates up to FARTHEST times the reach.
+            velocity: shape (aircraft, 3), m/s.
+            wish: shape (aircraft, 3), the velocities that they would fly alone, m/s.
+            new: shape (aircraft, 3), m/s; written.
+
+        Raises:
+            ValueError: a shape is another one, a number is not finite, or a position is too far away.
+        """
+        for name, array in (("position", position), ("velocity", velocity), ("wish", wish), ("new", new)):
+            if array.shape != (len(self._who), 3):
+                raise ValueError(f"{name} has shape {array.shape}; ({len(self._who)}, 3) is allowed")
+        bad = _step(
+            position, velocity, wish, self._limits, self._side, self._cell, self._start, self._place,
+            self._who, self._key, self._near, self._planes, self._scratch, new,
+        )  # fmt: skip
+        if bad >= 0:
+            most = FARTHEST * self._limits[C_REACH]
+            raise ValueError(
+                f"aircraft {bad}: position {position[bad]}, velocity {velocity[bad]}, wish {wish[bad]}; "
+                f"finite ones and coordinates up to {most:g} m are allowed"
+            )
