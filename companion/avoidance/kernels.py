@@ -92,7 +92,8 @@ DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
 # Entries of `state`, what a law remembers: the last command and its time (NaN before the first one), quiet
 # cycles, by how much the path is delayed, samples in the history of own velocities.
 L_COMMAND, L_TIME, L_QUIET, L_DELAY, L_HISTORY, STATE_ENTRIES = 0, 3, 4, 5, 6, 7
-# Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time, distance at the closest, plane.
+# Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time and distance at the closest,
+# plane.
 V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE, V_PLANE, VIEW_COLUMNS = 0, 3, 4, 5, 6, 7, 11
 # Columns of a row of `fence`, an edge or a circle: number of its area, rising from row to row; what the area
 # is; corners north, east, or a circle's middle and radius, m.
@@ -805,8 +806,8 @@ def _avoid(
             planes, first + j, pn, pe, pd, an, ae, ad, vn, ve, rd, scale, radius, horizon,
             settings[S_OVERLAP], share,
         )  # fmt: skip
-        for c in range(4):
-            view[j, V_PLANE + c] = planes[first + j, c]
+        for column in range(4):
+            view[j, V_PLANE + column] = planes[first + j, column]
         if settings[S_GROWTH] != 0.0 and age > neighbours[j, N_SILENT]:
             # Who falls silent in flight may have lost its GNSS with its last message, and stopped there.
             back = age - STOPS_S
@@ -876,17 +877,17 @@ def _off_the_fence(planes: Array, hard: int, command: Array, change: float) -> f
     Returns:
         What is left of the change.
     """
-    most, at = 0.0, -1
+    worst, short = DOWN_SPEEDS, 0.0
     for row in range(DOWN_SPEEDS, hard):
-        short = planes[row, 3] - (planes[row, 0] * command[0] + planes[row, 1] * command[1])
-        if short > most:
-            most, at = short, row
-    if at < 0:
+        missing = planes[row, 3] - (planes[row, 0] * command[0] + planes[row, 1] * command[1])
+        if missing > short:
+            worst, short = row, missing
+    if short == 0.0:
         return change
-    most = min(most, change)
-    command[0] += most * planes[at, 0]
-    command[1] += most * planes[at, 1]
-    return change - most
+    short = min(short, change)
+    command[0] += short * planes[worst, 0]
+    command[1] += short * planes[worst, 1]
+    return change - short
 
 
 @_compiled

@@ -103,9 +103,8 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     manoeuvres: float
     infeasible: float
     """Share of decisions that could not keep every half-space."""
-    crewed: float
-    """Least of the larger of horizontal and vertical distance from crewed traffic, in separations; infinite:
-    there was none."""
+    crewed: float | None
+    """Least of the larger of horizontal and vertical distance from crewed traffic, in separations."""
     fence_m: float
     """Farthest beyond a fence."""
 
@@ -155,6 +154,8 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
             int(result[flight.F_FIRST]),
             int(result[flight.F_SECOND]),
         )
+        if cell.intruder != "crewed" or cell.intruders == 0.0:
+            values[flight.F_CREWED] = None
         rows.append(Row(seed, *values))
     return rows
 

@@ -23,7 +23,7 @@ S2 = ["campaign", "run", "--generator", "S2", "--delay", "1", "2"]
 
 
 def row(seed, separation_m, deviation_m=10.0):
-    return Row(seed, separation_m, 1.0, 0, 1, deviation_m, 5.0, 1.0, 0.0, 1.01, 4.0, 0.0)
+    return Row(seed, separation_m, 1.0, 0, 1, deviation_m, 5.0, 1.0, 0.0, 1.01, 4.0, 0.0, None, 0.0)
 
 
 def test_s2_stays_apart_where_the_paths_do_not(capsys):
