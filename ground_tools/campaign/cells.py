@@ -6,6 +6,7 @@ import hashlib
 import inspect
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,6 +14,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from companion.avoidance import kernels, law
 from companion.avoidance.law import settings_of
@@ -93,49 +95,80 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     """Share of decisions that could not keep every half-space."""
 
 
+@dataclass(frozen=True, slots=True)
+class Look:
+    """All of one flight."""
+
+    row: Row
+    world: World
+    avoidance: AvoidanceConfig
+    limits: LimitsConfig
+    times: NDArray[np.float64]
+    """(A, K): of the paths, s."""
+    points: NDArray[np.float64]
+    """(A, K, 3), NED, m."""
+    kinds: NDArray[np.float64]
+    """(A,): `flight.AVOIDS`, or what else an aircraft is."""
+    trace: NDArray[np.float64]
+    """(steps, A, 3): true positions at the end of each step."""
+    decided: NDArray[np.float64]
+    """(decisions, A, flight.DECIDED_COLUMNS)."""
+    seen: NDArray[np.float64]
+    """(decisions, A, A, flight.SEEN_COLUMNS), NaN where nothing was heard."""
+
+
 def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
     """Fly encounters.
 
     Raises:
         ConfigError: the generator cannot draw one.
     """
+    return [_fly(cell, seed, looked=False).row for seed in seeds]
+
+
+def look(cell: Cell, seed: int) -> Look:
+    """Fly one encounter and write everything down; the flight is the one that `fly` flies.
+
+    Raises:
+        ConfigError: the generator cannot draw it.
+    """
+    return _fly(cell, seed, looked=True)
+
+
+def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     avoidance, limits = LAWS[cell.law], LimitsConfig(max_speed_mps=cell.speed_mps)
-    rows = []
-    for seed in seeds:
-        try:
-            times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
-        except ValueError as error:
-            raise ConfigError(f"seed {seed}: {error}") from error
-        paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
-        settings = np.array([settings_of(avoidance, limits, path) for path in paths])
-        kinds = np.full(cell.aircraft, float(flight.AVOIDS))
-        kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
-        settings[kinds != flight.AVOIDS, kernels.S_LAW] = kernels.NONE
-        world = msgspec.structs.replace(
-            WORLDS[cell.world],
-            start_s=float(times.min()),
-            end_s=float(times.max()),
-            delay_s=cell.delay_s,
-            loss=cell.loss,
-        )
-        result = np.zeros(flight.FLIGHT_ENTRIES)
-        flight.fly(
-            np.random.default_rng([seed, 7]),
-            world.row(avoidance.period_s),
-            times,
-            points,
-            settings,
-            kinds,
-            np.zeros((0, cell.aircraft, 3)),
-            result,
-        )
-        values: list[Any] = [round(value, 4) for value in result.tolist()]
-        values[flight.F_FIRST], values[flight.F_SECOND] = (
-            int(result[flight.F_FIRST]),
-            int(result[flight.F_SECOND]),
-        )
-        rows.append(Row(seed, *values))
-    return rows
+    try:
+        times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
+    except ValueError as error:
+        raise ConfigError(f"seed {seed}: {error}") from error
+    paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
+    settings = np.array([settings_of(avoidance, limits, path) for path in paths])
+    kinds = np.full(cell.aircraft, float(flight.AVOIDS))
+    kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
+    settings[kinds != flight.AVOIDS, kernels.S_LAW] = kernels.NONE
+    world = msgspec.structs.replace(
+        WORLDS[cell.world],
+        start_s=float(times.min()),
+        end_s=float(times.max()),
+        delay_s=cell.delay_s,
+        loss=cell.loss,
+    )
+    n, row = cell.aircraft, world.row(avoidance.period_s)
+    steps = round((world.end_s - world.start_s) / world.step_s) if looked else 0
+    decisions = math.ceil(steps / row[flight.W_PERIOD])
+    trace, decided = np.zeros((steps, n, 3)), np.zeros((decisions, n, flight.DECIDED_COLUMNS))
+    seen = np.full((decisions, n, n, flight.SEEN_COLUMNS), math.nan)
+    result = np.zeros(flight.FLIGHT_ENTRIES)
+    rng = np.random.default_rng([seed, 7])
+    flight.fly(rng, row, times, points, settings, kinds, trace, decided, seen, result)
+    return Look(_row(seed, result), world, avoidance, limits, times, points, kinds, trace, decided, seen)
+
+
+def _row(seed: int, result: NDArray[np.float64]) -> Row:
+    values: list[Any] = [round(value, 4) for value in result.tolist()]
+    for entry in (flight.F_FIRST, flight.F_SECOND):
+        values[entry] = int(result[entry])
+    return Row(seed, *values)
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:

@@ -8,6 +8,7 @@ import os
 import re
 import time
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import tables
+from ground_tools.campaign import run_folder, tables
 from ground_tools.campaign.cells import Cell, Row
 from ground_tools.campaign.flight import INTRUDERS
 from ground_tools.campaign.generators import NAMES
@@ -26,6 +27,7 @@ from ground_tools.workers import in_parallel
 
 _MOST_SEEDS = 1_000_000
 _MOST_AIRCRAFT = 200
+_MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
 """Aircraft that a worker flies before it hands over what came of them."""
 
@@ -56,6 +58,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"{', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
     _add_common(command, "1-100")
+    command.add_argument("--worst", type=int, default=0, metavar="N",
+                         help="fly the N of least separation again, into run folders")  # fmt: skip
+    command.add_argument(
+        "--runs", type=Path, default=Path("runs"), metavar="FOLDER", help="of those (default: runs)"
+    )
     command.add_argument("--json", action="store_true", help="one JSON object")
     command.set_defaults(run=run)
     command = commands.add_parser(
@@ -89,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     cell, seeds = _cell(args), _seeds(args.seeds)
+    _check_worst(args)
     words = Console(stderr=True)
     began = time.perf_counter()
     unavoided = campaign.baseline(cell)
@@ -96,6 +104,15 @@ def run(args: argparse.Namespace) -> int:
     report = summary(found[cell], found[unavoided])
     report["wall_s"] = round(time.perf_counter() - began, 3)
     report["flight_s"] = flown * campaign.duration_s(cell)
+    worst = sorted(found[cell], key=attrgetter("separation_m"))[: args.worst]
+    report["worst"] = []
+    with progress("run folders", len(worst)) as advance:
+        for row in worst:
+            folder = run_folder.write(args.runs, cell, row.seed, time.time())
+            report["worst"].append(
+                {"seed": row.seed, "separation_m": row.separation_m, "folder": str(folder)}
+            )
+            advance()
     if args.json:
         print(json.dumps(report, allow_nan=False))
     else:
@@ -211,6 +228,16 @@ def _cell(args: argparse.Namespace) -> Cell:
     )
 
 
+def _check_worst(args: argparse.Namespace) -> None:
+    if not 0 <= args.worst <= _MOST_WORST:
+        raise ConfigError(f"--worst: {args.worst}: allowed 0 to {_MOST_WORST}")
+    if args.worst and args.aircraft > run_folder.MOST_AIRCRAFT:
+        raise ConfigError(
+            f"--worst: goes with up to {run_folder.MOST_AIRCRAFT} aircraft; a run folder of "
+            f"{args.aircraft} is too large"
+        )
+
+
 def _seeds(text: str) -> range:
     match = re.fullmatch(r"(\d+)-(\d+)", text)
     if match is None or not int(match[1]) <= int(match[2]) < int(match[1]) + _MOST_SEEDS:
@@ -248,5 +275,6 @@ def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
         f"path delayed by {r['median_lost_s']:.1f} s, way flown {r['median_path_ratio']:.3f} of the planned",
         f"{r['flight_s']:,.0f} s flown in {r['wall_s']:.1f} s",
     ]
+    lines += [f"seed {w['seed']}: {w['separation_m']:.2f} m: {w['folder']}" for w in r["worst"]]
     for line in lines:
         words.print(line, highlight=False, soft_wrap=True)

@@ -67,6 +67,12 @@ _TURN_RAD = math.radians(60.0)
 """Most that it turns off its way to the path."""
 # Columns of a message: its time (s), position, velocity.
 M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
+# Columns of what a decision saw of another: when the message was sent (s), then its rows of `neighbours` and
+# of `view`. In the own place stand time, position and velocity of the own last message.
+SEEN_MESSAGE, SEEN_NEIGHBOUR = 0, 1
+SEEN_VIEW = SEEN_NEIGHBOUR + k.NEIGHBOUR_COLUMNS
+SEEN_COLUMNS = SEEN_VIEW + k.VIEW_COLUMNS
+DECIDED_COLUMNS = k.OWN_ENTRIES + k.OUT_ENTRIES
 # What comes of a flight.
 (
     F_SEPARATION,  # least distance of any pair, m
@@ -184,6 +190,32 @@ def _distance(position: Array, i: int, j: int) -> float:
 
 
 @_compiled
+def _write_down(
+    decided: Array,
+    seen: Array,
+    i: int,
+    own: Array,
+    command: Array,
+    out: Array,
+    senders: NDArray[np.int64],
+    count: int,
+    heard: Array,
+    neighbours: Array,
+    view: Array,
+) -> None:
+    """One decision of aircraft i, as it was flown, into the rows of `fly`."""
+    decided[i, : k.OWN_ENTRIES] = own
+    decided[i, k.OWN_ENTRIES :] = out
+    decided[i, k.OWN_ENTRIES : k.OWN_ENTRIES + 3] = command
+    seen[i, i, :MESSAGE_COLUMNS] = heard[i]
+    for n in range(count):
+        j = senders[n]
+        seen[i, j, SEEN_MESSAGE] = heard[j, M_TIME]
+        seen[i, j, SEEN_NEIGHBOUR:SEEN_VIEW] = neighbours[n]
+        seen[i, j, SEEN_VIEW:] = view[n]
+
+
+@_compiled
 def fly(
     rng: np.random.Generator,
     world: Array,
@@ -192,6 +224,8 @@ def fly(
     settings: Array,
     kinds: Array,
     trace: Array,
+    decided: Array,
+    seen: Array,
     result: Array,
 ) -> None:
     """Fly a fleet along its paths.
@@ -203,6 +237,10 @@ def fly(
         settings: shape (A, SETTINGS_ENTRIES): each aircraft's law.
         kinds: shape (A,): AVOIDS, or what else an aircraft is.
         trace: shape (steps, A, 3): true positions; written as far as it goes, empty where nobody looks.
+        decided: shape (decisions, A, DECIDED_COLUMNS); written and empty likewise: own state and answer of
+            each decision, with the velocity that is flown for its command.
+        seen: shape (decisions, A, A, SEEN_COLUMNS), as long as `decided`: what each decision saw of each
+            other aircraft; the rows of those that it had not heard are left alone.
         result: FLIGHT_ENTRIES values; written.
     """
     fleet = path_times.shape[0]
@@ -232,6 +270,7 @@ def fly(
     own, neighbours = np.zeros(k.OWN_ENTRIES), np.zeros((fleet, k.NEIGHBOUR_COLUMNS))
     planes, scratch = np.zeros((k.HARD + fleet, 4)), np.zeros((k.HARD + fleet, 4))
     view, out = np.zeros((fleet, k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
+    senders = np.zeros(fleet, np.int64)
     in_conflict, away_since = np.zeros(fleet), np.full(fleet, math.inf)
     flown = planned = manoeuvres = infeasible = decisions = 0.0
     result[:] = 0.0
@@ -269,6 +308,7 @@ def fly(
                 message[M_POSITION + 1] += lie[i, 1]
                 if world[W_QUANTISED] != 0.0:
                     _quantise(message)
+                heard[i, i] = message
                 for j in range(fleet):
                     if j != i:
                         delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
@@ -293,6 +333,7 @@ def fly(
                         for c in range(6):
                             row[c] = heard[i, j, M_POSITION + c]
                         row[k.N_AGE], row[k.N_SIGMA], row[k.N_VERTICAL] = age, world[W_DECLARED], 1.0
+                        senders[count] = j
                         count += 1
                 for c in range(3):
                     own[k.O_POSITION + c] = position[i, c] + error[i, c]
@@ -312,6 +353,11 @@ def fly(
                     command[i, 0] = cosine * out[0] - sine * out[1]
                     command[i, 1] = sine * out[0] + cosine * out[1]
                     command[i, 2] = 0.5 * out[2] - climb[i]
+                if tick // every < len(decided):
+                    _write_down(
+                        decided[tick // every], seen[tick // every], i, own, command[i], out,
+                        senders, count, heard[i], neighbours, view,
+                    )  # fmt: skip
                 if kinds[i] != AVOIDS:
                     continue
                 decisions += 1.0
