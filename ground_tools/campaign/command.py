@@ -7,11 +7,13 @@ import json
 import os
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import numba
+import numpy as np
 from rich.console import Console
 
 from companion.errors import ConfigError
@@ -22,6 +24,7 @@ from ground_tools.campaign.flight import INTRUDERS
 from ground_tools.campaign.generators import NAMES
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
+from ground_tools.cluster import on_ray
 from ground_tools.intervals import wilson
 from ground_tools.workers import in_parallel
 
@@ -30,6 +33,10 @@ _MOST_AIRCRAFT = 200
 _MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
 """Aircraft that a worker flies before it hands over what came of them."""
+
+Part = tuple[Cell, list[int]]
+"""What a worker flies at once: seeds of a cell."""
+Work = Callable[[Sequence[Part]], Iterator[tuple[Part, list[Row]]]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,6 +94,11 @@ def _add_common(command: argparse.ArgumentParser, seeds: str) -> None:
         help="keep what is flown there, and do not fly again what is (default: nowhere)",
     )
     command.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
+    command.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="fly on a Ray cluster: HOST:PORT from a machine of it, ray://HOST:PORT from elsewhere",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -100,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
     words = Console(stderr=True)
     began = time.perf_counter()
     unavoided = campaign.baseline(cell)
-    found, flown = fly_missing([cell, unavoided], seeds, args.out, _processes(args.processes), words)
+    found, flown = fly_missing([cell, unavoided], seeds, args.out, _work(args, words))
     report = summary(found[cell], found[unavoided])
     report["wall_s"] = round(time.perf_counter() - began, 3)
     report["flight_s"] = flown * campaign.duration_s(cell)
@@ -128,8 +140,7 @@ def run_table(args: argparse.Namespace) -> int:
     """
     seeds, wanted = _seeds(args.seeds), tables.TABLES[args.table]()
     with_unavoided = dict.fromkeys(c for cell in wanted for c in (cell, campaign.baseline(cell)))
-    words = Console(stderr=True)
-    found, _ = fly_missing(list(with_unavoided), seeds, args.out, _processes(args.processes), words)
+    found, _ = fly_missing(list(with_unavoided), seeds, args.out, _work(args, Console(stderr=True)))
     lines = [
         tables.Line(cell=cell, found=summary(found[cell], found[campaign.baseline(cell)])) for cell in wanted
     ]
@@ -141,12 +152,13 @@ def run_table(args: argparse.Namespace) -> int:
 
 
 def fly_missing(
-    wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, processes: int, words: Console
+    wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, work: Work
 ) -> tuple[dict[Cell, list[Row]], int]:
     """The rows of every cell, in the order of the seeds, and how many of them were flown now.
 
     Args:
         folder: where rows are kept and looked for; None: nowhere.
+        work: who flies.
 
     Raises:
         ConfigError: a file cannot be read or written, or an encounter cannot be drawn.
@@ -157,15 +169,13 @@ def fly_missing(
         options.make_folder(folder)
         files = {cell: campaign.kept(folder, cell) for cell in wanted}
         rows = {cell: dict(file.rows) for cell, file in files.items()}
-    parts = []
+    parts: list[Part] = []
     for cell in wanted:
         missing = [seed for seed in seeds if seed not in rows[cell]]
         size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft)
         parts += [(cell, missing[at : at + size]) for at in range(0, len(missing), size)]
-    if parts:
-        campaign.fly(wanted[0], parts[0][1][:1])  # compiled once, for all workers
     with progress("flights", len(parts)) as advance:
-        for (cell, _), found in in_parallel(_fly, parts, processes, words):
+        for (cell, _), found in work(parts):
             if cell in files:
                 files[cell].add(found)
             rows[cell].update((row.seed, row) for row in found)
@@ -174,8 +184,30 @@ def fly_missing(
     return {cell: [rows[cell][seed] for seed in seeds] for cell in wanted}, flown
 
 
-def _fly(part: tuple[Cell, list[int]]) -> list[Row]:
+def _work(args: argparse.Namespace, words: Console) -> Work:
+    """Who flies: processes of this machine, or a cluster."""
+    if args.ray is None:
+        processes = _processes(args.processes)
+
+        def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
+            for cell, seeds in parts[:1]:
+                campaign.fly(cell, seeds[:1])  # compiled once, for all workers
+            return in_parallel(_fly, parts, processes, words)
+
+        return here
+    if args.processes is not None:
+        raise ConfigError("--processes: goes without --ray: a cluster has the CPUs that it has")
+    return lambda parts: on_ray(_fly, parts, args.ray, _state, words)
+
+
+def _fly(part: Part) -> list[Row]:
     return campaign.fly(*part)
+
+
+def _state() -> str:
+    """What rows hang on. All that flies is compiled then, and kept for the other workers of the machine."""
+    campaign.fly(Cell(generator="crossing", aircraft=2), [1])
+    return f"{campaign.software()}, numba {numba.__version__}, numpy {np.__version__}"
 
 
 def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
