@@ -93,6 +93,22 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     manoeuvres: float
     infeasible: float
     """Share of decisions that could not keep every half-space."""
+    recovery_s: float | None
+    """Longest time of any aircraft that avoids from its last conflict until it is within `regained_m` of its
+    timed point; 0 where there was none, None where one of them was not back at the end."""
+    lost: tuple[int, ...]
+    """Pairs that came nearer than they must, by number: (0, 1), (0, 2), (1, 2), (0, 3) and so on."""
+    alerts: tuple[int, ...]
+    """Pairs of which one that avoids was in conflict with the other, by number."""
+
+    @property
+    def severity(self) -> float:
+        """Of the loss of separation: the share of what must hold that was lost, from 0 (none) to 1.
+
+        Where one distance must hold, this is the severity of the loss of well clear (SLoWC) of RTCA SC-228,
+        and the intrusion severity of the BlueSky simulator.
+        """
+        return max(0.0, 1.0 - self.separation_m / SEPARATION_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,17 +174,21 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     decisions = math.ceil(steps / row[flight.W_PERIOD])
     trace, decided = np.zeros((steps, n, 3)), np.zeros((decisions, n, flight.DECIDED_COLUMNS))
     seen = np.full((decisions, n, n, flight.SEEN_COLUMNS), math.nan)
-    result = np.zeros(flight.FLIGHT_ENTRIES)
+    pairs, result = np.zeros((n, n, flight.PAIR_ENTRIES)), np.zeros(flight.FLIGHT_ENTRIES)
     rng = np.random.default_rng([seed, 7])
-    flight.fly(rng, row, times, points, settings, kinds, trace, decided, seen, result)
-    return Look(_row(seed, result), world, avoidance, limits, times, points, kinds, trace, decided, seen)
+    flight.fly(rng, row, times, points, settings, kinds, trace, decided, seen, pairs, result)
+    found = _row(seed, result, pairs[np.tril_indices(n, -1)])
+    return Look(found, world, avoidance, limits, times, points, kinds, trace, decided, seen)
 
 
-def _row(seed: int, result: NDArray[np.float64]) -> Row:
+def _row(seed: int, result: NDArray[np.float64], pairs: NDArray[np.float64]) -> Row:
     values: list[Any] = [round(value, 4) for value in result.tolist()]
     for entry in (flight.F_FIRST, flight.F_SECOND):
         values[entry] = int(result[entry])
-    return Row(seed, *values)
+    if math.isinf(result[flight.F_RECOVERY]):
+        values[flight.F_RECOVERY] = None
+    lost, alerts = pairs[:, flight.P_SEPARATION] < SEPARATION_M, pairs[:, flight.P_ALERT] != 0.0
+    return Row(seed, *values, *(tuple(np.flatnonzero(which).tolist()) for which in (lost, alerts)))
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import re
 import time
@@ -215,6 +216,11 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
     losses, losses_unavoided = campaign.lost(rows), campaign.lost(unavoided)
     low, high = wilson(losses, len(rows))
     share = losses_unavoided / len(unavoided)
+    severities = [row.severity for row in rows if row.severity > 0.0]
+    recovery = campaign.median([math.inf if row.recovery_s is None else row.recovery_s for row in rows])
+    alerts = sum(len(row.alerts) for row in rows)
+    # Rows of both come in the order of the seeds.
+    false = sum(len(set(row.alerts) - set(other.lost)) for row, other in zip(rows, unavoided, strict=True))
     return {
         "runs": len(rows),
         "collisions": campaign.collided(rows),
@@ -232,6 +238,13 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
         "median_away_s": campaign.median([row.away_s for row in rows]),
         "median_lost_s": campaign.median([row.lost_s for row in rows]),
         "median_path_ratio": campaign.median([row.path_ratio for row in rows]),
+        "mean_severity": float(np.mean(severities)) if severities else None,
+        "max_severity": max(severities, default=None),
+        "median_recovery_s": recovery if math.isfinite(recovery) else None,
+        "not_recovered": sum(row.recovery_s is None for row in rows),
+        "alerts": alerts,
+        "false_alerts": false,
+        "false_alert_share": false / alerts if alerts else None,
     }
 
 
@@ -298,6 +311,8 @@ def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
     if r["risk_ratio"] is not None:
         at_least, at_most = r["risk_ratio_interval"]
         lines.append(f"risk ratio {r['risk_ratio']:.4f} (95 %: {at_least:.4f} to {at_most:.4f})")
+    if r["mean_severity"] is not None:
+        lines.append(f"severity of the losses: mean {r['mean_severity']:.2f}, worst {r['max_severity']:.2f}")
     lines += [
         f"least separation: {r['min_separation_m']:.2f} m (seed {r['worst_seed']}), "
         f"median {r['median_min_separation_m']:.2f} m; unavoided median "
@@ -305,8 +320,15 @@ def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
         f"medians: largest deviation {r['median_max_deviation_m']:.1f} m, "
         f"away for {r['median_away_s']:.1f} s, "
         f"path delayed by {r['median_lost_s']:.1f} s, way flown {r['median_path_ratio']:.3f} of the planned",
+        f"back at the timed point {_seconds(r['median_recovery_s'])} after the last conflict (median), "
+        f"not at all in {r['not_recovered']}",
+        f"pairs in conflict: {r['alerts']:,}, of them false (apart unavoided, too): {r['false_alerts']:,}",
         f"{r['flight_s']:,.0f} s flown in {r['wall_s']:.1f} s",
     ]
     lines += [f"seed {w['seed']}: {w['separation_m']:.2f} m: {w['folder']}" for w in r["worst"]]
     for line in lines:
         words.print(line, highlight=False, soft_wrap=True)
+
+
+def _seconds(value: float | None) -> str:
+    return "never" if value is None else f"{value:.1f} s"

@@ -86,8 +86,11 @@ DECIDED_COLUMNS = k.OWN_ENTRIES + k.OUT_ENTRIES
     F_PATH_RATIO,  # way flown by all over way planned for all
     F_MANOEUVRES,  # times that a conflict began, of all
     F_INFEASIBLE,  # share of decisions that could not keep every plane
+    F_RECOVERY,  # longest time from the last decision in conflict until back, s; infinite: not back
     FLIGHT_ENTRIES,
-) = range(12)
+) = range(13)
+# What comes of a pair: least distance (m); 1 where one that avoids was in conflict with the other.
+P_SEPARATION, P_ALERT, PAIR_ENTRIES = range(3)
 
 
 class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -226,6 +229,7 @@ def fly(
     trace: Array,
     decided: Array,
     seen: Array,
+    pairs: Array,
     result: Array,
 ) -> None:
     """Fly a fleet along its paths.
@@ -241,6 +245,7 @@ def fly(
             each decision, with the velocity that is flown for its command.
         seen: shape (decisions, A, A, SEEN_COLUMNS), as long as `decided`: what each decision saw of each
             other aircraft; the rows of those that it had not heard are left alone.
+        pairs: shape (A, A, PAIR_ENTRIES), of each aircraft and one before it; written.
         result: FLIGHT_ENTRIES values; written.
     """
     fleet = path_times.shape[0]
@@ -271,10 +276,13 @@ def fly(
     planes, scratch = np.zeros((k.HARD + fleet, 4)), np.zeros((k.HARD + fleet, 4))
     view, out = np.zeros((fleet, k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
     senders = np.zeros(fleet, np.int64)
+    conflict_at, recovery = np.zeros(fleet), np.zeros(fleet)  # infinite while not back
     in_conflict, away_since = np.zeros(fleet), np.full(fleet, math.inf)
     flown = planned = manoeuvres = infeasible = decisions = 0.0
     result[:] = 0.0
     result[F_SEPARATION] = math.inf
+    least2 = np.full((fleet, fleet), math.inf)
+    pairs[:, :, P_ALERT] = 0.0
 
     for i in range(fleet):
         n, e, d = k.path_position(path_times[i], path_points[i], world[W_START])
@@ -365,6 +373,11 @@ def fly(
                 if out[k.R_CONFLICT] > in_conflict[i]:
                     manoeuvres += 1.0
                 in_conflict[i] = out[k.R_CONFLICT]
+                if in_conflict[i] != 0.0:
+                    conflict_at[i], recovery[i] = now, math.inf
+                    for n in range(count):
+                        if view[n, k.V_CONFLICT] != 0.0:
+                            pairs[max(i, senders[n]), min(i, senders[n]), P_ALERT] = 1.0
 
         for i in range(fleet):
             an, ae, ad = (
@@ -402,16 +415,22 @@ def fly(
             result[F_DEVIATION] = max(result[F_DEVIATION], gap)
             away_since[i] = min(away_since[i], now) if gap > AWAY_M else math.inf
             result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
+            if recovery[i] == math.inf and gap <= settings[i, k.S_REGAINED]:
+                recovery[i] = now - conflict_at[i]
             if tick == steps - 1:
                 result[F_BACK] = max(result[F_BACK], gap)
                 result[F_LOST] = max(result[F_LOST], state[i, k.L_DELAY])
+                result[F_RECOVERY] = max(result[F_RECOVERY], recovery[i])
         for i in range(fleet):
             for j in range(i):
                 near2 = _least_distance2(position, before, i, j)
-                if near2 < result[F_SEPARATION]:
-                    result[F_SEPARATION], result[F_TIME] = near2, now
-                    result[F_FIRST], result[F_SECOND] = j, i
+                if near2 < least2[i, j]:
+                    least2[i, j] = near2
+                    if near2 < result[F_SEPARATION]:
+                        result[F_SEPARATION], result[F_TIME] = near2, now
+                        result[F_FIRST], result[F_SECOND] = j, i
 
+    pairs[:, :, P_SEPARATION] = np.sqrt(least2)
     result[F_SEPARATION] = math.sqrt(result[F_SEPARATION])
     result[F_PATH_RATIO] = flown / planned if planned > 0.0 else 1.0
     result[F_MANOEUVRES] = manoeuvres

@@ -105,6 +105,7 @@ def _summary(cell: Cell, look: Look, unavoided: Look) -> dict[str, object]:
     called = names(look.kinds)
     return {
         **row,
+        "severity": look.row.severity,
         "closest": [called[first], called[second]],
         "unavoided_separation_m": unavoided.row.separation_m,
         "delay_s": cell.delay_s,

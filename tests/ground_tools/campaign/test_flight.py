@@ -29,7 +29,20 @@ def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, step
     decided = np.zeros((0, len(paths), flight.DECIDED_COLUMNS))
     seen = np.zeros((0, len(paths), len(paths), flight.SEEN_COLUMNS))
     rng = np.random.default_rng(seed)
-    function(rng, world.row(avoidance.period_s), times, points, settings, kinds, trace, decided, seen, result)
+    pairs = np.zeros((len(paths), len(paths), flight.PAIR_ENTRIES))
+    function(
+        rng,
+        world.row(avoidance.period_s),
+        times,
+        points,
+        settings,
+        kinds,
+        trace,
+        decided,
+        seen,
+        pairs,
+        result,
+    )
     return result, trace
 
 
