@@ -103,9 +103,10 @@ IN_POLYGON, OUT_OF_POLYGON, IN_CIRCLE, OUT_OF_CIRCLE = 0.0, 1.0, 2.0, 3.0
 T_TIME, T_POSITION, T_VELOCITY, T_GROWTH, T_GAP, TRACK_ENTRIES = 0, 1, 4, 7, 8, 9
 # Entries of `out`: the command, what would be flown alone; 0 or 1: every plane kept, a volume would be
 # broken by flying alone, on the way back to the path; first row of `planes` that is a neighbour's, hard
-# planes; what the law would command if it could change the velocity at once.
+# planes; what the law would command if it could change the velocity at once; s, by
+# which the path waits.
 R_CHOSEN, R_WANTED, R_FEASIBLE, R_CONFLICT, R_RECOVERING = 0, 3, 6, 7, 8
-R_NEIGHBOURS, R_HARD, R_SOLVED, OUT_ENTRIES = 9, 10, 11, 14
+R_NEIGHBOURS, R_HARD, R_SOLVED, R_LATE, OUT_ENTRIES = 9, 10, 11, 14, 15
 
 DOWN_SPEEDS = 2
 """First planes of a decision, hard: the least and the greatest down speed."""
@@ -965,6 +966,7 @@ def decide(
     out[0], out[1], out[2] = n, e, d
     out[R_WANTED], out[R_WANTED + 1], out[R_WANTED + 2] = wn, we, wd
     out[R_FEASIBLE] = 1.0 if feasible else 0.0
+    out[R_LATE] = state[L_DELAY]
     out[R_CONFLICT] = 1.0 if conflict else 0.0
     out[R_RECOVERING] = 1.0 if recovering else 0.0
 

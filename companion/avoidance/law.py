@@ -212,10 +212,8 @@ class Law:
         return tuple(name for name, on in zip(LIMITS, reached, strict=True) if on)
 
     def _binding(self, planes: k.Array) -> list[bool]:
-        """Which planes, shape (K, 4), the velocity that was found lies on, or beyond."""
-        found = self._out[k.R_SOLVED : k.R_SOLVED + 3]
-        binding: list[bool] = (planes[:, :3] @ found <= planes[:, 3] + _ON_PLANE_MPS).tolist()
-        return binding
+        found = self._out[k.R_SOLVED : k.R_SOLVED + 3].tolist()
+        return [on_plane(plane, found) for plane in planes.tolist()]
 
     def _room(self, count: int) -> None:
         self._neighbours = np.zeros((count, k.NEIGHBOUR_COLUMNS))
@@ -255,6 +253,12 @@ class Law:
             self._room(2 * len(usable))
         self._neighbours[: len(usable)] = rows
         return usable
+
+
+def on_plane(plane: Sequence[float], velocity: Sequence[float]) -> bool:
+    """Whether a velocity lies on a plane (n, d), or beyond it: that the plane bounds it."""
+    n, e, d, most = plane
+    return n * velocity[0] + e * velocity[1] + d * velocity[2] <= most + _ON_PLANE_MPS
 
 
 def separation_m(avoidance: AvoidanceConfig, crewed: bool) -> tuple[float, float]:

@@ -6,6 +6,7 @@ import hashlib
 import inspect
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -103,10 +104,51 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     manoeuvres: float
     infeasible: float
     """Share of decisions that could not keep every half-space."""
+    recovery_s: float | None
+    """Longest time of any aircraft that avoids from its last conflict until it is within `regained_m` of its
+    timed point; 0 where there was none, None where one of them was not back at the end."""
     crewed: float | None
     """Least of the larger of horizontal and vertical distance from crewed traffic, in separations."""
     fence_m: float
     """Farthest beyond a fence."""
+    lost: tuple[int, ...]
+    """Pairs that came nearer than they must, by number: (0, 1), (0, 2), (1, 2), (0, 3) and so on."""
+    alerts: tuple[int, ...]
+    """Pairs of which one that avoids was in conflict with the other, by number."""
+
+    @property
+    def severity(self) -> float:
+        """Of the loss of separation: the share of what must hold that was lost, from 0 (none) to 1.
+
+        Where one distance must hold, this is the severity of the loss of well clear (SLoWC) of RTCA SC-228,
+        and the intrusion severity of the BlueSky simulator.
+        """
+        return max(0.0, 1.0 - self.separation_m / SEPARATION_M)
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """All of one flight."""
+
+    row: Row
+    world: World
+    avoidance: AvoidanceConfig
+    limits: tuple[LimitsConfig, ...]
+    """Of each aircraft."""
+    fence: NDArray[np.float64]
+    """As of `kernels.decide`."""
+    times: NDArray[np.float64]
+    """(A, K): of the paths, s."""
+    points: NDArray[np.float64]
+    """(A, K, 3), NED, m."""
+    kinds: NDArray[np.float64]
+    """(A,): `flight.AVOIDS`, or what else an aircraft is."""
+    trace: NDArray[np.float64]
+    """(steps, A, 3): true positions at the end of each step."""
+    decided: NDArray[np.float64]
+    """(decisions, A, flight.DECIDED_COLUMNS)."""
+    seen: NDArray[np.float64]
+    """(decisions, A, A, flight.SEEN_COLUMNS), NaN where nothing was heard."""
 
 
 def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
@@ -115,49 +157,61 @@ def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
     Raises:
         ConfigError: the generator cannot draw one.
     """
+    return [_fly(cell, seed, looked=False).row for seed in seeds]
+
+
+def look(cell: Cell, seed: int) -> Look:
+    """Fly one encounter and write everything down; the flight is the one that `fly` flies.
+
+    Raises:
+        ConfigError: the generator cannot draw it.
+    """
+    return _fly(cell, seed, looked=True)
+
+
+def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     avoidance = LAWS[cell.law]
-    rows = []
-    for seed in seeds:
-        try:
-            times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
-        except ValueError as error:
-            raise ConfigError(f"seed {seed}: {error}") from error
-        kinds = np.full(cell.aircraft, float(flight.AVOIDS))
-        kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
-        if cell.intruder == "crewed":
-            points[kinds == flight.CREWED] = _crewed_ways(times, points, kinds == flight.CREWED, seed)
-        paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
-        limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
-        settings = np.array([settings_of(avoidance, *own) for own in zip(limits, paths, strict=True)])
-        settings[kinds != flight.AVOIDS, kernels.S_LAW] = kernels.NONE
-        world = msgspec.structs.replace(
-            WORLDS[cell.world],
-            start_s=float(times.min()),
-            end_s=float(times.max()),
-            delay_s=cell.delay_s,
-            loss=cell.loss,
-        )
-        result = np.zeros(flight.FLIGHT_ENTRIES)
-        flight.fly(
-            np.random.default_rng([seed, 7]),
-            world.row(avoidance.period_s),
-            times,
-            points,
-            _fence_beside(points) if cell.world == "fence" else np.zeros((0, kernels.WALL_COLUMNS)),
-            settings,
-            kinds,
-            np.zeros((0, cell.aircraft, 3)),
-            result,
-        )
-        values: list[Any] = [round(value, 4) for value in result.tolist()]
-        values[flight.F_FIRST], values[flight.F_SECOND] = (
-            int(result[flight.F_FIRST]),
-            int(result[flight.F_SECOND]),
-        )
-        if cell.intruder != "crewed" or cell.intruders == 0.0:
-            values[flight.F_CREWED] = None
-        rows.append(Row(seed, *values))
-    return rows
+    try:
+        times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
+    except ValueError as error:
+        raise ConfigError(f"seed {seed}: {error}") from error
+    kinds = np.full(cell.aircraft, float(flight.AVOIDS))
+    kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
+    if cell.intruder == "crewed":
+        points[kinds == flight.CREWED] = _crewed_ways(times, points, kinds == flight.CREWED, seed)
+    paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
+    limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
+    settings = np.array([settings_of(avoidance, *own) for own in zip(limits, paths, strict=True)])
+    fence = _fence_beside(points) if cell.world == "fence" else np.zeros((0, kernels.WALL_COLUMNS))
+    settings[kinds != flight.AVOIDS, kernels.S_LAW] = kernels.NONE
+    world = msgspec.structs.replace(
+        WORLDS[cell.world],
+        start_s=float(times.min()),
+        end_s=float(times.max()),
+        delay_s=cell.delay_s,
+        loss=cell.loss,
+    )
+    n, row = cell.aircraft, world.row(avoidance.period_s)
+    steps = round((world.end_s - world.start_s) / world.step_s) if looked else 0
+    decisions = math.ceil(steps / row[flight.W_PERIOD])
+    trace, decided = np.zeros((steps, n, 3)), np.zeros((decisions, n, flight.DECIDED_COLUMNS))
+    seen = np.full((decisions, n, n, flight.SEEN_COLUMNS), math.nan)
+    pairs, result = np.zeros((n, n, flight.PAIR_ENTRIES)), np.zeros(flight.FLIGHT_ENTRIES)
+    rng = np.random.default_rng([seed, 7])
+    flight.fly(rng, row, times, points, fence, settings, kinds, trace, decided, seen, pairs, result)
+    found = _row(seed, result, pairs[np.tril_indices(n, -1)])
+    return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, decided, seen)
+
+
+def _row(seed: int, result: NDArray[np.float64], pairs: NDArray[np.float64]) -> Row:
+    values: list[Any] = [round(value, 4) for value in result.tolist()]
+    for entry in (flight.F_FIRST, flight.F_SECOND):
+        values[entry] = int(result[entry])
+    for entry in (flight.F_RECOVERY, flight.F_CREWED):
+        if math.isinf(result[entry]):
+            values[entry] = None
+    lost, alerts = pairs[:, flight.P_SEPARATION] < SEPARATION_M, pairs[:, flight.P_ALERT] != 0.0
+    return Row(seed, *values, *(tuple(np.flatnonzero(which).tolist()) for which in (lost, alerts)))
 
 
 def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:

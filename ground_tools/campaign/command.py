@@ -4,30 +4,40 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import numba
+import numpy as np
 from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import tables
+from ground_tools.campaign import run_folder, tables
 from ground_tools.campaign.cells import Cell, Row
 from ground_tools.campaign.flight import INTRUDERS
 from ground_tools.campaign.generators import NAMES
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
+from ground_tools.cluster import on_ray
 from ground_tools.intervals import wilson
 from ground_tools.workers import in_parallel
 
 _MOST_SEEDS = 1_000_000
 _MOST_AIRCRAFT = 200
+_MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
 """Aircraft that a worker flies before it hands over what came of them."""
+
+Part = tuple[Cell, list[int]]
+"""What a worker flies at once: seeds of a cell."""
+Work = Callable[[Sequence[Part]], Iterator[tuple[Part, list[Row]]]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,6 +66,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"{', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
     _add_common(command, "1-100")
+    command.add_argument("--worst", type=int, default=0, metavar="N",
+                         help="fly the N of least separation again, into run folders")  # fmt: skip
+    command.add_argument(
+        "--runs", type=Path, default=Path("runs"), metavar="FOLDER", help="of those (default: runs)"
+    )
     command.add_argument("--json", action="store_true", help="one JSON object")
     command.set_defaults(run=run)
     command = commands.add_parser(
@@ -80,6 +95,11 @@ def _add_common(command: argparse.ArgumentParser, seeds: str) -> None:
         help="keep what is flown there, and do not fly again what is (default: nowhere)",
     )
     command.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
+    command.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="fly on a Ray cluster: HOST:PORT from a machine of it, ray://HOST:PORT from elsewhere",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -89,13 +109,23 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or a file cannot be read or written.
     """
     cell, seeds = _cell(args), _seeds(args.seeds)
+    _check_worst(args)
     words = Console(stderr=True)
     began = time.perf_counter()
     unavoided = campaign.baseline(cell)
-    found, flown = fly_missing([cell, unavoided], seeds, args.out, _processes(args.processes), words)
+    found, flown = fly_missing([cell, unavoided], seeds, args.out, _work(args, words))
     report = summary(found[cell], found[unavoided])
     report["wall_s"] = round(time.perf_counter() - began, 3)
     report["flight_s"] = flown * campaign.duration_s(cell)
+    worst = sorted(found[cell], key=attrgetter("separation_m"))[: args.worst]
+    report["worst"] = []
+    with progress("run folders", len(worst)) as advance:
+        for row in worst:
+            folder = run_folder.write(args.runs, cell, row.seed, time.time())
+            report["worst"].append(
+                {"seed": row.seed, "separation_m": row.separation_m, "folder": str(folder)}
+            )
+            advance()
     if args.json:
         print(json.dumps(report, allow_nan=False))
     else:
@@ -111,8 +141,7 @@ def run_table(args: argparse.Namespace) -> int:
     """
     seeds, wanted = _seeds(args.seeds), tables.TABLES[args.table]()
     with_unavoided = dict.fromkeys(c for cell in wanted for c in (cell, campaign.baseline(cell)))
-    words = Console(stderr=True)
-    found, _ = fly_missing(list(with_unavoided), seeds, args.out, _processes(args.processes), words)
+    found, _ = fly_missing(list(with_unavoided), seeds, args.out, _work(args, Console(stderr=True)))
     lines = [
         tables.Line(cell=cell, found=summary(found[cell], found[campaign.baseline(cell)])) for cell in wanted
     ]
@@ -124,12 +153,13 @@ def run_table(args: argparse.Namespace) -> int:
 
 
 def fly_missing(
-    wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, processes: int, words: Console
+    wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, work: Work
 ) -> tuple[dict[Cell, list[Row]], int]:
     """The rows of every cell, in the order of the seeds, and how many of them were flown now.
 
     Args:
         folder: where rows are kept and looked for; None: nowhere.
+        work: who flies.
 
     Raises:
         ConfigError: a file cannot be read or written, or an encounter cannot be drawn.
@@ -140,15 +170,13 @@ def fly_missing(
         options.make_folder(folder)
         files = {cell: campaign.kept(folder, cell) for cell in wanted}
         rows = {cell: dict(file.rows) for cell, file in files.items()}
-    parts = []
+    parts: list[Part] = []
     for cell in wanted:
         missing = [seed for seed in seeds if seed not in rows[cell]]
         size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft)
         parts += [(cell, missing[at : at + size]) for at in range(0, len(missing), size)]
-    if parts:
-        campaign.fly(wanted[0], parts[0][1][:1])  # compiled once, for all workers
     with progress("flights", len(parts)) as advance:
-        for (cell, _), found in in_parallel(_fly, parts, processes, words):
+        for (cell, _), found in work(parts):
             if cell in files:
                 files[cell].add(found)
             rows[cell].update((row.seed, row) for row in found)
@@ -157,8 +185,30 @@ def fly_missing(
     return {cell: [rows[cell][seed] for seed in seeds] for cell in wanted}, flown
 
 
-def _fly(part: tuple[Cell, list[int]]) -> list[Row]:
+def _work(args: argparse.Namespace, words: Console) -> Work:
+    """Who flies: processes of this machine, or a cluster."""
+    if args.ray is None:
+        processes = _processes(args.processes)
+
+        def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
+            for cell, seeds in parts[:1]:
+                campaign.fly(cell, seeds[:1])  # compiled once, for all workers
+            return in_parallel(_fly, parts, processes, words)
+
+        return here
+    if args.processes is not None:
+        raise ConfigError("--processes: goes without --ray: a cluster has the CPUs that it has")
+    return lambda parts: on_ray(_fly, parts, args.ray, _state, words)
+
+
+def _fly(part: Part) -> list[Row]:
     return campaign.fly(*part)
+
+
+def _state() -> str:
+    """What rows hang on. All that flies is compiled then, and kept for the other workers of the machine."""
+    campaign.fly(Cell(generator="crossing", aircraft=2), [1])
+    return f"{campaign.software()}, numba {numba.__version__}, numpy {np.__version__}"
 
 
 def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
@@ -166,6 +216,11 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
     losses, losses_unavoided = campaign.lost(rows), campaign.lost(unavoided)
     low, high = wilson(losses, len(rows))
     share = losses_unavoided / len(unavoided)
+    severities = [row.severity for row in rows if row.severity > 0.0]
+    recovery = campaign.median([math.inf if row.recovery_s is None else row.recovery_s for row in rows])
+    alerts = sum(len(row.alerts) for row in rows)
+    # Rows of both come in the order of the seeds.
+    false = sum(len(set(row.alerts) - set(other.lost)) for row, other in zip(rows, unavoided, strict=True))
     return {
         "runs": len(rows),
         "collisions": campaign.collided(rows),
@@ -183,6 +238,13 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
         "median_away_s": campaign.median([row.away_s for row in rows]),
         "median_lost_s": campaign.median([row.lost_s for row in rows]),
         "median_path_ratio": campaign.median([row.path_ratio for row in rows]),
+        "mean_severity": float(np.mean(severities)) if severities else None,
+        "max_severity": max(severities, default=None),
+        "median_recovery_s": recovery if math.isfinite(recovery) else None,
+        "not_recovered": sum(row.recovery_s is None for row in rows),
+        "alerts": alerts,
+        "false_alerts": false,
+        "false_alert_share": false / alerts if alerts else None,
     }
 
 
@@ -209,6 +271,16 @@ def _cell(args: argparse.Namespace) -> Cell:
         intruder=args.intruder,
         world=args.world,
     )
+
+
+def _check_worst(args: argparse.Namespace) -> None:
+    if not 0 <= args.worst <= _MOST_WORST:
+        raise ConfigError(f"--worst: {args.worst}: allowed 0 to {_MOST_WORST}")
+    if args.worst and args.aircraft > run_folder.MOST_AIRCRAFT:
+        raise ConfigError(
+            f"--worst: goes with up to {run_folder.MOST_AIRCRAFT} aircraft; a run folder of "
+            f"{args.aircraft} is too large"
+        )
 
 
 def _seeds(text: str) -> range:
@@ -239,6 +311,8 @@ def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
     if r["risk_ratio"] is not None:
         at_least, at_most = r["risk_ratio_interval"]
         lines.append(f"risk ratio {r['risk_ratio']:.4f} (95 %: {at_least:.4f} to {at_most:.4f})")
+    if r["mean_severity"] is not None:
+        lines.append(f"severity of the losses: mean {r['mean_severity']:.2f}, worst {r['max_severity']:.2f}")
     lines += [
         f"least separation: {r['min_separation_m']:.2f} m (seed {r['worst_seed']}), "
         f"median {r['median_min_separation_m']:.2f} m; unavoided median "
@@ -246,7 +320,15 @@ def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
         f"medians: largest deviation {r['median_max_deviation_m']:.1f} m, "
         f"away for {r['median_away_s']:.1f} s, "
         f"path delayed by {r['median_lost_s']:.1f} s, way flown {r['median_path_ratio']:.3f} of the planned",
+        f"back at the timed point {_seconds(r['median_recovery_s'])} after the last conflict (median), "
+        f"not at all in {r['not_recovered']}",
+        f"pairs in conflict: {r['alerts']:,}, of them false (apart unavoided, too): {r['false_alerts']:,}",
         f"{r['flight_s']:,.0f} s flown in {r['wall_s']:.1f} s",
     ]
+    lines += [f"seed {w['seed']}: {w['separation_m']:.2f} m: {w['folder']}" for w in r["worst"]]
     for line in lines:
         words.print(line, highlight=False, soft_wrap=True)
+
+
+def _seconds(value: float | None) -> str:
+    return "never" if value is None else f"{value:.1f} s"

@@ -76,6 +76,12 @@ _FIT_AGAIN_S = 4.0
 """From GNSS regained to the next command: the heart waits for a steady state, then takes the vehicle anew."""
 # Columns of a message: its time (s), position, velocity.
 M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
+# Columns of what a decision saw of another: when the message was sent (s), then its rows of `neighbours` and
+# of `view`. In the own place stand time, position and velocity of the own last message.
+SEEN_MESSAGE, SEEN_NEIGHBOUR = 0, 1
+SEEN_VIEW = SEEN_NEIGHBOUR + k.NEIGHBOUR_COLUMNS
+SEEN_COLUMNS = SEEN_VIEW + k.VIEW_COLUMNS
+DECIDED_COLUMNS = k.OWN_ENTRIES + k.OUT_ENTRIES
 # What comes of a flight.
 (
     F_SEPARATION,  # least distance of any pair, m
@@ -89,10 +95,13 @@ M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
     F_PATH_RATIO,  # way flown by all over way planned for all
     F_MANOEUVRES,  # times that a conflict began, of all
     F_INFEASIBLE,  # share of decisions that could not keep every plane
+    F_RECOVERY,  # longest time from the last decision in conflict until back, s; infinite: not back
     F_CREWED,  # least of the larger of horizontal and vertical distance from crewed traffic, in separations
     F_FENCE,  # farthest beyond a fence, m
     FLIGHT_ENTRIES,
-) = range(14)
+) = range(15)
+# What comes of a pair: least distance (m); 1 where one that avoids was in conflict with the other.
+P_SEPARATION, P_ALERT, PAIR_ENTRIES = range(3)
 
 
 class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -204,6 +213,32 @@ def _beyond(fence: Array, n: float, e: float) -> float:
 
 
 @_compiled
+def _write_down(
+    decided: Array,
+    seen: Array,
+    i: int,
+    own: Array,
+    command: Array,
+    out: Array,
+    senders: NDArray[np.int64],
+    count: int,
+    heard: Array,
+    neighbours: Array,
+    view: Array,
+) -> None:
+    """One decision of aircraft i, as it was flown, into the rows of `fly`."""
+    decided[i, : k.OWN_ENTRIES] = own
+    decided[i, k.OWN_ENTRIES :] = out
+    decided[i, k.OWN_ENTRIES : k.OWN_ENTRIES + 3] = command
+    seen[i, i, :MESSAGE_COLUMNS] = heard[i]
+    for n in range(count):
+        j = senders[n]
+        seen[i, j, SEEN_MESSAGE] = heard[j, M_TIME]
+        seen[i, j, SEEN_NEIGHBOUR:SEEN_VIEW] = neighbours[n]
+        seen[i, j, SEEN_VIEW:] = view[n]
+
+
+@_compiled
 def fly(
     rng: np.random.Generator,
     world: Array,
@@ -213,6 +248,9 @@ def fly(
     settings: Array,
     kinds: Array,
     trace: Array,
+    decided: Array,
+    seen: Array,
+    pairs: Array,
     result: Array,
 ) -> None:
     """Fly a fleet along its paths.
@@ -225,6 +263,11 @@ def fly(
         settings: shape (A, SETTINGS_ENTRIES): each aircraft's law.
         kinds: shape (A,): AVOIDS, or what else an aircraft is.
         trace: shape (steps, A, 3): true positions; written as far as it goes, empty where nobody looks.
+        decided: shape (decisions, A, DECIDED_COLUMNS); written and empty likewise: own state and answer of
+            each decision, with the velocity that is flown for its command.
+        seen: shape (decisions, A, A, SEEN_COLUMNS), as long as `decided`: what each decision saw of each
+            other aircraft; the rows of those that it had not heard are left alone.
+        pairs: shape (A, A, PAIR_ENTRIES), of each aircraft and one before it; written.
         result: FLIGHT_ENTRIES values; written.
     """
     fleet = path_times.shape[0]
@@ -257,6 +300,8 @@ def fly(
     walls = k.DOWN_SPEEDS + len(fence)
     planes, scratch = np.zeros((walls + 2 * fleet, 4)), np.zeros((walls + 2 * fleet, 4))
     view, out = np.zeros((fleet, k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
+    senders = np.zeros(fleet, np.int64)
+    conflict_at, recovery = np.zeros(fleet), np.zeros(fleet)  # infinite while not back
     in_conflict, away_since = np.zeros(fleet), np.full(fleet, math.inf)
     flown = planned = manoeuvres = infeasible = decisions = 0.0
     result[:] = 0.0
@@ -268,6 +313,8 @@ def fly(
         dark_from = middle + rng.uniform(-_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S)
         if kinds[dark] != AVOIDS:
             dark = -1
+    least2 = np.full((fleet, fleet), math.inf)
+    pairs[:, :, P_ALERT] = 0.0
 
     for i in range(fleet):
         n, e, d = k.path_position(path_times[i], path_points[i], world[W_START])
@@ -305,6 +352,7 @@ def fly(
                 message[M_POSITION + 1] += lie[i, 1]
                 if world[W_QUANTISED] != 0.0:
                     _quantise(message)
+                heard[i, i] = message
                 for j in range(fleet):
                     if j != i:
                         delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
@@ -343,6 +391,7 @@ def fly(
                             row[k.N_SIGMA], row[k.N_SIGMA_VELOCITY] = adsb.SIGMA_M, adsb.SIGMA_MPS
                             row[k.N_GROWTH], row[k.N_SHARE], row[k.N_CREWED] = 0.0, CREWED_SHARE, 1.0
                             row[k.N_SILENT] = 1e7
+                        senders[count] = j
                         count += 1
                 for c in range(3):
                     own[k.O_POSITION + c] = position[i, c] + error[i, c]
@@ -362,6 +411,11 @@ def fly(
                     command[i, 0] = cosine * out[0] - sine * out[1]
                     command[i, 1] = sine * out[0] + cosine * out[1]
                     command[i, 2] = 0.5 * out[2] - climb[i]
+                if tick // every < len(decided):
+                    _write_down(
+                        decided[tick // every], seen[tick // every], i, own, command[i], out,
+                        senders, count, heard[i], neighbours, view,
+                    )  # fmt: skip
                 if kinds[i] != AVOIDS:
                     continue
                 decisions += 1.0
@@ -369,6 +423,11 @@ def fly(
                 if out[k.R_CONFLICT] > in_conflict[i]:
                     manoeuvres += 1.0
                 in_conflict[i] = out[k.R_CONFLICT]
+                if in_conflict[i] != 0.0:
+                    conflict_at[i], recovery[i] = now, math.inf
+                    for n in range(count):
+                        if view[n, k.V_CONFLICT] != 0.0:
+                            pairs[max(i, senders[n]), min(i, senders[n]), P_ALERT] = 1.0
 
         for i in range(fleet):
             an, ae, ad = (
@@ -416,16 +475,22 @@ def fly(
                     )
                     above = abs(position[i, 2] - position[j, 2]) * settings[i, k.S_CREWED_VERTICAL] / level
                     result[F_CREWED] = min(result[F_CREWED], max(aside, above))
+            if recovery[i] == math.inf and gap <= settings[i, k.S_REGAINED]:
+                recovery[i] = now - conflict_at[i]
             if tick == steps - 1:
                 result[F_BACK] = max(result[F_BACK], gap)
                 result[F_LOST] = max(result[F_LOST], state[i, k.L_DELAY])
+                result[F_RECOVERY] = max(result[F_RECOVERY], recovery[i])
         for i in range(fleet):
             for j in range(i):
                 near2 = _least_distance2(position, before, i, j)
-                if near2 < result[F_SEPARATION]:
-                    result[F_SEPARATION], result[F_TIME] = near2, now
-                    result[F_FIRST], result[F_SECOND] = j, i
+                if near2 < least2[i, j]:
+                    least2[i, j] = near2
+                    if near2 < result[F_SEPARATION]:
+                        result[F_SEPARATION], result[F_TIME] = near2, now
+                        result[F_FIRST], result[F_SECOND] = j, i
 
+    pairs[:, :, P_SEPARATION] = np.sqrt(least2)
     result[F_SEPARATION] = math.sqrt(result[F_SEPARATION])
     result[F_PATH_RATIO] = flown / planned if planned > 0.0 else 1.0
     result[F_MANOEUVRES] = manoeuvres

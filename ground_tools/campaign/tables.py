@@ -13,6 +13,7 @@ from ground_tools.campaign.cells import LAWS, WORLDS, Cell
 from ground_tools.campaign.flight import INTRUDERS
 from ground_tools.campaign.generators import NAMES
 
+_NOTHING: Final = "-"
 DELAYS_S: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))
 
 
@@ -129,7 +130,7 @@ def markdown(lines: Sequence[Line]) -> str:
         ("lost messages", lambda line: f"{line.cell.loss:.0%}"),
     ]
     shown = [c for c in columns if len({c[1](line) for line in lines}) > 1]
-    shown += [
+    columns = [
         ("runs", lambda line: f"{line.found['runs']:,}"),
         ("below 10 m", lambda line: f"{line.found['losses_of_separation']:,}"),
         ("hit", lambda line: f"{line.found['collisions']:,}"),
@@ -139,9 +140,12 @@ def markdown(lines: Sequence[Line]) -> str:
         ),
         ("risk ratio (95 %)", _risk),
         ("least (m)", lambda line: f"{line.found['min_separation_m']:.2f}"),
+        ("mean severity", _severity),
         ("deviation (m)", lambda line: f"{line.found['median_max_deviation_m']:.0f}"),
         ("away (s)", lambda line: f"{line.found['median_away_s']:.0f}"),
     ]
+    # Where nobody lost separation, nothing is said of how severe it was.
+    shown += [c for c in columns if any(c[1](line) != _NOTHING for line in lines)]
     rows = [[title for title, _ in shown], ["---"] * len(shown)]
     rows += [[value(line) for _, value in shown] for line in lines]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
@@ -151,8 +155,13 @@ def _intruders(cell: Cell) -> str:
     return f"{cell.intruders:.0%} {cell.intruder}" if cell.intruders else "none"
 
 
+def _severity(line: Line) -> str:
+    severity = line.found.get("mean_severity")
+    return _NOTHING if severity is None else f"{severity:.2f}"
+
+
 def _risk(line: Line) -> str:
     ratio, interval = line.found["risk_ratio"], line.found["risk_ratio_interval"]
     if ratio is None:
-        return "-"
+        return _NOTHING
     return f"{ratio:.4f} ({interval[0]:.4f} to {interval[1]:.4f})"

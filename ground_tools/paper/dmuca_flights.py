@@ -86,6 +86,9 @@ def fly(case: Case, seed: int) -> tuple[Array, Array]:
         np.array([settings_of(avoidance, limits, path) for path in paths]),
         np.full(AIRCRAFT, float(flight.AVOIDS)),
         trace,
+        np.zeros((0, AIRCRAFT, flight.DECIDED_COLUMNS)),
+        np.zeros((0, AIRCRAFT, AIRCRAFT, flight.SEEN_COLUMNS)),
+        np.zeros((AIRCRAFT, AIRCRAFT, flight.PAIR_ENTRIES)),
         np.zeros(flight.FLIGHT_ENTRIES),
     )
     return world.step_s * np.arange(1.0, len(trace) + 1.0, dtype=np.float64), trace

@@ -22,8 +22,26 @@ from ground_tools.campaign.generators import NAMES
 S2 = ["campaign", "run", "--generator", "S2", "--delay", "1", "2"]
 
 
-def row(seed, separation_m, deviation_m=10.0):
-    return Row(seed, separation_m, 1.0, 0, 1, deviation_m, 5.0, 1.0, 0.0, 1.01, 4.0, 0.0, None, 0.0)
+def row(seed, separation_m, deviation_m=10.0, recovery_s=8.0, lost=(), alerts=()):
+    return Row(
+        seed,
+        separation_m,
+        1.0,
+        0,
+        1,
+        deviation_m,
+        5.0,
+        1.0,
+        0.0,
+        1.01,
+        4.0,
+        0.0,
+        recovery_s,
+        None,
+        0.0,
+        lost,
+        alerts,
+    )
 
 
 def test_s2_stays_apart_where_the_paths_do_not(capsys):
@@ -49,6 +67,24 @@ def test_numbers_of_a_cell():
     assert (found["min_separation_m"], found["worst_seed"]) == (1.5, 1)
     assert found["median_max_deviation_m"] == 15.0
     assert summary([row(1, 20.0)], [row(1, 20.0)])["risk_ratio"] is None
+
+
+def test_how_severe_how_long_and_for_nothing():
+    rows = [
+        row(1, 4.0, alerts=(0, 2)),
+        row(2, 9.0, recovery_s=None, alerts=(1,)),
+        row(3, 20.0, recovery_s=2.0),
+    ]
+    unavoided = [row(1, 4.0, lost=(0, 1)), row(2, 4.0, lost=(1,)), row(3, 4.0, lost=(0,))]
+    found = summary(rows, unavoided)
+    assert (found["mean_severity"], found["max_severity"]) == pytest.approx(((0.6 + 0.1) / 2, 0.6))
+    assert (found["median_recovery_s"], found["not_recovered"]) == (8.0, 1)
+    # Only pair 2 of seed 1 would have kept apart.
+    assert (found["alerts"], found["false_alerts"], found["false_alert_share"]) == (3, 1, 1 / 3)
+    never = summary([row(1, 20.0, recovery_s=None)], unavoided[:1])
+    assert (never["mean_severity"], never["max_severity"]) == (None, None)
+    assert (never["median_recovery_s"], never["false_alert_share"]) == (None, None)
+    json.dumps(found, allow_nan=False)
 
 
 def test_what_is_kept_is_not_flown_again(tmp_path, capsys, monkeypatch):
@@ -166,8 +202,14 @@ def test_columns_of_what_differs():
     lines = [tables.Line(cell=cell, found=summary(rows, rows)) for cell in cells]
     head, _, first, second = tables.markdown(lines).splitlines()
     assert head.startswith("| law | intruders | runs | below 10 m |")
-    assert first == "| dmuca | 20% blind | 2 | 1 | 0 | 1, 0 | 1.0000 (0.1891 to 1.8109) | 9.00 | 10 | 5 |"
+    assert "| least (m) | mean severity | deviation (m) |" in head
+    assert first == (
+        "| dmuca | 20% blind | 2 | 1 | 0 | 1, 0 | 1.0000 (0.1891 to 1.8109) | 9.00 | 0.10 | 10 | 5 |"
+    )
     assert second.startswith("| paper | none | 2 |")
+    apart = [row(1, 11.0)]
+    kept = tables.Line(cell=cells[0], found=summary(apart, apart))
+    assert "severity" not in tables.markdown([kept])
 
 
 def test_a_damaged_table_is_said(tmp_path):

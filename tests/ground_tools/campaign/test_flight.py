@@ -29,8 +29,24 @@ def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, step
     kinds = np.zeros(len(paths)) if kinds is None else np.array(kinds, float)
     settings[kinds != flight.AVOIDS, k.S_LAW] = k.NONE
     trace, result = np.zeros((steps, len(paths), 3)), np.zeros(flight.FLIGHT_ENTRIES)
+    decided = np.zeros((0, len(paths), flight.DECIDED_COLUMNS))
+    seen = np.zeros((0, len(paths), len(paths), flight.SEEN_COLUMNS))
     rng = np.random.default_rng(seed)
-    function(rng, world.row(avoidance.period_s), times, points, OPEN, settings, kinds, trace, result)
+    pairs = np.zeros((len(paths), len(paths), flight.PAIR_ENTRIES))
+    function(
+        rng,
+        world.row(avoidance.period_s),
+        times,
+        points,
+        OPEN,
+        settings,
+        kinds,
+        trace,
+        decided,
+        seen,
+        pairs,
+        result,
+    )
     return result, trace
 
 

@@ -1,0 +1,76 @@
+"""What a flight is reduced to, beside the same counted again from where everybody was and what they saw."""
+
+from __future__ import annotations
+
+import itertools
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion.avoidance import kernels as k
+from ground_tools.campaign import cells as campaign
+from ground_tools.campaign import flight
+from ground_tools.campaign.cells import Cell, Row
+
+AVOIDED = Cell(generator="crossing", aircraft=5, delay_s=(1.0, 2.0), intruders=0.2, intruder="liar")
+CELLS = [AVOIDED, campaign.baseline(AVOIDED), Cell(generator="crossing", aircraft=3, law="paper")]
+SEEDS = range(1, 6)
+
+
+def least_distance(trace, i, j):
+    gap = trace[:, j] - trace[:, i]
+    step = np.diff(gap, axis=0)
+    share = -(gap[:-1] * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12)
+    return np.linalg.norm(gap[:-1] + np.clip(share, 0.0, 1.0)[:, None] * step, axis=1).min()
+
+
+def recovery(look, i):
+    """None: not back at the end."""
+    own, out = look.decided[:, i, : k.OWN_ENTRIES], look.decided[:, i, k.OWN_ENTRIES :]
+    conflicts = own[out[:, k.R_CONFLICT] != 0.0, k.O_NOW]
+    if not len(conflicts):
+        return 0.0
+    begins = look.world.start_s + look.world.step_s * np.arange(len(look.trace))
+    point = np.column_stack(
+        [np.interp(begins + look.world.step_s, look.times[i], axis) for axis in look.points[i].T]
+    )
+    near = np.linalg.norm(look.trace[:, i] - point, axis=1) <= 5.0
+    back = begins[near & (begins > conflicts[-1] - 1e-6)]
+    return back[0] - conflicts[-1] if len(back) else None
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=["avoided", "unavoided", "paper"])
+def test_pairs_and_recovery_are_those_of_the_flight(cell):
+    lost, alerts, times = 0, 0, []
+    for seed in SEEDS:
+        look = campaign.look(cell, seed)
+        begin = np.array([[p[0] for p in look.points]])
+        trace = np.concatenate([begin, look.trace])
+        pairs = [(j, i) for i in range(cell.aircraft) for j in range(i)]
+        assert pairs[:4] == [(0, 1), (0, 2), (1, 2), (0, 3)][: len(pairs)]
+        near = tuple(n for n, pair in enumerate(pairs) if least_distance(trace, *pair) < 10.0)
+        conflict = look.seen[:, :, :, flight.SEEN_VIEW + k.V_CONFLICT] == 1.0
+        conflict[:, look.kinds != flight.AVOIDS] = False
+        ever = conflict.any(axis=0)
+        assert look.row.lost == near
+        assert look.row.alerts == tuple(n for n, (j, i) in enumerate(pairs) if ever[i, j] or ever[j, i])
+        found = [recovery(look, i) for i in np.flatnonzero(look.kinds == flight.AVOIDS)]
+        longest = None if None in found else max(found)
+        assert look.row.recovery_s == (None if longest is None else pytest.approx(longest, abs=1e-3))
+        assert bool(look.row.lost) == (look.row.severity > 0.0)
+        assert msgspec.json.decode(msgspec.json.encode(look.row), type=Row) == look.row
+        lost, alerts, times = lost + len(near), alerts + len(look.row.alerts), [*times, longest]
+    assert alerts > 0
+    if cell is CELLS[0]:
+        assert lost > 0  # a liar is not avoided where it is
+        assert any(t is not None and t > 1.0 for t in times)
+    if cell is CELLS[2]:
+        assert None in times  # it trails its point for ever
+
+
+def test_every_pair_has_its_number():
+    """Four that meet in one place: each pair comes too near in some flight."""
+    cell = Cell(generator="circle", aircraft=4, law="none")
+    rows = campaign.fly(cell, range(1, 20))
+    assert set(itertools.chain(*(row.lost for row in rows))) == set(range(6))

@@ -1,0 +1,169 @@
+"""The worst flights as run folders: they show the very flight of the campaign."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from companion.avoidance import kernels as k
+from companion.avoidance.law import Law, Neighbour, Situation
+from companion.avoidance.trajectory import Trajectory
+from companion.events import Broadcast, Decision, RemoteIdHeard, VelocitySetpoint
+from companion.radio.frames_io import radio_address
+from ground_tools import cli
+from ground_tools.campaign import cells as campaign
+from ground_tools.campaign import flight, run_folder
+from ground_tools.campaign.cells import Cell
+from ground_tools.inspect.flown import TRUE, flown, separations
+from ground_tools.inspect.read_run import read_run, read_unavoided
+from ground_tools.inspect.truth import ORIGIN
+
+CELL = Cell(
+    generator="crossing", aircraft=3, delay_s=(1.0, 2.0), intruders=0.34, intruder="turning", world="layer"
+)
+SEED = 4
+NAMES = ["uas-001-turning", "uas-002", "uas-003"]
+
+
+@pytest.fixture(scope="module")
+def look():
+    return campaign.look(CELL, SEED)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return read_run(run_folder.write(tmp_path_factory.mktemp("runs"), CELL, SEED, 1.8e9))
+
+
+def of_type(record, kind):
+    return [c for step in record.steps for c in (*step.events, *step.commands) if isinstance(c, kind)]
+
+
+def test_a_flight_that_is_looked_into_is_the_same(look):
+    assert look.row == campaign.fly(CELL, [SEED])[0]
+    assert look.row.manoeuvres > 0.0
+
+
+def test_the_record_shows_what_the_law_decides(look, run):
+    """Every decision again by `Law`, from what stands in the record: the same command, wish and tracks."""
+    assert [record.name for record in run.aircraft] == NAMES
+    logged = 0
+    for i in (1, 2):
+        law = Law(look.avoidance, look.limits[i], Trajectory(look.times[i].tolist(), look.points[i].tolist()))
+        steps = run.aircraft[i].steps
+        assert len(steps) == len(look.decided) == 1200
+        for step, own, seen in zip(steps, look.decided[:, i].tolist(), look.seen[:, i], strict=True):
+            heard = [
+                Neighbour(
+                    NAMES[j],
+                    tuple(row[1:4]),
+                    tuple(row[4:7]),
+                    row[1 + k.N_AGE],
+                    row[1 + k.N_SIGMA],
+                    row[1 + k.N_SIGMA_VELOCITY],
+                    row[1 + k.N_GROWTH],
+                    row[1 + k.N_SILENT],
+                )
+                for j, row in enumerate(seen.tolist())
+                if j != i and not math.isnan(row[0])
+            ]
+            view = Situation(
+                own[k.O_NOW], own[k.O_PATH_TIME], tuple(own[:3]), tuple(own[3:6]), own[k.O_SIGMA], heard,
+                own[k.O_FLOOR], own[k.O_CEILING],
+            )  # fmt: skip
+            result = law.decide(view)
+            assert step.now_s == own[k.O_NOW]
+            assert step.commands[-1] == VelocitySetpoint(velocity_ned_mps=result.chosen_ned_mps)
+            for decision in (c for c in step.commands if isinstance(c, Decision)):
+                logged += 1
+                assert decision.tracks == result.tracks
+                assert decision.wanted_ned_mps == result.wanted_ned_mps
+                assert decision.chosen_ned_mps == result.chosen_ned_mps
+                assert decision.feasible == result.feasible
+            assert any(isinstance(c, Decision) for c in step.commands) or not result.conflict
+    assert logged > 2 * 240
+
+
+def test_the_record_shows_where_its_commands_lead(look, run):
+    """A vehicle that flies the recorded commands, integrated here, is where the record says that it was."""
+    every = round(0.2 / look.world.step_s)
+    for i, record in enumerate(run.aircraft):
+        commands = [c.velocity_ned_mps for c in of_type(record, VelocitySetpoint)]
+        position = record.truth[0, 1:].copy()
+        velocity = (look.points[i, 1] - look.points[i, 0]) / (look.times[i, 1] - look.times[i, 0])
+        for tick, row in enumerate(record.truth[1:]):
+            a = (np.array(commands[tick // every]) - velocity) / look.world.lag_s
+            a *= min(1.0, look.world.acceleration_mps2 / max(np.linalg.norm(a), 1e-9))
+            position += (velocity + 0.5 * look.world.step_s * a) * look.world.step_s
+            velocity = velocity + look.world.step_s * a
+            assert np.abs(position - row[1:]).max() < 1e-6
+    assert len(run.aircraft[0].truth) == 2401
+
+
+def test_separation_and_messages_are_those_of_the_flight(look, run):
+    ways = flown(run)
+    assert ways.positions == TRUE
+    assert not ways.problems
+    nearest = separations(ways.paths)[0]
+    assert nearest.minimum_m == pytest.approx(look.row.separation_m, abs=1e-4)
+    assert nearest.minimum_time_s == pytest.approx(look.row.time_s, abs=look.world.step_s)
+    pair = [NAMES[look.row.first], NAMES[look.row.second]]
+    assert sorted([nearest.first, nearest.second]) == sorted(pair) == sorted(run.summary["closest"])
+    for record in run.aircraft:
+        assert len(of_type(record, Broadcast)) in (239, 240)
+        # Two senders, a message a second; few are overtaken by the next one before a decision knows them.
+        assert 2 * 225 <= len(of_type(record, RemoteIdHeard)) < 2 * 240
+    other = read_unavoided(run.folder)
+    unavoided = campaign.fly(campaign.baseline(CELL), [SEED])[0].separation_m
+    assert separations(flown(other).paths)[0].minimum_m == pytest.approx(unavoided, abs=1e-4)
+
+
+def test_what_is_heard_is_where_it_was_sent(look, run):
+    """Of a message: half a quantum of height, and GNSS's error, from the sender's true place."""
+    record = run.aircraft[1]
+    new = look.seen[:, 1, 2, flight.SEEN_MESSAGE]
+    times = np.unique(new[np.isfinite(new)])
+    truth = run.aircraft[2].truth
+    at = np.column_stack([np.interp(times, truth[:, 0] - truth[0, 0], axis) for axis in truth[:, 1:].T])
+    address = radio_address(NAMES[2])
+    heard = [e for e in of_type(record, RemoteIdHeard) if e.address == address]
+    assert len(heard) == len(times)
+    heights = np.array([e.messages[0].alt_geodetic_m - ORIGIN[2] for e in heard])
+    assert np.abs(heights + at[:, 2]).max() < 8.0
+    assert np.abs(heights + at[:, 2]).max() > 0.25
+
+
+def test_the_worst_are_flown_again_into_folders_that_open(tmp_path, capsys):
+    command = ["campaign", "run", "--generator", "crossing", "--aircraft", "3", "--seeds", "1-6",
+               "--intruders", "0.34", "--intruder", "turning", "--json",
+               "--worst", "2", "--runs", str(tmp_path)]  # fmt: skip
+    assert cli.main(command) == 0
+    found = json.loads(capsys.readouterr().out)
+    first, second = found["worst"]
+    assert (first["seed"], first["separation_m"]) == (found["worst_seed"], found["min_separation_m"])
+    assert first["separation_m"] <= second["separation_m"]
+    assert cli.main(["inspect", "--json", first["folder"]]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["separations"][0]["minimum_m"] == pytest.approx(first["separation_m"], abs=1e-4)
+    assert [a["name"] for a in shown["aircraft"]] == NAMES
+    assert shown["problems"] == []
+    pytest.importorskip("rerun")
+    file = tmp_path / "worst.rrd"
+    assert cli.main(["inspect", first["folder"], "--save", str(file)]) == 0
+    assert file.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--worst", "-1"], "--worst: -1: allowed 0 to 1000"),
+        (["--worst", "1", "--aircraft", "60"], "--worst: goes with up to 50 aircraft"),
+        (["--worst", "1", "--runs", "/dev/null/here", "--seeds", "1-1"], "--runs: /dev/null/here"),
+    ],
+)
+def test_what_is_wrong_is_named(options, words, capsys):
+    assert cli.main(["campaign", "run", "--generator", "S2", *options]) == 2
+    assert words in capsys.readouterr().err

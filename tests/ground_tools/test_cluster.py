@@ -1,0 +1,140 @@
+"""A campaign on a Ray cluster: the same rows; what is lost, missing or interrupted is said."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from companion.errors import ConfigError
+from ground_tools import cli
+from ground_tools.cluster import on_ray
+
+RUN = ["campaign", "run", "--generator", "crossing", "--aircraft", "3", "--seeds", "1-400"]
+
+
+def state() -> str:
+    return "the same"
+
+
+def other_state() -> str:
+    return f"process {os.getpid()}"
+
+
+def square(number: int) -> int:
+    if number < 0:
+        raise ConfigError(f"number {number} is wrong")
+    return number * number
+
+
+def killed_once(marker: str) -> str:
+    if not Path(marker).exists():
+        Path(marker).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return marker
+
+
+def killed(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.fixture(scope="module")
+def address():
+    """A cluster of two nodes of this machine, one CPU each."""
+    pytest.importorskip("ray", reason="ray is not installed (the extra `cluster`)")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        from ray.cluster_utils import Cluster
+
+        node = {"num_cpus": 1, "object_store_memory": 80_000_000}
+        cluster = Cluster(initialize_head=True, head_node_args={**node, "include_dashboard": False})
+        try:
+            cluster.add_node(**node)
+            yield cluster.address
+        finally:
+            cluster.shutdown()
+
+
+def test_rows_are_those_of_this_machine_and_go_on(address, tmp_path, capsys):
+    for folder, options in (("here", ["--processes", "1"]), ("there", ["--ray", address])):
+        assert cli.main([*RUN, "--json", "--out", str(tmp_path / folder), *options]) == 0
+    here, there = map(json.loads, capsys.readouterr().out.splitlines())
+    assert {**here, "wall_s": 0.0} == {**there, "wall_s": 0.0}
+    assert there["flight_s"] > 0.0
+    for path in (tmp_path / "here").iterdir():
+        lines = (tmp_path / "there" / path.name).read_text().splitlines()
+        assert sorted(lines) == sorted(path.read_text().splitlines())
+        # Half of them are flown again, and come out the same.
+        (tmp_path / "there" / path.name).write_text("\n".join(lines[:201]) + "\n")
+    assert cli.main([*RUN, "--json", "--out", str(tmp_path / "there"), "--ray", address]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["flight_s"] == there["flight_s"] / 2.0
+    assert {**again, "wall_s": 0.0, "flight_s": 0.0} == {**there, "wall_s": 0.0, "flight_s": 0.0}
+
+
+def test_a_lost_worker_is_said_and_its_work_done_again(address, tmp_path):
+    words = io.StringIO()
+    marker = str(tmp_path / "marker")
+    assert list(on_ray(killed_once, [marker], address, state, Console(file=words))) == [(marker, marker)]
+    assert "a worker was lost (WorkerCrashedError); what it had is flown again" in words.getvalue()
+    with pytest.raises(ConfigError, match="3 workers were lost at the same work"):
+        list(on_ray(killed, [1], address, state, Console(file=words)))
+
+
+def test_what_is_wrong_ends_it_in_its_own_words(address):
+    assert list(on_ray(square, [], address, state, Console())) == []
+    with pytest.raises(ConfigError, match=r"^number -1 is wrong$"):
+        list(on_ray(square, [1, -1], address, state, Console()))
+    with pytest.raises(ConfigError, match=r"--ray: node [\d.]+: other software \(process \d+; here"):
+        list(on_ray(square, [1], address, other_state, Console()))
+
+
+def test_ctrl_c_keeps_what_was_flown_on_the_cluster(address, tmp_path):
+    command = [sys.executable, "-m", "ground_tools.cli", *RUN[:-1], "1-200000", "--ray", address,
+               "--out", str(tmp_path)]  # fmt: skip
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    end = time.monotonic() + 120.0
+    while time.monotonic() < end and not any(p.stat().st_size > 2000 for p in tmp_path.glob("*.jsonl")):
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGINT)
+    _, words = process.communicate(timeout=60)
+    assert process.returncode == 130, words
+    assert "interrupted" in words
+    assert any(len(path.read_text().splitlines()) > 1 for path in tmp_path.glob("crossing-3-*.jsonl"))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--ray", "cluster"], "--ray: cluster: allowed is HOST:PORT or ray://HOST:PORT"),
+        (["--ray", "10.0.0.5:70000"], "--ray: 10.0.0.5:70000: allowed is HOST:PORT"),
+        (["--ray", "10.0.0.5:6379", "--processes", "2"], "--processes: goes without --ray"),
+    ],
+)
+def test_what_is_wrong_with_an_address_is_said(options, words, capsys):
+    assert cli.main([*RUN, *options]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_an_address_that_nobody_answers_is_said(capsys):
+    pytest.importorskip("ray", reason="ray is not installed (the extra `cluster`)")
+    assert cli.main([*RUN, "--ray", "ray://127.0.0.1:1"]) == 2
+    assert "--ray: ray://127.0.0.1:1: no answer: Connection refused" in capsys.readouterr().err
+
+
+def test_without_ray_it_is_said_how_to_get_it(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert cli.main([*RUN, "--ray", "127.0.0.1:1"]) == 2
+    assert "pip install -e '.[cluster]'" in capsys.readouterr().err
