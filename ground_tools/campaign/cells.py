@@ -75,6 +75,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     """What they do, of `flight.INTRUDERS`."""
     world: str = "calm"
     """Of `WORLDS`."""
+    reserve: bool = True
+    """False: nobody can fly faster than planned."""
 
     @property
     def name(self) -> str:
@@ -218,6 +220,8 @@ def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
     speed = cell.speed_mps
     if kind == flight.CREWED:
         speed = CREWED_MPS
+    elif not cell.reserve:
+        speed = path.max_speed()
     elif cell.generator == "mixed":
         speed = path.max_speed() / _RESERVE
     return LimitsConfig(max_speed_mps=speed)
