@@ -65,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                          help=f"what those do: {', '.join(INTRUDERS)} (default: blind)")  # fmt: skip
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"{', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
+    command.add_argument("--no-reserve", action="store_true", help="nobody can fly faster than planned")
     _add_common(command, "1-100")
     command.add_argument("--worst", type=int, default=0, metavar="N",
                          help="fly the N of least separation again, into run folders")  # fmt: skip
@@ -237,6 +238,7 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
         "median_max_deviation_m": campaign.median([row.deviation_m for row in rows]),
         "median_away_s": campaign.median([row.away_s for row in rows]),
         "median_lost_s": campaign.median([row.lost_s for row in rows]),
+        "max_lost_s": max(row.lost_s for row in rows),
         "median_path_ratio": campaign.median([row.path_ratio for row in rows]),
         "mean_severity": float(np.mean(severities)) if severities else None,
         "max_severity": max(severities, default=None),
@@ -245,7 +247,16 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
         "alerts": alerts,
         "false_alerts": false,
         "false_alert_share": false / alerts if alerts else None,
+        "crewed_losses": _crewed_losses(rows),
+        "unavoided_crewed_losses": _crewed_losses(unavoided),
+        "min_crewed_separations": min((row.crewed for row in rows if row.crewed is not None), default=None),
+        "max_beyond_fence_m": max(row.fence_m for row in rows),
     }
+
+
+def _crewed_losses(rows: Sequence[Row]) -> int:
+    """Flights in which both separations from crewed traffic were lost at once."""
+    return sum(row.crewed is not None and row.crewed < 1.0 for row in rows)
 
 
 def _cell(args: argparse.Namespace) -> Cell:
@@ -270,6 +281,7 @@ def _cell(args: argparse.Namespace) -> Cell:
         intruders=args.intruders,
         intruder=args.intruder,
         world=args.world,
+        reserve=not args.no_reserve,
     )
 
 

@@ -14,6 +14,10 @@ from ground_tools.campaign.flight import INTRUDERS
 from ground_tools.campaign.generators import NAMES
 
 _NOTHING: Final = "-"
+FULL_MPS: Final = 26.6
+"""Of which generators plan up to three quarters: 20 m/s."""
+_ENCOUNTERS: Final = {"fence": ("head-on", "overtaking"), "layer": ("lift", "S2")}
+"""Where a world is felt, of those that not every encounter feels."""
 DELAYS_S: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))
 
 
@@ -46,8 +50,14 @@ def _laws() -> list[Cell]:
 
 
 def _fast() -> list[Cell]:
-    """Every generator at 20 m/s."""
-    return [Cell(generator=name, aircraft=5, speed_mps=20.0, delay_s=DELAYS_S[-1]) for name in NAMES]
+    """Every generator at 20 m/s: planned slower, then planned as fast as the aircraft can."""
+    delay_s = DELAYS_S[-1]
+    rows = [Cell(generator=name, aircraft=5, speed_mps=20.0, delay_s=delay_s) for name in NAMES]
+    return rows + [
+        Cell(generator=name, aircraft=5, speed_mps=FULL_MPS, delay_s=delay_s, reserve=False)
+        for name in NAMES
+        if name != "lift"  # goes up and down, far below any limit
+    ]
 
 
 def _open_ground() -> list[Cell]:
@@ -60,8 +70,9 @@ def _open_ground() -> list[Cell]:
     rows += [
         Cell(generator=name, aircraft=5, world=world, delay_s=DELAYS_S[1])
         for world in WORLDS
-        for name in ("S2", "crossing", "circle", "random")
+        for name in _ENCOUNTERS.get(world, ("S2", "crossing", "circle", "random"))
     ]
+    rows.append(Cell(generator="head-on", aircraft=5, world="fence", speed_mps=20.0, delay_s=DELAYS_S[1]))
     return [*rows, Cell(generator="streams", aircraft=50, delay_s=DELAYS_S[1])]
 
 
@@ -128,6 +139,7 @@ def markdown(lines: Sequence[Line]) -> str:
         ("intruders", lambda line: _intruders(line.cell)),
         ("world", lambda line: line.cell.world),
         ("lost messages", lambda line: f"{line.cell.loss:.0%}"),
+        ("speed reserve", lambda line: "yes" if line.cell.reserve else "no"),
     ]
     shown = [c for c in columns if len({c[1](line) for line in lines}) > 1]
     columns = [
@@ -142,7 +154,9 @@ def markdown(lines: Sequence[Line]) -> str:
         ("least (m)", lambda line: f"{line.found['min_separation_m']:.2f}"),
         ("mean severity", _severity),
         ("deviation (m)", lambda line: f"{line.found['median_max_deviation_m']:.0f}"),
-        ("away (s)", lambda line: f"{line.found['median_away_s']:.0f}"),
+        ("return (s)", _return),
+        ("late (s)", lambda line: "{median_lost_s:.0f}, {max_lost_s:.0f}".format(**line.found)),
+        ("crewed lost: ours, unavoided", _crewed),
     ]
     # Where nobody lost separation, nothing is said of how severe it was.
     shown += [c for c in columns if any(c[1](line) != _NOTHING for line in lines)]
@@ -158,6 +172,17 @@ def _intruders(cell: Cell) -> str:
 def _severity(line: Line) -> str:
     severity = line.found.get("mean_severity")
     return _NOTHING if severity is None else f"{severity:.2f}"
+
+
+def _return(line: Line) -> str:
+    recovery = line.found["median_recovery_s"]
+    return _NOTHING if recovery is None else f"{recovery:.0f}"
+
+
+def _crewed(line: Line) -> str:
+    if line.found["min_crewed_separations"] is None:
+        return _NOTHING
+    return "{crewed_losses:,}, {unavoided_crewed_losses:,}".format(**line.found)
 
 
 def _risk(line: Line) -> str:
