@@ -187,7 +187,7 @@ class Companion:
             self.plan.drop()
         if self.state is State.STANDBY and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
-            if self.plan.law is not None and not self._near_path(now_s):
+            if self.plan.ready and not self._near_path(now_s):
                 limit = self.config.flight.start_within_m
                 commands += self.plan.refuse(f"vehicle is not within {limit:g} m of the path's point")
         if self.plan.law is not None:
@@ -264,7 +264,7 @@ class Companion:
             flight.rearm == "mode" and external and self._left_external
         ):
             found.add(Trigger.REARM)
-        standing_by = self.state is State.STANDBY and self.plan.law is not None
+        standing_by = self.state is State.STANDBY and self.plan.ready
         if standing_by and self.waits_for(now_s) is None and self._near_path(now_s):
             found.add(Trigger.READY)
         return frozenset(found)

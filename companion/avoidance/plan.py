@@ -35,6 +35,9 @@ from companion.ownship import Ownship
 _MISSION_FRESH_S = 1.0
 _FENCE_FRESH_S = 30.0
 """The vehicle's fence is asked for first; the mission may take its time."""
+_CHANGED = (
+    "the mission was changed while the pilot flew: it is flown from AUTO or MISSION, or after a landing"
+)
 _RETRY_S = 10.0
 """Between two requests for the mission, and two tries of a path that was refused."""
 
@@ -49,6 +52,12 @@ class Plan:
         self._areas_s = -math.inf
         self._items_s = -math.inf
         """When they were downloaded: soon after, vehicle and mission may have moved on."""
+        self._flown: tuple[MissionItem, ...] = ()
+        """The mission that the path was made of."""
+        self._given_back = False
+        """The pilot gave the vehicle back: the mission is to be compared before it is flown on."""
+        self._changed: tuple[MissionItem, ...] = ()
+        """A mission that the pilot changed in flight: not to be begun from GUIDED or HOLD."""
         self._tried_s = -math.inf
         self._said: str | None = None
         self.law: Law | None = None
@@ -56,10 +65,17 @@ class Plan:
         self._start_s: float | None = None
         """Monotonic time of the path's time 0."""
 
+    @property
+    def ready(self) -> bool:
+        """There is a path, and nothing is to be asked about it."""
+        return self.law is not None and not self._given_back
+
     def drop(self) -> None:
         """The flight is over: the next one begins with a new plan."""
         self.law = self._start_s = None
-        self._items, self._tried_s = (), -math.inf
+        self._given_back = False
+        self._items, self._changed = (), ()
+        self._items_s = self._tried_s = -math.inf
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
         """Keep the downloaded mission for the plan that is made at once."""
@@ -78,7 +94,9 @@ class Plan:
 
     def prepare(self, own: Ownship, now_s: float) -> list[Command]:
         """Make the plan for a vehicle that could be taken now; a refused one is tried again later."""
-        if self.law is not None or now_s - self._tried_s < _RETRY_S:
+        if self.law is not None:
+            return self._compare(own, now_s) if self._given_back else []
+        if now_s - self._tried_s < _RETRY_S:
             return []
         self._tried_s = now_s
         try:
@@ -93,6 +111,21 @@ class Plan:
         except ConfigError as error:
             return self.refuse(str(error))
 
+    def _compare(self, own: Ownship, now_s: float) -> list[Command]:
+        """Fly the mission on if it is still the same; a changed one is not resumed."""
+        if now_s - self._items_s > _MISSION_FRESH_S:
+            if now_s - self._tried_s < _RETRY_S:
+                return []
+            self._tried_s = now_s
+            return [DownloadMission()]
+        items = self._items
+        if items == self._flown:
+            self._go_on(own, now_s)
+            return []
+        self.drop()
+        self._changed = items
+        return self.refuse(_CHANGED)
+
     def _from_mission(self, own: Ownship) -> TrajectoryFile | None:
         """The downloaded mission from where the vehicle is; None while it is not known where that is in it.
 
@@ -101,6 +134,8 @@ class Plan:
         """
         speed, position, home = self._config.flight.mission_speed_mps, own.position, own.home_alt_msl_m
         flying = own.mode is FlightMode.MISSION
+        if self._items == self._changed != () and not flying:
+            raise ConfigError(_CHANGED)
         if speed is None or position is None or (flying and own.mission_seq is None):
             return None
         return path_from_mission(
@@ -129,6 +164,7 @@ class Plan:
             self._start_s = flight.start_utc_s - own.utc_offset_s
         check_areas(self._areas)
         walls = walls_of(self._areas, own.frame, trajectory)
+        self._flown = self._items
         self.law = Law(self._config.avoidance, limits, trajectory, walls)
         self.home_alt_msl_m = home
         self._said = None
@@ -140,7 +176,17 @@ class Plan:
             self._start_s = now_s
 
     def resume(self, own: Ownship, now_s: float) -> None:
-        """The pilot gives the vehicle back in flight: go on from the nearest point of the path."""
+        """The pilot gives the vehicle back in flight: go on from the nearest point of the path; of the
+        vehicle's mission only when that is still the same."""
+        if self.law is None:
+            return
+        if self._config.path is None:
+            self._given_back, self._items_s, self._tried_s = True, -math.inf, -math.inf
+        else:
+            self._go_on(own, now_s)
+
+    def _go_on(self, own: Ownship, now_s: float) -> None:
+        self._given_back = False
         if self.law is not None and self._config.flight.start == "engage":
             nearest_s, _ = self.law.trajectory.nearest(own.position_ned_m(now_s))
             self._start_s = now_s - nearest_s

@@ -12,6 +12,7 @@ from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFil
 from companion.core import Companion
 from companion.events import (
     Command,
+    DownloadMission,
     Event,
     Firmware,
     FlightMode,
@@ -20,6 +21,8 @@ from companion.events import (
     Heartbeat,
     Landed,
     LandedState,
+    MissionDownloaded,
+    MissionItem,
     RadioState,
     SetMode,
     VehicleTime,
@@ -78,6 +81,8 @@ class Bench:
     height_m: float = 50.0
     lat_deg: float = LAT
     lon_deg: float = LON
+    mission: tuple[MissionItem, ...] | None = None
+    """What a download brings; None: no answer."""
     extra: list[Event] = field(default_factory=lambda: [RadioState(can_send=("wifi",))])
     commands: list[Command] = field(default_factory=list)
     """Of the last step."""
@@ -135,6 +140,8 @@ class Bench:
             for command in self.commands:
                 if isinstance(command, SetMode) and self.obeys:
                     self.mode = command.mode
+                elif isinstance(command, DownloadMission) and self.mission is not None:
+                    self.extra.append(MissionDownloaded(items=self.mission))
         return all_commands
 
     def until(self, done: Callable[[], bool], limit: int = 400) -> None:
@@ -160,6 +167,30 @@ def make_bench() -> Callable[..., Bench]:
         return Bench(Companion(config(**flight)))
 
     return build
+
+
+@pytest.fixture
+def on_mission() -> Bench:
+    """Flies the vehicle's mission, taken from HOLD; after 200 m its pilot has taken over."""
+    made = msgspec.structs.replace(
+        config(trajectory="mission", mission_speed_mps=3.0, rearm="mode"), path=None
+    )
+    bench = Bench(Companion(made), mission=mission(300.0, 900.0))
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    bench.mode = FlightMode.HOLD
+    for north_m in range(200):
+        bench.north_m = north_m
+        bench.step()
+    return bench
+
+
+def mission(*norths_m: float) -> tuple[MissionItem, ...]:
+    """Waypoints due north of the vehicle's place."""
+    return tuple(
+        MissionItem(seq=seq, command=16, frame=3, lat_deg=LAT + north / 111_194.9, lon_deg=LON, alt_m=50.0)
+        for seq, north in enumerate(norths_m)
+    )
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ from companion.events import (
     Firmware,
     FlightMode,
     Landed,
+    MissionCurrent,
     ModeRefused,
     RadioState,
     RemoteIdHeard,
@@ -486,3 +487,38 @@ def test_the_pilot_is_judged_before_everything_else():
     everything = frozenset(Trigger)
     for state in HOLDING | {State.FAULT}:
         assert next_state(state, everything) == (State.YIELDED, Trigger.PILOT)
+
+
+# ---------------------------------------------------------------- the vehicle's mission, given back
+
+
+def test_a_mission_that_is_still_the_same_is_flown_on(on_mission):
+    assert on_mission.heart.state is State.YIELDED
+    on_mission.mode = FlightMode.EXTERNAL
+    on_mission.step(5)
+    assert on_mission.heart.state in HOLDING
+    assert on_mission.heart.plan.path_time_s(on_mission.now_s) == pytest.approx(199.0 / 3.0, abs=1.0)
+
+
+def test_a_mission_that_the_pilot_changed_is_not_resumed(on_mission):
+    on_mission.mission = on_mission.mission[:1]
+    on_mission.mode = FlightMode.EXTERNAL
+    said = [c.text for c in on_mission.step(600) if isinstance(c, Say)]
+    assert on_mission.heart.state is State.STANDBY
+    assert sum("mission was changed" in text for text in said) == 1
+    # The pilot flies it from MISSION: it is taken from there.
+    on_mission.mode = FlightMode.MISSION
+    on_mission.extra = [MissionCurrent(seq=0)]
+    on_mission.until(lambda: on_mission.heart.state in HOLDING)
+    end = on_mission.heart.plan.law.trajectory.points_ned_m[-1]
+    assert end[0] == pytest.approx(300.0, abs=1.0)
+
+
+def test_a_changed_mission_is_flown_after_a_landing(on_mission):
+    on_mission.mission = on_mission.mission[:1]
+    on_mission.mode = FlightMode.EXTERNAL
+    on_mission.step(100)
+    on_mission.landed, on_mission.armed, on_mission.mode = Landed.ON_GROUND, False, FlightMode.HOLD
+    on_mission.step(20)
+    on_mission.landed, on_mission.armed = Landed.IN_AIR, True
+    on_mission.until(lambda: on_mission.heart.state in HOLDING)
