@@ -24,7 +24,7 @@ from companion.config import AvoidanceConfig
 from companion.events import AlertChanged, Command, Say, Severity, Threat, Vec3
 
 RAISE_OF, RAISE_IN = 3, 5
-HOLD_S = 4.0
+HOLD_S = 8.0
 TELL_S = 1.0
 """Between two COLLISION messages about one aircraft, and between two texts."""
 MOST_TOLD = 5
@@ -112,6 +112,8 @@ class Alerts:
         self._config = config
         self._watched: dict[str, _Watched] = {}
         self._said_s = -math.inf
+        self._spoken = False
+        """Of a caution or warning that is not over."""
 
     @property
     def levels(self) -> dict[str, Level]:
@@ -188,14 +190,18 @@ class Alerts:
         return told
 
     def _say(self, now_s: float, commands: Sequence[Command]) -> list[Command]:
-        """The most urgent of what rose to caution or warning now, as text; not more than one a second."""
+        """In words: the first caution, every warning (not more than one text a second), and that all is over."""
         risen = [c for c in commands if isinstance(c, AlertChanged) and c.level >= Level.CAUTION]
-        if not risen or now_s - self._said_s < TELL_S - 1e-6:
-            return []
-        self._said_s = now_s
-        worst = max(risen, key=lambda c: c.level)
-        severity = Severity.WARNING if worst.level >= Level.WARNING else Severity.NOTICE
-        return [Say(severity=severity, text=f"DMUCA {worst.reason}")]
+        risen = [c for c in risen if not self._spoken or c.level == Level.WARNING]
+        if risen and now_s - self._said_s >= TELL_S - 1e-6:
+            self._said_s, self._spoken = now_s, True
+            worst = max(risen, key=lambda c: c.level)
+            severity = Severity.WARNING if worst.level == Level.WARNING else Severity.NOTICE
+            return [Say(severity=severity, text=f"DMUCA {worst.reason}")]
+        if self._spoken and max(self.levels.values(), default=Level.NONE) < Level.CAUTION:
+            self._spoken = False
+            return [Say(severity=Severity.INFO, text="DMUCA clear of traffic")]
+        return []
 
 
 def _changed(

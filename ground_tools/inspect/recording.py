@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.avoidance.alerts import Level
 from companion.errors import ConfigError
 from companion.events import (
+    AlertChanged,
     AuthorityChanged,
     Decision,
     GnssFix,
@@ -268,6 +270,8 @@ def _log_lines(record: AircraftRecord) -> Iterable[LogLine]:
                 case AuthorityChanged():
                     words = f"authority {item.previous} -> {item.state} on {item.trigger}: {item.reason}"
                     yield step.now_s, "INFO", words
+                case AlertChanged():
+                    yield step.now_s, "WARN" if item.level == Level.WARNING else "INFO", item.reason
                 case Say():
                     yield step.now_s, _level(item.severity), f"says: {item.text}"
                 case VehicleText():

@@ -6,7 +6,8 @@ from typing import Any
 
 import msgspec
 
-from companion.events import AuthorityChanged, Broadcast, Decision, RemoteIdHeard
+from companion.avoidance.alerts import Level
+from companion.events import AlertChanged, AuthorityChanged, Broadcast, Decision, RemoteIdHeard
 from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.read_run import AircraftRecord, Run
 
@@ -57,6 +58,7 @@ def _aircraft_line(one: dict[str, Any]) -> str:
         f"  {one['name']}: {one['duration_s']:.1f} s, {one['broadcasts']} broadcasts sent, "
         f"{one['heard']} frames heard, {one['decisions']} decisions "
         f"({one['conflicts']} with a conflict, {one['infeasible']} infeasible), "
+        f"{one['cautions']} cautions, {one['warnings']} warnings, "
         f"authority {one['authority'] or 'never changed'}"
     )
 
@@ -104,6 +106,7 @@ def _aircraft(record: AircraftRecord) -> dict[str, Any]:
     commands = [command for step in steps for command in step.commands]
     decisions = [command for command in commands if isinstance(command, Decision)]
     authority = [command.state for command in commands if isinstance(command, AuthorityChanged)]
+    levels = [command.level for command in commands if isinstance(command, AlertChanged)]
     ages = [track.age_s for decision in decisions for track in decision.tracks]
     return {
         "name": record.name,
@@ -113,6 +116,8 @@ def _aircraft(record: AircraftRecord) -> dict[str, Any]:
         "heard": sum(isinstance(event, RemoteIdHeard) for step in steps for event in step.events),
         "decisions": len(decisions),
         "conflicts": sum(any(track.conflict for track in decision.tracks) for decision in decisions),
+        "cautions": levels.count(Level.CAUTION),
+        "warnings": levels.count(Level.WARNING),
         "infeasible": sum(not decision.feasible for decision in decisions),
         "oldest_track_s": max(ages, default=None),
         "authority": authority[-1] if authority else None,
