@@ -190,7 +190,7 @@ class Alerts:
         return told
 
     def _say(self, now_s: float, commands: Sequence[Command]) -> list[Command]:
-        """In words: the first caution, every warning (not more than one text a second), and that all is over."""
+        """In words: the first caution, every warning, one text a second at most, and that all is over."""
         risen = [c for c in commands if isinstance(c, AlertChanged) and c.level >= Level.CAUTION]
         risen = [c for c in risen if not self._spoken or c.level == Level.WARNING]
         if risen and now_s - self._said_s >= TELL_S - 1e-6:
