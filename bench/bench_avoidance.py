@@ -107,7 +107,7 @@ def _repeat(
             nx, ny, nz, s = kernels.half_space(px, py, pz, vx, vy, vz, 10.0, 20.0, 0.2)
             planes[j, 0], planes[j, 1], planes[j, 2] = nx, ny, nz
             planes[j, 3] = nx * own[0] + ny * own[1] + nz * own[2] + 0.5 * s
-        kernels.solve(planes, 0, count, 5.0, own, scratch, out)
+        kernels.solve(planes, 0, count, 5.0, kernels.SLACK_MPS, own, scratch, out)
         total += out[0]
     return total
 

@@ -14,7 +14,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from companion.avoidance.fence import load_fence
+from companion.avoidance.fence import check_areas, load_fence
 from companion.errors import ConfigError
 from companion.events import FenceArea
 from companion.remote_id.authentication import Verifier, public_key_hex
@@ -104,7 +104,7 @@ class LimitsConfig(_Section, frozen=True):
     max_acceleration_mps2: Annotated[float, Meta(gt=0, le=20)] = 1.0
     """How fast the commanded velocity may change."""
     floor_height_m: float | None = None
-    """Height above home."""
+    """Height above home. None: the lower of 15 m and the path's lowest point."""
     ceiling_height_m: float | None = None
     fence: str | None = None
     """Path of a fence file (relative to this file), or "vehicle" for the vehicle's own geofence."""
@@ -392,6 +392,14 @@ def check(config: Config, name: str) -> None:
             f"{name}: flight.mission_speed_mps: {speed:g} is above limits.max_speed_mps "
             f"{limits.max_speed_mps:g}"
         )
+    if limits.fence is not None and config.avoidance.law != "dmuca":
+        raise ConfigError(
+            f'{name}: limits.fence: goes with avoidance.law = "dmuca"; {config.avoidance.law!r} keeps none'
+        )
+    try:
+        check_areas(config.fence)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: fence: {error}") from error
     floor, ceiling = limits.floor_height_m, limits.ceiling_height_m
     if floor is not None and ceiling is not None and ceiling - floor < 5.0:
         raise ConfigError(

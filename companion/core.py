@@ -142,11 +142,11 @@ class Companion:
                 case MissionDownloaded():
                     self.plan.take_mission(event, now_s)
                 case MissionRefused():
-                    commands += self.plan.refuse(event.reason)
+                    commands += self.plan.download_refused(event.reason)
                 case FenceDownloaded():
                     self.plan.take_fence(event, now_s)
                 case FenceRefused():
-                    commands += self.plan.refuse(f"the vehicle's fence: {event.reason}")
+                    commands += self.plan.download_refused(f"the vehicle's fence: {event.reason}")
                 case ModeRefused():
                     self._refused = event.reason
                 case _:
@@ -374,7 +374,7 @@ class Companion:
             velocity_ned_mps=own.velocity_ned_mps,
             sigma_m=own.sigma_m,
             neighbours=self._neighbours(now_s),
-            floor_down_m=plan.boundary_down_m(limits.floor_height_m, own, now_s),
+            floor_down_m=plan.boundary_down_m(plan.floor_height_m, own, now_s),
             ceiling_down_m=plan.boundary_down_m(limits.ceiling_height_m, own, now_s),
         )
 

@@ -406,6 +406,8 @@ class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, g
     closest_m: float
     active: bool = False
     """True when this track's half-space bounds the velocity that was chosen."""
+    adsb: bool = False
+    """Heard by ADS-B."""
 
 
 class Decision(Command, frozen=True):

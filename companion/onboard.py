@@ -20,6 +20,7 @@ from companion.events import (
     ArmStatus,
     AuthorityChanged,
     Broadcast,
+    DownloadFence,
     DownloadMission,
     Event,
     FlightMode,
@@ -27,6 +28,7 @@ from companion.events import (
     RemoteIdHeard,
     Say,
     SetMode,
+    Threat,
     VelocitySetpoint,
 )
 from companion.record import Step
@@ -88,8 +90,8 @@ class Onboard:
         events, self._events = self._events, []
         commands = self.heart.step(now_s, events)
         for command in commands:
-            if isinstance(command, DownloadMission) or (
-                self.commanding and isinstance(command, VelocitySetpoint | SetMode | Say | ArmStatus)
+            if isinstance(command, DownloadMission | DownloadFence) or (
+                self.commanding and isinstance(command, VelocitySetpoint | SetMode | Say | ArmStatus | Threat)
             ):
                 self.link.send(command, now_s)
             elif isinstance(command, AuthorityChanged) and command.state not in _HOLDING:

@@ -138,7 +138,7 @@ def solve(case: Case) -> Answer:
     agent, out = case.agent, np.zeros(3)
     wish, scratch = np.array(agent.preferred_velocity), np.zeros_like(planes)
     count = len(case.neighbours)
-    feasible = kernels.solve(planes, 0, count, agent.max_speed, wish, scratch, out)
+    feasible = kernels.solve(planes, 0, count, agent.max_speed, 0.0, wish, scratch, out)
     violation = float((planes[:count, 3] - planes[:count, :3] @ out).max(initial=0.0))
     n, e, d = out.tolist()
     return Answer((n, e, d), feasible, violation)

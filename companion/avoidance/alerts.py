@@ -30,6 +30,9 @@ TELL_S = 1.0
 MOST_TOLD = 5
 """Aircraft told as COLLISION at one time, the most urgent ones."""
 
+_Key = tuple[bool, str]
+"""Of a track: heard by ADS-B, and its name; a name heard by Remote ID may be any."""
+
 
 class Level(enum.IntEnum):
     """Of an alert."""
@@ -82,6 +85,10 @@ def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> A
 
 @dataclass(slots=True)
 class _Watched:
+    other: Neighbour
+    way: Approach
+    """As last looked at."""
+    acting: bool = False
     level: Level = Level.NONE
     seen: deque[Level] = field(default_factory=lambda: deque(maxlen=RAISE_IN))
     held_s: float = -math.inf
@@ -89,6 +96,9 @@ class _Watched:
     below: Level = Level.NONE
     """Highest one seen since."""
     told_s: float = -math.inf
+    """Of the last COLLISION; one that told the end does not count."""
+    said: Level = Level.NONE
+    """What was said of it in words, until it falls below caution."""
 
     def look(self, level: Level, now_s: float) -> bool:
         """Take in what was seen now; True when the level changed."""
@@ -102,6 +112,8 @@ class _Watched:
             self.below = max(self.below, level)
             if now_s - self.held_s >= HOLD_S:
                 self.level, self.held_s, self.below = self.below, now_s, Level.NONE
+        if self.level < Level.CAUTION:
+            self.said = Level.NONE
         return self.level is not before
 
 
@@ -110,15 +122,15 @@ class Alerts:
 
     def __init__(self, config: AvoidanceConfig) -> None:
         self._config = config
-        self._watched: dict[str, _Watched] = {}
+        self._watched: dict[_Key, _Watched] = {}
         self._said_s = -math.inf
         self._spoken = False
         """Of a caution or warning that is not over."""
 
     @property
-    def levels(self) -> dict[str, Level]:
+    def levels(self) -> dict[_Key, Level]:
         """Of the tracks that have one."""
-        return {name: w.level for name, w in self._watched.items() if w.level is not Level.NONE}
+        return {key: w.level for key, w in self._watched.items() if w.level is not Level.NONE}
 
     def look(
         self,
@@ -134,29 +146,29 @@ class Alerts:
             position, velocity: own, NED, m and m/s.
             result: the law's last decision; None while it does not fly.
         """
-        views = {} if result is None else {view.track_id: view for view in result.tracks}
+        views = {} if result is None else {(view.adsb, view.track_id): view for view in result.tracks}
         limits = () if result is None else result.limits
         commands: list[Command] = []
-        threats: list[tuple[Level, float, Threat]] = []
-        present = set()
+        ended: list[_Watched] = []
+        gone = set(self._watched)
         for other in neighbours:
-            present.add(other.track_id)
-            view = views.get(other.track_id)
+            key = (other.adsb, other.track_id)
+            gone.discard(key)
+            view = views.get(key)
+            conflict, active = (False, False) if view is None else (view.conflict, view.active)
             way = self._approach(position, velocity, other)
-            seen = self._level(
-                other, way, view is not None and view.conflict, view is not None and view.active
-            )
-            watched = self._watched.setdefault(other.track_id, _Watched())
-            changed = watched.look(seen, now_s)
-            acting = view is not None and view.active and view.conflict
-            if changed:
-                commands.append(_changed(other, watched.level, way, acting, limits))
-            if changed or watched.level >= Level.CAUTION:
-                threats.append((watched.level, way.loss_s, _threat(other, watched.level, way, acting)))
-        for name in [n for n in self._watched if n not in present]:
-            del self._watched[name]
-        commands += self._tell(now_s, threats)
-        return commands + self._say(now_s, commands)
+            watched = self._watched.setdefault(key, _Watched(other, way))
+            watched.other, watched.way, watched.acting = other, way, conflict and active
+            if watched.look(self._level(other, way, conflict, active), now_s):
+                commands.append(_changed(watched, limits))
+                ended += [watched] if watched.level < Level.CAUTION else []
+        for key in sorted(gone):
+            watched = self._watched.pop(key)
+            if watched.level is not Level.NONE:
+                watched.level, watched.acting = Level.NONE, False
+                commands.append(_changed(watched, (), "not heard any more"))
+                ended.append(watched)
+        return commands + self._tell(now_s, ended) + self._say(now_s, limits)
 
     def _approach(self, position: Vec3, velocity: Vec3, other: Neighbour) -> Approach:
         p, v, age = other.position_ned_m, other.velocity_ned_mps, other.age_s
@@ -175,65 +187,69 @@ class Alerts:
             return Level.CAUTION
         return Level.ADVISORY if conflict or way.loss_s <= 1.5 * horizon else Level.NONE
 
-    def _tell(self, now_s: float, threats: list[tuple[Level, float, Threat]]) -> list[Command]:
-        """Those that may be told again, the most urgent first."""
+    def _urgent(self) -> list[_Watched]:
+        """At caution or above, the most urgent first."""
+        found = [w for w in self._watched.values() if w.level >= Level.CAUTION]
+        return sorted(found, key=lambda w: (-w.level, w.way.loss_s, w.other.track_id))
+
+    def _tell(self, now_s: float, ended: Sequence[_Watched]) -> list[Command]:
+        """COLLISION: every end of what was told; then the most urgent, each once a second."""
         told: list[Command] = []
-        for level, _, threat in sorted(threats, key=lambda t: (-t[0], t[1], t[2].track_id)):
-            watched = self._watched[threat.track_id]
-            ended = level < Level.CAUTION
-            if len(told) == MOST_TOLD or (not ended and now_s - watched.told_s < TELL_S - 1e-6):
-                continue
-            if ended and watched.told_s == -math.inf:
-                continue
-            watched.told_s = -math.inf if ended else now_s
-            told.append(threat)
+        for watched in ended:
+            if watched.told_s > -math.inf:
+                told.append(_threat(watched))
+                watched.told_s = -math.inf
+        for watched in self._urgent()[:MOST_TOLD]:
+            if now_s - watched.told_s >= TELL_S - 1e-6:
+                watched.told_s = now_s
+                told.append(_threat(watched))
         return told
 
-    def _say(self, now_s: float, commands: Sequence[Command]) -> list[Command]:
+    def _say(self, now_s: float, limits: tuple[str, ...]) -> list[Command]:
         """In words: the first caution, every warning, one text a second at most, and that all is over."""
-        risen = [c for c in commands if isinstance(c, AlertChanged) and c.level >= Level.CAUTION]
-        risen = [c for c in risen if not self._spoken or c.level == Level.WARNING]
-        if risen and now_s - self._said_s >= TELL_S - 1e-6:
-            self._said_s, self._spoken = now_s, True
-            worst = max(risen, key=lambda c: c.level)
-            severity = Severity.WARNING if worst.level == Level.WARNING else Severity.NOTICE
-            return [Say(severity=severity, text=f"DMUCA {worst.reason}")]
-        if self._spoken and max(self.levels.values(), default=Level.NONE) < Level.CAUTION:
-            self._spoken = False
-            return [Say(severity=Severity.INFO, text="DMUCA clear of traffic")]
-        return []
+        urgent = self._urgent()
+        if not urgent:
+            over, self._spoken = self._spoken, False
+            return [Say(severity=Severity.INFO, text="DMUCA clear of traffic")] if over else []
+        unsaid = [w for w in urgent if w.level > w.said and not (self._spoken and w.level < Level.WARNING)]
+        if not unsaid or now_s - self._said_s < TELL_S - 1e-6:
+            return []
+        worst = unsaid[0]
+        worst.said, self._said_s, self._spoken = worst.level, now_s, True
+        severity = Severity.WARNING if worst.level is Level.WARNING else Severity.NOTICE
+        return [Say(severity=severity, text=f"DMUCA {_changed(worst, limits).reason}")]
 
 
-def _changed(
-    other: Neighbour, level: Level, way: Approach, acting: bool, limits: tuple[str, ...]
-) -> AlertChanged:
+def _changed(watched: _Watched, limits: tuple[str, ...], why: str | None = None) -> AlertChanged:
+    level, way, other = watched.level, watched.way, watched.other
     what = level.name.lower() if level is not Level.NONE else "clear"
+    where = f"closest {way.horizontal_m:.0f} m aside, {way.vertical_m:.0f} m in height"
     if way.loss_s == 0.0:
-        where = f"{way.horizontal_m:.0f} m aside, {way.vertical_m:.0f} m in height"
-        where = f"too near: closest {where}"
+        where = f"too near: {where}"
+    elif way.time_s > 0.0:
+        where = f"{where}, in {way.time_s:.0f} s"
     else:
-        where = f"closest {way.horizontal_m:.0f} m aside, {way.vertical_m:.0f} m in height"
-        where = f"{where}, in {way.time_s:.0f} s" if way.time_s > 0.0 else "parting"
-    bounds = f"; bounded by {', '.join(limits)}" if acting and limits else ""
+        where = "parting"
+    bounds = f"; bounded by {', '.join(limits)}" if watched.acting and limits else ""
     return AlertChanged(
         track_id=other.track_id,
         level=int(level),
-        reason=f"{what} {other.track_id}: {where}{'; avoiding' if acting else ''}{bounds}",
+        reason=f"{what} {other.track_id}: {why or where}{'; avoiding' if watched.acting else ''}{bounds}",
         time_to_closest_s=way.time_s,
         horizontal_m=way.horizontal_m,
         vertical_m=way.vertical_m,
-        acting=acting,
+        acting=watched.acting,
         limits=limits,
     )
 
 
-def _threat(other: Neighbour, level: Level, way: Approach, acting: bool) -> Threat:
+def _threat(watched: _Watched) -> Threat:
     return Threat(
-        track_id=other.track_id,
-        adsb=other.adsb,
-        level={Level.CAUTION: 1, Level.WARNING: 2}.get(level, 0),
-        acting=acting,
-        time_to_closest_s=way.time_s,
-        horizontal_m=way.horizontal_m,
-        vertical_m=way.vertical_m,
+        track_id=watched.other.track_id,
+        adsb=watched.other.adsb,
+        level={Level.CAUTION: 1, Level.WARNING: 2}.get(watched.level, 0),
+        acting=watched.acting,
+        time_to_closest_s=watched.way.time_s,
+        horizontal_m=watched.way.horizontal_m,
+        vertical_m=watched.way.vertical_m,
     )

@@ -42,6 +42,10 @@ EPSILON = 1e-9
 """Violations and gaps (m/s) up to this are rounding."""
 PARALLEL = 1e-14
 """Square of the sine under which two planes count as parallel."""
+SLACK_MPS = 0.05
+"""Of a decision that cannot keep every plane."""
+ALIGNED = 2e-7
+"""Gap, in parts of the greatest speed, that the tilt of parallel planes explains."""
 HEAD_ON = 1e-6
 """Angle (rad) between p and v under which the way out is a convention: to the right."""
 
@@ -51,7 +55,7 @@ N_POSITION, N_VELOCITY, N_AGE = 0, 3, 6  # at the message's own time; s
     N_SIGMA,  # m for each horizontal axis
     N_SIGMA_VELOCITY,  # m/s for each axis
     N_GROWTH,  # m/s, what `note_track` says of its past
-    N_SILENT,  # s, age above which it may have stopped
+    N_SILENT,  # 1: not heard for so long that it may have stopped
     N_SHARE,  # of what is needed that is ours, 0.5 to 1
     N_VERTICAL,  # 1: its height is known
     N_CREWED,  # 1: crewed traffic, with separations of its own
@@ -93,8 +97,9 @@ DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
 # cycles, by how much the path is delayed, samples in the history of own velocities.
 L_COMMAND, L_TIME, L_QUIET, L_DELAY, L_HISTORY, STATE_ENTRIES = 0, 3, 4, 5, 6, 7
 # Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time and distance at the closest,
-# plane.
-V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE, V_PLANE, VIEW_COLUMNS = 0, 3, 4, 5, 6, 7, 11
+# plane, and that of where it would stand (0 where there is none).
+V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE = 0, 3, 4, 5, 6
+V_PLANE, V_STANDING, VIEW_COLUMNS = 7, 11, 15
 # Columns of a row of `fence`, an edge or a circle: number of its area, rising from row to row; what the area
 # is; corners north, east, or a circle's middle and radius, m.
 W_AREA, W_KIND, W_FROM, W_TO, WALL_COLUMNS = 0, 1, 2, 4, 6
@@ -114,6 +119,8 @@ BOUNDARY_LAG_S = 1.0
 """From a decision to the vehicle's answer, at floor and ceiling: autopilot lag, period and latency."""
 RESTART_S = 1.0
 """After a pause longer than this (and five periods) the command starts again from the velocity flown."""
+DEMAND = 0.9
+"""Most that one neighbour's plane asks for, in parts of the greatest speed."""
 FENCE_MARGIN_M = 2.0
 """Kept from a fence besides two standard deviations of the own position."""
 FENCE_BRAKES = 0.5
@@ -124,9 +131,9 @@ GROWTH_MEMORY_S = 40.0
 GROWTH_MOST_MPS = 3.0
 GROWTH_AHEAD_S = 4.0
 """A track's deviations count from its message to this long after now."""
-SILENT_S, SILENT_GAPS = 4.0, 1.5
-"""A track not heard for longer than this and this many of its longest gaps lately may have stopped: messages
-once a second are at most 4 s old at delays up to 3 s."""
+SILENT_S, SILENT_GAPS = 2.0, 1.5
+"""A track of which nothing was received for longer than this and this many of its longest gaps lately may
+have stopped: delays that differ by a second make gaps of 2 s of one message a second."""
 GAP_MEMORY_S = 60.0
 STOPS_S = 1.0
 """It then stands where it would have been so long after its last message."""
@@ -288,6 +295,8 @@ def _plane(
         lx, ly, lz = ny * mz - nz * my, nz * mx - nx * mz, nx * my - ny * mx
         sine2 = lx * lx + ly * ly + lz * lz
         if sine2 <= PARALLEL:
+            if f - (mx * x + my * y + mz * z) <= ALIGNED * radius:
+                continue
             return False, 0.0, 0.0, 0.0
         # From plane i's own point along the plane: exact on plane i however small the angle.
         k = (f - d * (nx * mx + ny * my + nz * mz)) / sine2
@@ -373,15 +382,58 @@ def _least_violation(
 
 
 @_compiled
+def _nearest_of_least(
+    planes: Array,
+    hard: int,
+    count: int,
+    radius: float,
+    slack: float,
+    ox: float,
+    oy: float,
+    oz: float,
+    x: float,
+    y: float,
+    z: float,
+    scratch: Array,
+) -> tuple[float, float, float]:
+    """Of the velocities that violate no plane by more than (x, y, z) does and `slack`, the nearest to o."""
+    largest = slack
+    for j in range(hard, count):
+        violation = planes[j, 3] - (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z)
+        largest = max(largest, violation + slack)
+    for j in range(count):
+        for c in range(4):
+            scratch[j, c] = planes[j, c]
+        if j >= hard:
+            scratch[j, 3] -= largest
+    kept, tx, ty, tz = _ball(scratch, hard, radius, ox, oy, oz, False)
+    i = hard
+    ok = kept == hard
+    while ok and i < count and _worst_to(scratch, i, count, tx, ty, tz, EPSILON):
+        ok, nx, ny, nz = _plane(scratch, i, radius, ox, oy, oz, False)
+        if ok:
+            tx, ty, tz = nx, ny, nz
+            i += 1
+    if ok:
+        return tx, ty, tz
+    return x, y, z
+
+
+@_compiled
 def solve(
-    planes: Array, hard: int, count: int, radius: float, wish: Array, scratch: Array, out: Array
+    planes: Array, hard: int, count: int, radius: float, slack: float, wish: Array, scratch: Array, out: Array
 ) -> bool:
     """Velocity nearest to `wish` in the ball and every plane; if there is none, of least largest violation.
 
+    Many velocities may have the least largest violation, or nearly so (nothing in a level encounter says how
+    to climb); then it is the one nearest to `wish`, which keeps the answer from jumping.
+
     Args:
-        planes: shape (at least count, 4), rows (n, d): n unit, n . v >= d in m/s. The `hard` first ones must
-            be possible together; those after them change places.
+        planes: shape (at least count, 4), rows (n, d): n unit, n . v >= d in m/s. The `hard` first ones are
+            kept whole; if they are not possible together, as many of the first as are. Those after them
+            change places.
         radius: greatest speed, m/s.
+        slack: how much more than the least largest violation may be taken to come nearer to `wish`, m/s.
         wish: shape (3,), m/s.
         scratch: shape (at least count, 4); written.
         out: shape (at least 3,); the velocity is written into its first three entries.
@@ -400,7 +452,10 @@ def solve(
             x, y, z = tx, ty, tz
             i += 1
     if not feasible:
-        x, y, z = _least_violation(planes, hard, count, radius, x, y, z, i, scratch)
+        if kept < hard:  # the rest of them are soft then
+            hard = i = kept
+        x, y, z = _least_violation(planes, hard, count, radius, x, y, z, max(i, hard), scratch)
+        x, y, z = _nearest_of_least(planes, hard, count, radius, slack, ox, oy, oz, x, y, z, scratch)
     out[0], out[1], out[2] = x, y, z
     return feasible
 
@@ -476,8 +531,8 @@ def note_track(
 
 @_compiled
 def silent_after(track: Array) -> float:
-    """Age (s) above which a track's silence means something, from what `note_track` remembers."""
-    return float(SILENT_S + SILENT_GAPS * max(track[T_GAP], 1.0) - 0.5)
+    """Time (s) from the last reception after which silence says something, by what `note_track` remembers."""
+    return float(SILENT_S + SILENT_GAPS * max(track[T_GAP], 1.0))
 
 
 @_compiled
@@ -570,7 +625,8 @@ def _down_speeds(own: Array, settings: Array) -> tuple[float, float]:
     least, most = -settings[S_CLIMB], settings[S_DESCENT]
     most = min(max(_closing(own[O_FLOOR] - down, acceleration), least), most)
     least = min(max(-_closing(down - own[O_CEILING], acceleration), least), settings[S_DESCENT])
-    return least, most
+    # In a thin layer the way back from one may be faster than the other allows.
+    return min(least, most), most
 
 
 @_compiled
@@ -618,45 +674,38 @@ def inside(fence: Array, first: int, after: int, n: float, e: float) -> bool:
 
 @_compiled
 def _fence(fence: Array, own: Array, settings: Array, planes: Array, at: int) -> tuple[int, int]:
-    """Planes of the fence, from row `at` on: hard ones, then soft ones; the rows after each.
+    """Planes of the fence, from row `at` on: hard ones, then a soft one; the rows after each.
 
     On the right side of an area, each wall within reach asks for a speed towards it at which the aircraft
     still stops before the margin, by the same law as floor and ceiling; standing still is always allowed. On
-    the wrong side there is only the nearest wall of the area, which is to be crossed back: a soft plane.
+    the wrong side of areas, the nearest of their walls is to be crossed back: one soft plane.
     """
     n, e, speed = own[O_POSITION], own[O_POSITION + 1], settings[S_SPEED]
     margin = FENCE_MARGIN_M + 2.0 * own[O_SIGMA]
     reach = margin + _reach(settings)
-    hard = at
-    for soft in range(2):
-        first = 0
-        while first < len(fence):
-            after = first + 1
-            while after < len(fence) and fence[after, W_AREA] == fence[first, W_AREA]:
-                after += 1
-            kind = fence[first, W_KIND]
-            right = inside(fence, first, after, n, e) == (kind in (IN_POLYGON, IN_CIRCLE))
-            if right and soft == 0:
-                for i in range(first, after):
-                    room, dn, de = nearest_of_wall(fence[i], n, e)
-                    if room < reach:
-                        planes[at, 0], planes[at, 1], planes[at, 2] = dn, de, 0.0
-                        planes[at, 3] = -_closing(
-                            max(room - margin, 0.0), FENCE_BRAKES * settings[S_ACCELERATION]
-                        )
-                        at += 1
-            if not right and soft == 1:
-                room, dn, de = nearest_of_wall(fence[first], n, e)
-                for i in range(first + 1, after):
-                    other, on, oe = nearest_of_wall(fence[i], n, e)
-                    if other < room:
-                        room, dn, de = other, on, oe
-                planes[at, 0], planes[at, 1], planes[at, 2] = -dn, -de, 0.0
-                planes[at, 3] = min((room + margin) / BOUNDARY_LAG_S, 0.5 * speed)
+    back, bn, be = math.inf, 0.0, 0.0
+    first = 0
+    while first < len(fence):
+        after = first + 1
+        while after < len(fence) and fence[after, W_AREA] == fence[first, W_AREA]:
+            after += 1
+        right = inside(fence, first, after, n, e) == (fence[first, W_KIND] in (IN_POLYGON, IN_CIRCLE))
+        for i in range(first, after):
+            room, dn, de = nearest_of_wall(fence[i], n, e)
+            if dn * dn + de * de == 0.0:  # on the border itself: nothing tells the sides apart
+                continue
+            if right and room < reach:
+                planes[at, 0], planes[at, 1], planes[at, 2] = dn, de, 0.0
+                planes[at, 3] = -_closing(max(room - margin, 0.0), FENCE_BRAKES * settings[S_ACCELERATION])
                 at += 1
-            first = after
-        if soft == 0:
-            hard = at
+            elif not right and room < back:
+                back, bn, be = room, dn, de
+        first = after
+    hard = at
+    if back < math.inf:
+        planes[at, 0], planes[at, 1], planes[at, 2] = -bn, -be, 0.0
+        planes[at, 3] = min((back + margin) / BOUNDARY_LAG_S, 0.5 * speed)
+        at += 1
     return hard, at
 
 
@@ -684,7 +733,12 @@ def _preferred(
     speed = math.sqrt(vn * vn + ve * ve + vd * vd)
     if settings[S_CATCH_UP] > 0.0 and speed > EPSILON and times[0] < t < times[-1]:
         lead = (gn * vn + ge * ve + gd * vd) / speed
-        reserve = max(settings[S_SPEED] - speed, 0.0)
+        most_speed = settings[S_SPEED]
+        if vd < -EPSILON:
+            most_speed = min(most_speed, speed * settings[S_CLIMB] / -vd)
+        elif vd > EPSILON:
+            most_speed = min(most_speed, speed * settings[S_DESCENT] / vd)
+        reserve = max(most_speed - speed, 0.0)
         slower = min(max(gain * (lead - reserve * settings[S_CATCH_UP]) / speed, 0.0), 1.0)
     vn, ve, vd = vn + gain * gn, ve + gain * ge, vd + gain * gd
     vn, ve, vd = _clipped(vn, ve, min(max(vd, least), most), settings[S_SPEED])
@@ -729,16 +783,18 @@ def _half_space_row(
     horizon: float,
     overlap: float,
     share: float,
+    most: float,
 ) -> None:
     """One neighbour's plane, built where its volume is a ball, the normal mapped back.
 
-    p: from us to it; a: our velocity; vn, ve: its level velocity; rd: our down speed less its.
+    p: from us to it; a: our velocity; vn, ve: its level velocity; rd: our down speed less its. Nobody may ask
+    for more than `most` m/s: from within a large volume the demand would outweigh everybody else's.
     """
     nn, ne, nd, s = half_space(pn, pe, scale * pd, an - vn, ae - ve, scale * rd, radius, horizon, overlap)
     nd *= scale
     length = math.sqrt(nn * nn + ne * ne + nd * nd)
     planes[row, 0], planes[row, 1], planes[row, 2] = nn / length, ne / length, nd / length
-    planes[row, 3] = (nn * an + ne * ae + nd * ad + share * s) / length
+    planes[row, 3] = min((nn * an + ne * ae + nd * ad + share * s) / length, most)
 
 
 @_compiled
@@ -772,6 +828,7 @@ def _avoid(
     hard, first = _fence(fence, own, settings, planes, DOWN_SPEEDS)
     conflict = False
     standing = 0
+    demand = DEMAND * settings[S_SPEED] if settings[S_LAW] != PAPER else math.inf
     for j in range(count):
         age, level = neighbours[j, N_AGE], neighbours[j, N_VERTICAL] == 0.0
         radius, scale, horizon = settings[S_RADIUS], settings[S_VERTICAL], settings[S_HORIZON]
@@ -805,11 +862,12 @@ def _avoid(
         share = neighbours[j, N_SHARE]
         _half_space_row(
             planes, first + j, pn, pe, pd, an, ae, ad, vn, ve, rd, scale, radius, horizon,
-            settings[S_OVERLAP], share,
+            settings[S_OVERLAP], share, demand,
         )  # fmt: skip
         for column in range(4):
             view[j, V_PLANE + column] = planes[first + j, column]
-        if settings[S_GROWTH] != 0.0 and age > neighbours[j, N_SILENT]:
+            view[j, V_STANDING + column] = 0.0
+        if settings[S_GROWTH] != 0.0 and neighbours[j, N_SILENT] != 0.0:
             # Who falls silent in flight may have lost its GNSS with its last message, and stopped there.
             back = age - STOPS_S
             pn, pe, pd = pn - back * vn, pe - back * ve, pd - back * vd
@@ -824,14 +882,16 @@ def _avoid(
                 conflict, view[j, V_CONFLICT] = True, 1.0
             _half_space_row(
                 planes, first + count + standing, pn, pe, pd, an, ae, ad, 0.0, 0.0, rd, scale, radius,
-                horizon, settings[S_OVERLAP], share,
+                horizon, settings[S_OVERLAP], share, demand,
             )  # fmt: skip
+            for column in range(4):
+                view[j, V_STANDING + column] = planes[first + count + standing, column]
             standing += 1
     out[0], out[1], out[2] = wn, we, wd
     if conflict and settings[S_RIGHT] != 0.0:
         c, s = math.cos(settings[S_RIGHT]), math.sin(settings[S_RIGHT])
         out[0], out[1] = c * wn - s * we, s * wn + c * we
-    feasible = solve(planes, hard, first + count + standing, settings[S_SPEED], out, scratch, out)
+    feasible = solve(planes, hard, first + count + standing, settings[S_SPEED], SLACK_MPS, out, scratch, out)
     out[R_NEIGHBOURS], out[R_HARD] = first, hard
     out[R_SOLVED], out[R_SOLVED + 1], out[R_SOLVED + 2] = out[0], out[1], out[2]
     return feasible, conflict

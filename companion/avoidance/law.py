@@ -39,7 +39,7 @@ QUANTUM_MPS = 0.2
 """Error of a velocity in Remote ID's steps: 0.25 m/s, 1 degree and 0.5 m/s vertically, of which 0.85."""
 CATCH_UP_S = 30.0
 """The timed path waits for an aircraft that could not catch up with it in this time."""
-CREWED_HORIZON_S = 60.0
+CREWED_HORIZON_S = 90.0
 VERTICAL_SCALE = 0.85
 """Volumes are 1 / 0.85 times as tall as wide: downwash, and the vertical error of GNSS."""
 _BELIEVABLE = 1e7
@@ -72,8 +72,8 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     """Error of the velocity, one standard deviation per axis."""
     growth_mps: float = 0.0
     """How fast it leaves its predictions (`kernels.note_track`)."""
-    silent_s: float = _BELIEVABLE
-    """Age above which it may have stopped (`kernels.silent_after`)."""
+    silent: bool = False
+    """Not heard for so long that it may have stopped (`kernels.silent_after`)."""
     share: float = 0.5
     """Least share of what is needed that is ours, 0.5 to 1 (`right_of_way`)."""
     vertical_known: bool = True
@@ -192,7 +192,14 @@ class Law:
         )
         view, out = self._view[: len(usable)].tolist(), self._out.tolist()
         hard, outside = int(out[k.R_HARD]), out[k.R_NEIGHBOURS] > out[k.R_HARD]
-        active = self._binding(self._view[: len(usable), k.V_PLANE :])
+        active = [
+            moving or standing
+            for moving, standing in zip(
+                self._binding(self._view[: len(usable), k.V_PLANE : k.V_STANDING]),
+                self._binding(self._view[: len(usable), k.V_STANDING :]),
+                strict=True,
+            )
+        ]
         return LawResult(
             wanted_ned_mps=(out[3], out[4], out[5]),
             chosen_ned_mps=(out[0], out[1], out[2]),
@@ -235,7 +242,7 @@ class Law:
                     n.sigma_m,
                     n.sigma_mps,
                     n.growth_mps,
-                    n.silent_s,
+                    n.silent,
                     n.share,
                     n.vertical_known,
                     n.crewed,
@@ -256,8 +263,11 @@ class Law:
 
 
 def on_plane(plane: Sequence[float], velocity: Sequence[float]) -> bool:
-    """Whether a velocity lies on a plane (n, d), or beyond it: that the plane bounds it."""
+    """Whether a velocity lies on a plane (n, d), or beyond it: that the plane bounds it. Nothing does with
+    n = 0."""
     n, e, d, most = plane
+    if n == e == d == 0.0:
+        return False
     return n * velocity[0] + e * velocity[1] + d * velocity[2] <= most + _ON_PLANE_MPS
 
 
@@ -340,4 +350,5 @@ def _track(neighbour: Neighbour, view: list[float], active: bool) -> TrackView:
         time_to_closest_s=view[k.V_TIME],
         closest_m=view[k.V_DISTANCE],
         active=active,
+        adsb=neighbour.adsb,
     )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from companion.avoidance.trajectory import Trajectory, check_speeds
+from companion.avoidance.walls import walls_of
 from companion.config import Config, TrajectoryFile
 from companion.geometry import LocalFrame
+from companion.ownship import SIGMA_UNKNOWN_M
 
 
 def local_path(path: TrajectoryFile, frame: LocalFrame, datum_msl_m: float) -> Trajectory:
@@ -25,10 +27,12 @@ def check_path(config: Config, name: str) -> None:
     """Check before flight that the configured path, where there is one, can be flown within the limits.
 
     Raises:
-        ConfigError: names the leg, its speed and the limit.
+        ConfigError: names the leg, its speed and the limit, or the area of the fence.
     """
     if config.path is None:
         return
     first = config.path.waypoint[0]
     frame = LocalFrame(first.lat_deg, first.lon_deg, first.alt_m)
-    check_speeds(local_path(config.path, frame, 0.0), config.limits, f"{name}: flight.trajectory")
+    path = local_path(config.path, frame, 0.0)
+    check_speeds(path, config.limits, f"{name}: flight.trajectory")
+    walls_of(config.fence, frame, path, SIGMA_UNKNOWN_M)

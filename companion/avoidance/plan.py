@@ -33,8 +33,12 @@ from companion.events import (
 from companion.ownship import Ownship
 
 _MISSION_FRESH_S = 1.0
-_FENCE_FRESH_S = 30.0
+_FENCE_FRESH_S = 90.0
 """The vehicle's fence is asked for first; the mission may take its time."""
+_ANSWER_S = 75.0
+"""A download that was asked for is answered within this time, or never."""
+LEAST_HEIGHT_M = 15.0
+"""Above home: where no floor is given, avoidance goes no lower than this or the path's lowest point."""
 _CHANGED = (
     "the mission was changed while the pilot flew: it is flown from AUTO or MISSION, or after a landing"
 )
@@ -58,10 +62,12 @@ class Plan:
         """The pilot gave the vehicle back: the mission is to be compared before it is flown on."""
         self._changed: tuple[MissionItem, ...] = ()
         """A mission that the pilot changed in flight: not to be begun from GUIDED or HOLD."""
+        self._asked_s = -math.inf
+        """When a download was asked for that has not been answered."""
         self._tried_s = -math.inf
         self._said: str | None = None
         self.law: Law | None = None
-        self.home_alt_msl_m = 0.0
+        self.home_alt_msl_m = self.lowest_height_m = 0.0
         self._start_s: float | None = None
         """Monotonic time of the path's time 0."""
 
@@ -79,11 +85,18 @@ class Plan:
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
         """Keep the downloaded mission for the plan that is made at once."""
-        self._items, self._items_s, self._tried_s = event.items, now_s, -math.inf
+        self._items, self._items_s = event.items, now_s
+        self._asked_s = self._tried_s = -math.inf
 
     def take_fence(self, event: FenceDownloaded, now_s: float) -> None:
         """Keep the downloaded geofence for the plan that is made at once."""
-        self._areas, self._areas_s, self._tried_s = event.areas, now_s, -math.inf
+        self._areas, self._areas_s = event.areas, now_s
+        self._asked_s = self._tried_s = -math.inf
+
+    def download_refused(self, reason: str) -> list[Command]:
+        """What was asked for will not come; it is asked for again later."""
+        self._asked_s = -math.inf
+        return self.refuse(reason)
 
     def refuse(self, reason: str) -> list[Command]:
         """Say why there is no path, once for each reason."""
@@ -101,15 +114,22 @@ class Plan:
         self._tried_s = now_s
         try:
             if self._config.limits.fence == "vehicle" and now_s - self._areas_s > _FENCE_FRESH_S:
-                return [DownloadFence()]
+                return self._ask(DownloadFence(), now_s)
             path = self._config.path
             if path is None:
                 if now_s - self._items_s > _MISSION_FRESH_S:
-                    return [DownloadMission()]
+                    return self._ask(DownloadMission(), now_s)
                 path = self._from_mission(own)
             return [] if path is None else self._make(path, own, now_s)
         except ConfigError as error:
             return self.refuse(str(error))
+
+    def _ask(self, command: Command, now_s: float) -> list[Command]:
+        """Not again while it may be under way: the link would begin anew."""
+        if now_s - self._asked_s < _ANSWER_S:
+            return []
+        self._asked_s = now_s
+        return [command]
 
     def _compare(self, own: Ownship, now_s: float) -> list[Command]:
         """Fly the mission on if it is still the same; a changed one is not resumed."""
@@ -117,7 +137,7 @@ class Plan:
             if now_s - self._tried_s < _RETRY_S:
                 return []
             self._tried_s = now_s
-            return [DownloadMission()]
+            return self._ask(DownloadMission(), now_s)
         items = self._items
         if items == self._flown:
             self._go_on(own, now_s)
@@ -163,10 +183,11 @@ class Plan:
                 return self.refuse("it starts at a UTC and the vehicle does not know UTC yet")
             self._start_s = flight.start_utc_s - own.utc_offset_s
         check_areas(self._areas)
-        walls = walls_of(self._areas, own.frame, trajectory)
+        walls = walls_of(self._areas, own.frame, trajectory, own.sigma_m)
         self._flown = self._items
         self.law = Law(self._config.avoidance, limits, trajectory, walls)
         self.home_alt_msl_m = home
+        self.lowest_height_m = min(w.alt_m + above_msl - home for w in path.waypoint)
         self._said = None
         return []
 
@@ -209,6 +230,12 @@ class Plan:
     def distance_m(self, own: Ownship, now_s: float) -> float:
         """How far the aircraft is from that point."""
         return math.dist(self.point(now_s), own.position_ned_m(now_s))
+
+    @property
+    def floor_height_m(self) -> float:
+        """Above home."""
+        floor = self._config.limits.floor_height_m
+        return min(LEAST_HEIGHT_M, self.lowest_height_m) if floor is None else floor
 
     def boundary_down_m(self, height_m: float | None, own: Ownship, now_s: float) -> float | None:
         """NED down of a height above home, at the aircraft's own place: the plane of the frame is not level

@@ -8,7 +8,6 @@ right for both.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,25 +15,32 @@ import numpy as np
 from companion.avoidance import kernels as k
 from companion.avoidance.trajectory import Trajectory
 from companion.errors import ConfigError
-from companion.events import FenceArea, Vec3
+from companion.events import FenceArea
 from companion.geometry import LocalFrame
 
 Point = tuple[float, float]
 
 
-def walls_of(areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory) -> k.Array:
+def walls_of(
+    areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory, sigma_m: float
+) -> k.Array:
     """The walls that an aircraft on this path keeps, shape (F, WALL_COLUMNS).
 
     Args:
         areas: checked (`fence.check_areas`).
+        sigma_m: own horizontal standard deviation: what the law keeps from a wall grows with it, and a path
+            within that could not be flown to its end.
 
     Raises:
-        ConfigError: the path leaves what it must stay in, or enters or grazes what it must stay out of.
+        ConfigError: the path leaves what it must stay in, or enters what it must stay out of, or comes too
+            near to the border.
     """
     rows: list[tuple[float, ...]] = []
+    points = np.array(trajectory.points_ned_m)[:, :2]
+    margin = k.FENCE_MARGIN_M + 2.0 * sigma_m
     for number, area in enumerate(areas):
         walls = _walls(number, area, frame)
-        trouble = _trouble(area, walls, trajectory)
+        trouble = _trouble(area, np.array(walls), points, margin)
         if trouble is not None:
             kind = "in" if area.inclusion else "out of"
             raise ConfigError(f"fence: area[{number}] (to be stayed {kind}): the path {trouble}")
@@ -52,57 +58,57 @@ def _walls(number: int, area: FenceArea, frame: LocalFrame) -> list[tuple[float,
     return [(number, kind, *a, *b) for a, b in edges if a != b]
 
 
-def _trouble(area: FenceArea, walls: list[tuple[float, ...]], trajectory: Trajectory) -> str | None:
-    """What the path does that it must not, in words."""
-    table = np.array(walls)
-    n, e, _ = trajectory.points_ned_m[0]
-    if k.inside(table, 0, len(table), n, e) != area.inclusion:
+def _trouble(area: FenceArea, walls: k.Array, points: k.Array, margin: float) -> str | None:
+    """What the path, shape (K, 2), does that it must not, in words."""
+    if k.inside(walls, 0, len(walls), points[0, 0], points[0, 1]) != area.inclusion:
         return "begins outside of it" if area.inclusion else "begins in it"
-    for number, (a, b) in enumerate(itertools.pairwise(trajectory.points_ned_m)):
-        room = min(_room(wall, a, b) for wall in walls)
-        if room < k.FENCE_MARGIN_M:
+    for number, (a, b) in enumerate(itertools.pairwise(points)):
+        room = _from_circle(walls[0], a, b) if area.radius_m is not None else _from_edges(walls, a, b)
+        if room < margin:
             how = "crosses its border" if room <= 0.0 else f"comes within {room:.1f} m of its border"
             return (
-                f"{how} between waypoint[{number}] and waypoint[{number + 1}]; allowed are "
-                f"{k.FENCE_MARGIN_M:g} m"
+                f"{how} between waypoint[{number}] and waypoint[{number + 1}]; at least {margin:.1f} m are "
+                "kept (2 m and two standard deviations of the own position)"
             )
     return None
 
 
-def _room(wall: tuple[float, ...], a: Vec3, b: Vec3) -> float:
-    """Least horizontal distance of a leg from a wall, m; 0 where it crosses."""
-    _, kind, n, e, other_n, other_e = wall
-    start, end = (a[0], a[1]), (b[0], b[1])
-    if kind in (k.IN_CIRCLE, k.OUT_OF_CIRCLE):
-        middle, radius = (n, e), other_n
-        near = _from_leg(middle, start, end)
-        far = max(math.dist(middle, start), math.dist(middle, end))
-        return 0.0 if near <= radius <= far else min(abs(near - radius), abs(far - radius))
-    corner, other = (n, e), (other_n, other_e)
-    if _crosses(corner, other, start, end):
-        return 0.0
-    return min(
-        _from_leg(start, corner, other),
-        _from_leg(end, corner, other),
-        _from_leg(corner, start, end),
-        _from_leg(other, start, end),
+def _from_circle(wall: k.Array, a: k.Array, b: k.Array) -> float:
+    """Least distance of a leg from a circle, m; 0 where it crosses."""
+    middle, radius = wall[k.W_FROM : k.W_FROM + 2], float(wall[k.W_TO])
+    near = float(_from_leg(middle[None], a[None], b[None])[0])
+    far = float(max(np.linalg.norm(a - middle), np.linalg.norm(b - middle)))
+    return 0.0 if near <= radius <= far else min(abs(near - radius), abs(far - radius))
+
+
+def _from_edges(walls: k.Array, a: k.Array, b: k.Array) -> float:
+    """Least distance of a leg from edges, m; 0 where it crosses one."""
+    start, end = walls[:, k.W_FROM : k.W_FROM + 2], walls[:, k.W_TO : k.W_TO + 2]
+    one, other = np.broadcast_to(a, start.shape), np.broadcast_to(b, start.shape)
+    crosses = (_side(start, end, one) * _side(start, end, other) < 0.0) & (
+        _side(one, other, start) * _side(one, other, end) < 0.0
     )
+    if crosses.any():
+        return 0.0
+    rooms = (
+        _from_leg(one, start, end),
+        _from_leg(other, start, end),
+        _from_leg(start, one, other),
+        _from_leg(end, one, other),
+    )
+    return float(np.min(rooms))
 
 
-def _from_leg(point: Point, a: Point, b: Point) -> float:
-    """Distance of a point from the straight way between two."""
-    sn, se = b[0] - a[0], b[1] - a[1]
-    length2 = sn * sn + se * se
-    share = 0.0
-    if length2 > 0.0:
-        share = min(max(((point[0] - a[0]) * sn + (point[1] - a[1]) * se) / length2, 0.0), 1.0)
-    return math.dist(point, (a[0] + share * sn, a[1] + share * se))
+def _from_leg(point: k.Array, a: k.Array, b: k.Array) -> k.Array:
+    """Distances of points from the straight ways between two others, all of shape (F, 2)."""
+    along = b - a
+    length2 = np.einsum("ij,ij->i", along, along)
+    share = np.einsum("ij,ij->i", point - a, along) / np.where(length2 > 0.0, length2, 1.0)
+    away: k.Array = np.linalg.norm(point - a - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
+    return away
 
 
-def _crosses(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Whether the way from a to b and that from c to d cross inside both."""
-    return _side(a, b, c) * _side(a, b, d) < 0.0 and _side(c, d, a) * _side(c, d, b) < 0.0
-
-
-def _side(a: Point, b: Point, c: Point) -> float:
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+def _side(a: k.Array, b: k.Array, c: k.Array) -> k.Array:
+    """Above 0 where c lies on one side of the line from a to b, below on the other; shapes (F, 2)."""
+    side: k.Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    return side

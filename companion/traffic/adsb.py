@@ -28,6 +28,9 @@ EXPIRE_S = 15.0
 _MAX_RANGE_M = 50_000.0
 _STAMP_S = 0.5
 """Ages come in whole seconds, cut off."""
+_REPEATED_S = 5.0
+_APART_S = 1.0
+_STILL: Vec3 = (0.0, 0.0, 0.0)
 _NOT_CREWED = frozenset({14, 17, 18, 19})
 """ADSB_EMITTER_TYPE: UAV, surface vehicles, point obstacle: the separations of drones do."""
 
@@ -41,6 +44,8 @@ class _Seen:
     barometric: bool
     crewed: bool
     told: tuple[object, ...]
+    anchor: _Seen | None
+    """A report a second or more before this one."""
 
 
 class AdsbTraffic:
@@ -66,8 +71,10 @@ class AdsbTraffic:
         at_s = now_s - event.age_s - _STAMP_S
         before = self._seen.get(event.icao)
         told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
-        # ArduPilot repeats the last report for seconds, with the age that it had at first.
-        if before is not None and (at_s <= before.at_s or told == before.told):
+        # ArduPilot repeats the last report for seconds, with the age that it had at first; one that stands
+        # still looks the same.
+        repeated = before is not None and told == before.told and at_s - before.at_s <= _REPEATED_S
+        if before is not None and (at_s <= before.at_s or (repeated and event.velocity_ned_mps != _STILL)):
             return
         alt_msl_m = event.alt_m
         if event.alt_geometric and alt_msl_m is not None:
@@ -75,25 +82,26 @@ class AdsbTraffic:
         position = frame.to_ned(event.lat_deg, event.lon_deg, frame.alt_m if alt_msl_m is None else alt_msl_m)
         if math.hypot(position[0], position[1]) > _MAX_RANGE_M:
             return
-        velocity = event.velocity_ned_mps
-        if velocity is None:
-            velocity = (0.0, 0.0, 0.0) if before is None else before.velocity
-            if before is not None and at_s - before.at_s >= 1.0:
-                dn, de, dd = (b - a for a, b in zip(before.position, position, strict=True))
-                k = 1.0 / (at_s - before.at_s)
-                velocity = (k * dn, k * de, k * dd)
         self._seen.pop(event.icao, None)
         if len(self._seen) >= MOST:
             del self._seen[next(iter(self._seen))]
-        self._seen[event.icao] = _Seen(
+        seen = self._seen[event.icao] = _Seen(
             position=position,
-            velocity=velocity,
+            velocity=event.velocity_ned_mps or (_STILL if before is None else before.velocity),
             at_s=at_s,
             vertical_known=alt_msl_m is not None,
             barometric=not event.alt_geometric,
             crewed=event.emitter not in _NOT_CREWED,
             told=told,
+            anchor=before,
         )
+        if before is not None:
+            # Velocity from positions wants two that are not too near, however often they come.
+            anchor = before if before.anchor is None or at_s - before.at_s >= _APART_S else before.anchor
+            seen.anchor = anchor
+            anchor.anchor = None
+            if event.velocity_ned_mps is None and at_s - anchor.at_s >= _APART_S:
+                seen.velocity = _between(anchor, seen)
 
     def clear(self) -> None:
         """Forget all places: the frame they were given in is no more."""
@@ -126,3 +134,11 @@ def _neighbour(icao: int, seen: _Seen, now_s: float, own_down_m: float) -> Neigh
         crewed=seen.crewed,
         adsb=True,
     )
+
+
+def _between(a: _Seen, b: _Seen) -> Vec3:
+    """Velocity from one report to the next; vertical only between heights of one kind."""
+    k = 1.0 / (b.at_s - a.at_s)
+    alike = a.vertical_known and b.vertical_known and a.barometric == b.barometric
+    north, east, down = (k * (q - p) for p, q in zip(a.position, b.position, strict=True))
+    return north, east, down if alike else 0.0

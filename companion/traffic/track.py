@@ -16,6 +16,7 @@ from companion.traffic.about import About
 from companion.traffic.fix import Fix
 from companion.traffic.plausibility import Doubts, Flag, MotionWindow, noise_m
 
+_CLOCKLESS_S = 0.5
 ESTABLISHED = 3
 """Messages after which a track is not pushed out by a newcomer's first."""
 
@@ -59,6 +60,8 @@ class Track:
     """What `kernels.note_track` remembers."""
     past_vertical: bool = False
     """Whether that is with height."""
+    past_clocked: bool = False
+    """Whether its times are the sender's."""
 
     def take_over(self, other: Track) -> None:
         """The other track was this aircraft, heard on another transport before it told its name."""
@@ -71,14 +74,24 @@ class Track:
             self.sample_s, self.received_s = other.sample_s, max(self.received_s, other.received_s)
             self.sigma_m, self.sigma_mps, self.content = other.sigma_m, other.sigma_mps, other.content
 
-    def remember(self) -> None:
-        """Learn from the message just taken how fast the aircraft leaves its predictions."""
+    def remember(self, fix: Fix) -> None:
+        """Learn from the message just taken how fast the aircraft leaves its predictions.
+
+        By the sender's own clock, which runs evenly whatever is thought of its lead. Without one the moment
+        is known to about a second only, which moves a fast aircraft far along its way.
+        """
+        past, p, v = self.past, self.position_ned_m, self.velocity_ned_mps
+        clocked = fix.stamp_s is not None
+        if clocked != self.past_clocked:
+            past[kernels.T_TIME], self.past_clocked = -math.inf, clocked
+        down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
         if self.vertical_known != self.past_vertical:
             # A height that comes or goes is no manoeuvre.
-            self.past[kernels.T_TIME], self.past_vertical = -math.inf, self.vertical_known
-        p, v = self.position_ned_m, self.velocity_ned_mps
-        down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
-        kernels.note_track(self.past, self.sample_s, p[0], p[1], down, v[0], v[1], sinking, self.sigma_m)
+            past[kernels.T_POSITION + 2], past[kernels.T_VELOCITY + 2] = down, 0.0
+            self.past_vertical = self.vertical_known
+        at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
+        sigma = self.sigma_m if clocked else math.hypot(self.sigma_m, _CLOCKLESS_S * math.hypot(*v))
+        kernels.note_track(past, at_s, p[0], p[1], down, v[0], v[1], sinking, sigma)
 
     @property
     def flags(self) -> frozenset[Flag]:
@@ -116,9 +129,13 @@ def same(a: Location, b: Location) -> bool:
 
 
 def from_positions(track: Track, fix: Fix, sample_s: float) -> tuple[Vec3, bool]:
-    """Velocity from two positions, for a sender that declares none."""
-    elapsed = sample_s - track.sample_s
-    if elapsed < 0.5:
+    """Velocity from two positions, for a sender that declares none: this one's and the one remembered, which
+    is far enough back however often it sends."""
+    past = track.past
+    elapsed = (sample_s if fix.stamp_s is None else fix.stamp_s) - past[kernels.T_TIME]
+    if not 0.5 <= elapsed < math.inf or track.past_clocked != (fix.stamp_s is not None):
         return track.velocity_ned_mps, track.velocity_known
-    a, b = track.position_ned_m, fix.position
-    return ((b[0] - a[0]) / elapsed, (b[1] - a[1]) / elapsed, (b[2] - a[2]) / elapsed), True
+    north, east, down = (float(c) for c in past[kernels.T_POSITION : kernels.T_VELOCITY])
+    p = fix.position
+    sinking = (p[2] - down) / elapsed if track.past_vertical and fix.vertical_known else 0.0
+    return ((p[0] - north) / elapsed, (p[1] - east) / elapsed, sinking), True

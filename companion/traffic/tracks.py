@@ -175,7 +175,7 @@ class Traffic:
                 t.sigma_m,
                 t.sigma_mps,
                 float(t.past[T_GROWTH]),
-                silent_after(t.past),
+                now_s - t.received_s > silent_after(t.past),
                 share_of(self._own_rank, _rank(t)),
                 t.vertical_known,
             )
@@ -319,7 +319,7 @@ class Traffic:
         track.sample_s, track.received_s = sample_s, now_s
         track.sigma_m, track.sigma_mps, track.content = fix.sigma_m, fix.sigma_mps, fix.content
         track.vertical_known = fix.vertical_known
-        track.remember()
+        track.remember(fix)
         track.messages += 1
         track.about.update(source.about)
         if track.messages == ESTABLISHED or track.messages % _RANKED_EVERY == 0:
@@ -386,7 +386,7 @@ class Traffic:
             opened_s=now_s,
         )
         track.about.update(source.about)
-        track.remember()
+        track.remember(fix)
         self._add(track)
         self._judge.first_message(track, known, source, fix, now_s)
         self.counts.updates += 1

@@ -16,7 +16,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from companion.avoidance import kernels, law
+from companion import config
+from companion.avoidance import kernels, law, trajectory
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -179,8 +180,9 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         raise ConfigError(f"seed {seed}: {error}") from error
     kinds = np.full(cell.aircraft, float(flight.AVOIDS))
     kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
-    if cell.intruder == "crewed":
-        points[kinds == flight.CREWED] = _crewed_ways(times, points, kinds == flight.CREWED, seed)
+    crewed = (kinds == flight.CREWED) | (kinds == flight.BAROMETRIC)
+    if crewed.any():
+        points[crewed] = _crewed_ways(times, points, crewed, seed)
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array([settings_of(avoidance, *own) for own in zip(limits, paths, strict=True)])
@@ -218,7 +220,7 @@ def _row(seed: int, result: NDArray[np.float64], pairs: NDArray[np.float64]) -> 
 
 def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
     speed = cell.speed_mps
-    if kind == flight.CREWED:
+    if kind in (flight.CREWED, flight.BAROMETRIC):
         speed = CREWED_MPS
     elif not cell.reserve:
         speed = path.max_speed()
@@ -282,14 +284,14 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
 
 def software() -> str:
     """The state of law, world and encounters that flights hang on."""
-    modules = (kernels, law, flight, generators, scenario, adsb, right_of_way)
-    files = [inspect.getsourcefile(module) or "" for module in modules]
+    modules = (kernels, law, trajectory, config, flight, generators, scenario, adsb, right_of_way)
+    files = [inspect.getsourcefile(module) or "" for module in modules] + [__file__]
     return hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()[:12]
 
 
 def baseline(cell: Cell) -> Cell:
     """The same encounters, nobody avoiding; nothing hangs on the air then, nor on who would have avoided."""
-    turning = cell.intruder in ("turning", "frozen", "crewed") and cell.intruders > 0.0
+    turning = cell.intruder in ("turning", "frozen", "crewed", "barometric") and cell.intruders > 0.0
     return msgspec.structs.replace(
         cell,
         law="none",

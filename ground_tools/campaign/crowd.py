@@ -173,7 +173,7 @@ def _step(
             )  # fmt: skip
             planes[slot, 0], planes[slot, 1], planes[slot, 2] = nx, ny, nz
             planes[slot, 3] = nx * vx + ny * vy + nz * vz + 0.5 * s
-        k.solve(planes, 0, found, limits[C_SPEED], wish[who[row]], scratch, new[who[row]])
+        k.solve(planes, 0, found, limits[C_SPEED], 0.0, wish[who[row]], scratch, new[who[row]])
     return -1
 
 

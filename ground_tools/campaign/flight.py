@@ -61,10 +61,12 @@ AWAY_M = 15.0
 ) = range(25)
 # What an aircraft is: one that avoids; one that sends and flies its path (blind), or besides turns and climbs
 # at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), sends
-# a wrong position (liar), or is crewed traffic, heard by ADS-B.
-AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED = range(7)
+# a wrong position (liar), or is crewed traffic, heard by ADS-B, with a geometric altitude (crewed) or with one
+# that says nothing within 300 m (barometric).
+AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC = range(8)
 INTRUDERS = {
-    "blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN, "crewed": CREWED
+    "blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN, "crewed": CREWED,
+    "barometric": BAROMETRIC,
 }  # fmt: skip
 _TURN_S = 4.0
 """Between two changes of mind of one that turns."""
@@ -295,6 +297,7 @@ def fly(
     state = np.zeros((fleet, k.STATE_ENTRIES))
     times, velocities = np.zeros((fleet, k.HISTORY_SAMPLES)), np.zeros((fleet, k.HISTORY_SAMPLES, 3))
     own, neighbours = np.zeros(k.OWN_ENTRIES), np.zeros((fleet, k.NEIGHBOUR_COLUMNS))
+    got = np.zeros((fleet, fleet))  # when that was
     tracks = np.zeros((fleet, fleet, k.TRACK_ENTRIES))
     tracks[:, :, k.T_TIME] = -math.inf
     walls = k.DOWN_SPEEDS + len(fence)
@@ -373,7 +376,7 @@ def fly(
                         if arrival[i, j, slot] <= now:
                             arrival[i, j, slot] = math.inf
                             if sent[j, slot, M_TIME] > heard[i, j, M_TIME]:
-                                heard[i, j] = sent[j, slot]
+                                heard[i, j], got[i, j] = sent[j, slot], now
                                 m = heard[i, j]
                                 k.note_track(
                                     tracks[i, j], m[0], m[1], m[2], m[3], m[4], m[5], m[6], world[W_DECLARED]
@@ -386,11 +389,14 @@ def fly(
                         row[k.N_AGE], row[k.N_SIGMA], row[k.N_VERTICAL] = age, world[W_DECLARED], 1.0
                         row[k.N_SIGMA_VELOCITY], row[k.N_SHARE] = world[W_SIGMA_VELOCITY], 0.5
                         row[k.N_GROWTH], row[k.N_CREWED] = tracks[i, j, k.T_GROWTH], 0.0
-                        row[k.N_SILENT] = k.silent_after(tracks[i, j])
-                        if kinds[j] == CREWED:
+                        row[k.N_SILENT] = 0.0
+                        if now - got[i, j] > k.silent_after(tracks[i, j]):
+                            row[k.N_SILENT] = 1.0
+                        if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
+                            row[k.N_VERTICAL] = 1.0 if kinds[j] == CREWED else 0.0
                             row[k.N_SIGMA], row[k.N_SIGMA_VELOCITY] = adsb.SIGMA_M, adsb.SIGMA_MPS
                             row[k.N_GROWTH], row[k.N_SHARE], row[k.N_CREWED] = 0.0, CREWED_SHARE, 1.0
-                            row[k.N_SILENT] = 1e7
+                            row[k.N_SILENT] = 0.0
                         senders[count] = j
                         count += 1
                 for c in range(3):
@@ -468,7 +474,7 @@ def fly(
             result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
             result[F_FENCE] = max(result[F_FENCE], _beyond(fence, position[i, 0], position[i, 1]))
             for j in range(fleet):
-                if kinds[j] == CREWED:
+                if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
                     level = settings[i, k.S_CREWED] / math.sqrt(2.0)
                     aside = (
                         math.hypot(position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]) / level

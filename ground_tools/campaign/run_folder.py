@@ -219,7 +219,10 @@ def _decision(own: list[float], out: list[float], point: Vec3, seen: Array, call
                 conflict=view[k.V_CONFLICT] != 0.0,
                 time_to_closest_s=view[k.V_TIME],
                 closest_m=view[k.V_DISTANCE],
-                active=on_plane(view[k.V_PLANE :], out[k.R_SOLVED : k.R_SOLVED + 3]),
+                active=any(
+                    on_plane(view[at : at + 4], out[k.R_SOLVED : k.R_SOLVED + 3])
+                    for at in (k.V_PLANE, k.V_STANDING)
+                ),
             )
         )
     return Decision(

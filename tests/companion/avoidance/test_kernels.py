@@ -32,7 +32,7 @@ def half_space(p: Any, v: Any, radius: float = 10.0, tau: float = 20.0, overlap:
 def solve(planes: Any, wish: Any, speed: float = 5.0, hard: int = 0) -> tuple[bool, np.ndarray]:
     rows = np.array(planes, dtype=float).reshape(-1, 4)
     out = np.zeros(3)
-    ok = k.solve(rows, hard, len(rows), speed, np.array(wish, dtype=float), np.zeros_like(rows), out)
+    ok = k.solve(rows, hard, len(rows), speed, 0.0, np.array(wish, dtype=float), np.zeros_like(rows), out)
     return ok, out
 
 

@@ -57,7 +57,7 @@ def one_by_one(position, velocity, wish, neighbours=10, reach=REACH):
             nx, ny, nz, s = k.half_space(*p, *v, RADIUS, HORIZON, OVERLAP)
             vx, vy, vz = velocity[i]
             row[:] = nx, ny, nz, nx * vx + ny * vy + nz * vz + 0.5 * s
-        k.solve(planes, 0, len(near), SPEED, wish[i], np.zeros_like(planes), new[i])
+        k.solve(planes, 0, len(near), SPEED, 0.0, wish[i], np.zeros_like(planes), new[i])
     return new
 
 

@@ -88,7 +88,7 @@ class Heart:
                 row[k.N_SIGMA],
                 row[k.N_SIGMA_VELOCITY],
                 row[k.N_GROWTH],
-                row[k.N_SILENT],
+                row[k.N_SILENT] == 1.0,
                 row[k.N_SHARE],
                 row[k.N_VERTICAL] == 1.0,
                 row[k.N_CREWED] == 1.0,

@@ -65,7 +65,7 @@ def test_the_record_shows_what_the_law_decides(look, run):
                     row[1 + k.N_SIGMA],
                     row[1 + k.N_SIGMA_VELOCITY],
                     row[1 + k.N_GROWTH],
-                    row[1 + k.N_SILENT],
+                    row[1 + k.N_SILENT] == 1.0,
                 )
                 for j, row in enumerate(seen.tolist())
                 if j != i and not math.isnan(row[0])
