@@ -42,7 +42,7 @@ EPSILON = 1e-9
 """Violations and gaps (m/s) up to this are rounding."""
 PARALLEL = 1e-14
 """Square of the sine under which two planes count as parallel."""
-SLACK_MPS = 0.05
+SLACK_MPS = 0.02
 """Of a decision that cannot keep every plane."""
 ALIGNED = 2e-7
 """Gap, in parts of the greatest speed, that the tilt of parallel planes explains."""
@@ -101,8 +101,9 @@ L_COMMAND, L_TIME, L_QUIET, L_DELAY, L_HISTORY, STATE_ENTRIES = 0, 3, 4, 5, 6, 7
 V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE = 0, 3, 4, 5, 6
 V_PLANE, V_STANDING, VIEW_COLUMNS = 7, 11, 15
 # Columns of a row of `fence`, an edge or a circle: number of its area, rising from row to row; what the area
-# is; corners north, east, or a circle's middle and radius, m.
-W_AREA, W_KIND, W_FROM, W_TO, WALL_COLUMNS = 0, 1, 2, 4, 6
+# is; corners north, east, or a circle's middle and radius, m; share of the acceleration with which it stops
+# before the wall, the rest is left to turn.
+W_AREA, W_KIND, W_FROM, W_TO, W_BRAKES, WALL_COLUMNS = 0, 1, 2, 4, 6, 7
 IN_POLYGON, OUT_OF_POLYGON, IN_CIRCLE, OUT_OF_CIRCLE = 0.0, 1.0, 2.0, 3.0
 # What is remembered of a track by `note_track`: a message's time, position, velocity; growth; silence.
 T_TIME, T_POSITION, T_VELOCITY, T_GROWTH, T_GAP, TRACK_ENTRIES = 0, 1, 4, 7, 8, 9
@@ -119,12 +120,12 @@ BOUNDARY_LAG_S = 1.0
 """From a decision to the vehicle's answer, at floor and ceiling: autopilot lag, period and latency."""
 RESTART_S = 1.0
 """After a pause longer than this (and five periods) the command starts again from the velocity flown."""
-DEMAND = 0.9
+DEMAND = 2.0
 """Most that one neighbour's plane asks for, in parts of the greatest speed."""
 FENCE_MARGIN_M = 2.0
 """Kept from a fence besides two standard deviations of the own position."""
-FENCE_BRAKES = 0.5
-"""Share of the acceleration with which it stops before a fence; the rest is left to turn."""
+FENCE_BACK = 0.2
+"""Speed back out of a fence's margin, in parts of the greatest."""
 NEWS_S = 0.9
 """A track's past is judged by messages at least this far apart."""
 GROWTH_MEMORY_S = 40.0
@@ -630,13 +631,6 @@ def _down_speeds(own: Array, settings: Array) -> tuple[float, float]:
 
 
 @_compiled
-def _reach(settings: Array) -> float:
-    """Distance in which the fastest aircraft stops: a fence beyond it binds nobody."""
-    speed = settings[S_SPEED]
-    return float(speed * BOUNDARY_LAG_S + 0.5 * speed * speed / (FENCE_BRAKES * settings[S_ACCELERATION]))
-
-
-@_compiled
 def nearest_of_wall(wall: Array, n: float, e: float) -> tuple[float, float, float]:
     """Distance (m) to the nearest point of an edge or a circle, and the unit vector from there to (n, e)."""
     if wall[W_KIND] >= IN_CIRCLE:
@@ -677,13 +671,15 @@ def _fence(fence: Array, own: Array, settings: Array, planes: Array, at: int) ->
     """Planes of the fence, from row `at` on: hard ones, then a soft one; the rows after each.
 
     On the right side of an area, each wall within reach asks for a speed towards it at which the aircraft
-    still stops before the margin, by the same law as floor and ceiling; standing still is always allowed. On
-    the wrong side of areas, the nearest of their walls is to be crossed back: one soft plane.
+    still stops before the margin, by the same law as floor and ceiling; standing still is allowed. Within the
+    margin of the nearest of them there is a way back, where that breaks no other. On the wrong side of areas,
+    the nearest of their walls is to be crossed back: one soft plane.
     """
     n, e, speed = own[O_POSITION], own[O_POSITION + 1], settings[S_SPEED]
     margin = FENCE_MARGIN_M + 2.0 * own[O_SIGMA]
-    reach = margin + _reach(settings)
     back, bn, be = math.inf, 0.0, 0.0
+    nearest, least_room = -1, margin
+    start = at
     first = 0
     while first < len(fence):
         after = first + 1
@@ -694,14 +690,25 @@ def _fence(fence: Array, own: Array, settings: Array, planes: Array, at: int) ->
             room, dn, de = nearest_of_wall(fence[i], n, e)
             if dn * dn + de * de == 0.0:  # on the border itself: nothing tells the sides apart
                 continue
-            if right and room < reach:
-                planes[at, 0], planes[at, 1], planes[at, 2] = dn, de, 0.0
-                planes[at, 3] = -_closing(max(room - margin, 0.0), FENCE_BRAKES * settings[S_ACCELERATION])
+            if right:
+                closing = _closing(max(room - margin, 0.0), fence[i, W_BRAKES] * settings[S_ACCELERATION])
+                if closing >= speed:  # too far away to bind
+                    continue
+                planes[at, 0], planes[at, 1], planes[at, 2], planes[at, 3] = dn, de, 0.0, -closing
+                if room < least_room:
+                    nearest, least_room = at, room
                 at += 1
-            elif not right and room < back:
+            elif room < back:
                 back, bn, be = room, dn, de
         first = after
     hard = at
+    if nearest >= 0:
+        dn, de = planes[nearest, 0], planes[nearest, 1]
+        outward = min((margin - least_room) / BOUNDARY_LAG_S, FENCE_BACK * speed)
+        for j in range(start, hard):
+            if j != nearest and outward * (planes[j, 0] * dn + planes[j, 1] * de) < planes[j, 3]:
+                outward = 0.0
+        planes[nearest, 3] = outward
     if back < math.inf:
         planes[at, 0], planes[at, 1], planes[at, 2] = -bn, -be, 0.0
         planes[at, 3] = min((back + margin) / BOUNDARY_LAG_S, 0.5 * speed)
@@ -993,7 +1000,7 @@ def decide(
     else:
         wn, we, wd, slower = _preferred(own, path_times, path_points, settings, state[L_DELAY], least, most)
         if now - state[L_TIME] <= RESTART_S:
-            state[L_DELAY] += slower * (now - state[L_TIME])
+            state[L_DELAY] += slower * max(now - state[L_TIME], 0.0)
     note_velocity(state, history_times, history_velocities, now, vn, ve, vd)
     feasible, conflict = _avoid(
         neighbours, count, own, wn, we, wd, least, most, fence, settings,

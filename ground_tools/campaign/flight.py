@@ -61,8 +61,8 @@ AWAY_M = 15.0
 ) = range(25)
 # What an aircraft is: one that avoids; one that sends and flies its path (blind), or besides turns and climbs
 # at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), sends
-# a wrong position (liar), or is crewed traffic, heard by ADS-B, with a geometric altitude (crewed) or with one
-# that says nothing within 300 m (barometric).
+# a wrong position (liar); crewed traffic, heard by ADS-B, with a geometric altitude (crewed) or with one that
+# says nothing within 300 m (barometric).
 AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC = range(8)
 INTRUDERS = {
     "blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN, "crewed": CREWED,
