@@ -29,6 +29,8 @@ class Flight:
     time_s: k.Array
     position: k.Array
     """True, NED, m, shape (K, 3)."""
+    error: k.Array
+    """Of the measured position, m, shape (K, 3)."""
     results: list[LawResult]
     late_s: k.Array
     """Of each decision."""
@@ -52,7 +54,7 @@ def fly(
     v = np.array(velocity, dtype=float)
     command, error = v.copy(), rng.normal(0.0, 1.0, 3) * noisy
     keep = math.exp(-STEP_S / NOISE_MEMORY_S)
-    times, places, results, late = [], [], [], []
+    times, places, errors, results, late = [], [], [], [], []
     for tick in range(round((until_s - start_s) / STEP_S)):
         now = start_s + tick * STEP_S
         if tick % round(PERIOD_S / STEP_S) == 0:
@@ -66,7 +68,8 @@ def fly(
         error = keep * error + math.sqrt(1.0 - keep * keep) * rng.normal(0.0, 1.0, 3) * noisy
         times.append(now + STEP_S)
         places.append(p)
-    return Flight(np.array(times), np.array(places), results, np.array(late))
+        errors.append(error)
+    return Flight(np.array(times), np.array(places), np.array(errors), results, np.array(late))
 
 
 def polygon(kind: float, *corners: tuple[float, float], number: int = 0) -> k.Array:

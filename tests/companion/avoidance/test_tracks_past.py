@@ -137,7 +137,8 @@ def test_noise_alone_is_no_manoeuvre(sigma_mps: float, median_mps: float, rarely
         track, noise, keep = fresh(), rng.normal(0.0, 1.5, 3), math.exp(-1.0 / 30.0)
         for t in range(60):
             p = np.array([3.0 * t, 0.0, 0.0]) + noise
-            growths.append(note(track, t, p, (3.0, 0.0, 0.0) + rng.normal(0.0, sigma_mps, 3), 1.5))
+            v = np.array([3.0, 0.0, 0.0]) + rng.normal(0.0, sigma_mps, 3)
+            growths.append(note(track, t, p, v, 1.5))
             noise = keep * noise + math.sqrt(1.0 - keep * keep) * rng.normal(0.0, 1.5, 3)
     median, rarely = np.percentile(growths, [50, 95])
     assert median < median_mps

@@ -88,6 +88,7 @@ CROSSES = "crosses its border between waypoint[{}] and waypoint[{}]; allowed are
         (area(False, (0, 0), radius_m=50.0), [(-90, 0), (0, 0), (90, 0)], CROSSES.format(0, 1)),
         (area(False, (0, 0), radius_m=50.0), [(10, 0), (90, 0)], "begins in it"),
         (area(False, (0, 0), radius_m=50.0), [(-90, 51.5), (90, 51.5)], "comes within 1.5 m"),
+        (area(False, *SQUARE), [(50, 151.4), (151.4, 50)], "comes within 1.0 m"),
         # Through what no waypoint lies in: thin, a corner cut, a round one beside the leg's middle.
         (area(False, (0, -90), (1, -90), (1, 90), (0, 90)), [(-80, 3), (80, -3)], CROSSES.format(0, 1)),
         (area(False, *SQUARE), [(-120, 60), (-60, 120)], CROSSES.format(0, 1)),
