@@ -48,7 +48,7 @@ def test_without_reserve_the_point_waits(seed: int | None) -> None:
     assert one.late_s == pytest.approx(lost_s, abs=0.05 if seed is None else 1.0)
     before = flight.late_s[: round((27.0 - 20.0) / 0.2)]
     if seed is None:
-        assert before.max() == 0.0  # until it meets the other
+        assert before.max() < 1e-9  # until it meets the other
 
 
 def test_the_less_reserve_the_more_it_waits() -> None:
