@@ -145,6 +145,7 @@ def test_the_delayed_trajectory() -> None:
     for step in range(60):
         now = 60.0 + 0.2 * step
         one.decide(Situation(now, now, (250.0, 0.0, -50.0), (5.0, 0.0, 0.0), 1.0))
+        assert one.trajectory.start_s == one.late_s
     late = one.late_s
     assert late > 2.0
     assert one.trajectory.times_s == pytest.approx([late, 100.0 + late, 300.0 + late], abs=1e-12)
