@@ -111,6 +111,45 @@ def test_regular_messages_are_no_silence(every_s: float, silent_s: float) -> Non
     assert abs(flight.position[:, 1]).max() < 1e-9
 
 
+# ---------------------------------------------------------------- radius and share
+
+
+@pytest.mark.parametrize(
+    ("keys", "radius_m"),
+    [
+        # 10 m, 3.8 standard deviations of both places (3 m, 4 m), and 0.2 m/s of steps.
+        ({"age_s": 0.0}, 10.0 + 3.8 * 5.0),
+        ({"age_s": 2.0}, 10.0 + 3.8 * 5.0 + 0.4),
+        # The velocity's error over the age: 2 s of 6 m/s beside the 5 m.
+        ({"age_s": 2.0, "sigma_mps": 6.0}, 10.0 + 3.8 * 13.0 + 0.4),
+        # Manoeuvres from the message to 4 s from now, where they are more than the steps.
+        ({"age_s": 2.0, "growth_mps": 1.5}, 10.0 + 3.8 * 5.0 + 1.5 * 6.0),
+        ({"age_s": 2.0, "growth_mps": 0.05}, 10.0 + 3.8 * 5.0 + 0.4),
+        ({"age_s": 0.0, "growth_mps": 3.0}, 10.0 + 3.8 * 5.0 + 12.0),
+        ({"age_s": 2.0, "growth_mps": 1.5, "crewed": True}, 150.0 * math.sqrt(2.0) + 3.8 * 5.0 + 9.0),
+    ],
+)
+def test_radius(keys: dict[str, Any], radius_m: float) -> None:
+    other = Neighbour("b", (900.0, 0.0, -50.0), (0.0, 0.0, 0.0), sigma_m=3.0, **{"sigma_mps": 0.0, **keys})
+    view = Situation(0.0, 0.0, (0.0, 0.0, -50.0), (4.0, 0.0, 0.0), 4.0, [other])
+    assert own().decide(view).tracks[0].radius_m == pytest.approx(radius_m, rel=1e-12)
+    paper = 150.0 * math.sqrt(2.0) if keys.get("crewed") else 10.0
+    assert own(law="paper").decide(view).tracks[0].radius_m == pytest.approx(paper, rel=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 1.0])
+def test_the_share_that_is_ours(share: float) -> None:
+    """Of the way out of the obstacle, along its normal."""
+    start, p, velocity, speed = (0.0, 0.0, -50.0), (60.0, 4.0, 0.0), (4.0, 0.0, 0.0), (-2.0, 0.0, 0.0)
+    other = Neighbour("b", (60.0, 4.0, -50.0), speed, 0.0, 0.0, share=share)
+    one = own()
+    one.decide(Situation(0.0, 0.0, start, velocity, 0.0, [other]))
+    *normal, way = k.half_space(*p, *(a - b for a, b in zip(velocity, speed, strict=True)), 12.0, 20.0, 2.0)
+    assert way > 0.1
+    offset = normal[0] * 4.0 + share * way
+    assert one._view[0, k.V_PLANE :].tolist() == pytest.approx([*normal, offset], abs=1e-12)
+
+
 # ---------------------------------------------------------------- crewed traffic
 
 
