@@ -276,14 +276,17 @@ def test_the_order_of_tracks_changes_nothing(name: str) -> None:
 @pytest.mark.parametrize("track_id", ["a", "id1x", "z"])
 def test_a_far_diverging_track_changes_nothing(name: str, track_id: str) -> None:
     """Wherever it comes in the row, in conflicts and where nothing is feasible."""
-    infeasible = 0
-    for seed in range(SCENES):
+    infeasible = quiet = 0
+    for seed in range(2 * SCENES):
         one = scene(seed)
+        one = replace(one, neighbours=one.neighbours[: seed % 7])
         far = Neighbour(track_id, (900.0, -700.0, 30.0), (6.0, -4.0, 0.0), 1.0, 1.5, growth_mps=1.0)
         expected = one.decisions(name)
         infeasible += not expected[-1].feasible
+        quiet += not expected[-1].conflict
         same(expected, replace(one, neighbours=(*one.neighbours, far)).decisions(name))
-    assert name == "none" or infeasible > 5
+    assert quiet > 10
+    assert name == "none" or infeasible > 10
 
 
 @pytest.mark.parametrize("name", LAWS)
