@@ -93,7 +93,9 @@ def place_of(flight, now_s):
 class Pair:
     """Vehicle and companion, stepped together."""
 
-    def __init__(self, firmware=Firmware.PX4, *, use="fly", law="dmuca", fence=(), limits=None, **options):
+    def __init__(
+        self, firmware=Firmware.PX4, *, use="fly", law="dmuca", fence_file=(), limits=None, **options
+    ):
         options = {"airborne": True, "start_position_ned_m": START, **options}
         if options["airborne"] and firmware is Firmware.ARDUPILOT:
             # Taken off in GUIDED, as a ground station does it; LOITER is the pilot's.
@@ -106,7 +108,7 @@ class Pair:
             limits=LimitsConfig(max_speed_mps=5.0, **(limits or {})),
             avoidance=AvoidanceConfig(law=law),
             path=path(),
-            fence=fence,
+            fence=fence_file,
         )
         self.steps = []
         self.onboard = Onboard(self.config, self.steps.append)
@@ -273,7 +275,7 @@ def test_beside_a_fence_a_conflict_is_solved_inside_and_the_reason_says_so(firmw
     """To the right, where it would turn, are 5 m."""
     largest, nearest = {}, {}
     for east_m in (200.0, 5.0):
-        pair = Pair(firmware, fence=(corridor(-200.0, east_m),), limits={"fence": "fence.toml"})
+        pair = Pair(firmware, fence_file=(corridor(-200.0, east_m),), limits={"fence": "fence.toml"})
         pair.heard = lambda now_s: intruder(now_s, 200.0)
         pair.run(45.0)
         others = [(200.0 - SPEED_MPS * TICK_S * tick, 0.0, -50.0) for tick in range(len(pair.places))]
@@ -290,7 +292,7 @@ def test_beside_a_fence_a_conflict_is_solved_inside_and_the_reason_says_so(firmw
 
 def test_a_flight_with_a_fence_replays_the_same():
     """The fence is in the record's header."""
-    pair = Pair(fence=(corridor(-200.0, 5.0),), limits={"fence": "fence.toml"})
+    pair = Pair(fence_file=(corridor(-200.0, 5.0),), limits={"fence": "fence.toml"})
     pair.heard = lambda now_s: intruder(now_s, 200.0)
     pair.run(30.0)
     items = list(record.read(io.BytesIO(pair.record()), "x"))
