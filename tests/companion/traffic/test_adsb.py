@@ -194,10 +194,10 @@ def test_the_longest_silent_of_too_many_is_forgotten():
     sky = Sky()
     for icao in range(MOST):
         sky.take(10.0 + 0.001 * icao, report(icao=icao))
-    sky.take(11.0, report(1010.0, icao=0))
-    sky.take(11.1, report(icao=MOST))
+    sky.take(11.0, report(1010.0, icao=0), report(1010.0, icao=2))
+    sky.take(11.1, report(icao=MOST), report(icao=MOST + 1))
     heard = {int(seen.track_id, 16) for seen in sky.at(11.1)}
-    assert heard == {*range(MOST + 1)} - {1}
+    assert heard == {*range(MOST + 2)} - {1, 3}
 
 
 @pytest.mark.parametrize(("east_m", "heard"), [(49_900.0, True), (50_100.0, False)])

@@ -76,13 +76,16 @@ def test_a_turn_is_seen_also_without_height():
     assert neighbour(listener).growth_mps > 1.5
 
 
-def test_a_climb_that_is_not_declared_is_growth_where_the_height_is_known():
-    for known in (True, False):
-        listener = Listener()
-        for at_s in seconds(20):
-            height = {"alt_geodetic_m": 497.0 + 3.0 * (at_s - 10.0)} if known else {"alt_geodetic_m": None}
-            fly(listener, straight(), [at_s], **height)
-        assert (neighbour(listener).growth_mps > 2.0) is known
+@pytest.mark.parametrize(
+    ("accuracy_m", "grows"), [(3.0, True), (45.0, False)], ids=["known", "too inaccurate to be known"]
+)
+def test_a_climb_that_is_not_declared_is_growth_where_the_height_is_known(accuracy_m, grows):
+    listener = Listener()
+    for at_s in seconds(20):
+        height = {"alt_geodetic_m": 497.0 + 3.0 * (at_s - 10.0), "vertical_accuracy_m": accuracy_m}
+        fly(listener, straight(), [at_s], **height)
+    assert (neighbour(listener).growth_mps > 2.0) is grows
+    assert neighbour(listener).vertical_known is grows
 
 
 @pytest.mark.parametrize(("every_s", "silent_s"), [(0.5, 5.0), (1.0, 5.0), (3.0, 8.0)])
