@@ -12,6 +12,7 @@ import pytest
 
 from companion import config as configuration
 from companion.errors import ConfigError
+from companion.events import FenceArea
 from companion.radio import ether_wire, hci_channel
 from companion.runtime import links
 
@@ -324,3 +325,72 @@ def test_the_profiles_in_the_project_load():
 def test_an_identity_of_raw_bytes_has_a_name_for_people_and_files():
     assert configuration.IdentityConfig(uas_id="1596B0000DMUCA01").name == "1596B0000DMUCA01"
     assert configuration.IdentityConfig(uas_id="\x01\x80").name == "0180"
+
+
+FENCE = """[[area]]
+inclusion = true
+points = [[47.0, 8.0], [47.01, 8.0], [47.01, 8.01]]
+
+[[area]]
+inclusion = false
+center = [47.005, 8.005]
+radius_m = 20.0
+"""
+FENCED = IDENTITY + '[limits]\nfence = "fence.toml"\n'
+
+
+def test_a_fence_file_is_taken_in_and_stands_in_the_run_folder(tmp_path):
+    write(tmp_path, FENCE, "fence.toml")
+    loaded = configuration.load(write(tmp_path, FENCED))
+    assert loaded.fence == (
+        FenceArea(inclusion=True, points=((47.0, 8.0), (47.01, 8.0), (47.01, 8.01))),
+        FenceArea(inclusion=False, points=((47.005, 8.005),), radius_m=20.0),
+    )
+    # As the recorder writes it: alone in a folder of its own.
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.toml").write_bytes(configuration.dump(loaded))
+    assert configuration.load(run / "config.toml") == loaded
+
+
+def test_the_vehicles_own_fence_needs_no_file(tmp_path):
+    loaded = configuration.load(write(tmp_path, IDENTITY + '[limits]\nfence = "vehicle"\n'))
+    assert (loaded.limits.fence, loaded.fence) == ("vehicle", ())
+    (tmp_path / "run.toml").write_bytes(configuration.dump(loaded))
+    assert configuration.load(tmp_path / "run.toml") == loaded
+
+
+@pytest.mark.parametrize(
+    ("fence", "message"),
+    [
+        (None, "fence.toml: cannot be read: No such file"),
+        ("", "fence.toml: area: missing"),
+        ("[[area]\n", "fence.toml: not valid TOML"),
+        (FENCE + "radius = 3\n", "fence.toml: area[1].radius: unknown key; allowed here: inclusion, points"),
+        (FENCE + "\n[[area]]\ninclusion = 1\n", "fence.toml: area[2].inclusion: "),
+        (FENCE.replace("[47.01, 8.0]", "[97.0, 8.0]"), "fence.toml: area[0].points[1]: latitude 97.0"),
+        (FENCE.replace(", [47.01, 8.01]", ""), "fence.toml: area[0].points: 2 of them"),
+        (FENCE.replace("20.0", "-1.0"), "fence.toml: area[1].radius_m: -1.0: allowed are more than 0"),
+        (FENCE.replace("radius_m = 20.0", ""), "fence.toml: area[1]"),
+    ],
+)
+def test_a_wrong_fence_is_one_line_with_file_and_key(tmp_path, fence, message):
+    if fence is not None:
+        write(tmp_path, fence, "fence.toml")
+    with pytest.raises(ConfigError, match=re.escape(message)) as caught:
+        configuration.load(write(tmp_path, FENCED))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[identity]\nuas_id = "A1"\nicao = "4B123"\n', "identity.icao: '4B123'"),
+        ('[identity]\nuas_id = "A1"\nicao = "4B123G"\n', "identity.icao: '4B123G'"),
+        (IDENTITY + "[avoidance]\ncrewed_horizontal_m = 0\n", "avoidance.crewed_horizontal_m: 0: expected"),
+        (IDENTITY + "[avoidance]\ncrewed_vertical_m = 1001\n", "avoidance.crewed_vertical_m: 1001: expected"),
+    ],
+)
+def test_wrong_keys_of_crewed_traffic(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        configuration.load(write(tmp_path, text))

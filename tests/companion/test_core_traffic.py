@@ -1,0 +1,270 @@
+"""The heart with ADS-B, a geofence and alerts: what it asks for, refuses and says."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from companion.avoidance.alerts import Level
+from companion.avoidance.authority import HOLDING, State
+from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig
+from companion.core import Companion
+from companion.events import (
+    AdsbVehicle,
+    AlertChanged,
+    DownloadFence,
+    DownloadMission,
+    FenceArea,
+    FenceDownloaded,
+    FenceRefused,
+    FlightMode,
+    Landed,
+    Say,
+    SetMode,
+)
+from companion.geometry import LocalFrame
+
+HERE = LocalFrame(47.397, 8.545, 450.0)
+"""Where the bench stands; its path leads 1200 m north."""
+
+
+def area(south_m, north_m, half_width_m, *, inclusion=True):
+    corners = (
+        (south_m, -half_width_m),
+        (north_m, -half_width_m),
+        (north_m, half_width_m),
+        (south_m, half_width_m),
+    )
+    points = tuple(HERE.to_geodetic(north, east, 0.0)[:2] for north, east in corners)
+    return FenceArea(inclusion=inclusion, points=points)
+
+
+ROOMY = area(-500.0, 2000.0, 500.0)
+SHORT = area(-500.0, 600.0, 500.0)
+
+
+def rebuilt(bench, **sections):
+    """The bench with a heart whose configuration has other sections."""
+    return type(bench)(Companion(msgspec.structs.replace(bench.heart.config, **sections)))
+
+
+def times_of(bench, kind):
+    return [at_s for at_s, c in bench.log if isinstance(c, kind)]
+
+
+def refusals(bench):
+    return [c.text for _, c in bench.log if isinstance(c, Say) and "path refused" in c.text]
+
+
+@pytest.fixture
+def fenced(make_bench):
+    """A bench whose heart is to keep the vehicle's own fence."""
+    return rebuilt(make_bench(), limits=LimitsConfig(fence="vehicle"))
+
+
+# ------------------------------------------------------------ the vehicle's fence
+
+
+@pytest.mark.parametrize("areas", [(ROOMY,), ()])
+def test_the_fence_is_asked_for_before_the_vehicle_is_taken(fenced, areas):
+    fenced.until(lambda: times_of(fenced, DownloadFence))
+    commands = fenced.step(100)
+    assert fenced.heart.state is State.STANDBY
+    assert not fenced.setpoints(commands)
+    assert not times_of(fenced, SetMode)
+    fenced.extra = [FenceDownloaded(areas=areas)]
+    fenced.until(lambda: fenced.mode is FlightMode.EXTERNAL, limit=20)
+    assert fenced.heart.state in HOLDING
+    assert len(times_of(fenced, DownloadFence)) == 1
+    assert refusals(fenced) == []
+
+
+def test_a_fence_is_not_asked_for_while_the_vehicle_could_not_be_taken(fenced):
+    fenced.mode = FlightMode.OTHER
+    fenced.step(200)
+    assert not times_of(fenced, DownloadFence)
+
+
+@pytest.mark.parametrize(
+    ("areas", "reason"),
+    [
+        (
+            (ROOMY, SHORT),
+            "fence: area[1] (to be stayed in): the path crosses its border between waypoint[0] and "
+            "waypoint[1]; allowed are 2 m",
+        ),
+        (
+            (area(300.0, 400.0, 50.0, inclusion=False),),
+            "fence: area[0] (to be stayed out of): the path crosses its border between waypoint[0] and "
+            "waypoint[1]; allowed are 2 m",
+        ),
+        (
+            (ROOMY, area(100.0, 2000.0, 50.0)),
+            "fence: area[1] (to be stayed in): the path begins outside of it",
+        ),
+        (
+            (area(-50.0, 50.0, 50.0, inclusion=False),),
+            "fence: area[0] (to be stayed out of): the path begins in it",
+        ),
+        (
+            (area(-500.0, 2000.0, 1.0),),
+            "fence: area[0] (to be stayed in): the path comes within 1.0 m of its border between "
+            "waypoint[0] and waypoint[1]; allowed are 2 m",
+        ),
+    ],
+)
+def test_a_path_that_the_fence_forbids_is_refused_naming_the_area(fenced, areas, reason):
+    fenced.until(lambda: times_of(fenced, DownloadFence))
+    fenced.extra = [FenceDownloaded(areas=areas)]
+    commands = fenced.step(500)
+    assert refusals(fenced) == [f"DMUCA: path refused: {reason}"]
+    assert fenced.heart.state is State.STANDBY
+    assert not fenced.setpoints(commands)
+
+
+def test_a_fence_that_the_pilot_has_changed_is_seen(fenced):
+    """The refused path is tried again, after half a minute with the fence that the vehicle holds then."""
+    fenced.until(lambda: times_of(fenced, DownloadFence))
+    fenced.extra = [FenceDownloaded(areas=(SHORT,))]
+    refused_s = fenced.now_s
+    fenced.until(lambda: len(times_of(fenced, DownloadFence)) == 2, limit=1000)
+    assert 29.0 < fenced.now_s - refused_s < 45.0
+    fenced.extra = [FenceDownloaded(areas=(ROOMY,))]
+    fenced.until(lambda: fenced.heart.state in HOLDING, limit=20)
+
+
+def test_a_download_that_fails_is_said_and_tried_again_later(fenced):
+    fenced.until(lambda: times_of(fenced, DownloadFence))
+    fenced.extra = [FenceRefused(reason="no answer after 5 tries")]
+    fenced.step(500)
+    assert refusals(fenced) == ["DMUCA: path refused: the vehicle's fence: no answer after 5 tries"]
+    first, second, third = times_of(fenced, DownloadFence)[:3]
+    assert second - first == pytest.approx(10.0, abs=0.1)
+    assert third - second == pytest.approx(10.0, abs=0.1)
+    assert fenced.heart.state is State.STANDBY
+    fenced.extra = [FenceDownloaded(areas=(ROOMY,))]
+    fenced.until(lambda: fenced.heart.state in HOLDING, limit=20)
+
+
+def test_each_flight_asks_for_the_fence_anew(fenced):
+    fenced.until(lambda: times_of(fenced, DownloadFence))
+    fenced.extra = [FenceDownloaded(areas=(ROOMY,))]
+    fenced.until(lambda: fenced.heart.state in HOLDING, limit=20)
+    fenced.landed, fenced.armed, fenced.mode = Landed.ON_GROUND, False, FlightMode.HOLD
+    fenced.step(650)
+    fenced.landed, fenced.armed = Landed.IN_AIR, True
+    fenced.step(20)
+    assert len(times_of(fenced, DownloadFence)) == 2
+    assert fenced.heart.state is State.STANDBY
+
+
+def test_the_fence_comes_before_the_mission(make_bench):
+    bench = make_bench(trajectory="mission", mission_speed_mps=3.0)
+    bench = rebuilt(bench, limits=LimitsConfig(fence="vehicle"), path=None)
+    bench.until(lambda: times_of(bench, DownloadFence))
+    bench.step(100)
+    assert not times_of(bench, DownloadMission)
+    bench.extra = [FenceDownloaded(areas=(ROOMY,))]
+    bench.until(lambda: times_of(bench, DownloadMission), limit=5)
+    assert len(times_of(bench, DownloadFence)) == 1
+
+
+@pytest.mark.parametrize(("areas", "taken"), [((ROOMY,), True), ((ROOMY, SHORT), False)])
+def test_a_fence_from_a_file_is_not_asked_for(make_bench, areas, taken):
+    bench = rebuilt(make_bench(), limits=LimitsConfig(fence="fence.toml"), fence=areas)
+    bench.step(100)
+    assert not times_of(bench, DownloadFence)
+    assert (bench.heart.state in HOLDING) is taken
+    assert [("area[1] (to be stayed in)" in text) for text in refusals(bench)] == [True] * (not taken)
+
+
+# ------------------------------------------------------------ ADS-B and alerts
+
+
+def crewed(east_m=0.0, north_m=1500.0, *, icao=0x4B1234, speed_mps=50.0):
+    """Head-on at our height, its altitude geometric."""
+    lat, lon, alt_msl_m = HERE.to_geodetic(north_m, east_m, 0.0)
+    return AdsbVehicle(
+        icao=icao,
+        lat_deg=lat,
+        lon_deg=lon,
+        alt_m=alt_msl_m + 47.0,
+        alt_geometric=True,
+        velocity_ned_mps=(-speed_mps, 0.0, 0.0),
+    )
+
+
+def levels_after(bench, seconds, **over):
+    """Highest level of every track while crewed traffic comes nearer."""
+    highest = {}
+    for tick in range(round(seconds / 0.05)):
+        if tick % 20 == 0:
+            bench.extra.append(crewed(north_m=1500.0 - 2.5 * tick, **over))
+        bench.step()
+        for name, level in bench.heart.alerts.levels.items():
+            highest[name] = max(level, highest.get(name, Level.NONE))
+    return highest
+
+
+@pytest.fixture
+def watching(make_bench):
+    bench = make_bench(use="watch")
+    bench.step(20)
+    return bench
+
+
+def test_what_comes_near_is_a_warning(watching):
+    assert levels_after(watching, 5.0) == {"4B1234": Level.WARNING}
+
+
+@pytest.mark.parametrize("own", ["4b1234", "4B1234"])
+def test_our_own_transponder_is_no_threat(watching, own):
+    watching = rebuilt(watching, identity=IdentityConfig(uas_id="OWN", icao=own))
+    watching.step(20)
+    assert levels_after(watching, 5.0) == {}
+    assert levels_after(watching, 5.0, icao=0x4B1235) == {"4B1235": Level.WARNING}
+
+
+@pytest.mark.parametrize(
+    ("change", "value"), [("landed", Landed.ON_GROUND), ("stuck_position", True), ("fix_type", 1)]
+)
+def test_no_alerts_on_the_ground_or_without_an_own_state(watching, change, value):
+    setattr(watching, change, value)
+    watching.step(40)
+    before = len(watching.log)
+    levels_after(watching, 5.0)
+    assert not [c for _, c in watching.log[before:] if isinstance(c, AlertChanged)]
+
+
+@pytest.mark.parametrize("mode", [FlightMode.OTHER, FlightMode.HOLD])
+def test_alerts_go_on_after_the_pilot_took_over(make_bench, mode):
+    bench = make_bench()
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    bench.mode = mode
+    bench.step(5)
+    assert bench.heart.state is State.YIELDED
+    assert levels_after(bench, 5.0) == {"4B1234": Level.WARNING}
+    assert not any(c.acting for _, c in bench.log if isinstance(c, AlertChanged))
+
+
+def test_alerts_are_judged_once_a_period_not_at_every_step(watching):
+    """Three looks raise a level: 0.4 s after the first one, not 0.1 s."""
+    watching.step(3)
+    watching.extra.append(crewed(north_m=3000.0))
+    heard_s = watching.now_s + 0.05
+    watching.until(lambda: watching.heart.alerts.levels, limit=40)
+    assert 0.35 < watching.now_s - heard_s < 0.65
+
+
+def test_places_in_another_frame_are_forgotten(watching):
+    assert levels_after(watching, 5.0) == {"4B1234": Level.WARNING}
+    watching.armed, watching.lat_deg = False, watching.lat_deg + 0.2
+    watching.step(60)
+    assert watching.heart.adsb.neighbours(watching.now_s, 0.0) == []
+
+
+def test_without_an_own_position_no_place_is_taken():
+    heart = Companion(Config(identity=IdentityConfig(uas_id="OWN"), flight=FlightConfig(use="watch")))
+    assert not [c for c in heart.step(0.0, [crewed()]) if isinstance(c, AlertChanged)]
+    assert heart.adsb.neighbours(0.0, 0.0) == []

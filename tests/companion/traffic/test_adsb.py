@@ -1,0 +1,215 @@
+"""Aircraft heard by ADS-B: altitudes, repeats, velocities, bounds."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.events import AdsbVehicle
+from companion.geometry import LocalFrame
+from companion.traffic.adsb import BAROMETRIC_M, EXPIRE_S, MOST, AdsbTraffic
+
+FRAME = LocalFrame(47.397, 8.545, 400.0)
+SEPARATION_M = 47.0
+OWN_DOWN_M = -50.0
+ICAO = 0x4B1234
+STAMP_S = 0.5
+"""Half of the whole second that an age is cut to."""
+
+
+def report(north_m=1000.0, east_m=0.0, down_m=-50.0, *, geometric=True, **over):
+    lat, lon, alt_msl_m = FRAME.to_geodetic(north_m, east_m, down_m)
+    return AdsbVehicle(
+        **{
+            "icao": ICAO,
+            "lat_deg": lat,
+            "lon_deg": lon,
+            "alt_m": alt_msl_m + (SEPARATION_M if geometric else 0.0),
+            "alt_geometric": geometric,
+            "velocity_ned_mps": (0.0, 50.0, 0.0),
+            **over,
+        }
+    )
+
+
+class Sky:
+    """An AdsbTraffic with the arguments that do not change."""
+
+    def __init__(self, own_icao=None, separation_m=SEPARATION_M):
+        self.traffic = AdsbTraffic(own_icao)
+        self.separation_m = separation_m
+
+    def take(self, now_s, *reports):
+        for one in reports:
+            self.traffic.take(one, now_s, FRAME, self.separation_m)
+
+    def at(self, now_s, own_down_m=OWN_DOWN_M):
+        return self.traffic.neighbours(now_s, own_down_m)
+
+    def only(self, now_s, own_down_m=OWN_DOWN_M):
+        (neighbour,) = self.at(now_s, own_down_m)
+        return neighbour
+
+
+# ------------------------------------------------------------ altitudes
+
+
+def test_a_geometric_altitude_is_taken_from_the_ellipsoid_and_separates():
+    sky = Sky()
+    sky.take(10.0, report(down_m=-60.0))
+    seen = sky.only(10.0)
+    assert seen.position_ned_m == pytest.approx((1000.0, 0.0, -60.0), abs=0.01)
+    assert seen.vertical_known
+
+
+def test_without_the_geoids_height_a_geometric_altitude_is_not_known():
+    sky = Sky(separation_m=None)
+    sky.take(10.0, report(down_m=-600.0))
+    seen = sky.only(10.0)
+    assert not seen.vertical_known
+    assert seen.position_ned_m[:2] == pytest.approx((1000.0, 0.0), abs=0.2)
+
+
+@pytest.mark.parametrize(("away_m", "known"), [(0.0, False), (299.0, False), (301.0, True), (-301.0, True)])
+@pytest.mark.parametrize("separation_m", [SEPARATION_M, None])
+def test_a_barometric_altitude_separates_only_beyond_the_weather(away_m, known, separation_m):
+    """It counts from the sea level: the ellipsoid is nothing to it."""
+    assert BAROMETRIC_M == 300.0
+    sky = Sky(separation_m=separation_m)
+    sky.take(10.0, report(down_m=OWN_DOWN_M + away_m, geometric=False))
+    seen = sky.only(10.0)
+    assert seen.vertical_known is known
+    assert seen.position_ned_m[2] == pytest.approx(OWN_DOWN_M + away_m, abs=0.01)
+
+
+def test_whether_a_barometric_altitude_separates_is_judged_from_our_height_now():
+    sky = Sky()
+    sky.take(10.0, report(down_m=-450.0, geometric=False))
+    assert sky.only(10.0, own_down_m=-50.0).vertical_known
+    assert not sky.only(10.0, own_down_m=-200.0).vertical_known
+
+
+@pytest.mark.parametrize("geometric", [False, True])
+def test_an_altitude_that_is_not_told_is_not_known(geometric):
+    sky = Sky()
+    sky.take(10.0, report(alt_m=None, geometric=geometric))
+    assert not sky.only(10.0, own_down_m=-5000.0).vertical_known
+
+
+# ------------------------------------------------------------ who
+
+
+def test_our_own_transponder_is_not_traffic():
+    sky = Sky(own_icao=ICAO)
+    sky.take(10.0, report(), report(icao=ICAO + 1))
+    assert [seen.track_id for seen in sky.at(10.0)] == ["4B1235"]
+
+
+@pytest.mark.parametrize(
+    ("icao", "name"), [(0, "000000"), (0xA, "00000A"), (0x4B1234, "4B1234"), (0xFFFFFF, "FFFFFF")]
+)
+def test_names_are_six_hexadecimal_digits(icao, name):
+    sky = Sky()
+    sky.take(10.0, report(icao=icao))
+    seen = sky.only(10.0)
+    assert (seen.track_id, seen.adsb) == (name, True)
+
+
+@pytest.mark.parametrize("emitter", range(20))
+def test_who_is_crewed(emitter):
+    """ADSB_EMITTER_TYPE 14 UAV, 17 and 18 surface vehicles, 19 point obstacle; what is not told may be."""
+    sky = Sky()
+    sky.take(10.0, report(emitter=emitter))
+    seen = sky.only(10.0)
+    assert seen.crewed is (emitter not in (14, 17, 18, 19))
+    assert seen.share == (1.0 if seen.crewed else 0.5)
+
+
+# ------------------------------------------------------------ time
+
+
+def test_age_counts_from_the_middle_of_the_second():
+    sky = Sky()
+    sky.take(10.0, report(age_s=2.0))
+    assert sky.only(11.0).age_s == pytest.approx(3.0 + STAMP_S)
+
+
+def test_the_same_report_sent_again_does_not_refresh():
+    """ArduPilot goes on with the last one for seconds, its age unchanged."""
+    sky = Sky()
+    sky.take(10.0, report(age_s=1.0))
+    for tick in range(1, 6):
+        sky.take(10.0 + tick, report(age_s=1.0))
+    assert sky.only(15.0).age_s == pytest.approx(6.0 + STAMP_S)
+
+
+def test_an_older_report_is_passed_over():
+    sky = Sky()
+    sky.take(10.0, report(1000.0))
+    sky.take(10.5, report(900.0, age_s=3.0))
+    seen = sky.only(10.5)
+    assert seen.position_ned_m[0] == pytest.approx(1000.0, abs=0.01)
+    assert seen.age_s == pytest.approx(0.5 + STAMP_S)
+    sky.take(11.0, report(1100.0))
+    assert sky.only(11.0).position_ned_m[0] == pytest.approx(1100.0, abs=0.01)
+
+
+def test_who_is_silent_is_forgotten():
+    sky = Sky()
+    sky.take(10.0, report())
+    assert sky.at(10.0 - STAMP_S + EXPIRE_S)
+    assert not sky.at(10.0 - STAMP_S + EXPIRE_S + 0.01)
+
+
+def test_a_new_frame_begins_with_nobody():
+    sky = Sky()
+    sky.take(10.0, report())
+    sky.traffic.clear()
+    assert not sky.at(10.0)
+
+
+# ------------------------------------------------------------ velocity
+
+
+def test_a_velocity_that_is_not_told_comes_from_positions():
+    sky = Sky()
+    sky.take(10.0, report(1000.0, 0.0, -50.0, velocity_ned_mps=None))
+    assert sky.only(10.0).velocity_ned_mps == (0.0, 0.0, 0.0)
+    sky.take(12.0, report(1000.0, 100.0, -54.0, velocity_ned_mps=None))
+    assert sky.only(12.0).velocity_ned_mps == pytest.approx((0.0, 50.0, -2.0), abs=0.01)
+    # Too soon after the last one for a difference of positions to mean anything.
+    sky.take(12.5, report(1040.0, 125.0, -54.0, velocity_ned_mps=None))
+    assert sky.only(12.5).velocity_ned_mps == pytest.approx((0.0, 50.0, -2.0), abs=0.01)
+
+
+def test_a_velocity_that_is_told_is_taken():
+    sky = Sky()
+    sky.take(10.0, report(velocity_ned_mps=(-20.0, 30.0, 2.0)))
+    assert sky.only(10.0).velocity_ned_mps == (-20.0, 30.0, 2.0)
+
+
+# ------------------------------------------------------------ bounds
+
+
+def test_the_longest_silent_of_too_many_is_forgotten():
+    sky = Sky()
+    for icao in range(MOST):
+        sky.take(10.0 + 0.001 * icao, report(icao=icao))
+    sky.take(11.0, report(1010.0, icao=0), report(1010.0, icao=2))
+    sky.take(11.1, report(icao=MOST), report(icao=MOST + 1))
+    heard = {int(seen.track_id, 16) for seen in sky.at(11.1)}
+    assert heard == {*range(MOST + 2)} - {1, 3}
+
+
+@pytest.mark.parametrize(("east_m", "heard"), [(49_900.0, True), (50_100.0, False)])
+def test_who_is_too_far_away_is_left_out(east_m, heard):
+    sky = Sky()
+    sky.take(10.0, report(0.0, east_m))
+    assert bool(sky.at(10.0)) is heard
+
+
+def test_one_that_leaves_the_range_is_forgotten_in_time():
+    sky = Sky()
+    sky.take(10.0, report(0.0, 49_990.0))
+    for tick in range(1, 20):
+        sky.take(10.0 + tick, report(0.0, 49_990.0 + 50.0 * tick))
+    assert not sky.at(29.0)

@@ -1,0 +1,113 @@
+"""What a track did before: how fast it leaves its predictions, and how long it may be silent."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.avoidance.kernels import GROWTH_MOST_MPS
+
+from .flights import Listener, circle, fly, location, seconds, straight
+
+
+def neighbour(listener, now_s=60.0):
+    (one,) = listener.traffic.neighbours(now_s)
+    return one
+
+
+def off_line(aside_m, at_s=11.0):
+    """Straight on, but `aside_m` to the side from `at_s` on: the declared velocity tells nothing of it."""
+    line = straight()
+    return lambda t: (line(t)[0] + (aside_m if t >= at_s else 0.0), *line(t)[1:])
+
+
+@pytest.mark.parametrize(
+    ("aside_m", "growth_mps"),
+    [
+        # Declared 3 m and one second: 0.35 * (3 + 1) = 1.4 m are noise, twice the rest is the growth.
+        (2.0, 1.2),
+        (1.3, 0.0),
+        (50.0, GROWTH_MOST_MPS),
+    ],
+)
+def test_what_noise_does_not_explain_of_a_prediction_is_growth(aside_m, growth_mps):
+    listener = Listener()
+    fly(listener, off_line(aside_m), seconds(2))
+    assert neighbour(listener, 12.0).growth_mps == pytest.approx(growth_mps, abs=0.05)
+
+
+def test_growth_fades():
+    listener = Listener()
+    fly(listener, off_line(2.0), seconds(42))
+    assert neighbour(listener).growth_mps == pytest.approx(1.2 * math.exp(-1.0), abs=0.05)
+
+
+def test_a_turning_sender_is_known_to_turn_and_a_straight_one_not():
+    turning, straight_on = Listener(), Listener()
+    fly(turning, circle(10.0, 5.0), seconds(20))
+    fly(straight_on, straight(), seconds(20))
+    # In a second 5 m/s^2 lead 2.5 m aside, of which 1.4 m may be noise.
+    assert neighbour(turning).growth_mps == pytest.approx(2.0 * (2.5 - 1.4), rel=0.15)
+    assert neighbour(straight_on).growth_mps == 0.0
+
+
+def test_the_same_moment_on_two_transports_is_one():
+    listener = Listener()
+    for at_s in seconds(20):
+        for transport in ("wifi", "ble5"):
+            fly(listener, straight(), [at_s], transport=transport, address=transport)
+    assert neighbour(listener).growth_mps == 0.0
+    assert len(listener.traffic.tracks) == 1
+
+
+@pytest.mark.parametrize("unknown", [{"alt_geodetic_m": None}, {"vertical_accuracy_m": 45.0}])
+def test_a_height_that_comes_and_goes_is_no_manoeuvre(unknown):
+    """50 m above the frame's origin while it is known, in the middle of it while not."""
+    listener = Listener()
+    for number, at_s in enumerate(seconds(30)):
+        fly(listener, straight(), [at_s], **(unknown if number // 5 % 2 else {}))
+    assert neighbour(listener).growth_mps == 0.0
+
+
+def test_a_turn_is_seen_also_without_height():
+    listener = Listener()
+    fly(listener, circle(10.0, 5.0), seconds(20), alt_geodetic_m=None)
+    assert neighbour(listener).growth_mps > 1.5
+
+
+@pytest.mark.parametrize(
+    ("accuracy_m", "grows"), [(3.0, True), (45.0, False)], ids=["known", "too inaccurate to be known"]
+)
+def test_a_climb_that_is_not_declared_is_growth_where_the_height_is_known(accuracy_m, grows):
+    listener = Listener()
+    for at_s in seconds(20):
+        height = {"alt_geodetic_m": 497.0 + 3.0 * (at_s - 10.0), "vertical_accuracy_m": accuracy_m}
+        fly(listener, straight(), [at_s], **height)
+    assert (neighbour(listener).growth_mps > 2.0) is grows
+    assert neighbour(listener).vertical_known is grows
+
+
+@pytest.mark.parametrize(("every_s", "silent_s"), [(0.5, 5.0), (1.0, 5.0), (3.0, 8.0)])
+def test_silence_means_something_after_the_senders_own_gaps(every_s, silent_s):
+    """4 s and one and a half of its longest gaps, 1 s at least, less half a second."""
+    listener = Listener()
+    fly(listener, straight(), seconds(20, rate_hz=1.0 / every_s))
+    # A gap fades by exp(-1/60) a second.
+    assert neighbour(listener).silent_s == pytest.approx(silent_s, abs=0.1)
+    assert neighbour(listener).silent_s >= 5.0
+
+
+def test_one_long_gap_is_remembered_and_fades():
+    listener = Listener()
+    fly(listener, straight(), [*seconds(5), *seconds(1, start_s=18.0)])
+    assert neighbour(listener).silent_s == pytest.approx(3.5 + 1.5 * 4.0, abs=0.01)
+    fly(listener, straight(), seconds(60, start_s=19.0))
+    assert neighbour(listener).silent_s == pytest.approx(3.5 + 1.5 * 4.0 * math.exp(-1.0), abs=0.1)
+
+
+def test_a_first_message_says_nothing_of_the_past():
+    listener = Listener()
+    listener.hear(10.2, location(straight(), 10.0))
+    one = neighbour(listener, 10.2)
+    assert (one.growth_mps, one.silent_s) == (0.0, 5.0)

@@ -1,0 +1,339 @@
+"""One companion with one mock vehicle in virtual time: crewed traffic, fences and alerts, over real bytes."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from companion import record, replay
+from companion.autopilot.wire import MavlinkReader
+from companion.avoidance.alerts import Level
+from companion.avoidance.authority import State
+from companion.config import (
+    AvoidanceConfig,
+    Config,
+    FlightConfig,
+    IdentityConfig,
+    LimitsConfig,
+    TrajectoryFile,
+    Waypoint,
+)
+from companion.events import (
+    AdsbVehicle,
+    AlertChanged,
+    Decision,
+    FenceArea,
+    Firmware,
+    RemoteIdHeard,
+    Say,
+    SetMode,
+    Threat,
+    VelocitySetpoint,
+)
+from companion.geometry import LocalFrame
+from companion.onboard import Onboard
+from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+from sitl_mocks.autopilot import MockVehicle
+from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle_options import VehicleOptions
+from sitl_mocks.vehicle_traffic import CrewedFlight
+
+HOME = LocalFrame(47.397, 8.545, 400.0)
+UTC_AT_ZERO_S = 1_767_225_600.0
+TICK_S = 0.05
+START = (0.0, 0.0, -50.0)
+SPEED_MPS = 3.0
+BOTH = pytest.mark.parametrize("firmware", Firmware)
+
+
+def polygon(*corners, inclusion=True):
+    points = tuple(HOME.to_geodetic(north, east, 0.0)[:2] for north, east in corners)
+    return FenceArea(inclusion=inclusion, points=points)
+
+
+def corridor(west_m, east_m, *, north_m=2000.0):
+    """Along the path."""
+    return polygon((-200.0, west_m), (north_m, west_m), (north_m, east_m), (-200.0, east_m))
+
+
+def path():
+    """Due north at 3 m/s, 50 m above home."""
+    places = [HOME.to_geodetic(north, 0.0, -50.0) for north in (0.0, 400.0 * SPEED_MPS)]
+    return TrajectoryFile(
+        altitude="msl",
+        waypoint=tuple(
+            Waypoint(t_s=t, lat_deg=lat, lon_deg=lon, alt_m=alt)
+            for t, (lat, lon, alt) in zip((0.0, 400.0), places, strict=True)
+        ),
+    )
+
+
+def crossing(at_s=50.0, **over):
+    """Crewed traffic at 50 m/s from the west that meets the path's point at `at_s`."""
+    start = (SPEED_MPS * (at_s - 2.0), -50.0 * at_s, -50.0)
+    return CrewedFlight(
+        **{
+            "icao": 0x4B1234,
+            "start_ned_m": start,
+            "velocity_ned_mps": (0.0, 50.0, 0.0),
+            "callsign": "HBABC",
+            **over,
+        }
+    )
+
+
+def place_of(flight, now_s):
+    return np.add(flight.start_ned_m, np.multiply(flight.velocity_ned_mps, now_s))
+
+
+class Pair:
+    """Vehicle and companion, stepped together."""
+
+    def __init__(
+        self, firmware=Firmware.PX4, *, use="fly", law="dmuca", fence_file=(), limits=None, **options
+    ):
+        options = {"airborne": True, "start_position_ned_m": START, **options}
+        if options["airborne"] and firmware is Firmware.ARDUPILOT:
+            # Taken off in GUIDED, as a ground station does it; LOITER is the pilot's.
+            options.setdefault("start_mode", VehicleMode.EXTERNAL)
+        self.options = VehicleOptions(firmware=firmware, utc_at_zero_s=UTC_AT_ZERO_S, **options)
+        self.vehicle = MockVehicle(self.options, np.random.default_rng(1))
+        self.config = Config(
+            identity=IdentityConfig(uas_id="PAIR"),
+            flight=FlightConfig(use=use, take_in_flight=True),
+            limits=LimitsConfig(max_speed_mps=5.0, **(limits or {})),
+            avoidance=AvoidanceConfig(law=law),
+            path=path(),
+            fence=fence_file,
+        )
+        self.steps = []
+        self.onboard = Onboard(self.config, self.steps.append)
+        self.tick = 0
+        self.places = []
+        """True position at each tick."""
+        self.heard = lambda now_s: None
+        """What the radio hears at a tick."""
+        self._sent = []
+
+    @property
+    def state(self):
+        return self.onboard.heart.state
+
+    @property
+    def now_s(self):
+        """Time of the next tick."""
+        return self.tick * TICK_S
+
+    def run(self, seconds):
+        for _ in range(round(seconds / TICK_S)):
+            now_s = self.now_s
+            self.tick += 1
+            self.vehicle.advance(now_s)
+            data = self.vehicle.drain()
+            if data:
+                self.onboard.receive(data, now_s)
+            if (heard := self.heard(now_s)) is not None:
+                self.onboard.hear(heard)
+            self.onboard.tick(now_s)
+            self._sent.append(self.onboard.drain(now_s))
+            self.vehicle.receive(self._sent[-1], now_s)
+            self.places.append(self.vehicle.position_ned_m)
+        return self
+
+    def of(self, kind):
+        """Commands with their times."""
+        return [(step.now_s, c) for step in self.steps for c in step.commands if isinstance(c, kind)]
+
+    def events(self, kind):
+        return [e for step in self.steps for e in step.events if isinstance(e, kind)]
+
+    def texts(self):
+        """STATUSTEXT as sent, chunks joined."""
+        chunks = [m for m in MavlinkReader().feed(b"".join(self._sent)) if m.get_type() == "STATUSTEXT"]
+        found = {}
+        for m in chunks:
+            found[m.id] = found.get(m.id, "") + m.text
+        return list(found.values())
+
+    def record(self):
+        """The flight as its event file holds it."""
+        header = record.Header(aircraft="PAIR", software="test", config=self.config)
+        return record.MAGIC + b"".join(record.encode(item) for item in (header, *self.steps))
+
+    def least(self, flight):
+        """Least distances of the flight (m): to the side while within 50 m of height, of all."""
+        own = np.array(self.places)
+        other = np.array([place_of(flight, TICK_S * tick) for tick in range(len(own))])
+        aside = np.hypot(*(own - other)[:, :2].T)
+        level = np.abs((own - other)[:, 2]) < 50.0
+        return aside[level].min(initial=math.inf), aside.min()
+
+
+# ------------------------------------------------------------ crewed traffic
+
+
+@pytest.fixture(scope="module", params=Firmware)
+def crossed(request):
+    """A flight whose path crewed traffic crosses, its height told by its altimeter."""
+    return Pair(request.param, traffic=(crossing(),)).run(58.0)
+
+
+def test_crewed_traffic_that_crosses_the_path_is_kept_clear_of(crossed):
+    assert crossed.least(crossing())[1] >= 150.0
+    alone = Pair(law="none", traffic=(crossing(),)).run(52.0)
+    assert alone.least(crossing())[1] < 20.0
+
+
+@BOTH
+def test_or_it_is_passed_above_or_below(firmware):
+    """A geometric altitude separates: from one that flies 20 m lower it climbs until there are 50 m."""
+    flight = crossing(geometric=True, start_ned_m=(SPEED_MPS * 48.0, -2500.0, -30.0))
+    pair = Pair(firmware, traffic=(flight,)).run(58.0)
+    level, beside = pair.least(flight)
+    assert level >= 150.0
+    assert beside < 150.0
+    assert max(-down for _, _, down in pair.places) > 80.0
+
+
+def test_its_alerts_are_logged_with_reasons(crossed):
+    first, *_, last = [c for _, c in crossed.of(AlertChanged)]
+    assert (first.track_id, first.level, first.acting) == ("4B1234", Level.CAUTION, True)
+    assert first.reason.startswith("caution 4B1234: closest ")
+    assert first.reason.endswith("; avoiding")
+    assert (last.level, last.reason) == (Level.NONE, "clear 4B1234: parting")
+    views = [v for _, d in crossed.of(Decision) for v in d.tracks]
+    assert {v.track_id for v in views} == {"4B1234"}
+    assert any(v.conflict and v.active for v in views)
+
+
+def test_what_rises_is_said(crossed):
+    first = crossed.of(AlertChanged)[0][1]
+    assert [c.text for _, c in crossed.of(Say) if "4B1234" in c.text] == [f"DMUCA {first.reason}"]
+    assert f"DMUCA {first.reason}" in crossed.texts()
+
+
+def test_its_threats_are_told_once_a_second_until_the_end(crossed):
+    times, threats = zip(*crossed.of(Threat), strict=True)
+    assert {(c.track_id, c.adsb) for c in threats} == {("4B1234", True)}
+    assert {c.level for c in threats[:-1]} == {1}
+    assert threats[-1].level == 0
+    assert 0.95 <= np.diff(times[:-1]).min() <= np.diff(times[:-1]).max() <= 1.25
+
+
+def test_such_a_flight_replays_the_same(crossed):
+    result = replay.replay_record(record.read(io.BytesIO(crossed.record()), "x"), "x", 0.0)
+    assert (result.differences, result.inexact) == (0, 0)
+    assert result.steps == len(crossed.steps)
+    assert crossed.events(AdsbVehicle)
+
+
+@pytest.mark.parametrize("kind", [AlertChanged, Threat, Say])
+def test_a_replay_misses_no_alert(crossed, kind):
+    """One of them taken out of the record is a difference."""
+    items = list(record.read(io.BytesIO(crossed.record()), "x"))
+    at = next(k for k, i in enumerate(items[1:], 1) if any(isinstance(c, kind) for c in i.commands))
+    kept = tuple(c for c in items[at].commands if not isinstance(c, kind))
+    items[at] = msgspec.structs.replace(items[at], commands=kept)
+    assert replay.replay_record(items, "x", 0.0).differences == 1
+
+
+# ------------------------------------------------------------ fences
+
+
+def intruder(now_s, north_m):
+    """A drone that flies south on our path at 3 m/s, `north_m` north of home at 0 s; once a second."""
+    if round(now_s / TICK_S) % 20:
+        return None
+    lat, lon, _ = HOME.to_geodetic(north_m - SPEED_MPS * now_s, 0.0, -50.0)
+    return RemoteIdHeard(
+        transport="wifi",
+        address="02:00:00:00:00:01",
+        messages=(
+            BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="OTHER"),
+            Location(
+                status=Status.AIRBORNE,
+                lat_deg=lat,
+                lon_deg=lon,
+                alt_geodetic_m=497.0,
+                direction_deg=180.0,
+                speed_mps=SPEED_MPS,
+                vertical_speed_mps=0.0,
+                horizontal_accuracy_m=1.0,
+                vertical_accuracy_m=3.0,
+                timestamp_s=round((UTC_AT_ZERO_S + now_s) % 3600.0, 1),
+            ),
+        ),
+    )
+
+
+@BOTH
+def test_beside_a_fence_a_conflict_is_solved_inside_and_the_reason_says_so(firmware):
+    """To the right, where it would turn, are 5 m."""
+    largest, nearest = {}, {}
+    for east_m in (200.0, 5.0):
+        pair = Pair(firmware, fence_file=(corridor(-200.0, east_m),), limits={"fence": "fence.toml"})
+        pair.heard = lambda now_s: intruder(now_s, 200.0)
+        pair.run(45.0)
+        others = [(200.0 - SPEED_MPS * TICK_S * tick, 0.0, -50.0) for tick in range(len(pair.places))]
+        nearest[east_m] = np.linalg.norm(np.subtract(pair.places, others), axis=1).min()
+        largest[east_m] = max(east for _, east, _ in pair.places)
+    assert largest[200.0] > 10.0
+    assert largest[5.0] < 3.0
+    assert min(nearest.values()) > 10.0
+    alerts = [c for _, c in pair.of(AlertChanged) if c.level]
+    assert alerts[-1].limits == ("fence",)
+    assert alerts[-1].reason.endswith("; avoiding; bounded by fence")
+    assert f"DMUCA {alerts[-1].reason}" in pair.texts()
+
+
+def test_a_flight_with_a_fence_replays_the_same():
+    """The fence is in the record's header."""
+    pair = Pair(fence_file=(corridor(-200.0, 5.0),), limits={"fence": "fence.toml"})
+    pair.heard = lambda now_s: intruder(now_s, 200.0)
+    pair.run(30.0)
+    items = list(record.read(io.BytesIO(pair.record()), "x"))
+    assert any("fence" in c.limits for i in items[1:] for c in i.commands if isinstance(c, Decision))
+    assert replay.replay_record(items, "x", 0.0).differences == 0
+    header = msgspec.structs.replace(items[0], config=msgspec.structs.replace(items[0].config, fence=()))
+    assert replay.replay_record([header, *items[1:]], "x", 0.0).differences > 0
+
+
+# ------------------------------------------------------------ watch
+
+
+@BOTH
+def test_watching_it_tells_and_never_commands(firmware):
+    mode = VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD
+    pair = Pair(firmware, use="watch", traffic=(crossing(start_ned_m=(0.0, -2500.0, -50.0)),)).run(60.0)
+    levels = [c.level for _, c in pair.of(AlertChanged)]
+    assert sorted({*levels} - {Level.NONE, Level.ADVISORY}) == [Level.CAUTION, Level.WARNING]
+    assert levels[-1] == Level.NONE
+    assert not any(c.acting for _, c in pair.of(AlertChanged))
+    assert {c.level for _, c in pair.of(Threat)} == {0, 1, 2}
+    assert not any(c.acting for _, c in pair.of(Threat))
+    assert any(text.startswith("DMUCA warning 4B1234: ") for text in pair.texts())
+    assert not pair.of(VelocitySetpoint)
+    assert not pair.of(SetMode)
+    assert pair.vehicle.setpoints_received == 0
+    assert pair.vehicle.mode is mode
+    assert pair.state is State.STANDBY
+
+
+@BOTH
+def test_on_the_ground_nobody_is_a_threat(firmware):
+    over_home = crossing(start_ned_m=(0.0, -2500.0, -20.0))
+    pair = Pair(
+        firmware,
+        use="watch",
+        airborne=False,
+        start_position_ned_m=(0.0, 0.0, 0.0),
+        traffic=(over_home,),
+    ).run(60.0)
+    assert pair.events(AdsbVehicle)
+    assert not pair.of(AlertChanged)
+    assert not pair.of(Threat)
+    assert not pair.of(Say)
