@@ -61,6 +61,8 @@ _REFUSED_PAUSE_S = 8.0
 _STREAM_FIRST_S = 0.5
 """PX4 enters OFFBOARD only while setpoints already stream."""
 _CLEAR_AFTER_S = 3.0
+_LATE_STEP_S = 30.0
+"""The pilot is told each time that the path has waited for this long again."""
 _QUIET_LOG_S = 1.0
 """Decisions are logged at least this often; while avoiding or recovering each one is."""
 
@@ -95,6 +97,7 @@ class Companion:
         """From when on a fault may end."""
         self._refused: str | None = None
         self._left_external = False
+        self._told_late_s = 0.0
 
     @property
     def in_control(self) -> bool:
@@ -241,6 +244,7 @@ class Companion:
                 self._conflict_s = now_s
             self._move(now_s, self._law_triggers(now_s), None, commands)
             self._alert(now_s, situation.neighbours, self._result, commands)
+            self._tell_late(self._result, commands)
             self._log(now_s, self._result, commands)
         self._ask_mode(now_s, commands)
         self._commanded_s = now_s
@@ -338,6 +342,7 @@ class Companion:
         self._stream_s = now_s
         self._custom_before = None if heartbeat is None else heartbeat.custom_mode
         self._conflict_s = -math.inf
+        self._told_late_s = self.plan.late_s
         self._commanded_s = now_s
 
     def _ask_mode(self, now_s: float, commands: list[Command]) -> None:
@@ -391,6 +396,16 @@ class Companion:
     ) -> None:
         position, velocity = self.own.position_ned_m(now_s), self.own.velocity_ned_mps
         commands += self.alerts.look(now_s, position, velocity, neighbours, result)
+
+    def _tell_late(self, result: LawResult, commands: list[Command]) -> None:
+        """An aircraft that stands before a fence, or is kept off its path for long, is no longer where it is
+        expected."""
+        late_s = self.plan.late_s
+        if late_s - self._told_late_s < _LATE_STEP_S:
+            return
+        self._told_late_s = late_s
+        bounds = f"; bounded by {', '.join(result.limits)}" if result.limits else ""
+        commands.append(Say(severity=Severity.NOTICE, text=f"DMUCA: path {late_s:.0f} s late{bounds}"))
 
     def _log(self, now_s: float, result: LawResult, commands: list[Command]) -> None:
         if self.state is State.GUARDING and now_s - self._logged_s < _QUIET_LOG_S - 1e-6:

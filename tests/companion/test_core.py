@@ -522,3 +522,17 @@ def test_a_changed_mission_is_flown_after_a_landing(on_mission):
     on_mission.step(20)
     on_mission.landed, on_mission.armed = Landed.IN_AIR, True
     on_mission.until(lambda: on_mission.heart.state in HOLDING)
+
+
+def test_a_path_that_waits_for_long_is_told_of(flying):
+    """The vehicle does not move, whatever it is told."""
+    said = [(t, c.text) for t, c in flying.log if isinstance(c, Say)]
+    assert not any("late" in text for _, text in said)
+    flying.log.clear()
+    flying.step(round(120.0 / 0.05))
+    late = flying.heart.plan.late_s
+    assert late > 60.0
+    told = [c.text for _, c in flying.log if isinstance(c, Say) and "late" in c.text]
+    assert len(told) == int(late / 30.0)
+    assert told[0].startswith("DMUCA: path 30 s late")
+    assert flying.heart.plan.path_time_s(flying.now_s) - late < 60.0
