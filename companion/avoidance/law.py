@@ -39,7 +39,7 @@ QUANTUM_MPS = 0.2
 """Error of a velocity in Remote ID's steps: 0.25 m/s, 1 degree and 0.5 m/s vertically, of which 0.85."""
 CATCH_UP_S = 30.0
 """The timed path waits for an aircraft that could not catch up with it in this time."""
-CREWED_HORIZON_S = 120.0
+CREWED_HORIZON_S = 90.0
 VERTICAL_SCALE = 0.85
 """Volumes are 1 / 0.85 times as tall as wide: downwash, and the vertical error of GNSS."""
 _BELIEVABLE = 1e7

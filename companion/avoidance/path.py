@@ -5,6 +5,7 @@ from __future__ import annotations
 from companion.avoidance.trajectory import Trajectory, check_speeds
 from companion.avoidance.walls import walls_of
 from companion.config import Config, TrajectoryFile
+from companion.errors import ConfigError
 from companion.geometry import LocalFrame
 from companion.ownship import SIGMA_UNKNOWN_M
 
@@ -35,4 +36,7 @@ def check_path(config: Config, name: str) -> None:
     frame = LocalFrame(first.lat_deg, first.lon_deg, first.alt_m)
     path = local_path(config.path, frame, 0.0)
     check_speeds(path, config.limits, f"{name}: flight.trajectory")
-    walls_of(config.fence, frame, path, SIGMA_UNKNOWN_M)
+    try:
+        walls_of(config.fence, frame, path, SIGMA_UNKNOWN_M)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: flight.trajectory: {error}") from error

@@ -49,6 +49,11 @@ def _laws() -> list[Cell]:
     return rows + [Cell(generator=name, aircraft=5, loss=0.8) for name in ("S1", "S2", "S3")]
 
 
+def _many() -> list[Cell]:
+    """What five aircraft must keep, to be flown ten times as often."""
+    return [cell for cell in _laws() if cell.law == "dmuca" and cell.aircraft == 5]
+
+
 def _fast() -> list[Cell]:
     """Every generator at 20 m/s: planned slower, then planned as fast as the aircraft can."""
     delay_s = DELAYS_S[-1]
@@ -79,6 +84,7 @@ def _open_ground() -> list[Cell]:
 TABLES: Final[dict[str, Callable[[], list[Cell]]]] = {
     "generators": _generators,
     "laws": _laws,
+    "many": _many,
     "fast": _fast,
     "open-ground": _open_ground,
 }
