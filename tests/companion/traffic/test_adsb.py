@@ -210,6 +210,15 @@ def test_however_often_positions_come_a_velocity_comes_of_them(every_s):
             assert sky.only(now_s).velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=1.01)
 
 
+def test_of_a_long_flight_two_reports_are_kept():
+    sky = Sky()
+    for tick in range(50):
+        sky.take(10.0 + tick, report(1000.0 - tick, velocity_ned_mps=None))
+    newest = sky.traffic._seen[ICAO]
+    assert newest.anchor is not None
+    assert newest.anchor.anchor is None
+
+
 def test_a_velocity_that_is_not_told_any_more_is_kept_until_positions_tell_one():
     sky = Sky()
     sky.take(10.0, report(velocity_ned_mps=(0.0, 50.0, 0.0)))
