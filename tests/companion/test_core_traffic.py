@@ -8,6 +8,7 @@ import pytest
 from companion.avoidance.alerts import Level
 from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.law import horizon_s
+from companion.avoidance.path import check_path
 from companion.config import (
     AvoidanceConfig,
     Config,
@@ -18,6 +19,7 @@ from companion.config import (
     Waypoint,
 )
 from companion.core import Companion
+from companion.errors import ConfigError
 from companion.events import (
     AdsbVehicle,
     AlertChanged,
@@ -228,6 +230,13 @@ def test_a_fence_from_a_file_is_not_asked_for(make_bench, areas, taken):
     assert not times_of(bench, DownloadFence)
     assert (bench.heart.state in HOLDING) is taken
     assert [("area[1] (to be stayed in)" in text) for text in refusals(bench)] == [True] * (not taken)
+
+
+def test_a_path_that_the_fence_of_the_file_forbids_is_refused_before_the_flight(make_config):
+    made = msgspec.structs.replace(make_config(), fence=(ROOMY,))
+    check_path(made, "x")
+    with pytest.raises(ConfigError, match=r"fence: area\[1\] \(to be stayed in\): the path crosses"):
+        check_path(msgspec.structs.replace(made, fence=(ROOMY, SHORT)), "x")
 
 
 # ------------------------------------------------------------ the floor
