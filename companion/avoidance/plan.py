@@ -81,7 +81,7 @@ class Plan:
         self.law = self._start_s = None
         self._given_back = False
         self._items, self._changed = (), ()
-        self._items_s = self._tried_s = -math.inf
+        self._items_s = self._areas_s = self._tried_s = -math.inf
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
         """Keep the downloaded mission for the plan that is made at once."""

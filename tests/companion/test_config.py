@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
+import msgspec
 import pytest
 
 from companion import config as configuration
@@ -351,6 +352,24 @@ def test_a_fence_file_is_taken_in_and_stands_in_the_run_folder(tmp_path):
     run.mkdir()
     (run / "config.toml").write_bytes(configuration.dump(loaded))
     assert configuration.load(run / "config.toml") == loaded
+
+
+@pytest.mark.parametrize("law", ["paper", "none"])
+@pytest.mark.parametrize("fence", ["vehicle", "fence.toml"])
+def test_a_fence_goes_with_a_law_that_keeps_it(tmp_path, fence, law):
+    write(tmp_path, FENCE, "fence.toml")
+    text = f'{IDENTITY}[limits]\nfence = "{fence}"\n[avoidance]\nlaw = "{law}"\n'
+    says = f'limits.fence: goes with avoidance.law = "dmuca"; {law!r} keeps none'
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        configuration.load(write(tmp_path, text))
+    assert configuration.load(write(tmp_path, text.replace(f'"{law}"', '"dmuca"'))).limits.fence == fence
+
+
+def test_a_fence_inside_the_configuration_is_checked_as_one_in_a_file(tmp_path):
+    areas = (FenceArea(inclusion=True, points=((47.0, 8.0), (47.01, 8.0))),)
+    loaded = configuration.load(write(tmp_path, IDENTITY + '[limits]\nfence = "vehicle"\n'))
+    with pytest.raises(ConfigError, match=re.escape("run: fence: area[0].points: 2 of them")):
+        configuration.check(msgspec.structs.replace(loaded, fence=areas), "run")
 
 
 def test_the_vehicles_own_fence_needs_no_file(tmp_path):

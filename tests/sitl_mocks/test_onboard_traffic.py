@@ -12,7 +12,7 @@ import pytest
 from companion import record, replay
 from companion.autopilot.wire import MavlinkReader
 from companion.avoidance.alerts import Level
-from companion.avoidance.authority import State
+from companion.avoidance.authority import HOLDING, State
 from companion.config import (
     AvoidanceConfig,
     Config,
@@ -26,7 +26,9 @@ from companion.events import (
     AdsbVehicle,
     AlertChanged,
     Decision,
+    DownloadFence,
     FenceArea,
+    FenceDownloaded,
     Firmware,
     RemoteIdHeard,
     Say,
@@ -46,7 +48,10 @@ HOME = LocalFrame(47.397, 8.545, 400.0)
 UTC_AT_ZERO_S = 1_767_225_600.0
 TICK_S = 0.05
 START = (0.0, 0.0, -50.0)
+VEHICLES_OWN = {"fence": "vehicle"}
 SPEED_MPS = 3.0
+MEETS_S = 70.0
+"""So far ahead, crewed traffic is a caution before it is a warning."""
 BOTH = pytest.mark.parametrize("firmware", Firmware)
 
 
@@ -152,11 +157,12 @@ class Pair:
         return [e for step in self.steps for e in step.events if isinstance(e, kind)]
 
     def texts(self):
-        """STATUSTEXT as sent, chunks joined."""
+        """STATUSTEXT as sent, chunks joined; without a number (0) it is whole."""
         chunks = [m for m in MavlinkReader().feed(b"".join(self._sent)) if m.get_type() == "STATUSTEXT"]
         found = {}
-        for m in chunks:
-            found[m.id] = found.get(m.id, "") + m.text
+        for number, m in enumerate(chunks):
+            key = m.id or -number
+            found[key] = found.get(key, "") + m.text
         return list(found.values())
 
     def record(self):
@@ -179,13 +185,13 @@ class Pair:
 @pytest.fixture(scope="module", params=Firmware)
 def crossed(request):
     """A flight whose path crewed traffic crosses, its height told by its altimeter."""
-    return Pair(request.param, traffic=(crossing(),)).run(58.0)
+    return Pair(request.param, traffic=(crossing(MEETS_S),)).run(MEETS_S + 16.0)
 
 
 def test_crewed_traffic_that_crosses_the_path_is_kept_clear_of(crossed):
-    assert crossed.least(crossing())[1] >= 150.0
-    alone = Pair(law="none", traffic=(crossing(),)).run(52.0)
-    assert alone.least(crossing())[1] < 20.0
+    assert crossed.least(crossing(MEETS_S))[1] >= 150.0
+    alone = Pair(law="none", traffic=(crossing(MEETS_S),)).run(MEETS_S + 2.0)
+    assert alone.least(crossing(MEETS_S))[1] < 20.0
 
 
 @BOTH
@@ -213,7 +219,7 @@ def test_its_alerts_are_logged_with_reasons(crossed):
 def test_what_rises_is_said(crossed):
     first = crossed.of(AlertChanged)[0][1]
     assert [c.text for _, c in crossed.of(Say) if "4B1234" in c.text] == [f"DMUCA {first.reason}"]
-    assert f"DMUCA {first.reason}" in crossed.texts()
+    assert crossed.texts()[-2:] == [f"DMUCA {first.reason}", "DMUCA clear of traffic"]
 
 
 def test_its_threats_are_told_once_a_second_until_the_end(crossed):
@@ -241,7 +247,55 @@ def test_a_replay_misses_no_alert(crossed, kind):
     assert replay.replay_record(items, "x", 0.0).differences == 1
 
 
+@pytest.mark.parametrize("use", ["fly", "watch"])
+@BOTH
+def test_threats_reach_the_vehicle(firmware, use):
+    pair = Pair(firmware, use=use, traffic=(crossing(start_ned_m=(0.0, -2500.0, -50.0)),)).run(66.0)
+    told = [m for _, m in pair.vehicle.collisions]
+    assert {(m.src, m.id) for m in told} == {(0, 0x4B1234)}
+    assert told[-1].threat_level == 0
+    assert {m.action for m in told} == ({1} if use == "watch" else {1, 4})
+
+
+@pytest.mark.parametrize("down_m", [-50.0, -60.0, -70.0])
+@BOTH
+def test_crewed_traffic_above_does_not_press_us_into_the_ground(firmware, down_m):
+    """No floor is configured: 15 m above home, or the lowest point of a path that is lower, are one."""
+    flight = crossing(geometric=True, start_ned_m=(144.0, -2500.0, down_m))
+    pair = Pair(firmware, traffic=(flight,)).run(58.0)
+    assert min(-down for _, _, down in pair.places) > 14.0
+    assert pair.state in HOLDING
+
+
+@BOTH
+def test_a_hovering_helicopter_is_one_alert(firmware):
+    hovering = crossing(start_ned_m=(150.0, 0.0, -50.0), velocity_ned_mps=(0.0, 0.0, 0.0))
+    pair = Pair(firmware, use="watch", traffic=(hovering,)).run(60.0)
+    assert len(pair.of(AlertChanged)) == 1
+
+
 # ------------------------------------------------------------ fences
+
+
+@BOTH
+def test_the_vehicles_fence_is_fetched_before_it_is_taken(firmware):
+    pair = Pair(firmware, limits=VEHICLES_OWN, fence=(corridor(-200.0, 200.0),)).run(8.0)
+    (fetched,) = pair.events(FenceDownloaded)
+    assert len(fetched.areas) == 1
+    at = next(k for k, s in enumerate(pair.steps) if fetched in s.events)
+    assert not any(isinstance(c, VelocitySetpoint | SetMode) for s in pair.steps[:at] for c in s.commands)
+    assert pair.state in HOLDING
+
+
+@BOTH
+def test_a_path_that_leaves_the_vehicles_fence_is_refused(firmware):
+    fence = (corridor(-200.0, 200.0), corridor(-200.0, 200.0, north_m=600.0))
+    pair = Pair(firmware, limits=VEHICLES_OWN, fence=fence).run(30.0)
+    assert pair.state is State.STANDBY
+    (refused,) = [c.text for _, c in pair.of(Say) if "refused" in c.text]
+    assert "fence: area[1] (to be stayed in): the path crosses its border" in refused
+    assert not pair.of(VelocitySetpoint)
+    assert len(pair.of(DownloadFence)) == 1
 
 
 def intruder(now_s, north_m):
@@ -308,7 +362,8 @@ def test_a_flight_with_a_fence_replays_the_same():
 @BOTH
 def test_watching_it_tells_and_never_commands(firmware):
     mode = VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD
-    pair = Pair(firmware, use="watch", traffic=(crossing(start_ned_m=(0.0, -2500.0, -50.0)),)).run(60.0)
+    pair = Pair(firmware, use="watch", traffic=(crossing(start_ned_m=(0.0, -50.0 * MEETS_S, -50.0)),))
+    pair.run(MEETS_S + 16.0)
     levels = [c.level for _, c in pair.of(AlertChanged)]
     assert sorted({*levels} - {Level.NONE, Level.ADVISORY}) == [Level.CAUTION, Level.WARNING]
     assert levels[-1] == Level.NONE

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 import pytest
 
 from companion.avoidance.authority import HOLDING, State
 from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig, LimitsConfig
-from companion.events import AuthorityChanged, Firmware, MissionItem, Say, VelocitySetpoint
+from companion.events import AuthorityChanged, DownloadMission, Firmware, MissionItem, Say, VelocitySetpoint
 from companion.geometry import LocalFrame
 from companion.onboard import Onboard
 from sitl_mocks.autopilot import MockVehicle
@@ -193,3 +194,21 @@ def test_corners_are_rounded_not_overshot(firmware):
             worst = max(worst, pair.vehicle.position_ned_m[0] - 60.0)
     # 3 m/s into a right angle at 60 m north, 1 m/s2: fed forward blindly it went more than 6 m too far.
     assert worst < 3.0
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_mission_of_many_items_comes_over_a_slow_link(firmware):
+    """0.1 s each way, as telemetry radios have, for each of 80 items: asked anew, it would begin again."""
+    pair = Pair(firmware, mission=tuple(waypoint(seq, 10.0 * seq, 0.0, 50.0) for seq in range(1, 81)))
+    down, up = deque([b""] * 2), deque([b""] * 2)
+    for tick in range(round(25.0 / TICK_S)):
+        now_s = tick * TICK_S
+        pair.vehicle.advance(now_s)
+        down.append(pair.vehicle.drain())
+        if data := down.popleft():
+            pair.onboard.receive(data, now_s)
+        pair.onboard.tick(now_s)
+        up.append(pair.onboard.drain(now_s))
+        pair.vehicle.receive(up.popleft(), now_s)
+    assert len(pair.commands(DownloadMission)) == 1
+    assert pair.state in HOLDING

@@ -6,14 +6,14 @@ import math
 
 import pytest
 
-from companion.avoidance.alerts import Alerts, Level, approach
-from companion.avoidance.law import LawResult, Neighbour
+from companion.avoidance.alerts import HOLD_S, Alerts, Level, approach
+from companion.avoidance.law import LawResult, Neighbour, horizon_s
 from companion.config import AvoidanceConfig
 from companion.events import AlertChanged, Say, Severity, Threat, TrackView
 
 PERIOD_S = 0.2
 CONFIG = AvoidanceConfig()
-"""Horizon 20 s (crewed 60 s), separation 10 m (crewed the ellipsoid around 150 m and 50 m)."""
+"""Horizon 20 s, separation 10 m (crewed the ellipsoid around 150 m and 50 m)."""
 CREWED_M = math.sqrt(2.0) * 150.0
 OWN, SPEED = (0.0, 0.0, -50.0), (10.0, 0.0, 0.0)
 NONE, ADVISORY, CAUTION, WARNING = 100.0, 25.0, 15.0, 5.0
@@ -32,9 +32,10 @@ def decision(*views: TrackView, limits: tuple[str, ...] = ()) -> LawResult:
     return LawResult(still, still, True, True, False, limits, views)
 
 
-def view(name: str = "X", *, conflict: bool = True, active: bool = True) -> TrackView:
+def view(name: str = "X", *, conflict: bool = True, active: bool = True, adsb: bool = False) -> TrackView:
     return TrackView(
         track_id=name,
+        adsb=adsb,
         position_ned_m=(0.0, 0.0, 0.0),
         velocity_ned_mps=(0.0, 0.0, 0.0),
         age_s=0.0,
@@ -70,8 +71,16 @@ class Looks:
         levels = []
         for loss_s in losses_s:
             self.look(other(loss_s))
-            levels.append(self.alerts.levels.get("X", Level.NONE))
+            levels.append(self.level())
         return levels
+
+    def level(self, name: str = "X") -> Level:
+        """Of a track of Remote ID now."""
+        return self.alerts.levels.get((False, name), Level.NONE)
+
+    def texts(self) -> list[str]:
+        """What was said, without the reason."""
+        return [" ".join(said.text.split(":")[0].split()[1:]) for _, said in self.of(Say)]
 
     def of(self, kind: type) -> list[tuple[float, object]]:
         return [(at_s, c) for at_s, c in self.log if isinstance(c, kind)]
@@ -130,13 +139,13 @@ def test_approach_by_hand(position, velocity, radius_m, scale, time_s, horizonta
         (30.1, Level.NONE),
     ],
 )
-@pytest.mark.parametrize(("crewed", "times"), [(False, 1.0), (True, 3.0)])
-def test_levels_by_the_time_to_loss(loss_s, level, crewed, times):
-    """Crewed traffic: three times the horizon, and a separation of its own."""
+@pytest.mark.parametrize("crewed", [False, True])
+def test_levels_by_the_time_to_loss(loss_s, level, crewed):
+    """Of a horizon of 20 s. Crewed traffic has a longer one, and a separation of its own."""
     looks = Looks()
     for _ in range(3):
-        looks.look(other(times * loss_s, crewed=crewed))
-    assert looks.alerts.levels.get("X", Level.NONE) is level
+        looks.look(other(loss_s * horizon_s(CONFIG, crewed) / 20.0, crewed=crewed))
+    assert looks.level() is level
 
 
 @pytest.mark.parametrize(
@@ -152,7 +161,7 @@ def test_levels_by_what_the_law_makes_of_it(conflict, active, level):
     looks = Looks()
     for _ in range(3):
         looks.look(other(NONE), result=decision(view(conflict=conflict, active=active)))
-    assert looks.alerts.levels.get("X", Level.NONE) is level
+    assert looks.level() is level
 
 
 def test_crewed_traffic_beside_us_has_the_wide_separation():
@@ -160,14 +169,32 @@ def test_crewed_traffic_beside_us_has_the_wide_separation():
     looks = Looks()
     for _ in range(3):
         looks.look(other(0.0, "DRONE", **beside), other(0.0, "CREWED", crewed=True, **beside))
-    assert looks.alerts.levels == {"CREWED": Level.WARNING}
+    assert looks.alerts.levels == {(False, "CREWED"): Level.WARNING}
 
 
 def test_a_horizon_longer_than_that_of_crewed_traffic_holds_for_both():
-    looks = Looks(AvoidanceConfig(horizon_s=80.0))
+    longer_s = horizon_s(CONFIG, crewed=True) + 10.0
+    looks = Looks(AvoidanceConfig(horizon_s=longer_s))
     for _ in range(3):
-        looks.look(other(75.0, "DRONE"), other(75.0, "CREWED", crewed=True))
-    assert looks.alerts.levels == {"DRONE": Level.CAUTION, "CREWED": Level.CAUTION}
+        looks.look(other(longer_s - 5.0, "DRONE"), other(longer_s - 5.0, "CREWED", crewed=True))
+    assert looks.alerts.levels == {(False, "DRONE"): Level.CAUTION, (False, "CREWED"): Level.CAUTION}
+
+
+def test_one_name_heard_by_both_is_two_aircraft():
+    """A name heard by Remote ID may be any, an ICAO address too."""
+    looks = Looks()
+    for _ in range(3):
+        looks.look(other(WARNING, "4B1234"), other(CAUTION, "4B1234", adsb=True))
+    assert looks.alerts.levels == {(False, "4B1234"): Level.WARNING, (True, "4B1234"): Level.CAUTION}
+    assert [(c.adsb, c.level) for _, c in looks.of(Threat)] == [(False, 2), (True, 1)]
+    looks = Looks()
+    for _ in range(3):
+        looks.look(
+            other(NONE, "4B1234"),
+            other(NONE, "4B1234", adsb=True),
+            result=decision(view("4B1234", conflict=False), view("4B1234", adsb=True)),
+        )
+    assert looks.alerts.levels == {(True, "4B1234"): Level.CAUTION}
 
 
 @pytest.mark.parametrize(("known", "level"), [(True, Level.NONE), (False, Level.WARNING)])
@@ -175,7 +202,7 @@ def test_a_height_that_is_not_known_does_not_separate(known, level):
     looks = Looks()
     far_below = {"position_ned_m": (60.0, 0.0, 450.0), "vertical_known": known}
     commands = looks.look(other(0.0, **far_below))
-    assert looks.alerts.levels.get("X", Level.NONE) is level
+    assert looks.level() is level
     assert [c.vertical_m for c in commands if isinstance(c, Threat)] == ([] if known else [0.0])
 
 
@@ -212,30 +239,31 @@ def test_a_lower_level_is_raised_by_three_of_five_looks(seen, levels):
     assert Looks().see(*seen) == list(levels)
 
 
-def test_a_level_falls_after_four_seconds_and_not_before():
+def test_a_level_falls_after_eight_seconds_and_not_before():
+    assert HOLD_S == 8.0
     looks = Looks()
     looks.see(*[CAUTION] * 3)
     raised_s, last_seen_s = looks.of(AlertChanged)[0][0], 0.4
-    looks.see(*[NONE] * 30)
-    assert looks.changes() == [(raised_s, 2), (pytest.approx(last_seen_s + 4.0, abs=PERIOD_S), 0)]
-    assert looks.changes()[1][0] >= last_seen_s + 4.0
+    looks.see(*[NONE] * 50)
+    assert looks.changes() == [(raised_s, 2), (pytest.approx(last_seen_s + 8.0, abs=PERIOD_S), 0)]
+    assert looks.changes()[1][0] >= last_seen_s + 8.0
 
 
 def test_it_falls_to_the_highest_level_seen_meanwhile():
     looks = Looks()
-    looks.see(WARNING, NONE, CAUTION, ADVISORY, *[NONE] * 60)
+    looks.see(WARNING, NONE, CAUTION, ADVISORY, *[NONE] * 90)
     assert [level for _, level in looks.changes()] == [3, 2, 0]
     (_, (second_s, _), (third_s, _)) = looks.changes()
-    assert second_s == pytest.approx(4.0, abs=PERIOD_S)
-    assert third_s == pytest.approx(8.0, abs=2 * PERIOD_S)
+    assert second_s == pytest.approx(8.0, abs=PERIOD_S)
+    assert third_s == pytest.approx(16.0, abs=2 * PERIOD_S)
 
 
 @pytest.mark.parametrize(
     ("pattern", "level"),
-    [((WARNING, NONE), 3), ((CAUTION, CAUTION, CAUTION, *[NONE] * 17), 2), ((WARNING, CAUTION), 3)],
+    [((WARNING, NONE), 3), ((CAUTION, CAUTION, CAUTION, *[NONE] * 37), 2), ((WARNING, CAUTION), 3)],
 )
 def test_a_level_that_flickers_does_not_flap(pattern, level):
-    """None of the pauses is as long as 4 s."""
+    """None of the pauses is as long as 8 s."""
     looks = Looks()
     looks.see(*pattern * (200 // len(pattern)))
     assert [now for _, now in looks.changes()] == [level]
@@ -244,8 +272,9 @@ def test_a_level_that_flickers_does_not_flap(pattern, level):
 def test_a_forgotten_track_begins_anew():
     looks = Looks()
     looks.see(*[CAUTION] * 3)
-    assert looks.look() == []
+    looks.look()
     assert looks.alerts.levels == {}
+    assert looks.look() == []
     assert looks.see(CAUTION, CAUTION, CAUTION) == [0, 0, 2]
 
 
@@ -295,9 +324,31 @@ def test_the_end_is_told_as_clear_and_parting():
     looks = Looks()
     looks.see(WARNING)
     behind = other(0.0, position_ned_m=(-300.0, 0.0, -50.0))
-    for _ in range(25):
+    for _ in range(45):
         looks.look(behind)
     assert looks.of(AlertChanged)[-1][1].reason == "clear X: parting"
+
+
+def test_who_is_not_heard_any_more_ends_with_a_word():
+    """Its alert, what the vehicle was told of it, and that we were avoiding it."""
+    looks = Looks()
+    result = decision(view(), limits=("fence",))
+    for _ in range(3):
+        looks.look(other(WARNING), result=result)
+    change, threat, said = looks.look()
+    assert (change.level, change.reason) == (0, "clear X: not heard any more")
+    assert (change.acting, change.limits) == (False, ())
+    assert (threat.track_id, threat.level, threat.acting) == ("X", 0, False)
+    assert said.text == "DMUCA clear of traffic"
+    assert looks.look() == []
+
+
+@pytest.mark.parametrize("seen", [NONE, ADVISORY])
+def test_who_was_no_threat_goes_without_a_threats_end(seen):
+    looks = Looks()
+    looks.see(*[seen] * 3)
+    ended = looks.look()
+    assert [c.reason for c in ended] == ["clear X: not heard any more"] * (seen == ADVISORY)
 
 
 # ------------------------------------------------------------ COLLISION
@@ -307,10 +358,32 @@ def test_a_threat_is_told_once_a_second_while_it_lasts_and_once_at_its_end():
     looks = Looks()
     looks.see(*[WARNING] * 26, *[NONE] * 60)
     told = looks.of(Threat)
-    # The level is held for 4 s after the last look at 5.0 s; then a Threat of level 0 ends it.
-    assert [c.level for _, c in told] == [2] * 9 + [0]
-    assert [at_s for at_s, _ in told[:-1]] == pytest.approx([float(k) for k in range(9)])
-    assert told[-1][0] == pytest.approx(9.0, abs=PERIOD_S)
+    # The level is held for 8 s after the last look at 5.0 s; then a Threat of level 0 ends it.
+    assert [c.level for _, c in told] == [2] * 13 + [0]
+    assert [at_s for at_s, _ in told[:-1]] == pytest.approx([float(k) for k in range(13)])
+    assert told[-1][0] == pytest.approx(13.0, abs=PERIOD_S)
+
+
+def test_a_fall_to_advisory_is_a_threats_end():
+    looks = Looks()
+    looks.see(*[WARNING] * 3, *[ADVISORY] * 60)
+    assert [level for _, level in looks.changes()] == [3, 1]
+    assert [c.level for _, c in looks.of(Threat)][-2:] == [2, 0]
+    ends = [at_s for at_s, c in looks.of(Threat) if c.level == 0]
+    assert ends == [looks.changes()[1][0]]
+
+
+@pytest.mark.parametrize("parting", [True, False], ids=["clear", "not heard any more"])
+def test_an_end_is_told_also_while_five_others_are(parting):
+    looks = Looks()
+    others = [other(WARNING, f"W{number}") for number in range(5)]
+    looks.look(other(WARNING, "A"))
+    while looks.level("A"):
+        late = others if looks.now_s >= 4.0 else []
+        looks.look(*([other(NONE, "A")] if parting or looks.now_s < 5.0 else []), *late)
+    for _ in range(20):
+        looks.look(*others)
+    assert [c.level for _, c in looks.of(Threat) if c.track_id == "A"].count(0) == 1
 
 
 def test_levels_of_threats():
@@ -329,7 +402,8 @@ def test_an_advisory_is_never_a_threat_and_has_no_end():
 
 def test_what_a_threat_says():
     near = other(0.0, "4B1234", position_ned_m=(40.0, 6.0, -47.0), adsb=True)
-    (threat,) = [c for c in Looks().look(near, result=decision(view("4B1234"))) if isinstance(c, Threat)]
+    result = decision(view("4B1234", adsb=True))
+    (threat,) = [c for c in Looks().look(near, result=result) if isinstance(c, Threat)]
     assert threat == Threat(
         track_id="4B1234",
         adsb=True,
@@ -380,3 +454,49 @@ def test_not_more_than_one_text_a_second():
         looks.look(*present)
     assert len(looks.of(AlertChanged)) == 20
     assert [at_s for at_s, _ in looks.of(Say)] == pytest.approx([0.0, 1.0, 2.0, 3.0])
+
+
+def test_a_warning_within_a_second_of_another_text_is_said_later():
+    looks = Looks()
+    looks.see(*[CAUTION] * 3, *[WARNING] * 20)
+    assert looks.texts() == ["caution X", "warning X"]
+    (first_s, _), (second_s, _) = looks.of(Say)
+    assert second_s == pytest.approx(first_s + 1.0)
+
+
+def test_every_warning_is_said_and_only_the_first_caution():
+    looks = Looks()
+    cautions = [other(CAUTION, f"C{number}") for number in range(3)]
+    for _ in range(10):
+        looks.look(*cautions)
+    warnings = [other(WARNING, f"W{number}") for number in range(3)]
+    for _ in range(30):
+        looks.look(*cautions, *warnings)
+    assert looks.texts() == ["caution C0", "warning W0", "warning W1", "warning W2"]
+
+
+def test_a_fall_to_caution_is_not_said():
+    looks = Looks()
+    looks.see(*[WARNING] * 3, *[CAUTION] * 60)
+    assert [level for _, level in looks.changes()] == [3, 2]
+    assert looks.texts() == ["warning X"]
+
+
+def test_when_all_is_over_that_is_said_once():
+    looks = Looks()
+    looks.look(other(WARNING, "A"), other(WARNING, "B"))
+    for _ in range(10):
+        looks.look(other(WARNING, "A"), other(WARNING, "B"))
+    for _ in range(50):
+        looks.look(other(NONE, "A"), other(WARNING, "B"))
+    # One of two is over: not a word.
+    assert looks.level("A") is Level.NONE
+    assert looks.texts() == ["warning A", "warning B"]
+    for _ in range(60):
+        looks.look(other(NONE, "A"), other(NONE, "B"))
+    (_, _, (_, last)) = looks.of(Say)
+    assert (last.severity, last.text) == (Severity.INFO, "DMUCA clear of traffic")
+    # And what comes then is a first caution again.
+    for _ in range(3):
+        looks.look(other(CAUTION, "B"))
+    assert looks.texts()[3:] == ["caution B"]

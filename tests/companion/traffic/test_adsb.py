@@ -142,6 +142,23 @@ def test_the_same_report_sent_again_does_not_refresh():
     assert sky.only(15.0).age_s == pytest.approx(6.0 + STAMP_S)
 
 
+def test_one_that_hovers_and_repeats_itself_stays():
+    """Standing still looks the same each time; it is no repeat."""
+    sky = Sky()
+    for tick in range(40):
+        sky.take(10.0 + tick, report(velocity_ned_mps=(0.0, 0.0, 0.0)))
+        assert sky.only(10.0 + tick).age_s == pytest.approx(STAMP_S)
+
+
+def test_one_that_stands_and_tells_no_velocity_stays():
+    """A repeat may not go on for longer than 5 s; then it is news."""
+    sky = Sky()
+    for tick in range(40):
+        sky.take(10.0 + tick, report(velocity_ned_mps=None))
+        assert sky.only(10.0 + tick).age_s <= 5.0 + STAMP_S
+    assert sky.only(49.0).velocity_ned_mps == pytest.approx((0.0, 0.0, 0.0))
+
+
 def test_an_older_report_is_passed_over():
     sky = Sky()
     sky.take(10.0, report(1000.0))
@@ -176,9 +193,46 @@ def test_a_velocity_that_is_not_told_comes_from_positions():
     assert sky.only(10.0).velocity_ned_mps == (0.0, 0.0, 0.0)
     sky.take(12.0, report(1000.0, 100.0, -54.0, velocity_ned_mps=None))
     assert sky.only(12.0).velocity_ned_mps == pytest.approx((0.0, 50.0, -2.0), abs=0.01)
-    # Too soon after the last one for a difference of positions to mean anything.
+    # Too soon after the last one for a difference of positions to mean anything: from the one before.
     sky.take(12.5, report(1040.0, 125.0, -54.0, velocity_ned_mps=None))
-    assert sky.only(12.5).velocity_ned_mps == pytest.approx((0.0, 50.0, -2.0), abs=0.01)
+    assert sky.only(12.5).velocity_ned_mps == pytest.approx((16.0, 50.0, -1.6), abs=0.01)
+
+
+@pytest.mark.parametrize("every_s", [0.2, 0.4, 1.0, 3.0])
+def test_however_often_positions_come_a_velocity_comes_of_them(every_s):
+    """And no jump of a metre is 5 m/s of it."""
+    sky = Sky()
+    for number in range(30):
+        now_s = 10.0 + number * every_s
+        north_m = 1000.0 + (number % 2) - 40.0 * number * every_s
+        sky.take(now_s, report(north_m, velocity_ned_mps=None))
+        if number * every_s >= 1.0:
+            assert sky.only(now_s).velocity_ned_mps == pytest.approx((-40.0, 0.0, 0.0), abs=1.01)
+
+
+def test_of_a_long_flight_two_reports_are_kept():
+    sky = Sky()
+    for tick in range(50):
+        sky.take(10.0 + tick, report(1000.0 - tick, velocity_ned_mps=None))
+    newest = sky.traffic._seen[ICAO]
+    assert newest.anchor is not None
+    assert newest.anchor.anchor is None
+
+
+def test_a_velocity_that_is_not_told_any_more_is_kept_until_positions_tell_one():
+    sky = Sky()
+    sky.take(10.0, report(velocity_ned_mps=(0.0, 50.0, 0.0)))
+    sky.take(10.5, report(1000.0, 20.0, velocity_ned_mps=None))
+    assert sky.only(10.5).velocity_ned_mps == (0.0, 50.0, 0.0)
+    sky.take(11.0, report(1000.0, 40.0, velocity_ned_mps=None))
+    assert sky.only(11.0).velocity_ned_mps == pytest.approx((0.0, 40.0, 0.0), abs=0.01)
+
+
+def test_between_heights_of_two_kinds_there_is_no_climb():
+    sky = Sky()
+    sky.take(10.0, report(1000.0, 0.0, -50.0, velocity_ned_mps=None))
+    sky.take(12.0, report(1000.0, 100.0, -450.0, geometric=False, velocity_ned_mps=None))
+    assert sky.only(12.0).velocity_ned_mps == pytest.approx((0.0, 50.0, 0.0), abs=0.01)
 
 
 def test_a_velocity_that_is_told_is_taken():
