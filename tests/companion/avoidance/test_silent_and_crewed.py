@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
-from companion.avoidance.law import OLDEST_S, Law, Neighbour, Situation, horizon_s, separation_m
+from companion.avoidance.law import CREWED_HORIZON_S, OLDEST_S, Law, Neighbour, Situation, horizon_s, separation_m
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from tests.companion.avoidance.flying import Flight, Hears, fly
@@ -48,7 +48,7 @@ class Sender:
                 now - sent,
                 1.0,
                 growth_mps=float(self.past[k.T_GROWTH]),
-                silent_s=k.silent_after(self.past),
+                silent=now - sent > k.silent_after(self.past),
             )
         ]
 
@@ -82,24 +82,42 @@ def test_who_stopped_with_its_last_message_is_not_flown_into(
     assert near > 10.0
 
 
-def picture(age_s: float, silent_s: float) -> Situation:
+def picture(silent: bool, age_s: float = 5.0) -> Situation:
     """It has flown on to the north by its message; it may stand 50 m ahead."""
-    other = Neighbour("b", (50.0, 1.0, -50.0), (8.0, 0.0, 0.0), age_s, 1.0, silent_s=silent_s)
+    other = Neighbour("b", (50.0, 1.0, -50.0), (8.0, 0.0, 0.0), age_s, 1.0, silent=silent)
     return Situation(0.0, 0.0, (0.0, 0.0, -50.0), (4.0, 0.0, 0.0), 1.0, [other])
 
 
-@pytest.mark.parametrize(
-    ("age_s", "silent_s", "stands"), [(4.9, 5.0, False), (5.1, 5.0, True), (9.0, 9.5, False)]
-)
-def test_it_may_stand_only_after_its_silence(age_s: float, silent_s: float, stands: bool) -> None:
-    assert own().decide(picture(age_s, silent_s)).conflict == stands
+@pytest.mark.parametrize("age_s", [0.5, 5.0, 14.0])
+def test_it_may_stand_only_when_it_is_silent(age_s: float) -> None:
+    """However old its message is: delay alone is no silence."""
+    for silent in (False, True):
+        one = own()
+        assert one.decide(picture(silent, age_s)).conflict == silent
+        assert one._view[0, k.V_STANDING :].any() == silent
+
+
+def test_where_it_would_stand_is_a_second_after_its_message() -> None:
+    """The plane of an aircraft that hovers there, seen by our velocity of now."""
+    silent, hovering = own(), own()
+    silent.decide(picture(True))
+    there = Neighbour("b", (58.0, 1.0, -50.0), (0.0, 0.0, 0.0), 5.0, 1.0)
+    hovering.decide(Situation(0.0, 0.0, (0.0, 0.0, -50.0), (4.0, 0.0, 0.0), 1.0, [there]))
+    np.testing.assert_allclose(
+        silent._view[0, k.V_STANDING :], hovering._view[0, k.V_PLANE : k.V_STANDING], atol=1e-12
+    )
+
+
+def test_who_may_stand_in_the_way_is_active() -> None:
+    """Flying on, as its message says, it bounds nothing."""
+    assert [own().decide(picture(silent)).tracks[0].active for silent in (False, True)] == [False, True]
 
 
 def test_the_published_law_knows_no_silence() -> None:
-    assert not own(law="paper").decide(picture(14.0, 5.0)).conflict
+    assert not own(law="paper").decide(picture(True, 14.0)).conflict
 
 
-@pytest.mark.parametrize(("every_s", "silent_s"), [(1.0, 5.0), (3.0, 8.0), (5.0, 11.0)])
+@pytest.mark.parametrize(("every_s", "silent_s"), [(1.0, 3.5), (3.0, 6.5), (5.0, 9.5)])
 def test_regular_messages_are_no_silence(every_s: float, silent_s: float) -> None:
     """However rare: whoever flies ahead, faster, and is heard does not stand in the way."""
     other = Sender((60.0, 0.0, -50.0), (4.5, 0.0, 0.0), every_s=every_s)
@@ -147,18 +165,19 @@ def test_the_share_that_is_ours(share: float) -> None:
     *normal, way = k.half_space(*p, *(a - b for a, b in zip(velocity, speed, strict=True)), 12.0, 20.0, 2.0)
     assert way > 0.1
     offset = normal[0] * 4.0 + share * way
-    assert one._view[0, k.V_PLANE :].tolist() == pytest.approx([*normal, offset], abs=1e-12)
+    assert one._view[0, k.V_PLANE : k.V_STANDING].tolist() == pytest.approx([*normal, offset], abs=1e-12)
 
 
 # ---------------------------------------------------------------- crewed traffic
 
 
 def test_separations_of_crewed_traffic() -> None:
-    """The ellipsoid touches the cylinder's rim, 150 m aside and 50 m above, and looks 60 s ahead."""
+    """The ellipsoid touches the cylinder's rim, 150 m aside and 50 m above, and looks farther ahead."""
     avoidance = AvoidanceConfig()
     radius, scale = separation_m(avoidance, True)
     assert math.hypot(150.0, scale * 50.0) == pytest.approx(radius)
-    assert horizon_s(avoidance, True) == 60.0
+    assert horizon_s(avoidance, True) == CREWED_HORIZON_S
+    assert horizon_s(AvoidanceConfig(horizon_s=300.0), True) == 300.0
     assert separation_m(avoidance, False) == (10.0, 0.85)
     assert horizon_s(avoidance, False) == 20.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -17,6 +18,8 @@ from companion.geometry import LocalFrame
 
 FRAME = LocalFrame(47.0, 8.0, 400.0)
 SQUARE = ((-100.0, -100.0), (-100.0, 100.0), (100.0, 100.0), (100.0, -100.0))
+CORNER = 0.7 * math.sqrt(0.5)
+"""Share of the acceleration before an edge between right angles."""
 L_SHAPE = ((0.0, 0.0), (100.0, 0.0), (100.0, 40.0), (40.0, 40.0), (40.0, 100.0), (0.0, 100.0))
 
 
@@ -32,19 +35,19 @@ def path(*points: tuple[float, float]) -> Trajectory:
 
 def trouble(areas: Any, trajectory: Trajectory) -> str:
     with pytest.raises(ConfigError) as refused:
-        walls_of(areas, FRAME, trajectory)
+        walls_of(areas, FRAME, trajectory, 0.0)
     return str(refused.value)
 
 
 def test_walls_of_polygons_and_circles() -> None:
     areas = [area(True, *SQUARE), area(False, (30.0, 40.0), radius_m=7.0)]
-    walls = walls_of(areas, FRAME, path((0, 0), (50, 0)))
+    walls = walls_of(areas, FRAME, path((0, 0), (50, 0)), 0.0)
     expected = [
-        (0, k.IN_POLYGON, -100, -100, -100, 100),
-        (0, k.IN_POLYGON, -100, 100, 100, 100),
-        (0, k.IN_POLYGON, 100, 100, 100, -100),
-        (0, k.IN_POLYGON, 100, -100, -100, -100),
-        (1, k.OUT_OF_CIRCLE, 30, 40, 7, 0),
+        (0, k.IN_POLYGON, -100, -100, -100, 100, CORNER),
+        (0, k.IN_POLYGON, -100, 100, 100, 100, CORNER),
+        (0, k.IN_POLYGON, 100, 100, 100, -100, CORNER),
+        (0, k.IN_POLYGON, 100, -100, -100, -100, CORNER),
+        (1, k.OUT_OF_CIRCLE, 30, 40, 7, 0, 0.5),
     ]
     np.testing.assert_allclose(walls, expected, atol=1e-2)
 
@@ -56,15 +59,15 @@ def test_kinds() -> None:
     ):
         at = 0.0 if inclusion else 500.0
         areas = [area(inclusion, *SQUARE), area(inclusion, (0.0, 0.0), radius_m=90.0)]
-        walls = walls_of(areas, FRAME, path((at, 0), (at, 10)))
+        walls = walls_of(areas, FRAME, path((at, 0), (at, 10)), 0.0)
         assert walls[:, k.W_KIND].tolist() == [polygon] * 4 + [circle]
 
 
 def test_no_fence() -> None:
-    assert walls_of([], FRAME, path((0, 0), (1, 0))).shape == (0, k.WALL_COLUMNS)
+    assert walls_of([], FRAME, path((0, 0), (1, 0)), 1.5).shape == (0, k.WALL_COLUMNS)
 
 
-CROSSES = "crosses its border between waypoint[{}] and waypoint[{}]; allowed are 2 m"
+CROSSES = "crosses its border between waypoint[{}] and waypoint[{}]; at least 2.0 m are kept"
 
 
 @pytest.mark.parametrize(
@@ -120,7 +123,7 @@ def test_a_path_that_breaks_an_area_is_refused(kept: FenceArea, points: Any, sai
     ],
 )
 def test_a_path_that_keeps_its_margin_is_let(kept: FenceArea, points: Any) -> None:
-    walls = walls_of([kept], FRAME, path(*points))
+    walls = walls_of([kept], FRAME, path(*points), 0.0)
     assert len(walls) == len(kept.points)
 
 
@@ -159,7 +162,7 @@ def test_every_leg_against_a_dense_sample() -> None:
                 continue  # too near for the sample to tell
             expected = kept_whole and rooms.min() > k.FENCE_MARGIN_M
             try:
-                walls_of([kept], FRAME, path(tuple(a), tuple(b)))
+                walls_of([kept], FRAME, path(tuple(a), tuple(b)), 0.0)
                 let = True
             except ConfigError:
                 let = False
