@@ -220,8 +220,8 @@ def test_trap_floor_and_ceiling_never_contradict(acceleration: float, height_m: 
         own[k.O_POSITION + 2] = down
         least, most = k._down_speeds(own, law)
         assert -2.0 <= least <= most <= 2.0
-        assert down <= 0.0 or most <= 0.0
-        assert -height_m <= down <= 0.0 or least == most or down > 0.0
+        assert down < 0.0 or most <= 0.0
+        assert down > -height_m or least >= 0.0
 
 
 @pytest.mark.parametrize("name", ["dmuca", "paper"])

@@ -16,7 +16,7 @@ from tests.companion.avoidance.flying import fly
 @pytest.mark.parametrize("count", [3, 60])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_hover_among_others_of_unknown_height_keeps_its_height(count: int, seed: int) -> None:
-    """Level planes leave the down speed free: of all that violate them least, the nearest to the wish is flown."""
+    """Level planes leave the down speed free: of all that violate them least, the wish's is flown."""
     rng = np.random.default_rng(seed)
     bearing, away = rng.uniform(0.0, 2.0 * math.pi, count), rng.uniform(4.0, 14.0, count)
     down = rng.uniform(-100.0, 0.0, count)

@@ -127,6 +127,40 @@ def test_a_path_that_keeps_its_margin_is_let(kept: FenceArea, points: Any) -> No
     assert len(walls) == len(kept.points)
 
 
+@pytest.mark.parametrize("sigma_m", [0.0, 0.7, 1.5])
+def test_the_margin_grows_with_the_own_error(sigma_m: float) -> None:
+    """2 m and two standard deviations, from edges and from circles."""
+    margin = 2.0 + 2.0 * sigma_m
+    kinds = [(area(True, *SQUARE), 100.0), (area(False, (150.0, 0.0), radius_m=50.0), 100.0)]
+    for kept, border in kinds:
+        walls_of([kept], FRAME, path((0, 0), (border - margin - 0.05, 0)), sigma_m)
+        with pytest.raises(ConfigError, match=f"; at least {margin:.1f} m are kept "):
+            walls_of([kept], FRAME, path((0, 0), (border - margin + 0.05, 0)), sigma_m)
+
+
+@pytest.mark.parametrize("turned", [1, -1])
+def test_brakes_are_those_of_the_narrower_corner(turned: int) -> None:
+    """Two right corners, two of 45 degrees and a dent of 270 between them, whichever way round they come.
+
+    Before a corner of half angle h it brakes with 0.7 sin h of the acceleration, and so with 0.7 in all.
+    """
+    corners = ((0, 0), (100, 0), (100, 100), (50, 50), (0, 100))[::turned]
+    within = {(0, 0): 45.0, (100, 0): 45.0, (100, 100): 22.5, (50, 50): 90.0, (0, 100): 22.5}
+    outside = {**dict.fromkeys(within, 90.0), (50, 50): 45.0}
+    for inclusion, half_deg, start in ((True, within, (20, 20)), (False, outside, (50, 90))):
+        walls = walls_of([area(inclusion, *corners)], FRAME, path(start, (start[0] + 1, start[1])), 0.0)
+        for row in walls:
+            ends = [tuple(np.round(row[c : c + 2]).astype(int)) for c in (k.W_FROM, k.W_TO)]
+            narrower = min(half_deg[end] for end in ends)
+            brakes = min(0.5, 0.7 * math.sin(math.radians(narrower)))
+            assert row[k.W_BRAKES] == pytest.approx(brakes, abs=1e-4)
+
+
+def test_a_corner_sharper_than_a_needle_still_lets_it_brake() -> None:
+    needle = area(True, (0.0, 0.0), (5000.0, 20.0), (5000.0, -20.0))
+    assert walls_of([needle], FRAME, path((4000, 0), (4001, 0)), 0.0)[:, k.W_BRAKES].min() == 0.05
+
+
 def test_heights_do_not_matter() -> None:
     """A fence is seen from above: the legs of a climb are judged by their ground track."""
     steep = Trajectory([0, 100, 200], [(-200, 0, 0), (-150, 0, -5000), (0, 0, -5000)])
