@@ -221,7 +221,7 @@ def test_in_a_thin_layer_others_are_avoided(down_m: float) -> None:
     """Above, in and below a layer of 4 m, with little acceleration: what leads back from one bound may be
     faster than what still stops at the other."""
     limits = LimitsConfig(max_acceleration_mps2=0.3)
-    hears, place = met_by(200.0, 0.0, down_m)
+    hears, place = met_by(70.0, 0.0, down_m)
     here = (0.0, 0.0, down_m)
     law = Law(AvoidanceConfig(), limits, Trajectory([0, 100], [here, (200.0, 0.0, down_m)]))
     p, v, command, nearest = np.array(here), np.array([2.0, 0.0, 0.0]), np.array([2.0, 0.0, 0.0]), math.inf
@@ -230,7 +230,9 @@ def test_in_a_thin_layer_others_are_avoided(down_m: float) -> None:
         situation = Situation(
             now, now, tuple(p), tuple(v), 0.5, hears(now, p, v), floor_down_m=-50.0, ceiling_down_m=-54.0
         )
-        command = np.array(law.decide(situation).chosen_ned_mps)
+        result = law.decide(situation)
+        assert result.feasible
+        command = np.array(result.chosen_ned_mps)
         v += (command - v) * 0.4
         p = p + 0.2 * v
         nearest = min(nearest, float(np.linalg.norm(p - place(now + 0.2))))
