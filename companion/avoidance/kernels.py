@@ -253,7 +253,7 @@ def _line(
         slope = planes[j, 0] * lx + planes[j, 1] * ly + planes[j, 2] * lz
         need = planes[j, 3] - (planes[j, 0] * qx + planes[j, 1] * qy + planes[j, 2] * qz)
         if slope * slope <= PARALLEL:
-            if need > EPSILON:
+            if need > ALIGNED * radius:
                 return False, 0.0, 0.0, 0.0
             continue
         t = need / slope

@@ -137,7 +137,7 @@ class Law:
         """A law at the start of a flight.
 
         Args:
-            fence: what `fence.local_fence` makes of areas; None: no fence.
+            fence: what `walls.walls_of` makes of areas; None: no fence.
         """
         self._fence = np.zeros((0, k.WALL_COLUMNS)) if fence is None else fence
         self._planned = self._trajectory = trajectory

@@ -8,12 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from companion.avoidance import kernels as k
 from companion.avoidance.law import Law, LawResult, Neighbour, Situation
+from companion.avoidance.walls import _walls
+from companion.events import FenceArea, Vec3
+from companion.geometry import LocalFrame
 
 STEP_S, PERIOD_S, LAG_S = 0.1, 0.2, 0.5
 NOISE_MEMORY_S = 30.0
@@ -72,15 +75,27 @@ def fly(
     return Flight(np.array(times), np.array(places), np.array(errors), results, np.array(late))
 
 
+class _Metres:
+    """A frame in which latitude and longitude are metres."""
+
+    alt_m = 0.0
+
+    def to_ned(self, north: float, east: float, alt_m: float) -> Vec3:
+        return north, east, -alt_m
+
+
 def polygon(kind: float, *corners: tuple[float, float], number: int = 0) -> k.Array:
     """Edges of an area, corners north, east in m."""
-    following = (*corners[1:], corners[0])
-    return np.array([(number, kind, *a, *b) for a, b in zip(corners, following, strict=True)])
+    return _rows(number, FenceArea(inclusion=kind == k.IN_POLYGON, points=corners, radius_m=None))
 
 
 def circle(kind: float, middle: tuple[float, float], radius: float, number: int = 0) -> k.Array:
     """A round area."""
-    return np.array([(number, kind, *middle, radius, 0.0)])
+    return _rows(number, FenceArea(inclusion=kind == k.IN_CIRCLE, points=(middle,), radius_m=radius))
+
+
+def _rows(number: int, area: FenceArea) -> k.Array:
+    return np.array(_walls(number, area, cast(LocalFrame, _Metres())))
 
 
 def room(fence: k.Array, places: k.Array) -> k.Array:

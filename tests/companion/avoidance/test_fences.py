@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
-from companion.avoidance.law import Law, Neighbour
+from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from tests.companion.avoidance.flying import Hears, circle, fly, polygon, room
@@ -159,3 +159,123 @@ def test_a_path_along_a_fence_is_flown(speed: float, sigma_m: float) -> None:
         flight = fly(one, 150.0 / speed, start_s=30.0 / speed, velocity=(speed, 0.0, 0.0), sigma_m=sigma_m)
         assert abs(flight.position[:, 1] - east - off).max() < 1e-9
         assert abs(flight.position[:, 0] + 90.0 - speed * flight.time_s).max() < 1e-6
+
+
+# ---------------------------------------------------------------- corners, and the way back from the margin
+
+
+@pytest.mark.parametrize("limits", [SLOW, FAST], ids=["5 m/s", "20 m/s"])
+@pytest.mark.parametrize("corner_deg", [75, 60, 45, 30])
+def test_an_acute_corner_is_not_crossed(corner_deg: int, limits: LimitsConfig) -> None:
+    """Two walls at which it stops in time each are to be stopped at together."""
+    speed = limits.max_speed_mps
+    length = 30.0 * speed
+    half = length * math.tan(math.radians(0.5 * corner_deg))
+    fence = polygon(k.IN_POLYGON, (0.0, 0.0), (-length, half), (-length, -half))
+    flight = fly(Law(AvoidanceConfig(), limits, straight((-0.9 * length, 0), (1, 0), speed), fence), 60.0)
+    rooms = room(fence, flight.position)
+    assert 0.0 < rooms.min() < 2.5
+
+
+@pytest.mark.parametrize(
+    ("limits", "radius", "speed"), [(SLOW, 50.0, 4.0), (SLOW, 100.0, 2.0), (FAST, 200.0, 16.0)]
+)
+def test_gliding_along_the_inside_of_a_circle_does_not_cross_it(
+    limits: LimitsConfig, radius: float, speed: float
+) -> None:
+    """A path 10 m outside of it, round and round: along its tangents it would get out step by step."""
+    rate = speed / (radius + 10.0)
+    times = [2.0 * i for i in range(101)]
+    points = [((radius + 10) * math.cos(rate * t), (radius + 10) * math.sin(rate * t), -50.0) for t in times]
+    fence = circle(k.IN_CIRCLE, (0.0, 0.0), radius)
+    one = Law(AvoidanceConfig(), limits, Trajectory(times, points), fence)
+    flight = fly(one, 200.0, position=(radius - 30.0, 0.0, -50.0))
+    assert 0.0 < room(fence, flight.position).min() < 2.5
+
+
+def met_by(*start: float) -> tuple[Hears, Any]:
+    """One that comes south at 2 m/s and sees nobody, and where it is."""
+
+    def place(t: Any) -> k.Array:
+        return np.array(start) + np.multiply.outer(t, (-2.0, 0.0, 0.0))
+
+    return lambda now, p, v: [Neighbour("b", tuple(place(now)), (-2.0, 0.0, 0.0), 0.0, 0.5)], place
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 1e-10, 1e-9, 1e-8, -1e-9, -1e-8])
+def test_head_on_in_a_corridor_of_nearly_parallel_walls(tilt_rad: float) -> None:
+    """Narrower than both margins; the walls ask for opposite ways, which rounding or a hair of tilt must not
+    make impossible together: the other is passed above or below, and neither wall is crossed."""
+    wider = 600.0 * tilt_rad
+    fence = polygon(k.IN_POLYGON, (-300.0, -3.0), (-300.0, 3.0), (300.0, 3.0 + wider), (300.0, -3.0))
+    hears, place = met_by(150.0, 0.0, -50.0)
+    path = straight((-100.0, 0.0), (1.0, 0.0), 4.0)
+    flight = fly(Law(AvoidanceConfig(), SLOW, path, fence), 80.0, hears=hears, sigma_m=1.5)
+    assert np.linalg.norm(flight.position - place(flight.time_s), axis=1).min() > 10.0
+    assert room(fence, flight.position).min() > 0.0
+    assert all(result.feasible for result in flight.results)
+
+
+@pytest.mark.parametrize("down_m", [-62.0, -56.0, -52.0, -46.0])
+def test_in_a_thin_layer_others_are_avoided(down_m: float) -> None:
+    """Above, in and below a layer of 4 m, with little acceleration: what leads back from one bound may be
+    faster than what still stops at the other."""
+    limits = LimitsConfig(max_acceleration_mps2=0.3)
+    hears, place = met_by(70.0, 0.0, down_m)
+    here = (0.0, 0.0, down_m)
+    law = Law(AvoidanceConfig(), limits, Trajectory([0, 100], [here, (200.0, 0.0, down_m)]))
+    p, v, command, nearest = np.array(here), np.array([2.0, 0.0, 0.0]), np.array([2.0, 0.0, 0.0]), math.inf
+    for tick in range(300):
+        now = 0.2 * tick
+        situation = Situation(
+            now, now, tuple(p), tuple(v), 0.5, hears(now, p, v), floor_down_m=-50.0, ceiling_down_m=-54.0
+        )
+        result = law.decide(situation)
+        assert result.feasible
+        command = np.array(result.chosen_ned_mps)
+        v += (command - v) * 0.4
+        p = p + 0.2 * v
+        nearest = min(nearest, float(np.linalg.norm(p - place(now + 0.2))))
+    assert nearest > 10.0
+    assert -54.1 < p[2] < -49.9
+
+
+@pytest.mark.parametrize("kind", [k.IN_POLYGON, k.OUT_OF_POLYGON])
+@pytest.mark.parametrize("spot", [*_scaled(SQUARE, 100.0), (-100.0, 3.0), (20.0, 100.0)])
+def test_on_the_border_itself_others_are_avoided(kind: float, spot: tuple[float, float]) -> None:
+    """On a corner or an edge nothing tells the sides apart: no wall that touches it says anything."""
+    fence = polygon(kind, *_scaled(SQUARE, 100.0))
+    here = (*spot, -50.0)
+    hears, place = met_by(spot[0] + 30.0, spot[1] + 1.0, -50.0)
+    path = Trajectory([0, 100], [here, (spot[0] + 1.0, *here[1:])])
+    one = Law(AvoidanceConfig(), SLOW, path, fence)
+    first = one.decide(Situation(0.0, 0.0, here, (0.0, 0.0, 0.0), 0.5, hears(0.0, *np.zeros((2, 3)))))
+    assert np.isfinite(first.chosen_ned_mps).all()
+    asked = one._planes[: int(one._out[k.R_NEIGHBOURS]) + 1, :3]
+    np.testing.assert_allclose(np.linalg.norm(asked, axis=1), 1.0, atol=1e-12)
+    flight = fly(Law(AvoidanceConfig(), SLOW, path, fence), 40.0, hears=hears, sigma_m=0.5)
+    assert np.isfinite(flight.position).all()
+    assert np.linalg.norm(flight.position - place(flight.time_s), axis=1).min() > 10.0
+    assert room(fence, flight.position)[-1] > 0.0
+
+
+OVERLAPPING = [
+    np.vstack([circle(k.OUT_OF_CIRCLE, (0.0, 0.0), 30.0), circle(k.OUT_OF_CIRCLE, (40.0, 0.0), 30.0, 1)]),
+    np.vstack(
+        [
+            polygon(k.OUT_OF_POLYGON, *_scaled(SQUARE, 30.0)),
+            polygon(k.OUT_OF_POLYGON, (0.0, 0.0), (0.0, 70.0), (70.0, 70.0), (70.0, 0.0), number=1),
+        ]
+    ),
+]
+
+
+@pytest.mark.parametrize("fence", OVERLAPPING, ids=["circles", "squares"])
+@pytest.mark.parametrize("start", [(18.0, 3.0), (22.0, 5.0), (15.0, 14.0), (26.0, 9.0)])
+def test_from_inside_of_two_it_leaves_both(fence: k.Array, start: tuple[float, float]) -> None:
+    here = (*start, -50.0)
+    path = Trajectory([0, 300], [here, (start[0] + 1.0, *here[1:])])
+    flight = fly(Law(AvoidanceConfig(), SLOW, path, fence), 90.0)
+    rooms = room(fence, flight.position)
+    assert rooms[0] < 0.0
+    assert rooms[-300:].min() > 0.0

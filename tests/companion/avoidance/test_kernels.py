@@ -29,10 +29,12 @@ def half_space(p: Any, v: Any, radius: float = 10.0, tau: float = 20.0, overlap:
     return np.array(k.half_space(*map(float, p), *map(float, v), radius, tau, overlap))
 
 
-def solve(planes: Any, wish: Any, speed: float = 5.0, hard: int = 0) -> tuple[bool, np.ndarray]:
+def solve(
+    planes: Any, wish: Any, speed: float = 5.0, hard: int = 0, slack: float = 0.0
+) -> tuple[bool, np.ndarray]:
     rows = np.array(planes, dtype=float).reshape(-1, 4)
     out = np.zeros(3)
-    ok = k.solve(rows, hard, len(rows), speed, 0.0, np.array(wish, dtype=float), np.zeros_like(rows), out)
+    ok = k.solve(rows, hard, len(rows), speed, slack, np.array(wish, dtype=float), np.zeros_like(rows), out)
     return ok, out
 
 
@@ -161,6 +163,75 @@ def test_trap_hard_planes_stay_whole_when_infeasible() -> None:
     assert not ok
     assert -2.0 - 1e-9 <= v[2] <= 1.5 + 1e-9
     assert np.linalg.norm(v) <= 5.0 + 1e-9
+
+
+@pytest.mark.parametrize("wish", [(0.0, 3.0, 1.0), (1.0, -2.0, 0.0), (4.0, 0.5, -0.5)])
+def test_trap_of_many_least_violations_the_nearest_to_the_wish(wish: Any) -> None:
+    """What the planes say nothing about stays as it was wished, not as it was come upon."""
+    ok, v = solve([(1, 0, 0, 2), (-1, 0, 0, -1)], wish)
+    assert not ok
+    assert v == pytest.approx([1.5, *wish[1:]], abs=1e-8)
+
+
+@pytest.mark.parametrize("slack", [0.0, 0.02, 0.3])
+def test_slack_is_spent_on_the_way_to_the_wish(slack: float) -> None:
+    """The least of the largest violations is 0.5 m/s, at 1.5 m/s; the wish lies beyond."""
+    ok, v = solve([(1, 0, 0, 2), (-1, 0, 0, -1), (0, 1, 0, 1)], (4, 3, 0), slack=slack)
+    assert not ok
+    assert v == pytest.approx([1.5 + slack, 3.0, 0.0], abs=1e-8)
+
+
+def test_slack_is_not_spent_where_every_plane_is_kept() -> None:
+    ok, v = solve([(1, 0, 0, 2)], (1, 3, 0), slack=0.3)
+    assert ok
+    assert v == pytest.approx([2.0, 3.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-10, 1e-9, 1e-8, -1e-8])
+@pytest.mark.parametrize("hard", [0, 2])
+def test_trap_walls_that_are_parallel_but_for_rounding(tilt: float, hard: int) -> None:
+    """Both to be kept with nothing between them: possible, and others are kept besides."""
+    walls = [(0.0, 1.0, 0.0, 0.0), (tilt, -math.sqrt(1.0 - tilt * tilt), 0.0, 0.0)]
+    for others in ([], [(0.6, 0.0, 0.8, 1.0)], [(0.6, 0.0, 0.8, 1.0), (-0.6, 0.0, 0.8, 1.0)]):
+        for wish in ((4.0, 0.0, 0.0), (-4.0, 1.0, 0.0)):
+            ok, v = solve([*walls, *others], wish, hard=hard)
+            assert ok
+            assert v[1] == pytest.approx(0.0, abs=1e-6)
+            assert all(np.dot(plane[:3], v) >= plane[3] - 1e-6 for plane in others)
+
+
+def test_trap_hard_planes_that_are_impossible_together() -> None:
+    """As many of the first as are possible stay whole; the others are soft, as are the neighbours."""
+    hard = [(0, 0, 1, -2.0), (0, 0, -1, -2.0), (1, 0, 0, 1.0), (-1, 0, 0, 0.0), (0, 1, 0, -1.0)]
+    ok, v = solve([*hard, (0, 1, 0, 2.0), (0, 0, 1, 3.0)], (0, 0, 0), hard=5)
+    assert not ok
+    assert v[0] == pytest.approx(1.0, abs=1e-8)  # the third one whole, its contrary broken by 1
+    assert v[1:] == pytest.approx([1.0, 2.0], abs=1e-8)  # by no more than 1
+
+
+@pytest.mark.parametrize("acceleration", [0.05, 0.3, 1.0, 9.0])
+@pytest.mark.parametrize("height_m", [0.1, 2.0, 30.0])
+def test_trap_floor_and_ceiling_never_contradict(acceleration: float, height_m: float) -> None:
+    path = Trajectory([0, 9], [(0, 0, 0), (9, 0, 0)])
+    law = settings_of(AvoidanceConfig(), LimitsConfig(max_acceleration_mps2=acceleration), path)
+    own = np.zeros(k.OWN_ENTRIES)
+    own[k.O_FLOOR], own[k.O_CEILING] = 0.0, -height_m
+    for down in np.linspace(-height_m - 9.0, 9.0, 91):
+        own[k.O_POSITION + 2] = down
+        least, most = k._down_speeds(own, law)
+        assert -2.0 <= least <= most <= 2.0
+        assert down < 0.0 or most <= 0.0
+        assert down > -height_m or least >= 0.0
+
+
+@pytest.mark.parametrize("name", ["dmuca", "paper"])
+def test_nobody_asks_for_more_than_twice_the_greatest_speed(name: Any) -> None:
+    """From within a large volume; the published law has no such bound."""
+    one = Law(AvoidanceConfig(law=name), LimitsConfig(), Trajectory([0, 9], [(0, 0, -50), (9, 0, -50)]))
+    inside = Neighbour("a", (30.0, 5.0, -50.0), (-40.0, 0.0, 0.0), 0.0, 5.0, crewed=True)
+    one.decide(Situation(1.0, 1.0, (0.0, 0.0, -50.0), (1.0, 0.0, 0.0), 1.5, (inside,)))
+    asked = one._view[0, k.V_PLANE + 3]
+    assert asked == 10.0 if name == "dmuca" else asked > 20.0
 
 
 # ---------------------------------------------------------------- meaning of the half-space

@@ -90,30 +90,47 @@ def test_who_stopped_with_its_last_message_is_not_flown_into(
     assert near > 10.0
 
 
-def picture(age_s: float, silent: bool) -> Situation:
+def picture(silent: bool, age_s: float = 5.0) -> Situation:
     """It has flown on to the north by its message; it may stand 50 m ahead."""
     other = Neighbour("b", (50.0, 1.0, -50.0), (8.0, 0.0, 0.0), age_s, 1.0, silent=silent)
     return Situation(0.0, 0.0, (0.0, 0.0, -50.0), (4.0, 0.0, 0.0), 1.0, [other])
 
 
-@pytest.mark.parametrize("silent", [False, True])
-@pytest.mark.parametrize("age_s", [3.6, 5.1, 9.0])
-def test_it_may_stand_only_where_it_is_silent(age_s: float, silent: bool) -> None:
-    """However old its message: one that came late may have come just now."""
-    assert own().decide(picture(age_s, silent)).conflict == silent
+@pytest.mark.parametrize("age_s", [0.5, 5.0, 14.0])
+def test_it_may_stand_only_when_it_is_silent(age_s: float) -> None:
+    """However old its message is: delay alone is no silence."""
+    for silent in (False, True):
+        one = own()
+        assert one.decide(picture(silent, age_s)).conflict == silent
+        assert one._view[0, k.V_STANDING :].any() == silent
+
+
+def test_where_it_would_stand_is_a_second_after_its_message() -> None:
+    """The plane of an aircraft that hovers there, seen by our velocity of now."""
+    silent, hovering = own(), own()
+    silent.decide(picture(True))
+    there = Neighbour("b", (58.0, 1.0, -50.0), (0.0, 0.0, 0.0), 5.0, 1.0)
+    hovering.decide(Situation(0.0, 0.0, (0.0, 0.0, -50.0), (4.0, 0.0, 0.0), 1.0, [there]))
+    np.testing.assert_allclose(
+        silent._view[0, k.V_STANDING :], hovering._view[0, k.V_PLANE : k.V_STANDING], atol=1e-12
+    )
+
+
+def test_who_may_stand_in_the_way_is_active() -> None:
+    """Flying on, as its message says, it bounds nothing."""
+    assert [own().decide(picture(silent)).tracks[0].active for silent in (False, True)] == [False, True]
 
 
 def test_the_published_law_knows_no_silence() -> None:
-    assert not own(law="paper").decide(picture(14.0, True)).conflict
+    assert not own(law="paper").decide(picture(True, 14.0)).conflict
 
 
 @pytest.mark.parametrize(("every_s", "silent_s"), [(1.0, 3.5), (3.0, 6.5), (5.0, 9.5)])
 def test_regular_messages_are_no_silence(every_s: float, silent_s: float) -> None:
-    """However rare: whoever flies ahead, faster, and is heard does not stand in the way."""
+    """However rare: whoever flies ahead, faster, and is heard, as it has been, does not stand in the way."""
     other = Sender((60.0, 0.0, -50.0), (4.5, 0.0, 0.0), every_s=every_s)
+    other.hears(-every_s, *np.zeros((2, 3)))
     one = own()
-    # Its gap is known from the second message on.
-    other.hears(-every_s, np.zeros(3), np.zeros(3))
     flight = fly(one, 60.0, velocity=(4.0, 0.0, 0.0), hears=other.hears)
     assert k.silent_after(other.past) == pytest.approx(silent_s, rel=1e-9)
     assert max(other.ages_s) < silent_s
@@ -164,7 +181,7 @@ def test_the_share_that_is_ours(share: float) -> None:
 
 
 def test_separations_of_crewed_traffic() -> None:
-    """The ellipsoid touches the cylinder's rim, 150 m aside and 50 m above."""
+    """The ellipsoid touches the cylinder's rim, 150 m aside and 50 m above, and looks farther ahead."""
     avoidance = AvoidanceConfig()
     radius, scale = separation_m(avoidance, True)
     assert math.hypot(150.0, scale * 50.0) == pytest.approx(radius)

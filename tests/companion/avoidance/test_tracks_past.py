@@ -104,9 +104,9 @@ def test_the_longest_gap_lately() -> None:
     assert gaps == pytest.approx([0.0, 1.0, 3.0, three, three * math.exp(-2.0 / 60.0)], rel=1e-12)
 
 
-@pytest.mark.parametrize(("gap_s", "silent_s"), [(0.95, 5.0), (1.0, 5.0), (2.0, 6.5), (4.0, 9.5)])
+@pytest.mark.parametrize(("gap_s", "silent_s"), [(0.95, 3.5), (1.0, 3.5), (2.0, 5.0), (4.0, 8.0)])
 def test_silence_is_told_by_the_link(gap_s: float, silent_s: float) -> None:
-    """4 s, and half of a gap more than the longest: 5 s once a second, 9.5 s where every 4th is heard."""
+    """2 s and one and a half times the longest gap: 3.5 s once a second, 8 s where every 4th is heard."""
     track = fresh()
     for number in range(10):
         note(track, gap_s * number, (0, 0, 0), (0, 0, 0))
@@ -117,10 +117,10 @@ def test_a_bad_spell_of_the_link_is_forgotten() -> None:
     track = fresh()
     for t in (0.0, 1.0, 7.0):
         note(track, t, (0, 0, 0), (0, 0, 0))
-    assert k.silent_after(track) == pytest.approx(3.5 + 1.5 * 6.0)
+    assert k.silent_after(track) == pytest.approx(2.0 + 1.5 * 6.0)
     for t in range(8, 248):
         note(track, t, (0, 0, 0), (0, 0, 0))
-    assert k.silent_after(track) == pytest.approx(5.0)
+    assert k.silent_after(track) == pytest.approx(3.5)
 
 
 @pytest.mark.parametrize(

@@ -105,6 +105,34 @@ def test_the_delay_never_falls(seed: int) -> None:
     assert last > 0.0
 
 
+def test_the_delay_does_not_fall_when_the_clock_turns_back() -> None:
+    one = law(5.0)
+    late = []
+    for now in (50.0, 50.2, 50.1, 49.0, 49.2):
+        one.decide(Situation(now, 50.0, (100.0, 0.0, -50.0), (5.0, 0.0, 0.0), 1.0))
+        late.append(one.late_s)
+    assert late == sorted(late)
+    assert late[1] > 0.0
+
+
+@pytest.mark.parametrize("down_mps", [-LIMITS.max_climb_mps, LIMITS.max_descent_mps])
+def test_a_climb_or_descent_at_its_limit_that_is_held_up_waits(down_mps: float) -> None:
+    """The speed that is left is of no use there: the point waits until the gap is closed."""
+    path = Trajectory([0, 300], [(0, 0, -400), (300, 0, -400 + 300 * down_mps)])
+    for share, waits in ((1.0, True), (0.5, False)):
+        times = [0.0, 300.0 / share]
+        one = Law(AvoidanceConfig(), LIMITS, Trajectory(times, path.points_ned_m))
+        now = 0.1 * times[1]
+        n, e, d = one.trajectory.position(now)
+        behind = (n - 10.0 / abs(down_mps), e, d - math.copysign(10.0, down_mps))
+        velocity = (share, 0.0, share * down_mps)
+        flight = fly(one, now + 90.0, start_s=now, position=behind, velocity=velocity)
+        end = flight.position[-1]
+        assert math.dist(end, one.trajectory.position(float(flight.time_s[-1]))) < 1.0
+        assert (one.late_s > 4.9) == waits
+        assert (one.late_s == 0.0) != waits
+
+
 def test_a_pause_costs_no_delay() -> None:
     """Nothing is known of a time without decisions, such as the pilot's."""
     one = law(5.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -17,6 +18,8 @@ from companion.geometry import LocalFrame
 
 FRAME = LocalFrame(47.0, 8.0, 400.0)
 SQUARE = ((-100.0, -100.0), (-100.0, 100.0), (100.0, 100.0), (100.0, -100.0))
+CORNER = 0.7 * math.sqrt(0.5)
+"""Share of the acceleration before an edge between right angles."""
 L_SHAPE = ((0.0, 0.0), (100.0, 0.0), (100.0, 40.0), (40.0, 40.0), (40.0, 100.0), (0.0, 100.0))
 
 
@@ -32,19 +35,19 @@ def path(*points: tuple[float, float]) -> Trajectory:
 
 def trouble(areas: Any, trajectory: Trajectory) -> str:
     with pytest.raises(ConfigError) as refused:
-        walls_of(areas, FRAME, trajectory)
+        walls_of(areas, FRAME, trajectory, 0.0)
     return str(refused.value)
 
 
 def test_walls_of_polygons_and_circles() -> None:
     areas = [area(True, *SQUARE), area(False, (30.0, 40.0), radius_m=7.0)]
-    walls = walls_of(areas, FRAME, path((0, 0), (50, 0)))
+    walls = walls_of(areas, FRAME, path((0, 0), (50, 0)), 0.0)
     expected = [
-        (0, k.IN_POLYGON, -100, -100, -100, 100),
-        (0, k.IN_POLYGON, -100, 100, 100, 100),
-        (0, k.IN_POLYGON, 100, 100, 100, -100),
-        (0, k.IN_POLYGON, 100, -100, -100, -100),
-        (1, k.OUT_OF_CIRCLE, 30, 40, 7, 0),
+        (0, k.IN_POLYGON, -100, -100, -100, 100, CORNER),
+        (0, k.IN_POLYGON, -100, 100, 100, 100, CORNER),
+        (0, k.IN_POLYGON, 100, 100, 100, -100, CORNER),
+        (0, k.IN_POLYGON, 100, -100, -100, -100, CORNER),
+        (1, k.OUT_OF_CIRCLE, 30, 40, 7, 0, 0.5),
     ]
     np.testing.assert_allclose(walls, expected, atol=1e-2)
 
@@ -56,15 +59,15 @@ def test_kinds() -> None:
     ):
         at = 0.0 if inclusion else 500.0
         areas = [area(inclusion, *SQUARE), area(inclusion, (0.0, 0.0), radius_m=90.0)]
-        walls = walls_of(areas, FRAME, path((at, 0), (at, 10)))
+        walls = walls_of(areas, FRAME, path((at, 0), (at, 10)), 0.0)
         assert walls[:, k.W_KIND].tolist() == [polygon] * 4 + [circle]
 
 
 def test_no_fence() -> None:
-    assert walls_of([], FRAME, path((0, 0), (1, 0))).shape == (0, k.WALL_COLUMNS)
+    assert walls_of([], FRAME, path((0, 0), (1, 0)), 1.5).shape == (0, k.WALL_COLUMNS)
 
 
-CROSSES = "crosses its border between waypoint[{}] and waypoint[{}]; allowed are 2 m"
+CROSSES = "crosses its border between waypoint[{}] and waypoint[{}]; at least 2.0 m are kept"
 
 
 @pytest.mark.parametrize(
@@ -120,8 +123,42 @@ def test_a_path_that_breaks_an_area_is_refused(kept: FenceArea, points: Any, sai
     ],
 )
 def test_a_path_that_keeps_its_margin_is_let(kept: FenceArea, points: Any) -> None:
-    walls = walls_of([kept], FRAME, path(*points))
+    walls = walls_of([kept], FRAME, path(*points), 0.0)
     assert len(walls) == len(kept.points)
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 0.7, 1.5])
+def test_the_margin_grows_with_the_own_error(sigma_m: float) -> None:
+    """2 m and two standard deviations, from edges and from circles."""
+    margin = 2.0 + 2.0 * sigma_m
+    kinds = [(area(True, *SQUARE), 100.0), (area(False, (150.0, 0.0), radius_m=50.0), 100.0)]
+    for kept, border in kinds:
+        walls_of([kept], FRAME, path((0, 0), (border - margin - 0.05, 0)), sigma_m)
+        with pytest.raises(ConfigError, match=f"; at least {margin:.1f} m are kept "):
+            walls_of([kept], FRAME, path((0, 0), (border - margin + 0.05, 0)), sigma_m)
+
+
+@pytest.mark.parametrize("turned", [1, -1])
+def test_brakes_are_those_of_the_narrower_corner(turned: int) -> None:
+    """Two right corners, two of 45 degrees and a dent of 270 between them, whichever way round they come.
+
+    Before a corner of half angle h it brakes with 0.7 sin h of the acceleration, and so with 0.7 in all.
+    """
+    corners = ((0, 0), (100, 0), (100, 100), (50, 50), (0, 100))[::turned]
+    within = {(0, 0): 45.0, (100, 0): 45.0, (100, 100): 22.5, (50, 50): 90.0, (0, 100): 22.5}
+    outside = {**dict.fromkeys(within, 90.0), (50, 50): 45.0}
+    for inclusion, half_deg, start in ((True, within, (20, 20)), (False, outside, (50, 90))):
+        walls = walls_of([area(inclusion, *corners)], FRAME, path(start, (start[0] + 1, start[1])), 0.0)
+        for row in walls:
+            ends = [tuple(np.round(row[c : c + 2]).astype(int)) for c in (k.W_FROM, k.W_TO)]
+            narrower = min(half_deg[end] for end in ends)
+            brakes = min(0.5, 0.7 * math.sin(math.radians(narrower)))
+            assert row[k.W_BRAKES] == pytest.approx(brakes, abs=1e-4)
+
+
+def test_a_corner_sharper_than_a_needle_still_lets_it_brake() -> None:
+    needle = area(True, (0.0, 0.0), (5000.0, 20.0), (5000.0, -20.0))
+    assert walls_of([needle], FRAME, path((4000, 0), (4001, 0)), 0.0)[:, k.W_BRAKES].min() == 0.05
 
 
 def test_heights_do_not_matter() -> None:
@@ -159,7 +196,7 @@ def test_every_leg_against_a_dense_sample() -> None:
                 continue  # too near for the sample to tell
             expected = kept_whole and rooms.min() > k.FENCE_MARGIN_M
             try:
-                walls_of([kept], FRAME, path(tuple(a), tuple(b)))
+                walls_of([kept], FRAME, path(tuple(a), tuple(b)), 0.0)
                 let = True
             except ConfigError:
                 let = False
