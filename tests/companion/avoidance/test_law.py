@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.avoidance import kernels
-from companion.avoidance.law import Law, LawResult, Neighbour, Situation
+from companion.avoidance.law import Law, LawResult, Neighbour, Situation, horizon_s
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 
@@ -417,3 +417,9 @@ def test_cost_of_a_decision() -> None:
         one.decide(view)
         took.append(time.perf_counter() - began)
     assert statistics.median(took) < 2e-3
+
+
+def test_how_far_ahead_others_are_kept_clear_of() -> None:
+    assert horizon_s(AvoidanceConfig(), False) == 20.0
+    assert horizon_s(AvoidanceConfig(), True) == 90.0
+    assert horizon_s(AvoidanceConfig(horizon_s=100.0), True) == 100.0
