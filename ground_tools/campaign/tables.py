@@ -50,8 +50,12 @@ def _laws() -> list[Cell]:
 
 
 def _many() -> list[Cell]:
-    """What five aircraft must keep, to be flown ten times as often."""
-    return [cell for cell in _laws() if cell.law == "dmuca" and cell.aircraft == 5]
+    """The reference's sets over the delays, to be flown ten times as often."""
+    return [
+        Cell(generator=name, aircraft=5, delay_s=delay_s)
+        for name in ("S1", "S2", "S3")
+        for delay_s in DELAYS_S
+    ]
 
 
 def _fast() -> list[Cell]:
