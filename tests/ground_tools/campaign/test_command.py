@@ -9,13 +9,14 @@ import subprocess
 import sys
 import time
 
+import msgspec
 import pytest
 
 from companion.errors import ConfigError
 from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import tables
-from ground_tools.campaign.cells import Cell, Row
+from ground_tools.campaign.cells import Cell, Row, fly
 from ground_tools.campaign.command import summary
 from ground_tools.campaign.generators import NAMES
 
@@ -189,8 +190,10 @@ def test_a_table_has_a_line_for_each_cell(tmp_path, capsys):
     assert cli.main(["campaign", "table", "fast", "--seeds", "1-2", "--file", str(file)]) == 0
     printed = capsys.readouterr().out
     kept = tables.read(file)
-    assert [line.cell.generator for line in kept.lines] == list(NAMES)
-    assert {line.cell.speed_mps for line in kept.lines} == {20.0}
+    reserved = [line.cell for line in kept.lines if line.cell.reserve]
+    assert [cell.generator for cell in reserved] == list(NAMES)
+    assert {cell.speed_mps for cell in reserved} == {20.0}
+    assert [line.cell.generator for line in kept.lines[len(reserved) :]] == [n for n in NAMES if n != "lift"]
     assert (kept.seeds, kept.software) == ((1, 2), campaign.software())
     assert printed == tables.markdown(kept.lines)
     assert all(line.found["min_separation_m"] > 10.0 for line in kept.lines)
@@ -204,7 +207,7 @@ def test_columns_of_what_differs():
     assert head.startswith("| law | intruders | runs | below 10 m |")
     assert "| least (m) | mean severity | deviation (m) |" in head
     assert first == (
-        "| dmuca | 20% blind | 2 | 1 | 0 | 1, 0 | 1.0000 (0.1891 to 1.8109) | 9.00 | 0.10 | 10 | 5 |"
+        "| dmuca | 20% blind | 2 | 1 | 0 | 1, 0 | 1.0000 (0.1891 to 1.8109) | 9.00 | 0.10 | 10 | 8 | 0, 0 |"
     )
     assert second.startswith("| paper | none | 2 |")
     apart = [row(1, 11.0)]
@@ -219,3 +222,34 @@ def test_a_damaged_table_is_said(tmp_path):
     file.write_text('{"software": "x", "seeds": [1, 2], "lines": [{}]}')
     with pytest.raises(ConfigError, match=r"no table of a campaign: .*lines"):
         tables.read(file)
+
+
+def test_crewed_traffic_fences_and_lateness_have_figures():
+    crewed = Cell(generator="random", aircraft=4, delay_s=(1.0, 2.0), intruders=0.25, intruder="crewed")
+    ours, alone = fly(crewed, range(1, 5)), fly(campaign.baseline(crewed), range(1, 5))
+    found = summary(ours, alone)
+    assert (found["crewed_losses"], found["unavoided_crewed_losses"]) == (0, 4)
+    assert found["min_crewed_separations"] > 1.0
+    line = tables.Line(cell=crewed, found=found)
+    assert "| 0, 4 |" in tables.markdown([line])
+    beside = Cell(generator="head-on", aircraft=4, delay_s=(1.0, 2.0), world="fence")
+    found = summary(fly(beside, range(1, 5)), fly(campaign.baseline(beside), range(1, 5)))
+    assert found["max_beyond_fence_m"] == 0.0
+    assert found["min_crewed_separations"] is None
+    full = Cell(generator="overtaking", aircraft=4, delay_s=(1.0, 2.0), reserve=False)
+    rows = fly(full, range(1, 5))
+    assert all(row.lost_s > 0.0 and row.back_m < 15.0 for row in rows)
+
+
+def test_a_fence_needs_paths_along_one_line():
+    with pytest.raises(ConfigError, match="head-on or overtaking"):
+        fly(Cell(generator="circle", aircraft=4, world="fence"), [1])
+
+
+def test_who_has_no_gnss_stands_still_and_is_not_heard():
+    """The others' messages of it grow old; it is late by about the loss, or has made up for it."""
+    dark = Cell(generator="random", aircraft=4, delay_s=(1.0, 2.0), world="blackout")
+    rows = fly(dark, range(1, 9))
+    calm = fly(msgspec.structs.replace(dark, world="calm"), range(1, 9))
+    assert all(a.away_s > b.away_s for a, b in zip(rows, calm, strict=True))
+    assert all(row.deviation_m > 15.0 for row in rows)
