@@ -44,6 +44,8 @@ _CHANGED = (
 )
 _RETRY_S = 10.0
 """Between two requests for the mission, and two tries of a path that was refused."""
+LEAST_LAYER_M = 5.0
+"""Between floor and ceiling, as a configuration must leave."""
 
 
 class Plan:
@@ -234,8 +236,11 @@ class Plan:
     @property
     def floor_height_m(self) -> float:
         """Above home."""
-        floor = self._config.limits.floor_height_m
-        return min(LEAST_HEIGHT_M, self.lowest_height_m) if floor is None else floor
+        limits = self._config.limits
+        if limits.floor_height_m is not None:
+            return limits.floor_height_m
+        ceiling = math.inf if limits.ceiling_height_m is None else limits.ceiling_height_m
+        return min(LEAST_HEIGHT_M, self.lowest_height_m, ceiling - LEAST_LAYER_M)
 
     def boundary_down_m(self, height_m: float | None, own: Ownship, now_s: float) -> float | None:
         """NED down of a height above home, at the aircraft's own place: the plane of the frame is not level

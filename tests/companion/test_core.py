@@ -536,3 +536,15 @@ def test_a_path_that_waits_for_long_is_told_of(flying):
     assert len(told) == int(late / 30.0)
     assert told[0].startswith("DMUCA: path 30 s late")
     assert flying.heart.plan.path_time_s(flying.now_s) - late < 60.0
+
+
+def test_a_ceiling_below_the_default_floor_takes_the_floor_with_it(make_bench, make_config):
+    """No floor is given: the one that is taken stays below a low ceiling."""
+    made, bench = make_config(), make_bench()
+    limits = msgspec.structs.replace(made.limits, ceiling_height_m=10.0)
+    bench.heart = Companion(msgspec.structs.replace(made, limits=limits))
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.extra = [intruder(bench, 120.0, 3.0)]
+    bench.step(200)
+    assert bench.heart.state in HOLDING
+    assert bench.heart.plan.floor_height_m == 5.0
