@@ -74,8 +74,9 @@ class IdentityConfig(_Section, frozen=True):
 class FlightConfig(_Section, frozen=True):
     """What to fly and who may fly it."""
 
-    use: Literal["watch", "fly"] = "watch"
-    """watch: broadcast, listen and log, never command. fly: command the timed trajectory."""
+    use: Literal["watch", "guard", "fly"] = "watch"
+    """watch: broadcast, listen and log, never command. guard: the autopilot flies its mission and is taken
+    for a conflict alone. fly: command the timed trajectory."""
     trajectory: str | None = None
     """Path of a trajectory file (relative to this file), or "mission" for the vehicle's own mission."""
     mission_speed_mps: Annotated[float, Meta(gt=0, le=100)] | None = None
@@ -84,8 +85,8 @@ class FlightConfig(_Section, frozen=True):
     """engage: the path's clock starts when the companion takes the vehicle. utc: at start_utc_s."""
     start_utc_s: float | None = None
     rearm: Literal["mode", "disarm", "never"] = "disarm"
-    """How authority returns after the pilot took it: when the pilot selects GUIDED/OFFBOARD, when the vehicle
-    has been disarmed, or only by a restart."""
+    """How authority returns after the pilot took it: when the pilot selects GUIDED/OFFBOARD (guard:
+    AUTO/MISSION), when the vehicle has been disarmed, or only by a restart."""
     take_in_flight: bool = False
     """May take a vehicle that was flying already when the companion started. Without it a companion that
     restarts in flight waits for the next landing."""
@@ -124,7 +125,7 @@ class AvoidanceConfig(_Section, frozen=True):
     recovery_time_s: Annotated[float, Meta(gt=0, le=120)] = 10.0
     """T: time to close the gap to the path's point."""
     n_noncollide: Annotated[int, Meta(ge=1, le=1000)] = 15
-    """Paper's law only: cycles without a conflict before recovery."""
+    """Cycles without a conflict before an avoidance is over; in the paper's law, before recovery."""
     regained_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Closer to the timed point than this counts as back on the path."""
 
@@ -380,6 +381,12 @@ def check(config: Config, name: str) -> None:
         check_identity(config.identity, config.remote_id, config.region)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
+    if flight.use == "guard" and (flight.trajectory is not None or config.path is not None):
+        raise ConfigError(
+            f'{name}: flight.trajectory: use = "guard" guards what the vehicle itself flies; leave it out'
+        )
+    if flight.use == "guard" and config.avoidance.law == "none":
+        raise ConfigError(f'{name}: avoidance.law: "none" avoids nobody; use = "guard" needs another')
     if flight.use == "fly" and flight.trajectory is None and config.path is None:
         raise ConfigError(f'{name}: flight.trajectory: missing; use = "fly" needs a file or "mission"')
     if flight.trajectory == "mission" and flight.mission_speed_mps is None:
@@ -405,10 +412,11 @@ def check(config: Config, name: str) -> None:
         raise ConfigError(
             f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"
         )
-    if flight.use == "fly" and not config.has_radio and config.avoidance.law != "none":
+    if flight.use != "watch" and not config.has_radio and config.avoidance.law != "none":
+        otherwise = ', or avoidance.law = "none"' if flight.use == "fly" else ""
         raise ConfigError(
-            f'{name}: radio: none configured, so nobody is heard; use = "fly" needs a [[radio]], '
-            'or avoidance.law = "none"'
+            f'{name}: radio: none configured, so nobody is heard; use = "{flight.use}" needs a [[radio]]'
+            f"{otherwise}"
         )
     if config.remote_id.component and config.vehicle.component_id == 236:
         raise ConfigError(f"{name}: vehicle.component_id: 236 is taken by remote_id.component")

@@ -13,8 +13,10 @@ from collections.abc import Sequence
 from companion.atmc.chooser import chooser_of
 from companion.avoidance.alerts import Alerts
 from companion.avoidance.authority import HOLDING, State, Trigger, next_state
+from companion.avoidance.guard import GuardPlan
 from companion.avoidance.law import LawResult, Neighbour, Situation
 from companion.avoidance.plan import Plan
+from companion.avoidance.sticks import Sticks
 from companion.config import Config
 from companion.events import (
     AdsbVehicle,
@@ -32,6 +34,7 @@ from companion.events import (
     ModeRefused,
     OperatorData,
     RadioState,
+    RcChannels,
     RemoteIdHeard,
     RemoteIdModule,
     Say,
@@ -52,6 +55,7 @@ _TAKE_FROM = {
     Firmware.PX4: frozenset({FlightMode.EXTERNAL, FlightMode.MISSION, FlightMode.HOLD}),
 }
 """Modes that the companion may take the vehicle from."""
+_GUARDED = frozenset({FlightMode.MISSION})
 _LATE_S = 0.25
 """A step that comes this much after the last (or 2.5 periods) commands nothing: the loop was late."""
 _HUNG_S = 1.0
@@ -60,9 +64,15 @@ _REFUSED_PAUSE_S = 8.0
 """After a refused mode change, before the vehicle is asked again."""
 _STREAM_FIRST_S = 0.5
 """PX4 enters OFFBOARD only while setpoints already stream."""
-_CLEAR_AFTER_S = 3.0
+_SURE = 3
+"""Decisions in a row that must see a conflict before a guarded vehicle is taken."""
+_GIVING_BACK_S = 8.0
+"""For this long after the mission was asked for, the vehicle may still obey; then it is asked again."""
 _LATE_STEP_S = 30.0
 """The pilot is told each time that the path has waited for this long again."""
+_TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
+_TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED}
+"""Moves that the pilot is told of, besides each that ends watching."""
 _QUIET_LOG_S = 1.0
 """Decisions are logged at least this often; while avoiding or recovering each one is."""
 
@@ -80,11 +90,14 @@ class Companion:
         self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
         self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
         self.alerts = Alerts(config.avoidance)
-        self.plan = Plan(config)
+        self._guard = GuardPlan(config) if config.flight.use == "guard" else None
+        self.plan: Plan = self._guard or Plan(config)
+        self._sticks = Sticks()
         self.state = State.STANDBY
         self.broadcaster = Broadcaster(config)
         self.chooser = chooser_of(config, policy)
         self._late_s = max(_LATE_S, 2.5 / config.flight.setpoint_rate_hz)
+        self._clear_after_s = config.avoidance.n_noncollide * config.avoidance.period_s
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
         self._seen_down = config.flight.take_in_flight
@@ -96,8 +109,15 @@ class Companion:
         self._healthy_s = -math.inf
         """From when on a fault may end."""
         self._refused: str | None = None
-        self._left_external = False
+        self._left = False
+        """The pilot has left the mode by which he gives authority."""
         self._told_late_s = 0.0
+        self._ours: frozenset[FlightMode] = frozenset()
+        """Modes that the vehicle may be in by our own doing, after a fault ended our flight."""
+        self._conflicts = 0
+        """Decisions in a row, while a mission is guarded, that saw one."""
+        self._gave_back_s = -math.inf
+        """When the vehicle was last asked to fly its mission on."""
 
     @property
     def in_control(self) -> bool:
@@ -151,7 +171,9 @@ class Companion:
                 case FenceRefused():
                     commands += self.plan.download_refused(f"the vehicle's fence: {event.reason}")
                 case ModeRefused():
-                    self._refused = event.reason
+                    commands += self._mode_refused(event)
+                case RcChannels():
+                    self._sticks.take(event)
                 case _:
                     own.take(event, now_s)
         if own.frame is not self._frame:
@@ -190,7 +212,7 @@ class Companion:
             self.plan.drop()
         if self.state is State.STANDBY and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
-            if self.plan.ready and not self._near_path(now_s):
+            if self.plan.ready and not self.plan.near(own, now_s):
                 limit = self.config.flight.start_within_m
                 commands += self.plan.refuse(f"vehicle is not within {limit:g} m of the path's point")
         if self.plan.law is not None:
@@ -200,7 +222,7 @@ class Companion:
         """Why the vehicle cannot be taken now, in words; None when it can: it must be armed, in the air, fit,
         and in a mode that is ours to end."""
         own = self.own
-        if self.config.flight.use != "fly":
+        if self.config.flight.use == "watch":
             return 'flight.use is "watch"'
         if own.heartbeat is None or not own.heartbeat.armed:
             return "vehicle to be armed"
@@ -208,8 +230,11 @@ class Companion:
             return "a landing: the vehicle was flying when this started (flight.take_in_flight)"
         if own.landed(now_s) is not Landed.IN_AIR:
             return f"vehicle to be in the air (landed state: {own.landed(now_s).value})"
-        if own.heartbeat.mode not in _TAKE_FROM[own.heartbeat.firmware]:
+        allowed = _TAKE_FROM[own.heartbeat.firmware] if self._guard is None else _GUARDED
+        if own.heartbeat.mode not in allowed | self._ours:
             modes = "GUIDED or AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "HOLD or MISSION"
+            if self._guard is not None:
+                modes = "AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "MISSION"
             return f"mode {modes} (now {own.heartbeat.mode.value})"
         if self.config.region.transport_sets and self.broadcaster.trouble is not None:
             return self.broadcaster.trouble
@@ -229,6 +254,10 @@ class Companion:
         self._move(now_s, self._triggers(now_s, unfit), unfit, commands)
         self._refused = None
         due = now_s - self._decided_s >= self.config.avoidance.period_s - 1e-6
+        if self.state is State.WATCHING and due and gap_s <= self._late_s:
+            self._decided_s = now_s
+            self._watch(now_s, commands)
+            return
         if self.state not in HOLDING or gap_s > self._late_s:
             if due and unfit is None and self.own.landed(now_s) is Landed.IN_AIR:
                 self._decided_s = now_s
@@ -236,6 +265,10 @@ class Companion:
             return
         law = self.plan.law
         assert law is not None
+        if self.state is State.GUARDING:
+            self._give_back(now_s, commands)
+            if self.state not in HOLDING:
+                return
         if self._result is None or due:
             self._decided_s = now_s
             situation = self._situation(now_s)
@@ -250,11 +283,46 @@ class Companion:
         self._commanded_s = now_s
         commands.append(self._setpoint(self._result.chosen_ned_mps))
 
+    def _watch(self, now_s: float, commands: list[Command]) -> None:
+        """The autopilot flies its mission: would the law fly something else?"""
+        guard, law = self._guard, self.plan.law
+        assert guard is not None
+        assert law is not None
+        commands += guard.watch(self.own, now_s)
+        situation = self._situation(now_s)
+        self._result = result = law.decide(situation)
+        self._conflicts = self._conflicts + 1 if result.conflict else 0
+        self._alert(now_s, situation.neighbours, None, commands)
+        self._log(now_s, result, commands)
+        if self._conflicts >= _SURE:
+            self._move(now_s, frozenset({Trigger.CONFLICT}), None, commands)
+
+    def _give_back(self, now_s: float, commands: list[Command]) -> None:
+        """On the path, and no conflict: the mission goes on, if it is still the same."""
+        if self._guard is None or not self._mode_confirmed or now_s - self._gave_back_s < _GIVING_BACK_S:
+            return
+        same, asked = self._guard.give_back(now_s)
+        commands += asked
+        if same:
+            self._gave_back_s = now_s
+            commands.append(SetMode(mode=FlightMode.MISSION))
+        elif same is False:
+            self._move(now_s, frozenset({Trigger.CHANGED}), None, commands)
+
+    def _mode_refused(self, event: ModeRefused) -> list[Command]:
+        """What was asked for in order to fly is a fault; the rest is only told."""
+        if event.mode is FlightMode.EXTERNAL:
+            self._refused = event.reason
+            return []
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
+
     def _triggers(self, now_s: float, unfit: str | None) -> frozenset[Trigger]:
         """What the vehicle's state says about authority."""
         own, flight = self.own, self.config.flight
         found = set()
-        if self._pilot_took_over():
+        if own.mode not in self._ours:
+            self._ours = frozenset()
+        if self._pilot_took_over(now_s) or self._sticks.moved:
             found.add(Trigger.PILOT)
         if unfit is not None or self._refused is not None:
             found.add(Trigger.UNFIT)
@@ -262,25 +330,27 @@ class Companion:
             found.add(Trigger.RELEASE)
         if now_s >= self._healthy_s:
             found.add(Trigger.HEALTHY)
-        external = own.mode is FlightMode.EXTERNAL
-        self._left_external = self._left_external or not external
+        on_mission = own.mode is FlightMode.MISSION
+        given = on_mission if self._guard is not None else own.mode is FlightMode.EXTERNAL
+        self._left = self._left or not given
         if (flight.rearm == "disarm" and own.heartbeat is not None and not own.armed) or (
-            flight.rearm == "mode" and external and self._left_external
+            flight.rearm == "mode" and given and self._left
         ):
             found.add(Trigger.REARM)
         standing_by = self.state is State.STANDBY and self.plan.ready
-        if standing_by and self.waits_for(now_s) is None and self._near_path(now_s):
-            found.add(Trigger.READY)
+        if standing_by and self.waits_for(now_s) is None and self.plan.near(own, now_s):
+            found.add(Trigger.WATCH if self._guard is not None and on_mission else Trigger.READY)
+        if self._guard is not None:
+            found.add(Trigger.RESUMED if on_mission else Trigger.LEFT)
         return frozenset(found)
 
-    def _near_path(self, now_s: float) -> bool:
-        return self.plan.distance_m(self.own, now_s) <= self.config.flight.start_within_m
-
-    def _pilot_took_over(self) -> bool:
+    def _pilot_took_over(self, now_s: float) -> bool:
         """A mode that we did not command: any but the one we asked for and, until that is confirmed, the one
         we took the vehicle from."""
         heartbeat = self.own.heartbeat
-        if heartbeat is None or heartbeat.mode is FlightMode.EXTERNAL:
+        if heartbeat is None or heartbeat.mode in self._ours | {FlightMode.EXTERNAL}:
+            return False
+        if heartbeat.mode is FlightMode.MISSION and now_s - self._gave_back_s < _GIVING_BACK_S:
             return False
         return self._mode_confirmed or heartbeat.custom_mode != self._custom_before
 
@@ -289,7 +359,7 @@ class Companion:
         assert self._result is not None
         if self._result.conflict:
             return frozenset({Trigger.CONFLICT})
-        if now_s - self._conflict_s < _CLEAR_AFTER_S:
+        if now_s - self._conflict_s < self._clear_after_s:
             return frozenset()
         distance, regained = self.plan.distance_m(self.own, now_s), self.config.avoidance.regained_m
         if distance <= regained:
@@ -309,27 +379,53 @@ class Companion:
                 previous=previous.value, state=self.state.value, trigger=trigger.value, reason=reason
             )
         )
-        if trigger is Trigger.READY:
+        if trigger is Trigger.READY or (previous is State.WATCHING and trigger is Trigger.CONFLICT):
             self._take_control(now_s)
-        if trigger in (Trigger.PILOT, Trigger.UNFIT, Trigger.READY, Trigger.RELEASE):
-            severity = Severity.WARNING if trigger in (Trigger.PILOT, Trigger.UNFIT) else Severity.INFO
+        elif trigger is Trigger.CONFLICT and now_s - self._gave_back_s < _GIVING_BACK_S:
+            # The mission may still be entered: what was asked for last counts.
+            commands.append(SetMode(mode=FlightMode.EXTERNAL))
+        if trigger in _TOLD or previous is State.WATCHING:
+            severity = Severity.WARNING if trigger in _TOLD_LOUDLY else Severity.INFO
             commands.append(Say(severity=severity, text=f"DMUCA {self.state.value}: {reason}"))
         if trigger is Trigger.REARM and self.own.position is not None:
             self.plan.resume(self.own, now_s)
+        if previous in HOLDING and self.state not in HOLDING:
+            self._let_go(trigger, commands)
         if self.state not in HOLDING:
             self._result = None
-            self._left_external = False
+            self._left = False
+            self._conflicts = 0
+
+    def _let_go(self, trigger: Trigger, commands: list[Command]) -> None:
+        """Nothing is commanded any more. PX4 notices at once; ArduPilot would fly on for seconds as it was
+        commanded last, so it is asked to stop. A pilot who moves the sticks gets a mode that takes them."""
+        external = self.own.mode is FlightMode.EXTERNAL
+        self._ours = frozenset()
+        if trigger is Trigger.PILOT and external:
+            commands.append(SetMode(mode=FlightMode.STICKS))
+        elif trigger is Trigger.CHANGED:
+            commands.append(SetMode(mode=FlightMode.HOLD))
+        elif trigger is Trigger.UNFIT and external:
+            self._ours = frozenset({FlightMode.EXTERNAL})
+            if self.own.heartbeat is not None and self.own.heartbeat.firmware is Firmware.ARDUPILOT:
+                self._ours |= {FlightMode.HOLD}
+                commands.append(SetMode(mode=FlightMode.HOLD))
 
     def _reason(self, trigger: Trigger, unfit: str | None) -> str:
         mode = self.own.mode.value if self.own.mode is not None else "unknown"
         conflicts = () if self._result is None else (t.track_id for t in self._result.tracks if t.conflict)
+        moved = self.own.mode is FlightMode.EXTERNAL
         return {
-            Trigger.PILOT: f"mode changed to {mode}, not by us",
+            Trigger.PILOT: "the pilot moves the sticks" if moved else f"mode changed to {mode}, not by us",
             Trigger.UNFIT: unfit or f"mode not entered: {self._refused}",
             Trigger.RELEASE: "vehicle disarmed or on the ground",
             Trigger.REARM: "authority given anew",
             Trigger.HEALTHY: "own state fit again",
             Trigger.READY: f"taking the vehicle from mode {mode}",
+            Trigger.WATCH: "guarding the mission that the vehicle flies",
+            Trigger.LEFT: f"the mission was left for mode {mode}",
+            Trigger.RESUMED: "the vehicle flies its mission on",
+            Trigger.CHANGED: "the mission was changed meanwhile: it is not resumed, the vehicle is to hold",
             Trigger.CONFLICT: "conflict with " + ", ".join(conflicts),
             Trigger.CLEAR: "no conflict",
             Trigger.AWAY: "off the timed path",
@@ -338,7 +434,11 @@ class Companion:
 
     def _take_control(self, now_s: float) -> None:
         heartbeat = self.own.heartbeat
-        self._mode_confirmed = False
+        if self._guard is not None:
+            self._guard.leave(self.own, now_s)
+        self._sticks.begin()
+        self._mode_confirmed, self._ours = False, frozenset()
+        self._gave_back_s = -math.inf
         self._stream_s = now_s
         self._custom_before = None if heartbeat is None else heartbeat.custom_mode
         self._conflict_s = -math.inf
@@ -351,6 +451,11 @@ class Companion:
             if not self._mode_confirmed:
                 self.plan.engage(now_s)
             self._mode_confirmed = True
+        elif self._mode_confirmed:
+            # The mission that was asked for is entered after all, and there is a conflict again.
+            self._mode_confirmed = False
+            self._custom_before = None if self.own.heartbeat is None else self.own.heartbeat.custom_mode
+            self._stream_s = now_s
         elif self._stream_s is not None and now_s - self._stream_s >= _STREAM_FIRST_S:
             self._stream_s = None
             commands.append(SetMode(mode=FlightMode.EXTERNAL))
@@ -408,7 +513,8 @@ class Companion:
         commands.append(Say(severity=Severity.NOTICE, text=f"DMUCA: path {late_s:.0f} s late{bounds}"))
 
     def _log(self, now_s: float, result: LawResult, commands: list[Command]) -> None:
-        if self.state is State.GUARDING and now_s - self._logged_s < _QUIET_LOG_S - 1e-6:
+        quiet = self.state in (State.GUARDING, State.WATCHING)
+        if quiet and now_s - self._logged_s < _QUIET_LOG_S - 1e-6:
             return
         self._logged_s = now_s
         frame = self.own.frame

@@ -41,7 +41,9 @@ class FlightMode(enum.Enum):
     MISSION = "mission"
     """Flies its stored mission: ArduPilot AUTO, PX4 AUTO.MISSION."""
     HOLD = "hold"
-    """Holds position: ArduPilot LOITER and BRAKE, PX4 AUTO.LOITER."""
+    """Holds position: ArduPilot BRAKE, PX4 AUTO.LOITER."""
+    STICKS = "sticks"
+    """Holds position, flown with the sticks: ArduPilot LOITER, PX4 POSCTL."""
     OTHER = "other"
 
 
@@ -126,6 +128,20 @@ class LandedState(Event, frozen=True):
     """EXTENDED_SYS_STATE."""
 
     landed: Landed
+
+
+class EstimatorState(Event, frozen=True):
+    """EKF_STATUS_REPORT (ArduPilot), ESTIMATOR_STATUS (PX4)."""
+
+    usable: bool
+    """It has a horizontal velocity and an absolute position, and measures them."""
+
+
+class RcChannels(Event, frozen=True):
+    """RC_CHANNELS: where the pilot's sticks are."""
+
+    sticks_us: tuple[int, int, int] | None = None
+    """Roll, pitch, yaw on channels 1, 2, 4 (us); None without a remote control."""
 
 
 class ModeRefused(Event, frozen=True):
@@ -436,6 +452,8 @@ AnyEvent = (
     | GnssFix
     | VehicleTime
     | LandedState
+    | EstimatorState
+    | RcChannels
     | ModeRefused
     | MissionDownloaded
     | MissionRefused

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass, field
 
 from companion.events import (
+    EstimatorState,
     Event,
     FlightMode,
     GlobalPosition,
@@ -31,6 +32,7 @@ SIGMA_UNKNOWN_M = 5.0
 _HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0
+_ESTIMATOR_LOST_S = 5.0
 _DRIFT_ARMED = 1e-3
 """How fast the autopilot's clock may fall behind ours, seconds a second. More looks the same as a link that
 grows slow, and flying on old positions is worse than a fault that lasts."""
@@ -89,6 +91,8 @@ class Ownship:
     _landed: Landed = Landed.UNDEFINED
     _landed_s: float = -math.inf
     _gnss_s: float = -math.inf
+    _estimator_lost_s: float = -math.inf
+    """When the autopilot last said that it does not know where it is."""
     _velocity_boot_s: float = -math.inf
     _sample_ned_m: Vec3 = (0.0, 0.0, 0.0)
     _upset_s: float = -math.inf
@@ -109,6 +113,8 @@ class Ownship:
                     self.separation_m = event.alt_ellipsoid_m - event.alt_msl_m
             case LandedState():
                 self._landed, self._landed_s = event.landed, now_s
+            case EstimatorState():
+                self._estimator_lost_s = -math.inf if event.usable else now_s
             case MissionCurrent():
                 self.mission_seq = event.seq
             case VehicleTime():
@@ -216,6 +222,8 @@ class Ownship:
             return f"no GNSS report for {_GNSS_LOST_S:g} s"
         if self.gnss.fix_type < 3:
             return f"GNSS without a 3D fix (fix type {self.gnss.fix_type})"
+        if now_s - self._estimator_lost_s <= _ESTIMATOR_LOST_S:
+            return "the autopilot's estimator does not know where it is"
         if now_s - self._upset_s < _UNTRUSTED_S:
             return self._upset
         return None

@@ -103,12 +103,13 @@ def _px4(main: int, sub: int = 0) -> ModeCommand:
 
 ARDUPILOT = Dialect(
     firmware=Firmware.ARDUPILOT,
-    modes={4: FlightMode.EXTERNAL, 3: FlightMode.MISSION, 5: FlightMode.HOLD, 17: FlightMode.HOLD},
+    modes={4: FlightMode.EXTERNAL, 3: FlightMode.MISSION, 5: FlightMode.STICKS, 17: FlightMode.HOLD},
     commands={
         FlightMode.EXTERNAL: _ardupilot(4),
         FlightMode.MISSION: _ardupilot(3),
         # BRAKE, not LOITER: without a remote control LOITER reads a low throttle and descends.
         FlightMode.HOLD: _ardupilot(17),
+        FlightMode.STICKS: _ardupilot(5),
     },
     names={
         number: entry.name.removeprefix("COPTER_MODE_")
@@ -123,11 +124,13 @@ PX4 = Dialect(
         _px4_number(6): FlightMode.EXTERNAL,
         _px4_number(4, 4): FlightMode.MISSION,
         _px4_number(4, 3): FlightMode.HOLD,
+        _px4_number(3): FlightMode.STICKS,
     },
     commands={
         FlightMode.EXTERNAL: _px4(6),
         FlightMode.MISSION: _px4(4, 4),
         FlightMode.HOLD: _px4(4, 3),
+        FlightMode.STICKS: _px4(3),
     },
     names={
         _px4_number(1): "MANUAL",

@@ -261,9 +261,13 @@ class AutopilotLink:
         """Follow the vehicle's clock; when it begins anew, so have its stream rates."""
         if self._boot_s is not None and time_boot_s < self._boot_s - REBOOT_STEP_S:
             self.counts.reboots += 1
-            self._streams.restart(now_s)
+            self._restart_streams(now_s)
         self._boot_s = time_boot_s
         self._boot_heard_s = now_s
+
+    def _restart_streams(self, now_s: float) -> None:
+        if self._vehicle is not None:
+            self._streams.restart(now_s, self._vehicle.firmware)
 
     def _on_heartbeat(self, frame: Frame, fields: Fields, now_s: float) -> None:
         system_id = frame.system_id
@@ -275,10 +279,10 @@ class AutopilotLink:
         self._heartbeat_heard_s = now_s
         if self._vehicle is None:
             self._writer.encoder.srcSystem = system_id
-            self._streams.restart(now_s)
+            self._streams.restart(now_s, event.firmware)
         elif last_s is not None and now_s - last_s > LOST_AFTER_S:
             self.counts.drops += 1
-            self._streams.restart(now_s)
+            self._streams.restart(now_s, event.firmware)
         if self._vehicle is None or self._vehicle.vehicle_type != event.vehicle_type:
             self._vehicle = Vehicle(
                 system_id=system_id,

@@ -20,9 +20,13 @@ from companion.events import MissionItem, Vec3
 from companion.geometry import LocalFrame
 
 NAV_WAYPOINT = 16
+NAV_LOITER_UNLIM = 17
+NAV_LOITER_TURNS = 18
+NAV_LOITER_TIME = 19
 NAV_RETURN_TO_LAUNCH = 20
 NAV_LAND = 21
 NAV_TAKEOFF = 22
+NAV_SPLINE_WAYPOINT = 82
 DO_CHANGE_SPEED = 178
 
 MAX_SPEED_MPS = 100.0
@@ -31,6 +35,8 @@ MAX_LEG_M = 100_000.0
 SAME_PLACE_M = 0.01
 """Points closer than this are one: times on a path rise strictly."""
 
+_PLACES = frozenset({NAV_WAYPOINT, NAV_LOITER_UNLIM, NAV_LOITER_TURNS, NAV_LOITER_TIME, NAV_SPLINE_WAYPOINT})
+"""Commands that lead to a place and stay in the air."""
 _MSL_FRAMES = frozenset({0, 5})
 _HOME_FRAMES = frozenset({3, 6})
 _SPEED_KINDS = (0.0, 1.0)
@@ -82,6 +88,23 @@ def path_from_mission(
     if len(builder.waypoints) < 2:
         raise ConfigError(f"mission: no waypoint to fly in its {len(items)} items; allowed are {_ALLOWED}")
     return TrajectoryFile(altitude="home", waypoint=tuple(builder.waypoints))
+
+
+def place_of(item: MissionItem, height_m: float, home_alt_msl_m: float) -> Vec3 | None:
+    """Where an item leads: latitude (deg), longitude (deg), height above home (m); None: nowhere of its own.
+
+    Args:
+        height_m: present height above home, where the item's altitude is left open or measured from terrain.
+    """
+    if item.command not in _PLACES or item.lat_deg is None or item.lon_deg is None:
+        return None
+    if item.lat_deg == 0 and item.lon_deg == 0:
+        return None
+    if item.alt_m is not None and item.frame in _HOME_FRAMES:
+        height_m = item.alt_m
+    elif item.alt_m is not None and item.frame in _MSL_FRAMES:
+        height_m = item.alt_m - home_alt_msl_m
+    return item.lat_deg, item.lon_deg, height_m
 
 
 def _refused(item: MissionItem, why: str) -> ConfigError:

@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.errors import PeerDataError
 from companion.events import (
     AdsbVehicle,
+    EstimatorState,
     Event,
     FlightMode,
     GlobalPosition,
@@ -26,6 +27,7 @@ from companion.events import (
     LandedState,
     LocalPosition,
     MissionCurrent,
+    RcChannels,
     VehicleTime,
 )
 
@@ -45,6 +47,12 @@ UTC_RANGE_S = (1_420_070_400.0, 4_102_444_800.0)
 MAX_ICAO = 0xFF_FFFF
 """ICAO addresses have 24 bits."""
 
+_ESTIMATES = 2 | 16
+"""ESTIMATOR_VELOCITY_HORIZ, ESTIMATOR_POS_HORIZ_ABS, the same bits as EKF_STATUS_FLAGS."""
+_CONSTANT_POSITION = 128
+"""ESTIMATOR_CONST_POS_MODE: it assumes that it stands still."""
+_RC_RANGE_US = (800, 2200)
+"""Beyond it a channel is not there: 0, or 65535."""
 _MAX_FIX_TYPE = 8
 _UINT32_MAX = 0xFFFF_FFFF
 _LANDED = dict(enumerate(Landed))
@@ -176,6 +184,28 @@ def mission_current(fields: Fields) -> MissionCurrent:
     return MissionCurrent(seq=fields[0])
 
 
+def ekf_status_report(fields: Fields) -> EstimatorState:
+    """EKF_STATUS_REPORT (ArduPilot)."""
+    return EstimatorState(usable=_usable(fields[5]))
+
+
+def estimator_status(fields: Fields) -> EstimatorState:
+    """ESTIMATOR_STATUS (PX4); the flags are the same."""
+    return EstimatorState(usable=_usable(fields[9]))
+
+
+def _usable(flags: int) -> bool:
+    return flags & _ESTIMATES == _ESTIMATES and not flags & _CONSTANT_POSITION
+
+
+def rc_channels(fields: Fields) -> RcChannels:
+    """RC_CHANNELS; roll, pitch and yaw where both firmwares have them unless mapped otherwise."""
+    sticks = (fields[1], fields[2], fields[4])
+    if fields[19] == 0 or not all(_RC_RANGE_US[0] <= us <= _RC_RANGE_US[1] for us in sticks):
+        return RcChannels()
+    return RcChannels(sticks_us=sticks)
+
+
 def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
     """ADSB_VEHICLE; None without a valid position, or at exactly 0, 0, which ArduPilot drops too.
 
@@ -238,6 +268,9 @@ READERS: dict[int, Callable[[Fields], Event | None]] = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: landed_state,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
     mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: adsb_vehicle,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: rc_channels,
 }
 
 

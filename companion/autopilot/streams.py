@@ -16,6 +16,8 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.events import Firmware
+
 STREAM_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
@@ -23,9 +25,18 @@ STREAM_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 5.0,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 25.0,
 }
 """What is asked for; HEARTBEAT and STATUSTEXT come by themselves."""
+
+FIRMWARE_OF = {
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Firmware.ARDUPILOT,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Firmware.PX4,
+}
+"""What only one firmware sends: the other says with a text each time that it does not."""
 
 SPORADIC = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE})
 """Comes when there is something to tell; the rate is a bound."""
@@ -55,9 +66,11 @@ class Streams:
         self._streams = {
             message_id: _Stream(rate, message_id in SPORADIC) for message_id, rate in STREAM_RATES_HZ.items()
         }
+        self._firmware: Firmware | None = None
 
-    def restart(self, now_s: float) -> None:
-        """The vehicle is new or has forgotten its rates: ask for everything at once."""
+    def restart(self, now_s: float, firmware: Firmware) -> None:
+        """The vehicle is new or has forgotten its rates: ask for everything that it can send at once."""
+        self._firmware = firmware
         for stream in self._streams.values():
             stream.received, stream.since_s, stream.check_s = 0, now_s, now_s
             stream.wait_s, stream.requests = FIRST_CHECK_S, 0
@@ -71,7 +84,9 @@ class Streams:
         return [
             (message_id, round(1e6 / stream.rate_hz))
             for message_id, stream in self._streams.items()
-            if now_s >= stream.check_s and self._short(stream, now_s)
+            if FIRMWARE_OF.get(message_id, self._firmware) is self._firmware
+            and now_s >= stream.check_s
+            and self._short(stream, now_s)
         ]
 
     @staticmethod

@@ -8,7 +8,8 @@ Rules, in the order they are judged at every step (the first trigger that the ta
    cause has been gone for a while, and then in standby, never straight back in control.
 3. A vehicle that is disarmed or on the ground is released.
 4. Control is taken only from standby and only of a vehicle that is ready: armed, in the air, fit, with a
-   path, and in a mode we may take it from.
+   path, and in a mode we may take it from. Where the autopilot flies its mission and is only guarded
+   (`WATCHING`), it is taken for a conflict alone, and the mission is handed back (`RESUMED`).
 5. Among the states that hold the vehicle, the law's conflict decides.
 """
 
@@ -22,8 +23,10 @@ class State(enum.Enum):
 
     STANDBY = "standby"
     """Not in control; waiting for a vehicle that is ready."""
+    WATCHING = "watching"
+    """Not in control: the autopilot flies its mission, the law looks on."""
     GUARDING = "guarding"
-    """In control, on the path, no conflict."""
+    """In control, on the path, no conflict; a mission that is guarded is being handed back."""
     AVOIDING = "avoiding"
     """In control; a conflict shapes the velocity."""
     RECOVERING = "recovering"
@@ -43,6 +46,10 @@ class Trigger(enum.Enum):
     REARM = "rearm"
     HEALTHY = "healthy"
     READY = "ready"
+    WATCH = "watch"
+    LEFT = "left"
+    RESUMED = "resumed"
+    CHANGED = "changed"
     CONFLICT = "conflict"
     CLEAR = "clear"
     AWAY = "away"
@@ -54,6 +61,11 @@ HOLDING = frozenset({State.GUARDING, State.AVOIDING, State.RECOVERING})
 
 TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.STANDBY, Trigger.READY): State.GUARDING,
+    (State.STANDBY, Trigger.WATCH): State.WATCHING,
+    (State.WATCHING, Trigger.UNFIT): State.FAULT,
+    (State.WATCHING, Trigger.RELEASE): State.STANDBY,
+    (State.WATCHING, Trigger.LEFT): State.STANDBY,
+    (State.WATCHING, Trigger.CONFLICT): State.AVOIDING,
     (State.GUARDING, Trigger.PILOT): State.YIELDED,
     (State.AVOIDING, Trigger.PILOT): State.YIELDED,
     (State.RECOVERING, Trigger.PILOT): State.YIELDED,
@@ -66,6 +78,8 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.FAULT, Trigger.PILOT): State.YIELDED,
     (State.FAULT, Trigger.HEALTHY): State.STANDBY,
     (State.YIELDED, Trigger.REARM): State.STANDBY,
+    (State.GUARDING, Trigger.RESUMED): State.WATCHING,
+    (State.GUARDING, Trigger.CHANGED): State.YIELDED,
     (State.GUARDING, Trigger.CONFLICT): State.AVOIDING,
     (State.GUARDING, Trigger.AWAY): State.RECOVERING,
     (State.RECOVERING, Trigger.CONFLICT): State.AVOIDING,

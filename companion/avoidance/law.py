@@ -140,6 +140,7 @@ class Law:
             fence: what `walls.walls_of` makes of areas; None: no fence.
         """
         self._fence = np.zeros((0, k.WALL_COLUMNS)) if fence is None else fence
+        self._configured = avoidance, limits
         self._planned = self._trajectory = trajectory
         self._path = trajectory.arrays
         self._settings = settings_of(avoidance, limits, trajectory)
@@ -161,6 +162,16 @@ class Law:
         if self._trajectory.start_s != self._planned.start_s + delay_s:
             self._trajectory = self._planned.delayed(delay_s)
         return self._trajectory
+
+    def follow(self, trajectory: Trajectory) -> None:
+        """Another path from now on, without delay. What is known of the own velocity stays; the next command
+        begins at it, as the first one does."""
+        self._planned = self._trajectory = trajectory
+        self._path = trajectory.arrays
+        self._settings = settings_of(*self._configured, trajectory)
+        history = self._state[k.L_HISTORY]
+        k.begin(self._state, self._settings)
+        self._state[k.L_HISTORY] = history
 
     def note_velocity(self, now_s: float, velocity_ned_mps: Vec3) -> None:
         """Own velocity between decisions; what is not newer or not finite is passed over."""

@@ -30,6 +30,7 @@ from companion.events import (
     Severity,
     Vec3,
 )
+from companion.geometry import LocalFrame
 from companion.ownship import Ownship
 
 _MISSION_FRESH_S = 1.0
@@ -42,7 +43,7 @@ LEAST_HEIGHT_M = 15.0
 _CHANGED = (
     "the mission was changed while the pilot flew: it is flown from AUTO or MISSION, or after a landing"
 )
-_RETRY_S = 10.0
+RETRY_S = 10.0
 """Between two requests for the mission, and two tries of a path that was refused."""
 LEAST_LAYER_M = 5.0
 """Between floor and ceiling, as a configuration must leave."""
@@ -111,20 +112,30 @@ class Plan:
         """Make the plan for a vehicle that could be taken now; a refused one is tried again later."""
         if self.law is not None:
             return self._compare(own, now_s) if self._given_back else []
-        if now_s - self._tried_s < _RETRY_S:
+        if now_s - self._tried_s < RETRY_S:
             return []
         self._tried_s = now_s
+        asked = self._ask_fence(now_s)
+        if asked is not None:
+            return asked
         try:
-            if self._config.limits.fence == "vehicle" and now_s - self._areas_s > _FENCE_FRESH_S:
-                return self._ask(DownloadFence(), now_s)
             path = self._config.path
             if path is None:
                 if now_s - self._items_s > _MISSION_FRESH_S:
-                    return self._ask(DownloadMission(), now_s)
+                    return self._ask_mission(now_s)
                 path = self._from_mission(own)
             return [] if path is None else self._make(path, own, now_s)
         except ConfigError as error:
             return self.refuse(str(error))
+
+    def _ask_fence(self, now_s: float) -> list[Command] | None:
+        """None: there is none to ask for, or it has just come."""
+        if self._config.limits.fence != "vehicle" or now_s - self._areas_s <= _FENCE_FRESH_S:
+            return None
+        return self._ask(DownloadFence(), now_s)
+
+    def _ask_mission(self, now_s: float) -> list[Command]:
+        return self._ask(DownloadMission(), now_s)
 
     def _ask(self, command: Command, now_s: float) -> list[Command]:
         """Not again while it may be under way: the link would begin anew."""
@@ -136,10 +147,10 @@ class Plan:
     def _compare(self, own: Ownship, now_s: float) -> list[Command]:
         """Fly the mission on if it is still the same; a changed one is not resumed."""
         if now_s - self._items_s > _MISSION_FRESH_S:
-            if now_s - self._tried_s < _RETRY_S:
+            if now_s - self._tried_s < RETRY_S:
                 return []
             self._tried_s = now_s
-            return self._ask(DownloadMission(), now_s)
+            return self._ask_mission(now_s)
         items = self._items
         if items == self._flown:
             self._go_on(own, now_s)
@@ -184,14 +195,22 @@ class Plan:
             if own.utc_offset_s is None:
                 return self.refuse("it starts at a UTC and the vehicle does not know UTC yet")
             self._start_s = flight.start_utc_s - own.utc_offset_s
-        check_areas(self._areas)
-        walls = walls_of(self._areas, own.frame, trajectory, own.sigma_m)
+        walls = walls_of(self._checked_areas(), own.frame, trajectory, own.sigma_m)
         self._flown = self._items
         self.law = Law(self._config.avoidance, limits, trajectory, walls)
         self.home_alt_msl_m = home
         self.lowest_height_m = min(w.alt_m + above_msl - home for w in path.waypoint)
         self._said = None
         return []
+
+    def _checked_areas(self) -> tuple[FenceArea, ...]:
+        """Raises ConfigError for a fence that cannot be kept."""
+        check_areas(self._areas)
+        return self._areas
+
+    def _frame(self, own: Ownship) -> LocalFrame:
+        assert own.frame is not None
+        return own.frame
 
     def engage(self, now_s: float) -> None:
         """The vehicle flies what we command: the path's clock starts, unless it runs already."""
@@ -228,6 +247,10 @@ class Plan:
         """The timed path's point for now (local NED, m). Needs a law."""
         assert self.law is not None
         return self.law.trajectory.position(self.path_time_s(now_s))
+
+    def near(self, own: Ownship, now_s: float) -> bool:
+        """Near enough to that point to be taken. Needs a law."""
+        return self.distance_m(own, now_s) <= self._config.flight.start_within_m
 
     def distance_m(self, own: Ownship, now_s: float) -> float:
         """How far the aircraft is from that point."""

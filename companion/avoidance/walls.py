@@ -27,12 +27,13 @@ _CORNER_BRAKES, _LEAST_BRAKES = 0.7, 0.05
 
 
 def walls_of(
-    areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory, sigma_m: float
+    areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory | None, sigma_m: float
 ) -> k.Array:
     """The walls that an aircraft on this path keeps, shape (F, WALL_COLUMNS).
 
     Args:
         areas: checked (`fence.check_areas`).
+        trajectory: None: whatever is flown, nothing is held against the walls.
         sigma_m: own horizontal standard deviation: what the law keeps from a wall grows with it, and a path
             within that could not be flown to its end.
 
@@ -41,11 +42,11 @@ def walls_of(
             near to the border.
     """
     rows: list[tuple[float, ...]] = []
-    points = np.array(trajectory.points_ned_m)[:, :2]
+    points = None if trajectory is None else np.array(trajectory.points_ned_m)[:, :2]
     margin = k.FENCE_MARGIN_M + 2.0 * sigma_m
     for number, area in enumerate(areas):
         walls = _walls(number, area, frame)
-        trouble = _trouble(area, np.array(walls), points, margin)
+        trouble = None if points is None else _trouble(area, np.array(walls), points, margin)
         if trouble is not None:
             kind = "in" if area.inclusion else "out of"
             raise ConfigError(f"fence: area[{number}] (to be stayed {kind}): the path {trouble}")

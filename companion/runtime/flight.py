@@ -172,7 +172,7 @@ class Flight:
             self._wait(now + 1.0 / self.config.flight.setpoint_rate_hz)
             self._tick(time.monotonic())
         vehicle = self.onboard.link.vehicle
-        if vehicle is not None and vehicle.refusal is not None and self.config.flight.use == "fly":
+        if vehicle is not None and vehicle.refusal is not None and self.config.flight.use != "watch":
             raise ConfigError(f"{self.config.vehicle.link}: {vehicle.refusal}")
 
     def _wait(self, deadline_s: float) -> None:

@@ -27,11 +27,11 @@ def prepare(config: Config, radios: Radios) -> Prepared:
     whether they could be.
 
     Raises:
-        ConfigError: a radio cannot be prepared; or `use = "fly"` and the region's law cannot be kept by what
-            sends. With radios that only listen the vehicle must have a module of its own; the heart waits
-            for it.
+        ConfigError: a radio cannot be prepared; or `use` is not "watch" and the region's law cannot be kept
+            by what sends. With radios that only listen the vehicle must have a module of its own; the heart
+            waits for it.
     """
-    fly = config.flight.use == "fly"
+    fly = config.flight.use != "watch"
     decided = keep_floor(asked_rates(config), config.region, radios.capabilities)
     if not decided.legal:
         if fly and radios.capabilities:

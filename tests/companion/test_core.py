@@ -479,8 +479,12 @@ def test_rules_of_the_table():
         State.RECOVERING,
     }
     assert all(
-        s in {State.GUARDING, State.RECOVERING} for (s, _), to in TRANSITIONS.items() if to is State.AVOIDING
+        s in {State.GUARDING, State.RECOVERING, State.WATCHING}
+        for (s, _), to in TRANSITIONS.items()
+        if to is State.AVOIDING
     )
+    # Who only looks on is nobody the pilot has to take the vehicle from.
+    assert (State.WATCHING, Trigger.PILOT) not in TRANSITIONS
 
 
 def test_the_pilot_is_judged_before_everything_else():

@@ -1,0 +1,235 @@
+"""The heart guards a mission: what it asks of the vehicle, event by event."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from companion.avoidance.authority import State
+from companion.core import Companion
+from companion.events import (
+    DownloadMission,
+    EstimatorState,
+    Firmware,
+    FlightMode,
+    MissionCurrent,
+    ModeRefused,
+    RcChannels,
+    Say,
+    SetMode,
+)
+from tests.companion.conftest import Bench, config, mission
+from tests.companion.test_core import intruder
+
+
+@pytest.fixture
+def guarded():
+    """Flies its mission at 3 m/s due north, to 300 m."""
+
+    def build(**flight):
+        made = msgspec.structs.replace(config(use="guard", **flight), path=None)
+        bench = Bench(Companion(made), mission=mission(300.0, 900.0), mode=FlightMode.MISSION)
+        bench.velocity_ned_mps = (3.0, 0.0, 0.0)
+        bench.extra.append(MissionCurrent(seq=0))
+        bench.until(lambda: bench.heart.state is State.WATCHING)
+        return bench
+
+    return build
+
+
+def meet(bench, ahead_m=60.0, seconds=2.0):
+    """Somebody comes head-on and is heard for a while."""
+    for k in range(round(seconds)):
+        bench.extra.append(intruder(bench, bench.north_m + ahead_m - 3.0 * k, 3.0))
+        bench.step(20)
+
+
+def taken(bench):
+    meet(bench)
+    bench.until(lambda: bench.heart.in_control)
+    return bench
+
+
+def over(bench):
+    """Until the mission is given back."""
+    bench.velocity_ned_mps = (0.0, 0.0, 0.0)
+    bench.extra.append(RcChannels())
+    for _ in range(800):
+        if any(isinstance(c, SetMode) and c.mode is FlightMode.MISSION for c in bench.commands):
+            return
+        on_path(bench)
+    raise AssertionError(bench.heart.state)
+
+
+def on_path(bench, steps=1):
+    """The vehicle is on the path's point, wherever that is."""
+    for _ in range(steps):
+        point = bench.heart.plan.point(bench.now_s)
+        bench.north_m, bench.east_m = point[0], point[1]
+        bench.step()
+
+
+def modes(commands):
+    return [c.mode for c in commands if isinstance(c, SetMode)]
+
+
+def test_watching_needs_the_mission_mode_and_its_items(guarded):
+    bench = guarded()
+    assert [c for _, c in bench.log if isinstance(c, DownloadMission)]
+    bench.mode = FlightMode.HOLD
+    bench.step()
+    assert bench.heart.state is State.STANDBY
+    bench.step(100)
+    assert bench.heart.state is State.STANDBY
+
+
+def test_one_look_at_a_conflict_is_not_enough(guarded):
+    bench = guarded()
+    bench.extra.append(intruder(bench, 60.0, 3.0))
+    bench.until(lambda: bench.heart._conflicts == 1)
+    bench.heart.traffic.clear()
+    bench.step(40)
+    assert bench.heart.state is State.WATCHING
+
+
+def test_no_setpoint_before_it_is_taken(guarded):
+    bench = guarded()
+    meet(bench)
+    first = next(t for t, c in bench.log if c in bench.setpoints([c]))
+    taken_s = next(t for t, c in bench.log if getattr(c, "trigger", "") == "conflict")
+    assert first > taken_s
+
+
+def test_a_conflict_while_the_mission_is_given_back_is_avoided(guarded):
+    """The vehicle obeys the request for its mission late: it is taken again, and nobody took it from us."""
+    bench = taken(guarded())
+    over(bench)
+    bench.obeys, bench.mode = False, FlightMode.EXTERNAL
+    meet(bench, 40.0)
+    assert bench.heart.state is State.AVOIDING
+    assert FlightMode.EXTERNAL in modes(c for t, c in bench.log if t > bench.now_s - 2.5)
+    bench.mode = FlightMode.MISSION
+    before = len(bench.log)
+    meet(bench, 40.0)
+    assert bench.heart.state is State.AVOIDING
+    assert modes(c for _, c in bench.log[before:]) == [FlightMode.EXTERNAL]
+    bench.obeys = True
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(10)
+    assert bench.heart.in_control
+
+
+def test_another_mode_while_the_mission_is_given_back_is_the_pilots(guarded):
+    bench = taken(guarded())
+    over(bench)
+    bench.obeys, bench.mode = False, FlightMode.OTHER
+    bench.step(2)
+    assert bench.heart.state is State.YIELDED
+
+
+def test_a_vehicle_that_does_not_take_its_mission_back_is_flown_on(guarded):
+    bench = taken(guarded())
+    over(bench)
+    bench.obeys, bench.mode = False, FlightMode.EXTERNAL
+    bench.extra.append(ModeRefused(mode=FlightMode.MISSION, reason="AUTO not entered"))
+    before = len(bench.log)
+    bench.step(20)
+    assert len(bench.setpoints([c for _, c in bench.log[before:]])) == 20
+    assert any(isinstance(c, Say) and "AUTO not entered" in c.text for _, c in bench.log[before:])
+    on_path(bench, 200)
+    assert FlightMode.MISSION in modes(c for _, c in bench.log[before:])
+    assert bench.heart.state is State.GUARDING
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_fault_lets_go_as_the_firmware_needs_it(guarded, firmware):
+    """ArduPilot flies on for seconds without setpoints, so it is stopped; PX4's own failsafe acts."""
+    bench = guarded()
+    bench.firmware = firmware
+    taken(bench)
+    bench.fix_type = 1
+    commands = bench.step()
+    assert bench.heart.state is State.FAULT
+    assert not bench.setpoints(commands)
+    assert modes(commands) == ([FlightMode.HOLD] if firmware is Firmware.ARDUPILOT else [])
+
+
+def test_after_a_fault_the_vehicle_is_taken_from_where_we_left_it_and_given_back(guarded):
+    bench = guarded()
+    bench.firmware = Firmware.ARDUPILOT
+    taken(bench)
+    bench.fix_type = 1
+    bench.step(5)
+    assert bench.mode is FlightMode.HOLD
+    bench.fix_type = 3
+    before = len(bench.log)
+    bench.until(lambda: bench.heart.in_control)
+    over(bench)
+    assert modes(c for _, c in bench.log[before:]) == [FlightMode.EXTERNAL, FlightMode.MISSION]
+    bench.until(lambda: bench.heart.state is State.WATCHING)
+
+
+def test_a_hold_that_is_not_ours_is_the_pilots(guarded):
+    bench = guarded()
+    bench.firmware = Firmware.ARDUPILOT
+    taken(bench)
+    bench.mode = FlightMode.HOLD
+    bench.step()
+    assert bench.heart.state is State.YIELDED
+
+
+@pytest.mark.parametrize("rearm", ["disarm", "mode"])
+def test_authority_given_anew_is_the_mission_selected_again(guarded, rearm):
+    bench = taken(guarded(rearm=rearm))
+    bench.mode = FlightMode.OTHER
+    bench.step(20)
+    bench.mode = FlightMode.MISSION
+    bench.step(20)
+    # Whoever came is still there.
+    assert (bench.heart.state is State.AVOIDING) is (rearm == "mode")
+
+
+def test_a_mission_selected_by_the_pilot_in_our_flight_gives_no_authority(guarded):
+    bench = taken(guarded(rearm="mode"))
+    bench.mode = FlightMode.MISSION
+    bench.step(100)
+    assert bench.heart.state is State.YIELDED
+
+
+# ------------------------------------------------------------ sticks, estimator
+
+
+def test_sticks_that_move_take_the_vehicle_and_get_a_mode_that_takes_them(guarded):
+    bench = guarded()
+    bench.extra.append(RcChannels(sticks_us=(1500, 1510, 1490)))
+    taken(bench)
+    bench.extra.append(RcChannels(sticks_us=(1500, 1510, 1490)))
+    bench.step(5)
+    bench.extra.append(RcChannels(sticks_us=(1500, 1650, 1490)))
+    assert bench.setpoints(bench.step()), "one message may be a glitch"
+    bench.extra.append(RcChannels(sticks_us=(1500, 1650, 1490)))
+    commands = bench.step()
+    assert not bench.setpoints(commands)
+    assert modes(commands) == [FlightMode.STICKS]
+    assert bench.heart.state is State.YIELDED
+
+
+def test_a_glitch_and_sticks_at_rest_are_no_pilot(guarded):
+    bench = guarded()
+    bench.extra.append(RcChannels(sticks_us=(1400, 1600, 1500)))
+    taken(bench)
+    for us in (1400, 1700, 1400, 1495):
+        bench.extra.append(RcChannels(sticks_us=(us, 1600, 1500)))
+        bench.step(4)
+    bench.extra.append(RcChannels())
+    bench.step(4)
+    assert bench.heart.in_control
+
+
+def test_the_estimators_word_ends_authority_at_once(guarded):
+    bench = taken(guarded())
+    bench.extra.append(EstimatorState(usable=False))
+    assert not bench.setpoints(bench.step())
+    assert bench.heart.state is State.FAULT
+    bench.extra.append(EstimatorState(usable=True))
+    bench.until(lambda: bench.heart.state is not State.FAULT)

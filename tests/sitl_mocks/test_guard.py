@@ -1,0 +1,137 @@
+"""The autopilot flies its mission; the companion takes over for a conflict and gives back the same item."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.autopilot.wire import MavlinkReader
+from companion.avoidance.authority import State
+from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
+from sitl_mocks.vehicle_manners import VehicleMode
+from tests.sitl_mocks.guarding import Guarded, Sky, head_on, item, mission
+
+
+def taken(sky):
+    """Until the companion flies the first aircraft."""
+    one = sky.aircraft[0]
+    return sky.until(lambda: one.heart.in_control).run(1.0)
+
+
+def setpoints_sent(aircraft, since):
+    """SET_POSITION_TARGET_LOCAL_NED messages that left, from a tick on."""
+    messages = MavlinkReader().feed(b"".join(aircraft.to_vehicle[since:]))
+    return sum(m.get_type() == "SET_POSITION_TARGET_LOCAL_NED" for m in messages)
+
+
+@pytest.mark.parametrize("cooperating", [False, True])
+@pytest.mark.parametrize("firmware", Firmware)
+def test_head_on_is_avoided_and_the_same_item_is_flown_on(firmware, cooperating):
+    sky = taken(head_on(firmware, cooperating=cooperating))
+    one = sky.aircraft[0]
+    seq = one.seq
+    assert one.states() == ["watching", "avoiding"]
+    sky.until(lambda: one.state is State.WATCHING)
+    assert one.seq == seq
+    assert one.states() == ["watching", "avoiding", "recovering", "guarding", "watching"]
+    assert [c.mode for c in one.of(SetMode)] == [FlightMode.EXTERNAL, FlightMode.MISSION]
+    assert sky.least() > 10.0
+    # The way back leads to the same leg, and the mission to its end.
+    sky.until(lambda: math.dist(one.places[-1], (400.0, 200.0, -50.0)) < 3.0)
+    assert one.states().count("avoiding") == 1
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_nobody_in_the_way_nothing_is_commanded(firmware):
+    sky = head_on(firmware)
+    one, two = sky.aircraft
+    two.linked = False  # its companion sends nothing
+    sky.run(60.0)
+    assert one.state is State.WATCHING
+    assert not one.setpoints()
+    assert not one.of(SetMode)
+    assert setpoints_sent(one, 0) == 0
+
+
+def test_one_that_passes_far_aside_changes_nothing():
+    north = [(0.0, 0.0, 50.0), (400.0, 0.0, 50.0)]
+    south = [(400.0, 90.0, 50.0), (0.0, 90.0, 50.0)]
+    one = Guarded("ONE", Firmware.PX4, north)
+    Sky(one, Guarded("TWO", Firmware.PX4, south, guarded=False, number=2)).run(80.0)
+    assert one.states()[:1] == ["watching"]
+    assert not one.setpoints()
+
+
+def test_a_vehicle_that_waits_makes_way_and_comes_back():
+    """An item without a place: what is kept is the point where the vehicle was taken."""
+    wait = item(2, 0.0, 0.0, command=93, params=(300.0, -1.0, -1.0, -1.0), lat_deg=0.0, lon_deg=0.0)
+    items = (item(1, 0.0, 0.0, command=22), wait, item(3, 50.0, 0.0))
+    one = Guarded("ONE", Firmware.ARDUPILOT, [(0.0, 0.0, 50.0)], mission=items)
+    two = Guarded("TWO", Firmware.PX4, [(250.0, 0.0, 50.0), (-250.0, 0.0, 50.0)], guarded=False, number=2)
+    sky = taken(Sky(one, two))
+    assert one.seq == 2
+    sky.until(lambda: one.state is State.WATCHING)
+    assert sky.least() > 10.0
+    assert one.seq == 2
+    assert math.dist(one.places[-1], (0.0, 0.0, -50.0)) < 5.0
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_the_item_is_waited_at_and_not_flown_past(firmware):
+    """Somebody stands behind the waypoint: the companion never flies on to the next item by itself."""
+    north = [(0.0, 0.0, 50.0), (150.0, 0.0, 50.0), (150.0, 200.0, 50.0)]
+    one = Guarded("ONE", firmware, north)
+    two = Guarded("TWO", Firmware.PX4, [(158.0, 0.0, 50.0)], guarded=False, number=2)
+    sky = taken(Sky(one, two))
+    seq = one.seq
+    sky.run(60.0)
+    assert sky.least() > 10.0
+    assert one.seq == seq
+    assert one.heart.in_control
+    assert abs(one.places[-1][1]) < 40.0
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_mission_changed_meanwhile_is_not_resumed(firmware):
+    sky = taken(head_on(firmware))
+    one = sky.aircraft[0]
+    new = mission((0.0, 0.0, 50.0), (0.0, 300.0, 50.0), first=1 if firmware is Firmware.ARDUPILOT else 0)
+    one.upload(new, sky.now_s)
+    sky.until(lambda: one.state is State.YIELDED)
+    sky.run(5.0)
+    assert one.vehicle.mode in (VehicleMode.HOLD, VehicleMode.BRAKE)
+    assert any("mission was changed" in text for text in one.texts())
+    (last,) = [c for c in one.of(AuthorityChanged) if c.state == "yielded"]
+    assert last.trigger == "changed"
+
+
+# ------------------------------------------------------------ the pilot, and faults
+
+
+@pytest.mark.parametrize("moment", ["avoiding", "recovering", "guarding"])
+@pytest.mark.parametrize("firmware", Firmware)
+def test_the_pilot_wins_in_every_phase(firmware, moment):
+    sky = taken(head_on(firmware))
+    one = sky.aircraft[0]
+    sky.until(lambda: one.state.value == moment)
+    one.vehicle.pilot_selects(VehicleMode.HOLD)
+    seen = len(one.steps)
+    sky.until(lambda: one.heart.own.mode is not FlightMode.EXTERNAL, 3.0)
+    since = len(one.to_vehicle)
+    sky.run(30.0)
+    # Nothing after the step that saw the mode.
+    assert setpoints_sent(one, since) == 0
+    assert one.states()[-1] == "yielded"
+    assert one.vehicle.mode is VehicleMode.HOLD
+    assert seen < since
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_pilot_who_takes_the_mission_back_himself_is_left_alone(firmware):
+    sky = taken(head_on(firmware))
+    one = sky.aircraft[0]
+    one.vehicle.pilot_selects(VehicleMode.MISSION)
+    sky.run(30.0)
+    assert one.state is State.YIELDED
+    assert one.vehicle.mode is VehicleMode.MISSION
