@@ -27,7 +27,7 @@ from sitl_mocks.vehicle_commands import CommandDesk, read_command
 from sitl_mocks.vehicle_dynamics import STEP_S
 from sitl_mocks.vehicle_flight import Flight
 from sitl_mocks.vehicle_links import Link, Payload, SetpointMessage
-from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
+from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_mission import (
     MissionBook,
     StoredItem,
@@ -43,6 +43,7 @@ from sitl_mocks.vehicle_remote_id import ODID_MESSAGES, RemoteIdRelay
 from sitl_mocks.vehicle_setpoints import interpret
 from sitl_mocks.vehicle_telemetry import Telemetry
 from sitl_mocks.vehicle_traffic import Traffic
+from sitl_mocks.vehicle_troubles import Troubles
 
 __all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
 
@@ -87,7 +88,7 @@ class MockVehicle:
         self.reboots = 0
         self.collisions: deque[tuple[float, MavlinkMessage]] = deque(maxlen=KEPT_COLLISIONS)
         """The last COLLISION messages, each with when it came."""
-        self._manners = MANNERS[options.firmware]
+        self._manners = options.manners
         self._last_setpoint_s: float | None = None
         self._start_s = start_s
         self._steps = 0
@@ -105,9 +106,13 @@ class MockVehicle:
             "PARAM_SET": self._set_param,
             "REQUEST_DATA_STREAM": self._take_data_stream,
             "COLLISION": self._note_collision,
+            "HEARTBEAT": self._note_heartbeat,
         }
         self._params = ParamBook(
-            self._manners, system_id=options.system_id, legacy_names=options.legacy_parameter_names
+            self._manners,
+            options.parameters,
+            system_id=options.system_id,
+            legacy_names=options.legacy_parameter_names,
         )
         items = tuple(stored(item) for item in options.mission)
         for seq, item in enumerate(items):
@@ -116,9 +121,12 @@ class MockVehicle:
         self._book = MissionBook(self._manners, home_item(options), items)
         fence = MissionBook(self._manners, None, stored_fence(options.fence, self._manners))
         self._missions = MissionDesk(self._manners, (self._book, fence))
+        home = LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
+        self.troubles = Troubles(self._manners, self._params, fence, home, rc_connected=options.rc_connected)
+        """Battery, estimator, GNSS, sticks: to be set from outside."""
         self._traffic = Traffic(
             options.traffic,
-            LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m),
+            home,
             options.geoid_separation_m,
             listed=self._manners.adsb_listed,
         )
@@ -128,7 +136,9 @@ class MockVehicle:
     def _boot(self, options: VehicleOptions, now_s: float, boot_s: float) -> None:
         manners = self._manners
         self._flight = Flight(options, manners, self._params, self._book, now_s)
-        self._telemetry = Telemetry(options, manners, self._flight, self._book, self._errors, boot_s)
+        self._telemetry = Telemetry(
+            options, manners, self._flight, self._book, self._errors, self.troubles, boot_s
+        )
         self._remote_id = None
         if options.did_enable:
             self._remote_id = RemoteIdRelay(self._telemetry.remote_id_location, now_s)
@@ -184,7 +194,7 @@ class MockVehicle:
 
     @property
     def failsafe(self) -> bool:
-        """Flying home because the setpoint stream was lost."""
+        """Where a failsafe led: the stream of setpoints was lost, or one of the troubles."""
         return self._flight.failsafe
 
     @property
@@ -215,6 +225,28 @@ class MockVehicle:
         """Forget a link, its rates and what waits on it."""
         self._links.pop(link, None)
         self._routes = {route: via for route, via in self._routes.items() if via != link}
+
+    def cut_link(self, link: int = 0) -> None:
+        """Nothing crosses this link any more, either way; what is sent meanwhile is lost."""
+        self._links[link].cut = True
+
+    def mend_link(self, link: int = 0) -> None:
+        """A cut link carries again, with the rates that were asked for."""
+        self._links[link].cut = False
+
+    def reboot(self, *, flies_on: bool = False) -> None:
+        """The autopilot restarts, also in flight: deaf and mute for REBOOT_S, then as after a boot.
+
+        In the air the motors stop and it falls; with `flies_on` it hovers and is armed afterwards, in the
+        boot mode (as after a watchdog reset).
+        """
+        self.reboots += 1
+        self._down_until_s = self.now_s + REBOOT_S
+        if self._flight.on_ground or not flies_on:
+            self._flight.disarm(force=True)
+        else:
+            self._flight.fail_over(self._manners.boot_mode)
+        self._flight.texts.clear()
 
     def drain(self, link: int = 0) -> bytes:
         """Bytes to send on a link."""
@@ -251,6 +283,7 @@ class MockVehicle:
         while self._start_s + (self._steps + 1) * STEP_S <= now_s + _EPSILON_S:
             if self._steps % NOISE_STEPS == 0:
                 self._errors.advance()
+                self.troubles.step(self._flight, self._start_s + self._steps * STEP_S)
             self._flight.step(self._start_s + self._steps * STEP_S)
             self._steps += 1
             self._send_due(self._start_s + self._steps * STEP_S)
@@ -270,8 +303,8 @@ class MockVehicle:
                 if message_id == _ADSB:
                     for report in self._traffic.due(number, at_s):
                         link.send(report)
-                else:
-                    link.send(builders[message_id](at_s))
+                elif (built := builders[message_id](at_s)) is not None:
+                    link.send(built)
             if link.params_due:
                 index = link.params_due.popleft()
                 link.send(self._params.message(self._params.names[index], index))
@@ -333,15 +366,22 @@ class MockVehicle:
 
     def _wake(self, at_s: float) -> None:
         """After a reboot: where it stood, with its stored mission and parameters, and nothing asked for."""
+        body, on_ground = self._flight.body, self._flight.on_ground
         standing = dataclasses.replace(
             self.options,
-            airborne=False,
+            airborne=self._flight.armed and not on_ground,
             start_position_ned_m=self.position_ned_m,
+            start_velocity_ned_mps=self.velocity_ned_mps,
             start_yaw_rad=self.yaw_rad,
-            start_mode=None,
+            start_mode=self._manners.boot_mode,
         )
         self._missions.reboot()
+        self.troubles.reboot()
         self._boot(standing, at_s, boot_s=at_s)
+        if not self._flight.armed and not on_ground:
+            # Still falling.
+            fallen, self._flight.on_ground = self._flight.body, False
+            fallen.down, fallen.vn, fallen.ve, fallen.vd = body.down, body.vn, body.ve, body.vd
         for link in self._links.values():
             link.drain()
             link.reset(self._manners.fresh_streams, at_s)
@@ -391,6 +431,9 @@ class MockVehicle:
     def _answer_timesync(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         if message.tc1 == 0:
             endpoint.send(mavlink.MAVLink_timesync_message(self._telemetry.boot_ns(now_s), message.ts1))
+
+    def _note_heartbeat(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        self.troubles.hear(message, now_s)
 
     def _note_collision(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         self.collisions.append((now_s, message))

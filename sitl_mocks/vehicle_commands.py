@@ -184,12 +184,14 @@ class CommandDesk:
         if builder is None:
             self._say_unknown(number)
             return self._manners.unsupported_request_result
-        command.link.send(builder(command.now_s))
+        answer = builder(command.now_s)
+        if answer is None:
+            return self._manners.unsupported_request_result
+        command.link.send(answer)
         return ACCEPTED
 
     def _send_version(self, command: Command) -> int:
-        builder = self._telemetry.builders[mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION]
-        command.link.send(builder(command.now_s))
+        command.link.send(self._telemetry.autopilot_version(command.now_s))
         return ACCEPTED
 
     def _send_home(self, command: Command) -> int:

@@ -28,6 +28,7 @@ _LANDED_DISARM_S = 1.0
 _LOITER_SINK_MPS = 2.5
 _NOSE_RATE_RADPS = 1.0
 _MIN_CRUISE_MPS = 0.2
+_NEEDS_POSITION = frozenset(VehicleMode) - {VehicleMode.MANUAL, VehicleMode.LAND}
 _INFO = int(mavlink.MAV_SEVERITY_INFO)
 _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 
@@ -62,6 +63,8 @@ class Flight:
         self.on_ground = not options.airborne
         self.mode = options.start_mode or (VehicleMode.HOLD if options.airborne else manners.boot_mode)
         self.failsafe = False
+        self.position_lost = False
+        """The estimator cannot say where the vehicle is."""
         self.setpoint: Setpoint | None = None
         self.texts: list[tuple[int, str]] = []
         self._options = options
@@ -83,6 +86,7 @@ class Flight:
         self._lift_s: float | None = None
         self._takeoff_down: float | None = None
         self._setpoint_s = -math.inf
+        self._intended = self.mode
         self._steer: dict[VehicleMode, Callable[[float], Vec3]] = {
             VehicleMode.EXTERNAL: self._fly_external,
             VehicleMode.MISSION: self._fly_mission,
@@ -173,6 +177,8 @@ class Flight:
             return "No such mode"
         if mode is self.mode and not self.failsafe:
             return None
+        if self.position_lost and mode in _NEEDS_POSITION:
+            return f"Mode change to {mode.value.upper()} failed: requires position"
         if mode is VehicleMode.MISSION:
             if not self._book.flown_count:
                 return "Mode change to AUTO failed: init failed"
@@ -185,7 +191,23 @@ class Flight:
         ):
             return "Offboard needs a setpoint stream"
         self._enter(mode)
+        self._intended = mode
         return None
+
+    def fail_over(self, mode: VehicleMode) -> None:
+        """A failsafe takes the vehicle into a mode, whatever was asked for."""
+        self._enter(mode)
+        self.failsafe = True
+
+    def recover(self, now_s: float) -> None:
+        """The cause of a failsafe is over: back to what was asked for."""
+        self._enter(VehicleMode.HOLD)
+        self.set_mode(self._intended, now_s)
+
+    def take_over(self) -> None:
+        """The pilot flies."""
+        self._enter(VehicleMode.MANUAL)
+        self._intended = VehicleMode.MANUAL
 
     def take_setpoint(self, setpoint: Setpoint, now_s: float) -> None:
         """A setpoint that the firmware understood."""
@@ -199,7 +221,7 @@ class Flight:
                 self._takeoff_down = None
         self.setpoint = setpoint
         self._setpoint_s = now_s
-        if self.failsafe:
+        if self._stream_lost:
             # The vehicle still means to fly the stream: it goes back to it by itself.
             self._enter(VehicleMode.EXTERNAL)
 
@@ -235,8 +257,8 @@ class Flight:
         if self._manners.loss_mode is None:
             self.setpoint = None
             return
-        self._enter(self._manners.loss_mode)
-        self.failsafe = True
+        self.fail_over(self._manners.loss_mode)
+        self._stream_lost = True
         self.texts.append((_CRITICAL, "Failsafe activated: offboard signal lost"))
 
     def _streaming(self, now_s: float) -> bool:
@@ -294,7 +316,7 @@ class Flight:
             self.texts.append((_INFO, f"SIM Hit ground at {self.body.touchdown_mps:f} m/s"))
 
     def _enter(self, mode: VehicleMode) -> None:
-        self.failsafe = False
+        self.failsafe = self._stream_lost = False
         self._takeoff_down = None
         if mode is VehicleMode.EXTERNAL and self.mode is not mode and not self._manners.external_needs_stream:
             self.setpoint = None
@@ -303,6 +325,8 @@ class Flight:
         if mode is VehicleMode.RTL:
             self._home.begin()
         elif mode is VehicleMode.MISSION:
+            if not self._manners.speed_change_stays:
+                self.runner.speed_mps = None
             self.runner.resume()
         elif mode is VehicleMode.TAKEOFF:
             self._takeoff_down = -self._default_takeoff_m()

@@ -59,6 +59,8 @@ class Link:
         self._scanner = FrameScanner()
         self._decoder = mavlink.MAVLink(None)
         self.bytes_dropped = 0
+        self.cut = False
+        """Nothing crosses, either way."""
         self.params_due: deque[int] = deque()
         """Indices of PARAM_VALUE still to send."""
         self._writer = MavlinkWriter(system_id, 1)
@@ -108,6 +110,8 @@ class Link:
     def feed(self, data: bytes) -> list[tuple[Frame, MavlinkMessage | SetpointMessage]]:
         """The messages completed by some bytes, with their frames; what cannot be read is left out."""
         found: list[tuple[Frame, MavlinkMessage | SetpointMessage]] = []
+        if self.cut:
+            return found
         for frame in self._scanner.frames(data):
             if frame.message_id == _SETPOINT_ID:
                 body = frame.payload.ljust(_SETPOINT.size, b"\0")
@@ -129,6 +133,8 @@ class Link:
 
     def pass_on(self, frame: bytes) -> None:
         """Send bytes as they are."""
+        if self.cut:
+            return
         if len(self._out) + len(frame) > _MAX_WAITING_BYTES:
             self.bytes_dropped += len(frame)
             return

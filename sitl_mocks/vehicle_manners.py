@@ -7,20 +7,15 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any, get_type_hints
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.errors import ConfigError
 from companion.events import Firmware
-
-ParamTable = Mapping[str, tuple[float, int]]
-"""Name -> (value, MAV_PARAM_TYPE)."""
-
-INT32 = int(mavlink.MAV_PARAM_TYPE_INT32)
-INT16 = int(mavlink.MAV_PARAM_TYPE_INT16)
-INT8 = int(mavlink.MAV_PARAM_TYPE_INT8)
-REAL32 = int(mavlink.MAV_PARAM_TYPE_REAL32)
+from sitl_mocks.vehicle_param_tables import ParamTable, ardupilot_params, px4_params
 
 
 class VehicleMode(enum.Enum):
@@ -39,6 +34,19 @@ class VehicleMode(enum.Enum):
     """PX4 only: ArduPilot takes off inside GUIDED."""
     RTL = "rtl"
     LAND = "land"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Failsafe:
+    """What one trouble leads to."""
+
+    param: str | None
+    """Holds the action; None: it cannot be chosen, and is action 0."""
+    modes: Mapping[int, VehicleMode]
+    """By action. One that is not here does nothing, or is flown by no mode of the mock."""
+    text: str | None
+    deferred: bool
+    """PX4 holds for COM_FAIL_ACT_T first, so that a pilot may choose otherwise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,14 +122,45 @@ class Manners:
     upload_timeout_s: float
     upload_retry_s: float
     mission_texts: bool
+    speed_change_stays: bool
+    """DO_CHANGE_SPEED of a mission holds after the mode was left and entered again."""
+    paused_state: int
+    """MISSION_STATE of a mission that was left in the middle."""
     one_transfer: bool
     """Serves one list at a time, to one partner, item by item in order; False: answers every request."""
     fence_frames: Mapping[int, int]
     """MAV_FRAME of a fence's items as given -> as told; others are refused."""
     fence_altitudes: bool
     """Keeps the altitudes of a fence's items."""
+    fence_union: bool
+    """Inside one inclusion area is inside; False: outside one of them is outside."""
     adsb_listed: bool
     """Streams a list of the aircraft heard, one per interval; False: passes each report on once."""
+    # troubles
+    estimator_message: int
+    """EKF_STATUS_REPORT or ESTIMATOR_STATUS."""
+    tells_fence: bool
+    """Knows FENCE_STATUS."""
+    fence_enable_param: str | None
+    fence_distance_param: str
+    fence_height_param: str
+    """Both m; 0 is no limit."""
+    fence_failsafe: Failsafe
+    gcs_failsafe: Failsafe
+    gcs_timeout_param: str
+    gcs_by_system: bool
+    """The ground station is the system of MAV_GCS_SYSID; False: any component of that type."""
+    battery_failsafe: Failsafe
+    estimator_failsafe: Failsafe
+    estimator_grace_s: float
+    gnss_grace_s: float
+    """How long the estimator lives without GNSS."""
+    estimator_recovers: bool
+    """Goes back to the mode that was asked for; False: stays where the failsafe led."""
+    global_position_stops: bool
+    """Sends no GLOBAL_POSITION_INT without a position."""
+    sticks_take_over: bool
+    """Moved sticks end an automatic mode (COM_RC_OVERRIDE)."""
     # parameters
     param_bytewise: bool
     params: ParamTable
@@ -141,54 +180,7 @@ def _px4_mode(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
 
 
-def _ardupilot_params() -> ParamTable:
-    return MappingProxyType(
-        {
-            "MAV_SYSID": (1.0, INT16),
-            "MAV_GCS_SYSID": (255.0, INT16),
-            "MAV1_POSITION": (0.0, INT16),
-            "MAV1_EXTRA1": (0.0, INT16),
-            "GUID_TIMEOUT": (3.0, REAL32),
-            "GUID_OPTIONS": (0.0, INT32),
-            "WPNAV_SPEED": (1000.0, REAL32),
-            "WPNAV_SPEED_UP": (250.0, REAL32),
-            "WPNAV_SPEED_DN": (150.0, REAL32),
-            "WPNAV_ACCEL": (250.0, REAL32),
-            "WPNAV_RADIUS": (200.0, REAL32),
-            "RTL_ALT": (1500.0, INT32),
-            "LAND_SPEED": (50.0, INT16),
-            "DISARM_DELAY": (10.0, INT8),
-            "FRAME_CLASS": (1.0, INT8),
-            "FENCE_ENABLE": (0.0, INT8),
-            "SERIAL0_PROTOCOL": (2.0, INT8),
-            "STAT_RUNTIME": (152.0, INT32),
-        }
-    )
-
-
-def _px4_params() -> ParamTable:
-    return MappingProxyType(
-        {
-            "MAV_SYS_ID": (1.0, INT32),
-            "MAV_COMP_ID": (1.0, INT32),
-            "COM_OF_LOSS_T": (1.0, REAL32),
-            "COM_OBL_RC_ACT": (0.0, INT32),
-            "COM_RC_IN_MODE": (4.0, INT32),
-            "COM_DISARM_LAND": (2.0, REAL32),
-            "MPC_XY_CRUISE": (5.0, REAL32),
-            "MPC_XY_VEL_MAX": (12.0, REAL32),
-            "MPC_ACC_HOR": (3.0, REAL32),
-            "MPC_Z_VEL_MAX_UP": (3.0, REAL32),
-            "MPC_Z_VEL_MAX_DN": (1.5, REAL32),
-            "MIS_TAKEOFF_ALT": (2.5, REAL32),
-            "NAV_ACC_RAD": (10.0, REAL32),
-            "RTL_RETURN_ALT": (60.0, REAL32),
-            "SYS_AUTOSTART": (10040.0, INT32),
-            "CAL_ACC0_ID": (1310988.0, INT32),
-        }
-    )
-
-
+_M = VehicleMode
 _AUTO_ARDUPILOT = 1 | 8 | 16 | 64
 _MANUAL_ARDUPILOT = 1 | 16 | 64
 _AUTO_PX4 = 1 | 4 | 8 | 16
@@ -267,12 +259,53 @@ ARDUPILOT = Manners(
     upload_timeout_s=8.0,
     upload_retry_s=1.0,
     mission_texts=True,
+    # Read in the source: entering AUTO forgets the speed of the mission.
+    speed_change_stays=False,
+    paused_state=mavlink.MISSION_STATE_NOT_STARTED,
     one_transfer=False,
     fence_frames=MappingProxyType(dict.fromkeys((0, 3, 5, 6, 10, 11), 0)),
     fence_altitudes=False,
+    fence_union=False,
     adsb_listed=True,
+    estimator_message=mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    tells_fence=True,
+    fence_enable_param="FENCE_ENABLE",
+    fence_distance_param="FENCE_RADIUS",
+    fence_height_param="FENCE_ALT_MAX",
+    # SmartRTL (3, 5) is flown as its second choice.
+    fence_failsafe=Failsafe(
+        "FENCE_ACTION",
+        MappingProxyType({1: _M.RTL, 2: _M.LAND, 3: _M.RTL, 4: _M.BRAKE, 5: _M.LAND}),
+        None,
+        deferred=False,
+    ),
+    gcs_failsafe=Failsafe(
+        "FS_GCS_ENABLE",
+        MappingProxyType({1: _M.RTL, 2: _M.RTL, 3: _M.RTL, 4: _M.LAND, 5: _M.LAND, 6: _M.RTL, 7: _M.BRAKE}),
+        "GCS Failsafe",
+        deferred=False,
+    ),
+    gcs_timeout_param="FS_GCS_TIMEOUT",
+    gcs_by_system=True,
+    battery_failsafe=Failsafe(
+        "BATT_FS_LOW_ACT",
+        MappingProxyType({1: _M.LAND, 2: _M.RTL, 3: _M.RTL, 4: _M.LAND, 6: _M.RTL, 7: _M.BRAKE}),
+        "Battery Failsafe",
+        deferred=False,
+    ),
+    estimator_failsafe=Failsafe(
+        "FS_EKF_ACTION",
+        MappingProxyType({1: _M.LAND, 3: _M.LAND}),
+        "EKF Failsafe: changed to LAND Mode",
+        deferred=False,
+    ),
+    estimator_grace_s=1.0,
+    gnss_grace_s=7.0,
+    estimator_recovers=False,
+    global_position_stops=False,
+    sticks_take_over=False,
     param_bytewise=False,
-    params=_ardupilot_params(),
+    params=ardupilot_params(),
     legacy_names=MappingProxyType(
         {
             "MAV_SYSID": "SYSID_THISMAV",
@@ -329,6 +362,8 @@ PX4 = Manners(
             mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.5,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
             # As fast as they come on the real one; the mock's receiver reports once a second.
             mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 1.0,
             mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION: 1.0,
@@ -377,15 +412,71 @@ PX4 = Manners(
     upload_timeout_s=5.0,
     upload_retry_s=0.25,
     mission_texts=False,
+    speed_change_stays=True,
+    paused_state=mavlink.MISSION_STATE_PAUSED,
     one_transfer=True,
     fence_frames=MappingProxyType({0: 5, 3: 6, 5: 5, 6: 6}),
     fence_altitudes=True,
+    fence_union=True,
     adsb_listed=False,
+    estimator_message=mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+    tells_fence=False,
+    fence_enable_param=None,
+    fence_distance_param="GF_MAX_HOR_DIST",
+    fence_height_param="GF_MAX_VER_DIST",
+    fence_failsafe=Failsafe(
+        "GF_ACTION", MappingProxyType({2: _M.HOLD, 3: _M.RTL, 5: _M.LAND}), None, deferred=False
+    ),
+    gcs_failsafe=Failsafe(
+        "NAV_DLL_ACT", MappingProxyType({1: _M.HOLD, 2: _M.RTL, 3: _M.LAND}), None, deferred=True
+    ),
+    gcs_timeout_param="COM_DL_LOSS_T",
+    gcs_by_system=False,
+    battery_failsafe=Failsafe(
+        "COM_LOW_BAT_ACT", MappingProxyType({1: _M.RTL, 2: _M.LAND, 3: _M.RTL}), None, deferred=True
+    ),
+    # AUTO.LAND is also how its descent without a position shows.
+    estimator_failsafe=Failsafe(None, MappingProxyType({0: _M.LAND}), None, deferred=False),
+    estimator_grace_s=0.2,
+    gnss_grace_s=5.0,
+    estimator_recovers=True,
+    global_position_stops=True,
+    sticks_take_over=True,
     param_bytewise=True,
-    params=_px4_params(),
+    params=px4_params(),
     timeout_param="COM_OF_LOSS_T",
     cruise_param="MPC_XY_CRUISE",
     cruise_param_scale=1.0,
 )
 
 MANNERS: Mapping[Firmware, Manners] = MappingProxyType({Firmware.ARDUPILOT: ARDUPILOT, Firmware.PX4: PX4})
+
+
+def with_quirks(manners: Manners, quirks: Mapping[str, object]) -> Manners:
+    """A firmware's manners with some of them changed, by the name of the field.
+
+    Raises:
+        ConfigError: an unknown name, or a value that is not of the field's kind; tables cannot be given.
+    """
+    kinds = get_type_hints(Manners)
+    given: dict[str, Any] = {}
+    for name, value in quirks.items():
+        kind = kinds.get(name)
+        if kind is None:
+            raise ConfigError(
+                f"quirk {name}: there is none of that name; allowed: {', '.join(sorted(kinds))}"
+            )
+        if kind in (VehicleMode, VehicleMode | None) and isinstance(value, str):
+            names = {mode.value: mode for mode in manners.custom_modes}
+            if value not in names:
+                raise ConfigError(f"quirk {name}: {value!r} is no mode; allowed: {', '.join(names)}")
+            value = names[value]
+        number = kind in (float, float | None) and isinstance(value, int) and not isinstance(value, bool)
+        plain = kind in (bool, int, float, str, float | None, str | None, VehicleMode, VehicleMode | None)
+        fits = plain and (number or isinstance(value, kind)) and not (kind is int and isinstance(value, bool))
+        if not fits:
+            raise ConfigError(
+                f"quirk {name}: {value!r} is not of its kind ({getattr(kind, '__name__', kind)})"
+            )
+        given[name] = value
+    return replace(manners, **given)

@@ -38,15 +38,15 @@ _PLACED_COMMANDS = NAV_COMMANDS - {
     mavlink.MAV_CMD_NAV_DELAY,
 }
 _GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
-_VERTICES = {
+VERTICES = {
     True: mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
     False: mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
 }
-_CIRCLES = {
+CIRCLES = {
     True: mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION,
     False: mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION,
 }
-_FENCE_COMMANDS = {mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT, *_VERTICES.values(), *_CIRCLES.values()}
+_FENCE_COMMANDS = {mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT, *VERTICES.values(), *CIRCLES.values()}
 _FRAMES = _GLOBAL_FRAMES | {int(mavlink.MAV_FRAME_MISSION)}
 
 
@@ -92,9 +92,9 @@ def stored_fence(areas: tuple[FenceArea, ...], manners: Manners) -> tuple[Stored
     items = []
     for area in areas:
         if area.radius_m is None:
-            command, size = _VERTICES[area.inclusion], float(len(area.points))
+            command, size = VERTICES[area.inclusion], float(len(area.points))
         else:
-            command, size = _CIRCLES[area.inclusion], area.radius_m
+            command, size = CIRCLES[area.inclusion], area.radius_m
         for lat, lon in area.points:
             params = (size, 0.0, 0.0, 0.0)
             items.append(StoredItem(command, frame, params, round(lat * 1e7), round(lon * 1e7), 0.0))
@@ -303,7 +303,7 @@ def _whole(items: list[StoredItem]) -> bool:
     while at < len(items):
         item = items[at]
         size = item.params[0]
-        if item.command in _VERTICES.values():
+        if item.command in VERTICES.values():
             # NaN fails this comparison too.
             if not 3.0 <= size <= 255.0:
                 return False
@@ -313,7 +313,7 @@ def _whole(items: list[StoredItem]) -> bool:
             if len(same) != size:
                 return False
             at += len(same)
-        elif item.command in _CIRCLES.values() and not size > 0.0:
+        elif item.command in CIRCLES.values() and not size > 0.0:
             return False
         else:
             at += 1

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from companion.avoidance.fence import check_areas
 from companion.errors import ConfigError
 from companion.events import FenceArea, Firmware, MissionItem, Vec3
-from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
+from sitl_mocks.vehicle_manners import MANNERS, Manners, VehicleMode, with_quirks
 from sitl_mocks.vehicle_traffic import CrewedFlight
 
 
@@ -39,7 +40,7 @@ class VehicleOptions:
     mission: tuple[MissionItem, ...] = ()
     """Held from the start, without ArduPilot's home item."""
     fence: tuple[FenceArea, ...] = ()
-    """Held from the start; the mock tells of it and does not obey it."""
+    """Held from the start. ArduPilot obeys it with FENCE_ENABLE, PX4 as GF_ACTION says."""
     traffic: tuple[CrewedFlight, ...] = ()
     """What its ADS-B receiver hears."""
 
@@ -52,6 +53,10 @@ class VehicleOptions:
     rc_connected: bool = True
     """A pilot's radio with centred sticks. Without one, ArduPilot's LOITER descends (throttle low)."""
     legacy_parameter_names: bool = False
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """Values that replace the firmware's own, by today's names."""
+    quirks: Mapping[str, object] = field(default_factory=dict)
+    """Manners that replace the firmware's own, by the names of `vehicle_manners.Manners`."""
     did_enable: bool = False
     """ArduPilot's DID_ENABLE: sends its own Remote ID, and what it was told, on all links (the real one: on
     the port of DID_MAVPORT)."""
@@ -100,6 +105,12 @@ class VehicleOptions:
             check_areas(self.fence)
         except ConfigError as error:
             raise ConfigError(f"fence: {error}") from error
+        manners = self.manners
+        for name, value in self.parameters.items():
+            if name not in manners.params:
+                raise ConfigError(f"parameter {name}: the mock has none of that name")
+            if not math.isfinite(value):
+                raise ConfigError(f"parameter {name} is {value}; allowed are finite numbers")
         if self.did_enable and not MANNERS[self.firmware].has_did_params:
             raise ConfigError(f"did_enable is no option of {self.firmware.value}; it is ArduPilot's")
         if self.did_require and not self.did_enable:
@@ -114,6 +125,11 @@ class VehicleOptions:
             raise ConfigError(
                 "start_position_ned_m of an airborne start must lie above the ground (down < 0)"
             )
+
+    @property
+    def manners(self) -> Manners:
+        """The firmware's ways, with the quirks."""
+        return with_quirks(MANNERS[self.firmware], self.quirks)
 
     def _check_range(self, name: str, value: float, low: float, high: float) -> None:
         if not low <= value <= high:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkMessage
-from sitl_mocks.vehicle_manners import REAL32, Manners
+from sitl_mocks.vehicle_manners import Manners
+from sitl_mocks.vehicle_param_tables import REAL32
 
 ECHO_INDEX = 65535
 """param_index of a value that was not asked for by its index, as ArduPilot sends it."""
@@ -16,7 +18,10 @@ ECHO_INDEX = 65535
 class ParamBook:
     """Named values in a fixed order. Integers are cast to float (ArduPilot) or are its bytes (PX4)."""
 
-    def __init__(self, manners: Manners, *, system_id: int, legacy_names: bool) -> None:
+    def __init__(
+        self, manners: Manners, values: Mapping[str, float], *, system_id: int, legacy_names: bool
+    ) -> None:
+        """`values` replace the firmware's own, by today's names."""
         renames = manners.legacy_names if legacy_names else {}
         self._bytewise = manners.param_bytewise
         self._types: dict[str, int] = {}
@@ -24,7 +29,8 @@ class ParamBook:
         for name, (value, kind) in sorted(manners.params.items()):
             shown = renames.get(name, name)
             self._types[shown] = kind
-            self._values[shown] = float(system_id) if name in ("MAV_SYSID", "MAV_SYS_ID") else value
+            own = float(system_id) if name in ("MAV_SYSID", "MAV_SYS_ID") else value
+            self._values[shown] = values.get(name, own)
         self.names = tuple(self._values)
 
     def get(self, name: str) -> float:

@@ -123,6 +123,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--no-rc", action="store_true", help="no pilot's radio: ArduPilot's LOITER descends")
     add("--did", choices=["off", "enable", "require"], default="off", help="ArduPilot's Remote ID: "
         "relay what it is told, or also require it to arm")  # fmt: skip
+    add("--param", action="append", default=[], metavar="NAME=VALUE", help="start with this parameter value")
+    add("--quirk", action="append", default=[], metavar="NAME=VALUE", help="replace one manner of the "
+        "firmware, as in nose_follows_velocity=false or loss_mode=hold")  # fmt: skip
     add("--seed", type=int, default=0, help="seed of the navigation errors")
     add("--truth", type=Path, metavar="FILE", help="write the true positions here (CSV, ten a second)")
 
@@ -141,6 +144,8 @@ def options_of(args: argparse.Namespace) -> VehicleOptions:
         start_position_ned_m=(args.start[0], args.start[1], 0.0 if height is None else -height),
         start_mode=None if args.mode is None else VehicleMode(args.mode),
         rc_connected=not args.no_rc,
+        parameters=_parameters(args.param),
+        quirks=_quirks(args.quirk),
         did_enable=args.did != "off",
         did_require=args.did == "require",
         utc_at_zero_s=time.time(),
@@ -149,6 +154,29 @@ def options_of(args: argparse.Namespace) -> VehicleOptions:
         gnss_vertical_sigma_m=vertical,
         gnss_velocity_sigma_mps=speed,
     )
+
+
+def _parameters(given: list[str]) -> dict[str, float]:
+    values = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            values[name] = float(value)
+        except ValueError as error:
+            raise ConfigError(f"--param {text!r}: allowed is NAME=NUMBER") from error
+    return values
+
+
+def _quirks(given: list[str]) -> dict[str, object]:
+    """A value is JSON (true, 2.5, null), or the name of a mode."""
+    values: dict[str, object] = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            values[name] = json.loads(value)
+        except ValueError:
+            values[name] = value
+    return values
 
 
 def run(args: argparse.Namespace) -> int:

@@ -21,8 +21,10 @@ from sitl_mocks.vehicle_mission import MissionBook
 from sitl_mocks.vehicle_navigation import Globe, NavigationError
 from sitl_mocks.vehicle_options import VehicleOptions
 from sitl_mocks.vehicle_remote_id import home_system, location
+from sitl_mocks.vehicle_troubles import Troubles
 
-Builder = Callable[[float], MavlinkMessage | Payload]
+Builder = Callable[[float], MavlinkMessage | Payload | None]
+"""None: the vehicle has nothing to tell."""
 
 # Layouts of the messages that are sent many times a second, in their order on the wire.
 _GLOBAL_POSITION = struct.Struct("<IiiiihhhH")
@@ -44,6 +46,10 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
 )
+_ESTIMATOR_GOOD = 0x33F
+"""Attitude, velocities, places (also predicted), heights: bits 0 to 5, 8 and 9."""
+_ESTIMATOR_LOST = 0x0A5
+"""Attitude, vertical velocity, height; constant position mode."""
 _MIN_ACCURACY_M = 0.3
 _MIN_SPEED_ACCURACY_MPS = 0.1
 _GRAVITY = 9.81
@@ -59,6 +65,7 @@ class Telemetry:
         flight: Flight,
         book: MissionBook,
         errors: NavigationError,
+        troubles: Troubles,
         boot_s: float,
     ) -> None:
         self.boot_s = boot_s
@@ -68,6 +75,7 @@ class Telemetry:
         self._flight = flight
         self._book = book
         self._errors = errors
+        self._troubles = troubles
         self._globe = Globe(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
         builders: dict[int, Builder] = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
@@ -81,10 +89,15 @@ class Telemetry:
             mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._origin,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
-            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._autopilot_version,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.autopilot_version,
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
+            mavlink.MAVLINK_MSG_ID_RC_CHANNELS: self._rc_channels,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery_status,
+            manners.estimator_message: self._estimator_status,
         }
+        if manners.tells_fence:
+            builders[mavlink.MAVLINK_MSG_ID_FENCE_STATUS] = self._fence_status
         if mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION in manners.fresh_streams:
             builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION] = self.remote_id_location
             builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM] = self._remote_id_system
@@ -137,7 +150,9 @@ class Telemetry:
     def _boot_ms(self, now_s: float) -> int:
         return round((now_s - self.boot_s) * 1e3) & 0xFFFFFFFF
 
-    def _global_position(self, now_s: float) -> Payload:
+    def _global_position(self, now_s: float) -> Payload | None:
+        if self._troubles.position_lost and self._manners.global_position_stops:
+            return None
         lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
         vn, ve, vd = self.velocity_ned_mps()
         heading = round(math.degrees(self._flight.body.yaw) % 360.0 * 100.0) % 36000
@@ -159,7 +174,7 @@ class Telemetry:
         return Payload(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, body)
 
     def _gps_raw(self, now_s: float) -> Payload:
-        options = self._options
+        options, lost = self._options, self._troubles.gnss_lost
         lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
         vn, ve, _ = self.velocity_ned_mps()
         speed = math.hypot(vn, ve)
@@ -169,12 +184,12 @@ class Telemetry:
             round(lat * 1e7),
             round(lon * 1e7),
             round(alt * 1e3),
-            121,
-            200,
+            0xFFFF if lost else 121,
+            0xFFFF if lost else 200,
             round(speed * 1e2),
             course,
-            self._manners.gps_fix_type,
-            10,
+            mavlink.GPS_FIX_TYPE_NO_FIX if lost else self._manners.gps_fix_type,
+            0 if lost else 10,
             round((alt + options.geoid_separation_m) * 1e3),
             round(max(options.gnss_horizontal_sigma_m, _MIN_ACCURACY_M) * 1e3),
             round(max(options.gnss_vertical_sigma_m, _MIN_ACCURACY_M) * 1e3),
@@ -205,7 +220,55 @@ class Telemetry:
 
     def _sys_status(self, now_s: float) -> MavlinkMessage:
         return mavlink.MAVLink_sys_status_message(
-            _SENSORS, _SENSORS, _SENSORS, 100, 12600, 0, 100, 0, 0, 0, 0, 0, 0
+            _SENSORS, _SENSORS, _SENSORS, 100, self._millivolts, 0, self._percent, 0, 0, 0, 0, 0, 0
+        )
+
+    @property
+    def _percent(self) -> int:
+        return round(self._troubles.battery_remaining * 100.0)
+
+    @property
+    def _millivolts(self) -> int:
+        """Three cells in series, as if the voltage fell evenly from full to empty."""
+        return round(9900.0 + 2700.0 * self._troubles.battery_remaining)
+
+    def _battery_status(self, now_s: float) -> MavlinkMessage:
+        cells = [self._millivolts, *[0xFFFF] * 9]
+        return mavlink.MAVLink_battery_status_message(0, 0, 0, 0x7FFF, cells, 0, 0, -1, self._percent)
+
+    def _rc_channels(self, now_s: float) -> MavlinkMessage | None:
+        """Channels 1 to 4: roll, pitch, throttle, yaw."""
+        troubles = self._troubles
+        if not troubles.rc_connected:
+            return None
+        sticks = [round(1500.0 + 500.0 * stick) for stick in troubles.sticks]
+        channels = [*sticks, *[1500] * 4, *[0xFFFF] * 10]
+        return mavlink.MAVLink_rc_channels_message(self._boot_ms(now_s), 8, *channels, 200)
+
+    def _estimator_status(self, now_s: float) -> MavlinkMessage:
+        """EKF_STATUS_REPORT or ESTIMATOR_STATUS; the flags have the same bits in both."""
+        troubles = self._troubles
+        ratio = 1.5 if troubles.estimator_bad else 0.1
+        flags = _ESTIMATOR_LOST if troubles.position_lost else _ESTIMATOR_GOOD
+        if self._manners.estimator_message == mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
+            return mavlink.MAVLink_ekf_status_report_message(flags, ratio, ratio, 0.1, 0.1, 0.0)
+        accuracy = self._options.gnss_horizontal_sigma_m or _MIN_ACCURACY_M
+        usec = round((now_s - self.boot_s) * 1e6)
+        return mavlink.MAVLink_estimator_status_message(
+            usec, flags, ratio, ratio, 0.1, 0.1, 0.0, 0.0, accuracy, accuracy
+        )
+
+    def _fence_status(self, now_s: float) -> MavlinkMessage | None:
+        troubles = self._troubles
+        if not troubles.fence_enabled:
+            return None
+        breaches = troubles.breaches
+        kind = mavlink.FENCE_BREACH_NONE
+        if breaches:
+            kind = mavlink.FENCE_BREACH_BOUNDARY if breaches & ~1 else mavlink.FENCE_BREACH_MAXALT
+        at_ms = round((troubles.breached_s - self.boot_s) * 1e3) & 0xFFFFFFFF if troubles.breach_count else 0
+        return mavlink.MAVLink_fence_status_message(
+            1 if breaches else 0, troubles.breach_count, kind, at_ms, mavlink.FENCE_MITIGATE_NONE
         )
 
     def _utc_s(self, now_s: float) -> float | None:
@@ -242,7 +305,7 @@ class Telemetry:
         elif flight.mode.value == "mission":
             state = mavlink.MISSION_STATE_ACTIVE
         elif flight.runner.seq > self._book.first_seq:
-            state = mavlink.MISSION_STATE_PAUSED
+            state = self._manners.paused_state
         else:
             state = mavlink.MISSION_STATE_NOT_STARTED
         return mavlink.MAVLink_mission_current_message(flight.runner.seq, total, state, 0)
@@ -253,7 +316,8 @@ class Telemetry:
     def _origin(self, now_s: float) -> MavlinkMessage:
         return mavlink.MAVLink_gps_global_origin_message(*self._home(), round((now_s - self.boot_s) * 1e6))
 
-    def _autopilot_version(self, now_s: float) -> MavlinkMessage:
+    def autopilot_version(self, now_s: float) -> MavlinkMessage:
+        """AUTOPILOT_VERSION."""
         encode = (
             mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
             if self._manners.param_bytewise

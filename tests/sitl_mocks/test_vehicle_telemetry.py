@@ -15,7 +15,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import Firmware
 from companion.geometry import LocalFrame
-from sitl_mocks.vehicle_manners import INT32, VehicleMode
+from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle_param_tables import INT32
 from sitl_mocks.vehicle_navigation import Globe
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
@@ -63,11 +64,11 @@ def test_ardupilot_refuses_interval_param3(bench):
     assert bench(AP).command(511, 33.0, 1e5, 1.0) == [2]
 
 
-@pytest.mark.parametrize(("firmware", "result"), [(AP, 2), (PX4, 4)])
-def test_unsupported_message_interval(bench, firmware, result):
+@pytest.mark.parametrize(("firmware", "number", "result"), [(AP, 230, 2), (AP, 247, 2), (PX4, 193, 4)])
+def test_unsupported_message_interval(bench, firmware, number, result):
     b = bench(firmware)
-    assert b.interval(230, 1.0) == [result]
-    assert ("No ap_message for mavlink id (230)" in b.texts()) is (firmware is AP)
+    assert b.interval(number, 1.0) == [result]
+    assert (f"No ap_message for mavlink id ({number})" in b.texts()) is (firmware is AP)
 
 
 @BOTH
@@ -80,7 +81,7 @@ def test_get_interval_and_request_message(bench, firmware):
     ]
     assert b.command(512, 242.0) == [0]
     assert b.command(512, 148.0) == [0]
-    assert b.command(512, 230.0) != [0]
+    assert b.command(512, 247.0) != [0]
     names = count(m for _, m in b.seen)
     assert names["HOME_POSITION"] == 1
     assert names["AUTOPILOT_VERSION"] == 1
