@@ -39,6 +39,7 @@ from companion.events import (
     RemoteIdModule,
     Say,
     SetMode,
+    SetSpeed,
     Severity,
     Vec3,
     VelocitySetpoint,
@@ -209,6 +210,7 @@ class Companion:
         own = self.own
         if own.heartbeat is not None and (not own.armed or own.landed(now_s) is Landed.ON_GROUND):
             self._seen_down = True
+            commands += self.plan.check(own, now_s)
             self.plan.drop()
         if self.state is State.STANDBY and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
@@ -387,6 +389,8 @@ class Companion:
         if trigger in _TOLD or previous is State.WATCHING:
             severity = Severity.WARNING if trigger in _TOLD_LOUDLY else Severity.INFO
             commands.append(Say(severity=severity, text=f"DMUCA {self.state.value}: {reason}"))
+        if trigger is Trigger.RESUMED:
+            commands += self._restore_speed()
         if trigger is Trigger.REARM and self.own.position is not None:
             self.plan.resume(self.own, now_s)
         if previous in HOLDING and self.state not in HOLDING:
@@ -395,6 +399,14 @@ class Companion:
             self._result = None
             self._left = False
             self._conflicts = 0
+
+    def _restore_speed(self) -> list[Command]:
+        """ArduPilot forgets the mission's own speed when the mission's mode is left."""
+        guard, heartbeat = self._guard, self.own.heartbeat
+        if guard is None or heartbeat is None or heartbeat.firmware is not Firmware.ARDUPILOT:
+            return []
+        speed = guard.mission_speed_mps(self.own)
+        return [] if speed is None else [SetSpeed(speed_mps=speed)]
 
     def _let_go(self, trigger: Trigger, commands: list[Command]) -> None:
         """Nothing is commanded any more. PX4 notices at once; ArduPilot would fly on for seconds as it was

@@ -300,6 +300,12 @@ class SetMode(Command, frozen=True):
     mode: FlightMode
 
 
+class SetSpeed(Command, frozen=True):
+    """Ask for a ground speed of the mission (DO_CHANGE_SPEED)."""
+
+    speed_mps: float
+
+
 class DownloadMission(Command, frozen=True):
     """Fetch the vehicle's mission; answered by MissionDownloaded."""
 
@@ -471,6 +477,7 @@ AnyEvent = (
 AnyCommand = (
     VelocitySetpoint
     | SetMode
+    | SetSpeed
     | DownloadMission
     | DownloadFence
     | Threat

@@ -28,6 +28,7 @@ from companion.events import (
     RemoteIdHeard,
     Say,
     SetMode,
+    SetSpeed,
     Threat,
     VelocitySetpoint,
 )
@@ -91,7 +92,8 @@ class Onboard:
         commands = self.heart.step(now_s, events)
         for command in commands:
             if isinstance(command, DownloadMission | DownloadFence) or (
-                self.commanding and isinstance(command, VelocitySetpoint | SetMode | Say | ArmStatus | Threat)
+                self.commanding
+                and isinstance(command, VelocitySetpoint | SetMode | SetSpeed | Say | ArmStatus | Threat)
             ):
                 self.link.send(command, now_s)
             elif isinstance(command, AuthorityChanged) and command.state not in _HOLDING:

@@ -45,6 +45,7 @@ from companion.events import (
     ModeRefused,
     Say,
     SetMode,
+    SetSpeed,
     Threat,
     VehicleTime,
     VelocitySetpoint,
@@ -55,6 +56,7 @@ from companion.remote_id.messages import BasicId
 from . import encoders, remote_id
 from .dialect import (
     AUTOPILOT_INVALID,
+    CMD_DO_CHANGE_SPEED,
     CMD_DO_SET_MODE,
     CMD_SET_MESSAGE_INTERVAL,
     DIALECTS,
@@ -80,6 +82,8 @@ _DEFAULT_SYSTEM_ID = 1
 _EPSILON_S = 1e-6
 _GOOD_RESULTS = (0, 5)
 _GROUND_STATION = 6
+_GROUND_SPEED, _THROTTLE_AS_IT_IS = 1.0, -1.0
+_SPEED_RETRY_S, _SPEED_TRIES = 1.0, 5
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
@@ -130,6 +134,15 @@ class LinkCounts(RemoteIdCounts):
     """Times the undrained queue was thrown away."""
 
 
+@dataclass(slots=True)
+class _SpeedRequest:
+    """DO_CHANGE_SPEED, until it is answered or was sent often enough."""
+
+    speed_mps: float
+    tries: int = 0
+    next_s: float = 0.0
+
+
 class AutopilotLink:
     """See the module. One object per vehicle; give it every byte of the link."""
 
@@ -170,6 +183,7 @@ class AutopilotLink:
         self._texts = TextAssembler()
         self._text_id = 0
         self._mode: ModeRequest | None = None
+        self._speed: _SpeedRequest | None = None
         self._download: MissionDownload | None = None
         self._download_next: int | None = None
         """Type of the list to be fetched after the one under way: PX4 serves one at a time."""
@@ -312,6 +326,8 @@ class AutopilotLink:
             self.counts.acks_refused += 1
         if command == CMD_DO_SET_MODE and self._mode is not None:
             self._mode.on_ack(result)
+        elif command == CMD_DO_CHANGE_SPEED:
+            self._speed = None
 
     def _on_mission_count(self, frame: Frame, fields: Fields, now_s: float) -> None:
         download = self._answered(frame, fields[1], fields[2])
@@ -367,9 +383,20 @@ class AutopilotLink:
             for frame in self._component.due(vehicle.system_id, now_s):
                 self._queue_frame(frame)
         self._move_mode(now_s)
+        self._move_speed(now_s)
         self._move_download(now_s)
         self._events += self._texts.overdue(now_s)
         return self._take_events()
+
+    def _move_speed(self, now_s: float) -> None:
+        asked, vehicle = self._speed, self._vehicle
+        if asked is None or vehicle is None or now_s < asked.next_s:
+            return
+        params = (_GROUND_SPEED, asked.speed_mps, _THROTTLE_AS_IT_IS)
+        self._queue(encoders.command_long(CMD_DO_CHANGE_SPEED, params, vehicle.system_id, asked.tries))
+        asked.tries, asked.next_s = asked.tries + 1, now_s + _SPEED_RETRY_S
+        if asked.tries == _SPEED_TRIES:
+            self._speed = None
 
     def _connected(self, now_s: float) -> bool:
         return self._heartbeat_heard_s is not None and now_s - self._heartbeat_heard_s <= LOST_AFTER_S
@@ -392,6 +419,8 @@ class AutopilotLink:
                 self._send_setpoint(command, now_s)
             case SetMode():
                 self._send_mode(command.mode, now_s)
+            case SetSpeed():
+                self._speed = _SpeedRequest(command.speed_mps)
             case DownloadMission():
                 self._send_download(MISSION, now_s)
             case DownloadFence():

@@ -1,6 +1,7 @@
 """A timed path from the vehicle's own mission.
 
-What is flown: NAV_WAYPOINT with its hold time, at the speed of the last DO_CHANGE_SPEED. The clock starts at
+What is flown: NAV_WAYPOINT with its hold time, NAV_LOITER_TIME as a waypoint that is held, NAV_DELAY of some
+seconds, at the speed of the last DO_CHANGE_SPEED. The clock starts at
 the place where the companion takes the vehicle, and every leg is straight at constant speed. The companion
 takes over in the air, so a NAV_TAKEOFF before the first waypoint is the pilot's or the autopilot's and is
 left out; NAV_LAND and NAV_RETURN_TO_LAUNCH end the path and are not flown. Everything else is refused: a
@@ -27,6 +28,7 @@ NAV_RETURN_TO_LAUNCH = 20
 NAV_LAND = 21
 NAV_TAKEOFF = 22
 NAV_SPLINE_WAYPOINT = 82
+NAV_DELAY = 93
 DO_CHANGE_SPEED = 178
 
 MAX_SPEED_MPS = 100.0
@@ -42,7 +44,7 @@ _HOME_FRAMES = frozenset({3, 6})
 _SPEED_KINDS = (0.0, 1.0)
 """DO_CHANGE_SPEED param 1: airspeed and ground speed, one thing to a multirotor."""
 _ALLOWED = (
-    "NAV_WAYPOINT, DO_CHANGE_SPEED, NAV_TAKEOFF before the first waypoint, "
+    "NAV_WAYPOINT, NAV_LOITER_TIME, NAV_DELAY, DO_CHANGE_SPEED, NAV_TAKEOFF before the first waypoint, "
     "and NAV_LAND or NAV_RETURN_TO_LAUNCH as the end"
 )
 _NAMES: dict[int, str] = {
@@ -79,8 +81,10 @@ def path_from_mission(
             break
         if item.command == NAV_TAKEOFF and len(builder.waypoints) == 1:
             continue
-        if item.command == NAV_WAYPOINT:
+        if item.command in (NAV_WAYPOINT, NAV_LOITER_TIME):
             builder.waypoint(item)
+        elif item.command == NAV_DELAY:
+            builder.delay(item)
         elif item.command == DO_CHANGE_SPEED:
             builder.change_speed(item)
         else:
@@ -88,6 +92,16 @@ def path_from_mission(
     if len(builder.waypoints) < 2:
         raise ConfigError(f"mission: no waypoint to fly in its {len(items)} items; allowed are {_ALLOWED}")
     return TrajectoryFile(altitude="home", waypoint=tuple(builder.waypoints))
+
+
+def speed_at(items: Sequence[MissionItem], seq: int) -> float | None:
+    """Speed (m/s) that the mission itself has asked for by the time it is at an item; None: it has not."""
+    speed = None
+    for item in items:
+        asked = item.params[1]
+        if item.seq <= seq and item.command == DO_CHANGE_SPEED and item.params[0] in _SPEED_KINDS:
+            speed = asked if asked is not None and 0 < asked <= MAX_SPEED_MPS else speed
+    return speed
 
 
 def place_of(item: MissionItem, height_m: float, home_alt_msl_m: float) -> Vec3 | None:
@@ -136,11 +150,7 @@ class _Builder:
 
     def waypoint(self, item: MissionItem) -> None:
         lat_deg, lon_deg, alt_m = self._position(item)
-        hold_s = item.params[0]
-        if hold_s is None:
-            hold_s = 0.0
-        if not 0 <= hold_s <= MAX_HOLD_S:
-            raise _refused(item, f"hold time {hold_s} s; allowed is 0 to {MAX_HOLD_S}")
+        hold_s = self._hold_s(item)
         last = self.waypoints[-1]
         north, east, down = LocalFrame(last.lat_deg, last.lon_deg, last.alt_m).to_ned(lat_deg, lon_deg, alt_m)
         length_m = math.hypot(north, east, down)
@@ -152,6 +162,20 @@ class _Builder:
             self._add(length_m / self._speed_mps, lat_deg, lon_deg, alt_m)
         if hold_s > 0:
             self._add(hold_s, lat_deg, lon_deg, alt_m)
+
+    def delay(self, item: MissionItem) -> None:
+        last, hold_s = self.waypoints[-1], self._hold_s(item)
+        if hold_s > 0:
+            self._add(hold_s, last.lat_deg, last.lon_deg, last.alt_m)
+
+    @staticmethod
+    def _hold_s(item: MissionItem) -> float:
+        hold_s = item.params[0]
+        if hold_s is None:
+            return 0.0
+        if not 0 <= hold_s <= MAX_HOLD_S:
+            raise _refused(item, f"hold time {hold_s} s; allowed is 0 to {MAX_HOLD_S}")
+        return hold_s
 
     def _add(self, after_s: float, lat_deg: float, lon_deg: float, alt_m: float) -> None:
         t_s = self.waypoints[-1].t_s + after_s

@@ -13,7 +13,7 @@ from companion.autopilot.mission import path_from_mission
 from companion.avoidance.fence import check_areas
 from companion.avoidance.law import Law
 from companion.avoidance.path import local_path
-from companion.avoidance.trajectory import check_speeds
+from companion.avoidance.trajectory import Trajectory, check_speeds
 from companion.avoidance.walls import walls_of
 from companion.config import Config, TrajectoryFile
 from companion.errors import ConfigError
@@ -69,6 +69,10 @@ class Plan:
         """When a download was asked for that has not been answered."""
         self._tried_s = -math.inf
         self._said: str | None = None
+        self._checked: bool | None = None
+        """Whether it was armed when its mission was last checked on the ground."""
+        self._check_s = -math.inf
+        """When it was last asked for to be checked."""
         self.law: Law | None = None
         self.home_alt_msl_m = self.lowest_height_m = 0.0
         self._start_s: float | None = None
@@ -85,6 +89,34 @@ class Plan:
         self._given_back = False
         self._items, self._changed = (), ()
         self._items_s = self._areas_s = self._tried_s = -math.inf
+
+    def check(self, own: Ownship, now_s: float) -> list[Command]:
+        """On the ground: say what of the vehicle's mission cannot be flown, once it is found and once more
+        when it is armed. The flight itself fetches it anew."""
+        flight = self._config.flight
+        if flight.use != "fly" or flight.trajectory != "mission" or self._checked == own.armed:
+            return []
+        if now_s - self._items_s > _MISSION_FRESH_S:
+            if own.frame is None or now_s - self._check_s < RETRY_S:
+                return []
+            self._check_s = now_s
+            return self._ask_mission(now_s)
+        speed, position, home = flight.mission_speed_mps, own.position, own.home_alt_msl_m
+        if own.frame is None or position is None or home is None or speed is None:
+            return []
+        self._checked = own.armed
+        start = position.lat_deg, position.lon_deg, position.height_above_home_m
+        try:
+            path = path_from_mission(self._items, speed_mps=speed, start=start, home_alt_msl_m=home)
+            whole = local_path(path, own.frame, home)
+            if len(whole.times_s) > 2:
+                # The first leg begins where the vehicle is taken, which is not here.
+                flown = Trajectory(whole.times_s[1:], whole.points_ned_m[1:])
+                check_speeds(flown, self._config.limits)
+                walls_of(self._checked_areas(), own.frame, flown, own.sigma_m)
+        except ConfigError as error:
+            return self.refuse(str(error))
+        return []
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
         """Keep the downloaded mission for the plan that is made at once."""

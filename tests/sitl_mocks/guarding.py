@@ -38,7 +38,17 @@ class Guarded:
     """Vehicle and companion. `guarded=False`: the companion only broadcasts."""
 
     def __init__(
-        self, name, firmware, points, *, guarded=True, number=1, config=None, start_s=0.0, **options
+        self,
+        name,
+        firmware,
+        points,
+        *,
+        guarded=True,
+        number=1,
+        config=None,
+        start_s=0.0,
+        take_in_flight=True,
+        **options,
     ):
         start = points[0]
         self.vehicle = MockVehicle(
@@ -58,9 +68,9 @@ class Guarded:
             np.random.default_rng(number),
             start_s,
         )
-        self.config = config or Config(
+        self.config = Config(
             identity=IdentityConfig(uas_id=name),
-            flight=FlightConfig(use="guard" if guarded else "watch", take_in_flight=True),
+            flight=FlightConfig(use="guard" if guarded else "watch", take_in_flight=take_in_flight),
             limits=LimitsConfig(max_speed_mps=8.0),
             radio=(NullRadio(),),
         )

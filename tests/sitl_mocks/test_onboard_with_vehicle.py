@@ -212,3 +212,17 @@ def test_a_mission_of_many_items_comes_over_a_slow_link(firmware):
         pair.vehicle.receive(up.popleft(), now_s)
     assert len(pair.commands(DownloadMission)) == 1
     assert pair.state in HOLDING
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_mission_that_cannot_be_flown_is_said_before_take_off(firmware):
+    again = waypoint(3, 60.0, 40.0, 60.0, command=22)
+    on_ground = {"airborne": False, "start_position_ned_m": (0.0, 0.0, 0.0)}
+    pair = Pair(firmware, mission=(MISSION[0], MISSION[1], again), **on_ground)
+    pair.run(20.0)
+    (said,) = [c.text for c in pair.commands(Say) if "refused" in c.text]
+    assert f"mission item {2 if firmware is Firmware.PX4 else 3}: NAV_TAKEOFF" in said
+    assert len(pair.commands(DownloadMission)) == 1
+    pair = Pair(firmware, **on_ground)
+    pair.run(20.0)
+    assert not [c for c in pair.commands(Say) if "refused" in c.text]

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from companion.autopilot.mission import path_from_mission
+from companion.autopilot.mission import path_from_mission, place_of, speed_at
 from companion.config import TrajectoryFile
 from companion.errors import ConfigError
 from companion.events import MissionItem
@@ -20,13 +20,14 @@ def waypoint(
 ) -> MissionItem:
     lat_deg, lon_deg, _ = FRAME.to_geodetic(north_m, 0.0, 0.0)
     values = {
+        "command": 16,
         "frame": 3,
         "params": (hold_s, 0.0, 0.0, None),
         "lat_deg": lat_deg,
         "lon_deg": lon_deg,
         "alt_m": height_m,
     }
-    return MissionItem(seq=seq, command=16, **(values | over))
+    return MissionItem(seq=seq, **(values | over))
 
 
 def simple(seq: int, command: int, *params: float) -> MissionItem:
@@ -53,6 +54,37 @@ def test_hold_time_is_flown() -> None:
     path = fly(waypoint(1, 50.0, hold_s=7.0), waypoint(2, 100.0))
     assert times(path) == pytest.approx([0.0, 10.0, 17.0, 27.0], abs=0.01)
     assert path.waypoint[1].lat_deg == path.waypoint[2].lat_deg
+
+
+def test_loitering_for_a_time_and_delays_are_held() -> None:
+    path = fly(waypoint(1, 50.0, command=19, hold_s=7.0), simple(2, 93, 3.0), waypoint(3, 100.0))
+    assert times(path) == pytest.approx([0.0, 10.0, 17.0, 20.0, 30.0], abs=0.01)
+
+
+def test_the_speed_that_a_mission_has_asked_for() -> None:
+    items = (waypoint(1, 50.0), simple(2, 178, 1.0, 3.0), waypoint(3, 100.0), simple(4, 178, 0.0, -1.0))
+    assert [speed_at(items, seq) for seq in (1, 2, 3, 4)] == [None, 3.0, 3.0, 3.0]
+    assert speed_at((*items, simple(5, 178, 2.0, 9.0)), 9) == 3.0, "the climb's speed is another"
+
+
+@pytest.mark.parametrize(
+    ("item", "height_m"),
+    [
+        (waypoint(1, 50.0), 30.0),
+        (waypoint(1, 50.0, frame=0, height_m=450.0), 50.0),
+        (waypoint(1, 50.0, frame=10), 42.0),
+        (waypoint(1, 50.0, alt_m=None), 42.0),
+        (waypoint(1, 50.0, command=82), 30.0),
+        (waypoint(1, 50.0, command=17), 30.0),
+        (waypoint(1, 50.0, command=21), None),
+        (waypoint(1, 50.0, lat_deg=None), None),
+        (waypoint(1, 50.0, lat_deg=0.0, lon_deg=0.0), None),
+        (simple(1, 93), None),
+    ],
+)
+def test_where_an_item_leads(item: MissionItem, height_m: float | None) -> None:
+    place = place_of(item, 42.0, 400.0)
+    assert place == (None if height_m is None else (item.lat_deg, item.lon_deg, height_m))
 
 
 def test_speed_changes_are_honoured() -> None:
@@ -98,7 +130,8 @@ def test_the_path_ends_where_landing_begins(end: int) -> None:
     [
         (simple(4, 82), ["item 4", "NAV_SPLINE_WAYPOINT (82)", "allowed are NAV_WAYPOINT"]),
         (simple(4, 177), ["DO_JUMP"]),
-        (simple(4, 19), ["NAV_LOITER_TIME"]),
+        (simple(4, 18), ["NAV_LOITER_TURNS"]),
+        (simple(4, 93, -1.0), ["NAV_DELAY", "hold time -1.0 s"]),
         (simple(4, 22), ["NAV_TAKEOFF", "before the first waypoint"]),
         (simple(4, 60000), ["unknown command (60000)"]),
         (simple(4, 178, 2.0, 5.0), ["speed type 2.0", "allowed are 0"]),

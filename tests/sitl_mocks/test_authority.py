@@ -1,0 +1,186 @@
+"""docs/authority.md, row by row: who flies after each trouble, on both firmwares' manners.
+
+Each trouble comes while the companion flies around somebody, having taken the vehicle from its mission.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.autopilot.wire import MavlinkReader, MavlinkWriter
+from companion.avoidance.authority import HOLDING, State
+from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
+from sitl_mocks.vehicle_manners import VehicleMode
+from tests.sitl_mocks.guarding import Guarded, head_on
+
+ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
+BOTH = pytest.mark.parametrize("firmware", Firmware)
+
+
+def held(firmware, **options):
+    """The first aircraft is flown by its companion."""
+    sky = head_on(firmware, **options)
+    one = sky.aircraft[0]
+    return sky.until(lambda: one.heart.in_control).run(2.0)
+
+
+def sent(aircraft, since):
+    """Setpoints that left, from a tick on."""
+    messages = MavlinkReader().feed(b"".join(aircraft.to_vehicle[since:]))
+    return sum(m.get_type() == "SET_POSITION_TARGET_LOCAL_NED" for m in messages)
+
+
+def silent_from_now(sky, aircraft, seconds=20.0):
+    """Nothing is commanded any more."""
+    since = len(aircraft.to_vehicle)
+    sky.run(seconds)
+    return sent(aircraft, since) == 0
+
+
+def station(sky, aircraft, pack):
+    """A ground station on its own link says something."""
+    writer = MavlinkWriter(255, 190)
+    aircraft.vehicle.receive(writer.pack(pack(writer.encoder)), sky.now_s, 1)
+
+
+# ------------------------------------------------------------ the pilot
+
+
+@BOTH
+def test_a_mode_that_a_ground_station_commands(firmware):
+    sky = held(firmware)
+    one = sky.aircraft[0]
+    mode, sub = (6.0, 0.0) if firmware is ARDUPILOT else (4.0, 5.0)  # RTL
+    station(sky, one, lambda e: e.command_long_encode(1, 1, 176, 0, 1.0, mode, sub, 0, 0, 0, 0))
+    sky.until(lambda: one.state is State.YIELDED, 3.0)
+    assert silent_from_now(sky, one)
+    assert one.vehicle.mode is VehicleMode.RTL
+
+
+@BOTH
+def test_sticks_that_move_give_the_pilot_a_mode_that_takes_them(firmware):
+    sky = held(firmware)
+    one = sky.aircraft[0]
+    one.vehicle.troubles.sticks = (0.0, 0.5, 0.0, 0.0)
+    sky.until(lambda: one.state is State.YIELDED, 1.0)
+    assert silent_from_now(sky, one, 5.0)
+    assert one.heart.own.mode is FlightMode.STICKS
+    assert [c.mode for c in one.of(SetMode)][-1] is FlightMode.STICKS
+
+
+# ------------------------------------------------------------ what the autopilot does by itself
+
+
+@pytest.mark.parametrize(
+    ("firmware", "parameters", "trouble"),
+    [
+        (ARDUPILOT, {"FS_GCS_ENABLE": 1.0}, "station"),
+        (PX4, {"NAV_DLL_ACT": 2.0}, "station"),
+        (ARDUPILOT, {"BATT_FS_LOW_ACT": 2.0, "BATT_LOW_MAH": 1500.0}, "battery"),
+        (PX4, {"COM_LOW_BAT_ACT": 3.0}, "battery"),
+        (ARDUPILOT, {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 1.0, "FENCE_ALT_MAX": 20.0}, "fence"),
+        (PX4, {"GF_MAX_VER_DIST": 20.0}, "fence"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else getattr(v, "value", ""),
+)
+def test_a_failsafe_of_the_autopilot_is_obeyed_like_the_pilot(firmware, parameters, trouble):
+    """Ground station lost, battery low, fence broken: whatever mode it leads to, the companion lets it."""
+    sky = held(firmware, **({} if trouble == "fence" else {"parameters": parameters}))
+    one = sky.aircraft[0]
+    if trouble == "station":
+        station(sky, one, lambda e: e.heartbeat_encode(6, 8, 0, 0, 4))
+    elif trouble == "battery":
+        one.vehicle.troubles.battery_remaining = 0.02
+    else:
+        for name, value in parameters.items():
+            station(sky, one, lambda e, n=name, v=value: e.param_set_encode(1, 1, n.encode(), v, 9))
+    sky.until(lambda: one.state is State.YIELDED, 40.0)
+    assert silent_from_now(sky, one, 10.0)
+    assert one.vehicle.mode not in (VehicleMode.EXTERNAL, VehicleMode.MISSION)
+
+
+# ------------------------------------------------------------ navigation
+
+
+@BOTH
+@pytest.mark.parametrize("trouble", ["gnss_lost", "estimator_bad"])
+def test_navigation_lost_ends_the_setpoints_and_stops_the_vehicle(firmware, trouble):
+    sky = held(firmware)
+    one = sky.aircraft[0]
+    setattr(one.vehicle.troubles, trouble, True)
+    sky.until(lambda: one.state in (State.FAULT, State.YIELDED), 2.5)
+    assert silent_from_now(sky, one, 15.0)
+    # Whatever is left to it without a position: never on with the last velocity.
+    assert one.vehicle.mode is not VehicleMode.EXTERNAL
+    assert math.hypot(*one.vehicle.velocity_ned_mps[:2]) < 0.5
+
+
+# ------------------------------------------------------------ links, reboots, restarts
+
+
+@BOTH
+def test_a_link_lost_for_half_a_minute(firmware):
+    sky = held(firmware)
+    one = sky.aircraft[0]
+    seq, requests = one.seq, one.onboard.link.counts.stream_requests
+    one.linked = False
+    sky.run(30.0)
+    assert one.state is State.FAULT
+    assert (
+        not one.heart.traffic.tracks
+        or min(sky.now_s - t.received_s for t in one.heart.traffic.tracks.values()) < 15.0
+    )
+    one.linked = True
+    sky.run(12.0)
+    assert one.onboard.link.counts.stream_requests >= requests + 7, "all rates are asked for again"
+    assert one.onboard.link.counts.drops == 1
+    if firmware is PX4:
+        # Its own failsafe flies it home: not ours to end.
+        assert one.state is State.YIELDED
+        assert one.vehicle.mode is VehicleMode.RTL
+        assert silent_from_now(sky, one)
+        return
+    # It hovers in GUIDED where it was left: it is given its mission back.
+    sky.until(lambda: one.state is State.WATCHING)
+    assert one.vehicle.mode is VehicleMode.MISSION
+    assert one.seq == seq
+
+
+@BOTH
+def test_an_autopilot_that_reboots_in_flight(firmware):
+    sky = held(firmware)
+    one = sky.aircraft[0]
+    requests = one.onboard.link.counts.stream_requests
+    one.vehicle.reboot(flies_on=True)
+    sky.until(lambda: one.state in (State.YIELDED, State.FAULT), 8.0)
+    sky.run(10.0)
+    assert one.onboard.link.counts.stream_requests >= requests + 7
+    assert one.state in (State.YIELDED, State.STANDBY)
+    assert silent_from_now(sky, one)
+
+
+@BOTH
+def test_a_companion_that_starts_in_flight_takes_nothing_before_the_next_landing(firmware):
+    sky = held(firmware)
+    one = sky.aircraft[0]
+    anew = Guarded("ONE", firmware, [(0.0, 0.0, 50.0)], take_in_flight=False)
+    one.onboard, one.config = anew.onboard, anew.config
+    since = len(one.to_vehicle)
+    sky.run(40.0)
+    assert one.state is State.STANDBY
+    assert sent(one, since) == 0
+    # Nobody streams: the vehicle's own timeout has ended its flight by setpoints.
+    assert math.hypot(*one.vehicle.velocity_ned_mps[:2]) < 0.5 or one.vehicle.mode is VehicleMode.RTL
+
+
+@BOTH
+def test_every_move_that_ends_authority_says_why(firmware):
+    sky = held(firmware)
+    one = sky.aircraft[0]
+    one.vehicle.pilot_selects(VehicleMode.HOLD)
+    sky.until(lambda: one.state not in HOLDING, 3.0)
+    (change,) = [c for c in one.of(AuthorityChanged) if c.state == "yielded"]
+    assert change.reason == "mode changed to " + one.heart.own.mode.value + ", not by us"
+    assert f"DMUCA yielded: {change.reason}" in one.texts()
