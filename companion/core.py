@@ -119,6 +119,9 @@ class Companion:
         """Decisions in a row, while a mission is guarded, that saw one."""
         self._gave_back_s = -math.inf
         """When the vehicle was last asked to fly its mission on."""
+        self._taken_s = -math.inf
+        self._off_m = 0.0
+        """Farthest from the way to the mission's item since then."""
 
     @property
     def in_control(self) -> bool:
@@ -275,6 +278,9 @@ class Companion:
             self._decided_s = now_s
             situation = self._situation(now_s)
             self._result = law.decide(situation)
+            if self._guard is not None:
+                _, nearest = law.trajectory.nearest(situation.position_ned_m)
+                self._off_m = max(self._off_m, math.dist(nearest, situation.position_ned_m))
             if self._result.conflict:
                 self._conflict_s = now_s
             self._move(now_s, self._law_triggers(now_s), None, commands)
@@ -375,7 +381,7 @@ class Companion:
         if moved is None:
             return
         previous, (self.state, trigger) = self.state, moved
-        reason = self._reason(trigger, unfit)
+        reason = self._reason(now_s, trigger, unfit)
         commands.append(
             AuthorityChanged(
                 previous=previous.value, state=self.state.value, trigger=trigger.value, reason=reason
@@ -423,7 +429,7 @@ class Companion:
                 self._ours |= {FlightMode.HOLD}
                 commands.append(SetMode(mode=FlightMode.HOLD))
 
-    def _reason(self, trigger: Trigger, unfit: str | None) -> str:
+    def _reason(self, now_s: float, trigger: Trigger, unfit: str | None) -> str:
         mode = self.own.mode.value if self.own.mode is not None else "unknown"
         conflicts = () if self._result is None else (t.track_id for t in self._result.tracks if t.conflict)
         moved = self.own.mode is FlightMode.EXTERNAL
@@ -436,7 +442,8 @@ class Companion:
             Trigger.READY: f"taking the vehicle from mode {mode}",
             Trigger.WATCH: "guarding the mission that the vehicle flies",
             Trigger.LEFT: f"the mission was left for mode {mode}",
-            Trigger.RESUMED: "the vehicle flies its mission on",
+            Trigger.RESUMED: f"the vehicle flies its mission on at item {self.own.mission_seq}, taken for "
+            f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most",
             Trigger.CHANGED: "the mission was changed meanwhile: it is not resumed, the vehicle is to hold",
             Trigger.CONFLICT: "conflict with " + ", ".join(conflicts),
             Trigger.CLEAR: "no conflict",
@@ -448,6 +455,7 @@ class Companion:
         heartbeat = self.own.heartbeat
         if self._guard is not None:
             self._guard.leave(self.own, now_s)
+            self._taken_s, self._off_m = now_s, 0.0
         self._sticks.begin()
         self._mode_confirmed, self._ours = False, frozenset()
         self._gave_back_s = -math.inf
