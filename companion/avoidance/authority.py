@@ -62,7 +62,7 @@ HOLDING = frozenset({State.GUARDING, State.AVOIDING, State.RECOVERING})
 TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.STANDBY, Trigger.READY): State.GUARDING,
     (State.STANDBY, Trigger.WATCH): State.WATCHING,
-    (State.WATCHING, Trigger.UNFIT): State.FAULT,
+    (State.WATCHING, Trigger.UNFIT): State.STANDBY,
     (State.WATCHING, Trigger.RELEASE): State.STANDBY,
     (State.WATCHING, Trigger.LEFT): State.STANDBY,
     (State.WATCHING, Trigger.CONFLICT): State.AVOIDING,
