@@ -61,8 +61,8 @@ _LATE_S = 0.25
 """A step that comes this much after the last (or 2.5 periods) commands nothing: the loop was late."""
 _HUNG_S = 1.0
 _HEALTHY_AFTER_S = 3.0
-"""A fault lasts longer than the slowest heartbeat that shows the failsafe that it caused: PX4 takes setpoints that
-come again for a wish to go on."""
+"""A fault lasts longer than the slowest heartbeat that shows which failsafe it caused: to PX4, setpoints that
+come again are a wish to go on."""
 _REFUSED_PAUSE_S = 8.0
 """After a refused mode change, before the vehicle is asked again."""
 _STREAM_FIRST_S = 0.5
