@@ -38,6 +38,7 @@ from companion.events import (
     SetMode,
     Severity,
     Vec3,
+    VehicleParameters,
     VelocitySetpoint,
 )
 from companion.geometry import LocalFrame
@@ -150,6 +151,8 @@ class Companion:
                     self.plan.take_fence(event, now_s)
                 case FenceRefused():
                     commands += self.plan.download_refused(f"the vehicle's fence: {event.reason}")
+                case VehicleParameters():
+                    commands += self.plan.take_parameters(event)
                 case ModeRefused():
                     self._refused = event.reason
                 case _:

@@ -180,6 +180,7 @@ def _px4_params() -> ParamTable:
             "MPC_ACC_HOR": (3.0, REAL32),
             "MPC_Z_VEL_MAX_UP": (3.0, REAL32),
             "MPC_Z_VEL_MAX_DN": (1.5, REAL32),
+            "GF_ACTION": (2.0, INT32),
             "MIS_TAKEOFF_ALT": (2.5, REAL32),
             "NAV_ACC_RAD": (10.0, REAL32),
             "RTL_RETURN_ALT": (60.0, REAL32),

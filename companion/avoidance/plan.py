@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 
+from companion.autopilot.advice import remarks
 from companion.autopilot.mission import path_from_mission
 from companion.avoidance.fence import check_areas
 from companion.avoidance.law import Law
+from companion.avoidance.limits import effective
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import check_speeds
 from companion.avoidance.walls import walls_of
@@ -29,6 +31,7 @@ from companion.events import (
     Say,
     Severity,
     Vec3,
+    VehicleParameters,
 )
 from companion.ownship import Ownship
 
@@ -68,6 +71,8 @@ class Plan:
         """When a download was asked for that has not been answered."""
         self._tried_s = -math.inf
         self._said: str | None = None
+        self._vehicle: VehicleParameters | None = None
+        self._remarked: set[str] = set()
         self.law: Law | None = None
         self.home_alt_msl_m = self.lowest_height_m = 0.0
         self._start_s: float | None = None
@@ -94,6 +99,13 @@ class Plan:
         """Keep the downloaded geofence for the plan that is made at once."""
         self._areas, self._areas_s = event.areas, now_s
         self._asked_s = self._tried_s = -math.inf
+
+    def take_parameters(self, event: VehicleParameters) -> list[Command]:
+        """Keep the vehicle's own limits for the next plan; say once what the operator should know."""
+        self._vehicle = event
+        new = [text for text in remarks(self._config, event) if text not in self._remarked]
+        self._remarked.update(new)
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: {text}") for text in new]
 
     def download_refused(self, reason: str) -> list[Command]:
         """What was asked for will not come; it is asked for again later."""
@@ -179,7 +191,7 @@ class Plan:
         if above_msl is None:
             return self.refuse("its altitudes are geodetic and the GNSS gives no height above the ellipsoid")
         trajectory = local_path(path, own.frame, above_msl)
-        check_speeds(trajectory, limits)
+        check_speeds(trajectory, limits, vehicle=self._vehicle)
         if flight.start == "utc" and flight.start_utc_s is not None:
             if own.utc_offset_s is None:
                 return self.refuse("it starts at a UTC and the vehicle does not know UTC yet")
@@ -187,7 +199,7 @@ class Plan:
         check_areas(self._areas)
         walls = walls_of(self._areas, own.frame, trajectory, own.sigma_m)
         self._flown = self._items
-        self.law = Law(self._config.avoidance, limits, trajectory, walls)
+        self.law = Law(self._config.avoidance, effective(limits, self._vehicle), trajectory, walls)
         self.home_alt_msl_m = home
         self.lowest_height_m = min(w.alt_m + above_msl - home for w in path.waypoint)
         self._said = None
