@@ -196,6 +196,10 @@ def test_a_reboot_and_a_drop_ask_again_and_what_was_known_counts_meanwhile(ardup
     assert set(asked(ardupilot)) == everything
     assert ardupilot.link.parameters is not None
     assert ardupilot.link.parameters.speed_mps == Parameter(name="WPNAV_SPEED", value=8.0)
+    for _ in range(8):
+        ardupilot.heartbeat()
+        ardupilot.after(1.0)
+    assert not ardupilot.link.asking
     ardupilot.after(5.0)
     ardupilot.told()
     ardupilot.heartbeat()

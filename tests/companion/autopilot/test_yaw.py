@@ -59,15 +59,16 @@ def test_the_nose_turns_slowly_to_where_the_aircraft_flies() -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading_deg", "velocity", "sign"), [(350, (3.0, 0.5, 0.0), 1), (10, (3.0, -1, 0), -1)]
+    ("heading_deg", "velocity", "sign"),
+    [(350, (3, 0.5, 0), 1), (10, (3, -1, 0), -1), (170, (-3, -1, 0), 1), (190, (-3, 1, 0), -1)],
 )
-def test_it_turns_the_short_way_through_north(heading_deg: float, velocity, sign: int) -> None:
+def test_it_turns_the_short_way(heading_deg: float, velocity, sign: int) -> None:
     nose = facing(heading_deg)
     first = nose.yaw_rad(velocity, 0.0)
     second = nose.yaw_rad(velocity, 0.05)
     assert first is not None
     assert second is not None
-    assert math.copysign(1, second - first) == sign
+    assert math.copysign(1, math.remainder(second - first, math.tau)) == sign
     assert turned(nose, velocity, 3.0, 0.1) == pytest.approx(math.atan2(velocity[1], velocity[0]))
 
 
