@@ -176,6 +176,7 @@ class AutopilotLink:
         self._streams = Streams()
         self._parameters: ParameterReader | None = None
         """Of a vehicle that can be commanded."""
+        self._parameters_told: VehicleParameters | None = None
         self._nose = Nose(yaw)
         self._texts = TextAssembler()
         self._text_id = 0
@@ -318,6 +319,7 @@ class AutopilotLink:
             )
             if self._parameters is None and self._vehicle.refusal is None:
                 self._parameters = ParameterReader(DIALECTS[event.firmware])
+                self._parameters_told = self._parameters.known
                 self._parameters.restart(now_s)
         if new or dropped:
             self._ask_anew(now_s)
@@ -345,11 +347,9 @@ class AutopilotLink:
             self._mode.on_ack(result)
 
     def _on_param_value(self, frame: Frame, fields: Fields, _now_s: float) -> None:
-        if self._parameters is None:
-            return
-        _value, _count, _index, name, kind = fields
-        if self._parameters.take(frame.payload, name, kind):
-            self._events.append(self._parameters.known)
+        if self._parameters is not None:
+            _value, _count, _index, name, kind = fields
+            self._parameters.take(frame.payload, name, kind)
 
     def _on_mission_count(self, frame: Frame, fields: Fields, now_s: float) -> None:
         download = self._answered(frame, fields[1], fields[2])
@@ -558,5 +558,9 @@ class AutopilotLink:
         self._out += frame
 
     def _take_events(self) -> list[Event]:
+        known = self.parameters
+        if known is not None and known != self._parameters_told:
+            self._parameters_told = known
+            self._events.append(known)
         events, self._events = self._events, []
         return events

@@ -63,16 +63,13 @@ class ParameterReader:
     def _unanswered(self) -> list[str]:
         return [name for name, (wanted, _) in self._wanted.items() if wanted.field not in self._answered]
 
-    def take(self, payload: bytes, name_field: bytes, kind: int) -> bool:
-        """One PARAM_VALUE.
+    def take(self, payload: bytes, name_field: bytes, kind: int) -> None:
+        """One PARAM_VALUE; a parameter that nobody wants is left out.
 
         Args:
             payload: the whole of it; the value stands first.
             name_field: `param_id`.
             kind: `param_type`.
-
-        Returns:
-            Whether `known` has changed.
 
         Raises:
             PeerDataError: a type that does not fit into the value's place, a value that is not of its type,
@@ -80,7 +77,7 @@ class ParameterReader:
         """
         name = name_field.split(b"\0", 1)[0].decode("ascii", "replace")
         if name not in self._wanted:
-            return False
+            return
         wanted, scale = self._wanted[name]
         self._answered.add(wanted.field)
         value = self._value(payload, kind, name) * scale
@@ -89,10 +86,8 @@ class ParameterReader:
             raise PeerDataError(
                 f"parameter {name}: {value:g} is outside {wanted.lowest:g} to {wanted.highest:g}"
             )
-        before = self.known
         told = Parameter(name=name, value=value)
-        self.known = msgspec.structs.replace(before, **{wanted.field: told})
-        return self.known != before
+        self.known = msgspec.structs.replace(self.known, **{wanted.field: told})
 
     def _value(self, payload: bytes, kind: int, name: str) -> float:
         data = payload[:_VALUE_BYTES].ljust(_VALUE_BYTES, b"\0")
