@@ -93,6 +93,8 @@ class FlightConfig(_Section, frozen=True):
     start_within_m: Annotated[float, Meta(gt=0, le=10000)] = 100.0
     """The vehicle is taken only this near to the path's point for the moment."""
     setpoint_rate_hz: Annotated[float, Meta(ge=5, le=50)] = 20.0
+    yaw: Literal["face", "hold"] = "face"
+    """face: the nose turns to where the aircraft flies. hold: it stays where it is."""
 
 
 class LimitsConfig(_Section, frozen=True):

@@ -42,6 +42,7 @@ from companion.events import (
     SetSpeed,
     Severity,
     Vec3,
+    VehicleParameters,
     VelocitySetpoint,
 )
 from companion.geometry import LocalFrame
@@ -176,6 +177,8 @@ class Companion:
                     self.plan.take_fence(event, now_s)
                 case FenceRefused():
                     commands += self.plan.download_refused(f"the vehicle's fence: {event.reason}")
+                case VehicleParameters():
+                    commands += self.plan.take_parameters(event)
                 case ModeRefused():
                     commands += self._mode_refused(event)
                 case RcChannels():

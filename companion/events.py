@@ -208,6 +208,33 @@ class FenceRefused(Event, frozen=True):
     reason: str
 
 
+class Parameter(msgspec.Struct, frozen=True, kw_only=True):
+    """One parameter of the vehicle."""
+
+    name: str
+    """As this vehicle calls it."""
+    value: float
+    """SI."""
+
+
+class VehicleParameters(Event, frozen=True):
+    """The vehicle's own limits and failsafes, as far as it has told them; None: not known."""
+
+    firmware: Firmware
+    speed_mps: Parameter | None = None
+    """Horizontal."""
+    climb_mps: Parameter | None = None
+    descent_mps: Parameter | None = None
+    acceleration_mps2: Parameter | None = None
+    """Horizontal."""
+    setpoint_timeout_s: Parameter | None = None
+    """Without setpoints for so long it no longer flies the last one."""
+    loss_action: Parameter | None = None
+    """PX4: what it does then."""
+    fence_action: Parameter | None = None
+    """What it does at its own fence; ArduPilot: whether it has one."""
+
+
 class AdsbVehicle(Event, frozen=True):
     """ADSB_VEHICLE: what the autopilot's ADS-B receiver hears, crewed traffic above all."""
 
@@ -289,7 +316,7 @@ class RemoteIdModule(Event, frozen=True):
 
 
 class VelocitySetpoint(Command, frozen=True):
-    """Fly this velocity (local NED); yaw and yaw rate are left to the autopilot."""
+    """Fly this velocity (local NED); the link adds where the nose points (`flight.yaw`)."""
 
     velocity_ned_mps: Vec3
 
@@ -466,6 +493,7 @@ AnyEvent = (
     | MissionCurrent
     | FenceDownloaded
     | FenceRefused
+    | VehicleParameters
     | AdsbVehicle
     | VehicleText
     | RemoteIdHeard

@@ -69,6 +69,7 @@ class Onboard:
             config.vehicle,
             remote_id_component=config.remote_id.component,
             identity=basic_id_of(config.identity),
+            yaw=config.flight.yaw,
         )
         self._remote_id_component = config.remote_id.component and commanding
         self._record = record

@@ -22,6 +22,7 @@ from companion.config import (
     Config,
     FlightConfig,
     IdentityConfig,
+    LimitsConfig,
     RemoteIdConfig,
     TrajectoryFile,
     VehicleConfig,
@@ -146,6 +147,7 @@ def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOpt
         start_mode=VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD,
         start_position_ned_m=(float(path[0, 1]), float(path[0, 2]), float(path[0, 3])),
         utc_at_zero_s=UTC_AT_START_S,
+        parameters=_parameters(firmware, limits),
         max_horizontal_speed_mps=2.0 * limits.max_speed_mps,
         max_climb_mps=limits.max_climb_mps,
         max_descent_mps=limits.max_descent_mps,
@@ -157,6 +159,18 @@ def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOpt
         gnss_velocity_sigma_mps=v.gnss_velocity_sigma_mps,
         gnss_correlation_s=v.gnss_correlation_s,
     )
+
+
+def _parameters(firmware: Firmware, limits: LimitsConfig) -> dict[str, float]:
+    """Such that the vehicle's own limits bind nobody: the scenario's do."""
+    speed, climb, descent = 2.0 * limits.max_speed_mps, limits.max_climb_mps, limits.max_descent_mps
+    if firmware is Firmware.PX4:
+        return {"MPC_XY_VEL_MAX": speed, "MPC_Z_VEL_MAX_UP": climb, "MPC_Z_VEL_MAX_DN": descent}
+    return {
+        "WPNAV_SPEED": 100.0 * speed,
+        "WPNAV_SPEED_UP": 100.0 * climb,
+        "WPNAV_SPEED_DN": 100.0 * descent,
+    }
 
 
 def uas_id_of(scenario: Scenario, name: str) -> str:

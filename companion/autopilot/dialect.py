@@ -1,5 +1,8 @@
 """How ArduPilot Copter and PX4 multicopters differ, as data and small functions.
 
+What they have in common stands here too: both fly the same setpoint, in one frame, with one mask for each
+manner of the nose.
+
 Mode numbers are those of ArduCopter's `Mode::Number` and of PX4's `px4_custom_mode` (main mode in bits 16-23,
 sub mode in bits 24-31). A mode counts as entered only when the heartbeat's `custom_mode` says so: PX4
 acknowledges modes that it then does not enter.
@@ -21,9 +24,12 @@ CMD_DO_SET_MODE = 176
 CMD_DO_CHANGE_SPEED = 178
 CMD_SET_MESSAGE_INTERVAL = 511
 
-VELOCITY_MASK = 0xDC7
-"""POSITION_TARGET_TYPEMASK: only the three velocity axes count. ArduPilot drops a vector with any axis
-ignored, and without yaw and yaw rate both autopilots steer the nose themselves."""
+VELOCITY_YAW_MASK = 0x9C7
+"""POSITION_TARGET_TYPEMASK: the three velocity axes and the yaw count. ArduPilot drops a vector with any axis
+ignored."""
+VELOCITY_YAW_RATE_MASK = 0x5C7
+"""The three velocity axes and the yaw rate count; with a rate of 0 both hold the nose where it is. With
+neither yaw nor rate (0xDC7) PX4 holds it too, but ArduPilot turns it as WP_YAW_BEHAVIOR says."""
 FRAME_LOCAL_NED = 1
 """MAV_FRAME_LOCAL_NED, the one frame that both fly as velocity north, east, down."""
 
@@ -61,13 +67,37 @@ class ModeCommand:
 
 
 @dataclass(frozen=True, slots=True)
+class Wanted:
+    """A parameter that the companion needs to know."""
+
+    field: str
+    """Of `VehicleParameters`."""
+    names: tuple[tuple[str, float], ...]
+    """Its name in each generation of the firmware, with the factor from its unit to SI."""
+    lowest: float
+    highest: float
+    """SI; a value outside is not believed."""
+
+
+@dataclass(frozen=True, slots=True)
 class Dialect:
-    """One autopilot's mode numbers."""
+    """One autopilot's mode numbers, parameters, and what it does when setpoints stop."""
 
     firmware: Firmware
     modes: dict[int, FlightMode]
     commands: dict[FlightMode, ModeCommand]
     names: dict[int, str]
+    wanted: tuple[Wanted, ...]
+    integers_bytewise: bool
+    """PARAM_VALUE holds an integer's own bytes; False: every value is cast to float."""
+    silence: str
+    """What it does when setpoints stop for longer than its timeout, if `loss_action` is not known."""
+    silence_by_action: dict[int, str]
+    """The same for each `loss_action`."""
+    crashing_actions: frozenset[int]
+    """Of them, those that stop the motors in the air."""
+    idle_fence_actions: frozenset[int]
+    """Values of `fence_action` with which the vehicle flies through its own fence."""
 
     def mode(self, base_mode: int, custom_mode: int) -> FlightMode:
         """What the companion makes of a heartbeat's mode."""
@@ -84,6 +114,12 @@ class Dialect:
         if mode not in self.commands:
             raise ValueError(f"{mode} cannot be commanded")
         return self.commands[mode]
+
+    def after_silence(self, loss_action: int | None) -> str:
+        """What it does when setpoints stop, in words that follow "it"."""
+        if loss_action is None:
+            return self.silence
+        return self.silence_by_action.get(loss_action, self.silence)
 
     def name(self, custom_mode: int) -> str:
         """The mode's name in the autopilot's own words."""
@@ -102,6 +138,10 @@ def _px4(main: int, sub: int = 0) -> ModeCommand:
     return ModeCommand(custom_mode=_px4_number(main, sub), param2=float(main), param3=float(sub))
 
 
+_SPEED = (0.1, 100.0)
+_ACCELERATION = (0.1, 100.0)
+_TIMEOUT = (0.0, 3600.0)
+
 ARDUPILOT = Dialect(
     firmware=Firmware.ARDUPILOT,
     modes={4: FlightMode.EXTERNAL, 3: FlightMode.MISSION, 5: FlightMode.STICKS, 17: FlightMode.HOLD},
@@ -117,6 +157,20 @@ ARDUPILOT = Dialect(
         for number, entry in mavlink.enums["COPTER_MODE"].items()
         if not entry.name.endswith("_ENUM_END")
     },
+    # Since 4.7 WP_*, in metres; before WPNAV_*, in centimetres.
+    wanted=(
+        Wanted("speed_mps", (("WP_SPD", 1.0), ("WPNAV_SPEED", 0.01)), *_SPEED),
+        Wanted("climb_mps", (("WP_SPD_UP", 1.0), ("WPNAV_SPEED_UP", 0.01)), *_SPEED),
+        Wanted("descent_mps", (("WP_SPD_DN", 1.0), ("WPNAV_SPEED_DN", 0.01)), *_SPEED),
+        Wanted("acceleration_mps2", (("WP_ACC", 1.0), ("WPNAV_ACCEL", 0.01)), *_ACCELERATION),
+        Wanted("setpoint_timeout_s", (("GUID_TIMEOUT", 1.0),), *_TIMEOUT),
+        Wanted("fence_action", (("FENCE_ENABLE", 1.0),), 0, 1),
+    ),
+    integers_bytewise=False,
+    silence="brakes and stays in GUIDED",
+    silence_by_action={},
+    crashing_actions=frozenset(),
+    idle_fence_actions=frozenset({0}),
 )
 
 PX4 = Dialect(
@@ -149,6 +203,30 @@ PX4 = Dialect(
         _px4_number(6): "OFFBOARD",
         _px4_number(7): "STABILIZED",
     },
+    wanted=(
+        Wanted("speed_mps", (("MPC_XY_VEL_MAX", 1.0),), *_SPEED),
+        Wanted("climb_mps", (("MPC_Z_VEL_MAX_UP", 1.0),), *_SPEED),
+        Wanted("descent_mps", (("MPC_Z_VEL_MAX_DN", 1.0),), *_SPEED),
+        Wanted("acceleration_mps2", (("MPC_ACC_HOR", 1.0),), *_ACCELERATION),
+        Wanted("setpoint_timeout_s", (("COM_OF_LOSS_T", 1.0),), *_TIMEOUT),
+        Wanted("loss_action", (("COM_OBL_RC_ACT", 1.0),), 0, 7),
+        Wanted("fence_action", (("GF_ACTION", 1.0),), 0, 5),
+    ),
+    integers_bytewise=True,
+    silence="does what COM_OBL_RC_ACT says",
+    silence_by_action={
+        0: "goes to Position mode, without a remote control to what NAV_RCL_ACT says",
+        1: "goes to Altitude mode, without a remote control to what NAV_RCL_ACT says",
+        2: "goes to Stabilized mode, without a remote control to what NAV_RCL_ACT says",
+        3: "returns",
+        4: "lands",
+        5: "holds",
+        6: "terminates the flight",
+        7: "disarms",
+    },
+    crashing_actions=frozenset({6, 7}),
+    # None and warning.
+    idle_fence_actions=frozenset({0, 1}),
 )
 
 DIALECTS = {Firmware.ARDUPILOT: ARDUPILOT, Firmware.PX4: PX4}

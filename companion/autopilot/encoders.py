@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.events import Threat, Vec3
 
-from .dialect import AUTOPILOT_INVALID, FRAME_LOCAL_NED, VELOCITY_MASK
+from .dialect import AUTOPILOT_INVALID, FRAME_LOCAL_NED, VELOCITY_YAW_MASK, VELOCITY_YAW_RATE_MASK
 from .readers import MAX_ICAO
 
 Outgoing = tuple[int, bytes]
@@ -36,6 +36,7 @@ _HEARTBEAT = struct.Struct("<IBBBBB")
 _SETPOINT = struct.Struct("<I11fHBBB")
 _COMMAND_LONG = struct.Struct("<7fHBBB")
 _STATUSTEXT = struct.Struct("<B50sHB")
+_PARAM_READ = struct.Struct("<hBB16s")
 _LIST = struct.Struct("<BBB")
 _REQUEST = struct.Struct("<HBBB")
 _ACK = struct.Struct("<BBBB")
@@ -70,8 +71,13 @@ def check_velocity(velocity_ned_mps: Vec3) -> None:
         )
 
 
-def velocity_setpoint(velocity_ned_mps: Vec3, time_boot_ms: int, system_id: int) -> Outgoing:
-    """SET_POSITION_TARGET_LOCAL_NED: velocity north, east, down (m/s), everything else left to the autopilot.
+def velocity_setpoint(
+    velocity_ned_mps: Vec3, yaw_rad: float | None, time_boot_ms: int, system_id: int
+) -> Outgoing:
+    """SET_POSITION_TARGET_LOCAL_NED: velocity north, east, down (m/s) and where the nose points.
+
+    Args:
+        yaw_rad: clockwise from north; None: the nose stays where it is (yaw rate 0).
 
     Raises:
         ValueError: see `check_velocity`.
@@ -89,9 +95,9 @@ def velocity_setpoint(velocity_ned_mps: Vec3, time_boot_ms: int, system_id: int)
         0.0,
         0.0,
         0.0,
+        0.0 if yaw_rad is None else yaw_rad,
         0.0,
-        0.0,
-        VELOCITY_MASK,
+        VELOCITY_YAW_RATE_MASK if yaw_rad is None else VELOCITY_YAW_MASK,
         system_id,
         AUTOPILOT_COMPONENT,
         FRAME_LOCAL_NED,
@@ -103,6 +109,13 @@ def command_long(command: int, params: tuple[float, ...], system_id: int, confir
     seven = (*params, *(0.0,) * (7 - len(params)))
     return mavlink.MAVLINK_MSG_ID_COMMAND_LONG, _COMMAND_LONG.pack(
         *seven, command, system_id, AUTOPILOT_COMPONENT, confirmation
+    )
+
+
+def param_request_read(name: str, system_id: int) -> Outgoing:
+    """PARAM_REQUEST_READ by name."""
+    return mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ, _PARAM_READ.pack(
+        -1, system_id, AUTOPILOT_COMPONENT, name.encode("ascii")
     )
 
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -47,6 +48,7 @@ from companion.events import (
     SetMode,
     SetSpeed,
     Threat,
+    VehicleParameters,
     VehicleTime,
     VelocitySetpoint,
 )
@@ -65,11 +67,13 @@ from .dialect import (
 from .fence import areas_from_items
 from .mission_download import FENCE, MISSION, MissionDownload
 from .mode_request import ModeRequest
+from .parameters import ParameterReader
 from .readers import READERS, Fields, heartbeat, unpack
 from .remote_id import RemoteIdComponent, RemoteIdCounts, RemoteIdListener
 from .statustext import TextAssembler
 from .streams import Streams
 from .wire import MAGIC_V1, Frame, FrameScanner, MavlinkWriter, WireCounts
+from .yaw import Nose
 
 HEARTBEAT_PERIOD_S = remote_id.HEARTBEAT_PERIOD_S
 LOST_AFTER_S = 3.0
@@ -126,6 +130,7 @@ class LinkCounts(RemoteIdCounts):
     drops: int = 0
     """Gaps between heartbeats of more than `LOST_AFTER_S`."""
     stream_requests: int = 0
+    parameter_requests: int = 0
     mode_requests: int = 0
     setpoints: int = 0
     setpoints_dropped: int = 0
@@ -152,10 +157,12 @@ class AutopilotLink:
         *,
         remote_id_component: bool = False,
         identity: BasicId | None = None,
+        yaw: Literal["face", "hold"] = "face",
     ) -> None:
         """A link that has heard nothing yet.
 
         Args:
+            yaw: as `flight.yaw`, for every setpoint.
             remote_id_component: also be the vehicle's Remote ID component (236), from the first ArmStatus on.
             identity: what that component tells the autopilot of whom it broadcasts.
 
@@ -180,6 +187,10 @@ class AutopilotLink:
         self._heartbeat_heard_s: float | None = None
         self._heartbeat_sent_s: float | None = None
         self._streams = Streams()
+        self._parameters: ParameterReader | None = None
+        """Of a vehicle that can be commanded."""
+        self._parameters_told: VehicleParameters | None = None
+        self._nose = Nose(yaw)
         self._texts = TextAssembler()
         self._text_id = 0
         self._mode: ModeRequest | None = None
@@ -201,12 +212,23 @@ class AutopilotLink:
             mavlink.MAVLINK_MSG_ID_MISSION_ITEM: self._on_mission_item,
             mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT: self._on_mission_item,
             mavlink.MAVLINK_MSG_ID_MISSION_ACK: self._on_mission_ack,
+            mavlink.MAVLINK_MSG_ID_PARAM_VALUE: self._on_param_value,
         }
 
     @property
     def vehicle(self) -> Vehicle | None:
         """The vehicle, once its first heartbeat has come."""
         return self._vehicle
+
+    @property
+    def parameters(self) -> VehicleParameters | None:
+        """What the vehicle has told of its parameters; None while it is not known, or cannot be commanded."""
+        return None if self._parameters is None else self._parameters.known
+
+    @property
+    def asking(self) -> bool:
+        """Whether the vehicle is still being asked for its parameters."""
+        return self._parameters is not None and not self._parameters.finished()
 
     # ------------------------------------------------------------ in
 
@@ -263,10 +285,13 @@ class AutopilotLink:
         self.counts.taken += 1
         # Counted before it is judged: a stream of bad values still arrives, asking again would not mend it.
         self._streams.received(message_id)
-        event = reader(unpack(message_id, frame.payload))
+        fields = unpack(message_id, frame.payload)
+        event = reader(fields)
         if event is None:
             self.counts.no_position += 1
             return
+        if isinstance(event, GlobalPosition):
+            self._nose.heard(fields[8])
         if isinstance(event, GlobalPosition | LocalPosition | VehicleTime):
             self._on_boot_time(event.time_boot_s, now_s)
         self._events.append(event)
@@ -275,13 +300,17 @@ class AutopilotLink:
         """Follow the vehicle's clock; when it begins anew, so have its stream rates."""
         if self._boot_s is not None and time_boot_s < self._boot_s - REBOOT_STEP_S:
             self.counts.reboots += 1
-            self._restart_streams(now_s)
+            self._ask_anew(now_s)
         self._boot_s = time_boot_s
         self._boot_heard_s = now_s
 
-    def _restart_streams(self, now_s: float) -> None:
+    def _ask_anew(self, now_s: float) -> None:
+        """The vehicle is new, has begun anew or was away: it may have forgotten what was asked of it, and its
+        parameters may be others."""
         if self._vehicle is not None:
             self._streams.restart(now_s, self._vehicle.firmware)
+        if self._parameters is not None:
+            self._parameters.restart(now_s)
 
     def _on_heartbeat(self, frame: Frame, fields: Fields, now_s: float) -> None:
         system_id = frame.system_id
@@ -291,12 +320,11 @@ class AutopilotLink:
         event = heartbeat(system_id, fields)
         last_s = self._heartbeat_heard_s
         self._heartbeat_heard_s = now_s
-        if self._vehicle is None:
+        new = self._vehicle is None
+        dropped = last_s is not None and now_s - last_s > LOST_AFTER_S
+        if new:
             self._writer.encoder.srcSystem = system_id
-            self._streams.restart(now_s, event.firmware)
-        elif last_s is not None and now_s - last_s > LOST_AFTER_S:
-            self.counts.drops += 1
-            self._streams.restart(now_s, event.firmware)
+        self.counts.drops += dropped
         if self._vehicle is None or self._vehicle.vehicle_type != event.vehicle_type:
             self._vehicle = Vehicle(
                 system_id=system_id,
@@ -304,6 +332,12 @@ class AutopilotLink:
                 vehicle_type=event.vehicle_type,
                 refusal=refusal(event.firmware, event.vehicle_type),
             )
+            if self._parameters is None and self._vehicle.refusal is None:
+                self._parameters = ParameterReader(DIALECTS[event.firmware])
+                self._parameters_told = self._parameters.known
+                self._parameters.restart(now_s)
+        if new or dropped:
+            self._ask_anew(now_s)
         self._custom_mode = event.custom_mode
         self._events.append(event)
         if self._mode is not None:
@@ -328,6 +362,11 @@ class AutopilotLink:
             self._mode.on_ack(result)
         elif command == CMD_DO_CHANGE_SPEED:
             self._speed = None
+
+    def _on_param_value(self, frame: Frame, fields: Fields, _now_s: float) -> None:
+        if self._parameters is not None:
+            _value, _count, _index, name, kind = fields
+            self._parameters.take(frame.payload, name, kind)
 
     def _on_mission_count(self, frame: Frame, fields: Fields, now_s: float) -> None:
         download = self._answered(frame, fields[1], fields[2])
@@ -379,6 +418,9 @@ class AutopilotLink:
                 self.counts.stream_requests += 1
                 params = (float(message_id), float(interval_us))
                 self._queue(encoders.command_long(CMD_SET_MESSAGE_INTERVAL, params, vehicle.system_id))
+            for name in () if self._parameters is None else self._parameters.due(now_s):
+                self.counts.parameter_requests += 1
+                self._queue(encoders.param_request_read(name, vehicle.system_id))
         if self._component is not None and vehicle is not None:
             for frame in self._component.due(vehicle.system_id, now_s):
                 self._queue_frame(frame)
@@ -457,7 +499,10 @@ class AutopilotLink:
         boot_ms = 0
         if self._boot_s is not None:
             boot_ms = round((self._boot_s + max(0.0, now_s - self._boot_heard_s)) * 1e3)
-        self._setpoint = encoders.velocity_setpoint(command.velocity_ned_mps, boot_ms, vehicle.system_id)
+        yaw_rad = self._nose.yaw_rad(command.velocity_ned_mps, now_s)
+        self._setpoint = encoders.velocity_setpoint(
+            command.velocity_ned_mps, yaw_rad, boot_ms, vehicle.system_id
+        )
 
     def _send_mode(self, mode: FlightMode, now_s: float) -> None:
         vehicle = self._vehicle
@@ -543,5 +588,9 @@ class AutopilotLink:
         self._out += frame
 
     def _take_events(self) -> list[Event]:
+        known = self.parameters
+        if known is not None and known != self._parameters_told:
+            self._parameters_told = known
+            self._events.append(known)
         events, self._events = self._events, []
         return events

@@ -77,7 +77,7 @@ class GuardPlan(Plan):
         if home is None:
             return []
         here = own.position_ned_m(now_s)
-        self.law = Law(self._config.avoidance, self._config.limits, _standing(here), walls)
+        self.law = Law(self._config.avoidance, self.limits, _standing(here), walls)
         self.home_alt_msl_m, self._start_s, self._said = home, now_s, None
         return []
 
@@ -103,7 +103,7 @@ class GuardPlan(Plan):
         if place is not None:
             lat_deg, lon_deg, height_m = place
             there = self._frame(own).to_ned(lat_deg, lon_deg, self.home_alt_msl_m + height_m)
-            path = _way(here, there, math.hypot(*own.velocity_ned_mps), self._config.limits)
+            path = _way(here, there, math.hypot(*own.velocity_ned_mps), self.limits)
             lowest_m = min(lowest_m, height_m)
         self.law.follow(path)
         self._start_s, self.lowest_height_m = now_s, lowest_m

@@ -6,6 +6,7 @@ from companion.avoidance.trajectory import Trajectory, check_speeds
 from companion.avoidance.walls import walls_of
 from companion.config import Config, TrajectoryFile
 from companion.errors import ConfigError
+from companion.events import VehicleParameters
 from companion.geometry import LocalFrame
 from companion.ownship import SIGMA_UNKNOWN_M
 
@@ -24,8 +25,11 @@ def local_path(path: TrajectoryFile, frame: LocalFrame, datum_msl_m: float) -> T
     return Trajectory([w.t_s for w in path.waypoint], points)
 
 
-def check_path(config: Config, name: str) -> None:
+def check_path(config: Config, name: str, vehicle: VehicleParameters | None = None) -> None:
     """Check before flight that the configured path, where there is one, can be flown within the limits.
+
+    Args:
+        vehicle: its own limits, where they are known.
 
     Raises:
         ConfigError: names the leg, its speed and the limit, or the area of the fence.
@@ -35,7 +39,7 @@ def check_path(config: Config, name: str) -> None:
     first = config.path.waypoint[0]
     frame = LocalFrame(first.lat_deg, first.lon_deg, first.alt_m)
     path = local_path(config.path, frame, 0.0)
-    check_speeds(path, config.limits, f"{name}: flight.trajectory")
+    check_speeds(path, config.limits, f"{name}: flight.trajectory", vehicle)
     try:
         walls_of(config.fence, frame, path, SIGMA_UNKNOWN_M)
     except ConfigError as error:

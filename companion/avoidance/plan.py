@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 
+from companion.autopilot.advice import remarks
 from companion.autopilot.mission import path_from_mission
 from companion.avoidance.fence import check_areas
 from companion.avoidance.law import Law
+from companion.avoidance.limits import effective
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import Trajectory, check_speeds
 from companion.avoidance.walls import walls_of
-from companion.config import Config, TrajectoryFile
+from companion.config import Config, LimitsConfig, TrajectoryFile
 from companion.errors import ConfigError
 from companion.events import (
     Command,
@@ -29,6 +31,7 @@ from companion.events import (
     Say,
     Severity,
     Vec3,
+    VehicleParameters,
 )
 from companion.geometry import LocalFrame
 from companion.ownship import Ownship
@@ -73,6 +76,8 @@ class Plan:
         """Whether it was armed when its mission was last checked on the ground."""
         self._check_s = -math.inf
         """When it was last asked for to be checked."""
+        self._vehicle: VehicleParameters | None = None
+        self._remarked: set[str] = set()
         self.law: Law | None = None
         self.home_alt_msl_m = self.lowest_height_m = 0.0
         self._start_s: float | None = None
@@ -82,6 +87,11 @@ class Plan:
     def ready(self) -> bool:
         """There is a path, and nothing is to be asked about it."""
         return self.law is not None and not self._given_back
+
+    @property
+    def limits(self) -> LimitsConfig:
+        """The lower of what is configured and what the vehicle itself may."""
+        return effective(self._config.limits, self._vehicle)
 
     def drop(self) -> None:
         """The flight is over: the next one begins with a new plan."""
@@ -112,7 +122,7 @@ class Plan:
             if len(whole.times_s) > 2:
                 # The first leg begins where the vehicle is taken, which is not here.
                 flown = Trajectory(whole.times_s[1:], whole.points_ned_m[1:])
-                check_speeds(flown, self._config.limits)
+                check_speeds(flown, self._config.limits, vehicle=self._vehicle)
                 walls_of(self._checked_areas(), own.frame, flown, own.sigma_m)
         except ConfigError as error:
             return self.refuse(str(error))
@@ -127,6 +137,13 @@ class Plan:
         """Keep the downloaded geofence for the plan that is made at once."""
         self._areas, self._areas_s = event.areas, now_s
         self._asked_s = self._tried_s = -math.inf
+
+    def take_parameters(self, event: VehicleParameters) -> list[Command]:
+        """Keep the vehicle's own limits for the next plan; say once what the operator should know."""
+        self._vehicle = event
+        new = [text for text in remarks(self._config, event) if text not in self._remarked]
+        self._remarked.update(new)
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: {text}") for text in new]
 
     def download_refused(self, reason: str) -> list[Command]:
         """What was asked for will not come; it is asked for again later."""
@@ -222,14 +239,14 @@ class Plan:
         if above_msl is None:
             return self.refuse("its altitudes are geodetic and the GNSS gives no height above the ellipsoid")
         trajectory = local_path(path, own.frame, above_msl)
-        check_speeds(trajectory, limits)
+        check_speeds(trajectory, limits, vehicle=self._vehicle)
         if flight.start == "utc" and flight.start_utc_s is not None:
             if own.utc_offset_s is None:
                 return self.refuse("it starts at a UTC and the vehicle does not know UTC yet")
             self._start_s = flight.start_utc_s - own.utc_offset_s
         walls = walls_of(self._checked_areas(), own.frame, trajectory, own.sigma_m)
         self._flown = self._items
-        self.law = Law(self._config.avoidance, limits, trajectory, walls)
+        self.law = Law(self._config.avoidance, self.limits, trajectory, walls)
         self.home_alt_msl_m = home
         self.lowest_height_m = min(w.alt_m + above_msl - home for w in path.waypoint)
         self._said = None

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.avoidance import kernels
+from companion.avoidance.limits import effective, lower_ones
 from companion.config import LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Vec3
+from companion.events import Vec3, VehicleParameters
 
 _TOLERANCE = 1e-3
 """Relative: a leg planned exactly at a limit passes in spite of rounding and of the way distances on the
@@ -131,23 +132,33 @@ class Trajectory:
         return Trajectory([t + delay_s for t in self._times], self._points)
 
 
-def check_speeds(trajectory: Trajectory, limits: LimitsConfig, name: str = "path") -> None:
-    """Check that the aircraft is allowed to fly every leg as fast as it is planned.
+def check_speeds(
+    trajectory: Trajectory,
+    limits: LimitsConfig,
+    name: str = "path",
+    vehicle: VehicleParameters | None = None,
+) -> None:
+    """Check that the aircraft is allowed to fly every leg as fast as it is planned, and able to.
+
+    Args:
+        vehicle: its own limits, where they are known.
 
     Raises:
         ConfigError: names the leg (between two waypoints counted from 0), its speed and the limit.
     """
+    counts, own = effective(limits, vehicle), lower_ones(limits, vehicle)
     for number, (n, e, d) in enumerate(trajectory.legs_ned_mps):
         for what, speed, key, limit in (
-            ("horizontal speed", math.hypot(n, e), "limits.max_speed_mps", limits.max_speed_mps),
-            ("climb", -d, "limits.max_climb_mps", limits.max_climb_mps),
-            ("descent", d, "limits.max_descent_mps", limits.max_descent_mps),
-            ("total speed", math.hypot(n, e, d), "limits.max_speed_mps", limits.max_speed_mps),
+            ("horizontal speed", math.hypot(n, e), "max_speed_mps", counts.max_speed_mps),
+            ("climb", -d, "max_climb_mps", counts.max_climb_mps),
+            ("descent", d, "max_descent_mps", counts.max_descent_mps),
+            ("total speed", math.hypot(n, e, d), "max_speed_mps", counts.max_speed_mps),
         ):
             if speed > limit * (1.0 + _TOLERANCE):
+                whose = f"limits.{key}" if key not in own else f"the vehicle's {own[key].name}"
                 raise ConfigError(
                     f"{name}: leg from waypoint[{number}] to waypoint[{number + 1}]: {what} {speed:.3f} m/s "
-                    f"is above {key} {limit:g}"
+                    f"is above {whose} {limit:g}"
                 )
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from companion.autopilot.advice import after_silence, remarks
 from companion.autopilot.link import AutopilotLink
 from companion.avoidance.path import check_path
 from companion.config import ArduRemoteIdRadio, Config
 from companion.errors import ConfigError
+from companion.events import VehicleParameters
 from companion.remote_id.identity import check_identity
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.policy import judge_policy
@@ -50,9 +52,10 @@ def _probe_policy(config: Config, say: Callable[[str], None]) -> bool:
 def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
     link = KeptLink(config.vehicle.link, say)
     protocol = AutopilotLink(config.vehicle)
+    flies = config.flight.use != "watch"
     end = time.monotonic() + config.vehicle.wait_s
     try:
-        while (now := time.monotonic()) < end and protocol.vehicle is None:
+        while (now := time.monotonic()) < end and (protocol.vehicle is None or (flies and protocol.asking)):
             link.wait(0.1)
             protocol.receive(link.receive(now), now)
             protocol.advance(now)
@@ -65,7 +68,24 @@ def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
     say(f"vehicle: {protocol.vehicle}")
     for text in _module_of_another(config, protocol.vehicle.system_id):
         say(text)
-    return protocol.vehicle.refusal is None
+    return protocol.vehicle.refusal is None and _judge_parameters(config, protocol.parameters, say)
+
+
+def _judge_parameters(config: Config, told: VehicleParameters | None, say: Callable[[str], None]) -> bool:
+    """What the vehicle's own limits and failsafes mean for this configuration."""
+    if told is None or config.flight.use == "watch":
+        return True
+    say(f"vehicle: {after_silence(told)}")
+    for text in remarks(config, told):
+        say(f"vehicle: {text}")
+    if told.speed_mps is None:
+        say("vehicle: it does not tell how fast it flies: [limits] alone count")
+    try:
+        check_path(config, "configuration", told)
+    except ConfigError as error:
+        say(str(error))
+        return False
+    return True
 
 
 def _module_of_another(config: Config, system_id: int) -> list[str]:

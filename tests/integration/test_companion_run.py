@@ -214,6 +214,8 @@ def test_check_says_what_is_missing(start, tmp_path):
     assert checked.output.splitlines()[-1] == "check: NOT ready"
     assert "configuration: valid" in checked.output
     assert "vehicle: " in checked.output
+    assert "vehicle: without setpoints for 3 s (GUID_TIMEOUT) it brakes and stays in GUIDED" in checked.output
+    assert "vehicle: WPNAV_SPEED_DN 1.5 is below limits.max_descent_mps 2" in checked.output
     assert "radio: flies without one" in checked.output
 
 

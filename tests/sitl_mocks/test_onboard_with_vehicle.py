@@ -7,10 +7,28 @@ from collections import deque
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.wire import MavlinkWriter
 from companion.avoidance.authority import HOLDING, State
-from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig, LimitsConfig
-from companion.events import AuthorityChanged, DownloadMission, Firmware, MissionItem, Say, VelocitySetpoint
+from companion.config import (
+    AvoidanceConfig,
+    Config,
+    FlightConfig,
+    IdentityConfig,
+    LimitsConfig,
+    VehicleConfig,
+)
+from companion.events import (
+    AuthorityChanged,
+    DownloadMission,
+    Firmware,
+    GlobalPosition,
+    MissionItem,
+    Say,
+    VehicleParameters,
+    VelocitySetpoint,
+)
 from companion.geometry import LocalFrame
 from companion.onboard import Onboard
 from sitl_mocks.autopilot import MockVehicle
@@ -45,7 +63,7 @@ MISSION = (
 class Pair:
     """Vehicle and companion, stepped together."""
 
-    def __init__(self, firmware, mission=MISSION, **options):
+    def __init__(self, firmware, mission=MISSION, flight=None, system_id=0, **options):
         options = {"airborne": True, "start_position_ned_m": (0.0, 0.0, -50.0), **options}
         if options["airborne"] and firmware is Firmware.ARDUPILOT:
             # Taken off in GUIDED, as a ground station does it; LOITER is the pilot's.
@@ -56,7 +74,14 @@ class Pair:
         )
         config = Config(
             identity=IdentityConfig(uas_id="PAIR"),
-            flight=FlightConfig(use="fly", trajectory="mission", mission_speed_mps=3.0, take_in_flight=True),
+            vehicle=VehicleConfig(system_id=system_id),
+            flight=FlightConfig(
+                use="fly",
+                trajectory="mission",
+                mission_speed_mps=3.0,
+                take_in_flight=True,
+                **(flight or {}),
+            ),
             limits=LimitsConfig(max_speed_mps=5.0),
             avoidance=AvoidanceConfig(),
         )
@@ -78,6 +103,11 @@ class Pair:
                 self.onboard.receive(data, now_s)
             self.onboard.tick(now_s)
             self.vehicle.receive(self.onboard.drain(now_s), now_s)
+
+    def set(self, name, number, kind=9):
+        """A ground station's PARAM_SET; ends with what the vehicle holds."""
+        message = mavlink.MAVLink_param_set_message(self.vehicle.options.system_id, 1, name, number, kind)
+        self.vehicle.receive(MavlinkWriter(255, 190).pack(message), self.tick * TICK_S)
 
     def commands(self, kind, since=0):
         return [c for step in self.steps[since:] for c in step.commands if isinstance(c, kind)]
@@ -226,3 +256,124 @@ def test_a_mission_that_cannot_be_flown_is_said_before_take_off(firmware):
     pair = Pair(firmware, **on_ground)
     pair.run(20.0)
     assert not [c for c in pair.commands(Say) if "refused" in c.text]
+
+
+LIMIT = {
+    Firmware.ARDUPILOT: (b"WPNAV_SPEED", 200.0, "WPNAV_SPEED 2"),
+    Firmware.PX4: (b"MPC_XY_VEL_MAX", 2.0, "MPC_XY_VEL_MAX 2"),
+}
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_the_vehicles_limits_are_read_before_it_is_taken(firmware):
+    pair = Pair(firmware)
+    pair.run(15.0)
+    assert pair.state in HOLDING
+    told = [e for step in pair.steps for e in step.events if isinstance(e, VehicleParameters)][-1]
+    names = {"WPNAV_SPEED_DN": 1.5, "GUID_TIMEOUT": 3.0, "FENCE_ENABLE": 0.0}
+    if firmware is Firmware.PX4:
+        names = {"MPC_Z_VEL_MAX_DN": 1.5, "COM_OF_LOSS_T": 1.0, "GF_ACTION": 2.0, "COM_OBL_RC_ACT": 0.0}
+    found = (told.descent_mps, told.setpoint_timeout_s, told.fence_action, told.loss_action)
+    assert {p.name: p.value for p in found if p is not None} == names
+    counts = pair.onboard.link.counts
+    assert (counts.bad_values, pair.onboard.link.asking) == (0, False)
+    said = [c.text for c in pair.commands(Say) if "vehicle's limit counts" in c.text]
+    assert len(said) == 1
+    assert "limits.max_descent_mps 2" in said[0]
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_mission_faster_than_the_vehicle_is_refused(firmware):
+    pair = Pair(firmware)
+    name, number, words = LIMIT[firmware]
+    pair.set(name, number)
+    pair.run(15.0)
+    assert pair.state is State.STANDBY
+    (said,) = [c.text for c in pair.commands(Say) if "path refused" in c.text]
+    assert f"m/s is above the vehicle's {words}" in said
+    # The operator makes it faster: it is heard, and the path tried again.
+    pair.set(name, 4.0 * number)
+    pair.run(15.0)
+    assert pair.state in HOLDING
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_reboot_asks_for_rates_and_limits_again(firmware):
+    pair = Pair(firmware, airborne=False, start_position_ned_m=(0.0, 0.0, 0.0))
+    pair.run(5.0)
+    counts = pair.onboard.link.counts
+    before = counts.parameter_requests
+    assert before > 0
+    name, number, _ = LIMIT[firmware]
+    pair.set(name, number)
+    pair.run(1.0)
+    reboot = mavlink.MAVLink_command_long_message(1, 1, 246, 0, 1, 0, 0, 0, 0, 0, 0)
+    pair.vehicle.receive(MavlinkWriter(255, 190).pack(reboot), pair.tick * TICK_S)
+    pair.run(4.0)
+    since = len(pair.steps)
+    pair.run(3.0)
+    assert pair.vehicle.reboots == counts.reboots == 1
+    assert counts.parameter_requests > before
+    assert pair.onboard.link.parameters.speed_mps.value == pytest.approx(2.0)
+    positions = [e for s in pair.steps[since:] for e in s.events if isinstance(e, GlobalPosition)]
+    assert len(positions) > 20
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+@pytest.mark.parametrize("word", ["face", "hold"])
+def test_the_nose_does_the_same_on_both(firmware, word):
+    pair = Pair(firmware, flight={"yaw": word}, start_yaw_rad=2.5)
+    pair.run(17.0)
+    assert pair.onboard.heart.in_control
+    assert 20.0 < pair.vehicle.position_ned_m[0] < 55.0
+    north = pair.vehicle.yaw_rad
+    pair.run(16.0)
+    east = pair.vehicle.yaw_rad
+    wanted = (0.0, math.pi / 2) if word == "face" else (2.5, 2.5)
+    for yaw, target in zip((north, east), wanted, strict=True):
+        assert abs(math.remainder(yaw - target, math.tau)) < 0.1
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_of_two_vehicles_on_one_link_only_the_named_one_is_flown(firmware):
+    pair = Pair(firmware, system_id=7)
+    other = MockVehicle(
+        VehicleOptions(
+            firmware=firmware,
+            system_id=3,
+            airborne=True,
+            start_position_ned_m=(30.0, 30.0, -50.0),
+            start_mode=VehicleMode.HOLD,
+            utc_at_zero_s=1_767_225_600.0,
+        ),
+        np.random.default_rng(2),
+    )
+    pair.vehicle = MockVehicle(
+        VehicleOptions(
+            firmware=firmware,
+            system_id=7,
+            mission=MISSION,
+            airborne=True,
+            start_position_ned_m=(0.0, 0.0, -50.0),
+            start_mode=VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else None,
+            utc_at_zero_s=1_767_225_600.0,
+        ),
+        np.random.default_rng(1),
+    )
+    for tick in range(round(18.0 / TICK_S)):
+        now_s = tick * TICK_S
+        for vehicle in (other, pair.vehicle):
+            vehicle.advance(now_s)
+            if data := vehicle.drain():
+                pair.onboard.receive(data, now_s)
+        pair.onboard.tick(now_s)
+        sent = pair.onboard.drain(now_s)
+        for vehicle in (other, pair.vehicle):
+            vehicle.receive(sent, now_s)
+    assert pair.onboard.link.vehicle.system_id == 7
+    assert pair.state in HOLDING
+    assert pair.vehicle.mode is VehicleMode.EXTERNAL
+    assert pair.vehicle.position_ned_m[0] > 15.0
+    assert (other.mode, other.setpoints_received) == (VehicleMode.HOLD, 0)
+    assert math.dist(other.position_ned_m, (30.0, 30.0, -50.0)) < 0.1
+    assert pair.onboard.link.counts.foreign > 10

@@ -25,14 +25,28 @@ REMOTE_ID_NUMBER = 0x08DF8A4C
 CASES: list[tuple[encoders.Outgoing, Any]] = [
     (encoders.heartbeat(), mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)),
     (
-        encoders.velocity_setpoint((1.5, -2.0, 0.25), 123456, 7),
+        encoders.velocity_setpoint((1.5, -2.0, 0.25), None, 123456, 7),
         mavlink.MAVLink_set_position_target_local_ned_message(
-            123456, 7, 1, 1, 0xDC7, 0, 0, 0, 1.5, -2.0, 0.25, 0, 0, 0, 0, 0
+            123456, 7, 1, 1, 0x5C7, 0, 0, 0, 1.5, -2.0, 0.25, 0, 0, 0, 0, 0
+        ),
+    ),
+    (
+        encoders.velocity_setpoint((1.5, -2.0, 0.25), -3.0, 123456, 7),
+        mavlink.MAVLink_set_position_target_local_ned_message(
+            123456, 7, 1, 1, 0x9C7, 0, 0, 0, 1.5, -2.0, 0.25, 0, 0, 0, -3.0, 0
         ),
     ),
     (
         encoders.command_long(176, (1.0, 4.0), 7, confirmation=3),
         mavlink.MAVLink_command_long_message(7, 1, 176, 3, 1, 4, 0, 0, 0, 0, 0),
+    ),
+    (
+        encoders.param_request_read("WPNAV_SPEED", 7),
+        mavlink.MAVLink_param_request_read_message(7, 1, b"WPNAV_SPEED", -1),
+    ),
+    (
+        encoders.param_request_read("SIXTEEN_LETTERS_", 7),
+        mavlink.MAVLink_param_request_read_message(7, 1, b"SIXTEEN_LETTERS_", -1),
     ),
     (encoders.mission_request_list(7, 1), mavlink.MAVLink_mission_request_list_message(7, 1, 1)),
     (
@@ -66,7 +80,7 @@ def test_setpoints_that_must_never_leave(bad: float, axis: int) -> None:
     velocity = [0.0, 0.0, 0.0]
     velocity[axis] = bad
     with pytest.raises(ValueError, match="not finite or above"):
-        encoders.velocity_setpoint((velocity[0], velocity[1], velocity[2]), 0, 1)
+        encoders.velocity_setpoint((velocity[0], velocity[1], velocity[2]), None, 0, 1)
 
 
 @pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 99, 100, 101, 150, 499, 500, 2000])
@@ -88,7 +102,7 @@ def test_other_alphabets_become_question_marks() -> None:
 
 
 def test_boot_time_wraps_instead_of_failing() -> None:
-    assert encoders.velocity_setpoint((0.0, 0.0, 0.0), 2**32 + 5, 1)[1][:4] == (5).to_bytes(4, "little")
+    assert encoders.velocity_setpoint((0.0, 0.0, 0.0), None, 2**32 + 5, 1)[1][:4] == (5).to_bytes(4, "little")
 
 
 def test_a_strangers_name_in_a_text_is_printable_ascii():

@@ -446,7 +446,7 @@ def test_setpoint_on_the_vehicles_clock(ardupilot: Scripted) -> None:
     (setpoint,) = ardupilot.told()
     assert setpoint.time_boot_ms == 60_250
     assert (setpoint.vx, setpoint.vy, setpoint.vz) == (3.0, 0.0, 0.0)
-    assert (setpoint.type_mask, setpoint.coordinate_frame) == (0xDC7, 1)
+    assert (setpoint.type_mask, setpoint.coordinate_frame) == (0x9C7, 1)
     assert (setpoint.target_system, setpoint.target_component) == (1, 1)
 
 

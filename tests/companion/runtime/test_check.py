@@ -16,6 +16,7 @@ import pytest
 from companion.autopilot.wire import MavlinkWriter
 from companion.config import ArduRemoteIdRadio, Config, RecordConfig, VehicleConfig, WifiRadio
 from companion.errors import ConfigError
+from companion.events import Firmware, Parameter, VehicleParameters
 from companion.radio import wifi
 from companion.radio.arduremoteid import ArduRemoteIdTransport
 from companion.radio.frames_io import radio_address
@@ -24,7 +25,7 @@ from companion.radio.transport import Transport
 from companion.radio.wifi import WifiTransport
 from companion.remote_id.region import Region
 from companion.runtime import radios
-from companion.runtime.check import check
+from companion.runtime.check import _judge_parameters, check
 from companion.runtime.flight import Flight
 from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
 
@@ -225,3 +226,27 @@ def test_a_single_bad_radio_is_not_called_the_null_backend(both: Both) -> None:
     checked, _ = both(ConfigError("no such port"))
     assert "radio[0]: no such port" in checked
     assert not any("backend null" in line for line in checked)
+
+
+def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[..., Config]) -> None:
+    def judge(use: str, told: VehicleParameters | None) -> tuple[bool, list[str]]:
+        said: list[str] = []
+        return _judge_parameters(make_config(use=use), told, said.append), said
+
+    slow = VehicleParameters(
+        firmware=Firmware.PX4,
+        speed_mps=Parameter(name="MPC_XY_VEL_MAX", value=2.0),
+        setpoint_timeout_s=Parameter(name="COM_OF_LOSS_T", value=0.2),
+        loss_action=Parameter(name="COM_OBL_RC_ACT", value=3.0),
+    )
+    ready, said = judge("fly", slow)
+    assert not ready
+    assert said[0] == "vehicle: without setpoints for 0.2 s (COM_OF_LOSS_T) it returns (COM_OBL_RC_ACT 3)"
+    assert "vehicle: MPC_XY_VEL_MAX 2 is below limits.max_speed_mps 5: the vehicle's limit counts" in said
+    assert any(line.startswith("vehicle: COM_OF_LOSS_T 0.2 s is short") for line in said)
+    assert "is above the vehicle's MPC_XY_VEL_MAX 2" in said[-1]
+    assert judge("watch", slow) == (True, [])
+    ready, said = judge("fly", VehicleParameters(firmware=Firmware.ARDUPILOT))
+    assert ready
+    assert any("does not tell how fast it flies" in line for line in said)
+    assert judge("fly", None) == (True, [])

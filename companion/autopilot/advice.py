@@ -1,0 +1,49 @@
+"""What the vehicle's own parameters mean for the companion, in words for the operator."""
+
+from __future__ import annotations
+
+from companion.avoidance.limits import lower_ones
+from companion.config import Config
+from companion.events import VehicleParameters
+
+from .dialect import DIALECTS
+
+LEAST_TIMEOUT_S = 0.5
+LEAST_SETPOINTS = 5
+"""The vehicle's setpoint timeout should outlast a hitch of the loop and some lost frames."""
+
+
+def remarks(config: Config, vehicle: VehicleParameters) -> list[str]:
+    """What of the vehicle's parameters the operator should know before the companion flies it, in words."""
+    if config.flight.use == "watch":
+        return []
+    dialect, limits, rate_hz = DIALECTS[vehicle.firmware], config.limits, config.flight.setpoint_rate_hz
+    found = [
+        f"{p.name} {p.value:g} is below limits.{key} {getattr(limits, key):g}: the vehicle's limit counts"
+        for key, p in lower_ones(limits, vehicle).items()
+    ]
+    timeout, loss, fence = vehicle.setpoint_timeout_s, vehicle.loss_action, vehicle.fence_action
+    least_s = max(LEAST_TIMEOUT_S, LEAST_SETPOINTS / rate_hz)
+    if timeout is not None and timeout.value < least_s:
+        found.append(
+            f"{timeout.name} {timeout.value:g} s is short for {rate_hz:g} setpoints a second: "
+            f"set {least_s:g} or more"
+        )
+    if loss is not None and loss.value in dialect.crashing_actions:
+        found.append(
+            f"{loss.name} {loss.value:g}: a vehicle that hears no setpoints "
+            f"{dialect.after_silence(int(loss.value))}"
+        )
+    if limits.fence == "vehicle" and fence is not None and fence.value in dialect.idle_fence_actions:
+        found.append(f"{fence.name} {fence.value:g}: the vehicle itself does not obey its fence")
+    return found
+
+
+def after_silence(vehicle: VehicleParameters) -> str:
+    """What the vehicle does when setpoints stop, in words."""
+    loss, timeout = vehicle.loss_action, vehicle.setpoint_timeout_s
+    action = DIALECTS[vehicle.firmware].after_silence(None if loss is None else int(loss.value))
+    if loss is not None:
+        action += f" ({loss.name} {loss.value:g})"
+    when = "" if timeout is None else f" for {timeout.value:g} s ({timeout.name})"
+    return f"without setpoints{when} it {action}"
