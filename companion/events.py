@@ -122,6 +122,14 @@ class VehicleTime(Event, frozen=True):
     utc_s: float | None = None
 
 
+class ClockRead(Event, frozen=True):
+    """TIMESYNC: the autopilot read its clock after `asked_s` and before `heard_s` (our monotonic time)."""
+
+    time_boot_s: float
+    asked_s: float
+    heard_s: float
+
+
 class LandedState(Event, frozen=True):
     """EXTENDED_SYS_STATE."""
 
@@ -435,6 +443,7 @@ AnyEvent = (
     | LocalPosition
     | GnssFix
     | VehicleTime
+    | ClockRead
     | LandedState
     | ModeRefused
     | MissionDownloaded
