@@ -22,6 +22,7 @@ from .encoders import Outgoing
 PERIOD_S = 1.0
 LONGEST_ROUND_TRIP_S = 0.5
 """An answer that took longer tells too little, and is left out."""
+_EPSILON_S = 1e-6
 _FIELDS = struct.Struct("<qqBB")
 
 
@@ -56,7 +57,7 @@ class TimeSync:
 
     def due(self, now_s: float) -> int | None:
         """The `ts1` to ask with, when it is time to."""
-        if self._asked_s is not None and now_s - self._asked_s < PERIOD_S:
+        if self._asked_s is not None and now_s - self._asked_s < PERIOD_S - _EPSILON_S:
             return None
         self._asked_s, self._open = now_s, True
         return nanoseconds(now_s)
