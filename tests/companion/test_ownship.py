@@ -154,6 +154,7 @@ def test_a_vehicle_that_was_driven_away_gets_a_new_frame():
 
 # ---------------------------------------------------------------- TIMESYNC
 
+WAYS = [(0.15, 0.0), (0.15, 0.15), (0.0, 0.15), (0.15, 0.02), (0.0, 0.0)]
 BOOT_S = 500.0
 """Our time at the vehicle's boot in the tests below: what is to be estimated."""
 
@@ -174,7 +175,7 @@ def error_s(own):
     return own.sample_s() - own.position.time_boot_s - BOOT_S
 
 
-@pytest.mark.parametrize(("down_s", "up_s"), [(0.15, 0.0), (0.15, 0.15), (0.0, 0.15), (0.15, 0.02), (0.0, 0.0)])
+@pytest.mark.parametrize(("down_s", "up_s"), WAYS)
 def test_a_links_delay_is_known_to_half_its_round_trip(down_s, up_s):
     own, now_s = flown(down_s, up_s)
     assert abs(error_s(own)) <= (down_s + up_s) / 2 + 0.002

@@ -16,6 +16,8 @@ from companion.onboard import Onboard
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_options import VehicleOptions
 
+WAYS = [(0.15, 0.0), (0.0, 0.15), (0.15, 0.15), (0.02, 0.02), (0.0, 0.0)]
+"""Down and up (s)."""
 STEP_S = 0.01
 TICK = 5
 SLACK_S = 0.055
@@ -64,7 +66,7 @@ class Delayed:
         return (self.down_s + self.up_s) / 2
 
 
-@pytest.mark.parametrize(("down_s", "up_s"), [(0.15, 0.0), (0.0, 0.15), (0.15, 0.15), (0.02, 0.02), (0.0, 0.0)])
+@pytest.mark.parametrize(("down_s", "up_s"), WAYS)
 @pytest.mark.parametrize("firmware", Firmware)
 def test_the_age_is_true_to_half_the_round_trip(firmware, down_s, up_s):
     link = Delayed(firmware, down_s, up_s)

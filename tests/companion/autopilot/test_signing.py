@@ -159,7 +159,8 @@ def test_a_computer_without_a_clock_takes_the_peers_time() -> None:
     ours.advance(12.0)
     assert ours.timestamp == START + 1 + 2 * TICKS_PER_S
     # What was recorded long ago is no longer a stream to begin with.
-    assert ours.refusal(framed(Peer(system=9, timestamp=START - 10 * NEW_STREAM_TICKS).signed())) is Refusal.STALE
+    recorded = Peer(system=9, timestamp=START - 10 * NEW_STREAM_TICKS).signed()
+    assert ours.refusal(framed(recorded)) is Refusal.STALE
 
 
 def test_the_last_timestamp_of_all_ends_nothing() -> None:
@@ -229,12 +230,11 @@ def test_all_that_leaves_is_signed_in_order() -> None:
 @pytest.mark.parametrize(
     ("raw", "words"),
     [
-        (Peer().unsigned(), "every frame of the vehicle is unsigned: signing is not set up on the autopilot"),
-        (Peer(OTHER_KEY).signed(), "every frame of the vehicle is wrongly signed: the autopilot has another key"),
+        (Peer().unsigned(), "unsigned: signing is not set up on the autopilot"),
+        (Peer(OTHER_KEY).signed(), "wrongly signed: the autopilot has another key"),
         (
             Peer(timestamp=0).signed(),
-            "every frame of the vehicle is dated more than a minute before ours: the autopilot does not hear us, "
-            "or it is a replay",
+            "dated more than a minute before ours: the autopilot does not hear us, or it is a replay",
         ),
     ],
     ids=["unsigned", "wrong key", "old"],
@@ -242,7 +242,7 @@ def test_all_that_leaves_is_signed_in_order() -> None:
 def test_a_vehicle_that_is_never_believed_is_told_in_words(raw: bytes, words: str) -> None:
     ours = link()
     ours.receive(raw, 0.0)
-    assert ours.disbelief(0.0) == words
+    assert ours.disbelief(0.0) == f"every frame of the vehicle is {words}"
     # A stranger's frames say nothing of the vehicle, and what was said is not said for ever.
     ours.receive(Peer(system=255, component=190).unsigned(), 10.0)
     assert "every frame" not in (ours.disbelief(10.0) or "")
