@@ -321,7 +321,7 @@ def _signed_seeds() -> list[bytes]:
 
 def _signed_link() -> Target:
     """A link with a key: signed frames damaged, and damaged content rightly signed by many senders."""
-    ours, theirs = Signing(_KEY, 1000, 0.0), Signing(_KEY, 1000, 0.0)
+    ours, theirs = Signing(_KEY, 1000, 0.0), Signing(_KEY, 100_000, 0.0)
     link = AutopilotLink(VehicleConfig(), signing=ours)
     beat = MavlinkWriter(1, 1).pack_payload(0, bytes(9))
     link.receive(theirs.sign(beat), 0.0)
