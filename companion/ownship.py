@@ -38,8 +38,10 @@ _DRIFT_ARMED = 1e-3
 grows slow, and flying on old positions is worse than a fault that lasts."""
 _DRIFT_AHEAD = 1e-4
 """How fast the autopilot's clock may gain on ours: quartz against quartz."""
-_STAMP_S = 2e-3
-"""The autopilot counts milliseconds in its messages."""
+_FINE_S = 0.01
+"""What the autopilot's stamps may be off by among each other: messages count milliseconds, and ArduPilot
+dates a question back by the time that its bytes take on a serial line, even where there is none (5 ms at 57600
+baud)."""
 _DRIFT_DISARMED = 0.1
 """On the ground a clock that slipped is soon forgiven."""
 _FROM_THE_FUTURE_S = 0.5
@@ -73,8 +75,9 @@ class _BootClock:
         """The estimate; None before the first stamp."""
         if self.most_s is None or self.least_s is None:
             return self.most_s
-        # Within what time stamps of milliseconds can tell, the bounds are one.
-        return self.most_s - max(0.0, self.most_s - self.least_s - _STAMP_S) / 2.0
+        width = self.most_s - self.least_s
+        # Bounds too near to be told apart are one; from twice that on it is the middle.
+        return self.most_s - min(width / 2.0, max(0.0, width - _FINE_S))
 
     def take(self, time_boot_s: float, now_s: float, drift: float) -> bool:
         """Take in one time stamp; True when the autopilot's clock began anew."""
@@ -99,12 +102,12 @@ class _BootClock:
             # messages will tell.
             return
         # A clock that fell behind is not a slow link: what was known of it is void.
-        self._bound(most if least > self.most_s + _STAMP_S else min(most, self.most_s))
+        self._bound(most if least > self.most_s + _FINE_S else min(most, self.most_s))
         self.least_s = least if self.least_s is None else max(least, self.least_s)
 
     def _bound(self, most_s: float) -> None:
         self.most_s = most_s
-        if self.least_s is not None and most_s < self.least_s - _STAMP_S:
+        if self.least_s is not None and most_s < self.least_s - _FINE_S:
             # The autopilot's clock ran ahead.
             self.least_s = None
 
