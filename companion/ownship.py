@@ -40,8 +40,8 @@ _DRIFT_AHEAD = 1e-4
 """How fast the autopilot's clock may gain on ours: quartz against quartz."""
 _FINE_S = 0.01
 """What the autopilot's stamps may be off by among each other: messages count milliseconds, and ArduPilot
-dates a question back by the time that its bytes take on a serial line, even where there is none (5 ms at 57600
-baud)."""
+dates a question back by the time that its bytes take on a serial line, even where there is none: 5 ms at
+57600 baud."""
 _DRIFT_DISARMED = 0.1
 """On the ground a clock that slipped is soon forgiven."""
 _FROM_THE_FUTURE_S = 0.5
