@@ -21,7 +21,7 @@ from companion.autopilot.signing import (
 from companion.autopilot.tlog import TlogWriter, read_tlog
 from companion.autopilot.wire import Frame, FrameScanner, MavlinkReader, MavlinkWriter, without_signature
 from companion.config import VehicleConfig
-from companion.events import GlobalPosition, Heartbeat, VelocitySetpoint
+from companion.events import ArmStatus, GlobalPosition, Heartbeat, RemoteIdModule, VelocitySetpoint
 
 KEY, OTHER_KEY = bytes(range(32)), bytes(32)
 START = timestamp_at(1_767_225_600.0)
@@ -264,6 +264,20 @@ def test_setup_signing_is_obeyed_from_nobody() -> None:
     ours.receive(peer.signed(setup), 0.0)
     assert ours.receive(peer.unsigned() + Peer(OTHER_KEY).signed(), 0.1) == []
     assert len(ours.receive(peer.signed(), 0.2)) == 1
+
+
+def test_our_own_arm_status_is_known_again_by_the_echo_of_a_router() -> None:
+    ours = AutopilotLink(VehicleConfig(), signing=signing(), remote_id_component=True)
+    ours.receive(Peer().signed(), 0.0)
+    ours.send(ArmStatus(ready=True), 0.0)
+    ours.advance(0.1)
+    echo = ours.drain()
+    assert {f.component_id for f in FrameScanner().frames(echo)} == {191, 236}
+    assert not [event for event in ours.receive(echo, 0.2) if isinstance(event, RemoteIdModule)]
+    another = Peer(component=236, timestamp=START + 10**6).signed(
+        mavlink.MAVLink_open_drone_id_arm_status_message(1, b"no fix")
+    )
+    assert [type(event) for event in ours.receive(another, 0.3)] == [RemoteIdModule]
 
 
 # ---------------------------------------------------------------- the log
