@@ -7,6 +7,7 @@ the file points to (the trajectory), so that a resolved configuration stands alo
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -32,6 +33,7 @@ CHOOSER_WORDS = ("rule", "fixed")
 _RAW_IDS = (IdType.UTM_ASSIGNED_UUID, IdType.SPECIFIC_SESSION)
 _LINK_FORMS = ("udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT", "serial:DEVICE:BAUD")
 _CHANNEL_FORMS = ("user:NUMBER", "uart:DEVICE:BAUD", "tcp:HOST:PORT")
+_KEY_DIGITS = re.compile("[0-9A-Fa-f]{64}")
 _NUMBERS = {"PORT": range(1, 1 << 16), "BAUD": range(1, 10**9), "NUMBER": range(0xFFFF)}
 
 
@@ -51,6 +53,9 @@ class VehicleConfig(_Section, frozen=True):
     """How long to wait for the vehicle's first heartbeat."""
     stale_after_s: Annotated[float, Meta(ge=0.2, le=5)] = 1.0
     """Own position older than this ends authority (fault)."""
+    signing_key: Annotated[str, Meta(min_length=1, extra=SECRET)] | None = None
+    """Path of the key file of MAVLink 2 signing (relative to this file; absolute once loaded). The key itself
+    never stands in a configuration."""
 
 
 class IdentityConfig(_Section, frozen=True):
@@ -306,6 +311,17 @@ def load(path: Path) -> Config:
         # Not read here: a companion without its policy flies on a fixed set.
         where = str((path.parent / config.atmc.policy).absolute())
         config = msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, policy=where))
+    if config.vehicle.signing_key is not None:
+        if _KEY_DIGITS.fullmatch(config.vehicle.signing_key):
+            raise ConfigError(
+                f"{path}: vehicle.signing_key: holds a key; put the key into a file that only you can read, "
+                "and the path of that file here"
+            )
+        # Not read here: the key is for the link alone, and stands in no record.
+        where = str((path.parent / config.vehicle.signing_key).absolute())
+        config = msgspec.structs.replace(
+            config, vehicle=msgspec.structs.replace(config.vehicle, signing_key=where)
+        )
     if config.traffic.keys:
         keys = {k: _public_key(text, k, path) for k, text in config.traffic.keys.items()}
         traffic = msgspec.structs.replace(config.traffic, keys=keys)

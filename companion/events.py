@@ -124,6 +124,14 @@ class VehicleTime(Event, frozen=True):
     utc_s: float | None = None
 
 
+class ClockRead(Event, frozen=True):
+    """TIMESYNC: the autopilot read its clock after `asked_s` and before `heard_s` (our monotonic time)."""
+
+    time_boot_s: float
+    asked_s: float
+    heard_s: float
+
+
 class LandedState(Event, frozen=True):
     """EXTENDED_SYS_STATE."""
 
@@ -484,6 +492,7 @@ AnyEvent = (
     | LocalPosition
     | GnssFix
     | VehicleTime
+    | ClockRead
     | LandedState
     | EstimatorState
     | RcChannels

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import cast
 
 from companion.autopilot.link import AutopilotLink
+from companion.autopilot.signing import Signing
 from companion.autopilot.tlog import TlogWriter
 from companion.avoidance.authority import HOLDING
 from companion.config import Config
@@ -50,6 +51,7 @@ class Onboard:
         commanding: bool = True,
         tlog: TlogWriter | None = None,
         utc_guess_s: float = 0.0,
+        signing: Signing | None = None,
     ) -> None:
         """Build it.
 
@@ -60,6 +62,7 @@ class Onboard:
                 then (a dry run, a replay), so the vehicle is not told that Remote ID is ready either.
             tlog: takes the MAVLink of both directions.
             utc_guess_s: UTC minus monotonic time for the tlog until the vehicle tells it.
+            signing: of the MAVLink link, as `AutopilotLink` takes it.
         """
         self.commanding = commanding
         self.tlog = tlog
@@ -67,6 +70,7 @@ class Onboard:
         self.heart = Companion(config, policy)
         self.link = AutopilotLink(
             config.vehicle,
+            signing=signing,
             remote_id_component=config.remote_id.component,
             identity=basic_id_of(config.identity),
             yaw=config.flight.yaw,

@@ -1,9 +1,10 @@
 """Own state as the autopilot reports it: position, velocity, clocks, quality, and whether it may be flown on.
 
 Three clocks. A position is dated by the autopilot's time since boot, tied to our monotonic time by the least
-delayed message, so that a link that grows slow shows as age. UTC (the vehicle is its only
-source: a small computer has no clock of its own) is tied to the time since boot inside the autopilot, so that
-neither link delay nor a corrected UTC changes the age of anything.
+delayed message and, where the autopilot answers TIMESYNC, by its answers, so that a link that is slow or
+grows slow shows as age. UTC (the vehicle is its only source: a small computer has no clock of its own) is
+tied to the time since boot inside the autopilot, so that neither link delay nor a corrected UTC changes the
+age of anything.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 from dataclasses import dataclass, field
 
 from companion.events import (
+    ClockRead,
     EstimatorState,
     Event,
     FlightMode,
@@ -36,6 +38,12 @@ _ESTIMATOR_LOST_S = 5.0
 _DRIFT_ARMED = 1e-3
 """How fast the autopilot's clock may fall behind ours, seconds a second. More looks the same as a link that
 grows slow, and flying on old positions is worse than a fault that lasts."""
+_DRIFT_AHEAD = 1e-4
+"""How fast the autopilot's clock may gain on ours: quartz against quartz."""
+_FINE_S = 0.01
+"""What the autopilot's stamps may be off by among each other: messages count milliseconds, and ArduPilot
+dates a question back by the time that its bytes take on a serial line, even where there is none: 5 ms at
+57600 baud."""
 _DRIFT_DISARMED = 0.1
 """On the ground a clock that slipped is soon forgiven."""
 _FROM_THE_FUTURE_S = 0.5
@@ -51,21 +59,59 @@ _UNTRUSTED_S = 2.0
 
 @dataclass(slots=True)
 class _BootClock:
-    """Our monotonic time minus the autopilot's time since boot, from the least delayed message."""
+    """Our monotonic time minus the autopilot's time since boot, between two bounds.
 
-    offset_s: float | None = None
+    No message arrives before it was stamped: the least delayed one bounds it from above. No TIMESYNC is
+    answered before it was asked: that bounds it from below. The middle is wrong by half the round trip at
+    most, however that is shared between the ways; without answers there is only the upper bound, which is
+    wrong by the whole way down.
+    """
+
+    most_s: float | None = None
+    least_s: float | None = None
     boot_s: float = 0.0
     at_s: float = 0.0
 
+    @property
+    def offset_s(self) -> float | None:
+        """The estimate; None before the first stamp."""
+        if self.most_s is None or self.least_s is None:
+            return self.most_s
+        width = self.most_s - self.least_s
+        # Bounds too near to be told apart are one; from twice that on it is the middle.
+        return self.most_s - min(width / 2.0, max(0.0, width - _FINE_S))
+
     def take(self, time_boot_s: float, now_s: float, drift: float) -> bool:
         """Take in one time stamp; True when the autopilot's clock began anew."""
-        began_anew = self.offset_s is not None and time_boot_s < self.boot_s - _REBOOT_S
-        offset = now_s - time_boot_s
-        if self.offset_s is not None and not began_anew:
+        began_anew = self.most_s is not None and time_boot_s < self.boot_s - _REBOOT_S
+        most = now_s - time_boot_s
+        if self.most_s is None or began_anew:
+            self.least_s = None
+        else:
             # Delay only ever makes the offset read too large: keep the smallest, give way to drift.
-            offset = min(offset, self.offset_s + drift * (now_s - self.at_s))
-        self.offset_s, self.boot_s, self.at_s = offset, time_boot_s, now_s
+            most = min(most, self.most_s + drift * (now_s - self.at_s))
+            if self.least_s is not None:
+                self.least_s -= _DRIFT_AHEAD * (now_s - self.at_s)
+        self.boot_s, self.at_s = time_boot_s, now_s
+        self._bound(most)
         return began_anew
+
+    def read(self, event: ClockRead) -> None:
+        """Take in one answer to TIMESYNC."""
+        most, least = event.heard_s - event.time_boot_s, event.asked_s - event.time_boot_s
+        if self.most_s is None or abs(most - self.most_s) > _REBOOT_S:
+            # Another clock than that of the messages, such as Unix time; or it has just begun anew, and the
+            # messages will tell.
+            return
+        # A clock that fell behind is not a slow link: what was known of it is void.
+        self._bound(most if least > self.most_s + _FINE_S else min(most, self.most_s))
+        self.least_s = least if self.least_s is None else max(least, self.least_s)
+
+    def _bound(self, most_s: float) -> None:
+        self.most_s = most_s
+        if self.least_s is not None and most_s < self.least_s - _FINE_S:
+            # The autopilot's clock ran ahead.
+            self.least_s = None
 
 
 @dataclass(slots=True)
@@ -111,6 +157,8 @@ class Ownship:
                 self.gnss, self._gnss_s = event, now_s
                 if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
                     self.separation_m = event.alt_ellipsoid_m - event.alt_msl_m
+            case ClockRead():
+                self._clock.read(event)
             case LandedState():
                 self._landed, self._landed_s = event.landed, now_s
             case EstimatorState():

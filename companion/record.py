@@ -17,7 +17,7 @@ from companion.config import Config
 from companion.errors import PeerDataError
 from companion.events import AnyCommand, AnyEvent
 
-MAGIC = b"DMUCAEV3"
+MAGIC = b"DMUCAEV4"
 """Ends in the version of the format: raised when events, commands or the configuration change shape."""
 _HEAD = struct.Struct("<II")
 _MAX_RECORD = 16 * 1024 * 1024

@@ -19,6 +19,7 @@ from collections.abc import Callable
 import numpy
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.signing import Signing, timestamp_at
 from companion.autopilot.wire import Frame, MavlinkMessage
 from companion.errors import ConfigError
 from companion.events import Landed, Vec3
@@ -94,6 +95,11 @@ class MockVehicle:
         self._steps = 0
         self._down_until_s = -math.inf
         self._errors = NavigationError(options, rng, NOISE_STEPS * STEP_S)
+        self.signing: Signing | None = None
+        """Shared by all links, as on the real ones."""
+        if options.signing_key is not None:
+            utc_s = 0.0 if options.utc_at_zero_s is None else options.utc_at_zero_s + start_s
+            self.signing = Signing(options.signing_key, timestamp_at(utc_s), start_s)
         self._links: dict[int, Link] = {}
         self._routes: dict[tuple[int, int], int] = {}
         self._handlers: dict[str, Callable[[MavlinkMessage, Link, float], None]] = {
@@ -219,7 +225,9 @@ class MockVehicle:
 
     def open_link(self, link: int) -> None:
         """Open a link, or open it anew: only what every fresh link carries."""
-        self._links[link] = Link(self.options.system_id, self._manners.fresh_streams, self.now_s)
+        self._links[link] = Link(
+            self.options.system_id, self._manners.fresh_streams, self.now_s, self.signing, link % 256
+        )
 
     def close_link(self, link: int) -> None:
         """Forget a link, its rates and what waits on it."""
@@ -259,6 +267,8 @@ class MockVehicle:
         if link not in self._links:
             self.open_link(link)
         endpoint = self._links[link]
+        if self.signing is not None:
+            self.signing.advance(now_s)
         messages = endpoint.feed(data)
         if now_s < self._down_until_s:
             return
@@ -291,6 +301,8 @@ class MockVehicle:
     # ------------------------------------------------------------ sending
 
     def _send_due(self, at_s: float) -> None:
+        if self.signing is not None:
+            self.signing.advance(at_s)
         if at_s < self._down_until_s:
             return
         if self._down_until_s > -math.inf:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.signing import Signing
 from companion.autopilot.wire import Frame, FrameScanner, MavlinkMessage, MavlinkWriter
 
 _MAX_WAITING_BYTES = 1 << 18
@@ -55,7 +56,16 @@ class SetpointMessage(NamedTuple):
 class Link:
     """Streams are per link, as on the real ones. Bytes that nobody drains are bounded."""
 
-    def __init__(self, system_id: int, streams: Mapping[int, float], now_s: float) -> None:
+    def __init__(
+        self,
+        system_id: int,
+        streams: Mapping[int, float],
+        now_s: float,
+        signing: Signing | None = None,
+        link_id: int = 0,
+    ) -> None:
+        self._signing = signing
+        self._link_id = link_id
         self._scanner = FrameScanner()
         self._decoder = mavlink.MAVLink(None)
         self.bytes_dropped = 0
@@ -113,6 +123,8 @@ class Link:
         if self.cut:
             return found
         for frame in self._scanner.frames(data):
+            if self._signing is not None and self._signing.refusal(frame) is not None:
+                continue
             if frame.message_id == _SETPOINT_ID:
                 body = frame.payload.ljust(_SETPOINT.size, b"\0")
                 found.append((frame, SetpointMessage._make(_SETPOINT.unpack_from(body))))
@@ -127,9 +139,10 @@ class Link:
     def send(self, message: MavlinkMessage | Payload) -> None:
         """Encode one message of this vehicle."""
         if isinstance(message, Payload):
-            self.pass_on(self._writer.pack_payload(message.message_id, message.body))
+            frame = self._writer.pack_payload(message.message_id, message.body)
         else:
-            self.pass_on(self._writer.pack(message))
+            frame = self._writer.pack(message)
+        self.pass_on(frame if self._signing is None else self._signing.sign(frame, self._link_id))
 
     def pass_on(self, frame: bytes) -> None:
         """Send bytes as they are."""

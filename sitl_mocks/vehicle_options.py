@@ -29,6 +29,9 @@ class VehicleOptions:
     geoid_separation_m: float = 47.0
     """Height of mean sea level over the ellipsoid: alt_ellipsoid = alt_msl + this."""
 
+    signing_key: bytes | None = None
+    """Signs all it sends, believes nothing else on any link (the real ArduPilot trusts its USB port)."""
+
     airborne: bool = False
     """Start in the air, armed; else on the ground at `start_position_ned_m`'s north and east, disarmed."""
     start_position_ned_m: Vec3 = (0.0, 0.0, 0.0)

@@ -17,6 +17,9 @@ Who we are: before the vehicle is known (a `udpout` link must speak first) our h
 configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground
 station and watches for failsafes. From then on the vehicle's own. Where it is asked for, also the vehicle's
 Remote ID component, with a heartbeat, a status and sequence numbers of its own.
+
+With a key (`signing`) nothing unsigned, forged or replayed gets further than its count, and all that leaves
+is signed. SETUP_SIGNING is obeyed from nobody, key or not.
 """
 
 from __future__ import annotations
@@ -70,8 +73,10 @@ from .mode_request import ModeRequest
 from .parameters import ParameterReader
 from .readers import READERS, Fields, heartbeat, unpack
 from .remote_id import RemoteIdComponent, RemoteIdCounts, RemoteIdListener
+from .signing import Refusal, Signing
 from .statustext import TextAssembler
 from .streams import Streams
+from .timesync import TimeSync, nanoseconds, read_timesync, timesync
 from .wire import MAGIC_V1, Frame, FrameScanner, MavlinkWriter, WireCounts
 from .yaw import Nose
 
@@ -89,6 +94,14 @@ _GROUND_STATION = 6
 _GROUND_SPEED, _THROTTLE_AS_IT_IS = 1.0, -1.0
 _SPEED_RETRY_S, _SPEED_TRIES = 1.0, 5
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+_ALL_REFUSED = {
+    Refusal.UNSIGNED: "unsigned: signing is not set up on the autopilot",
+    Refusal.WRONG: "wrongly signed: the autopilot has another key",
+    Refusal.REPLAYED: "a replay: somebody sends old frames again, or the autopilot's timestamp went back",
+    Refusal.STALE: "dated more than a minute before ours: the autopilot does not hear us, or it is a replay",
+    Refusal.CROWDED: "of one sender too many on this link",
+}
+"""What to say where nothing of the vehicle is believed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +150,10 @@ class LinkCounts(RemoteIdCounts):
     """Setpoints not sent: no vehicle, one that cannot be commanded, or replaced before they were drained."""
     overflows: int = 0
     """Times the undrained queue was thrown away."""
+    clock_reads: int = 0
+    """Answers to our TIMESYNC that tell something."""
+    clock_answers: int = 0
+    """Answers of ours to the vehicle's TIMESYNC."""
 
 
 @dataclass(slots=True)
@@ -155,6 +172,7 @@ class AutopilotLink:
         self,
         config: VehicleConfig,
         *,
+        signing: Signing | None = None,
         remote_id_component: bool = False,
         identity: BasicId | None = None,
         yaw: Literal["face", "hold"] = "face",
@@ -162,6 +180,7 @@ class AutopilotLink:
         """A link that has heard nothing yet.
 
         Args:
+            signing: checks what is heard and signs what is sent. None: signatures are not looked at.
             yaw: as `flight.yaw`, for every setpoint.
             remote_id_component: also be the vehicle's Remote ID component (236), from the first ArmStatus on.
             identity: what that component tells the autopilot of whom it broadcasts.
@@ -176,6 +195,10 @@ class AutopilotLink:
             )
         self._config = config
         self._scanner = FrameScanner()
+        self._signing = signing
+        self._believed_s: float | None = None
+        self._refused: tuple[Refusal, float] | None = None
+        """Why the vehicle's last refused frame was, and when."""
         self.counts = LinkCounts(wire=self._scanner.counts)
         self.last_bad: str | None = None
         """The latest bad value in words, for the status line."""
@@ -191,6 +214,7 @@ class AutopilotLink:
         """Of a vehicle that can be commanded."""
         self._parameters_told: VehicleParameters | None = None
         self._nose = Nose(yaw)
+        self._timesync = TimeSync()
         self._texts = TextAssembler()
         self._text_id = 0
         self._mode: ModeRequest | None = None
@@ -208,6 +232,7 @@ class AutopilotLink:
             _HEARTBEAT_ID: self._on_heartbeat,
             mavlink.MAVLINK_MSG_ID_STATUSTEXT: self._on_statustext,
             mavlink.MAVLINK_MSG_ID_COMMAND_ACK: self._on_command_ack,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
             mavlink.MAVLINK_MSG_ID_MISSION_COUNT: self._on_mission_count,
             mavlink.MAVLINK_MSG_ID_MISSION_ITEM: self._on_mission_item,
             mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT: self._on_mission_item,
@@ -235,7 +260,11 @@ class AutopilotLink:
     def receive(self, data: bytes, now_s: float) -> list[Event]:
         """Take bytes of the link; return what they told. Damaged or senseless input is only counted."""
         self._remote_id.begin()
+        if self._signing is not None:
+            self._signing.advance(now_s)
         for frame in self._scanner.frames(data):
+            if self._signing is not None and not self._believes(frame, self._signing, now_s):
+                continue
             try:
                 if frame.message_id in remote_id.MESSAGE_IDS:
                     self._take_remote_id(frame, now_s)
@@ -247,6 +276,27 @@ class AutopilotLink:
                 self.counts.bad_values += 1
                 self.last_bad = str(error)
         return self._take_events()
+
+    def _believes(self, frame: Frame, signing: Signing, now_s: float) -> bool:
+        refused = signing.refusal(frame)
+        wanted = self._config.system_id if self._vehicle is None else self._vehicle.system_id
+        if frame.component_id == encoders.AUTOPILOT_COMPONENT and wanted in (0, frame.system_id):
+            if refused is None:
+                self._believed_s = now_s
+            else:
+                self._refused = refused, now_s
+        return refused is None
+
+    def disbelief(self, now_s: float) -> str | None:
+        """What signing keeps out, in words for the status line; None when that is nothing."""
+        if self._signing is None:
+            return None
+        heard_s = self._believed_s
+        if self._refused is not None and (heard_s is None or now_s - heard_s > LOST_AFTER_S):
+            reason, refused_s = self._refused
+            if now_s - refused_s <= LOST_AFTER_S:
+                return f"every frame of the vehicle is {_ALL_REFUSED[reason]}"
+        return self._signing.counts.refused()
 
     def _leave(self, frame: Frame) -> None:
         self.counts.foreign += 1
@@ -301,6 +351,7 @@ class AutopilotLink:
         if self._boot_s is not None and time_boot_s < self._boot_s - REBOOT_STEP_S:
             self.counts.reboots += 1
             self._ask_anew(now_s)
+            self._timesync.restart()
         self._boot_s = time_boot_s
         self._boot_heard_s = now_s
 
@@ -368,6 +419,17 @@ class AutopilotLink:
             _value, _count, _index, name, kind = fields
             self._parameters.take(frame.payload, name, kind)
 
+    def _on_timesync(self, frame: Frame, _fields: Fields, now_s: float) -> None:
+        tc1, ts1, target_system, target_component = read_timesync(frame.payload)
+        if tc1 != 0:
+            event = self._timesync.answered(tc1, ts1, now_s)
+            if event is not None:
+                self.counts.clock_reads += 1
+                self._events.append(event)
+        elif self._for_us(target_system, target_component):
+            self.counts.clock_answers += 1
+            self._queue(timesync(nanoseconds(now_s), ts1, frame.system_id, frame.component_id))
+
     def _on_mission_count(self, frame: Frame, fields: Fields, now_s: float) -> None:
         download = self._answered(frame, fields[1], fields[2])
         if download is not None:
@@ -408,6 +470,8 @@ class AutopilotLink:
 
     def advance(self, now_s: float) -> list[Event]:
         """Do what time makes due: our heartbeat, requests for streams, retries; return what came of it."""
+        if self._signing is not None:
+            self._signing.advance(now_s)
         last_s = self._heartbeat_sent_s
         if last_s is None or now_s - last_s >= HEARTBEAT_PERIOD_S - _EPSILON_S:
             self._heartbeat_sent_s = now_s
@@ -421,6 +485,9 @@ class AutopilotLink:
             for name in () if self._parameters is None else self._parameters.due(now_s):
                 self.counts.parameter_requests += 1
                 self._queue(encoders.param_request_read(name, vehicle.system_id))
+            asked_ns = self._timesync.due(now_s)
+            if asked_ns is not None:
+                self._queue(timesync(0, asked_ns, vehicle.system_id, encoders.AUTOPILOT_COMPONENT))
         if self._component is not None and vehicle is not None:
             for frame in self._component.due(vehicle.system_id, now_s):
                 self._queue_frame(frame)
@@ -481,7 +548,7 @@ class AutopilotLink:
     def drain(self) -> bytes:
         """What must be sent now: whole frames, the newest setpoint last."""
         if self._setpoint is not None:
-            self._out += self._writer.pack_payload(*self._setpoint)
+            self._out += self._signed(self._writer.pack_payload(*self._setpoint))
             self._setpoint = None
             self.counts.setpoints += 1
         out = bytes(self._out)
@@ -585,7 +652,10 @@ class AutopilotLink:
         if len(self._out) > MAX_QUEUED_BYTES:
             self._out.clear()
             self.counts.overflows += 1
-        self._out += frame
+        self._out += self._signed(frame)
+
+    def _signed(self, frame: bytes) -> bytes:
+        return frame if self._signing is None else self._signing.sign(frame)
 
     def _take_events(self) -> list[Event]:
         known = self.parameters

@@ -52,7 +52,7 @@ from companion.remote_id.messages import (
 )
 
 from . import encoders
-from .wire import Frame, MavlinkWriter
+from .wire import Frame, MavlinkWriter, without_signature
 
 MESSAGE_IDS = READABLE | {ARM_STATUS}
 MAX_HEARD = 256
@@ -227,7 +227,7 @@ class RemoteIdComponent:
 
     def has_sent(self, status: Frame) -> bool:
         """Whether this is a status of ours that the link brings back, to the byte."""
-        return status.raw in self._statuses
+        return without_signature(status.raw) in self._statuses
 
     def due(self, system_id: int, now_s: float) -> list[bytes]:
         """Frames to send now."""

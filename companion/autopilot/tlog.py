@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO, Protocol
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from companion.errors import PeerDataError
 
 from .wire import (
@@ -24,6 +26,7 @@ from .wire import (
     frame_length,
     is_known,
     message_id_of,
+    without_signature,
 )
 
 _STAMP = struct.Struct(">Q")
@@ -59,7 +62,11 @@ class ByteSink(Protocol):
 
 
 class TlogWriter:
-    """Writes a log of one link. Received bytes may come cut anywhere: each frame becomes one record."""
+    """Writes a log of one link. Received bytes may come cut anywhere: each frame becomes one record.
+
+    As the MAVLink guide asks of logs, signatures are taken off, and SETUP_SIGNING, which holds a key, is left
+    out.
+    """
 
     def __init__(self, stream: ByteSink) -> None:
         self._stream = stream
@@ -77,7 +84,8 @@ class TlogWriter:
     def _write(self, scanner: FrameScanner, utc_s: float, data: bytes) -> None:
         stamp = _STAMP.pack(round(utc_s * 1e6))
         for frame in scanner.frames(data):
-            self._stream.write(stamp + frame.raw)
+            if frame.message_id != mavlink.MAVLINK_MSG_ID_SETUP_SIGNING:
+                self._stream.write(stamp + without_signature(frame.raw))
 
 
 def read_tlog(stream: BinaryIO, name: str, counts: TlogCounts | None = None) -> Iterator[tuple[float, bytes]]:

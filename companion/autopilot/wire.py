@@ -4,8 +4,8 @@ pymavlink knows the message layouts; the framing is ours because a stream that n
 drops and costs microseconds is ours to answer for. No socket and no clock in here.
 
 Frame layouts and the checksum (CRC-16/MCRF4XX over everything behind the magic byte, then one byte that
-stands for the layout) are those of the MAVLink 1 and 2 serialisation guide. Signatures are stepped over,
-not verified.
+stands for the layout) are those of the MAVLink 1 and 2 serialisation guide. Signatures are stepped over here;
+`signing` makes and checks them.
 """
 
 from __future__ import annotations
@@ -27,13 +27,15 @@ MAX_FRAME_BYTES = 10 + 255 + 2 + 13
 """Longest frame: MAVLink 2 header, payload, checksum, signature."""
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")
-_SIGNATURE_BYTES = 13
+SIGNATURE_BYTES = 13
+"""Link id, timestamp and signature behind a signed frame."""
 _SIGNED = 0x01
 _HEAD_V2 = struct.Struct("<BBBBBBBHB")
 
 # The standard library computes the bit-reversed twin of MAVLink's checksum: reversing the bits of every byte
 # going in and of the result coming out turns one into the other, at C speed.
 _REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
+_FLIPPED = bytes((_REVERSED[_SIGNED],))
 _CRC_EXTRA = {i: bytes([_REVERSED[m.crc_extra]]) for i, m in mavlink.mavlink_map.items()}
 
 
@@ -77,7 +79,35 @@ def frame_length(buffer: bytes, at: int) -> int:
         return buffer[at + 1] + 8
     if magic != MAGIC_V2 or buffer[at + 2] & ~_SIGNED:
         return -1
-    return buffer[at + 1] + 12 + (_SIGNATURE_BYTES if buffer[at + 2] & _SIGNED else 0)
+    return buffer[at + 1] + 12 + (SIGNATURE_BYTES if buffer[at + 2] & _SIGNED else 0)
+
+
+def is_signed(raw: bytes) -> bool:
+    """Whether a whole frame ends in a signature."""
+    return raw[0] == MAGIC_V2 and bool(raw[2] & _SIGNED)
+
+
+def flagged(frame: bytes) -> bytes:
+    """An unsigned MAVLink 2 frame with the flag that announces a signature, and the checksum for that."""
+    return _toggled(frame)
+
+
+def without_signature(raw: bytes) -> bytes:
+    """A frame as it would be if it had not been signed."""
+    return _toggled(raw[:-SIGNATURE_BYTES]) if is_signed(raw) else raw
+
+
+def _toggled(frame: bytes) -> bytes:
+    """A MAVLink 2 frame, up to its checksum, with the flag of signed frames turned round.
+
+    A checksum is linear: it changes by that of the changed bits alone, so this needs no message layout.
+    """
+    change = crc_hqx(_FLIPPED + bytes(len(frame) - 4), 0)
+    toggled = bytearray(frame)
+    toggled[2] ^= _SIGNED
+    toggled[-2] ^= _REVERSED[change >> 8]
+    toggled[-1] ^= _REVERSED[change & 0xFF]
+    return bytes(toggled)
 
 
 def message_id_of(raw: bytes) -> int:

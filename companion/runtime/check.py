@@ -16,6 +16,7 @@ from companion.runtime.kept_link import KeptLink
 from companion.runtime.policy import judge_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
+from companion.runtime.signing import KeptSigning
 
 _RADIO_S = 2.5
 
@@ -24,7 +25,7 @@ def check(config: Config, say: Callable[[str], None]) -> int:
     """Probe what the configuration names. Returns 0 when all is there, 1 otherwise.
 
     Raises:
-        ConfigError: the path cannot be flown, or the link not be opened.
+        ConfigError: the path cannot be flown, the signing key not be read, or the link not be opened.
     """
     check_path(config, "configuration")
     say(f"configuration: valid; region {config.region.name}")
@@ -50,8 +51,9 @@ def _probe_policy(config: Config, say: Callable[[str], None]) -> bool:
 
 
 def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
+    kept = KeptSigning(config)
     link = KeptLink(config.vehicle.link, say)
-    protocol = AutopilotLink(config.vehicle)
+    protocol = AutopilotLink(config.vehicle, signing=kept.signing)
     flies = config.flight.use != "watch"
     end = time.monotonic() + config.vehicle.wait_s
     try:
@@ -62,8 +64,11 @@ def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
             link.send(protocol.drain())
     finally:
         link.close()
+        kept.close()
     if protocol.vehicle is None:
-        say(f"vehicle: {config.vehicle.link}: no vehicle within {config.vehicle.wait_s:g} s")
+        why = protocol.disbelief(now)
+        text = f"vehicle: {config.vehicle.link}: no vehicle within {config.vehicle.wait_s:g} s"
+        say(text if why is None else f"{text}: {why}")
         return False
     say(f"vehicle: {protocol.vehicle}")
     for text in _module_of_another(config, protocol.vehicle.system_id):

@@ -7,6 +7,7 @@ opened again, a full disk and a stopped terminal are done without, each of them 
 
 from __future__ import annotations
 
+import dataclasses
 import faulthandler
 import signal
 import time
@@ -32,6 +33,7 @@ from companion.runtime.policy import RUN_FILE, read_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
+from companion.runtime.signing import KeptSigning
 from companion.runtime.voice import Voice
 from companion.runtime.warm import warm_up
 
@@ -82,6 +84,7 @@ class Flight:
         self._say = self._voice.say
         self._say(f"compiling the avoidance kernels ... {warm_up():.1f} s")
         try:
+            self._signing = KeptSigning(config)
             self.link = KeptLink(config.vehicle.link, self._say)
             try:
                 self.radio = Radios(config, sending=not dry_run)
@@ -108,6 +111,7 @@ class Flight:
             commanding=not dry_run,
             tlog=TlogWriter(self._tape),
             utc_guess_s=guess,
+            signing=self._signing.signing,
         )
         chooser = self.onboard.heart.chooser
         if chooser is not None and chooser.trouble is not None:
@@ -130,6 +134,7 @@ class Flight:
         """
         for number in _SIGNALS:
             signal.signal(number, self.stop)
+        self._signing.start()
         try:
             self._find_vehicle()
             if self._stop:
@@ -165,10 +170,10 @@ class Flight:
         while self.onboard.link.vehicle is None and not self._stop:
             now = time.monotonic()
             if now > give_up:
-                raise ConfigError(
-                    f"{self.config.vehicle.link}: no vehicle within {wait_s:g} s: is the autopilot sending "
-                    "MAVLink to this address, and is vehicle.link right?"
+                why = self.onboard.link.disbelief(now) or (
+                    "is the autopilot sending MAVLink to this address, and is vehicle.link right?"
                 )
+                raise ConfigError(f"{self.config.vehicle.link}: no vehicle within {wait_s:g} s: {why}")
             self._wait(now + 1.0 / self.config.flight.setpoint_rate_hz)
             self._tick(time.monotonic())
         vehicle = self.onboard.link.vehicle
@@ -255,6 +260,8 @@ class Flight:
         data = self.link.receive(now_s)
         if data:
             self.onboard.receive(data, now_s)
+            # An answer to TIMESYNC that waited for the next tick would tell a wrong time.
+            self.link.send(self.onboard.drain(now_s))
 
     def _let_go(self) -> None:
         """Leave the vehicle standing still, not drifting into its setpoint timeout."""
@@ -272,6 +279,7 @@ class Flight:
         health = self.radio.health(time.monotonic())
         self.radio.close()
         self.link.close()
+        self._signing.close()
         if self._recorder is not None and self.folder is not None:
             answered = self._recorder.close()
             if self._recorder.error is not None:
@@ -300,12 +308,14 @@ class Flight:
         return (
             f"{doing}; vehicle mode {mode}, {'armed' if heart.own.armed else 'disarmed'}; "
             f"{unfit or 'own state fit'}; {len(heart.traffic.tracks)} tracks; radio: {health.text}; "
-            f"sent {health.frames_sent}, heard {health.frames_heard}; late {self._late}{self._wrong()}"
+            f"sent {health.frames_sent}, heard {health.frames_heard}; late {self._late}{self._wrong(now_s)}"
         )
 
-    def _wrong(self) -> str:
+    def _wrong(self, now_s: float) -> str:
         """What is wrong beside the heart and the radio, for the status line."""
         text = "" if self.link.up else "; link down"
+        disbelief = self.onboard.link.disbelief(now_s)
+        text += "" if disbelief is None else f"; {disbelief}"
         broadcaster = self.onboard.heart.broadcaster
         if self.config.has_radio or self.config.region.transport_sets:
             text += "".join(f"; {words}" for words in (broadcaster.trouble, broadcaster.lacking) if words)
@@ -317,7 +327,7 @@ class Flight:
 
     def summary(self, health: Health) -> dict[str, object]:
         """What stands in `summary.json`."""
-        recorder, trouble = self._recorder, self.link.trouble
+        recorder, trouble, signing = self._recorder, self.link.trouble, self._signing.signing
         return {
             "ticks": self._ticks,
             "late_ticks": self._late,
@@ -330,6 +340,7 @@ class Flight:
             "link_losses": trouble.losses,
             "link_errors": trouble.errors,
             "link_sends_dropped": trouble.dropped,
+            "signing": None if signing is None else dataclasses.asdict(signing.counts),
             "lines_dropped": self._voice.dropped,
             "records_dropped": 0 if recorder is None else recorder.dropped,
             "recorder_error": None if recorder is None else recorder.error,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.events import (
+    ClockRead,
     Firmware,
     FlightMode,
     GlobalPosition,
@@ -149,3 +150,92 @@ def test_a_vehicle_that_was_driven_away_gets_a_new_frame():
     flying.take(position(1.0), 1.0)
     flying.take(position(600.0, lat_deg=47.6), 600.0)
     assert flying.frame.lat_deg == 47.0
+
+
+# ---------------------------------------------------------------- TIMESYNC
+
+WAYS = [(0.15, 0.0), (0.15, 0.15), (0.0, 0.15), (0.15, 0.02), (0.0, 0.0)]
+BOOT_S = 500.0
+"""Our time at the vehicle's boot in the tests below: what is to be estimated."""
+
+
+def flown(down_s, up_s, *, seconds=10.0, answers=True, own=None, start_s=1000.0, boot_s=BOOT_S):
+    """A vehicle whose messages take `down_s` and whose questions take `up_s`; positions 10 times a second."""
+    own = armed() if own is None else own
+    for tick in range(round(seconds * 10)):
+        now_s = start_s + tick / 10
+        own.take(position(now_s - down_s - boot_s), now_s)
+        if answers and tick % 10 == 5:
+            asked_s = now_s - down_s - up_s
+            own.take(ClockRead(time_boot_s=asked_s + up_s - boot_s, asked_s=asked_s, heard_s=now_s), now_s)
+    return own, now_s
+
+
+def error_s(own):
+    return own.sample_s() - own.position.time_boot_s - BOOT_S
+
+
+@pytest.mark.parametrize(("down_s", "up_s"), WAYS)
+def test_a_links_delay_is_known_to_half_its_round_trip(down_s, up_s):
+    own, now_s = flown(down_s, up_s)
+    assert abs(error_s(own)) <= (down_s + up_s) / 2 + 0.002
+    assert own.age_s(now_s) == pytest.approx(down_s, abs=(down_s + up_s) / 2 + 0.002)
+    if down_s == up_s:
+        assert error_s(own) == pytest.approx(0.0, abs=0.002)
+
+
+def test_without_answers_the_delay_is_not_seen():
+    own, now_s = flown(0.15, 0.15, answers=False)
+    assert own.age_s(now_s) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_vehicle_that_answers_no_more_keeps_what_is_known():
+    own, _ = flown(0.1, 0.1)
+    own, now_s = flown(0.1, 0.1, answers=False, own=own, start_s=1010.0, seconds=60.0)
+    assert own.age_s(now_s) == pytest.approx(0.1, abs=0.005)
+
+
+def test_one_quick_answer_among_slow_ones_is_enough():
+    own, _ = flown(0.2, 0.2, seconds=5.0)
+    own, _ = flown(0.01, 0.01, seconds=1.0, own=own, start_s=1005.0)
+    own, now_s = flown(0.2, 0.2, own=own, start_s=1006.0)
+    assert own.age_s(now_s) == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_link_that_grows_slow_shows_as_age_for_all_its_answers():
+    own, _ = flown(0.0, 0.0)
+    own, now_s = flown(0.4, 0.05, own=own, start_s=1010.5, seconds=30.0)
+    assert own.age_s(now_s) == pytest.approx(0.4, abs=0.03)
+
+
+@pytest.mark.parametrize("slip_s", [0.3, -0.3])
+def test_a_clock_that_slipped_is_found_again(slip_s):
+    """Without answers a clock that fell behind passes for a slow link until the vehicle is disarmed."""
+    own, _ = flown(0.02, 0.02)
+    own, now_s = flown(0.02, 0.02, own=own, start_s=1010.0, seconds=3.0, boot_s=BOOT_S + slip_s)
+    assert own.age_s(now_s) == pytest.approx(0.02, abs=0.021)
+
+
+def test_a_clock_that_begins_anew_takes_nothing_along():
+    own, _ = flown(0.15, 0.15)
+    start_s = 1010.0
+    own, now_s = flown(0.15, 0.15, own=own, start_s=start_s, seconds=0.5, boot_s=start_s - 1.0)
+    assert own.age_s(now_s) == pytest.approx(0.0, abs=1e-6)
+    own, now_s = flown(0.15, 0.15, own=own, start_s=start_s + 0.5, seconds=2.0, boot_s=start_s - 1.0)
+    assert own.age_s(now_s) == pytest.approx(0.15, abs=0.003)
+
+
+def test_an_answer_in_another_clock_is_left_out():
+    own, now_s = flown(0.05, 0.05)
+    before = own.age_s(now_s)
+    for time_boot_s in (1_767_225_600.0, 3.0, now_s - BOOT_S + 5.0):
+        own.take(ClockRead(time_boot_s=time_boot_s, asked_s=now_s - 0.1, heard_s=now_s), now_s)
+    assert own.age_s(now_s) == before
+
+
+def test_an_answer_before_any_position_is_left_out():
+    own = armed()
+    own.take(ClockRead(time_boot_s=5.0, asked_s=1.0, heard_s=1.1), 1.1)
+    assert own.utc_offset_s is None
+    own.take(position(6.0), 2.0)
+    assert own.age_s(2.0) == 0.0

@@ -63,5 +63,5 @@ def test_another_file_is_refused_in_one_line():
 
 
 def test_a_record_of_another_version_is_told_apart():
-    with pytest.raises(PeerDataError, match="format b'1'; this version reads b'3'"):
+    with pytest.raises(PeerDataError, match="format b'1'; this version reads b'4'"):
         list(record.read(io.BytesIO(b"DMUCAEV1" + b"\0" * 20), "old.events"))

@@ -20,7 +20,15 @@ from companion.autopilot import readers
 from companion.autopilot.fence import areas_from_items
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.mission_download import item_from_int
-from companion.autopilot.wire import MAX_FRAME_BYTES, FrameScanner, MavlinkReader, MavlinkWriter, is_known
+from companion.autopilot.signing import Signing
+from companion.autopilot.wire import (
+    MAGIC_V2,
+    MAX_FRAME_BYTES,
+    FrameScanner,
+    MavlinkReader,
+    MavlinkWriter,
+    is_known,
+)
 from companion.avoidance.fence import check_areas
 from companion.config import TrafficConfig, VehicleConfig
 from companion.errors import ConfigError
@@ -302,6 +310,43 @@ def _link() -> Target:
     return Target("mavlink link", _content_seeds(), feed)
 
 
+_KEY = bytes(range(32))
+
+
+@cache
+def _signed_seeds() -> list[bytes]:
+    signing = Signing(_KEY, 1000, 0.0)
+    return [signing.sign(frame.raw) for frame in recorded_frames() if frame.raw[0] == MAGIC_V2]
+
+
+def _signed_link() -> Target:
+    """A link with a key: signed frames damaged, and damaged content rightly signed by many senders."""
+    ours, theirs = Signing(_KEY, 1000, 0.0), Signing(_KEY, 100_000, 0.0)
+    link = AutopilotLink(VehicleConfig(), signing=ours)
+    beat = MavlinkWriter(1, 1).pack_payload(0, bytes(9))
+    link.receive(theirs.sign(beat), 0.0)
+    now_s, turn = 0.0, 0
+
+    def feed(data: bytes) -> bool:
+        nonlocal now_s, turn
+        now_s, turn = now_s + 0.01, turn + 1
+        before = ours.counts.valid
+        framed = _reframed(data, MavlinkWriter(turn % 7 % 3 + 1, 1)) if turn % 2 else b""
+        link.receive(theirs.sign(framed, turn % 256) if framed else data, now_s)
+        link.advance(now_s)
+        link.drain()
+        return ours.counts.valid > before
+
+    def check() -> None:
+        # Whatever came before: the vehicle itself is still believed.
+        link.receive(bytes(MAX_FRAME_BYTES), now_s)
+        before = ours.counts.valid
+        link.receive(theirs.sign(beat) + theirs.sign(beat), now_s)
+        assert ours.counts.valid > before
+
+    return Target("mavlink signed", _signed_seeds() + _content_seeds(), feed, check)
+
+
 def make_targets() -> list[Target]:
     """Every reader, with empty memories."""
     return [
@@ -313,5 +358,6 @@ def make_targets() -> list[Target]:
         Target("adsb", _adsb_seeds(), taking(_read_adsb, ConfigError)),
         Target("fence items", _fence_seeds(), taking(_read_fence)),
         _link(),
+        _signed_link(),
         *radio_targets.make_targets(),
     ]

@@ -1,0 +1,74 @@
+"""TIMESYNC: the vehicle's clock read between two moments of our own (MAVLink guide, "Time Synchronization").
+
+We ask with our clock in `ts1` and `tc1` zero; the vehicle sends `ts1` back with its own time since boot in
+`tc1`, both in nanoseconds. It read that clock after we had asked and before we heard: what the two clocks
+differ by is known to within the round trip, whichever way is the slower one. `companion.ownship` makes use
+of it.
+
+The echo says whose answer it is. The target fields do not: ArduPilot has none of them, PX4 1.17 answers
+without having set them.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.events import ClockRead
+
+from .encoders import Outgoing
+
+PERIOD_S = 1.0
+LONGEST_ROUND_TRIP_S = 0.5
+"""An answer that took longer tells too little, and is left out."""
+_EPSILON_S = 1e-6
+_FIELDS = struct.Struct("<qqBB")
+
+
+def timesync(tc1: int, ts1: int, system_id: int, component_id: int) -> Outgoing:
+    """TIMESYNC (ns) to one component; with the target fields, which pymavlink's layout lacks."""
+    return mavlink.MAVLINK_MSG_ID_TIMESYNC, _FIELDS.pack(tc1, ts1, system_id, component_id)
+
+
+def read_timesync(payload: bytes) -> tuple[int, int, int, int]:
+    """tc1, ts1 (ns), target system and component (0: everybody, or not told)."""
+    tc1, ts1, system_id, component_id = _FIELDS.unpack(payload.ljust(_FIELDS.size, b"\0")[: _FIELDS.size])
+    return tc1, ts1, system_id, component_id
+
+
+def nanoseconds(now_s: float) -> int:
+    """Our clock as TIMESYNC has it."""
+    return round(now_s * 1e9)
+
+
+class TimeSync:
+    """Asks once a second and takes the answer to what it asked last."""
+
+    def __init__(self) -> None:
+        self._asked_s: float | None = None
+        self._open = False
+        self.round_trip_s: float | None = None
+        """Of the last answer."""
+
+    def restart(self) -> None:
+        """The vehicle is new or has restarted: what it was asked before is void; ask at once."""
+        self._asked_s, self._open = None, False
+
+    def due(self, now_s: float) -> int | None:
+        """The `ts1` to ask with, when it is time to."""
+        if self._asked_s is not None and now_s - self._asked_s < PERIOD_S - _EPSILON_S:
+            return None
+        self._asked_s, self._open = now_s, True
+        return nanoseconds(now_s)
+
+    def answered(self, tc1: int, ts1: int, now_s: float) -> ClockRead | None:
+        """What an answer tells; None when it answers nothing that we asked, or came too late."""
+        asked_s = self._asked_s
+        if asked_s is None or not self._open or ts1 != nanoseconds(asked_s) or tc1 < 0:
+            return None
+        self._open = False
+        self.round_trip_s = now_s - asked_s
+        if not 0.0 <= self.round_trip_s <= LONGEST_ROUND_TRIP_S:
+            return None
+        return ClockRead(time_boot_s=tc1 / 1e9, asked_s=asked_s, heard_s=now_s)
