@@ -24,6 +24,7 @@ from companion.runtime.flight import Flight
 _EXAMPLES = """examples:
   companion check --config config/companion.toml
   companion run --config config/companion.toml --dry-run
+  companion status
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
   companion remote-id listen --radio wifi=mon0
@@ -49,9 +50,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
     run.add_argument(
-        "--dry-run", action="store_true", help="decide, but command nothing and broadcast nothing"
+        "--dry-run", action="store_true", help="decide and record, but command nothing and broadcast nothing"
     )
     run.set_defaults(run=_run)
+
+    status = commands.add_parser(
+        "status", help="show the live state of a companion that runs here", epilog="companion status --once"
+    )
+    status.add_argument("--socket", type=Path, help="its status socket, where several run")
+    status.add_argument("--once", action="store_true", help="print it once, do not refresh")
+    status.add_argument("--json", action="store_true", help="print it once, as one JSON object")
+    status.set_defaults(run=_status)
 
     checked = commands.add_parser(
         "check",
@@ -81,6 +90,13 @@ def _run(arguments: argparse.Namespace) -> int:
 
     Flight(configuration.load(arguments.config), say, dry_run=arguments.dry_run).run()
     return 0
+
+
+def _status(arguments: argparse.Namespace) -> int:
+    # Here, because who flies has no use for a terminal's library.
+    from companion.runtime.watch import watch
+
+    return watch(arguments.socket, once=arguments.once, as_json=arguments.json)
 
 
 def _replay(arguments: argparse.Namespace) -> int:
