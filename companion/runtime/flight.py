@@ -286,13 +286,23 @@ class Flight:
         self.link.send(self.onboard.drain(now_s))
         for broadcast in broadcasts:
             self._broadcast(broadcast, now_s)
-        if self._server is not None:
-            self._server.serve(lambda: self.live(now_s))
+        self._serve_status(now_s)
         if now_s - self._status_s > _STATUS_S:
             self._status_s = now_s
             line = self.status(now_s)
             self._voice.say(line)
             self._notifier.status(line)
+
+    def _serve_status(self, now_s: float) -> None:
+        if self._server is None:
+            return
+        try:
+            self._server.serve(lambda: self.live(now_s))
+        except Exception as error:
+            # A bug of ours, but one of a spectator: it must not end the flight as those of the heart do.
+            self._server.close()
+            self._server = None
+            self._say(f"status: not served any more: {type(error).__name__}: {error}")
 
     def _broadcast(self, broadcast: Broadcast, now_s: float) -> None:
         try:
