@@ -64,11 +64,12 @@ def _parser() -> argparse.ArgumentParser:
 
     checked = commands.add_parser(
         "check",
-        help="validate a configuration, probe link and radio",
+        help="the preflight list: what is missing, and what to do about it",
         epilog="companion check --config my.toml",
     )
     checked.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
-    checked.set_defaults(run=lambda a: check(configuration.load(a.config), print))
+    checked.add_argument("--json", action="store_true", help="one JSON object")
+    checked.set_defaults(run=_check)
 
     again = commands.add_parser(
         "replay", help="feed a run or a tlog to the heart again", epilog="companion replay runs/NAME"
@@ -90,6 +91,16 @@ def _run(arguments: argparse.Namespace) -> int:
 
     Flight(configuration.load(arguments.config), say, dry_run=arguments.dry_run).run()
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    colours = {"green": 32, "yellow": 33, "red": 31} if sys.stdout.isatty() else {}
+
+    def say(line: str) -> None:
+        light, _, rest = line.partition(" ")
+        print(f"\x1b[{colours[light]}m{light}\x1b[0m {rest}" if light in colours else line, flush=True)
+
+    return check(configuration.load(arguments.config), say, as_json=arguments.json)
 
 
 def _status(arguments: argparse.Namespace) -> int:

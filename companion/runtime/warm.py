@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 from companion.avoidance import kernels
 
@@ -12,3 +13,9 @@ def warm_up() -> float:
     began = time.perf_counter()
     kernels.warm_up()
     return time.perf_counter() - began
+
+
+def was_compiled() -> bool:
+    """Whether the cache did not hold them: this process has compiled."""
+    stats: Any = getattr(kernels.decide, "stats", None)
+    return bool(sum(stats.cache_misses.values()))
