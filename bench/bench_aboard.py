@@ -27,7 +27,8 @@ from companion.radio.ether_wire import Heard, Welcome
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location
 
-SECONDS = 30.0
+SECONDS = 20.0
+SETTLE_S = 3.0
 PATIENCE_S = 120.0
 PRIORITY = 20
 
@@ -157,7 +158,7 @@ def fly(folder: Path) -> dict[str, float]:
             with process(log, "companion.cli", "run", "--config", str(folder / "c.toml")) as child:
                 wait_for(log, "standby -> guarding")
                 ready_s = time.monotonic() - began_s
-                time.sleep(3.0)
+                time.sleep(SETTLE_S)
                 used_s, at_s = processor_s(child.pid), time.monotonic()
                 time.sleep(SECONDS)
                 share = (processor_s(child.pid) - used_s) / (time.monotonic() - at_s)
