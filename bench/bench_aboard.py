@@ -169,6 +169,8 @@ def fly(folder: Path) -> dict[str, float]:
                     "peak": memory_mb(child.pid, "VmHWM"),
                 }
         (summary,) = (folder / "runs").glob("*/summary.json")
+        flown_h = (time.monotonic() - began_s - ready_s) / 3600.0
+        figures["mb_an_hour"] = sum(path.stat().st_size for path in summary.parent.iterdir()) / 1e6 / flown_h
         found = json.loads(summary.read_text())
     finally:
         air.close()
@@ -206,8 +208,8 @@ def real_time() -> Iterator[bool]:
 def line(name: str, f: dict[str, float]) -> None:
     """Print a flight's figures."""
     print(
-        f"{name:26}{f['ready_s']:8.1f}{f['rss']:8.0f}{f['peak']:8.0f}{100 * f['core']:8.1f}{f['median']:9.1f}"
-        f"{f['p99']:8.1f}{f['worst']:8.1f}{f['missed']:6.0f} of {f['ticks']:.0f}",
+        f"{name:26}{f['ready_s']:9.1f}{f['rss']:8.0f}{f['peak']:8.0f}{100 * f['core']:8.1f}{f['median']:9.1f}"
+        f"{f['p99']:8.1f}{f['worst']:8.1f}{f['missed']:8.0f}{f['ticks']:8.0f}{f['mb_an_hour']:8.0f}",
         flush=True,
     )
 
@@ -215,8 +217,8 @@ def line(name: str, f: dict[str, float]) -> None:
 def main() -> None:
     """Print the table."""
     cores = len(os.sched_getaffinity(0))
-    print(f"{'':26}{'ready':>8}{'RSS':>8}{'peak':>8}{'core':>8}{'late ms':>9}{'p99':>8}{'worst':>8}  missed")
-    print(f"{'':26}{'s':>8}{'MB':>8}{'MB':>8}{'%':>8}{'median':>9}")
+    heads = ("RSS MB", "peak MB", "core %", "late ms", "p99 ms", "worst", "missed", "ticks", "MB/h")
+    print(f"{'':26}{'ready s':>9}" + "".join(f"{h:>{9 if h == 'late ms' else 8}}" for h in heads))
     with tempfile.TemporaryDirectory() as folder:
         for name in ("idle", "busy", "real"):
             (Path(folder) / name).mkdir()

@@ -1,4 +1,8 @@
-"""The `companion` command."""
+"""The `companion` command.
+
+What flies or replays is imported where it is needed: it brings the compiler with it, which who only looks has
+no use for.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +15,12 @@ from pathlib import Path
 
 import msgspec
 
-from companion import __version__, record, replay
+from companion import __version__, record
 from companion import config as configuration
-from companion.autopilot.tlog import read_tlog
 from companion.command_line import parser_of, run_command
 from companion.errors import ConfigError
 from companion.remote_id import command as remote_id_command
 from companion.runtime import listen
-from companion.runtime.check import check
-from companion.runtime.flight import Flight
 
 _EXAMPLES = """examples:
   companion check --config config/companion.toml
@@ -86,6 +87,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from companion.runtime.flight import Flight
+
     def say(line: str) -> None:
         print(line, flush=True)
 
@@ -94,6 +97,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
+    from companion.runtime.check import check
+
     colours = {"green": 32, "yellow": 33, "red": 31} if sys.stdout.isatty() else {}
 
     def say(line: str) -> None:
@@ -104,7 +109,6 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _status(arguments: argparse.Namespace) -> int:
-    # Here, because who flies has no use for a terminal's library.
     from companion.runtime.watch import watch
 
     return watch(arguments.socket, once=arguments.once, as_json=arguments.json)
@@ -125,6 +129,8 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
+    from companion import replay
+
     tolerance = 0.0 if _same_software(folder / "manifest.json") else replay.ELSEWHERE
     with path.open("rb") as stream:
         result = replay.replay_record(record.read(stream, str(path)), str(path), tolerance)
@@ -152,6 +158,9 @@ def _same_software(manifest: Path) -> bool:
 
 
 def _replay_tlog(path: Path, *, as_json: bool) -> int:
+    from companion import replay
+    from companion.autopilot.tlog import read_tlog
+
     with path.open("rb") as stream:
         result, locations = replay.replay_tlog(read_tlog(stream, str(path)))
         for location in locations:

@@ -222,8 +222,7 @@ def _vehicle(config: Config, found: Preflight) -> None:
         probe.run(config.vehicle.wait_s, lambda: probe.protocol.vehicle is not None)
         if probe.protocol.vehicle is not None:
             probe.run(_SETTLE_S)
-            probe.counts.clear()
-            probe.run(_MEASURE_S)
+            probe.measure(_MEASURE_S)
     finally:
         link.close()
     _judge_vehicle(config, probe, found)
@@ -237,8 +236,16 @@ class _Probe:
         self.protocol = AutopilotLink(config.vehicle)
         self.own = Ownship()
         self.counts: Counter[type[Event]] = Counter()
+        self.measured_s = 0.0
         self.received = 0
         self.now_s = time.monotonic()
+
+    def measure(self, seconds: float) -> None:
+        """Count anew, for so long."""
+        self.counts.clear()
+        began_s = time.monotonic()
+        self.run(seconds)
+        self.measured_s = time.monotonic() - began_s
 
     def run(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
         """Exchange bytes for so long, or until done."""
@@ -290,7 +297,7 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
 
 
 def _judge_rates(probe: _Probe, found: Preflight) -> None:
-    rates = {name: probe.counts[kind] / _MEASURE_S for kind, (name, _) in _MESSAGES.items()}
+    rates = {name: probe.counts[kind] / probe.measured_s for kind, (name, _) in _MESSAGES.items()}
     short = {name: want for name, want in _MESSAGES.values() if rates[name] < ENOUGH * want}
     well = [f"{name} {rate:.1f}" for name, rate in rates.items() if name not in short]
     if well:
