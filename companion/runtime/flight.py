@@ -7,6 +7,7 @@ opened again, a full disk and a stopped terminal are done without, each of them 
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import gc
 import os
@@ -30,7 +31,7 @@ from companion.events import AuthorityChanged, Broadcast, Decision, FlightMode, 
 from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Header, Step
-from companion.runtime.disk import RUN
+from companion.runtime.disk import RUN, DiskFloor
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.lateness import Lateness
 from companion.runtime.live import heart_status
@@ -228,6 +229,7 @@ class Flight:
         utc_s = time.time()
         config, aircraft = self.config, self._aircraft
         vehicle = self.onboard.link.vehicle
+        self._make_room()
         folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
         public = configuration.public(config)
         header = Header(aircraft=aircraft, software=__version__, config=public, policy=self._policy)
@@ -249,6 +251,14 @@ class Flight:
         self._early.clear()
         self._tape.play(self._recorder)
         self._say(f"vehicle {vehicle}; recording to {folder}")
+
+    def _make_room(self) -> None:
+        """On the ground, before the first file: a disk that is full to the last byte takes no folder."""
+        floor = DiskFloor(self.config.record, Path(self.config.record.folder) / "to come")
+        with contextlib.suppress(OSError):  # the recorder will say what is wrong
+            floor.trouble()
+        if floor.deleted:
+            self._say(f"disk: deleted the oldest runs: {', '.join(floor.deleted)}")
 
     def _loop(self) -> None:
         period = 1.0 / self.config.flight.setpoint_rate_hz

@@ -28,7 +28,7 @@ from companion.runtime.disk import MANIFEST, DiskFloor, lock
 
 _QUEUE = 20_000
 _LOOK_S = 5.0
-"""How often the free space is looked at: a flight writes some 0.1 MB in this time."""
+"""How often the free space is looked at: a flight writes some 0.2 MB in this time."""
 _CLOSE_S = 5.0
 """How long the end of a flight waits for a slow disk."""
 _VERSIONED = ("numpy", "numba", "pymavlink", "msgspec", "pymap3d")

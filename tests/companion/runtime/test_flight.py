@@ -403,6 +403,24 @@ def test_what_the_law_adds_is_configured_and_said(arm, said):
     assert "radio: set" in said
 
 
+@pytest.mark.parametrize("delete_oldest", [True, False])
+def test_old_runs_make_room_for_a_new_one_where_they_may(
+    flight, said, until, tmp_path, monkeypatch, delete_oldest
+):
+    old = tmp_path / "20260101T000000Z-companion"
+    old.mkdir()
+    (old / "manifest.json").write_text('{"what": "companion run"}')
+    (old / "A.events").write_bytes(b"")
+    monkeypatch.setattr("companion.runtime.disk.free_mb", lambda _folder: 50.0 if old.exists() else 300.0)
+    record = msgspec.structs.replace(flight.config.record, delete_oldest=delete_oldest)
+    flight.config = msgspec.structs.replace(flight.config, record=record)
+    recording = "recording to" if delete_oldest else "not recording: less than 200 MB are free"
+    fly(flight, lambda: until(heard_of(said, recording)))
+    assert old.exists() is not delete_oldest
+    assert heard_of(said, f"deleted the oldest runs: {old.name}")() is delete_oldest
+    assert (summary(flight)["recorder_error"] is None) is delete_oldest
+
+
 @pytest.fixture
 def manager(tmp_path, monkeypatch):
     """What a service manager with a watchdog is told."""
