@@ -20,9 +20,10 @@ class Lateness:
         self._counts[min(max(int(late_s / _BIN_S), 0), _BINS - 1)] += 1
 
     def percentile_s(self, percent: float) -> float:
-        """Lateness that this share of the ticks did not exceed, to 0.1 ms upwards; 0 without ticks."""
+        """Lateness that this share of the ticks did not exceed, to 0.1 ms upwards; 0 without ticks. Beyond
+        0.1 s the worst stands for all."""
         left = sum(self._counts) * percent / 100.0
-        for number, count in enumerate(self._counts):
+        for number, count in enumerate(self._counts[:-1]):
             left -= count
             if left <= 0.0:
                 return min((number + 1) * _BIN_S, self.worst_s)
