@@ -146,7 +146,7 @@ def _facts(s: Status) -> list[tuple[str, str, str]]:
         ("link", link, "" if s.link_up else "red"),
         ("radio", on_air, "" if s.radio_ok else "red"),
         ("Remote ID", trouble or "as the region and the configuration ask", "red" if trouble else "green"),
-        ("loop", f"{s.ticks} ticks, {s.late_ticks} missed, latest {s.worst_tick_ms:.1f} ms", ""),
+        ("loop", f"{s.ticks} ticks, {s.late_ticks} missed, worst {s.worst_tick_ms:.1f} ms late", ""),
         ("record", record, "red" if s.recorder_error else ""),
     ]
 
