@@ -1,7 +1,23 @@
 """`python -m bench`: every figure, one table after the other."""
 
-from bench import bench_atmc, bench_avoidance, bench_channel, bench_heart, bench_lockstep, bench_remote_id
+from bench import (
+    bench_aboard,
+    bench_atmc,
+    bench_avoidance,
+    bench_channel,
+    bench_heart,
+    bench_lockstep,
+    bench_remote_id,
+)
 
-for module in (bench_avoidance, bench_heart, bench_lockstep, bench_remote_id, bench_channel, bench_atmc):
+for module in (
+    bench_avoidance,
+    bench_heart,
+    bench_aboard,
+    bench_lockstep,
+    bench_remote_id,
+    bench_channel,
+    bench_atmc,
+):
     print(f"\n== {(module.__doc__ or '').splitlines()[0]}\n", flush=True)
     module.main()

@@ -1,4 +1,8 @@
-"""The `companion` command."""
+"""The `companion` command.
+
+What flies or replays is imported where it is needed: it brings the compiler with it, which who only looks has
+no use for.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +15,17 @@ from pathlib import Path
 
 import msgspec
 
-from companion import __version__, record, replay
+from companion import __version__, record
 from companion import config as configuration
-from companion.autopilot.tlog import read_tlog
 from companion.command_line import parser_of, run_command
 from companion.errors import ConfigError
 from companion.remote_id import command as remote_id_command
 from companion.runtime import listen
-from companion.runtime.check import check
-from companion.runtime.flight import Flight
 
 _EXAMPLES = """examples:
   companion check --config config/companion.toml
   companion run --config config/companion.toml --dry-run
+  companion status
   companion replay runs/20260101T000000Z-demo
   companion replay flight.tlog --json
   companion remote-id listen --radio wifi=mon0
@@ -49,17 +51,26 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
     run.add_argument(
-        "--dry-run", action="store_true", help="decide, but command nothing and broadcast nothing"
+        "--dry-run", action="store_true", help="decide and record, but command nothing and broadcast nothing"
     )
     run.set_defaults(run=_run)
 
+    status = commands.add_parser(
+        "status", help="show the live state of a companion that runs here", epilog="companion status --once"
+    )
+    status.add_argument("--socket", type=Path, help="its status socket, where several run")
+    status.add_argument("--once", action="store_true", help="print it once, do not refresh")
+    status.add_argument("--json", action="store_true", help="print it once, as one JSON object")
+    status.set_defaults(run=_status)
+
     checked = commands.add_parser(
         "check",
-        help="validate a configuration, probe link and radio",
+        help="the preflight list: what is missing, and what to do about it",
         epilog="companion check --config my.toml",
     )
     checked.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
-    checked.set_defaults(run=lambda a: check(configuration.load(a.config), print))
+    checked.add_argument("--json", action="store_true", help="one JSON object")
+    checked.set_defaults(run=_check)
 
     again = commands.add_parser(
         "replay", help="feed a run or a tlog to the heart again", epilog="companion replay runs/NAME"
@@ -76,11 +87,31 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from companion.runtime.flight import Flight
+
     def say(line: str) -> None:
         print(line, flush=True)
 
     Flight(configuration.load(arguments.config), say, dry_run=arguments.dry_run).run()
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from companion.runtime.check import check
+
+    colours = {"green": 32, "yellow": 33, "red": 31} if sys.stdout.isatty() else {}
+
+    def say(line: str) -> None:
+        light, _, rest = line.partition(" ")
+        print(f"\x1b[{colours[light]}m{light}\x1b[0m {rest}" if light in colours else line, flush=True)
+
+    return check(configuration.load(arguments.config), say, as_json=arguments.json)
+
+
+def _status(arguments: argparse.Namespace) -> int:
+    from companion.runtime.watch import watch
+
+    return watch(arguments.socket, once=arguments.once, as_json=arguments.json)
 
 
 def _replay(arguments: argparse.Namespace) -> int:
@@ -98,6 +129,8 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
+    from companion import replay
+
     tolerance = 0.0 if _same_software(folder / "manifest.json") else replay.ELSEWHERE
     with path.open("rb") as stream:
         result = replay.replay_record(record.read(stream, str(path)), str(path), tolerance)
@@ -125,6 +158,9 @@ def _same_software(manifest: Path) -> bool:
 
 
 def _replay_tlog(path: Path, *, as_json: bool) -> int:
+    from companion import replay
+    from companion.autopilot.tlog import read_tlog
+
     with path.open("rb") as stream:
         result, locations = replay.replay_tlog(read_tlog(stream, str(path)))
         for location in locations:

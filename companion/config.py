@@ -233,6 +233,10 @@ class RecordConfig(_Section, frozen=True):
     folder: str = "runs"
     name: str = "companion"
     sync_period_s: Annotated[float, Meta(gt=0, le=60)] = 1.0
+    keep_free_mb: Annotated[float, Meta(ge=0, le=10_000_000)] = 200.0
+    """Below this much free space (10^6 bytes) nothing is recorded; the flight goes on."""
+    delete_oldest: bool = False
+    """Delete the oldest finished runs in the folder before that."""
 
 
 class Waypoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bench import bench_channel, bench_heart, bench_lockstep, bench_remote_id
+from bench import bench_aboard, bench_channel, bench_heart, bench_lockstep, bench_remote_id
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,13 @@ def test_a_bench_prints_its_table(monkeypatch, capsys, module, shorter, words):
     monkeypatch.setattr(module, *shorter)
     module.main()
     assert words in capsys.readouterr().out
+
+
+def test_the_real_process_is_measured(monkeypatch, capsys, tmp_path):
+    """One short flight, and none beside busy processes, which would disturb other tests."""
+    monkeypatch.setattr(bench_aboard, "SECONDS", 0.2)
+    monkeypatch.setattr(bench_aboard, "SETTLE_S", 0.1)
+    bench_aboard.line("as it is here", bench_aboard.fly(tmp_path))
+    flown = capsys.readouterr().out
+    assert flown.startswith("as it is here")
+    assert 50 < float(flown.split()[5]) < 1000, "MB of this process's memory"

@@ -58,8 +58,13 @@ def test_the_heart_is_pure():
 
 
 def test_what_a_command_loads_aboard():
-    code = "import companion.cli, sitl_mocks.cli, sys; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-    assert not {"torch", "rerun", "matplotlib", "mavsdk", "pyarrow"} & {
-        m.split(".")[0] for m in loaded.split()
-    }
+    flies = loaded("companion.runtime.flight, companion.runtime.check, sitl_mocks.cli")
+    assert not {"torch", "rerun", "matplotlib", "mavsdk", "pyarrow"} & flies
+    assert not {"cryptography", "rich"} & loaded("companion.runtime.flight"), "8 MB and more"
+    assert "numba" not in loaded("companion.cli, companion.runtime.watch"), "who only looks needs no compiler"
+
+
+def loaded(modules):
+    code = f"import {modules}, sys; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return {name.split(".")[0] for name in done.stdout.split()}

@@ -35,7 +35,11 @@ _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False
 
 
 def _compiled(function: Function) -> Function:
-    return cast(Function, njit(**_OPTIONS)(function))
+    try:
+        return cast(Function, njit(**_OPTIONS)(function))
+    except RuntimeError:
+        # No folder takes the cache (NUMBA_CACHE_DIR names one): compiled anew at every start.
+        return cast(Function, njit(**{**_OPTIONS, "cache": False})(function))
 
 
 EPSILON = 1e-9

@@ -23,16 +23,16 @@ from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
-
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_public_key
+from typing import TYPE_CHECKING, Final
 
 from companion.errors import ConfigError
 from companion.remote_id.codec import encode
 from companion.remote_id.messages import Authentication, Message
 from companion.remote_id.wire_values import utc_from_wire, utc_to_wire
+
+# Loaded where a key is: 8 MB that an aircraft without keys does without.
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 UAS_ID_SIGNATURE: Final = 1
 MESSAGE_SET_SIGNATURE: Final = 3
@@ -240,6 +240,8 @@ class Verifier:
         key = self._keys.get(identity)
         if key is None:
             return False
+        from cryptography.exceptions import InvalidSignature
+
         try:
             key.verify(data.data, signed_bytes(data.auth_type, identity, messages, data.timestamp_utc_s))
         except (InvalidSignature, ValueError):
@@ -297,6 +299,10 @@ def public_key_hex(text: str, folder: Path) -> str:
     """
     if _is_hex_key(text):
         return text.lower()
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+    from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_public_key
+
     path = folder / text
     try:
         key = load_pem_public_key(path.read_bytes())
@@ -320,6 +326,8 @@ def _key(identity: str, text: str) -> Ed25519PublicKey:
         raise ConfigError(f'traffic.keys."{identity}": {error}') from error
     if not _is_hex_key(text):
         raise ConfigError(f'traffic.keys."{identity}": {text!r}: an Ed25519 public key is 64 hex digits')
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
     return Ed25519PublicKey.from_public_bytes(bytes.fromhex(text))
 
 

@@ -1,110 +1,165 @@
-"""`companion check`: validate, probe the radios and the link, say in plain words what is missing."""
+"""`companion check`: the preflight list. Validates, probes radios, disk and link, measures what the vehicle
+sends, and says in plain words what is missing and what to do about it."""
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.advice import after_silence, remarks
+from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
+from companion.autopilot.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
 from companion.config import ArduRemoteIdRadio, Config
 from companion.errors import ConfigError
-from companion.events import VehicleParameters
+from companion.events import (
+    Event,
+    GlobalPosition,
+    GnssFix,
+    Heartbeat,
+    LandedState,
+    LocalPosition,
+    MissionCurrent,
+    VehicleParameters,
+    VehicleTime,
+)
+from companion.ownship import Ownship
 from companion.remote_id.identity import check_identity
+from companion.runtime.disk import finished_runs, free_mb
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.policy import judge_policy
+from companion.runtime.preflight import Preflight
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 from companion.runtime.signing import KeptSigning
+from companion.runtime.warm import warm_up, was_compiled
 
 _RADIO_S = 2.5
+_SETTLE_S = 2.0
+"""After the vehicle was found: its streams are asked for and begin."""
+_MEASURE_S = 4.0
+_PARAMETERS_S = 8.0
+"""At most, until those that exist have come and the others were asked for often enough."""
+_CLOCK_OFF_S = 2.0
+_TIGHT_MB = 500.0
+"""Above the floor: some hours of recording."""
+_MESSAGES: Final[dict[type[Event], tuple[str, float]]] = {
+    Heartbeat: ("HEARTBEAT", 1.0),
+    GlobalPosition: ("GLOBAL_POSITION_INT", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT]),
+    GnssFix: ("GPS_RAW_INT", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_GPS_RAW_INT]),
+    LandedState: ("EXTENDED_SYS_STATE", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE]),
+    VehicleTime: ("SYSTEM_TIME", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME]),
+    LocalPosition: ("LOCAL_POSITION_NED", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED]),
+    MissionCurrent: ("MISSION_CURRENT", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_MISSION_CURRENT]),
+}
+"""What is measured: name and the rate that is asked for."""
+_USEFUL: Final = ("LOCAL_POSITION_NED", "MISSION_CURRENT")
+"""A flight can be flown without these."""
 
 
-def check(config: Config, say: Callable[[str], None]) -> int:
-    """Probe what the configuration names. Returns 0 when all is there, 1 otherwise.
+def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) -> int:
+    """Probe what the configuration names.
 
-    Raises:
-        ConfigError: the path cannot be flown, the signing key not be read, or the link not be opened.
+    Args:
+        say: takes each line as soon as it is known; with `as_json` one JSON object at the end.
+
+    Returns:
+        0 when nothing is red, 1 otherwise.
     """
-    check_path(config, "configuration")
-    say(f"configuration: valid; region {config.region.name}")
+    found = Preflight()
+    for probe in (_configuration, _kernels, _disk, _policy, _radios, _vehicle):
+        before = len(found.findings)
+        probe(config, found)
+        if not as_json:
+            for finding in found.findings[before:]:
+                say(finding.line())
+    if as_json:
+        say(msgspec.json.encode({"ready": found.ready, "findings": found.findings}).decode())
+    else:
+        say("check: ready" if found.ready else "check: NOT ready")
+    return 0 if found.ready else 1
+
+
+def _configuration(config: Config, found: Preflight) -> None:
+    found.green("configuration", "valid")
     for note in check_identity(config.identity, config.remote_id, config.region):
-        say(f"configuration: {note}")
-    policy = _probe_policy(config, say)
-    radios = _probe_radios(config, say)
-    vehicle = _probe_link(config, say)
-    ready = policy and vehicle and radios
-    say("check: ready" if ready else "check: NOT ready")
-    return 0 if ready else 1
+        found.yellow("configuration", note, "compare it with the paper that you were given")
+    if config.region.transport_sets:
+        found.green("region", config.region.name)
+    else:
+        found.yellow(
+            "region",
+            f"{config.region.name}: no law is kept",
+            'set remote_id.region to a profile, such as "regions/us.toml"',
+        )
+    try:
+        check_path(config, "configuration")
+    except ConfigError as error:
+        found.red("path", str(error), "change the trajectory, or [limits]")
 
 
-def _probe_policy(config: Config, say: Callable[[str], None]) -> bool:
+def _kernels(_config: Config, found: Preflight) -> None:
+    took_s = warm_up()
+    if was_compiled():
+        found.yellow(
+            "kernels",
+            f"were not in the cache; compiled in {took_s:.0f} s",
+            "nothing, if the next check is green; if not, let NUMBA_CACHE_DIR name a folder of this user's",
+        )
+    else:
+        found.green("kernels", f"loaded from the cache in {took_s:.1f} s")
+
+
+def _disk(config: Config, found: Preflight) -> None:
+    record = config.record
+    folder = Path(record.folder).absolute()
+    there = next(parent for parent in (folder, *folder.parents) if parent.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK)):
+        found.red("disk", f"{folder}: cannot be written", "give the user the right to, or set record.folder")
+        return
+    try:
+        free = free_mb(folder)
+    except OSError as error:
+        found.red("disk", f"{folder}: {error.strerror}", "look after the disk, or set record.folder")
+        return
+    text = f"{free:.0f} MB free in {folder}; the floor is {record.keep_free_mb:g} MB"
+    runs = len(finished_runs(folder))
+    room = f"move away or delete some of the {runs} runs in it, or use a larger disk"
+    if free >= record.keep_free_mb + _TIGHT_MB:
+        found.green("disk", text)
+    elif record.delete_oldest and runs:
+        found.yellow(
+            "disk", text, f"nothing: the oldest of {runs} runs are deleted when the floor is reached"
+        )
+    elif free >= record.keep_free_mb:
+        found.yellow("disk", text, room)
+    else:
+        found.red("disk", f"{text}: nothing would be recorded", room)
+
+
+def _policy(config: Config, found: Preflight) -> None:
     """In flight a policy that fails is replaced by a fixed legal set; before it, it is to be put right."""
     try:
-        for line in judge_policy(config):
-            say(line)
+        lines = judge_policy(config)
     except ConfigError as error:
-        say(str(error))
-        return False
-    return True
+        found.red("policy", str(error), "put the file right, or set atmc.policy")
+    else:
+        for line in lines or ["nobody chooses transports in flight: they stay as [remote_id] says"]:
+            found.green("policy", line)
 
 
-def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
-    kept = KeptSigning(config)
-    link = KeptLink(config.vehicle.link, say)
-    protocol = AutopilotLink(config.vehicle, signing=kept.signing)
-    flies = config.flight.use != "watch"
-    end = time.monotonic() + config.vehicle.wait_s
-    try:
-        while (now := time.monotonic()) < end and (protocol.vehicle is None or (flies and protocol.asking)):
-            link.wait(0.1)
-            protocol.receive(link.receive(now), now)
-            protocol.advance(now)
-            link.send(protocol.drain())
-    finally:
-        link.close()
-        kept.close()
-    if protocol.vehicle is None:
-        why = protocol.disbelief(now)
-        text = f"vehicle: {config.vehicle.link}: no vehicle within {config.vehicle.wait_s:g} s"
-        say(text if why is None else f"{text}: {why}")
-        return False
-    say(f"vehicle: {protocol.vehicle}")
-    for text in _module_of_another(config, protocol.vehicle.system_id):
-        say(text)
-    return protocol.vehicle.refusal is None and _judge_parameters(config, protocol.parameters, say)
+# ---------------------------------------------------------------- radios
 
 
-def _judge_parameters(config: Config, told: VehicleParameters | None, say: Callable[[str], None]) -> bool:
-    """What the vehicle's own limits and failsafes mean for this configuration."""
-    if told is None or config.flight.use == "watch":
-        return True
-    say(f"vehicle: {after_silence(told)}")
-    for text in remarks(config, told):
-        say(f"vehicle: {text}")
-    if told.speed_mps is None:
-        say("vehicle: it does not tell how fast it flies: [limits] alone count")
-    try:
-        check_path(config, "configuration", told)
-    except ConfigError as error:
-        say(str(error))
-        return False
-    return True
-
-
-def _module_of_another(config: Config, system_id: int) -> list[str]:
-    """Remote ID modules that are told to belong to another vehicle."""
-    return [
-        f"radio[{number}].system_id: {entry.system_id}, but the vehicle is system {system_id}: the module "
-        f"takes the first system id that it hears for its own, and its ARM_STATUS then goes to vehicle "
-        f"{entry.system_id}; set system_id = {system_id} and power-cycle the module"
-        for number, entry in enumerate(config.radio)
-        if isinstance(entry, ArduRemoteIdRadio) and entry.system_id != system_id
-    ]
-
-
-def _probe_radios(config: Config, say: Callable[[str], None]) -> bool:
+def _radios(config: Config, found: Preflight) -> None:
     failed: list[str] = []
     radios = Radios(config, sending=False, failed=failed.append)
     try:
@@ -113,21 +168,219 @@ def _probe_radios(config: Config, say: Callable[[str], None]) -> bool:
         while waits and time.monotonic() < end and not radios.health(time.monotonic()).ok:
             radios.events(time.monotonic())
             time.sleep(0.05)
-        now = time.monotonic()
-        for line in (*radios.lines(now), *failed) or (f"radio: {radios.health(now).text}",):
-            say(line)
-        if failed:
-            return False
-        prepared = prepare(config, radios)
-        for line in prepared.lines:
-            say(line)
-        # To watch without a radio is a choice. To fly without one takes law = "none", and is never ready.
-        if config.flight.use == "fly" and not config.has_radio:
-            say("radio: flies without one (avoidance.law is none): nobody is heard, nobody is kept apart")
-        works = radios.health(time.monotonic()).ok
-        return prepared.legal and (works or (not config.has_radio and config.flight.use == "watch"))
-    except ConfigError as error:
-        say(str(error))
-        return False
+        _judge_radios(config, radios, failed, found)
     finally:
         radios.close()
+
+
+def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: Preflight) -> None:
+    health = radios.health(time.monotonic())
+    # To watch without a radio is a choice. To fly without one takes law = "none", and is never ready.
+    chosen = not config.has_radio and config.flight.use == "watch"
+    for line in (*radios.lines(time.monotonic()), *failed) or (f"radio: {health.text}",):
+        what, _, text = line.partition(": ")
+        if line in failed:
+            found.red(what, text, "docs/radios.md says what this backend needs")
+        elif any(line.endswith(missing) for missing in health.missing):
+            found.yellow(what, text, "change it where you need what is missing")
+        elif chosen:
+            found.yellow(what, text, "configure a [[radio]] to be seen and to see")
+        elif health.ok:
+            found.green(what, text)
+        else:
+            found.red(what, text, "docs/radios.md says what this backend needs")
+    if failed:
+        return
+    try:
+        prepared = prepare(config, radios)
+    except ConfigError as error:
+        what, _, text = str(error).partition(": ")
+        found.red(what, text, "change [remote_id], or use a radio that can")
+        return
+    for line in prepared.lines:
+        what, _, text = line.partition(": ")
+        if prepared.legal:
+            found.green(what, text)
+        else:
+            found.red(what, text, "change [remote_id], or use a radio that can")
+    if config.flight.use == "fly" and not config.has_radio:
+        found.red(
+            "radio",
+            "flies without one (avoidance.law is none): nobody is heard, nobody is kept apart",
+            "configure a [[radio]]",
+        )
+
+
+# ---------------------------------------------------------------- vehicle
+
+
+def _vehicle(config: Config, found: Preflight) -> None:
+    try:
+        kept = KeptSigning(config)
+    except ConfigError as error:
+        found.red("signing", str(error), "see to the key file, or to vehicle.signing_key")
+        return
+    try:
+        link = KeptLink(
+            config.vehicle.link,
+            lambda text: found.red("link", text, "see to the cable, or to the program at the other end"),
+        )
+    except ConfigError as error:
+        found.red("link", str(error), "see to the device or address, and to vehicle.link")
+        kept.close()
+        return
+    probe = _Probe(link, AutopilotLink(config.vehicle, signing=kept.signing))
+    try:
+        probe.run(config.vehicle.wait_s, lambda: probe.protocol.vehicle is not None)
+        if probe.protocol.vehicle is not None:
+            probe.run(_SETTLE_S)
+            probe.measure(_MEASURE_S)
+            probe.run(_PARAMETERS_S, lambda: not probe.protocol.asking)
+    finally:
+        link.close()
+        kept.close()
+    _judge_vehicle(config, probe, found)
+
+
+class _Probe:
+    """The link in use: asks for telemetry as a flight does, and counts what comes."""
+
+    def __init__(self, link: KeptLink, protocol: AutopilotLink) -> None:
+        self.link, self.protocol = link, protocol
+        self.own = Ownship()
+        self.counts: Counter[type[Event]] = Counter()
+        self.measured_s = 0.0
+        self.received = 0
+        self.now_s = time.monotonic()
+
+    def measure(self, seconds: float) -> None:
+        """Count anew, for so long."""
+        self.counts.clear()
+        began_s = time.monotonic()
+        self.run(seconds)
+        self.measured_s = time.monotonic() - began_s
+
+    def run(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Exchange bytes for so long, or until done."""
+        end = time.monotonic() + seconds
+        while (now := time.monotonic()) < end and not done():
+            self.now_s = now
+            self.link.wait(0.05)
+            data = self.link.receive(now)
+            self.received += len(data)
+            for event in [*self.protocol.receive(data, now), *self.protocol.advance(now)]:
+                self.counts[type(event)] += 1
+                self.own.take(event, now)
+            self.link.send(self.protocol.drain())
+
+
+def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
+    where, vehicle = config.vehicle.link, probe.protocol.vehicle
+    if vehicle is None:
+        silence = f"{where}: no vehicle within {config.vehicle.wait_s:g} s"
+        disbelief = probe.protocol.disbelief(probe.now_s)
+        if disbelief is not None:
+            found.red("signing", f"{silence}: {disbelief}", "docs/flying.md says how a key is set")
+        elif probe.received:
+            found.red(
+                "vehicle",
+                f"{silence}; {probe.received} bytes came",
+                "see to the baud rate, to MAVLink on the autopilot's port, and to vehicle.system_id",
+            )
+        else:
+            found.red(
+                "vehicle",
+                f"{silence}, not a byte",
+                "see to the autopilot's power, to the wires (TX to RX), or to who sends to this address",
+            )
+        return
+    bad = probe.protocol.counts.wire.corrupt
+    if bad:
+        found.yellow(
+            "link", f"{where}: {bad} damaged frames", "see to the wires, their ground, the baud rate"
+        )
+    else:
+        found.green("link", f"{where}: up, no damaged frame")
+    if vehicle.refusal is None:
+        found.green("vehicle", str(vehicle))
+    else:
+        found.red("vehicle", str(vehicle), "use another vehicle; this one is never commanded")
+    for text in _module_of_another(config, vehicle.system_id):
+        what, _, text = text.partition(": ")
+        found.yellow(what, text, f"set system_id = {vehicle.system_id} and power-cycle the module")
+    rearm = impossible_rearm(vehicle.firmware, config.flight)
+    if rearm is not None:
+        found.red("authority", rearm, 'set flight.rearm to "disarm" or "never"')
+    _judge_parameters(config, probe.protocol.parameters, found)
+    _judge_rates(probe, found)
+    _judge_own(config, probe, found)
+
+
+def _judge_parameters(config: Config, told: VehicleParameters | None, found: Preflight) -> None:
+    """What the vehicle's own limits and failsafes mean for this configuration."""
+    if told is None or config.flight.use == "watch":
+        return
+    found.green("vehicle", after_silence(told))
+    for text in remarks(config, told):
+        found.yellow("vehicle", text, "change the parameter, or the configuration")
+    if told.speed_mps is None:
+        found.yellow("vehicle", "it does not tell how fast it flies: [limits] alone count", "see to [limits]")
+    try:
+        check_path(config, "configuration", told)
+    except ConfigError as error:
+        found.red("path", str(error), "change the trajectory, or the vehicle's limits")
+
+
+def _judge_rates(probe: _Probe, found: Preflight) -> None:
+    rates = {name: probe.counts[kind] / probe.measured_s for kind, (name, _) in _MESSAGES.items()}
+    short = {name: want for name, want in _MESSAGES.values() if rates[name] < ENOUGH * want}
+    well = [f"{name} {rate:.1f}" for name, rate in rates.items() if name not in short]
+    if well:
+        found.green("rates", f"{', '.join(well)} a second")
+    for name, want in short.items():
+        text = f"{name} {rates[name]:.1f} a second, {want:g} are asked for"
+        do = "see whether the port is too slow for all that it carries, or another program sets its rates"
+        if name == "GLOBAL_POSITION_INT" and probe.protocol.counts.no_position:
+            do = "wait until the autopilot knows where it is (it says 0, 0 until then)"
+        (found.yellow if name in _USEFUL else found.red)("rates", text, do)
+
+
+def _judge_own(config: Config, probe: _Probe, found: Preflight) -> None:
+    own, now_s = probe.own, probe.now_s
+    fix = own.gnss_now(now_s)
+    if fix is None or fix.fix_type < 3:
+        kind = "no report" if fix is None else f"no 3D fix (fix type {fix.fix_type})"
+        found.red("GNSS", kind, "go where the sky is open, and wait; see to the antenna")
+    else:
+        satellites = "unknown" if fix.satellites is None else fix.satellites
+        found.green("GNSS", f"fix type {fix.fix_type}, satellites {satellites}, {own.sigma_m:.1f} m")
+    if own.position is not None and own.age_s(now_s) > config.vehicle.stale_after_s:
+        found.red(
+            "link",
+            f"own position {own.age_s(now_s):.1f} s old; {config.vehicle.stale_after_s:g} s are allowed",
+            "the link is choked: raise its baud rate, or have less sent on it",
+        )
+    if own.utc_offset_s is None:
+        found.red("clock", "the vehicle does not know UTC", "wait for its GNSS receiver; a minute, mostly")
+        return
+    off_s = time.time() - (time.monotonic() + own.utc_offset_s)
+    text = f"UTC known; this computer's clock is {off_s:+.1f} s off the vehicle's"
+    if abs(off_s) <= _CLOCK_OFF_S:
+        found.green("clock", text)
+    else:
+        found.yellow(
+            "clock",
+            text,
+            "Remote ID goes by the vehicle's, names of run folders by this one: give it a network or an RTC",
+        )
+
+
+def _module_of_another(config: Config, system_id: int) -> list[str]:
+    """Remote ID modules that are told to belong to another vehicle."""
+    return [
+        f"radio[{number}].system_id: {entry.system_id}, but the vehicle is system {system_id}: the module "
+        f"takes the first system id that it hears for its own, and its ARM_STATUS then goes to vehicle "
+        f"{entry.system_id}"
+        for number, entry in enumerate(config.radio)
+        if isinstance(entry, ArduRemoteIdRadio) and entry.system_id != system_id
+    ]

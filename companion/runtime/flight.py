@@ -7,10 +7,14 @@ opened again, a full disk and a stopped terminal are done without, each of them 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import faulthandler
+import gc
+import os
 import signal
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -20,20 +24,25 @@ import msgspec
 from companion import __version__
 from companion import config as configuration
 from companion.autopilot.tlog import TlogWriter
-from companion.avoidance.authority import State
+from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.errors import ConfigError
-from companion.events import AuthorityChanged, Broadcast, FlightMode, Say, Severity
+from companion.events import AuthorityChanged, Broadcast, Decision, FlightMode, Say, Severity
 from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Header, Step
+from companion.runtime.disk import RUN, DiskFloor
 from companion.runtime.kept_link import KeptLink
+from companion.runtime.lateness import Lateness
+from companion.runtime.live import heart_status
+from companion.runtime.notify import Notifier
 from companion.runtime.policy import RUN_FILE, read_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
 from companion.runtime.signing import KeptSigning
+from companion.runtime.status import Status, StatusServer
 from companion.runtime.voice import Voice
 from companion.runtime.warm import warm_up
 
@@ -41,6 +50,11 @@ _WATCHDOG_S = 5.0
 """A loop that hangs sends nothing anyway; after this the process ends, so that it can be started anew."""
 _STATUS_S = 5.0
 _LET_GO_S = 2.0
+_COLLECT_S = 1.0
+"""Reference cycles are looked for this often, right after a tick."""
+_DECIDED_S = 2.0
+"""The law's last decision is shown for so long."""
+_LINES_KEPT = 8
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Each of them ends the flight in order. A terminal that closes sends the last one."""
 _MAX_TEXTS = 20
@@ -79,10 +93,23 @@ class Flight:
         self._ticks = 0
         self._refused = 0
         self._refused_texts: set[str] = set()
+        self._lateness = Lateness()
+        self._began_s = time.monotonic()
+        self._dry_run = dry_run
+        self._decision: Decision | None = None
+        self._decided_s = 0.0
+        self._lines: deque[str] = deque(maxlen=_LINES_KEPT)
+        self._server: StatusServer | None = None
         check_path(config, "configuration")
         self._voice = Voice(say)
-        self._say = self._voice.say
+        self._notifier = Notifier(os.environ)
         self._say(f"compiling the avoidance kernels ... {warm_up():.1f} s")
+        self._say(f"scheduling: {_scheduling()}")
+        if dry_run:
+            self._say(
+                "dry run: nothing goes on the air and nothing is commanded; the autopilot is only asked for "
+                "telemetry, its mission and its fence"
+            )
         try:
             self._signing = KeptSigning(config)
             self.link = KeptLink(config.vehicle.link, self._say)
@@ -120,6 +147,22 @@ class Flight:
         self._recorder: FlightRecorder | None = None
         self._early: list[Step] = []
         self._status_s = time.monotonic()
+        try:
+            self._server = StatusServer(f"companion-{self._aircraft}", os.environ)
+        except ConfigError as error:
+            self._say(f"status: {error}; the flight goes on without it")
+        # What start-up has made, the compiler's objects above all, stays: no collection looks at it again.
+        gc.collect()
+        gc.freeze()
+
+    def _say(self, line: str) -> None:
+        self._voice.say(line)
+        self._lines.append(line)
+
+    @property
+    def _aircraft(self) -> str:
+        """The name as a file can take it."""
+        return "".join(c if c.isalnum() or c in "-_" else "_" for c in self.config.identity.name)
 
     def stop(self, _signal: int = 0, _frame: FrameType | None = None) -> None:
         """Ask `run` to end (also a signal handler)."""
@@ -143,6 +186,7 @@ class Flight:
             self._loop()
             # Letting go takes as long as it takes the vehicle, up to its own limit.
             faulthandler.cancel_dump_traceback_later()
+            self._notifier.stopping()
             self._let_go()
         finally:
             faulthandler.cancel_dump_traceback_later()
@@ -188,9 +232,9 @@ class Flight:
 
     def _open_recorder(self) -> None:
         utc_s = time.time()
-        config, name = self.config, self.config.identity.name
-        aircraft = "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+        config, aircraft = self.config, self._aircraft
         vehicle = self.onboard.link.vehicle
+        self._make_room()
         folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
         public = configuration.public(config)
         header = Header(aircraft=aircraft, software=__version__, config=public, policy=self._policy)
@@ -201,10 +245,8 @@ class Flight:
                     config, atmc=msgspec.structs.replace(config.atmc, policy=RUN_FILE)
                 )
             (folder / "config.toml").write_bytes(configuration.dump(config))
-            write_manifest(
-                folder, "companion run", aircraft=[aircraft], started_utc_s=utc_s, vehicle=str(vehicle)
-            )
-            self._recorder = FlightRecorder(folder, header, config.record.sync_period_s)
+            write_manifest(folder, RUN, aircraft=[aircraft], started_utc_s=utc_s, vehicle=str(vehicle))
+            self._recorder = FlightRecorder(folder, header, config.record)
         except OSError as error:
             raise ConfigError(f"record.folder: {folder}: cannot be written: {error.strerror}") from error
         self.folder = folder
@@ -215,10 +257,23 @@ class Flight:
         self._tape.play(self._recorder)
         self._say(f"vehicle {vehicle}; recording to {folder}")
 
+    def _make_room(self) -> None:
+        """On the ground, before the first file: a disk that is full to the last byte takes no folder."""
+        floor = DiskFloor(self.config.record, Path(self.config.record.folder) / "to come")
+        with contextlib.suppress(OSError):  # the recorder will say what is wrong
+            floor.trouble()
+        if floor.deleted:
+            self._say(f"disk: deleted the oldest runs: {', '.join(floor.deleted)}")
+
     def _loop(self) -> None:
         period = 1.0 / self.config.flight.setpoint_rate_hz
         deadline = time.monotonic() + period
         armed_at = 0.0
+        self._notifier.ready()
+        self._notifier.status(self.status(time.monotonic()))
+        # A collection that comes when it likes may come before a setpoint; one after a tick has time.
+        gc.disable()
+        collected_s = deadline
         while not self._stop:
             now = time.monotonic()
             if now - armed_at > 0.25:
@@ -228,9 +283,14 @@ class Flight:
             self._wait(deadline)
             now = time.monotonic()
             missed = int((now - deadline) / period)
+            self._lateness.add(now - deadline)
             self._late += missed
             deadline += (missed + 1) * period
             self._tick(now)
+            self._notifier.ping(now)
+            if now - collected_s >= _COLLECT_S:
+                collected_s = now
+                gc.collect()
 
     def _tick(self, now_s: float) -> None:
         self._ticks += 1
@@ -241,9 +301,23 @@ class Flight:
         self.link.send(self.onboard.drain(now_s))
         for broadcast in broadcasts:
             self._broadcast(broadcast, now_s)
+        self._serve_status(now_s)
         if now_s - self._status_s > _STATUS_S:
             self._status_s = now_s
-            self._say(self.status(now_s))
+            line = self.status(now_s)
+            self._voice.say(line)
+            self._notifier.status(line)
+
+    def _serve_status(self, now_s: float) -> None:
+        if self._server is None:
+            return
+        try:
+            self._server.serve(lambda: self.live(now_s))
+        except Exception as error:
+            # A bug of ours, but one of a spectator: it must not end the flight as those of the heart do.
+            self._server.close()
+            self._server = None
+            self._say(f"status: not served any more: {type(error).__name__}: {error}")
 
     def _broadcast(self, broadcast: Broadcast, now_s: float) -> None:
         try:
@@ -276,6 +350,10 @@ class Flight:
             self.link.send(self.onboard.drain(time.monotonic()))
 
     def _close(self) -> None:
+        gc.enable()
+        gc.unfreeze()
+        if self._server is not None:
+            self._server.close()
         health = self.radio.health(time.monotonic())
         self.radio.close()
         self.link.close()
@@ -288,6 +366,7 @@ class Flight:
                 self._write_summary(self.folder / "summary.json", health)
             self._say(f"run folder {self.folder}")
         self._voice.close()
+        self._notifier.close()
 
     def _write_summary(self, path: Path, health: Health) -> None:
         try:
@@ -331,6 +410,11 @@ class Flight:
         return {
             "ticks": self._ticks,
             "late_ticks": self._late,
+            "tick_lateness_ms": {
+                "median": self._lateness.percentile_s(50.0) * 1e3,
+                "p99": self._lateness.percentile_s(99.0) * 1e3,
+                "worst": self._lateness.worst_s * 1e3,
+            },
             "state": self.onboard.heart.state.value,
             "frames_sent": health.frames_sent,
             "frames_heard": health.frames_heard,
@@ -344,7 +428,41 @@ class Flight:
             "lines_dropped": self._voice.dropped,
             "records_dropped": 0 if recorder is None else recorder.dropped,
             "recorder_error": None if recorder is None else recorder.error,
+            "runs_deleted": [] if recorder is None else recorder.floor.deleted,
         }
+
+    def live(self, now_s: float) -> Status:
+        """What `companion status` shows."""
+        heart, health, trouble = self.onboard.heart, self.radio.health(now_s), self.link.trouble
+        flies = heart.state in HOLDING and now_s - self._decided_s <= _DECIDED_S
+        vehicle, recorder = self.onboard.link.vehicle, self._recorder
+        return Status(
+            aircraft=self.config.identity.name,
+            software=__version__,
+            dry_run=self._dry_run,
+            up_s=now_s - self._began_s,
+            vehicle=None if vehicle is None else str(vehicle),
+            link=self.config.vehicle.link,
+            link_up=self.link.up,
+            link_losses=trouble.losses,
+            link_dropped=trouble.dropped,
+            link_errors=trouble.errors,
+            radio=health.text,
+            radio_ok=health.ok,
+            rates={} if self._dry_run else dict(heart.broadcaster.rates),
+            frames_sent=health.frames_sent,
+            frames_heard=health.frames_heard,
+            bad_frames=health.bad_frames,
+            broadcasts_refused=self._refused,
+            ticks=self._ticks,
+            late_ticks=self._late,
+            worst_tick_ms=self._lateness.worst_s * 1e3,
+            folder=None if self.folder is None else str(self.folder),
+            recorder_error=None if recorder is None else recorder.error,
+            records_dropped=0 if recorder is None else recorder.dropped,
+            said=tuple(self._lines),
+            **heart_status(heart, now_s, self._decision if flies else None),
+        )
 
     def _record(self, step: Step) -> None:
         for command in step.commands:
@@ -352,7 +470,18 @@ class Flight:
                 self._say(f"{command.previous} -> {command.state}: {command.reason}")
             elif isinstance(command, Say) and command.severity <= Severity.ERROR:
                 self._say(command.text)
+            elif isinstance(command, Decision):
+                self._decision, self._decided_s = command, step.now_s
         if self._recorder is not None:
             self._recorder.step(step)
         else:
             self._early.append(step)
+
+
+def _scheduling() -> str:
+    """How this process is scheduled, in words."""
+    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    names = {os.SCHED_FIFO: "FIFO", os.SCHED_RR: "round robin"}
+    if policy in names:
+        return f"real-time, {names[policy]} {priority}"
+    return f"not real-time (nice {os.getpriority(os.PRIO_PROCESS, 0)}): a busy computer makes ticks late"

@@ -1,12 +1,15 @@
 """The run folder: configuration, manifest, tlog and event record, written beside the flight.
 
 Writing happens in a thread of its own, because a memory card can stall a writer for seconds and a setpoint
-cannot wait. What the thread cannot take is dropped and counted, and the count stands in the summary.
+cannot wait. What the thread cannot take is dropped and counted, and the count stands in the summary. The same
+thread looks after the room on the disk.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
 import os
 import platform
 import queue
@@ -19,9 +22,13 @@ from typing import BinaryIO
 import msgspec
 
 from companion import __version__, record
+from companion.config import RecordConfig
 from companion.errors import ConfigError
+from companion.runtime.disk import MANIFEST, DiskFloor, lock
 
 _QUEUE = 20_000
+_LOOK_S = 5.0
+"""How often the free space is looked at: a flight writes some 0.2 MB in this time."""
 _CLOSE_S = 5.0
 """How long the end of a flight waits for a slow disk."""
 _VERSIONED = ("numpy", "numba", "pymavlink", "msgspec", "pymap3d")
@@ -60,7 +67,7 @@ def write_manifest(folder: Path, what: str, **facts: object) -> None:
         "versions": {name: metadata.version(name) for name in _VERSIONED},
         **facts,
     }
-    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
+    (folder / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n")
 
 
 def _git_commit() -> str | None:
@@ -96,15 +103,18 @@ class EventFile:
 
 
 class FlightRecorder:
-    """Tlog and event record of one aircraft, written by a thread and synced every `sync_period_s`.
+    """Tlog and event record of one aircraft, written by a thread and synced every `config.sync_period_s`.
 
     Raises:
         OSError: the files cannot be written from the start.
     """
 
-    def __init__(self, folder: Path, header: record.Header, sync_period_s: float) -> None:
-        self._sync_period_s = sync_period_s
+    def __init__(self, folder: Path, header: record.Header, config: RecordConfig) -> None:
+        self._sync_period_s = config.sync_period_s
+        self.floor = DiskFloor(config, folder)
         self._events = (folder / f"{header.aircraft}.events").open("wb")
+        with contextlib.suppress(OSError):
+            lock(self._events)
         self._tlog = (folder / f"{header.aircraft}.tlog").open("wb")
         self._events.write(record.MAGIC + record.encode(header))
         self._events.flush()
@@ -171,8 +181,12 @@ class FlightRecorder:
 
     def _write(self) -> None:
         synced = time.monotonic()
+        looked = -math.inf
         running = True
         while running:
+            if self._error is None and time.monotonic() - looked >= _LOOK_S:
+                looked = time.monotonic()
+                self._look()
             try:
                 item = self._queue.get(timeout=self._sync_period_s)
             except queue.Empty:
@@ -194,6 +208,15 @@ class FlightRecorder:
                 self._keep(str(error))
         if self._error is not None:
             self._unwritten += 1
+
+    def _look(self) -> None:
+        """Stop at the floor: a disk that is full to the last byte stops more than this record."""
+        try:
+            trouble = self.floor.trouble()
+        except OSError as error:
+            trouble = str(error)
+        if trouble is not None:
+            self._keep(trouble)
 
     def _sync(self) -> None:
         try:

@@ -115,7 +115,15 @@ class AdsbTraffic:
         """
         for icao in [i for i, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
             del self._seen[icao]
-        return [_neighbour(icao, seen, now_s, own_down_m) for icao, seen in self._seen.items()]
+        return self.look(now_s, own_down_m)
+
+    def look(self, now_s: float, own_down_m: float) -> list[Neighbour]:
+        """The same, forgetting nobody: who only watches must not change what a replay comes to."""
+        return [
+            _neighbour(icao, seen, now_s, own_down_m)
+            for icao, seen in self._seen.items()
+            if now_s - seen.at_s <= EXPIRE_S
+        ]
 
 
 def _neighbour(icao: int, seen: _Seen, now_s: float, own_down_m: float) -> Neighbour:

@@ -317,10 +317,12 @@ def test_the_example_shows_every_key_and_every_key_it_shows_is_right(tmp_path):
 
 
 def test_the_profiles_in_the_project_load():
-    profiles = sorted(CONFIG.glob("companion*.toml"))
-    assert profiles
+    profiles = [path for path in sorted(CONFIG.glob("*.toml")) if "[identity]" in path.read_text()]
+    assert {path.stem for path in profiles} == {"ardupilot-serial", "ardupilot-udp", "companion", "px4-udp"}
     for profile in profiles:
-        configuration.load(profile)
+        loaded = configuration.load(profile)
+        assert loaded.flight.use == "watch", "who copies one must ask for more"
+        assert not loaded.record.delete_oldest
 
 
 def test_an_identity_of_raw_bytes_has_a_name_for_people_and_files():

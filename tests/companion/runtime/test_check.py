@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import math
+import re
 import socket
 import threading
 import time
@@ -24,9 +27,11 @@ from companion.radio.hostapd import ApStatus
 from companion.radio.transport import Transport
 from companion.radio.wifi import WifiTransport
 from companion.remote_id.region import Region
+from companion.runtime import check as check_module
 from companion.runtime import radios
 from companion.runtime.check import _judge_parameters, check
 from companion.runtime.flight import Flight
+from companion.runtime.preflight import Preflight
 from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
 
 REGIONS = Path(__file__).parents[3] / "config" / "regions"
@@ -70,33 +75,76 @@ class AccessPoint:
         """Nothing to release."""
 
 
-@pytest.fixture
-def vehicle() -> Iterator[int]:
-    """Port on which a vehicle, system 1, answers to whoever connects."""
-    server = socket.create_server(("127.0.0.1", 0))
-    server.settimeout(0.05)
-    ended = threading.Event()
+class Vehicle:
+    """A vehicle, system 1, that sends everything fifty times a second to whoever connects."""
 
-    def serve() -> None:
+    def __init__(self) -> None:
+        self.silent: set[str] = set()
+        """Messages that it does not send."""
+        self.fix_type = 3
+        self.clock_off_s = 0.0
+        self.old_s = 0.0
+        """How old its positions grow within a second."""
+        self.lat_e7 = 473_970_000
+        self.noise = b""
+        self._began_s = time.monotonic()
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.settimeout(0.05)
+        self.port = self._server.getsockname()[1]
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _frames(self, writer: MavlinkWriter) -> bytes:
+        encode, up_s = writer.encoder, time.monotonic() - self._began_s
+        boot_ms = round((100.0 + up_s * (1.0 - self.old_s)) * 1e3)
+        unix_us = 0 if self.clock_off_s == math.inf else round((time.time() - self.clock_off_s) * 1e6)
+        place = self.lat_e7, 85_450_000 if self.lat_e7 else 0
+        messages = (
+            encode.heartbeat_encode(2, 3, 1, 5, 4),
+            encode.global_position_int_encode(boot_ms, *place, 450_000, 50_000, 0, 0, 0, 0),
+            encode.local_position_ned_encode(boot_ms, 0, 0, 0, 0, 0, 0),
+            encode.gps_raw_int_encode(0, self.fix_type, *place, 450_000, 0, 0, 0, 0, 12),
+            encode.extended_sys_state_encode(0, 1),
+            encode.system_time_encode(unix_us, boot_ms),
+            encode.mission_current_encode(0),
+        )
+        return self.noise + b"".join(writer.pack(m) for m in messages if m.get_type() not in self.silent)
+
+    def _serve(self) -> None:
         writer, peers = MavlinkWriter(1, 1), list[socket.socket]()
-        while not ended.wait(0.02):
+        while not self._ended.wait(0.02):
             with contextlib.suppress(TimeoutError):
-                peers.append(server.accept()[0])
+                peers.append(self._server.accept()[0])
+                self._server.settimeout(0.001)
             for peer in list(peers):
                 try:
-                    peer.sendall(writer.pack(writer.encoder.heartbeat_encode(2, 3, 1, 5, 4)))
+                    peer.sendall(self._frames(writer))
                 except OSError:
                     peers.remove(peer)
                     peer.close()
         for peer in peers:
             peer.close()
 
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    yield server.getsockname()[1]
-    ended.set()
-    thread.join(60.0)
-    server.close()
+    def end(self) -> None:
+        """Drop all connections and the port."""
+        self._ended.set()
+        self._thread.join(60.0)
+        self._server.close()
+
+
+@pytest.fixture
+def vehicle(monkeypatch: pytest.MonkeyPatch) -> Iterator[Vehicle]:
+    monkeypatch.setattr("companion.runtime.check._SETTLE_S", 0.1)
+    monkeypatch.setattr("companion.runtime.check._MEASURE_S", 0.5)
+    made = Vehicle()
+    yield made
+    made.end()
+
+
+def plain(lines: list[str]) -> list[str]:
+    """What was said, without lights and advice."""
+    return [re.sub(r"^(green|yellow|red) +", "", line).split("\n")[0] for line in lines]
 
 
 Both = Callable[..., tuple[list[str], list[str]]]
@@ -104,7 +152,7 @@ Both = Callable[..., tuple[list[str], list[str]]]
 
 @pytest.fixture
 def both(
-    vehicle: int, make_config: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Both:
     """What `check` says of such radios, and then what `run` says before it flies, or why it does not.
 
@@ -131,7 +179,7 @@ def both(
         law = msgspec.toml.decode((REGIONS / f"{region}.toml").read_bytes(), type=Region)
         config = msgspec.structs.replace(
             base,
-            vehicle=VehicleConfig(link=f"tcp:127.0.0.1:{vehicle}", wait_s=60.0),
+            vehicle=VehicleConfig(link=f"tcp:127.0.0.1:{vehicle.port}", wait_s=60.0),
             record=RecordConfig(folder=str(tmp_path)),
             remote_id=msgspec.structs.replace(base.remote_id, **remote_id),
             region=msgspec.structs.replace(
@@ -149,7 +197,7 @@ def both(
             Flight(config, run.append, dry_run=False)._close()
         except ConfigError as error:
             run.append(str(error))
-        return checked, run
+        return plain(checked), run
 
     return say_both
 
@@ -208,7 +256,6 @@ def test_a_module_that_is_told_to_be_another_vehicles_is_warned_of(both: Both) -
     checked, _ = both(module(), system_id=7)
     (warning,) = (line for line in checked if line.startswith("radio[0].system_id: 7"))
     assert "but the vehicle is system 1" in warning
-    assert "set system_id = 1" in warning
     checked, _ = both(module())
     assert not any("system_id" in line for line in checked)
 
@@ -230,8 +277,9 @@ def test_a_single_bad_radio_is_not_called_the_null_backend(both: Both) -> None:
 
 def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[..., Config]) -> None:
     def judge(use: str, told: VehicleParameters | None) -> tuple[bool, list[str]]:
-        said: list[str] = []
-        return _judge_parameters(make_config(use=use), told, said.append), said
+        found = Preflight()
+        _judge_parameters(make_config(use=use), told, found)
+        return found.ready, [f"{finding.what}: {finding.text}" for finding in found.findings]
 
     slow = VehicleParameters(
         firmware=Firmware.PX4,
@@ -250,3 +298,133 @@ def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[.
     assert ready
     assert any("does not tell how fast it flies" in line for line in said)
     assert judge("fly", None) == (True, [])
+
+
+@pytest.fixture
+def listed(vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path) -> Callable[..., Any]:
+    """The findings of a check, by what they are about; keywords replace parts of the configuration."""
+
+    def run(code: int, **changes: Any) -> dict[str, list[tuple[str, str, str]]]:
+        base = msgspec.structs.replace(
+            make_config(use="watch"),
+            vehicle=VehicleConfig(link=f"tcp:127.0.0.1:{vehicle.port}", wait_s=60.0),
+            record=RecordConfig(folder=str(tmp_path / "runs")),
+        )
+        said: list[str] = []
+        assert check(msgspec.structs.replace(base, **changes), said.append, as_json=True) == code
+        (line,) = said
+        told = json.loads(line)
+        assert told["ready"] is (code == 0)
+        found: dict[str, list[tuple[str, str, str]]] = {}
+        for finding in told["findings"]:
+            found.setdefault(finding["what"], []).append((finding["light"], finding["text"], finding["do"]))
+            assert bool(finding["do"]) is (finding["light"] != "green"), finding
+        return found
+
+    return run
+
+
+def test_all_is_well_with_a_vehicle_that_sends_everything(listed: Callable[..., Any]) -> None:
+    found = listed(0)
+    for what in ("configuration", "disk", "policy", "link", "vehicle", "rates", "GNSS", "clock"):
+        assert {light for light, *_ in found[what]} == {"green"}, what
+    assert found["region"][0][:2] == ("yellow", "none: no law is kept")
+    assert found["radio"][0][0] == "yellow", "to watch without a radio is a choice"
+    assert "ardupilot, system 1" in found["vehicle"][0][1]
+    assert "satellites 12" in found["GNSS"][0][1]
+    assert "GLOBAL_POSITION_INT" in found["rates"][0][1]
+
+
+@pytest.mark.parametrize(
+    ("name", "light"),
+    [
+        ("GLOBAL_POSITION_INT", "red"),
+        ("GPS_RAW_INT", "red"),
+        ("EXTENDED_SYS_STATE", "red"),
+        ("SYSTEM_TIME", "red"),
+        ("LOCAL_POSITION_NED", "yellow"),
+        ("MISSION_CURRENT", "yellow"),
+    ],
+)
+def test_a_message_that_does_not_come_is_told(
+    vehicle: Vehicle, listed: Callable[..., Any], name: str, light: str
+) -> None:
+    vehicle.silent.add(name)
+    good, short = listed(1 if light == "red" else 0)["rates"]
+    assert name not in good[1]
+    assert short[0] == light
+    assert short[1].startswith(f"{name} 0.0 a second")
+
+
+def test_a_vehicle_that_does_not_know_where_it_is(vehicle: Vehicle, listed: Callable[..., Any]) -> None:
+    vehicle.lat_e7, vehicle.fix_type = 0, 1
+    found = listed(1)
+    assert found["GNSS"] == [("red", "no 3D fix (fix type 1)", found["GNSS"][0][2])]
+    assert "wait until the autopilot knows where it is" in found["rates"][1][2]
+
+
+def test_clocks(vehicle: Vehicle, listed: Callable[..., Any]) -> None:
+    vehicle.clock_off_s = 3600.0
+    ((light, text, _),) = listed(0)["clock"]
+    assert light == "yellow"
+    assert "+3600." in text
+    vehicle.clock_off_s = math.inf
+    assert listed(1)["clock"][0][:2] == ("red", "the vehicle does not know UTC")
+
+
+def test_a_link_that_is_choked_or_noisy(
+    vehicle: Vehicle, listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle.old_s, vehicle.noise = 0.9, b"\xfd\x04\x00\x00\x00\x01\x01\x00\x00\x00abcdef"
+    monkeypatch.setattr("companion.runtime.check._MEASURE_S", 1.5)
+    choked = listed(1)["link"]
+    assert "damaged frames" in choked[0][1]
+    assert choked[1][0] == "red"
+    assert "s old" in choked[1][1]
+
+
+def test_bytes_that_are_no_vehicle_are_told_from_silence(
+    vehicle: Vehicle, listed: Callable[..., Any]
+) -> None:
+    vehicle.silent.add("HEARTBEAT")
+    link = f"tcp:127.0.0.1:{vehicle.port}"
+    assert "bytes came" in listed(1, vehicle=VehicleConfig(link=link, wait_s=0.5))["vehicle"][0][1]
+    silent = listed(1, vehicle=VehicleConfig(link="udpin:127.0.0.1:0", wait_s=0.1))
+    assert "not a byte" in silent["vehicle"][0][1]
+    absent = listed(1, vehicle=VehicleConfig(link="serial:/dev/nothing:57600", wait_s=0.1))
+    assert absent["link"][0][0] == "red"
+
+
+@pytest.mark.parametrize(
+    ("free", "delete_oldest", "old_runs", "light"),
+    [
+        (5000.0, False, 0, "green"),
+        (400.0, False, 3, "yellow"),
+        (100.0, False, 3, "red"),
+        (100.0, True, 3, "yellow"),
+        (100.0, True, 0, "red"),
+    ],
+)
+def test_room_on_the_disk(
+    listed: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    free: float,
+    delete_oldest: bool,
+    old_runs: int,
+    light: str,
+) -> None:
+    monkeypatch.setattr(check_module, "free_mb", lambda _folder: free)
+    monkeypatch.setattr(check_module, "finished_runs", lambda _folder: [tmp_path] * old_runs)
+    monkeypatch.setattr(check_module, "_vehicle", lambda *_: None)
+    record = RecordConfig(folder=str(tmp_path / "runs"), delete_oldest=delete_oldest)
+    assert listed(1 if light == "red" else 0, record=record)["disk"][0][0] == light
+
+
+def test_a_folder_that_cannot_be_written(
+    listed: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_module, "_vehicle", lambda *_: None)
+    (tmp_path / "file").write_text("")
+    found = listed(1, record=RecordConfig(folder=str(tmp_path / "file" / "runs")))
+    assert found["disk"][0][:2] == ("red", f"{tmp_path}/file/runs: cannot be written")

@@ -10,18 +10,28 @@ import signal
 import socket
 import threading
 import time
+from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from companion.autopilot.signing import Signing, timestamp_at
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
-from companion.config import RecordConfig, VehicleConfig
+from companion.config import NullRadio, RecordConfig, VehicleConfig
 from companion.errors import ConfigError
-from companion.events import RadioState
+from companion.events import Firmware, RadioState, RemoteIdHeard
 from companion.radio.null import NullTransport
+from companion.radio.transport import Health
+from companion.remote_id.messages import Location, Status
 from companion.remote_id.region import Region
+from companion.runtime import radios, watch
+from companion.runtime.disk import DiskFloor
 from companion.runtime.flight import Flight
+from companion.runtime.links import LinkTrouble
+from sitl_mocks.autopilot import MockVehicle
+from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle_options import VehicleOptions
 
 LONG_S = 60.0
 
@@ -267,6 +277,7 @@ class FullDisk:
     error = "No space left on device"
     dropped = 7
     answers = True
+    floor = DiskFloor(RecordConfig(), Path("."))
 
     def close(self):
         return self.answers
@@ -327,7 +338,7 @@ def test_a_link_that_cannot_be_opened_lets_out_what_was_said(make_config, tmp_pa
 
     with pytest.raises(ConfigError):
         Flight(configured(make_config, tmp_path, port), slow, dry_run=False)
-    assert len(lines) == 1
+    assert len(lines) == 2
 
 
 US = Region(name="us", transport_sets=(("wifi",), ("ble4", "ble5")), location_period_s=1.0)
@@ -450,3 +461,236 @@ def test_a_vehicle_that_does_not_sign_is_told_in_plain_words(signed, autopilot):
     flight = signed(autopilot.port, wait_s=0.5)
     with pytest.raises(ConfigError, match="every frame of the vehicle is unsigned: signing is not set up"):
         flight.run()
+@pytest.mark.parametrize("delete_oldest", [True, False])
+def test_old_runs_make_room_for_a_new_one_where_they_may(
+    flight, said, until, tmp_path, monkeypatch, delete_oldest
+):
+    old = tmp_path / "20260101T000000Z-companion"
+    old.mkdir()
+    (old / "manifest.json").write_text('{"what": "companion run"}')
+    (old / "A.events").write_bytes(b"")
+    monkeypatch.setattr("companion.runtime.disk.free_mb", lambda _folder: 50.0 if old.exists() else 300.0)
+    record = msgspec.structs.replace(flight.config.record, delete_oldest=delete_oldest)
+    flight.config = msgspec.structs.replace(flight.config, record=record)
+    recording = "recording to" if delete_oldest else "not recording: less than 200 MB are free"
+    fly(flight, lambda: until(heard_of(said, recording)))
+    assert old.exists() is not delete_oldest
+    assert heard_of(said, f"deleted the oldest runs: {old.name}")() is delete_oldest
+    assert (summary(flight)["recorder_error"] is None) is delete_oldest
+
+
+@pytest.fixture
+def manager(tmp_path, monkeypatch):
+    """What a service manager with a watchdog is told."""
+    name = str(tmp_path / "notify")
+    monkeypatch.setenv("NOTIFY_SOCKET", name)
+    monkeypatch.setenv("WATCHDOG_USEC", "20000")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
+        server.bind(name)
+        server.setblocking(False)
+
+        def told():
+            lines = []
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    lines.append(server.recv(4096).decode())
+            return lines
+
+        yield told
+
+
+def test_the_service_manager_is_told_from_the_loop_alone(manager, flight, said, until):
+    """A loop that hangs pings no more; one that goes on does again."""
+    hang, hanging = threading.Event(), threading.Event()
+    tick, told = flight.onboard.tick, []
+
+    def stuck(now_s):
+        if hang.is_set():
+            hanging.set()
+            until(lambda: not hang.is_set())
+        return tick(now_s)
+
+    flight.onboard.tick = stuck
+
+    def hung():
+        hang.set()
+        until(hanging.is_set)
+        told.extend(manager())
+        time.sleep(0.3)
+        assert "WATCHDOG=1" not in manager()
+        hang.clear()
+        until(lambda: "WATCHDOG=1" in manager())
+
+    before = manager()
+    fly(flight, lambda: until(heard_of(said, "recording to")), lambda: until(lambda: flight._ticks > 5), hung)
+    assert before == [], "not ready before the vehicle is there"
+    assert told.index("READY=1") < told.index("WATCHDOG=1")
+    assert any(line.startswith("STATUS=standby, waiting for") for line in told)
+    assert manager()[-1] == "STOPPING=1"
+
+
+def test_a_flight_that_finds_no_vehicle_is_never_ready(manager, make_config, tmp_path, kept_signals):
+    config = configured(make_config, tmp_path, 0)
+    config = msgspec.structs.replace(config, vehicle=VehicleConfig(link="udpin:127.0.0.1:0", wait_s=0.2))
+    flight = Flight(config, lambda _line: None, dry_run=False)
+    with pytest.raises(ConfigError, match="no vehicle"):
+        flight.run()
+    assert manager() == []
+
+
+def test_the_live_state_is_served_and_gone_with_the_flight(flight, said, until):
+    states = []
+
+    def asked():
+        states.append(watch.ask(flight._server.path))
+        watch.render(states[0])
+
+    fly(flight, lambda: until(heard_of(said, "recording to")), asked)
+    (state,) = states
+    assert state.aircraft == "OWN"
+    assert state.state == "standby"
+    assert state.mode is not None
+    assert state.vehicle.startswith("ardupilot, system 1")
+    assert state.folder == str(flight.folder)
+    assert state.heartbeat_age_s < LONG_S
+    assert state.position_age_s is None
+    assert any("recording to" in line for line in state.said)
+    assert not flight._server.path.exists()
+
+
+def test_a_bug_in_what_is_shown_does_not_end_the_flight(flight, said, until, monkeypatch):
+    monkeypatch.setattr(flight, "live", lambda _now_s: 1 // 0)
+    path = flight._server.path
+
+    def asked():
+        with pytest.raises(ConfigError):
+            watch.ask(path)
+        ticks = flight._ticks
+        until(lambda: flight._ticks > ticks + 3)
+
+    fly(flight, lambda: until(heard_of(said, "recording to")), asked)
+    assert sum("status: not served any more: ZeroDivisionError" in line for line in said) == 1
+    assert summary(flight)["ticks"] > 0
+
+
+def test_a_second_companion_of_the_name_flies_without_a_socket(
+    flight, autopilot, make_config, tmp_path, said
+):
+    before = len(said)
+    second = Flight(configured(make_config, tmp_path, autopilot.port), said.append, dry_run=False)
+    second._close()
+    assert heard_of(said, "another companion of this name", before)()
+    assert flight._server.path.exists(), "the first one's"
+    flight._close()
+
+
+class Joined:
+    """A link whose other end is a mock vehicle in this process; keeps every frame that left."""
+
+    up = True
+
+    def __init__(self, firmware):
+        options = VehicleOptions(
+            firmware=firmware,
+            airborne=True,
+            start_position_ned_m=(0.0, 0.0, -50.0),
+            start_mode=VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD,
+            utc_at_zero_s=time.time() - time.monotonic(),
+        )
+        self.vehicle = MockVehicle(options, np.random.default_rng(1), time.monotonic())
+        self.left = []
+        self._reader = MavlinkReader()
+
+    def wait(self, timeout_s):
+        time.sleep(min(timeout_s, 0.01))
+
+    def receive(self, now_s):
+        self.vehicle.advance(now_s)
+        return self.vehicle.drain()
+
+    def send(self, data):
+        self.left += self._reader.feed(data)
+        self.vehicle.receive(data, time.monotonic())
+
+    def close(self):
+        """Nothing to release."""
+
+
+class Air(NullTransport):
+    """A radio that could send, and hears another aircraft where ours is."""
+
+    capabilities = frozenset({"wifi"})
+
+    def __init__(self, link):
+        self._link = link
+        self.sent, self.changed = 0, 0
+
+    def configure(self, rates, *, probe=False):
+        self.changed += not probe
+        return ()
+
+    def broadcast(self, transport, messages, now_s):
+        self.sent += 1
+
+    def heard(self, now_s):
+        north, east, _down = self._link.vehicle.position_ned_m
+        message = Location(
+            status=Status.AIRBORNE,
+            lat_deg=47.397 + (north + 20.0) / 111_194.9,
+            lon_deg=8.545 + east / 75_370.0,
+            alt_geodetic_m=None,
+            direction_deg=180.0,
+            speed_mps=3.0,
+            vertical_speed_mps=0.0,
+            horizontal_accuracy_m=3.0,
+            timestamp_s=round(time.time() % 3600.0, 1),
+        )
+        return [RemoteIdHeard(transport="wifi", address="02:00:00:00:00:01", messages=(message,))]
+
+    def health(self, now_s):
+        return Health(
+            ok=True, text="", frames_sent=0, frames_heard=0, bad_frames=0, can_send=self.capabilities
+        )
+
+
+ASKS = {"HEARTBEAT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT", "MISSION_ACK"}
+"""What a dry run may send beside COMMAND_LONG with SET_MESSAGE_INTERVAL: to be told things, and no more."""
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+@pytest.mark.parametrize("dry_run", [True, False])
+def test_a_dry_run_computes_and_transmits_nothing(
+    make_config, tmp_path, monkeypatch, said, until, kept_signals, watchdog, firmware, dry_run
+):
+    """Beside the same flight that is none: it sends what the dry run must not."""
+    link = Joined(firmware)
+    air = Air(link)
+    monkeypatch.setattr("companion.runtime.flight.KeptLink", lambda *_: link)
+    monkeypatch.setattr(link, "trouble", LinkTrouble(), raising=False)
+    monkeypatch.setattr(radios, "open_radio", lambda *_: air)
+    base = make_config(use="fly")
+    config = msgspec.structs.replace(
+        base,
+        remote_id=msgspec.structs.replace(base.remote_id, component=True),
+        radio=(NullRadio(),),
+        record=RecordConfig(folder=str(tmp_path)),
+    )
+    made = Flight(config, said.append, dry_run=dry_run)
+    mode = link.vehicle.custom_mode
+    fly(made, lambda: until(heard_of(said, "guarding -> avoiding")), lambda: time.sleep(1.0))
+    kinds = {message.get_type() for message in link.left}
+    commands = {m.command for m in link.left if m.get_type() == "COMMAND_LONG"}
+    if dry_run:
+        assert kinds <= ASKS | {"COMMAND_LONG"}
+        assert commands == {511}
+        assert link.vehicle.custom_mode == mode
+        assert (air.sent, air.changed) == (0, 0)
+        assert not made.live(time.monotonic()).rates
+    else:
+        assert kinds >= {"SET_POSITION_TARGET_LOCAL_NED", "STATUSTEXT", "COLLISION"}
+        assert air.sent > 0
+        assert air.changed > 0
+    assert heard_of(said, "dry run: nothing goes on the air")() is dry_run
+    assert made.onboard.heart.state.value == "avoiding"
+    assert made.folder is not None
+    assert any(path.stat().st_size > 1000 for path in made.folder.glob("*.events"))

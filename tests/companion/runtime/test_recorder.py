@@ -9,9 +9,12 @@ import threading
 import pytest
 
 from companion import record
+from companion.config import RecordConfig
 from companion.record import Header, Step
 from companion.runtime.flight import _Tape
 from companion.runtime.recorder import FlightRecorder
+
+SLOW = RecordConfig(sync_period_s=60.0, keep_free_mb=0.0)
 
 
 class Disk(io.RawIOBase):
@@ -54,7 +57,7 @@ def on(disk, recorder):
 
 
 def test_all_is_there_after_close(tmp_path, header):
-    recorder = FlightRecorder(tmp_path, header, 60.0)
+    recorder = FlightRecorder(tmp_path, header, SLOW)
     for number in range(100):
         recorder.step(step(float(number)))
     recorder.write(b"tlog")
@@ -69,7 +72,7 @@ def test_all_is_there_after_close(tmp_path, header):
 def test_a_long_wait_on_a_busy_link_crowds_nothing_out(tmp_path, header, monkeypatch):
     monkeypatch.setattr("companion.runtime.recorder._QUEUE", 10)
     disk = Disk()
-    recorder = on(disk, FlightRecorder(tmp_path, header, 60.0))
+    recorder = on(disk, FlightRecorder(tmp_path, header, SLOW))
     disk.may_write.clear()
     recorder.step(step(0.0))
     disk.asked.wait()
@@ -87,7 +90,7 @@ def test_a_long_wait_on_a_busy_link_crowds_nothing_out(tmp_path, header, monkeyp
 
 def test_a_full_disk_is_an_error_that_close_does_not_raise(tmp_path, header, until):
     disk = Disk()
-    recorder = on(disk, FlightRecorder(tmp_path, header, 60.0))
+    recorder = on(disk, FlightRecorder(tmp_path, header, SLOW))
     disk.full = True
     for number in range(10):
         recorder.step(step(float(number)))
@@ -99,7 +102,7 @@ def test_a_full_disk_is_an_error_that_close_does_not_raise(tmp_path, header, unt
 
 def test_a_disk_that_fails_only_at_close_is_an_error_kept(tmp_path, header):
     disk = Disk()
-    recorder = FlightRecorder(tmp_path, header, 60.0)
+    recorder = FlightRecorder(tmp_path, header, SLOW)
     recorder._events.close()
     recorder._events = io.BufferedWriter(disk, 1 << 20)
     disk.full = True
@@ -111,7 +114,7 @@ def test_a_disk_that_fails_only_at_close_is_an_error_kept(tmp_path, header):
 def test_close_gives_up_on_a_disk_that_hangs_with_a_full_queue(tmp_path, header, monkeypatch):
     monkeypatch.setattr("companion.runtime.recorder._QUEUE", 10)
     disk = Disk()
-    recorder = on(disk, FlightRecorder(tmp_path, header, 60.0))
+    recorder = on(disk, FlightRecorder(tmp_path, header, SLOW))
     disk.may_write.clear()
     recorder.step(step(0.0))
     disk.asked.wait()
@@ -125,4 +128,23 @@ def test_close_gives_up_on_a_disk_that_hangs_with_a_full_queue(tmp_path, header,
 
 def test_files_that_cannot_be_made_are_an_error_at_once(tmp_path, header):
     with pytest.raises(OSError):
-        FlightRecorder(tmp_path / "absent", header, 1.0)
+        FlightRecorder(tmp_path / "absent", header, SLOW)
+
+
+def test_below_the_floor_writing_stops_and_what_is_lost_is_counted(tmp_path, header, until, monkeypatch):
+    free = [1000.0]
+    monkeypatch.setattr("companion.runtime.disk.free_mb", lambda _folder: free[0])
+    monkeypatch.setattr("companion.runtime.recorder._LOOK_S", 0.0)
+    config = RecordConfig(sync_period_s=0.01, keep_free_mb=300.0)
+    recorder = FlightRecorder(tmp_path, header, config)
+    recorder.step(step(0.0))
+    until(lambda: b"Step" in (tmp_path / "A.events").read_bytes())
+    free[0] = 299.0
+    until(lambda: recorder.error is not None)
+    recorder.step(step(1.0))
+    recorder.step(step(2.0))
+    assert recorder.close()
+    assert recorder.error == "less than 300 MB are free on the disk (record.keep_free_mb)"
+    assert recorder.dropped == 2
+    items = list(record.read(io.BytesIO((tmp_path / "A.events").read_bytes()), "A"))
+    assert items == [header, step(0.0)]

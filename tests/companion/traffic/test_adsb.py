@@ -267,3 +267,13 @@ def test_one_that_leaves_the_range_is_forgotten_in_time():
     for tick in range(1, 20):
         sky.take(10.0 + tick, report(0.0, 49_990.0 + 50.0 * tick))
     assert not sky.at(29.0)
+
+
+def test_who_only_looks_forgets_nobody():
+    """Or a flight that somebody watched would go another way when it is replayed."""
+    sky = Sky()
+    sky.take(10.0, report())
+    assert sky.traffic.look(10.0, OWN_DOWN_M) == sky.at(10.0)
+    late_s = 10.0 + EXPIRE_S + 1.0
+    assert sky.traffic.look(late_s, OWN_DOWN_M) == []
+    assert sky.only(10.0)

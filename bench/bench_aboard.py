@@ -1,0 +1,237 @@
+"""What `companion run` takes of a computer: memory, processor, start, and how late its ticks come.
+
+The real process, flying the mock vehicle at 20 Hz on loopback, with 20 aircraft heard once a second on a ring
+of 150 m. Targets: under 200 MB, under a tenth of one core, ready for the first setpoint within 5 s of its
+start (the kernels compiled before). Beside it the same with every core busy with something else, at normal
+priority and, where this process may ask for it, in real time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from bench.bench_heart import NEIGHBOURS, heard
+from companion.radio import ether_wire
+from companion.radio.ether_wire import Heard, Welcome
+from companion.radio.frames_io import FrameSender, radio_address
+from companion.remote_id.messages import Location
+
+SECONDS = 20.0
+SETTLE_S = 3.0
+PATIENCE_S = 120.0
+PRIORITY = 20
+
+_PATH = """altitude = "home"
+waypoint = [
+  { t_s = 0.0, lat_deg = 47.397, lon_deg = 8.545, alt_m = 50.0 },
+  { t_s = 600.0, lat_deg = 47.41318, lon_deg = 8.545, alt_m = 50.0 },
+]
+"""
+_CONFIG = """[identity]
+uas_id = "BENCH"
+[vehicle]
+link = "udpout:127.0.0.1:{vehicle}"
+[flight]
+use = "fly"
+trajectory = "path.toml"
+take_in_flight = true
+[record]
+folder = "{folder}"
+name = "bench"
+[[radio]]
+backend = "ether"
+address = "127.0.0.1:{air}"
+"""
+
+
+class Air:
+    """Stands in for the simulated air: 20 aircraft that are heard once a second by whoever joined."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(1.0 / NEIGHBOURS)
+        self.port = self._socket.getsockname()[1]
+        self._client: tuple[str, int] | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        senders = [FrameSender(radio_address(f"UAS{number}")) for number in range(NEIGHBOURS)]
+        began_s, number = time.monotonic(), 0
+        due_s = began_s
+        while not self._ended.is_set():
+            try:
+                self._client = self._socket.recvfrom(2048)[1]
+                self._socket.sendto(ether_wire.encode(Welcome(NEIGHBOURS + 1)), self._client)
+            except (TimeoutError, ConnectionError):
+                pass
+            if self._client is None or time.monotonic() < due_s:
+                continue
+            due_s += 1.0 / NEIGHBOURS
+            flown_s = time.monotonic() - began_s
+            messages = heard(number, flown_s).messages
+            stamp_s = round(time.time() % 3600.0, 1)
+            dated = tuple(
+                type(m)(**{**{f: getattr(m, f) for f in m.__struct_fields__}, "timestamp_s": stamp_s})
+                if isinstance(m, Location)
+                else m
+                for m in messages
+            )
+            address = radio_address(f"UAS{number}")
+            for frame in senders[number].frames("wifi", dated):
+                self._socket.sendto(ether_wire.encode(Heard("wifi", address, frame)), self._client)
+            number = (number + 1) % NEIGHBOURS
+
+    def close(self) -> None:
+        """End it."""
+        self._ended.set()
+        self._thread.join()
+        self._socket.close()
+
+
+@contextmanager
+def process(log: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """`python -m ARGUMENTS` with its output in a file."""
+    with log.open("wb") as out:
+        child = subprocess.Popen([sys.executable, "-u", "-m", *arguments], stdout=out, stderr=out)
+        try:
+            yield child
+        finally:
+            if child.poll() is None:
+                child.terminate()
+            child.wait()
+
+
+def wait_for(log: Path, pattern: str) -> re.Match[str]:
+    """Wait until the output matches.
+
+    Raises:
+        RuntimeError: it never did.
+    """
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        if found := re.search(pattern, log.read_text()):
+            return found
+        time.sleep(0.01)
+    raise RuntimeError(f"{pattern!r} never came:\n{log.read_text()}")
+
+
+def processor_s(pid: int) -> float:
+    """Processor time that a process has taken, by /proc/PID/stat."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def memory_mb(pid: int, key: str) -> float:
+    """VmRSS or VmHWM, 10^6 bytes."""
+    text = Path(f"/proc/{pid}/status").read_text()
+    found = re.search(rf"{key}:\s+(\d+) kB", text)
+    assert found is not None
+    return int(found[1]) * 1024 / 1e6
+
+
+def fly(folder: Path) -> dict[str, float]:
+    """One flight; the figures of it."""
+    air = Air()
+    vehicle_log, log = folder / "vehicle.log", folder / "companion.log"
+    serve = ("sitl_mocks.cli", "serve", "--firmware", "px4", "--airborne", "50", "--mode", "hold")
+    try:
+        with process(vehicle_log, *serve, "--link", "udpin:127.0.0.1:0"):
+            port = wait_for(vehicle_log, r"link udpin:127\.0\.0\.1:(\d+)")[1]
+            wait_for(vehicle_log, "ready")
+            (folder / "path.toml").write_text(_PATH)
+            (folder / "c.toml").write_text(_CONFIG.format(vehicle=port, air=air.port, folder=folder / "runs"))
+            began_s = time.monotonic()
+            with process(log, "companion.cli", "run", "--config", str(folder / "c.toml")) as child:
+                wait_for(log, "standby -> guarding")
+                ready_s = time.monotonic() - began_s
+                time.sleep(SETTLE_S)
+                used_s, at_s = processor_s(child.pid), time.monotonic()
+                time.sleep(SECONDS)
+                share = (processor_s(child.pid) - used_s) / (time.monotonic() - at_s)
+                figures = {
+                    "ready_s": ready_s,
+                    "core": share,
+                    "rss": memory_mb(child.pid, "VmRSS"),
+                    "peak": memory_mb(child.pid, "VmHWM"),
+                }
+        (summary,) = (folder / "runs").glob("*/summary.json")
+        flown_h = (time.monotonic() - began_s - ready_s) / 3600.0
+        figures["mb_an_hour"] = sum(path.stat().st_size for path in summary.parent.iterdir()) / 1e6 / flown_h
+        found = json.loads(summary.read_text())
+    finally:
+        air.close()
+    figures |= {name: found["tick_lateness_ms"][name] for name in ("median", "p99", "worst")}
+    return figures | {"missed": found["late_ticks"], "ticks": found["ticks"], "heard": found["frames_heard"]}
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """As many processes that do nothing but count."""
+    spin = [sys.executable, "-c", "while True: pass"]
+    children = [subprocess.Popen(spin) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for child in children:
+            child.kill()
+            child.wait()
+
+
+@contextmanager
+def real_time() -> Iterator[bool]:
+    """What is started meanwhile runs in real time, as the service does; False where that is not allowed."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except PermissionError:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def line(name: str, f: dict[str, float]) -> None:
+    """Print a flight's figures."""
+    print(
+        f"{name:26}{f['ready_s']:9.1f}{f['rss']:8.0f}{f['peak']:8.0f}{100 * f['core']:8.1f}{f['median']:9.1f}"
+        f"{f['p99']:8.1f}{f['worst']:8.1f}{f['missed']:8.0f}{f['ticks']:8.0f}{f['mb_an_hour']:8.0f}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    cores = len(os.sched_getaffinity(0))
+    heads = ("RSS MB", "peak MB", "core %", "late ms", "p99 ms", "worst", "missed", "ticks", "MB/h")
+    print(f"{'':26}{'ready s':>9}" + "".join(f"{h:>{9 if h == 'late ms' else 8}}" for h in heads))
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("idle", "busy", "real"):
+            (Path(folder) / name).mkdir()
+        fly_in = Path(folder)
+        line("as it is here", fly(fly_in / "idle"))
+        with busy(2 * cores):
+            line(f"{2 * cores} busy processes beside", fly(fly_in / "busy"))
+            with real_time() as allowed:
+                if allowed:
+                    line("the same, in real time", fly(fly_in / "real"))
+                else:
+                    print("real time: this process may not ask for it")
+
+
+if __name__ == "__main__":
+    main()

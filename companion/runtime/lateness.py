@@ -1,0 +1,30 @@
+"""How late the loop's ticks come: a distribution in bounded memory."""
+
+from __future__ import annotations
+
+_BIN_S = 1e-4
+_BINS = 1000
+"""The last one holds all that is later."""
+
+
+class Lateness:
+    """Counts of ticks by how long after their deadline they began."""
+
+    def __init__(self) -> None:
+        self.worst_s = 0.0
+        self._counts = [0] * _BINS
+
+    def add(self, late_s: float) -> None:
+        """One tick."""
+        self.worst_s = max(self.worst_s, late_s)
+        self._counts[min(max(int(late_s / _BIN_S), 0), _BINS - 1)] += 1
+
+    def percentile_s(self, percent: float) -> float:
+        """Lateness that this share of the ticks did not exceed, to 0.1 ms upwards; 0 without ticks. Beyond
+        0.1 s the worst stands for all."""
+        left = sum(self._counts) * percent / 100.0
+        for number, count in enumerate(self._counts[:-1]):
+            left -= count
+            if left <= 0.0:
+                return min((number + 1) * _BIN_S, self.worst_s)
+        return self.worst_s

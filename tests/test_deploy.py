@@ -1,0 +1,78 @@
+"""What deploy/ and docs/deploy.md name is there, and fits together."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from companion import cli
+from companion.runtime import flight
+
+ROOT = Path(__file__).parents[1]
+UNIT = (ROOT / "deploy" / "dmuca-companion.service").read_text()
+DOCUMENT = (ROOT / "docs" / "deploy.md").read_text()
+
+
+def values(key):
+    return re.findall(rf"^{key}=(.*)$", UNIT, re.M)
+
+
+def test_the_service_runs_a_command_that_there_is():
+    program, *arguments = values("ExecStart")[0].split()
+    assert Path(program).name == "companion"
+    parsed = cli._parser().parse_args(arguments)
+    assert parsed.config == Path("/etc/dmuca/companion.toml")
+    assert not parsed.dry_run
+    assert values("ExecStartPre")[0].split()[1:] == ["-m", "companion.runtime.warm"]
+
+
+def test_the_process_ends_itself_before_the_watchdog_does():
+    """With a traceback; and the watchdog waits for two pings."""
+    assert values("Type") == ["notify"]
+    assert float(values("WatchdogSec")[0]) > flight._WATCHDOG_S
+
+
+def test_where_the_service_may_write_is_what_it_writes():
+    environment = dict(part.split("=", 1) for line in values("Environment") for part in line.split())
+    assert environment["NUMBA_CACHE_DIR"] == f"/var/cache/{values('CacheDirectory')[0]}"
+    assert environment["TMPDIR"] == f"/run/{values('RuntimeDirectory')[0]}"
+    assert values("WorkingDirectory") == [f"/var/lib/{values('StateDirectory')[0]}"]
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+@pytest.mark.parametrize("dropin", [False, True])
+def test_systemd_takes_the_unit(tmp_path, dropin):
+    path = tmp_path / "dmuca-companion.service"
+    path.write_text(re.sub(r"(=-?)/opt/\S+", r"\1/bin/true", UNIT))
+    if dropin:
+        folder = tmp_path / "dmuca-companion.service.d"
+        folder.mkdir()
+        shutil.copy(ROOT / "deploy" / "radio.conf", folder)
+    done = subprocess.run(["systemd-analyze", "verify", path], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_files_that_the_document_copies_are_in_the_project():
+    named = set(re.findall(r"/opt/dmuca/((?:config|deploy)/\S+)", DOCUMENT))
+    assert len(named) >= 5
+    for name in named:
+        assert (ROOT / name).exists(), name
+    assert set((ROOT / "deploy").iterdir()) == {
+        ROOT / "deploy" / name
+        for name in ("99-dmuca.rules", "dmuca-companion.service", "mavlink-router.conf", "radio.conf")
+    }
+
+
+def test_the_router_speaks_to_where_the_profiles_listen():
+    router = (ROOT / "deploy" / "mavlink-router.conf").read_text()
+    (port,) = re.findall(r"Address = 127\.0\.0\.1\nPort = (\d+)", router)
+    for name in ("ardupilot-udp", "px4-udp"):
+        assert f'link = "udpin:127.0.0.1:{port}"' in (ROOT / "config" / f"{name}.toml").read_text()
+    device = 'SYMLINK+="autopilot"' in (ROOT / "deploy" / "99-dmuca.rules").read_text()
+    assert device
+    assert "Device = /dev/autopilot" in router
+    assert "serial:/dev/autopilot:" in (ROOT / "config" / "ardupilot-serial.toml").read_text()
