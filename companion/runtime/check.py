@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
 from companion.avoidance.path import check_path
 from companion.config import ArduRemoteIdRadio, Config
@@ -65,7 +66,10 @@ def _probe_link(config: Config, say: Callable[[str], None]) -> bool:
     say(f"vehicle: {protocol.vehicle}")
     for text in _module_of_another(config, protocol.vehicle.system_id):
         say(text)
-    return protocol.vehicle.refusal is None
+    rearm = impossible_rearm(protocol.vehicle.firmware, config.flight)
+    if rearm is not None:
+        say(rearm)
+    return protocol.vehicle.refusal is None and rearm is None
 
 
 def _module_of_another(config: Config, system_id: int) -> list[str]:

@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 import pytest
 
+from companion.autopilot.dialect import impossible_rearm
 from companion.avoidance.authority import HOLDING, State
 from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig, LimitsConfig
 from companion.events import AuthorityChanged, DownloadMission, Firmware, MissionItem, Say, VelocitySetpoint
@@ -45,7 +46,7 @@ MISSION = (
 class Pair:
     """Vehicle and companion, stepped together."""
 
-    def __init__(self, firmware, mission=MISSION, **options):
+    def __init__(self, firmware, mission=MISSION, rearm="disarm", **options):
         options = {"airborne": True, "start_position_ned_m": (0.0, 0.0, -50.0), **options}
         if options["airborne"] and firmware is Firmware.ARDUPILOT:
             # Taken off in GUIDED, as a ground station does it; LOITER is the pilot's.
@@ -56,7 +57,13 @@ class Pair:
         )
         config = Config(
             identity=IdentityConfig(uas_id="PAIR"),
-            flight=FlightConfig(use="fly", trajectory="mission", mission_speed_mps=3.0, take_in_flight=True),
+            flight=FlightConfig(
+                use="fly",
+                trajectory="mission",
+                mission_speed_mps=3.0,
+                take_in_flight=True,
+                rearm=rearm,
+            ),
             limits=LimitsConfig(max_speed_mps=5.0),
             avoidance=AvoidanceConfig(),
         )
@@ -119,6 +126,22 @@ def test_the_pilots_switch_ends_it_within_one_heartbeat(firmware):
     pair.run(10.0)
     assert not pair.commands(VelocitySetpoint, since=before)
     assert pair.vehicle.mode is VehicleMode.HOLD
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_given_back_by_mode_except_by_px4_which_refuses_offboard_without_a_stream(firmware):
+    """As `impossible_rearm` tells before the flight."""
+    pair = Pair(firmware, rearm="mode")
+    pair.run(15.0)
+    pair.vehicle.pilot_selects(VehicleMode.HOLD)
+    pair.run(5.0)
+    assert pair.state is State.YIELDED
+    pair.vehicle.pilot_selects(VehicleMode.EXTERNAL)
+    pair.run(10.0)
+    impossible = impossible_rearm(firmware, pair.onboard.heart.config.flight)
+    assert (impossible is None) is (firmware is Firmware.ARDUPILOT)
+    assert pair.state is (State.GUARDING if impossible is None else State.YIELDED)
+    assert pair.vehicle.mode is (VehicleMode.EXTERNAL if impossible is None else VehicleMode.HOLD)
 
 
 @pytest.mark.parametrize("firmware", Firmware)
