@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.config import FlightConfig
 from companion.events import Firmware, FlightMode
 
 CUSTOM_MODE_ENABLED = 1
@@ -245,4 +246,17 @@ def refusal(firmware: Firmware, vehicle_type: int) -> str | None:
     return (
         f"{firmware.value} {kind} (MAV_TYPE {vehicle_type}) is not supported; supported are multirotors and "
         "helicopters on ArduPilot Copter and multirotors on PX4"
+    )
+
+
+def impossible_rearm(firmware: Firmware, flight: FlightConfig) -> str | None:
+    """Why a pilot cannot give this autopilot back as `flight.rearm` says, in words; None when he can.
+
+    PX4 lets nobody select OFFBOARD while no setpoints stream, and none do once the pilot has taken over.
+    """
+    if flight.use != "fly" or flight.rearm != "mode" or firmware is not Firmware.PX4:
+        return None
+    return (
+        'flight.rearm: "mode" gives nothing back on PX4, which refuses OFFBOARD while no setpoints stream: '
+        'use "disarm" or "never"'
     )

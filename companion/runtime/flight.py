@@ -23,6 +23,7 @@ import msgspec
 
 from companion import __version__
 from companion import config as configuration
+from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.tlog import TlogWriter
 from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.path import check_path
@@ -223,6 +224,9 @@ class Flight:
         vehicle = self.onboard.link.vehicle
         if vehicle is not None and vehicle.refusal is not None and self.config.flight.use != "watch":
             raise ConfigError(f"{self.config.vehicle.link}: {vehicle.refusal}")
+        rearm = None if vehicle is None else impossible_rearm(vehicle.firmware, self.config.flight)
+        if rearm is not None:
+            self._say(rearm)
 
     def _wait(self, deadline_s: float) -> None:
         """Take in the autopilot's bytes until the deadline."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.wire import MavlinkWriter
 from companion.avoidance.authority import HOLDING, State
 from companion.config import (
@@ -149,6 +150,22 @@ def test_the_pilots_switch_ends_it_within_one_heartbeat(firmware):
     pair.run(10.0)
     assert not pair.commands(VelocitySetpoint, since=before)
     assert pair.vehicle.mode is VehicleMode.HOLD
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_given_back_by_mode_except_by_px4_which_refuses_offboard_without_a_stream(firmware):
+    """As `impossible_rearm` tells before the flight."""
+    pair = Pair(firmware, flight={"rearm": "mode"})
+    pair.run(15.0)
+    pair.vehicle.pilot_selects(VehicleMode.HOLD)
+    pair.run(5.0)
+    assert pair.state is State.YIELDED
+    pair.vehicle.pilot_selects(VehicleMode.EXTERNAL)
+    pair.run(10.0)
+    impossible = impossible_rearm(firmware, pair.onboard.heart.config.flight)
+    assert (impossible is None) is (firmware is Firmware.ARDUPILOT)
+    assert pair.state is (State.GUARDING if impossible is None else State.YIELDED)
+    assert pair.vehicle.mode is (VehicleMode.EXTERNAL if impossible is None else VehicleMode.HOLD)
 
 
 @pytest.mark.parametrize("firmware", Firmware)

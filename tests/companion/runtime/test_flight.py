@@ -461,6 +461,8 @@ def test_a_vehicle_that_does_not_sign_is_told_in_plain_words(signed, autopilot):
     flight = signed(autopilot.port, wait_s=0.5)
     with pytest.raises(ConfigError, match="every frame of the vehicle is unsigned: signing is not set up"):
         flight.run()
+
+
 @pytest.mark.parametrize("delete_oldest", [True, False])
 def test_old_runs_make_room_for_a_new_one_where_they_may(
     flight, said, until, tmp_path, monkeypatch, delete_oldest
