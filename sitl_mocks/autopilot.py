@@ -23,7 +23,7 @@ from companion.autopilot.wire import Frame, MavlinkMessage
 from companion.errors import ConfigError
 from companion.events import Landed, Vec3
 from companion.geometry import LocalFrame
-from sitl_mocks.vehicle_commands import CommandDesk, read_command
+from sitl_mocks.vehicle_commands import LATE_S, Command, CommandDesk, read_command
 from sitl_mocks.vehicle_dynamics import STEP_S
 from sitl_mocks.vehicle_flight import Flight
 from sitl_mocks.vehicle_links import Link, Payload, SetpointMessage
@@ -90,6 +90,7 @@ class MockVehicle:
         """The last COLLISION messages, each with when it came."""
         self._manners = options.manners
         self._last_setpoint_s: float | None = None
+        self._late_acks: list[tuple[Command, tuple[int, int]]] = []
         self._start_s = start_s
         self._steps = 0
         self._down_until_s = -math.inf
@@ -296,6 +297,10 @@ class MockVehicle:
         if self._down_until_s > -math.inf:
             self._down_until_s = -math.inf
             self._wake(at_s)
+        while self._late_acks and self._late_acks[0][0].now_s + LATE_S <= at_s:
+            command, to = self._late_acks.pop(0)
+            result = self._desk.set_mode_late(command)
+            command.link.send(mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *to))
         self._after_change()
         builders = self._telemetry.builders
         for number, link in self._links.items():
@@ -348,6 +353,8 @@ class MockVehicle:
             link.send(message)
 
     def _send_text(self, severity: int, text: str) -> None:
+        if not self._manners.speaks:
+            return
         self._broadcast(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
 
     def _forward(self, frame: Frame, message: MavlinkMessage | SetpointMessage, link: int) -> None:
@@ -394,6 +401,7 @@ class MockVehicle:
         if handler is not None:
             handler(message, endpoint, now_s)
         elif kind.startswith("MISSION_"):
+            self._book.current_seq = self._flight.runner.seq
             for answer in self._missions.handle(message, now_s, link):
                 endpoint.send(answer)
             self._flight.runner.sync()
@@ -411,8 +419,12 @@ class MockVehicle:
 
     def _take_command(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         to = (message.get_srcSystem(), message.get_srcComponent())
-        for result in self._desk.execute(read_command(message, endpoint, now_s)):
-            endpoint.send(mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to))
+        command = read_command(message, endpoint, now_s)
+        for result in self._desk.execute(command):
+            if result is None:
+                self._late_acks.append((command, to))
+            else:
+                endpoint.send(mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to))
         if self._desk.reboot_asked:
             self._desk.reboot_asked = False
             self.reboots += 1

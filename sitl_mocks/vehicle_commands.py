@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -26,6 +26,8 @@ _WARNING = int(mavlink.MAV_SEVERITY_WARNING)
 _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 _CUSTOM = int(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _REBOOT_AUTOPILOT = 1
+LATE_S = 0.012
+"""From PX4's ACK 0 of a mode command to what became of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +85,23 @@ class CommandDesk:
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
         }
 
-    def execute(self, command: Command) -> list[int]:
-        """Carry a command out; the results to acknowledge, in order."""
+    def execute(self, command: Command) -> list[int | None]:
+        """Carry a command out; the results to acknowledge, in order.
+
+        None: PX4 says no to a mode only LATE_S later, with `set_mode_late`; a setpoint that comes just after
+        the command still counts.
+        """
         handler = self._table.get(command.number)
         if handler is None:
             return [UNSUPPORTED]
         result = handler(command)
         if command.number == mavlink.MAV_CMD_DO_SET_MODE and self._manners.mode_ack_first:
-            return [ACCEPTED, result]
+            return [ACCEPTED, None if result == self._manners.failure_result else result]
         return [result]
+
+    def set_mode_late(self, command: Command) -> int:
+        """The answer to a mode command, a step later."""
+        return self._set_mode(replace(command, now_s=command.now_s + LATE_S))
 
     def enter(self, mode: VehicleMode, now_s: float) -> int:
         """Change the mode and say why not."""

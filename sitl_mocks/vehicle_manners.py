@@ -6,6 +6,7 @@ The values were seen on Copter 4.7 and PX4 1.17 in their own simulations.
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -76,6 +77,10 @@ class Manners:
     unsupported_interval_result: int
     unsupported_request_result: int
     no_such_message_text: bool
+    speaks: bool
+    """Sends STATUSTEXT; PX4 has events in their place."""
+    target_always_told: bool
+    """POSITION_TARGET_LOCAL_NED in every mode; False: only where it flies setpoints."""
     # modes and arming
     mode_ack_first: bool
     """A mode command is answered by ACK 0 at once, and by the truth a moment later."""
@@ -85,6 +90,11 @@ class Manners:
     arms_in: frozenset[VehicleMode]
     failure_result: int
     """ACK of a refused arming or take-off."""
+    land_detect_s: float
+    """From touch-down until it says that it has landed."""
+    landed_disarm_s: float
+    """From touch-down until it disarms, in a mode that lands."""
+    disarm_rewinds_mission: bool
     disarm_after_landing_s: float | None
     """Disarms by itself after a touch-down in a mode that does not land; None: stays armed."""
     disarm_preflight_s: float | None
@@ -95,13 +105,16 @@ class Manners:
     """Holds the height (m) of a take-off whose command names none; None: such a command is refused."""
     spin_up_s: float
     takeoff_speed_mps: float
+    slow_takeoff_m: float
+    """Up to this height over home; above it climbs with max_climb_mps."""
     # setpoints
     setpoint_frames: frozenset[int]
     body_frames: frozenset[int]
     bad_frame_stops: bool
     """A setpoint in an unknown frame stops the vehicle; False: it is as if it had never come."""
     external_needs_stream: bool
-    setpoint_timeout_s: float
+    loss_noticed_s: float
+    """How much later than its parameter says it acts on the loss of the stream."""
     loss_mode: VehicleMode | None
     """Where the loss of the stream leads; None: it brakes and stays."""
     altitude_with_horizontal_velocity: bool
@@ -111,6 +124,23 @@ class Manners:
     max_climb_mps: float
     max_descent_mps: float
     max_vertical_acceleration_mps2: float
+    height_acceleration_mps2: float
+    """With which it stops at a height."""
+    acceleration_mps2: float
+    """Of setpoints."""
+    auto_acceleration_mps2: float
+    auto_brake_mps2: float
+    auto_jerk_mps3: float
+    velocity_lag_s: float
+    vertical_lag_s: float
+    velocity_gain: float
+    """Velocity reached / asked."""
+    slow_share: float
+    """Part of a velocity that comes and goes with slow_s."""
+    slow_s: float
+    brake_fades_mps: float
+    """Braking is weaker above this speed, 3 m/s further only ..."""
+    brake_faded_mps2: float
     mission_speed_mps: float
     acceptance_radius_m: float
     rtl_height_m: float
@@ -122,6 +152,10 @@ class Manners:
     upload_timeout_s: float
     upload_retry_s: float
     mission_texts: bool
+    marks_current_item: bool
+    """Tells in a list which item is being flown."""
+    flies_to_takeoff_item: bool
+    """A take-off item begun above its height is a point to fly to; False: it is done."""
     speed_change_stays: bool
     """DO_CHANGE_SPEED of a mission holds after the mode was left and entered again."""
     paused_state: int
@@ -224,23 +258,29 @@ ARDUPILOT = Manners(
     unsupported_interval_result=mavlink.MAV_RESULT_DENIED,
     unsupported_request_result=mavlink.MAV_RESULT_FAILED,
     no_such_message_text=True,
+    speaks=True,
+    target_always_told=False,
     mode_ack_first=False,
     set_mode_acked=True,
     arms_in_external=True,
     arms_in=frozenset({VehicleMode.MANUAL, VehicleMode.EXTERNAL, VehicleMode.HOLD}),
     failure_result=mavlink.MAV_RESULT_FAILED,
+    land_detect_s=1.6,
+    landed_disarm_s=2.1,
+    disarm_rewinds_mission=True,
     disarm_after_landing_s=None,
     disarm_preflight_s=None,
     takeoff_in_external=True,
     takeoff_altitude_is_amsl=False,
     takeoff_param=None,
-    spin_up_s=4.0,
+    spin_up_s=3.5,
     takeoff_speed_mps=2.5,
+    slow_takeoff_m=math.inf,
     setpoint_frames=frozenset({1, 7, 8, 9}),
     body_frames=frozenset({8, 9}),
     bad_frame_stops=True,
     external_needs_stream=False,
-    setpoint_timeout_s=3.0,
+    loss_noticed_s=0.1,
     loss_mode=None,
     altitude_with_horizontal_velocity=False,
     nose_follows_velocity=True,
@@ -249,6 +289,18 @@ ARDUPILOT = Manners(
     max_climb_mps=5.0,
     max_descent_mps=5.0,
     max_vertical_acceleration_mps2=1.0,
+    height_acceleration_mps2=0.7,
+    acceleration_mps2=2.5,
+    auto_acceleration_mps2=1.6,
+    auto_brake_mps2=2.7,
+    auto_jerk_mps3=0.45,
+    velocity_lag_s=0.3,
+    vertical_lag_s=0.3,
+    velocity_gain=1.0,
+    slow_share=0.0,
+    slow_s=1.0,
+    brake_fades_mps=5.0,
+    brake_faded_mps2=1.4,
     mission_speed_mps=10.0,
     acceptance_radius_m=2.0,
     rtl_height_m=15.0,
@@ -259,6 +311,8 @@ ARDUPILOT = Manners(
     upload_timeout_s=8.0,
     upload_retry_s=1.0,
     mission_texts=True,
+    marks_current_item=False,
+    flies_to_takeoff_item=False,
     # Read in the source: entering AUTO forgets the speed of the mission.
     speed_change_stays=False,
     paused_state=mavlink.MISSION_STATE_NOT_STARTED,
@@ -363,6 +417,7 @@ PX4 = Manners(
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.5,
             mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 0.1,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
             # As fast as they come on the real one; the mock's receiver reports once a second.
             mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 1.0,
@@ -378,30 +433,49 @@ PX4 = Manners(
     unsupported_interval_result=mavlink.MAV_RESULT_FAILED,
     unsupported_request_result=mavlink.MAV_RESULT_DENIED,
     no_such_message_text=False,
+    speaks=False,
+    target_always_told=True,
     mode_ack_first=True,
     set_mode_acked=False,
     arms_in_external=False,
     arms_in=frozenset({VehicleMode.MANUAL, VehicleMode.HOLD, VehicleMode.MISSION, VehicleMode.TAKEOFF}),
     failure_result=mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
+    land_detect_s=2.0,
+    landed_disarm_s=4.0,
+    disarm_rewinds_mission=False,
     disarm_after_landing_s=4.0,
     disarm_preflight_s=10.0,
     takeoff_in_external=False,
     takeoff_altitude_is_amsl=True,
     takeoff_param="MIS_TAKEOFF_ALT",
     spin_up_s=4.5,
-    takeoff_speed_mps=2.3,
+    takeoff_speed_mps=1.65,
+    slow_takeoff_m=10.0,
     setpoint_frames=frozenset({1, 8}),
     body_frames=frozenset({8}),
     bad_frame_stops=False,
     external_needs_stream=True,
-    setpoint_timeout_s=1.0,
+    # A stream exactly as slow as the timeout counts as lost: that is the honest edge for 1 Hz.
+    loss_noticed_s=0.0,
     loss_mode=VehicleMode.RTL,
     altitude_with_horizontal_velocity=True,
     nose_follows_velocity=False,
     max_horizontal_speed_mps=12.0,
     max_climb_mps=3.0,
     max_descent_mps=1.5,
-    max_vertical_acceleration_mps2=4.0,
+    max_vertical_acceleration_mps2=12.0,
+    height_acceleration_mps2=4.0,
+    acceleration_mps2=20.0,
+    auto_acceleration_mps2=3.0,
+    auto_brake_mps2=3.0,
+    auto_jerk_mps3=4.0,
+    velocity_lag_s=0.62,
+    vertical_lag_s=0.25,
+    velocity_gain=0.87,
+    slow_share=0.185,
+    slow_s=5.7,
+    brake_fades_mps=math.inf,
+    brake_faded_mps2=0.0,
     mission_speed_mps=5.0,
     acceptance_radius_m=10.0,
     rtl_height_m=30.0,
@@ -412,6 +486,8 @@ PX4 = Manners(
     upload_timeout_s=5.0,
     upload_retry_s=0.25,
     mission_texts=False,
+    marks_current_item=True,
+    flies_to_takeoff_item=True,
     speed_change_stays=True,
     paused_state=mavlink.MISSION_STATE_PAUSED,
     one_transfer=True,

@@ -16,8 +16,8 @@ from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import Firmware
 from companion.geometry import LocalFrame
 from sitl_mocks.vehicle_manners import VehicleMode
-from sitl_mocks.vehicle_param_tables import INT32
 from sitl_mocks.vehicle_navigation import Globe
+from sitl_mocks.vehicle_param_tables import INT32
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])

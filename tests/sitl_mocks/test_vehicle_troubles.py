@@ -206,7 +206,8 @@ def test_bad_estimator_ends_the_flight_by_position(airborne, firmware, name):
     assert b.vehicle.mode is VehicleMode.LAND
     bad = kinds(b.run(0.5, 0.0, 0.0, 0.0), name)[-1]
     assert not bad.flags & mavlink.ESTIMATOR_POS_HORIZ_ABS
-    assert b.set_mode(VehicleMode.EXTERNAL)[-1] != 0
+    acks = b.set_mode(VehicleMode.EXTERNAL) + [m.result for m in kinds(b.run(0.1), "COMMAND_ACK")]
+    assert acks == ([4] if firmware is AP else [0, 1])
     assert b.vehicle.mode is VehicleMode.LAND
     b.vehicle.troubles.estimator_bad = False
     b.run(0.5, 0.0, 0.0, 0.0)
@@ -308,7 +309,7 @@ def test_a_quirk_changes_one_manner(airborne, firmware):
     [
         ({"kindness": True}, "none of that name"),
         ({"nose_follows_velocity": 1.0}, "not of its kind"),
-        ({"setpoint_timeout_s": True}, "not of its kind"),
+        ({"loss_noticed_s": True}, "not of its kind"),
         ({"custom_modes": {}}, "not of its kind"),
         ({"loss_mode": "sleep"}, "no mode"),
     ],

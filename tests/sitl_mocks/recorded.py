@@ -1,0 +1,112 @@
+"""A recording made on a real firmware, and the same companion's frames at the same times against the mock.
+
+The recordings hold both directions: component 1 is the autopilot, 191 or 236 the script that flew it.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.tlog import read_tlog
+from companion.autopilot.wire import MavlinkReader
+from sitl_mocks.autopilot import STEP_S, MockVehicle, VehicleOptions
+
+REPOSITORY = Path(__file__).parents[2]
+THINNED = REPOSITORY / "tests" / "data"
+FULL = REPOSITORY.parent / "shared" / "data" / "mavlink"
+_TAIL_S = 0.5
+
+
+@dataclass(slots=True)
+class Flight:
+    """What one autopilot said, in order: time since the recording's start (s) and message."""
+
+    said: list[tuple[float, Any]] = field(default_factory=list)
+
+    def of(self, *names: str) -> list[tuple[float, Any]]:
+        """The messages of some names."""
+        return [(t, m) for t, m in self.said if m.get_type() in names]
+
+    def acks(self) -> list[tuple[int, int]]:
+        """Command and result of every COMMAND_ACK."""
+        return [(m.command, m.result) for _, m in self.of("COMMAND_ACK")]
+
+    def changes(self, name: str, *keys: str) -> list[tuple[float, Any]]:
+        """When some fields of a message took new values, and which."""
+        found: list[tuple[float, Any]] = []
+        for t, m in self.of(name):
+            value = tuple(getattr(m, key) for key in keys)
+            value = value[0] if len(value) == 1 else value
+            if not found or found[-1][1] != value:
+                found.append((t, value))
+        return found
+
+    def motion(self) -> np.ndarray:
+        """LOCAL_POSITION_NED, shape (n, 7): time (s), position (m) and velocity (m/s) in NED."""
+        return np.array([(t, m.x, m.y, m.z, m.vx, m.vy, m.vz) for t, m in self.of("LOCAL_POSITION_NED")])
+
+
+@dataclass(slots=True)
+class Recording:
+    """A recorded flight, and the frames that the script sent with their times (s)."""
+
+    flown: Flight
+    sent: list[tuple[float, bytes]]
+
+
+def path_of(name: str, kind: str) -> Path | None:
+    """Where a recording lies, None where it is not."""
+    path = FULL / f"{name}.tlog" if kind == "full" else THINNED / f"{name}.tlog.gz"
+    return path if path.exists() else None
+
+
+def read(path: Path) -> Recording:
+    """Read a recording."""
+    data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+    recording = Recording(Flight(), [])
+    reader = MavlinkReader()
+    start_s: float | None = None
+    for utc_s, raw in read_tlog(io.BytesIO(data), path.name):
+        start_s = utc_s if start_s is None else start_s
+        if raw[6] == 1:
+            recording.flown.said += [(utc_s - start_s, m) for m in reader.feed(raw)]
+        else:
+            recording.sent.append((utc_s - start_s, raw))
+    return recording
+
+
+def replay(recording: Recording, options: VehicleOptions) -> Flight:
+    """Fly the mock with the recorded script."""
+    vehicle = MockVehicle(options, np.random.default_rng(1))
+    flight, reader = Flight(), MavlinkReader()
+
+    def listen(now_s: float) -> None:
+        flight.said.extend((now_s, m) for m in reader.feed(vehicle.drain()))
+
+    def advance(until_s: float) -> None:
+        while vehicle.now_s + STEP_S <= until_s:
+            vehicle.advance(vehicle.now_s + STEP_S)
+            listen(vehicle.now_s)
+
+    for t, raw in recording.sent:
+        advance(t)
+        vehicle.receive(raw, t)
+        listen(t)
+    advance(recording.sent[-1][0] + _TAIL_S)
+    return flight
+
+
+def nan_free(message: Any) -> dict[str, Any]:
+    """Fields of a message, NaN as text so that they compare."""
+    fields = {k: v for k, v in message.to_dict().items() if k != "mavpackettype"}
+    return {k: "nan" if isinstance(v, float) and v != v else v for k, v in fields.items()}
+
+
+__all__ = ["Flight", "Recording", "mavlink", "nan_free", "path_of", "read", "replay"]
