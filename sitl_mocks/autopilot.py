@@ -48,7 +48,7 @@ from sitl_mocks.vehicle_troubles import Troubles
 __all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
 
 COMPONENT = 1
-REBOOT_S = 3.0
+REBOOT_S = 2.4
 KEPT_COLLISIONS = 100
 _ADSB = int(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE)
 _EPSILON_S = 1e-9
@@ -331,7 +331,8 @@ class MockVehicle:
             self._shown_armed = flight.armed
             if flight.armed:
                 self._broadcast(self._telemetry.home_position(self.now_s))
-        for texts in (flight.texts, *(book.texts for book in self._missions.books)):
+        relay = [] if self._remote_id is None else [self._remote_id.texts]
+        for texts in (flight.texts, *relay, *(book.texts for book in self._missions.books)):
             for severity, text in texts:
                 self._send_text(severity, text)
             texts.clear()

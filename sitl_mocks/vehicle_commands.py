@@ -129,18 +129,21 @@ class CommandDesk:
     def _arm(self, command: Command) -> int:
         force = command.params[1] == FORCE
         if command.params[0] >= 0.5:
-            missing = None if self._flight.armed else self._remote_id(command.now_s)
-            if missing is None:
-                refusal = self._flight.arm(command.now_s, force=force)
-            else:
-                refusal = f"OpenDroneID: {missing}"
+            refusals = self._arm_refusals(command.now_s, force=force)
         else:
-            refusal = self._flight.disarm(force=force)
-        if refusal is None:
-            return ACCEPTED
-        # The reason comes only as text.
-        self._say(_CRITICAL, f"Arm: {refusal}")
-        return self._manners.failure_result
+            refusals = [self._flight.disarm(force=force)]
+        reasons = [reason for reason in refusals if reason is not None]
+        # The reasons come only as text.
+        for reason in reasons:
+            self._say(_CRITICAL, f"Arm: {reason}")
+        return self._manners.failure_result if reasons else ACCEPTED
+
+    def _arm_refusals(self, now_s: float, *, force: bool) -> list[str | None]:
+        """Arm, or all the reasons why not."""
+        missing = None if self._flight.armed else self._remote_id(now_s)
+        if missing is None:
+            return [self._flight.arm(now_s, force=force)]
+        return [self._flight.arm_refusal(now_s, force=force), f"OpenDroneID: {missing}"]
 
     def _take_off(self, command: Command) -> int:
         altitude = command.params[6]

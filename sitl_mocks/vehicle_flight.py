@@ -115,11 +115,15 @@ class Flight:
         if self.on_ground and self.landing_detected:
             return Landed.ON_GROUND
         in_mission = self.mode is VehicleMode.MISSION
-        if self._takeoff_down is not None or (in_mission and self.runner.taking_off):
+        if self._takeoff_down is not None or (in_mission and self.runner.climbing):
             return Landed.TAKEOFF
         if self.mode is VehicleMode.LAND or (self.mode is VehicleMode.RTL and self._home.over_home):
             return Landed.LANDING
         return Landed.IN_AIR
+
+    def knows_place(self, now_s: float) -> bool:
+        """The estimator has found its place, and not lost it."""
+        return now_s >= self._ready_s and not self.position_lost
 
     @property
     def taking_off(self) -> bool:
@@ -132,14 +136,21 @@ class Flight:
         """Arm; return None, or why not."""
         if self.armed:
             return None
-        if now_s < self._ready_s:
-            return "PreArm: Need Position Estimate" if self._manners.arms_in_external else "GPS fix too low"
-        if self.mode not in self._manners.arms_in and not force:
-            return f"Mode {self.mode.value} not armable"
+        refusal = self.arm_refusal(now_s, force=force)
+        if refusal is not None:
+            return refusal
         self.armed = True
         self._armed_s = now_s
         self._touched_s = None
         self.texts.append((_INFO, "Arming motors"))
+        return None
+
+    def arm_refusal(self, now_s: float, *, force: bool = False) -> str | None:
+        """Why it would not arm."""
+        if now_s < self._ready_s or self.position_lost:
+            return "Need Position Estimate"
+        if self.mode not in self._manners.arms_in and not force:
+            return f"Mode {self.mode.value} not armable"
         return None
 
     def disarm(self, *, force: bool = False) -> str | None:

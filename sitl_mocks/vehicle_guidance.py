@@ -70,11 +70,12 @@ class Steering:
     def landing(self, place: tuple[float, float] | None = None) -> Vec3:
         """Down, slowly near the ground; over a place (north, east) or wherever it is."""
         body = self._body
-        low = body.down > -_SLOW_LANDING_BELOW_M
+        above = max(-body.down - _SLOW_LANDING_BELOW_M, 0.0)
+        speed = math.sqrt(self._land * self._land + 2.0 * self._vertical * above)
         north, east = 0.0, 0.0
         if place is not None:
             north, east, _ = self.towards((*place, body.down), _LANDING_CRUISE_MPS)
-        return north, east, self._land if low else self._descent
+        return north, east, min(speed, self._descent)
 
 
 class Homecoming:
@@ -158,6 +159,12 @@ class MissionRunner:
         """The current item is a take-off."""
         item = self.item
         return item is not None and item.command == _TAKEOFF and not self.complete
+
+    @property
+    def climbing(self) -> bool:
+        """It has not reached the height of a take-off yet."""
+        item = self.item
+        return item is not None and self.taking_off and self._body.down >= 0.5 - self._height_m(item)
 
     @property
     def landing(self) -> bool:

@@ -51,6 +51,8 @@ _ESTIMATOR_GOOD = 0x33F
 """Attitude, velocities, places (also predicted), heights: bits 0 to 5, 8 and 9."""
 _ESTIMATOR_LOST = 0x0A5
 """Attitude, vertical velocity, height; constant position mode."""
+_FIRST_FIX_S = 8.0
+"""From boot to the first place that GNSS gives; the estimator may take longer."""
 _MIN_ACCURACY_M = 0.3
 _MIN_SPEED_ACCURACY_MPS = 0.1
 _GRAVITY = 9.81
@@ -153,9 +155,12 @@ class Telemetry:
         return round((now_s - self.boot_s) * 1e3) & 0xFFFFFFFF
 
     def _global_position(self, now_s: float) -> Payload | None:
-        if self._troubles.position_lost and self._manners.global_position_stops:
+        known = self._flight.knows_place(now_s)
+        if not known and self._manners.global_position_stops:
             return None
         lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
+        if not known and now_s - self.boot_s < _FIRST_FIX_S:
+            lat, lon = 0.0, 0.0
         vn, ve, vd = self.velocity_ned_mps()
         heading = round(math.degrees(self._flight.body.yaw) % 360.0 * 100.0) % 36000
         body = _GLOBAL_POSITION.pack(
@@ -171,7 +176,9 @@ class Telemetry:
         )
         return Payload(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, body)
 
-    def _local_position(self, now_s: float) -> Payload:
+    def _local_position(self, now_s: float) -> Payload | None:
+        if not self._flight.knows_place(now_s):
+            return None
         body = _SIX_FLOATS.pack(self._boot_ms(now_s), *self.position_ned_m(), *self.velocity_ned_mps())
         return Payload(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, body)
 

@@ -109,7 +109,7 @@ def test_ardupilot_arming_is_refused_until_ready_and_the_reason_is_only_text(ben
     b = bench(AP, arming_ready_s=30.0)
     b.run(1.0)
     assert b.command(ARM, 1.0) == [4]
-    assert any("PreArm" in text for text in b.texts())
+    assert "Arm: Need Position Estimate" in b.texts()
     b.run(30.0)
     assert b.command(ARM, 1.0) == [0]
     assert b.vehicle.armed
