@@ -1,11 +1,12 @@
 """The mock vehicle against the recorded flights of the real firmwares.
 
-What the script sent in a recording is sent to the mock at the same times, and what the two autopilots answered
-is compared. The thinned recordings of the repository run always, the full ones where they lie beside it.
+What the script sent in a recording is sent to the mock at the same times, and what the two autopilots
+answered is compared. The thinned recordings of the repository run always, the full ones where they lie
+beside it.
 
-Not compared: ODID's flight between 57 and 72 s, which somebody flew over another link (its setpoints are not in
-the recording); PX4's COMMAND_LONGs to gimbal and camera, its parameters told unasked and those of ArduPilot's
-statistics, which the mock does not send.
+Not compared: ODID's flight between 57 and 72 s, which somebody flew over another link (its setpoints are not
+in the recording); PX4's COMMAND_LONGs to gimbal and camera, its parameters told unasked and those of
+ArduPilot's statistics, which the mock does not send.
 
 Every tolerance below is what was measured, rounded up; what is not compared is named where it is left out.
 """
@@ -108,7 +109,7 @@ def test_every_recorded_heartbeat_shows_a_mode_that_the_mock_flew_then(pair: Pai
 
 
 def test_arming_and_disarming(pair: Pair) -> None:
-    """Within a heartbeat; PX4 3.4 s, for the mock begins its landing 8 m lower and does not float at the end."""
+    """Within a heartbeat; PX4 3.4 s, for the mock begins its landing 8 m lower and does not float."""
     tolerance_s = {GUIDED: 1.1, ODID: 1.1, OFFBOARD: 4.0}[pair.name]
     real, mock = (_armed(flight) for flight in pair.both)
     assert [armed for _, armed in mock] == [armed for _, armed in real]
@@ -132,9 +133,9 @@ def test_landed_states(pair: Pair) -> None:
     assert [t for t, _ in mock] == pytest.approx([t for t, _ in real], abs=tolerance_s)
 
 
-# Root mean square of the difference in velocity (m/s), horizontal and vertical: over the flight, and over the
-# worst ten seconds. Measured, in this order: 0.38, 0.27, 0.75, 0.54 and thinned 0.60, 0.28, 1.57, 0.55 for
-# GUIDED; 0.46, 0.30, 0.96, 0.75 and thinned 0.47, 0.31, 0.94, 0.76 for OFFBOARD. A thinned recording's missing
+# Root mean square of the difference in velocity (m/s), horizontal and vertical: over the flight, and over
+# the worst ten seconds. Measured, in this order: 0.38, 0.27, 0.75, 0.54, thinned 0.60, 0.28, 1.57, 0.55 for
+# GUIDED; 0.46, 0.30, 0.96, 0.75, thinned 0.47, 0.31, 0.94, 0.76 for OFFBOARD. A thinned recording's missing
 # setpoints are put back at guessed times; from then on the two fly AUTO from places some metres apart.
 _VELOCITY = {
     f"full/{GUIDED}": (0.42, 0.30, 0.85, 0.60),
