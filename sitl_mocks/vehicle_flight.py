@@ -27,6 +27,8 @@ _MISSION_CHECK_S = 0.5
 _LOITER_SINK_MPS = 2.5
 _NOSE_RATE_RADPS = 1.0
 _MIN_CRUISE_MPS = 0.2
+MANUAL_CONTROL_OFF = 4
+"""COM_RC_IN_MODE without a pilot."""
 _OWN_FLIGHT = frozenset({VehicleMode.MISSION, VehicleMode.RTL, VehicleMode.TAKEOFF})
 _NEEDS_POSITION = frozenset(VehicleMode) - {VehicleMode.MANUAL, VehicleMode.LAND}
 _INFO = int(mavlink.MAV_SEVERITY_INFO)
@@ -270,9 +272,17 @@ class Flight:
         if self._manners.loss_mode is None:
             self.setpoint = None
             return
-        self.fail_over(self._manners.loss_mode)
+        self.fail_over(self._chosen_for_loss() or self._manners.loss_mode)
         self._stream_lost = True
         self.texts.append((_CRITICAL, "Failsafe activated: offboard signal lost"))
+
+    def _chosen_for_loss(self) -> VehicleMode | None:
+        """Where the parameters lead, None where they leave it to the manners."""
+        if not self._manners.loss_actions:
+            return None
+        chosen = self._manners.loss_actions.get(int(self._params.get("COM_OBL_RC_ACT")))
+        by_hand = self._options.rc_connected and self._params.get("COM_RC_IN_MODE") != MANUAL_CONTROL_OFF
+        return None if chosen is VehicleMode.MANUAL and not by_hand else chosen
 
     def _streaming(self, now_s: float) -> bool:
         timeout_s = self._params.get(self._manners.timeout_param) + self._manners.loss_noticed_s

@@ -328,3 +328,30 @@ def test_remote_id_is_relayed_as_it_was_fed(pair: Pair) -> None:
     for name in names:
         real, mock = (fields_of(flight.of(f"OPEN_DRONE_ID_{name}")[-1][1]) for flight in pair.both)
         assert mock == real
+
+
+@pytest.mark.parametrize(
+    ("name", "times_s"),
+    [
+        # After flying north, south, stopping, east by yaw, east in a body frame, north, east.
+        (GUIDED, (25, 38, 60, 75, 84, 95, 115)),
+        # Before and after a reversal: the nose stays.
+        (OFFBOARD, (28, 34, 40)),
+    ],
+)
+def test_nose(name: str, times_s: tuple[int, ...]) -> None:
+    """Within 6 degrees: SIH's nose swayed by 5, ArduPilot's body-frame flight drifted by 5."""
+    pair = pair_of(f"thinned/{name}")
+    for t in times_s:
+        real, mock = (
+            next(m.hdg / 100.0 for at, m in flight.of("GLOBAL_POSITION_INT") if at >= t)
+            for flight in pair.both
+        )
+        assert abs((mock - real + 180.0) % 360.0 - 180.0) < 6.0, t
+
+
+@only(GUIDED)
+def test_ardupilot_tells_a_mode_at_once(pair: Pair) -> None:
+    real, mock = (flight.changes("HEARTBEAT", "custom_mode") for flight in pair.both)
+    assert [mode for _, mode in mock] == [mode for _, mode in real]
+    assert [t for t, _ in mock] == pytest.approx([t for t, _ in real], abs=0.03)

@@ -364,3 +364,19 @@ def test_served_vehicle_takes_parameters_and_quirks():
     assert options.manners.loss_mode is VehicleMode.HOLD
     with pytest.raises(ConfigError, match="--param"):
         options_of(parser.parse_args(["--param", "FENCE_ENABLE"]))
+
+
+@pytest.mark.parametrize(
+    ("params", "options", "mode"),
+    [
+        ({}, {}, VehicleMode.RTL),
+        ({"COM_RC_IN_MODE": 0.0}, {}, VehicleMode.MANUAL),
+        ({"COM_RC_IN_MODE": 0.0}, {"rc_connected": False}, VehicleMode.RTL),
+        ({"COM_OBL_RC_ACT": 4.0}, {}, VehicleMode.LAND),
+        ({"COM_OBL_RC_ACT": 5.0}, {}, VehicleMode.HOLD),
+    ],
+)
+def test_px4_without_setpoints_goes_where_its_parameters_and_the_radio_say(airborne, params, options, mode):
+    b = airborne(PX4, parameters=params, **options).in_external()
+    b.run(1.2)
+    assert b.vehicle.mode is mode
