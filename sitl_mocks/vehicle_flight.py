@@ -231,12 +231,12 @@ class Flight:
             if not external:
                 return
             if self._takeoff_down is not None:
-                if self.on_ground:
+                if self.on_ground or not self._manners.cancels_takeoff:
                     return
                 self._takeoff_down = None
         self.setpoint = setpoint
         self._setpoint_s = now_s
-        if self._stream_lost:
+        if self._stream_lost and self._manners.stream_takes_back:
             # The vehicle still means to fly the stream: it goes back to it by itself.
             self._enter(VehicleMode.EXTERNAL)
 

@@ -112,6 +112,12 @@ class Manners:
     """Where the loss of the stream leads without a pilot's radio; None: it brakes and stays."""
     loss_actions: Mapping[int, VehicleMode]
     """By COM_OBL_RC_ACT; MANUAL needs the radio, and another action than these is loss_mode."""
+    stream_takes_back: bool
+    """Setpoints that come again after their loss are flown again, unasked."""
+    cancels_takeoff: bool
+    """A setpoint after lift-off ends a take-off that it flies in the same mode."""
+    needs_whole_velocity: bool
+    """One ignored axis drops the whole vector, and the vehicle stops; False: it counts as zero."""
     altitude_with_horizontal_velocity: bool
     nose_follows_velocity: bool
     # flight

@@ -380,3 +380,21 @@ def test_px4_without_setpoints_goes_where_its_parameters_and_the_radio_say(airbo
     b = airborne(PX4, parameters=params, **options).in_external()
     b.run(1.2)
     assert b.vehicle.mode is mode
+
+
+def test_the_bold_quirks_can_be_switched_off(airborne, bench):
+    b = airborne(AP, quirks={"needs_whole_velocity": False}).in_external()
+    b.run(4.0, 0.0, 3.0, 0.0, mask=0xDC7 | 8)
+    assert b.vehicle.velocity_ned_mps[1] == pytest.approx(3.0, abs=0.1)
+    b = airborne(PX4, quirks={"stream_takes_back": False}).in_external()
+    b.run(1.5)
+    b.run(0.5, 1.0, 0.0, 0.0)
+    assert b.vehicle.mode is VehicleMode.RTL
+    for quirks, height_m in (({}, 15.0), ({"cancels_takeoff": False}, 30.0)):
+        b = bench(AP, quirks=quirks)
+        b.set_mode(VehicleMode.EXTERNAL)
+        b.command(400, 1.0)
+        b.command(22, 0, 0, 0, 0, 0, 0, 30.0)
+        b.run(8.0)
+        b.run(14.0, 0.0, 0.0, 0.0)
+        assert (-b.vehicle.position_ned_m[2] > height_m - 0.5) is (height_m == 30.0)
