@@ -24,7 +24,7 @@ from companion.autopilot.wire import Frame, MavlinkMessage
 from companion.errors import ConfigError
 from companion.events import Landed, Vec3
 from companion.geometry import LocalFrame
-from sitl_mocks.vehicle_commands import CommandDesk, read_command
+from sitl_mocks.vehicle_commands import LATE_S, Command, CommandDesk, read_command
 from sitl_mocks.vehicle_dynamics import STEP_S
 from sitl_mocks.vehicle_flight import Flight
 from sitl_mocks.vehicle_links import Link, Payload, SetpointMessage
@@ -49,7 +49,7 @@ from sitl_mocks.vehicle_troubles import Troubles
 __all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
 
 COMPONENT = 1
-REBOOT_S = 3.0
+REBOOT_S = 2.4
 KEPT_COLLISIONS = 100
 _ADSB = int(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE)
 _EPSILON_S = 1e-9
@@ -91,6 +91,7 @@ class MockVehicle:
         """The last COLLISION messages, each with when it came."""
         self._manners = options.manners
         self._last_setpoint_s: float | None = None
+        self._late_acks: list[tuple[Command, tuple[int, int]]] = []
         self._start_s = start_s
         self._steps = 0
         self._down_until_s = -math.inf
@@ -308,6 +309,10 @@ class MockVehicle:
         if self._down_until_s > -math.inf:
             self._down_until_s = -math.inf
             self._wake(at_s)
+        while self._late_acks and self._late_acks[0][0].now_s + LATE_S <= at_s:
+            command, to = self._late_acks.pop(0)
+            result = self._desk.set_mode_late(command)
+            command.link.send(mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *to))
         self._after_change()
         builders = self._telemetry.builders
         for number, link in self._links.items():
@@ -338,7 +343,8 @@ class MockVehicle:
             self._shown_armed = flight.armed
             if flight.armed:
                 self._broadcast(self._telemetry.home_position(self.now_s))
-        for texts in (flight.texts, *(book.texts for book in self._missions.books)):
+        relay = [] if self._remote_id is None else [self._remote_id.texts]
+        for texts in (flight.texts, *relay, *(book.texts for book in self._missions.books)):
             for severity, text in texts:
                 self._send_text(severity, text)
             texts.clear()
@@ -360,6 +366,8 @@ class MockVehicle:
             link.send(message)
 
     def _send_text(self, severity: int, text: str) -> None:
+        if not self._manners.speaks:
+            return
         self._broadcast(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
 
     def _forward(self, frame: Frame, message: MavlinkMessage | SetpointMessage, link: int) -> None:
@@ -406,6 +414,7 @@ class MockVehicle:
         if handler is not None:
             handler(message, endpoint, now_s)
         elif kind.startswith("MISSION_"):
+            self._book.current_seq = self._flight.runner.seq
             for answer in self._missions.handle(message, now_s, link):
                 endpoint.send(answer)
             self._flight.runner.sync()
@@ -423,8 +432,12 @@ class MockVehicle:
 
     def _take_command(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         to = (message.get_srcSystem(), message.get_srcComponent())
-        for result in self._desk.execute(read_command(message, endpoint, now_s)):
-            endpoint.send(mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to))
+        command = read_command(message, endpoint, now_s)
+        for result in self._desk.execute(command):
+            if result is None:
+                self._late_acks.append((command, to))
+            else:
+                endpoint.send(mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to))
         if self._desk.reboot_asked:
             self._desk.reboot_asked = False
             self.reboots += 1

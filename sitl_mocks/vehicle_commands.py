@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -26,6 +26,8 @@ _WARNING = int(mavlink.MAV_SEVERITY_WARNING)
 _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 _CUSTOM = int(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _REBOOT_AUTOPILOT = 1
+LATE_S = 0.012
+"""From PX4's ACK 0 of a mode command to what became of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +85,23 @@ class CommandDesk:
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
         }
 
-    def execute(self, command: Command) -> list[int]:
-        """Carry a command out; the results to acknowledge, in order."""
+    def execute(self, command: Command) -> list[int | None]:
+        """Carry a command out; the results to acknowledge, in order.
+
+        None: PX4 says no to a mode only LATE_S later, with `set_mode_late`; a setpoint that comes just after
+        the command still counts.
+        """
         handler = self._table.get(command.number)
         if handler is None:
             return [UNSUPPORTED]
         result = handler(command)
         if command.number == mavlink.MAV_CMD_DO_SET_MODE and self._manners.mode_ack_first:
-            return [ACCEPTED, result]
+            return [ACCEPTED, None if result == self._manners.failure_result else result]
         return [result]
+
+    def set_mode_late(self, command: Command) -> int:
+        """The answer to a mode command, a step later."""
+        return self._set_mode(replace(command, now_s=command.now_s + LATE_S))
 
     def enter(self, mode: VehicleMode, now_s: float) -> int:
         """Change the mode and say why not."""
@@ -119,18 +129,21 @@ class CommandDesk:
     def _arm(self, command: Command) -> int:
         force = command.params[1] == FORCE
         if command.params[0] >= 0.5:
-            missing = None if self._flight.armed else self._remote_id(command.now_s)
-            if missing is None:
-                refusal = self._flight.arm(command.now_s, force=force)
-            else:
-                refusal = f"OpenDroneID: {missing}"
+            refusals = self._arm_refusals(command.now_s, force=force)
         else:
-            refusal = self._flight.disarm(force=force)
-        if refusal is None:
-            return ACCEPTED
-        # The reason comes only as text.
-        self._say(_CRITICAL, f"Arm: {refusal}")
-        return self._manners.failure_result
+            refusals = [self._flight.disarm(force=force)]
+        reasons = [reason for reason in refusals if reason is not None]
+        # The reasons come only as text.
+        for reason in reasons:
+            self._say(_CRITICAL, f"Arm: {reason}")
+        return self._manners.failure_result if reasons else ACCEPTED
+
+    def _arm_refusals(self, now_s: float, *, force: bool) -> list[str | None]:
+        """Arm, or all the reasons why not."""
+        missing = None if self._flight.armed else self._remote_id(now_s)
+        if missing is None:
+            return [self._flight.arm(now_s, force=force)]
+        return [self._flight.arm_refusal(now_s, force=force), f"OpenDroneID: {missing}"]
 
     def _take_off(self, command: Command) -> int:
         altitude = command.params[6]

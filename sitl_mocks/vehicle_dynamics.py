@@ -2,25 +2,55 @@
 
 The commanded velocity is first limited in speed (over ground, and through the air), then in acceleration (a
 ramp), and the vehicle follows the ramp with a first-order lag; so the acceleration never exceeds the limit,
-and a reversal overshoots the way the real ones do. Plain floats: this runs 50 times a simulated second.
+and a reversal overshoots the way the real ones do. What each firmware does beyond that was fitted to its
+recorded flight: PX4 flies a share of what is asked, part of it slowly; ArduPilot brakes gently from high
+speed, and gathers speed gently in its missions. Plain floats: this runs 50 times a simulated second.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from companion.events import Vec3
 
 STEP_S = 0.02
 _GRAVITY = 9.81
 _FALL_SPEED_MPS = 20.0
+_FADED_OVER_MPS = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Response:
+    """How a vehicle follows a commanded velocity (m/s, m/s^2, s)."""
+
+    acceleration_mps2: float
+    """Horizontal, to setpoints."""
+    vertical_acceleration_mps2: float
+    lag_s: float
+    vertical_lag_s: float
+    auto_acceleration_mps2: float
+    """Horizontal, where the firmware flies by itself."""
+    auto_brake_mps2: float
+    auto_jerk_mps3: float = math.inf
+    """Of gathering speed."""
+    gain: float = 1.0
+    """Velocity reached / asked."""
+    slow_share: float = 0.0
+    """Part of it, horizontally, that comes and goes with `slow_s`."""
+    slow_s: float = 1.0
+    brake_fades_mps: float = math.inf
+    """Braking grows weaker above this speed, ..."""
+    brake_faded_mps2: float = 0.0
+    """... to this deceleration at _FADED_OVER_MPS more."""
 
 
 class Body:
     """Position and velocity in the home NED frame (m, m/s), and yaw (rad)."""
 
     __slots__ = (
-        "_lag", "_ramp_h", "_ramp_v", "airspeed", "climb", "descent", "down", "east", "horizontal",
+        "_lag", "_lag_v", "_pace", "_ramp_v", "_response", "_slow", "_slow_e", "_slow_n", "airspeed", "auto",
+        "climb", "descent", "down", "east", "horizontal",
         "north", "ramp_d", "ramp_e", "ramp_n", "touchdown_mps", "vd", "ve", "vn", "wind", "yaw",
     )  # fmt: skip
 
@@ -33,9 +63,7 @@ class Body:
         max_horizontal_mps: float,
         max_climb_mps: float,
         max_descent_mps: float,
-        max_acceleration_mps2: float,
-        max_vertical_acceleration_mps2: float,
-        lag_s: float,
+        response: Response,
         wind_ned_mps: Vec3 = (0.0, 0.0, 0.0),
         max_airspeed_mps: float = 1e3,
     ) -> None:
@@ -49,9 +77,18 @@ class Body:
         self.wind = wind_ned_mps
         self.airspeed = max_airspeed_mps
         self.touchdown_mps = 0.0
-        self._ramp_h = max_acceleration_mps2 * STEP_S
-        self._ramp_v = max_vertical_acceleration_mps2 * STEP_S
-        self._lag = 1.0 - math.exp(-STEP_S / lag_s)
+        self.auto = False
+        """The firmware flies by itself: its own acceleration and jerk."""
+        self._response = response
+        self._pace = 0.0
+        self._ramp_v = response.vertical_acceleration_mps2 * STEP_S
+        self._lag = 1.0 - math.exp(-STEP_S / response.lag_s)
+        self._lag_v = 1.0 - math.exp(-STEP_S / response.vertical_lag_s)
+        self._slow = 1.0 - math.exp(-STEP_S / response.slow_s)
+        self.ramp_n /= response.gain
+        self.ramp_e /= response.gain
+        self.ramp_d /= response.gain
+        self._slow_n, self._slow_e = self.ramp_n, self.ramp_e
 
     def step(self, command_n: float, command_e: float, command_d: float) -> bool:
         """Fly one step towards a velocity (NED, m/s, finite); True on the step that touches the ground."""
@@ -71,19 +108,39 @@ class Body:
         change_n = command_n - self.ramp_n
         change_e = command_e - self.ramp_e
         change = math.hypot(change_n, change_e)
-        if change > self._ramp_h:
-            scale = self._ramp_h / change
+        gathers = change_n * self.ramp_n + change_e * self.ramp_e >= 0.0
+        limit = self._limit(math.hypot(command_n, command_e), gathers=gathers)
+        if change > limit:
+            scale = limit / change
             change_n *= scale
             change_e *= scale
+        self._pace = min(change, limit)
         self.ramp_n += change_n
         self.ramp_e += change_e
         command_d = min(max(command_d, -self.climb), self.descent)
         self.ramp_d += min(max(command_d - self.ramp_d, -self._ramp_v), self._ramp_v)
-        lag = self._lag
-        self.vn += (self.ramp_n - self.vn) * lag
-        self.ve += (self.ramp_e - self.ve) * lag
-        self.vd += (self.ramp_d - self.vd) * lag
+        lag, gain, share = self._lag, self._response.gain, self._response.slow_share
+        self._slow_n += (self.ramp_n - self._slow_n) * self._slow
+        self._slow_e += (self.ramp_e - self._slow_e) * self._slow
+        self.vn += (gain * (self.ramp_n - share * (self.ramp_n - self._slow_n)) - self.vn) * lag
+        self.ve += (gain * (self.ramp_e - share * (self.ramp_e - self._slow_e)) - self.ve) * lag
+        self.vd += (gain * self.ramp_d - self.vd) * self._lag_v
         return self._move()
+
+    def _limit(self, command_mps: float, *, gathers: bool) -> float:
+        """How much the ramp may change in this step (m/s)."""
+        response = self._response
+        if self.auto:
+            if not gathers:
+                return response.auto_brake_mps2 * STEP_S
+            more = self._pace + response.auto_jerk_mps3 * STEP_S * STEP_S
+            return min(response.auto_acceleration_mps2 * STEP_S, more)
+        limit = response.acceleration_mps2
+        speed = math.hypot(self.ramp_n, self.ramp_e)
+        if speed > response.brake_fades_mps and command_mps < speed:
+            fade = min((speed - response.brake_fades_mps) / _FADED_OVER_MPS, 1.0)
+            limit += (response.brake_faded_mps2 - limit) * fade
+        return limit * STEP_S
 
     def fall(self) -> bool:
         """One step with the motors off. Return True on the step that touches the ground."""
@@ -106,6 +163,14 @@ class Body:
         self.down = 0.0
         self.vn = self.ve = self.vd = 0.0
         self.ramp_n = self.ramp_e = self.ramp_d = 0.0
+        self._slow_n = self._slow_e = 0.0
+
+    @property
+    def lean_mps2(self) -> tuple[float, float]:
+        """Acceleration that it leans for, north and east."""
+        lag = self._response.lag_s
+        gain = self._response.gain
+        return (gain * self.ramp_n - self.vn) / lag, (gain * self.ramp_e - self.ve) / lag
 
     def turn_towards(self, yaw_rad: float, rate_radps: float) -> None:
         """Turn the nose by the shorter way, no faster than `rate_radps`."""

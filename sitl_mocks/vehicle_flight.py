@@ -24,10 +24,12 @@ from sitl_mocks.vehicle_setpoints import Setpoint
 FORCE = 21196.0
 """param2 of an arm or disarm command that overrides the checks."""
 _MISSION_CHECK_S = 0.5
-_LANDED_DISARM_S = 1.0
 _LOITER_SINK_MPS = 2.5
 _NOSE_RATE_RADPS = 1.0
 _MIN_CRUISE_MPS = 0.2
+MANUAL_CONTROL_OFF = 4
+"""COM_RC_IN_MODE without a pilot."""
+_OWN_FLIGHT = frozenset({VehicleMode.MISSION, VehicleMode.RTL, VehicleMode.TAKEOFF})
 _NEEDS_POSITION = frozenset(VehicleMode) - {VehicleMode.MANUAL, VehicleMode.LAND}
 _INFO = int(mavlink.MAV_SEVERITY_INFO)
 _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
@@ -43,10 +45,7 @@ def make_body(options: VehicleOptions, manners: Manners) -> Body:
         max_horizontal_mps=options.max_horizontal_speed_mps or manners.max_horizontal_speed_mps,
         max_climb_mps=options.max_climb_mps or manners.max_climb_mps,
         max_descent_mps=options.max_descent_mps or manners.max_descent_mps,
-        max_acceleration_mps2=options.max_acceleration_mps2,
-        max_vertical_acceleration_mps2=options.max_vertical_acceleration_mps2
-        or manners.max_vertical_acceleration_mps2,
-        lag_s=options.velocity_lag_s,
+        response=options.response,
         wind_ned_mps=options.wind_ned_mps,
         max_airspeed_mps=options.max_airspeed_mps,
     )
@@ -74,8 +73,8 @@ class Flight:
         self._steering = Steering(
             self.body,
             manners,
-            acceleration_mps2=options.max_acceleration_mps2,
-            vertical_mps2=options.max_vertical_acceleration_mps2 or manners.max_vertical_acceleration_mps2,
+            acceleration_mps2=options.response.auto_acceleration_mps2,
+            vertical_mps2=manners.height_acceleration_mps2,
         )
         frame = LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
         self.runner = MissionRunner(book, frame, self.body, self._steering, manners)
@@ -83,6 +82,8 @@ class Flight:
         self._ready_s = start_s + options.arming_ready_s
         self._armed_s = start_s
         self._touched_s: float | None = None
+        self.landing_detected = self.on_ground
+        """It knows that it stands."""
         self._lift_s: float | None = None
         self._takeoff_down: float | None = None
         self._setpoint_s = -math.inf
@@ -113,14 +114,18 @@ class Flight:
     @property
     def landed(self) -> Landed:
         """What EXTENDED_SYS_STATE tells."""
-        if self.on_ground:
+        if self.on_ground and self.landing_detected:
             return Landed.ON_GROUND
         in_mission = self.mode is VehicleMode.MISSION
-        if self._takeoff_down is not None or (in_mission and self.runner.taking_off):
+        if self._takeoff_down is not None or (in_mission and self.runner.climbing):
             return Landed.TAKEOFF
         if self.mode is VehicleMode.LAND or (self.mode is VehicleMode.RTL and self._home.over_home):
             return Landed.LANDING
         return Landed.IN_AIR
+
+    def knows_place(self, now_s: float) -> bool:
+        """The estimator has found its place, and not lost it."""
+        return now_s >= self._ready_s and not self.position_lost
 
     @property
     def taking_off(self) -> bool:
@@ -133,14 +138,21 @@ class Flight:
         """Arm; return None, or why not."""
         if self.armed:
             return None
-        if now_s < self._ready_s:
-            return "PreArm: Need Position Estimate" if self._manners.arms_in_external else "GPS fix too low"
-        if self.mode not in self._manners.arms_in and not force:
-            return f"Mode {self.mode.value} not armable"
+        refusal = self.arm_refusal(now_s, force=force)
+        if refusal is not None:
+            return refusal
         self.armed = True
         self._armed_s = now_s
         self._touched_s = None
         self.texts.append((_INFO, "Arming motors"))
+        return None
+
+    def arm_refusal(self, now_s: float, *, force: bool = False) -> str | None:
+        """Why it would not arm."""
+        if now_s < self._ready_s or self.position_lost:
+            return "Need Position Estimate"
+        if self.mode not in self._manners.arms_in and not force:
+            return f"Mode {self.mode.value} not armable"
         return None
 
     def disarm(self, *, force: bool = False) -> str | None:
@@ -152,6 +164,9 @@ class Flight:
         self.armed = False
         self._takeoff_down = None
         self._lift_s = None
+        self.landing_detected = self.landing_detected or self.on_ground
+        if self._manners.disarm_rewinds_mission:
+            self.runner.rewind()
         self.texts.append((_INFO, "Disarming motors"))
         return None
 
@@ -216,12 +231,12 @@ class Flight:
             if not external:
                 return
             if self._takeoff_down is not None:
-                if self.on_ground:
+                if self.on_ground or not self._manners.cancels_takeoff:
                     return
                 self._takeoff_down = None
         self.setpoint = setpoint
         self._setpoint_s = now_s
-        if self._stream_lost:
+        if self._stream_lost and self._manners.stream_takes_back:
             # The vehicle still means to fly the stream: it goes back to it by itself.
             self._enter(VehicleMode.EXTERNAL)
 
@@ -257,13 +272,21 @@ class Flight:
         if self._manners.loss_mode is None:
             self.setpoint = None
             return
-        self.fail_over(self._manners.loss_mode)
+        self.fail_over(self._chosen_for_loss() or self._manners.loss_mode)
         self._stream_lost = True
         self.texts.append((_CRITICAL, "Failsafe activated: offboard signal lost"))
 
+    def _chosen_for_loss(self) -> VehicleMode | None:
+        """Where the parameters lead, None where they leave it to the manners."""
+        if not self._manners.loss_actions:
+            return None
+        chosen = self._manners.loss_actions.get(int(self._params.get("COM_OBL_RC_ACT")))
+        by_hand = self._options.rc_connected and self._params.get("COM_RC_IN_MODE") != MANUAL_CONTROL_OFF
+        return None if chosen is VehicleMode.MANUAL and not by_hand else chosen
+
     def _streaming(self, now_s: float) -> bool:
-        # A stream exactly as slow as the timeout counts as lost: that is the honest edge for 1 Hz on PX4.
-        return now_s - self._setpoint_s < self._params.get(self._manners.timeout_param) - 1e-9
+        timeout_s = self._params.get(self._manners.timeout_param) + self._manners.loss_noticed_s
+        return now_s - self._setpoint_s < timeout_s - 1e-9
 
     def _stand(self, now_s: float) -> None:
         """Armed on the ground: lift off, wait, or disarm."""
@@ -271,7 +294,7 @@ class Flight:
             if self._lift_s is None:
                 self._lift_s = max(self._armed_s + self._manners.spin_up_s, now_s)
             if now_s >= self._lift_s:
-                self.on_ground = False
+                self.on_ground = self.landing_detected = False
                 self._lift_s = None
                 self._touched_s = None
             return
@@ -280,8 +303,9 @@ class Flight:
         lands = self.mode in (VehicleMode.LAND, VehicleMode.RTL)
         lands = lands or (self.mode is VehicleMode.MISSION and self.runner.landing)
         since_touch = math.inf if self._touched_s is None else now_s - self._touched_s
+        self.landing_detected = self.landing_detected or since_touch >= manners.land_detect_s
         if lands:
-            due = since_touch >= _LANDED_DISARM_S
+            due = since_touch >= manners.landed_disarm_s
         elif self._touched_s is not None:
             due = manners.disarm_after_landing_s is not None and since_touch >= manners.disarm_after_landing_s
         else:
@@ -310,6 +334,7 @@ class Flight:
 
     def _touch(self, now_s: float) -> None:
         self.on_ground = True
+        self.landing_detected = not self.armed
         self._touched_s = now_s
         self._takeoff_down = None
         if self.body.touchdown_mps > 1.0:
@@ -321,6 +346,7 @@ class Flight:
         if mode is VehicleMode.EXTERNAL and self.mode is not mode and not self._manners.external_needs_stream:
             self.setpoint = None
         self.mode = mode
+        self.body.auto = mode in _OWN_FLIGHT
         self._steer_now = self._steer[mode]
         if mode is VehicleMode.RTL:
             self._home.begin()

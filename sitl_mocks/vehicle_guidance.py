@@ -15,6 +15,7 @@ from sitl_mocks.vehicle_mission import MissionBook, StoredItem
 HOVER: Vec3 = (0.0, 0.0, 0.0)
 _DESCENT_MPS = 1.5
 _SLOW_LANDING_BELOW_M = 10.0
+_LANDING_CRUISE_MPS = 1.0
 _RELATIVE_FRAMES = frozenset({3, 6, 10, 11})
 _WAYPOINT = int(mavlink.MAV_CMD_NAV_WAYPOINT)
 _LOITER_UNLIM = int(mavlink.MAV_CMD_NAV_LOITER_UNLIM)
@@ -37,6 +38,7 @@ class Steering:
         self._acceleration = acceleration_mps2
         self._vertical = vertical_mps2
         self._climb = min(manners.takeoff_speed_mps, body.climb)
+        self._slow_takeoff_m = manners.slow_takeoff_m
         self._descent = min(_DESCENT_MPS, body.descent)
         self._land = manners.land_speed_mps
 
@@ -48,7 +50,7 @@ class Steering:
         if distance < 0.01:
             return HOVER
         scale = body.speed_towards(distance, cruise_mps, self._acceleration) / distance
-        limit = self._descent if down > 0.0 else self._climb
+        limit = self._descent if down > 0.0 else self._climb_limit
         if abs(down) * scale > limit:
             scale = limit / abs(down)
         vertical = down * scale
@@ -58,12 +60,22 @@ class Steering:
     def to_height(self, down_m: float) -> Vec3:
         """Straight up or down to a height."""
         body = self._body
-        return self.towards((body.north, body.east, down_m), self._climb)
+        return self.towards((body.north, body.east, down_m), self._climb_limit)
 
-    def landing(self) -> Vec3:
-        """Straight down, slowly near the ground."""
-        low = self._body.down > -_SLOW_LANDING_BELOW_M
-        return (0.0, 0.0, self._land if low else self._descent)
+    @property
+    def _climb_limit(self) -> float:
+        body = self._body
+        return self._climb if -body.down < self._slow_takeoff_m else body.climb
+
+    def landing(self, place: tuple[float, float] | None = None) -> Vec3:
+        """Down, slowly near the ground; over a place (north, east) or wherever it is."""
+        body = self._body
+        above = max(-body.down - _SLOW_LANDING_BELOW_M, 0.0)
+        speed = math.sqrt(self._land * self._land + 2.0 * self._vertical * above)
+        north, east = 0.0, 0.0
+        if place is not None:
+            north, east, _ = self.towards((*place, body.down), _LANDING_CRUISE_MPS)
+        return north, east, min(speed, self._descent)
 
 
 class Homecoming:
@@ -89,7 +101,7 @@ class Homecoming:
         distance = math.hypot(body.north, body.east)
         self.over_home = self.over_home or distance < 1.0
         if self.over_home:
-            return self._steering.landing()
+            return self._steering.landing((0.0, 0.0))
         self._climbed = self._climbed or body.down < self._down + 0.5
         if not self._climbed:
             return self._steering.to_height(self._down)
@@ -149,6 +161,12 @@ class MissionRunner:
         return item is not None and item.command == _TAKEOFF and not self.complete
 
     @property
+    def climbing(self) -> bool:
+        """It has not reached the height of a take-off yet."""
+        item = self.item
+        return item is not None and self.taking_off and self._body.down >= 0.5 - self._height_m(item)
+
+    @property
     def landing(self) -> bool:
         """The current item ends on the ground."""
         item = self.item
@@ -166,6 +184,11 @@ class MissionRunner:
                 return velocity
             self._next()
         return HOVER if self._target is None else self._steering.towards(self._target, cruise_mps)
+
+    def rewind(self) -> None:
+        """Back to the beginning."""
+        self.seq = 0
+        self.complete = False
 
     def _restart(self, seq: int) -> None:
         self.seq = seq
@@ -200,7 +223,9 @@ class MissionRunner:
             return None
         if command == _TAKEOFF:
             down = -self._height_m(item)
-            return None if self._body.down < down + 0.5 else self._steering.to_height(down)
+            if self._body.down >= down + 0.5:
+                return self._steering.to_height(down)
+            return self._fly_point(item, now_s, cruise_mps) if self._manners.flies_to_takeoff_item else None
         if command == _RETURN:
             return self._home.step(cruise_mps)
         if command == _LAND:
@@ -235,7 +260,7 @@ class MissionRunner:
         if self._arrived_s is None and math.hypot(north - self._body.north, east - self._body.east) > 0.5:
             return self._steering.towards((north, east, down), cruise_mps)
         self._arrived_s = 0.0
-        return self._steering.landing()
+        return self._steering.landing((north, east))
 
     def _wait(self, now_s: float, seconds: float) -> Vec3 | None:
         if self._arrived_s is None:

@@ -5,175 +5,17 @@ The values were seen on Copter 4.7 and PX4 1.17 in their own simulations.
 
 from __future__ import annotations
 
-import enum
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, get_type_hints
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.errors import ConfigError
 from companion.events import Firmware
-from sitl_mocks.vehicle_param_tables import ParamTable, ardupilot_params, px4_params
+from sitl_mocks.vehicle_kinds import Failsafe, Manners, VehicleMode, with_quirks
+from sitl_mocks.vehicle_param_tables import ardupilot_params, px4_params
 
-
-class VehicleMode(enum.Enum):
-    """What the mock can fly; each firmware has its own number for it."""
-
-    MANUAL = "manual"
-    """A pilot's mode: ArduPilot STABILIZE, PX4 POSCTL. The mock's pilot keeps the sticks centred."""
-    EXTERNAL = "external"
-    """ArduPilot GUIDED, PX4 OFFBOARD."""
-    MISSION = "mission"
-    HOLD = "hold"
-    """ArduPilot LOITER, PX4 AUTO.LOITER."""
-    BRAKE = "brake"
-    """ArduPilot only."""
-    TAKEOFF = "takeoff"
-    """PX4 only: ArduPilot takes off inside GUIDED."""
-    RTL = "rtl"
-    LAND = "land"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Failsafe:
-    """What one trouble leads to."""
-
-    param: str | None
-    """Holds the action; None: it cannot be chosen, and is action 0."""
-    modes: Mapping[int, VehicleMode]
-    """By action. One that is not here does nothing, or is flown by no mode of the mock."""
-    text: str | None
-    deferred: bool
-    """PX4 holds for COM_FAIL_ACT_T first, so that a pilot may choose otherwise."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Manners:
-    """One firmware's ways. Speeds in m/s, accelerations in m/s^2, times in s."""
-
-    firmware: Firmware
-    autopilot_id: int
-    """MAV_AUTOPILOT."""
-    custom_modes: Mapping[VehicleMode, int]
-    base_modes: Mapping[VehicleMode, int]
-    """base_mode without the armed bit."""
-    vtol_state: int
-    gps_fix_type: int
-    boot_mode: VehicleMode
-    # telemetry
-    fresh_streams: Mapping[int, float]
-    """Message id -> interval of a link nobody has asked anything of."""
-    data_streams: bool
-    """Answers REQUEST_DATA_STREAM."""
-    forwards: bool
-    """Passes frames on from one link to the others."""
-    has_did_params: bool
-    """Can be told to relay Remote ID data (ArduPilot's DID_*)."""
-    heartbeat_on_mode_change: bool
-    refuses_interval_param3: bool
-    unsupported_interval_result: int
-    unsupported_request_result: int
-    no_such_message_text: bool
-    # modes and arming
-    mode_ack_first: bool
-    """A mode command is answered by ACK 0 at once, and by the truth a moment later."""
-    set_mode_acked: bool
-    """The old SET_MODE message gets a COMMAND_ACK."""
-    arms_in_external: bool
-    arms_in: frozenset[VehicleMode]
-    failure_result: int
-    """ACK of a refused arming or take-off."""
-    disarm_after_landing_s: float | None
-    """Disarms by itself after a touch-down in a mode that does not land; None: stays armed."""
-    disarm_preflight_s: float | None
-    # take-off
-    takeoff_in_external: bool
-    takeoff_altitude_is_amsl: bool
-    takeoff_param: str | None
-    """Holds the height (m) of a take-off whose command names none; None: such a command is refused."""
-    spin_up_s: float
-    takeoff_speed_mps: float
-    # setpoints
-    setpoint_frames: frozenset[int]
-    body_frames: frozenset[int]
-    bad_frame_stops: bool
-    """A setpoint in an unknown frame stops the vehicle; False: it is as if it had never come."""
-    external_needs_stream: bool
-    setpoint_timeout_s: float
-    loss_mode: VehicleMode | None
-    """Where the loss of the stream leads; None: it brakes and stays."""
-    altitude_with_horizontal_velocity: bool
-    nose_follows_velocity: bool
-    # flight
-    max_horizontal_speed_mps: float
-    max_climb_mps: float
-    max_descent_mps: float
-    max_vertical_acceleration_mps2: float
-    mission_speed_mps: float
-    acceptance_radius_m: float
-    rtl_height_m: float
-    land_speed_mps: float
-    # mission
-    mission_request_int: bool
-    home_is_item_zero: bool
-    mission_end_mode: VehicleMode | None
-    upload_timeout_s: float
-    upload_retry_s: float
-    mission_texts: bool
-    speed_change_stays: bool
-    """DO_CHANGE_SPEED of a mission holds after the mode was left and entered again."""
-    paused_state: int
-    """MISSION_STATE of a mission that was left in the middle."""
-    one_transfer: bool
-    """Serves one list at a time, to one partner, item by item in order; False: answers every request."""
-    fence_frames: Mapping[int, int]
-    """MAV_FRAME of a fence's items as given -> as told; others are refused."""
-    fence_altitudes: bool
-    """Keeps the altitudes of a fence's items."""
-    fence_union: bool
-    """Inside one inclusion area is inside; False: outside one of them is outside."""
-    adsb_listed: bool
-    """Streams a list of the aircraft heard, one per interval; False: passes each report on once."""
-    # troubles
-    estimator_message: int
-    """EKF_STATUS_REPORT or ESTIMATOR_STATUS."""
-    tells_fence: bool
-    """Knows FENCE_STATUS."""
-    fence_enable_param: str | None
-    fence_distance_param: str
-    fence_height_param: str
-    """Both m; 0 is no limit."""
-    fence_failsafe: Failsafe
-    gcs_failsafe: Failsafe
-    gcs_timeout_param: str
-    gcs_by_system: bool
-    """The ground station is the system of MAV_GCS_SYSID; False: any component of that type."""
-    battery_failsafe: Failsafe
-    estimator_failsafe: Failsafe
-    estimator_grace_s: float
-    gnss_grace_s: float
-    """How long the estimator lives without GNSS."""
-    estimator_recovers: bool
-    """Goes back to the mode that was asked for; False: stays where the failsafe led."""
-    global_position_stops: bool
-    """Sends no GLOBAL_POSITION_INT without a position."""
-    sticks_take_over: bool
-    """Moved sticks end an automatic mode (COM_RC_OVERRIDE)."""
-    # parameters
-    param_bytewise: bool
-    params: ParamTable
-    legacy_names: Mapping[str, str] = field(default_factory=dict)
-    """Today's name -> the name before the last renaming."""
-    timeout_param: str
-    cruise_param: str
-    cruise_param_scale: float
-    """SI value = parameter value times this."""
-
-    def mode_of(self, custom_mode: int) -> VehicleMode | None:
-        """The mode of this number, None where the mock does not fly it."""
-        return next((mode for mode, number in self.custom_modes.items() if number == custom_mode), None)
+__all__ = ["ARDUPILOT", "MANNERS", "PX4", "Failsafe", "Manners", "VehicleMode", "with_quirks"]
 
 
 def _px4_mode(main: int, sub: int = 0) -> int:
@@ -224,24 +66,34 @@ ARDUPILOT = Manners(
     unsupported_interval_result=mavlink.MAV_RESULT_DENIED,
     unsupported_request_result=mavlink.MAV_RESULT_FAILED,
     no_such_message_text=True,
+    speaks=True,
+    target_always_told=False,
     mode_ack_first=False,
     set_mode_acked=True,
     arms_in_external=True,
     arms_in=frozenset({VehicleMode.MANUAL, VehicleMode.EXTERNAL, VehicleMode.HOLD}),
     failure_result=mavlink.MAV_RESULT_FAILED,
+    land_detect_s=1.6,
+    landed_disarm_s=2.1,
+    disarm_rewinds_mission=True,
     disarm_after_landing_s=None,
     disarm_preflight_s=None,
     takeoff_in_external=True,
     takeoff_altitude_is_amsl=False,
     takeoff_param=None,
-    spin_up_s=4.0,
+    spin_up_s=3.5,
     takeoff_speed_mps=2.5,
+    slow_takeoff_m=math.inf,
     setpoint_frames=frozenset({1, 7, 8, 9}),
     body_frames=frozenset({8, 9}),
     bad_frame_stops=True,
     external_needs_stream=False,
-    setpoint_timeout_s=3.0,
+    loss_noticed_s=0.1,
     loss_mode=None,
+    loss_actions=MappingProxyType({}),
+    stream_takes_back=True,
+    cancels_takeoff=True,
+    needs_whole_velocity=True,
     altitude_with_horizontal_velocity=False,
     nose_follows_velocity=True,
     max_horizontal_speed_mps=10.0,
@@ -249,6 +101,18 @@ ARDUPILOT = Manners(
     max_climb_mps=5.0,
     max_descent_mps=5.0,
     max_vertical_acceleration_mps2=1.0,
+    height_acceleration_mps2=0.7,
+    acceleration_mps2=2.5,
+    auto_acceleration_mps2=1.6,
+    auto_brake_mps2=2.7,
+    auto_jerk_mps3=0.45,
+    velocity_lag_s=0.3,
+    vertical_lag_s=0.3,
+    velocity_gain=1.0,
+    slow_share=0.0,
+    slow_s=1.0,
+    brake_fades_mps=5.0,
+    brake_faded_mps2=1.4,
     mission_speed_mps=10.0,
     acceptance_radius_m=2.0,
     rtl_height_m=15.0,
@@ -259,6 +123,8 @@ ARDUPILOT = Manners(
     upload_timeout_s=8.0,
     upload_retry_s=1.0,
     mission_texts=True,
+    marks_current_item=False,
+    flies_to_takeoff_item=False,
     # Read in the source: entering AUTO forgets the speed of the mission.
     speed_change_stays=False,
     paused_state=mavlink.MISSION_STATE_NOT_STARTED,
@@ -363,6 +229,7 @@ PX4 = Manners(
             mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.5,
             mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 0.1,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
             # As fast as they come on the real one; the mock's receiver reports once a second.
             mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 1.0,
@@ -378,30 +245,53 @@ PX4 = Manners(
     unsupported_interval_result=mavlink.MAV_RESULT_FAILED,
     unsupported_request_result=mavlink.MAV_RESULT_DENIED,
     no_such_message_text=False,
+    speaks=False,
+    target_always_told=True,
     mode_ack_first=True,
     set_mode_acked=False,
     arms_in_external=False,
     arms_in=frozenset({VehicleMode.MANUAL, VehicleMode.HOLD, VehicleMode.MISSION, VehicleMode.TAKEOFF}),
     failure_result=mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
+    land_detect_s=2.0,
+    landed_disarm_s=4.0,
+    disarm_rewinds_mission=False,
     disarm_after_landing_s=4.0,
     disarm_preflight_s=10.0,
     takeoff_in_external=False,
     takeoff_altitude_is_amsl=True,
     takeoff_param="MIS_TAKEOFF_ALT",
     spin_up_s=4.5,
-    takeoff_speed_mps=2.3,
+    takeoff_speed_mps=1.65,
+    slow_takeoff_m=10.0,
     setpoint_frames=frozenset({1, 8}),
     body_frames=frozenset({8}),
     bad_frame_stops=False,
     external_needs_stream=True,
-    setpoint_timeout_s=1.0,
+    # A stream exactly as slow as the timeout counts as lost: that is the honest edge for 1 Hz.
+    loss_noticed_s=0.0,
     loss_mode=VehicleMode.RTL,
+    loss_actions=MappingProxyType({0: _M.MANUAL, 3: _M.RTL, 4: _M.LAND, 5: _M.HOLD}),
+    stream_takes_back=True,
+    cancels_takeoff=True,
+    needs_whole_velocity=True,
     altitude_with_horizontal_velocity=True,
     nose_follows_velocity=False,
     max_horizontal_speed_mps=12.0,
     max_climb_mps=3.0,
     max_descent_mps=1.5,
-    max_vertical_acceleration_mps2=4.0,
+    max_vertical_acceleration_mps2=12.0,
+    height_acceleration_mps2=4.0,
+    acceleration_mps2=20.0,
+    auto_acceleration_mps2=3.0,
+    auto_brake_mps2=3.0,
+    auto_jerk_mps3=4.0,
+    velocity_lag_s=0.62,
+    vertical_lag_s=0.25,
+    velocity_gain=0.87,
+    slow_share=0.185,
+    slow_s=5.7,
+    brake_fades_mps=math.inf,
+    brake_faded_mps2=0.0,
     mission_speed_mps=5.0,
     acceptance_radius_m=10.0,
     rtl_height_m=30.0,
@@ -412,6 +302,8 @@ PX4 = Manners(
     upload_timeout_s=5.0,
     upload_retry_s=0.25,
     mission_texts=False,
+    marks_current_item=True,
+    flies_to_takeoff_item=True,
     speed_change_stays=True,
     paused_state=mavlink.MISSION_STATE_PAUSED,
     one_transfer=True,
@@ -450,33 +342,3 @@ PX4 = Manners(
 )
 
 MANNERS: Mapping[Firmware, Manners] = MappingProxyType({Firmware.ARDUPILOT: ARDUPILOT, Firmware.PX4: PX4})
-
-
-def with_quirks(manners: Manners, quirks: Mapping[str, object]) -> Manners:
-    """A firmware's manners with some of them changed, by the name of the field.
-
-    Raises:
-        ConfigError: an unknown name, or a value that is not of the field's kind; tables cannot be given.
-    """
-    kinds = get_type_hints(Manners)
-    given: dict[str, Any] = {}
-    for name, value in quirks.items():
-        kind = kinds.get(name)
-        if kind is None:
-            raise ConfigError(
-                f"quirk {name}: there is none of that name; allowed: {', '.join(sorted(kinds))}"
-            )
-        if kind in (VehicleMode, VehicleMode | None) and isinstance(value, str):
-            names = {mode.value: mode for mode in manners.custom_modes}
-            if value not in names:
-                raise ConfigError(f"quirk {name}: {value!r} is no mode; allowed: {', '.join(names)}")
-            value = names[value]
-        number = kind in (float, float | None) and isinstance(value, int) and not isinstance(value, bool)
-        plain = kind in (bool, int, float, str, float | None, str | None, VehicleMode, VehicleMode | None)
-        fits = plain and (number or isinstance(value, kind)) and not (kind is int and isinstance(value, bool))
-        if not fits:
-            raise ConfigError(
-                f"quirk {name}: {value!r} is not of its kind ({getattr(kind, '__name__', kind)})"
-            )
-        given[name] = value
-    return replace(manners, **given)

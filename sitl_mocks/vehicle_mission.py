@@ -114,6 +114,8 @@ class MissionBook:
         self.loaded_s = -math.inf
         self.requested_seq: int | None = None
         """Set by MISSION_SET_CURRENT, taken by the vehicle."""
+        self.current_seq = 0
+        """Of the item being flown, told by the vehicle."""
         self.texts: list[tuple[int, str]] = []
         self._manners = manners
         self._upload: _Upload | None = None
@@ -188,7 +190,8 @@ class MissionBook:
         if seq >= len(self.items):
             return [self._ack(partner, mavlink.MAV_MISSION_INVALID_SEQUENCE)]
         item = self.items[seq] if self._home_first is None or seq else self._home_first
-        head = (*partner, seq, item.frame, item.command, 0, item.autocontinue, *item.params)
+        current = int(self._manners.marks_current_item and self.kind == _MISSION and seq == self.current_seq)
+        head = (*partner, seq, item.frame, item.command, current, item.autocontinue, *item.params)
         if message.get_type() == "MISSION_REQUEST_INT":
             return [mavlink.MAVLink_mission_item_int_message(*head, item.x, item.y, item.z, kind)]
         scale = 1e-7 if item.frame in _GLOBAL_FRAMES else 1.0

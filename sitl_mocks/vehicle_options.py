@@ -9,8 +9,12 @@ from dataclasses import dataclass, field
 from companion.avoidance.fence import check_areas
 from companion.errors import ConfigError
 from companion.events import FenceArea, Firmware, MissionItem, Vec3
+from sitl_mocks.vehicle_dynamics import Response
 from sitl_mocks.vehicle_manners import MANNERS, Manners, VehicleMode, with_quirks
 from sitl_mocks.vehicle_traffic import CrewedFlight
+
+_PLAIN_ACCELERATION_MPS2 = 2.5
+_PLAIN_VERTICAL_MPS2 = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,10 +73,12 @@ class VehicleOptions:
     max_horizontal_speed_mps: float | None = None
     max_climb_mps: float | None = None
     max_descent_mps: float | None = None
-    max_acceleration_mps2: float = 2.5
+    max_acceleration_mps2: float | None = None
     """Horizontal."""
     max_vertical_acceleration_mps2: float | None = None
-    velocity_lag_s: float = 0.5
+    velocity_lag_s: float | None = None
+    """Given, the vehicle follows its setpoints with a plain ramp (2.5 m/s^2 where none is given) and this
+    lag, vertically within 4 m/s^2, and nothing else of the firmware's own response."""
     mission_speed_mps: float | None = None
     wind_ned_mps: Vec3 = (0.0, 0.0, 0.0)
     max_airspeed_mps: float = 18.0
@@ -91,11 +97,11 @@ class VehicleOptions:
         self._check_range("system_id", self.system_id, 1, 255)
         self._check_range("home_lat_deg", self.home_lat_deg, -89.0, 89.0)
         self._check_range("home_lon_deg", self.home_lon_deg, -180.0, 180.0)
-        for name in ("max_acceleration_mps2", "velocity_lag_s", "max_airspeed_mps", "gnss_correlation_s",
-                     "gnss_velocity_correlation_s"):  # fmt: skip
+        for name in ("max_airspeed_mps", "gnss_correlation_s", "gnss_velocity_correlation_s"):
             self._check_range(name, getattr(self, name), 1e-3, 1e4)
         for name in ("max_horizontal_speed_mps", "max_climb_mps", "max_descent_mps", "mission_speed_mps",
-                     "max_vertical_acceleration_mps2"):  # fmt: skip
+                     "max_acceleration_mps2", "max_vertical_acceleration_mps2",
+                     "velocity_lag_s"):  # fmt: skip
             if getattr(self, name) is not None:
                 self._check_range(name, getattr(self, name), 1e-3, 1e3)
         for name in ("gnss_horizontal_sigma_m", "gnss_vertical_sigma_m", "gnss_velocity_sigma_mps"):
@@ -133,6 +139,37 @@ class VehicleOptions:
     def manners(self) -> Manners:
         """The firmware's ways, with the quirks."""
         return with_quirks(MANNERS[self.firmware], self.quirks)
+
+    @property
+    def response(self) -> Response:
+        """How the vehicle follows a velocity."""
+        manners = self.manners
+        vertical = self.max_vertical_acceleration_mps2 or manners.max_vertical_acceleration_mps2
+        if self.velocity_lag_s is not None:
+            vertical = min(vertical, _PLAIN_VERTICAL_MPS2)
+            ramp = self.max_acceleration_mps2 or _PLAIN_ACCELERATION_MPS2
+            return Response(
+                acceleration_mps2=ramp,
+                vertical_acceleration_mps2=vertical,
+                lag_s=self.velocity_lag_s,
+                vertical_lag_s=self.velocity_lag_s,
+                auto_acceleration_mps2=ramp,
+                auto_brake_mps2=ramp,
+            )
+        return Response(
+            acceleration_mps2=self.max_acceleration_mps2 or manners.acceleration_mps2,
+            vertical_acceleration_mps2=vertical,
+            lag_s=manners.velocity_lag_s,
+            vertical_lag_s=manners.vertical_lag_s,
+            auto_acceleration_mps2=self.max_acceleration_mps2 or manners.auto_acceleration_mps2,
+            auto_brake_mps2=self.max_acceleration_mps2 or manners.auto_brake_mps2,
+            auto_jerk_mps3=manners.auto_jerk_mps3,
+            gain=manners.velocity_gain,
+            slow_share=manners.slow_share,
+            slow_s=manners.slow_s,
+            brake_fades_mps=manners.brake_fades_mps,
+            brake_faded_mps2=manners.brake_faded_mps2,
+        )
 
     def _check_range(self, name: str, value: float, low: float, high: float) -> None:
         if not low <= value <= high:

@@ -27,6 +27,8 @@ _DYNAMIC_PERIOD_S = 1.0
 _STATIC_SPACING_S = 0.8
 """One of the four in turn."""
 _MAX_AGE_S = 3.0
+_FIRST_COMPLAINT_S = 2.8
+_COMPLAINT_PERIOD_S = 5.1
 _EPSILON_S = 1e-9
 
 _BASIC_ID = int(mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_BASIC_ID)
@@ -110,11 +112,17 @@ class RemoteIdRelay:
         self._dynamic_due_s = start_s
         self._static_due_s = start_s
         self._turn = 0
+        self._complaint_due_s = start_s + _FIRST_COMPLAINT_S
+        self._transmitter_lost = True
+        self.texts: list[tuple[int, str]] = []
 
     def take(self, frame: Frame, message: MavlinkMessage, now_s: float) -> None:
         """An OPEN_DRONE_ID_* message; no address is looked at, so what a receiver has heard counts too."""
         number = frame.message_id
         if number == _ARM_STATUS:
+            if self._transmitter_lost:
+                self._transmitter_lost = False
+                self.texts.append((int(mavlink.MAV_SEVERITY_INFO), "ODID: transmitter OK"))
             good = message.status == mavlink.MAV_ODID_ARM_STATUS_GOOD_TO_ARM
             self._arm_refusal = None if good else message.error
         elif number == _UPDATE:
@@ -129,6 +137,8 @@ class RemoteIdRelay:
     def due(self, at_s: float) -> list[MavlinkMessage | Payload]:
         """What is to be sent now."""
         messages: list[MavlinkMessage | Payload] = []
+        if at_s >= self._complaint_due_s - _EPSILON_S:
+            self._complain(at_s)
         if at_s >= self._dynamic_due_s - _EPSILON_S:
             self._dynamic_due_s += _DYNAMIC_PERIOD_S
             system = self._stored[_SYSTEM].ljust(_SYSTEM_BYTES, b"\0")
@@ -141,6 +151,16 @@ class RemoteIdRelay:
             size = mavlink.mavlink_map[number].unpacker.size
             messages.append(Payload(number, self._stored[number].ljust(size, b"\0")))
         return messages
+
+    def _complain(self, now_s: float) -> None:
+        """Say what it misses."""
+        self._complaint_due_s += _COMPLAINT_PERIOD_S
+        warning = int(mavlink.MAV_SEVERITY_WARNING)
+        if not self._fresh(_ARM_STATUS, now_s):
+            self._transmitter_lost = True
+            self.texts.append((warning, "ODID: lost transmitter"))
+        if not (self._fresh(_SYSTEM, now_s) or self._fresh(_UPDATE, now_s)):
+            self.texts.append((warning, "ODID: lost operator location"))
 
     def refusal(self, now_s: float) -> str | None:
         """Why it does not arm (DID_OPTIONS = 1: enforce), in the order of the firmware's checks."""

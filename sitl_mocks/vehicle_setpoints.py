@@ -62,6 +62,9 @@ def interpret(
         position = (position[0] + north, position[1] + east, position[2] + down)
     has_position = tuple(not mask & bit for bit in _POSITION)
     has_velocity = tuple(not mask & bit for bit in _VELOCITY)
+    if any(has_velocity) and not manners.needs_whole_velocity:
+        north, east, down = (v if has else 0.0 for v, has in zip(velocity, has_velocity, strict=True))
+        velocity, has_velocity = (north, east, down), (True, True, True)
     yaw = None if mask & _YAW or not math.isfinite(message.yaw) else message.yaw
     rate = None if mask & _YAW_RATE or not math.isfinite(message.yaw_rate) else message.yaw_rate
     if manners.altitude_with_horizontal_velocity:

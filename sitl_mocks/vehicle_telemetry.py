@@ -16,7 +16,7 @@ from companion.autopilot.wire import MavlinkMessage
 from companion.events import Landed, Vec3
 from sitl_mocks.vehicle_flight import Flight
 from sitl_mocks.vehicle_links import Payload
-from sitl_mocks.vehicle_manners import Manners
+from sitl_mocks.vehicle_manners import Manners, VehicleMode
 from sitl_mocks.vehicle_mission import MissionBook
 from sitl_mocks.vehicle_navigation import Globe, NavigationError
 from sitl_mocks.vehicle_options import VehicleOptions
@@ -29,6 +29,7 @@ Builder = Callable[[float], MavlinkMessage | Payload | None]
 # Layouts of the messages that are sent many times a second, in their order on the wire.
 _GLOBAL_POSITION = struct.Struct("<IiiiihhhH")
 _SIX_FLOATS = struct.Struct("<I6f")
+_POSITION_TARGET = struct.Struct("<I11fHB")
 _GPS_RAW = struct.Struct("<QiiiHHHHBBiIIII")
 
 _LANDED = {
@@ -50,6 +51,8 @@ _ESTIMATOR_GOOD = 0x33F
 """Attitude, velocities, places (also predicted), heights: bits 0 to 5, 8 and 9."""
 _ESTIMATOR_LOST = 0x0A5
 """Attitude, vertical velocity, height; constant position mode."""
+_FIRST_FIX_S = 8.0
+"""From boot to the first place that GNSS gives; the estimator may take longer."""
 _MIN_ACCURACY_M = 0.3
 _MIN_SPEED_ACCURACY_MPS = 0.1
 _GRAVITY = 9.81
@@ -94,6 +97,7 @@ class Telemetry:
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: self._rc_channels,
             mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery_status,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self._position_target,
             manners.estimator_message: self._estimator_status,
         }
         if manners.tells_fence:
@@ -124,7 +128,7 @@ class Telemetry:
         base = manners.base_modes[flight.mode] | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if flight.armed else 0)
         if flight.failsafe:
             status = mavlink.MAV_STATE_CRITICAL
-        elif flight.on_ground:
+        elif flight.on_ground and flight.landing_detected:
             status = mavlink.MAV_STATE_STANDBY
         else:
             status = mavlink.MAV_STATE_ACTIVE
@@ -151,9 +155,12 @@ class Telemetry:
         return round((now_s - self.boot_s) * 1e3) & 0xFFFFFFFF
 
     def _global_position(self, now_s: float) -> Payload | None:
-        if self._troubles.position_lost and self._manners.global_position_stops:
+        known = self._flight.knows_place(now_s)
+        if not known and self._manners.global_position_stops:
             return None
         lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
+        if not known and now_s - self.boot_s < _FIRST_FIX_S:
+            lat, lon = 0.0, 0.0
         vn, ve, vd = self.velocity_ned_mps()
         heading = round(math.degrees(self._flight.body.yaw) % 360.0 * 100.0) % 36000
         body = _GLOBAL_POSITION.pack(
@@ -169,9 +176,24 @@ class Telemetry:
         )
         return Payload(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, body)
 
-    def _local_position(self, now_s: float) -> Payload:
+    def _local_position(self, now_s: float) -> Payload | None:
+        if not self._flight.knows_place(now_s):
+            return None
         body = _SIX_FLOATS.pack(self._boot_ms(now_s), *self.position_ned_m(), *self.velocity_ned_mps())
         return Payload(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, body)
+
+    def _position_target(self, now_s: float) -> Payload | None:
+        """What the firmware makes of the setpoints: a velocity, zero where it flies none."""
+        flight = self._flight
+        external = flight.mode is VehicleMode.EXTERNAL
+        if not (external or self._manners.target_always_told) or not flight.armed:
+            return None
+        velocity = (0.0, 0.0, 0.0)
+        if external and flight.setpoint is not None and not flight.setpoint.stop:
+            velocity = flight.setpoint.velocity_ned_mps
+        numbers = (0.0, 0.0, 0.0, *velocity, 0.0, 0.0, 0.0, 0.0, 0.0)
+        body = _POSITION_TARGET.pack(self._boot_ms(now_s), *numbers, 0xDC7, mavlink.MAV_FRAME_LOCAL_NED)
+        return Payload(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, body)
 
     def _gps_raw(self, now_s: float) -> Payload:
         options, lost = self._options, self._troubles.gnss_lost
@@ -201,10 +223,9 @@ class Telemetry:
     def _attitude(self, now_s: float) -> Payload:
         """Lean of a multicopter that accelerates as this one does; rates are not modelled."""
         body = self._flight.body
-        north, east = body.ramp_n - body.vn, body.ramp_e - body.ve
+        north, east = body.lean_mps2
         cos, sin = math.cos(body.yaw), math.sin(body.yaw)
-        lag = self._options.velocity_lag_s
-        forward, right = (cos * north + sin * east) / lag, (cos * east - sin * north) / lag
+        forward, right = cos * north + sin * east, cos * east - sin * north
         roll, pitch = math.atan2(right, _GRAVITY), -math.atan2(forward, _GRAVITY)
         packed = _SIX_FLOATS.pack(self._boot_ms(now_s), roll, pitch, body.yaw, 0.0, 0.0, 0.0)
         return Payload(mavlink.MAVLINK_MSG_ID_ATTITUDE, packed)
@@ -302,7 +323,7 @@ class Telemetry:
             total = 0 if self._manners.home_is_item_zero else 65535
         elif flight.runner.complete:
             state = mavlink.MISSION_STATE_COMPLETE
-        elif flight.mode.value == "mission":
+        elif flight.mode is VehicleMode.MISSION:
             state = mavlink.MISSION_STATE_ACTIVE
         elif flight.runner.seq > self._book.first_seq:
             state = self._manners.paused_state

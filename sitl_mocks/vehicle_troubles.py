@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkMessage
 from companion.geometry import LocalFrame
-from sitl_mocks.vehicle_flight import Flight
+from sitl_mocks.vehicle_flight import MANUAL_CONTROL_OFF, Flight
 from sitl_mocks.vehicle_manners import Failsafe, Manners, VehicleMode
 from sitl_mocks.vehicle_mission import CIRCLES, VERTICES, MissionBook
 from sitl_mocks.vehicle_params import ParamBook
@@ -27,7 +27,6 @@ _NOTICE = int(mavlink.MAV_SEVERITY_NOTICE)
 _NEEDS_NO_POSITION = frozenset({VehicleMode.MANUAL, VehicleMode.LAND})
 _OWN_MODES = frozenset(VehicleMode) - {VehicleMode.MANUAL, VehicleMode.EXTERNAL}
 _OVERRIDES_OWN, _OVERRIDES_EXTERNAL = 1, 2
-_MANUAL_CONTROL_OFF = 4
 _ALL_FENCES = _MAX_HEIGHT | _CIRCLE | _POLYGON
 
 
@@ -214,7 +213,7 @@ class Troubles:
         """PX4 gives the vehicle to a pilot who moves the sticks."""
         if not self._manners.sticks_take_over or not self.rc_connected or not any(self.sticks):
             return
-        if self._params.get("COM_RC_IN_MODE") == _MANUAL_CONTROL_OFF:
+        if self._params.get("COM_RC_IN_MODE") == MANUAL_CONTROL_OFF:
             return
         allowed = int(self._params.get("COM_RC_OVERRIDE"))
         if max(map(abs, self.sticks)) * 100.0 <= self._params.get("COM_RC_STICK_OV"):

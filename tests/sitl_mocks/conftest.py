@@ -113,10 +113,14 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Callable[..., Bench]:
-    """Make a client of a vehicle on the ground."""
+    """Make a client of a vehicle on the ground.
+
+    It follows its setpoints plainly, so that what is tested shows; `velocity_lag_s=None` gives it the
+    firmware's own response.
+    """
 
     def make(firmware: Firmware = Firmware.ARDUPILOT, **options: Any) -> Bench:
-        return Bench(VehicleOptions(firmware=firmware, **options))
+        return Bench(VehicleOptions(firmware=firmware, **{"velocity_lag_s": 0.5, **options}))
 
     return make
 

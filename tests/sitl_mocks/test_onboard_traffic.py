@@ -105,7 +105,8 @@ class Pair:
         if options["airborne"] and firmware is Firmware.ARDUPILOT:
             # Taken off in GUIDED, as a ground station does it; LOITER is the pilot's.
             options.setdefault("start_mode", VehicleMode.EXTERNAL)
-        self.options = VehicleOptions(firmware=firmware, utc_at_zero_s=UTC_AT_ZERO_S, **options)
+        given = {"velocity_lag_s": 0.5, **options}
+        self.options = VehicleOptions(firmware=firmware, utc_at_zero_s=UTC_AT_ZERO_S, **given)
         self.vehicle = MockVehicle(self.options, np.random.default_rng(1))
         self.config = Config(
             identity=IdentityConfig(uas_id="PAIR"),

@@ -164,7 +164,8 @@ def test_clear_all(bench, firmware):
     assert ack.type == mavlink.MAV_MISSION_ACCEPTED
     assert download(b) == []
     b.run(1.0)
-    assert b.set_mode(VehicleMode.MISSION)[-1] != 0
+    acks = b.set_mode(VehicleMode.MISSION) + [m.result for m in b.run(0.1) if m.get_type() == "COMMAND_ACK"]
+    assert acks == ([4] if firmware is AP else [0, 1])
     assert b.vehicle.mode is not VehicleMode.MISSION
 
 
