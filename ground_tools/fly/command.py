@@ -75,29 +75,29 @@ def run(args: argparse.Namespace) -> int:
     vehicles: list[Vehicle] = []
     error: str | None = None
     left: dict[str, str] = {}
-    with end_signals() as ended:
-        try:
-            for number, address in enumerate(args.address, start=1):
-                vehicles.append(Vehicle.connect(f"vehicle {number}", address, _CONNECT_S))
-                say(_introduction(vehicles[-1], address))
-                if ended:
-                    raise KeyboardInterrupt
+    ended: list[int] = []
+    try:
+        for number, address in enumerate(args.address, start=1):
+            vehicles.append(Vehicle.connect(f"vehicle {number}", address, _CONNECT_S))
+            say(_introduction(vehicles[-1], address))
+        # From here on Ctrl-C waits for what is under way, and vehicles are left safe.
+        with end_signals() as ended:
             fleet = Fleet(vehicles, say, ended)
             try:
                 _fly(fleet, args, missions_at)
-            except (VehicleError, KeyboardInterrupt, ConfigError) as trouble:
+            except BaseException as trouble:
                 error = _tell(trouble)
                 left = fleet.make_safe()
                 for name, what in left.items():
                     say(f"{name} {what}")
-                if isinstance(trouble, ConfigError):
+                if not isinstance(trouble, VehicleError | KeyboardInterrupt):
                     raise
-        except (VehicleError, KeyboardInterrupt) as trouble:
-            error = _tell(trouble)
-        finally:
-            report = _report(args, vehicles, error, left)
-            for vehicle in vehicles:
-                vehicle.close()
+    except VehicleError as trouble:
+        error = _tell(trouble)
+    finally:
+        report = _report(args, vehicles, error, left)
+        for vehicle in vehicles:
+            vehicle.close()
     if args.json:
         print(json.dumps(report | {"seconds": round(time.monotonic() - began_s, 1)}))
     return 130 if ended else 0 if error is None else 1
@@ -163,6 +163,7 @@ def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[Missi
         raise ConfigError(
             f"--scenario: {args.scenario}: {paths} aircraft for {count} vehicles; allowed is one for each"
         )
+    missions.scenario_missions(scenario, args.seed, (0.0, 0.0, 0.0))  # What is wrong shows anywhere.
     return lambda home: missions.scenario_missions(scenario, args.seed, home)
 
 

@@ -147,7 +147,7 @@ class Fleet:
         """Where they are, except those that come down already. Raises VehicleError."""
         for vehicle in self.vehicles:
             self._check_interrupt()
-            if vehicle.on_ground or vehicle.mode in COMING_DOWN:
+            if (vehicle.on_ground and not vehicle.armed) or vehicle.mode in COMING_DOWN:
                 continue
             vehicle.command(NAV_LAND, 0.0, 0.0, 0.0, None)
             vehicle.ours = COMING_DOWN
@@ -192,13 +192,13 @@ class Fleet:
                 pass  # It is on its way up after all.
             else:
                 return "is on the ground: disarmed"
-        height = f"at {vehicle.height_m:.1f} m"
         if vehicle.mode in COMING_DOWN:
-            return f"comes down, {height}: left in {vehicle.mode}"
-        if vehicle.mode not in vehicle.ours:
-            return f"is flown by somebody else, {height}: left in {vehicle.mode}"
-        vehicle.set_mode(FlightMode.HOLD)
-        return f"holds {height}, in {vehicle.mode}: armed; land it"
+            return f"comes down, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
+        if vehicle.mode not in (*vehicle.ours, vehicle.modes.holding):
+            return f"is flown by somebody else, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
+        if vehicle.mode != vehicle.modes.holding:
+            vehicle.set_mode(FlightMode.HOLD)
+        return f"holds at {vehicle.height_m:.1f} m, in {vehicle.mode}: armed; land it"
 
     def _wait_ready(self) -> None:
         missing: dict[str, str | None] = {}
@@ -211,13 +211,11 @@ class Fleet:
 
     def _arm(self, vehicle: Vehicle) -> None:
         """Into a mode that takes off, then arm; a refusal is tried again while the estimator settles."""
-        if vehicle.armed:
-            return
         px4 = vehicle.firmware is Firmware.PX4
         if vehicle.mode not in vehicle.modes.climbing:
             vehicle.set_mode(FlightMode.HOLD if px4 else FlightMode.EXTERNAL)
         end_s = time.monotonic() + READY_S
-        while True:
+        while not vehicle.armed:
             try:
                 vehicle.arm()
             except VehicleError as error:
@@ -225,8 +223,6 @@ class Fleet:
                     raise
                 self._say(f"{error}; trying again")
                 self._sleep(_AGAIN_S)
-            else:
-                return
 
     def _start(self, vehicle: Vehicle) -> None:
         """PX4 acknowledges a mission that it still checks and does not enter: asked until it flies."""

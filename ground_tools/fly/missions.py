@@ -169,16 +169,15 @@ def _read_wpl(text: str, path: Path) -> tuple[MissionItem, ...]:
         fields = row.split()
         if not fields:
             continue
+        if len(fields) != _WPL_FIELDS:
+            raise ConfigError(f"{path}: line {line}: {len(fields)} fields; allowed is {_WPL_FIELDS}")
         try:
             index, _, frame, command = map(int, fields[:4])
             numbers = [float(field) for field in fields[4:11]]
         except ValueError as error:
             raise ConfigError(f"{path}: line {line}: not a number in it: {error}") from error
-        if len(fields) != _WPL_FIELDS or index != len(items):
-            raise ConfigError(
-                f"{path}: line {line}: {len(fields)} fields, index {index}; "
-                f"allowed is {_WPL_FIELDS}, {len(items)}"
-            )
+        if index != len(items):
+            raise ConfigError(f"{path}: line {line}: index {index}; allowed is {len(items)}")
         params = [None if math.isnan(number) else number for number in numbers]
         items.append(_item(index, frame, command, params))
     return tuple(items[1:])

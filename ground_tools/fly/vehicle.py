@@ -155,7 +155,11 @@ class Vehicle:
                     f"{name}: {address}: {result.name}; allowed is an address like udpout://127.0.0.1:14550, "
                     "udpin://0.0.0.0:14550, tcpout://127.0.0.1:5760 or serial:///dev/ttyACM0:57600"
                 )
-            system = client.first_autopilot(patience_s)
+            # In slices, as no Ctrl-C is seen in between.
+            end_s = time.monotonic() + patience_s
+            system = client.first_autopilot(1.0)
+            while system is None and time.monotonic() < end_s:
+                system = client.first_autopilot(1.0)
             if system is None:
                 raise VehicleError(f"{name}: no autopilot heard within {patience_s:g} s")
             return cls(name, client, system, patience_s)
@@ -304,9 +308,15 @@ class Vehicle:
             raise VehicleError(f"{self.name}: does not hold the mission that was sent: {wrong}")
 
     def go_on_with(self, number: int) -> None:
-        """Send MISSION_SET_CURRENT with an item's number; `item` tells when it is there."""
+        """Send MISSION_SET_CURRENT with an item's number; `item` tells the rest. Raises VehicleError."""
+        from mavsdk.plugins.mavlink_direct import MavlinkDirectError
+
         # Not MAVSDK's own call: it never returns when the item, a change of speed, is over at once.
-        self._direct.send_message(self._message("MISSION_SET_CURRENT", {"seq": number - 1 + self.first_seq}))
+        message = self._message("MISSION_SET_CURRENT", {"seq": number - 1 + self.first_seq})
+        try:
+            self._direct.send_message(message)
+        except MavlinkDirectError as error:
+            raise VehicleError(f"{self.name}: MISSION_SET_CURRENT: {error.result.name}") from error
 
     @property
     def first_seq(self) -> int:
