@@ -21,7 +21,7 @@ _START_S = 10.0
 _SETTLED_S = 0.5
 """After an ACK; what was sent before it has come by then."""
 _ELSEWHERE_S = 3.0
-"""A mode that is not the mission's for longer means that somebody else flies."""
+"""A mode that is not the step's for longer was chosen by somebody else."""
 _SLOW_MPS = 0.3
 """Slowest climb and descent that are waited for."""
 _AT_START_M = 3.0
@@ -51,6 +51,8 @@ class Fleet:
         self._missions: list[tuple[MissionItem, ...]] = [()] * len(vehicles)
         self._elsewhere_s: dict[str, float] = {}
         """By name: since when a vehicle is in a mode that nobody here asked for."""
+        self._ending: set[str] = set()
+        """Names of those that are at the landing that ends their mission."""
 
     def wait_for_home(self) -> None:
         """Until every vehicle knows where it is. Raises VehicleError."""
@@ -195,7 +197,7 @@ class Fleet:
         if vehicle.mode in COMING_DOWN:
             return f"comes down, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
         if vehicle.mode not in (*vehicle.ours, vehicle.modes.holding):
-            return f"is flown by somebody else, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
+            return f"is in somebody else's hands, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
         if vehicle.mode != vehicle.modes.holding:
             vehicle.set_mode(FlightMode.HOLD)
         return f"holds at {vehicle.height_m:.1f} m, in {vehicle.mode}: armed; land it"
@@ -215,13 +217,16 @@ class Fleet:
         if vehicle.mode not in vehicle.modes.climbing:
             vehicle.set_mode(FlightMode.HOLD if px4 else FlightMode.EXTERNAL)
         end_s = time.monotonic() + READY_S
+        told = ""
         while not vehicle.armed:
             try:
                 vehicle.arm()
             except VehicleError as error:
                 if time.monotonic() > end_s:
                     raise
-                self._say(f"{error}; trying again")
+                if str(error) != told:
+                    told = str(error)
+                    self._say(f"{error}; trying again")
                 self._sleep(_AGAIN_S)
 
     def _start(self, vehicle: Vehicle) -> None:
@@ -252,8 +257,11 @@ class Fleet:
         if finished(current.get("mission_state", _UNKNOWN), reached, last_seq):
             return True
         modes = {vehicle.modes.mission, vehicle.modes.external}
-        # PX4 flies the RTL at a mission's end in RTL's own mode. Before the end that is a failsafe.
         if (not items or items[-1].command in _ENDS) and current.get("seq", 0) >= last_seq:
+            self._ending.add(vehicle.name)
+        if vehicle.name in self._ending:
+            # PX4 flies the RTL at a mission's end in RTL's own mode; before the end that is a failsafe.
+            # ArduPilot is back at its first item when it has landed and disarmed.
             if vehicle.on_ground and not vehicle.armed:
                 return True
             modes |= COMING_DOWN
@@ -266,14 +274,19 @@ class Fleet:
     def _must_fly_in(self, vehicle: Vehicle, modes: set[str] | frozenset[str]) -> None:
         """Raise when it is disarmed, or in another mode and that not only for a moment."""
         now_s = time.monotonic()
-        if not vehicle.armed:
-            said = vehicle.said(now_s - _ELSEWHERE_S)
-            raise VehicleError(f"{vehicle.name}: disarmed by itself" + (f": {said}" if said else ""))
-        if vehicle.mode in modes:
+        if vehicle.armed and vehicle.mode in modes:
             self._elsewhere_s.pop(vehicle.name, None)
-        elif now_s - self._elsewhere_s.setdefault(vehicle.name, now_s) > _ELSEWHERE_S:
+            return
+        since_s = self._elsewhere_s.setdefault(vehicle.name, now_s)
+        said = vehicle.said(since_s - _ELSEWHERE_S)
+        why = f": {said}" if said else ""
+        if not vehicle.armed:
+            raise VehicleError(f"{vehicle.name}: disarmed by itself{why}")
+        if now_s - since_s > _ELSEWHERE_S:
             wanted = " or ".join(sorted(modes))
-            raise VehicleError(f"{vehicle.name}: is in {vehicle.mode}, not {wanted}: somebody else flies it")
+            raise VehicleError(
+                f"{vehicle.name}: is in {vehicle.mode}, not {wanted}, by a pilot or a failsafe{why}"
+            )
 
     def _until(
         self,

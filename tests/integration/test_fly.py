@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import queue
-import signal
 import socket
-import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -33,78 +29,25 @@ PLAN = {
 }
 
 
-class Process:
-    """One of our commands; its lines are read as they come."""
-
-    def __init__(self, module: str, *arguments: str) -> None:
-        self.child = subprocess.Popen(
-            [sys.executable, "-u", "-m", module, *arguments],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
-        self.lines: list[str] = []
-        self._coming: queue.Queue[str | None] = queue.Queue()
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        assert self.child.stdout is not None
-        for line in self.child.stdout:
-            self._coming.put(line.rstrip())
-        self._coming.put(None)
-
-    def expect(self, words: str) -> str:
-        """Read on until a line holds some words."""
-        end_s = time.monotonic() + PATIENCE_S
-        while (line := self._coming.get(timeout=max(end_s - time.monotonic(), 0.1))) is not None:
-            self.lines.append(line)
-            if words in line:
-                return line
-        raise AssertionError(f"{words!r} never came: {self.lines}")
-
-    def end(self, *, interrupt: bool = False) -> int:
-        """Its exit code; the lines that were left are read."""
-        if interrupt:
-            self.child.send_signal(signal.SIGINT)
-        code = self.child.wait(PATIENCE_S)
-        while (line := self._coming.get(timeout=PATIENCE_S)) is not None:
-            self.lines.append(line)
-        return code
-
-
-class Vehicle(Process):
+class Vehicle:
     """A served mock vehicle, with its true positions."""
 
-    def __init__(self, truth: Path, *arguments: str) -> None:
-        super().__init__(
-            "sitl_mocks.cli", "serve", "--link", "udpin:127.0.0.1:0", "--truth", str(truth), *arguments
-        )
-        self.address = "udpout://127.0.0.1:" + self.expect("link udpin").rpartition(":")[2]
-        self.expect("ready")
+    def __init__(self, start: Callable[..., Any], truth: Path, *arguments: str) -> None:
+        link = ("--link", "udpin:127.0.0.1:0", "--truth", truth)
+        self._child = start("sitl_mocks.cli", "serve", *link, *arguments)
+        self._child.wait_for("ready")
+        self.address = "udpout://127.0.0.1:" + self._child.wait_for(r"link udpin:.*:(\d+)")[1]
         self._truth = truth
 
-    def left(self) -> dict[str, object]:
+    def left(self) -> dict[str, Any]:
         """End it; how it was left."""
-        assert self.end(interrupt=True) == 0
-        left: dict[str, object] = json.loads(self.lines[-1])
+        assert self._child.end() == 0
+        left: dict[str, Any] = json.loads(self._child.output.splitlines()[-1])
         return left
 
     def path(self) -> list[list[float]]:
         """Rows of UTC (s), north, east, down (m)."""
         return [[float(v) for v in line.split(",")] for line in self._truth.read_text().splitlines()[1:]]
-
-
-@pytest.fixture
-def serve(tmp_path: Path) -> Iterator[Callable[..., Vehicle]]:
-    """Starts vehicles; none is left behind."""
-    vehicles: list[Vehicle] = []
-
-    def start(*arguments: str) -> Vehicle:
-        vehicles.append(Vehicle(tmp_path / f"{len(vehicles)}.csv", *arguments))
-        return vehicles[-1]
-
-    yield start
-    for vehicle in vehicles:
-        vehicle.child.kill()
-        vehicle.child.wait(PATIENCE_S)
 
 
 @pytest.fixture
@@ -115,60 +58,63 @@ def plan(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_two_vehicles_meet_as_a_scenario_says_and_land(tmp_path, serve):
+def test_two_vehicles_meet_as_a_scenario_says_and_land(tmp_path, start):
     """ArduPilot and PX4 manners: take-off, gathering, start together, both flown and landed."""
     scenario = tmp_path / "s.toml"
     scenario.write_text(
-        "[[path]]\npoints = [[0, -6, 0, -4], [4, 6, 0, -4]]\n[[path]]\npoints = [[0, 6, 8, -4], [4, -6, 8, -4]]\n"
+        "[[path]]\npoints = [[0, -6, 0, -4], [4, 6, 0, -4]]\n"
+        "[[path]]\npoints = [[0, 36, 8, -4], [4, 48, 8, -4]]\n"
     )
-    a = serve("--firmware", "ardupilot")
-    b = serve("--firmware", "px4", "--system-id", "2", "--start", "0", "8")
-    fly = Process("ground_tools.cli", "fly", a.address, b.address, "--scenario", str(scenario), "--takeoff", "4",
-                  "--start", "--land", "--json")  # fmt: skip
-    fly.expect("all at their starts: go")
-    assert fly.end() == 0, fly.lines
-    report = json.loads(fly.lines[-1])
+    a = Vehicle(start, tmp_path / "a.csv", "--firmware", "ardupilot")
+    b = Vehicle(start, tmp_path / "b.csv", "--firmware", "px4", "--system-id", "2", "--start", "0", "8")
+    fly = start("ground_tools.cli", "fly", a.address, b.address, "--scenario", scenario, "--takeoff", "4",
+                "--start", "--land", "--json")  # fmt: skip
+    fly.wait_for("all at their starts: go")
+    assert fly.process.wait(PATIENCE_S) == 0, fly.output
+    report = json.loads(fly.output.splitlines()[-1])
     assert report["ok"] is True
     assert [v["firmware"] for v in report["vehicles"]] == ["ardupilot", "px4"]
-    for vehicle, (north, east) in ((a, (6.0, 0.0)), (b, (-6.0, 8.0))):
+    passing = []
+    for vehicle, begins, ends, east in ((a, -6.0, 6.0, 0.0), (b, 36.0, 48.0, 8.0)):
         left = vehicle.left()
         assert left["armed"] is False
         assert left["setpoints_received"] == 0
-        assert left["position_ned_m"] == pytest.approx([north, east, 0.0], abs=1.5)
-        start = (-north, east, -4.0)
-        assert min(math.dist(row[1:], start) for row in vehicle.path()) < 1.5
-    # Neither begins before the other is there: they pass the middle at the same time.
-    passing = [min(v.path(), key=lambda row: abs(row[1]) + 9.0 * (row[3] > -3.0))[0] for v in (a, b)]
+        assert left["position_ned_m"] == pytest.approx([ends, east, 0.0], abs=1.5)
+        near = [
+            [math.dist(row[1:], (north, east, -4.0)) for row in vehicle.path()] for north in (begins, ends)
+        ]
+        assert min(near[0]) < 1.5
+        passing.append(next(row[0] for row, gap in zip(vehicle.path(), near[1], strict=True) if gap < 3.0))
+    # One has 6 m to its start, the other 36 m, and still they are at their ends together.
     assert passing[0] == pytest.approx(passing[1], abs=2.5)
 
 
-def test_ctrl_c_in_flight_leaves_it_holding(serve, plan):
+def test_ctrl_c_in_flight_leaves_it_holding(tmp_path, start, plan):
     """From the ground by the mission's own take-off; on ArduPilot to BRAKE, armed, in the air."""
-    vehicle = serve("--firmware", "ardupilot")
-    fly = Process("ground_tools.cli", "fly", vehicle.address, "--mission", plan, "--start", "--wait")
-    fly.expect("holds the mission, 3 items, read back and compared")
-    fly.expect("mission: item 3, AUTO")
-    assert fly.end(interrupt=True) == 130
-    assert "in BRAKE: armed; land it" in fly.lines[-1]
+    vehicle = Vehicle(start, tmp_path / "a.csv", "--firmware", "ardupilot")
+    fly = start("ground_tools.cli", "fly", vehicle.address, "--mission", plan, "--start", "--wait")
+    fly.wait_for("holds the mission, 3 items, read back and compared")
+    fly.wait_for("mission: item 3, AUTO")
+    assert fly.end() == 130
+    assert fly.output.endswith("in BRAKE: armed; land it\n")
     left = vehicle.left()
     assert (left["mode"], left["armed"]) == ("brake", True)
     assert left["position_ned_m"][2] < -3.0
 
 
-def test_what_the_vehicle_says_when_it_refuses(serve, plan):
+def test_what_the_vehicle_says_when_it_refuses(tmp_path, start, plan):
     """Arming is tried again; Ctrl-C ends it. Then: on the ground, a mission that begins in the air."""
-    vehicle = serve("--firmware", "ardupilot", "--did", "require")
-    fly = Process("ground_tools.cli", "fly", vehicle.address, "--takeoff", "5")
-    line = fly.expect("trying again")
-    assert "vehicle 1: COMPONENT_ARM_DISARM refused (FAILED): Arm: OpenDroneID:" in line
-    assert fly.end(interrupt=True) == 130
-    assert fly.lines[-1].endswith("vehicle 1 was not commanded anything")
+    vehicle = Vehicle(start, tmp_path / "a.csv", "--firmware", "ardupilot", "--did", "require")
+    fly = start("ground_tools.cli", "fly", vehicle.address, "--takeoff", "5")
+    fly.wait_for(r"vehicle 1: COMPONENT_ARM_DISARM refused \(FAILED\): Arm: OpenDroneID: .*; trying again")
+    assert fly.end() == 130
+    assert fly.output.endswith("vehicle 1 was not commanded anything\n")
     Path(plan).write_text(
         json.dumps({"fileType": "Plan", "mission": {"items": PLAN["mission"]["items"][1:]}})
     )
-    fly = Process("ground_tools.cli", "fly", vehicle.address, "--mission", plan, "--start")
-    fly.expect("vehicle 1: on the ground, and its mission does not begin with a take-off; add --takeoff")
-    assert fly.end() == 1
+    fly = start("ground_tools.cli", "fly", vehicle.address, "--mission", plan, "--start")
+    fly.wait_for("vehicle 1: on the ground, and its mission does not begin with a take-off; add --takeoff")
+    assert fly.process.wait(PATIENCE_S) == 1
     assert vehicle.left()["armed"] is False
 
 

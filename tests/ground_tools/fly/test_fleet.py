@@ -68,13 +68,13 @@ ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
     [
         (ARDUPILOT, "AUTO", {"AUTO"}, [FlightMode.HOLD], "holds at 20.0 m, in BRAKE"),
         (ARDUPILOT, "GUIDED", {"GUIDED"}, [FlightMode.HOLD], "holds at 20.0 m, in BRAKE"),
-        (ARDUPILOT, "GUIDED", {"AUTO"}, [], "flown by somebody else, at 20.0 m: left in GUIDED"),
-        (ARDUPILOT, "LOITER", {"AUTO"}, [], "flown by somebody else, at 20.0 m: left in LOITER"),
+        (ARDUPILOT, "GUIDED", {"AUTO"}, [], "in somebody else's hands, at 20.0 m: left in GUIDED"),
+        (ARDUPILOT, "LOITER", {"AUTO"}, [], "in somebody else's hands, at 20.0 m: left in LOITER"),
         (ARDUPILOT, "LAND", {"LAND"}, [], "comes down, at 20.0 m: left in LAND"),
         (ARDUPILOT, "AUTO", set(), [], "not commanded anything"),
         (PX4, "AUTO.MISSION", {"AUTO.MISSION"}, [FlightMode.HOLD], "holds at 20.0 m, in AUTO.LOITER"),
         (PX4, "AUTO.LOITER", {"AUTO.MISSION"}, [], "holds at 20.0 m, in AUTO.LOITER"),
-        (PX4, "OFFBOARD", {"AUTO.MISSION"}, [], "flown by somebody else, at 20.0 m: left in OFFBOARD"),
+        (PX4, "OFFBOARD", {"AUTO.MISSION"}, [], "in somebody else's hands, at 20.0 m: left in OFFBOARD"),
         (PX4, "AUTO.RTL", {"AUTO.MISSION"}, [], "comes down, at 20.0 m: left in AUTO.RTL"),
     ],
 )
@@ -127,12 +127,17 @@ def test_when_a_mission_is_flown(state, reached, answer):
     assert finished(state, reached, 4) is answer
 
 
-def waiting(vehicle: Made, *items: MissionItem, seq: int) -> str | None:
-    """What ends the wait for its mission: the error, or None."""
+def waiting(vehicle: Made, *items: MissionItem, seq: int, landed: bool = False) -> str | None:
+    """What ends the wait for its mission at an item: the error, or None. Landed, it forgets the item."""
     fleet = fleet_of(vehicle)
     fleet._missions = [items]
+    vehicle.on_ground, vehicle.armed = False, True
     vehicle.messages["MISSION_CURRENT"] = {"seq": seq, "mission_state": 3}
     try:
+        assert not fleet._is_finished(vehicle)
+        if landed:
+            vehicle.on_ground, vehicle.armed = True, False
+            vehicle.messages["MISSION_CURRENT"]["seq"] = vehicle.first_seq
         fleet.wait()
     except VehicleError as error:
         return str(error)
@@ -160,9 +165,9 @@ def test_a_return_that_the_mission_did_not_ask_for_is_no_end_of_it():
     # At the item that asks for it, it is awaited down to the ground.
     with pytest.raises(TimeoutError):
         waiting(vehicle, WAYPOINT, RTL, seq=1)
-    vehicle.on_ground, vehicle.armed = True, False
-    assert waiting(vehicle, WAYPOINT, RTL, seq=1) is None
-    assert "disarmed by itself" in (waiting(vehicle, WAYPOINT, seq=0) or "")
+    assert waiting(vehicle, WAYPOINT, RTL, seq=1, landed=True) is None
+    assert "disarmed by itself" in (waiting(vehicle, WAYPOINT, RTL, seq=0, landed=True) or "")
+    assert "disarmed by itself" in (waiting(vehicle, WAYPOINT, seq=0, landed=True) or "")
 
 
 @pytest.mark.usefixtures("clock")
@@ -171,7 +176,9 @@ def test_a_companion_may_fly_a_conflict_out():
     with pytest.raises(TimeoutError):
         waiting(vehicle, WAYPOINT, seq=1)
     vehicle.mode = "STABILIZE"
-    assert "is in STABILIZE, not AUTO or GUIDED: somebody else" in (waiting(vehicle, WAYPOINT, seq=1) or "")
+    assert "is in STABILIZE, not AUTO or GUIDED, by a pilot or a failsafe" in (
+        waiting(vehicle, WAYPOINT, seq=1) or ""
+    )
 
 
 @pytest.mark.usefixtures("clock")
