@@ -119,6 +119,15 @@ def test_one_that_is_silent_does_not_keep_the_others_from_being_made_safe():
     assert heard.told == [FlightMode.HOLD]
 
 
+def test_a_mission_that_begins_in_the_air_is_not_started_on_the_ground():
+    vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
+    fleet = fleet_of(vehicle)
+    fleet._missions = [(WAYPOINT, RTL)]
+    with pytest.raises(VehicleError, match="does not begin with a take-off; add --takeoff"):
+        fleet.start()
+    assert vehicle.told == []
+
+
 @pytest.mark.parametrize(
     ("state", "reached", "answer"),
     [(5, None, True), (3, 4, False), (2, None, False), (0, 4, True), (0, 3, False), (0, None, False)],
