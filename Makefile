@@ -43,5 +43,5 @@ clean:
 
 .venv/dev.stamp: pyproject.toml | .venv/bin/python
 	@echo "installing dmuca with its test and inspection tools into .venv (once; a few minutes)"
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,inspect,train,cluster]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,inspect,train,cluster,fly]'
 	@touch .venv/base.stamp $@

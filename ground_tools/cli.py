@@ -11,6 +11,7 @@ from ground_tools import orca_check
 from ground_tools.atmc import command as atmc_command
 from ground_tools.campaign import command as campaign_command
 from ground_tools.channel import command as channel_command
+from ground_tools.fly import command as fly_command
 from ground_tools.inspect import command as inspect_command
 from ground_tools.inspect import picture
 from ground_tools.paper import command as paper_command
@@ -18,6 +19,7 @@ from ground_tools.paper import command as paper_command
 _EXAMPLES = """examples:
   ground-tools inspect runs/20260101T000000Z-demo
   ground-tools picture runs/20260101T000000Z-demo --out demo.png
+  ground-tools fly udpin://0.0.0.0:14550 --takeoff 30 --mission survey.plan --start --land
   ground-tools orca check cases.json
   ground-tools campaign run --generator S2 --aircraft 5 --seeds 1-1000
   ground-tools channel table --sides 500 --rates 9
@@ -33,6 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, module, words in (
         ("inspect", inspect_command, "a run folder as a Rerun recording, or its summary"),
         ("picture", picture, "a run folder as one PNG"),
+        ("fly", fly_command, "arm, take off, upload, start and land vehicles"),
         ("paper", paper_command, "the paper's figures, beside what it says of them"),
     ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -1,0 +1,1 @@
+"""`ground-tools fly`: arm, take off, upload, start and land one or many vehicles, over MAVSDK."""

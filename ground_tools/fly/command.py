@@ -1,0 +1,197 @@
+"""`ground-tools fly ADDRESS...`: arm, take off, upload, start, land; one vehicle at each address.
+
+The steps are done in this order whatever the order of the options: upload, take off, start, wait, land. It
+never sends setpoints: in flight those are the companion's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from companion.errors import ConfigError
+from companion.events import MissionItem, Vec3
+from ground_tools.fly import missions
+from ground_tools.fly.fleet import Fleet
+from ground_tools.fly.vehicle import Vehicle, VehicleError, load_mavsdk
+from sitl_mocks import settings
+from sitl_mocks.lockstep import paths_of
+from sitl_mocks.signals import end_signals
+
+_CONNECT_S = 30.0
+_EXAMPLES = """examples:
+  ground-tools fly udpin://0.0.0.0:14550 --takeoff 30 --mission survey.plan --start --land
+  ground-tools fly udpout://127.0.0.1:14550 udpout://127.0.0.1:14551 --takeoff 30 \\
+      --scenario config/scenarios/head_on.toml --start --land
+  ground-tools fly tcpout://127.0.0.1:5760 --land
+
+A failure or Ctrl-C leaves vehicles in the air holding (BRAKE on ArduPilot, HOLD on PX4) and says so; nothing
+is disarmed in the air. Exit code: 0 done, 1 a vehicle refused or was lost, 2 wrong input, 130 Ctrl-C.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `ground-tools fly`."""
+    parser.epilog = _EXAMPLES
+    add = parser.add_argument
+    add("address", nargs="+", metavar="ADDRESS", help="where a vehicle is: udpin://HOST:PORT, "
+        "udpout://HOST:PORT, tcpout://HOST:PORT, serial://DEVICE:BAUD")  # fmt: skip
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--mission", type=Path, action="append", metavar="FILE",
+                      help=".plan or QGC WPL 110 file to upload; once for each ADDRESS")  # fmt: skip
+    what.add_argument("--scenario", type=Path, metavar="FILE",
+                      help="upload a scenario's paths as missions, aircraft k to ADDRESS k, around the "
+                      "first vehicle's home; with --start they begin together")  # fmt: skip
+    add("--seed", type=int, default=1, help="of a scenario's drawn paths (default 1)")
+    add("--takeoff", type=float, metavar="HEIGHT", help="arm and take off to this height above home (m)")
+    add("--start", action="store_true", help="start the missions")
+    add("--wait", action="store_true", help="wait until the missions that --start started are flown")
+    add("--land", action="store_true", help="land at once, or after --start when the missions are flown")
+    add("--json", action="store_true", help="print the result as one JSON object; progress to stderr")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do the steps. Returns 0 when all are done, 1 when a vehicle refused or was lost, 130 after Ctrl-C.
+
+    Raises:
+        ConfigError: an option, an address or a file is wrong, or mavsdk is missing.
+    """
+    _check(args)
+    missions_at = _missions(args)
+    load_mavsdk()
+    began_s = time.monotonic()
+
+    def say(text: str) -> None:
+        print(
+            f"[{time.monotonic() - began_s:5.1f} s] {text}",
+            file=sys.stderr if args.json else sys.stdout,
+            flush=True,
+        )
+
+    vehicles: list[Vehicle] = []
+    error: str | None = None
+    left: dict[str, str] = {}
+    ended: list[int] = []
+    try:
+        for number, address in enumerate(args.address, start=1):
+            vehicles.append(Vehicle.connect(f"vehicle {number}", address, _CONNECT_S))
+            say(_introduction(vehicles[-1], address))
+        # From here on Ctrl-C waits for what is under way, and vehicles are left safe.
+        with end_signals() as ended:
+            fleet = Fleet(vehicles, say, ended)
+            try:
+                _fly(fleet, args, missions_at)
+            except BaseException as trouble:
+                error = _tell(trouble)
+                left = fleet.make_safe()
+                for name, what in left.items():
+                    say(f"{name} {what}")
+                if not isinstance(trouble, VehicleError | KeyboardInterrupt):
+                    raise
+    except VehicleError as trouble:
+        error = _tell(trouble)
+    finally:
+        report = _report(args, vehicles, error, left)
+        for vehicle in vehicles:
+            vehicle.close()
+    if args.json:
+        print(json.dumps(report | {"seconds": round(time.monotonic() - began_s, 1)}))
+    return 130 if ended else 0 if error is None else 1
+
+
+def _fly(
+    fleet: Fleet,
+    args: argparse.Namespace,
+    missions_at: Callable[[Vec3], Sequence[tuple[MissionItem, ...]]] | None,
+) -> None:
+    """The steps, in order."""
+    if missions_at is not None:
+        fleet.wait_for_home()
+        fleet.upload(missions_at(fleet.vehicles[0].home))
+    if args.takeoff is not None:
+        fleet.take_off(args.takeoff)
+    if args.start:
+        fleet.start()
+        if args.scenario is not None:
+            fleet.gather()
+        if args.wait or args.land:
+            fleet.wait()
+    if args.land:
+        fleet.land()
+
+
+def _tell(trouble: BaseException) -> str:
+    """Say why it ends here."""
+    error = str(trouble) or "broken off"
+    print(f"ground-tools fly: {error}", file=sys.stderr, flush=True)
+    return error
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Options that do not go together. Raises ConfigError."""
+    if not (args.mission or args.scenario or args.takeoff is not None or args.start or args.land):
+        raise ConfigError("nothing to do: give --mission, --scenario, --takeoff, --start or --land")
+    if len(set(args.address)) < len(args.address):
+        raise ConfigError("ADDRESS: one is given twice; allowed is one vehicle at each")
+    if args.takeoff is not None and not 1.0 <= args.takeoff <= 500.0:
+        raise ConfigError(f"--takeoff: {args.takeoff:g}: allowed 1 to 500 (m)")
+    if args.wait and not args.start:
+        raise ConfigError("--wait: waits for missions that --start starts; give both")
+    if args.seed < 0:
+        raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
+
+
+def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[MissionItem, ...]]] | None:
+    """The missions as a function of the first vehicle's home; what is wrong in a file is found before."""
+    count = len(args.address)
+    if args.mission is not None:
+        if len(args.mission) != count:
+            raise ConfigError(
+                f"--mission: {len(args.mission)} files for {count} vehicles; allowed is one for each"
+            )
+        read = [missions.load(path) for path in args.mission]
+        return lambda _: read
+    if args.scenario is None:
+        return None
+    scenario = settings.load(args.scenario)
+    paths = len(paths_of(scenario, args.seed))
+    if paths != count:
+        raise ConfigError(
+            f"--scenario: {args.scenario}: {paths} aircraft for {count} vehicles; allowed is one for each"
+        )
+    missions.scenario_missions(scenario, args.seed, (0.0, 0.0, 0.0))  # What is wrong shows anywhere.
+    return lambda home: missions.scenario_missions(scenario, args.seed, home)
+
+
+def _introduction(vehicle: Vehicle, address: str) -> str:
+    where = "on the ground" if vehicle.on_ground else f"in the air at {vehicle.height_m:.1f} m"
+    armed = "armed" if vehicle.armed else "disarmed"
+    kind = f"{vehicle.firmware.value}, system {vehicle.system_id}"
+    return f"{vehicle.name}: {address}, {kind}, {where}, {armed}, {vehicle.mode}"
+
+
+def _report(
+    args: argparse.Namespace, vehicles: Sequence[Vehicle], error: str | None, left: dict[str, str]
+) -> dict[str, object]:
+    """What --json prints."""
+    return {
+        "ok": error is None,
+        "error": error,
+        "vehicles": [
+            {
+                "address": address,
+                "firmware": vehicle.firmware.value,
+                "system_id": vehicle.system_id,
+                "mode": vehicle.mode,
+                "armed": vehicle.armed,
+                "on_ground": vehicle.on_ground,
+                "height_m": vehicle.height_m,
+                "left": left.get(vehicle.name),
+            }
+            for address, vehicle in zip(args.address, vehicles, strict=False)
+        ],
+    }

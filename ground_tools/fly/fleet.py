@@ -1,0 +1,335 @@
+"""The steps of `ground-tools fly`, each over all vehicles: all are commanded, then all are waited for."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+
+from companion.autopilot.mission import NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF
+from companion.events import Firmware, FlightMode, MissionItem
+from companion.geometry import LocalFrame
+from ground_tools.fly.missions import begins_with_takeoff
+from ground_tools.fly.vehicle import ARM_DISARM, COMING_DOWN, SILENT_S, Vehicle, VehicleError
+
+MISSION_START = 300
+READY_S = 90.0
+"""A cold ArduPilot takes 30 to 45 s until it can be armed."""
+_AGAIN_S = 2.0
+_TRIES, _GO_S = 5, 1.0
+_START_S = 10.0
+_SETTLED_S = 0.5
+"""After an ACK; what was sent before it has come by then."""
+_ELSEWHERE_S = 3.0
+"""A mode that is not the step's for longer was chosen by somebody else."""
+_SLOW_MPS = 0.3
+"""Slowest climb and descent that are waited for."""
+_AT_START_M = 3.0
+_POLL_S = 0.1
+_ENDS = frozenset({NAV_LAND, NAV_RETURN_TO_LAUNCH})
+_UNKNOWN, _ACTIVE, _COMPLETE = 0, 3, 5
+"""MISSION_STATE; 0 also from firmware that does not tell."""
+
+
+def finished(state: int, reached: int | None, last_seq: int) -> bool:
+    """Whether a mission is flown: MISSION_STATE, or the last item reached where that is not told."""
+    return state == _COMPLETE or (state == _UNKNOWN and reached == last_seq)
+
+
+class Fleet:
+    """Vehicles that fly together.
+
+    Args:
+        say: takes one line of progress.
+        ended: not empty once the user broke off; the next step raises KeyboardInterrupt then.
+    """
+
+    def __init__(self, vehicles: Sequence[Vehicle], say: Callable[[str], None], ended: Sequence[int]) -> None:
+        self.vehicles = vehicles
+        self._say = say
+        self._ended = ended
+        self._missions: list[tuple[MissionItem, ...]] = [()] * len(vehicles)
+        self._elsewhere_s: dict[str, float] = {}
+        """By name: since when a vehicle is in a mode that nobody here asked for."""
+        self._ending: set[str] = set()
+        """Names of those that are at the landing that ends their mission."""
+
+    def wait_for_home(self) -> None:
+        """Until every vehicle knows where it is. Raises VehicleError."""
+
+        def known(vehicle: Vehicle) -> bool:
+            return bool(vehicle.last("HOME_POSITION"))
+
+        self._until(known, READY_S, "home", lambda v: "not known yet", quiet=True)
+
+    def upload(self, missions: Sequence[tuple[MissionItem, ...]]) -> None:
+        """Each vehicle its mission. Raises VehicleError."""
+        self._missions = list(missions)
+        for vehicle, items in zip(self.vehicles, missions, strict=True):
+            self._check_interrupt()
+            vehicle.upload(items)
+            self._say(f"{vehicle.name}: holds the mission, {len(items)} items, read back and compared")
+
+    def take_off(self, height_m: float) -> None:
+        """From the ground to a height above home. Raises VehicleError."""
+        for vehicle in self.vehicles:
+            if not vehicle.on_ground:
+                raise VehicleError(f"{vehicle.name}: cannot take off: in the air at {vehicle.height_m:.1f} m")
+        self._wait_ready()
+        for vehicle in self.vehicles:
+            self._arm(vehicle)
+            self._check_interrupt()
+            vehicle.ours = vehicle.modes.climbing
+            if vehicle.firmware is Firmware.PX4:
+                # Above mean sea level; yaw and place left open.
+                vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, None, None, None, vehicle.home[2] + height_m)
+            else:
+                vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
+            self._say(f"{vehicle.name}: armed, takes off to {height_m:g} m")
+        enough_m = height_m - max(0.5, 0.05 * height_m)
+
+        def up(vehicle: Vehicle) -> bool:
+            self._must_fly_in(vehicle, vehicle.modes.climbing | {vehicle.modes.external})
+            return vehicle.height_m >= enough_m and not vehicle.on_ground
+
+        self._until(up, 30.0 + height_m / _SLOW_MPS, "take-off", lambda v: f"{v.height_m:.0f} m")
+
+    def start(self) -> None:
+        """Start the missions, all at once; from the ground where they begin with a take-off.
+
+        Raises:
+            VehicleError: also when it is on the ground and its mission begins in the air.
+        """
+        standing = [vehicle for vehicle in self.vehicles if vehicle.on_ground]
+        for vehicle, items in zip(self.vehicles, self._missions, strict=True):
+            if vehicle in standing and not begins_with_takeoff(items):
+                raise VehicleError(
+                    f"{vehicle.name}: on the ground, and its mission does not begin with a take-off; "
+                    "add --takeoff"
+                )
+        if standing:
+            self._wait_ready()
+        for vehicle in standing:
+            self._arm(vehicle)
+        for vehicle in self.vehicles:
+            self._check_interrupt()
+            self._start(vehicle)
+            self._say(f"{vehicle.name}: flies its mission")
+
+    def gather(self) -> None:
+        """Wait until all are at their first waypoint, then let all go on. Raises VehicleError."""
+        far: dict[str, float] = {}
+
+        def there(vehicle: Vehicle) -> bool:
+            self._must_fly_in(vehicle, {vehicle.modes.mission, vehicle.modes.external})
+            item = self._missions[self.vehicles.index(vehicle)][0]
+            assert item.lat_deg is not None
+            assert item.lon_deg is not None
+            assert item.alt_m is not None
+            start = LocalFrame(item.lat_deg, item.lon_deg, item.alt_m)
+            far[vehicle.name] = math.hypot(*start.to_ned(*vehicle.place))
+            return far[vehicle.name] <= _AT_START_M
+
+        self._until(there, math.inf, "way to the start", lambda v: f"{far[v.name]:.0f} m away")
+        self._say("all at their starts: go")
+        for _ in range(_TRIES):
+            waiting = [vehicle for vehicle in self.vehicles if vehicle.item < 2]
+            if not waiting:
+                return
+            for vehicle in waiting:
+                vehicle.go_on_with(2)
+            self._sleep(_GO_S)
+        raise VehicleError(f"{waiting[0].name}: does not go on with item 2 of its mission")
+
+    def wait(self) -> None:
+        """Until all missions are flown. Raises VehicleError."""
+        self._until(self._is_finished, math.inf, "mission", self._progress)
+
+    def land(self) -> None:
+        """Where they are, except those that come down already. Raises VehicleError."""
+        for vehicle in self.vehicles:
+            self._check_interrupt()
+            if (vehicle.on_ground and not vehicle.armed) or vehicle.mode in COMING_DOWN:
+                continue
+            vehicle.command(NAV_LAND, 0.0, 0.0, 0.0, None)
+            vehicle.ours = COMING_DOWN
+            self._say(f"{vehicle.name}: lands from {vehicle.height_m:.1f} m")
+        highest_m = max((v.height_m for v in self.vehicles if not v.on_ground), default=0.0)
+
+        def down(vehicle: Vehicle) -> bool:
+            if vehicle.on_ground and not vehicle.armed:
+                return True
+            if not vehicle.on_ground:
+                self._must_fly_in(vehicle, COMING_DOWN)
+            return False
+
+        self._until(down, 60.0 + max(highest_m, 0.0) / _SLOW_MPS, "landing", lambda v: f"{v.height_m:.0f} m")
+
+    def make_safe(self) -> dict[str, str]:
+        """Leave every vehicle safe after a failure or Ctrl-C; by name, what was done.
+
+        In the air it is told to hold, never disarmed; whom somebody else flies and who comes down already is
+        left alone. On the ground what we armed is disarmed, unless the autopilot itself says no.
+        """
+        done = {}
+        for vehicle in self.vehicles:
+            try:
+                done[vehicle.name] = self._leave(vehicle)
+            except VehicleError as error:
+                done[vehicle.name] = f"could not be told anything ({error}); its own failsafe decides"
+        return done
+
+    # ------------------------------------------------------------ inside
+
+    def _leave(self, vehicle: Vehicle) -> str:
+        if not vehicle.ours and not vehicle.armed_by_us:
+            return "was not commanded anything"
+        vehicle.hear_again()
+        if not vehicle.armed:
+            return "is disarmed"
+        if vehicle.on_ground and vehicle.armed_by_us:
+            try:
+                vehicle.command(ARM_DISARM, 0.0)
+            except VehicleError:
+                pass  # It is on its way up after all.
+            else:
+                return "is on the ground: disarmed"
+        if vehicle.mode in COMING_DOWN:
+            return f"comes down, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
+        if vehicle.mode not in (*vehicle.ours, vehicle.modes.holding):
+            return f"is in somebody else's hands, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
+        if vehicle.mode != vehicle.modes.holding:
+            vehicle.set_mode(FlightMode.HOLD)
+        return f"holds at {vehicle.height_m:.1f} m, in {vehicle.mode}: armed; land it"
+
+    def _wait_ready(self) -> None:
+        missing: dict[str, str | None] = {}
+
+        def ready(vehicle: Vehicle) -> bool:
+            missing[vehicle.name] = None if vehicle.armed else vehicle.not_ready()
+            return missing[vehicle.name] is None
+
+        self._until(ready, READY_S, "readiness", lambda v: missing[v.name] or "", quiet=True)
+
+    def _arm(self, vehicle: Vehicle) -> None:
+        """Into a mode that takes off, then arm; a refusal is tried again while the estimator settles."""
+        px4 = vehicle.firmware is Firmware.PX4
+        if vehicle.mode not in vehicle.modes.climbing:
+            vehicle.set_mode(FlightMode.HOLD if px4 else FlightMode.EXTERNAL)
+        end_s = time.monotonic() + READY_S
+        told = ""
+        while not vehicle.armed:
+            try:
+                vehicle.arm()
+            except VehicleError as error:
+                if time.monotonic() > end_s:
+                    raise
+                if str(error) != told:
+                    told = str(error)
+                    self._say(f"{error}; trying again")
+                self._sleep(_AGAIN_S)
+
+    def _start(self, vehicle: Vehicle) -> None:
+        """PX4 acknowledges a mission that it still checks and does not enter: asked until it flies."""
+        end_s = time.monotonic() + _START_S
+        while True:
+            vehicle.ours = frozenset({vehicle.modes.mission})
+            vehicle.command(MISSION_START)
+            acked_s = time.monotonic() + _SETTLED_S
+            while time.monotonic() < acked_s + 1.0:
+                state = vehicle.last("MISSION_CURRENT", acked_s).get("mission_state")
+                if vehicle.mode == vehicle.modes.mission and state in (_UNKNOWN, _ACTIVE, _COMPLETE):
+                    return
+                self._sleep(_POLL_S)
+            if time.monotonic() > end_s:
+                said = vehicle.said(end_s - _START_S)
+                raise VehicleError(
+                    f"{vehicle.name}: acknowledged the start of its mission and stays in {vehicle.mode}"
+                    + (f": {said}" if said else "")
+                )
+
+    def _is_finished(self, vehicle: Vehicle) -> bool:
+        items = self._missions[self.vehicles.index(vehicle)]
+        current = vehicle.last("MISSION_CURRENT")
+        # A mission that is there already: PX4's total counts all items, ArduPilot's leaves home out.
+        last_seq = (len(items) or current.get("total", 0)) - 1 + vehicle.first_seq
+        reached = vehicle.last("MISSION_ITEM_REACHED").get("seq")
+        if finished(current.get("mission_state", _UNKNOWN), reached, last_seq):
+            return True
+        modes = {vehicle.modes.mission, vehicle.modes.external}
+        if (not items or items[-1].command in _ENDS) and current.get("seq", 0) >= last_seq:
+            self._ending.add(vehicle.name)
+        if vehicle.name in self._ending:
+            # PX4 flies the RTL at a mission's end in RTL's own mode; before the end that is a failsafe.
+            # ArduPilot is back at its first item when it has landed and disarmed.
+            if vehicle.on_ground and not vehicle.armed:
+                return True
+            modes |= COMING_DOWN
+        self._must_fly_in(vehicle, modes)
+        return False
+
+    def _progress(self, vehicle: Vehicle) -> str:
+        return f"item {vehicle.item}, {vehicle.mode}"
+
+    def _must_fly_in(self, vehicle: Vehicle, modes: set[str] | frozenset[str]) -> None:
+        """Raise when it is disarmed, or in another mode and that not only for a moment."""
+        now_s = time.monotonic()
+        if vehicle.armed and vehicle.mode in modes:
+            self._elsewhere_s.pop(vehicle.name, None)
+            return
+        since_s = self._elsewhere_s.setdefault(vehicle.name, now_s)
+        said = vehicle.said(since_s - _ELSEWHERE_S)
+        why = f": {said}" if said else ""
+        if not vehicle.armed:
+            raise VehicleError(f"{vehicle.name}: disarmed by itself{why}")
+        if now_s - since_s > _ELSEWHERE_S:
+            wanted = " or ".join(sorted(modes))
+            raise VehicleError(
+                f"{vehicle.name}: is in {vehicle.mode}, not {wanted}, by a pilot or a failsafe{why}"
+            )
+
+    def _until(
+        self,
+        done: Callable[[Vehicle], bool],
+        patience_s: float,
+        what: str,
+        where: Callable[[Vehicle], str],
+        *,
+        quiet: bool = False,
+    ) -> None:
+        """Wait until something holds for every vehicle, once for each."""
+        left = list(self.vehicles)
+        end_s = time.monotonic() + patience_s
+        told: dict[str, str] = {}
+        told_s = time.monotonic()
+        while left:
+            self._check_interrupt()
+            for vehicle in list(left):
+                if vehicle.age_s("HEARTBEAT") > SILENT_S:
+                    raise VehicleError(f"{vehicle.name}: no heartbeat for {SILENT_S:g} s")
+                if done(vehicle):
+                    left.remove(vehicle)
+                    if not quiet:
+                        self._say(f"{vehicle.name}: {what} done")
+            if left and time.monotonic() > end_s:
+                vehicle = left[0]
+                raise VehicleError(
+                    f"{vehicle.name}: {what} not done after {patience_s:.0f} s: {where(vehicle)}"
+                )
+            if time.monotonic() - told_s > 5.0:
+                told_s = time.monotonic()
+                for vehicle in left:
+                    if told.get(vehicle.name) != where(vehicle):
+                        told[vehicle.name] = where(vehicle)
+                        self._say(f"{vehicle.name}: {what}: {where(vehicle)}")
+            time.sleep(_POLL_S)
+
+    def _sleep(self, seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self._check_interrupt()
+            time.sleep(_POLL_S)
+
+    def _check_interrupt(self) -> None:
+        if self._ended:
+            raise KeyboardInterrupt

@@ -1,0 +1,281 @@
+"""Missions to upload: QGroundControl's .plan, "QGC WPL 110" text, and a scenario's timed paths.
+
+A mission flown in part is another mission: what is not understood is refused, with the item's number. Items
+are numbered from 1, as the ground stations show them; ArduPilot's item 0, home, is not among them.
+
+Formats: QGroundControl's developer guide, "Plan File Format"; MAVLink's guide, "Mission Plain-Text File
+Format".
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from companion.autopilot.mission import DO_CHANGE_SPEED, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF, NAV_WAYPOINT
+from companion.errors import ConfigError
+from companion.events import MissionItem, Vec3
+from companion.geometry import LocalFrame
+from sitl_mocks.lockstep import paths_of
+from sitl_mocks.settings import Scenario
+
+GATE_S = 3600.0
+"""How long a vehicle waits at its path's beginning for the others."""
+_DO_JUMP = 177
+_NAV_DELAY = 93
+_NAV_LAST = 95
+"""Commands above it steer nothing."""
+_GLOBAL, _MISSION = 0, 2
+_GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
+_SAME_FRAME = {5: 0, 6: 3, 11: 10}
+"""MAV_FRAME with places as whole numbers -> the same with places as floats."""
+_ACCEPTANCE_M = 1.0
+_SAME_PLACE_M = 0.01
+_WPL = "QGC WPL 110"
+_WPL_FIELDS = 12
+
+
+class _Simple(msgspec.Struct, frozen=True):
+    """A SimpleItem of a .plan."""
+
+    command: int
+    frame: int
+    params: tuple[
+        float | None, float | None, float | None, float | None, float | None, float | None, float | None
+    ]
+
+
+class _MissionPart(msgspec.Struct, frozen=True):
+    items: list[dict[str, object]]
+
+
+class _Fence(msgspec.Struct, frozen=True):
+    polygons: tuple[object, ...] = ()
+    circles: tuple[object, ...] = ()
+
+
+class _Rally(msgspec.Struct, frozen=True):
+    points: tuple[object, ...] = ()
+
+
+class _Plan(msgspec.Struct, frozen=True, rename="camel"):
+    """A .plan file; what only the ground station uses is of no concern here."""
+
+    file_type: Literal["Plan"]
+    mission: _MissionPart
+    geo_fence: _Fence = _Fence()
+    rally_points: _Rally = _Rally()
+
+
+def load(path: Path) -> tuple[MissionItem, ...]:
+    """Read a mission file in either format.
+
+    Raises:
+        ConfigError: names the file, the item and what is allowed.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not a mission file: byte {error.start} is no UTF-8") from error
+    items = _read_wpl(text, path) if text.startswith("QGC WPL") else _read_plan(text, path)
+    if not items:
+        raise ConfigError(f"{path}: no item in it")
+    for item in items:
+        why = _fault(item)
+        if why is not None:
+            raise ConfigError(f"{path}: item {item.seq}: command {item.command}: {why}")
+    return items
+
+
+def begins_with_takeoff(items: Sequence[MissionItem]) -> bool:
+    """The first item that moves the vehicle is a NAV_TAKEOFF."""
+    return next((item.command for item in items if item.command < _NAV_LAST), None) == NAV_TAKEOFF
+
+
+def scenario_missions(scenario: Scenario, seed: int, origin: Vec3) -> list[tuple[MissionItem, ...]]:
+    """One mission per aircraft of a scenario.
+
+    Item 1 is the path's beginning, where the vehicle waits for the others; then each leg at the speed that
+    the path's times ask for.
+
+    Args:
+        seed: of drawn geometries.
+        origin: latitude, longitude (deg) and altitude above mean sea level (m) of the scenario's (0, 0, 0).
+
+    Raises:
+        ConfigError: a path that is not above the ground.
+    """
+    frame = LocalFrame(*origin)
+    return [
+        _path_mission(number, [tuple(map(float, row)) for row in path], frame)
+        for number, path in enumerate(paths_of(scenario, seed))
+    ]
+
+
+def difference(sent: Sequence[MissionItem], back: Sequence[MissionItem]) -> str | None:
+    """Where a mission that was read back is not the one that was sent; None when it is the same.
+
+    Commands, the frames' datum, places and altitudes, hold times to the second (ArduPilot keeps no
+    fractions) and speeds are compared; the rest a vehicle may keep as it likes.
+    """
+    if len(sent) != len(back):
+        return f"{len(sent)} items were sent, {len(back)} came back"
+    for ours, theirs in zip(sent, back, strict=True):
+        if _essence(ours, theirs):
+            continue
+        return f"item {ours.seq}: {_words(ours)} was sent, {_words(theirs)} came back"
+    return None
+
+
+def _read_plan(text: str, path: Path) -> tuple[MissionItem, ...]:
+    try:
+        plan = msgspec.json.decode(text, type=_Plan)
+    except msgspec.DecodeError as error:
+        raise ConfigError(
+            f"{path}: neither a QGroundControl plan nor a {_WPL!r} file: {error}".replace("\n", " ")
+        ) from error
+    if plan.geo_fence.polygons or plan.geo_fence.circles:
+        raise ConfigError(f"{path}: geoFence: a fence is not uploaded; allowed is a plan without one")
+    if plan.rally_points.points:
+        raise ConfigError(f"{path}: rallyPoints: are not uploaded; allowed is a plan without any")
+    items = []
+    for number, raw in enumerate(plan.mission.items, start=1):
+        kind = raw.get("type")
+        if kind != "SimpleItem":
+            what = raw.get("complexItemType", kind)
+            raise ConfigError(f"{path}: item {number}: {what!r} is not understood; allowed is SimpleItem")
+        try:
+            simple = msgspec.convert(raw, _Simple)
+        except msgspec.ValidationError as error:
+            raise ConfigError(f"{path}: item {number}: {error}") from error
+        items.append(_item(number, simple.frame, simple.command, simple.params))
+    return tuple(items)
+
+
+def _read_wpl(text: str, path: Path) -> tuple[MissionItem, ...]:
+    """Rows of INDEX, CURRENT, FRAME, COMMAND, PARAM1-4, X, Y, Z, AUTOCONTINUE; row 0 is home."""
+    first, *rows = text.splitlines()
+    if first.split() != _WPL.split():
+        raise ConfigError(f"{path}: line 1: {first.strip()!r}: allowed is {_WPL!r}")
+    items: list[MissionItem] = []
+    for line, row in enumerate(rows, start=2):
+        fields = row.split()
+        if not fields:
+            continue
+        if len(fields) != _WPL_FIELDS:
+            raise ConfigError(f"{path}: line {line}: {len(fields)} fields; allowed is {_WPL_FIELDS}")
+        try:
+            index, _, frame, command = map(int, fields[:4])
+            numbers = [float(field) for field in fields[4:11]]
+        except ValueError as error:
+            raise ConfigError(f"{path}: line {line}: not a number in it: {error}") from error
+        if index != len(items):
+            raise ConfigError(f"{path}: line {line}: index {index}; allowed is {len(items)}")
+        params = [None if math.isnan(number) else number for number in numbers]
+        items.append(_item(index, frame, command, params))
+    return tuple(items[1:])
+
+
+def _item(number: int, frame: int, command: int, params: Sequence[float | None]) -> MissionItem:
+    p1, p2, p3, p4, x, y, z = params
+    return MissionItem(
+        seq=number, command=command, frame=frame, params=(p1, p2, p3, p4), lat_deg=x, lon_deg=y, alt_m=z
+    )
+
+
+def _fault(item: MissionItem) -> str | None:
+    """Why an item of a file cannot be uploaded as it is meant; None when it can."""
+    values = (*item.params, item.lat_deg, item.lon_deg, item.alt_m)
+    if not all(value is None or math.isfinite(value) for value in values):
+        return "a parameter that is not finite"
+    if item.command == _DO_JUMP:
+        return "DO_JUMP: a mission that repeats itself is not followed to its end"
+    if item.frame == _MISSION:
+        return "a place in MAV_FRAME 2" if item.command == NAV_WAYPOINT else None
+    if item.frame not in _GLOBAL_FRAMES:
+        return f"MAV_FRAME {item.frame}; allowed are 2 and {', '.join(map(str, sorted(_GLOBAL_FRAMES)))}"
+    if item.command >= _NAV_LAST or item.command in (NAV_RETURN_TO_LAUNCH, _NAV_DELAY):
+        return None
+    if item.lat_deg is None or item.lon_deg is None or item.alt_m is None:
+        return "latitude, longitude or altitude left open; all three are needed"
+    if abs(item.lat_deg) > 90.0 or abs(item.lon_deg) > 180.0:
+        return f"latitude {item.lat_deg:g}, longitude {item.lon_deg:g}: allowed are -90 to 90 and -180 to 180"
+    if item.command == NAV_WAYPOINT and item.lat_deg == item.lon_deg == 0.0:
+        return "0, 0 stands for the current position; a latitude and a longitude are needed"
+    return None
+
+
+def _path_mission(
+    number: int, rows: Sequence[tuple[float, ...]], frame: LocalFrame
+) -> tuple[MissionItem, ...]:
+    items: list[MissionItem] = []
+
+    def add(row: tuple[float, ...], hold_s: float) -> None:
+        _, north, east, down = row
+        if down >= 0.0:
+            raise ConfigError(
+                f"path[{number}]: a point {down:g} m down; allowed is above the ground, below 0"
+            )
+        lat, lon, alt = frame.to_geodetic(north, east, down)
+        items.append(_item(len(items) + 1, _GLOBAL, NAV_WAYPOINT,
+                           (hold_s, _ACCEPTANCE_M, 0.0, None, lat, lon, alt)))  # fmt: skip
+
+    add(rows[0], GATE_S)
+    speed_mps = 0.0
+    for a, b in itertools.pairwise(rows):
+        length_m, lasts_s = math.dist(a[1:], b[1:]), b[0] - a[0]
+        if length_m < _SAME_PLACE_M:
+            add(b, lasts_s)
+            continue
+        if not math.isclose(speed_mps, length_m / lasts_s, rel_tol=1e-3):
+            speed_mps = length_m / lasts_s
+            items.append(_item(len(items) + 1, _MISSION, DO_CHANGE_SPEED,
+                               (1.0, speed_mps, -1.0, 0.0, 0.0, 0.0, 0.0)))  # fmt: skip
+        add(b, 0.0)
+    return tuple(items)
+
+
+def _placed(item: MissionItem) -> bool:
+    """Its latitude, longitude and altitude are a place."""
+    moves = item.command < _NAV_LAST and item.command not in (NAV_RETURN_TO_LAUNCH, _NAV_DELAY)
+    return moves and item.frame in _GLOBAL_FRAMES
+
+
+def _essence(ours: MissionItem, theirs: MissionItem) -> bool:
+    """Whether two items are the same to fly."""
+    if ours.command != theirs.command:
+        return False
+    if ours.command == NAV_WAYPOINT and not _near(ours.params[0], theirs.params[0], 1.0):
+        return False
+    if ours.command == DO_CHANGE_SPEED and not _near(ours.params[1], theirs.params[1], 0.01):
+        return False
+    if not _placed(ours):
+        return True
+    frames = [_SAME_FRAME.get(item.frame, item.frame) for item in (ours, theirs)]
+    # ArduPilot keeps altitudes in cm.
+    return frames[0] == frames[1] and all(
+        _near(a, b, limit)
+        for a, b, limit in (
+            (ours.lat_deg, theirs.lat_deg, 1.5e-7),
+            (ours.lon_deg, theirs.lon_deg, 1.5e-7),
+            (ours.alt_m, theirs.alt_m, 0.02),
+        )
+    )
+
+
+def _near(a: float | None, b: float | None, limit: float) -> bool:
+    if a is None or b is None:
+        return a is b
+    return abs(a - b) < limit
+
+
+def _words(item: MissionItem) -> str:
+    place = f", {item.lat_deg}, {item.lon_deg}, {item.alt_m} m in frame {item.frame}" if _placed(item) else ""
+    return f"command {item.command} {item.params[0]}, {item.params[1]}{place}"

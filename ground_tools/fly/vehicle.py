@@ -1,0 +1,436 @@
+"""One vehicle over MAVSDK: what it tells, commands with their answers, missions up and back.
+
+Commands go as COMMAND_LONG through MAVSDK's mavlink_direct plugin, which repeats them until they are
+acknowledged. Its action plugin is not used: on PX4 it takes the height of a take-off from MIS_TAKEOFF_ALT and
+leaves that parameter changed, and an ACK of a mode proves nothing, so that the heartbeat must be read anyway.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.dialect import (
+    ARMED,
+    CMD_DO_SET_MODE,
+    CMD_SET_MESSAGE_INTERVAL,
+    CUSTOM_MODE_ENABLED,
+    DIALECTS,
+    FIRMWARES,
+    refusal,
+)
+from companion.errors import ConfigError
+from companion.events import Firmware, FlightMode, MissionItem, Vec3
+from ground_tools.fly.missions import difference
+
+ARM_DISARM = 400
+LANDED_ON_GROUND = int(mavlink.MAV_LANDED_STATE_ON_GROUND)
+SILENT_S = 10.0
+"""A vehicle whose heartbeat is older counts as lost."""
+_AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
+_CONFIRM_S = 5.0
+"""For a mode to show in the heartbeat, which may come once a second."""
+_TEXT_S = 0.5
+"""The reason of a refusal comes as text, around the time of its ACK."""
+_POLL_S = 0.05
+_FRESH_S = 2.0
+_OPEN = 0x7FFFFFFF
+"""x or y left open."""
+# Message id and interval (s) of what is looked at. Those that a firmware refuses it sends by itself (PX4's
+# MISSION_CURRENT).
+_RATES = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 0.2,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.2,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 0.2,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 0.2,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+}
+_HEARD = (
+    "HEARTBEAT", "GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE", "MISSION_CURRENT", "MISSION_ITEM_REACHED",
+    "HOME_POSITION", "SYS_STATUS",
+)  # fmt: skip
+_PREARM = int(mavlink.MAV_SYS_STATUS_PREARM_CHECK)
+_COMMANDS = {
+    number: entry.name.removeprefix("MAV_CMD_") for number, entry in mavlink.enums["MAV_CMD"].items()
+}
+_RESULTS = {
+    number: entry.name.removeprefix("MAV_RESULT_") for number, entry in mavlink.enums["MAV_RESULT"].items()
+}
+
+
+class VehicleError(Exception):
+    """A vehicle refused, did not do what it acknowledged, or was lost; the message names it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """The names of the modes that the steps lead through (`Dialect.name`)."""
+
+    climbing: frozenset[str]
+    """During a take-off and after it."""
+    mission: str
+    external: str
+    """A companion's: setpoints from outside."""
+    holding: str
+    """Where a vehicle is left when the work is broken off."""
+
+
+MODES = {
+    Firmware.ARDUPILOT: Modes(frozenset({"GUIDED"}), "AUTO", "GUIDED", "BRAKE"),
+    Firmware.PX4: Modes(
+        frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"}), "AUTO.MISSION", "OFFBOARD", "AUTO.LOITER"
+    ),
+}
+COMING_DOWN = frozenset({"LAND", "RTL", "SMART_RTL", "AUTO_RTL", "AUTO.LAND", "AUTO.RTL", "AUTO.PRECLAND"})
+
+
+def load_mavsdk() -> ModuleType:
+    """MAVSDK's native binding, its own log lines kept away from our output. Raises ConfigError."""
+    try:
+        import mavsdk
+        import mavsdk.logging
+        import mavsdk.plugins.mavlink_direct
+        import mavsdk.plugins.mission_raw
+        import mavsdk.plugins.telemetry
+    except ImportError as error:
+        raise ConfigError("mavsdk 4 is not installed; in the checkout: pip install -e '.[fly]'") from error
+    mavsdk.logging.log_subscribe(lambda *_: True)
+    return mavsdk  # type: ignore[no-any-return]
+
+
+class Vehicle:
+    """One vehicle on one connection of its own. Made by `connect`; `close` lets the connection go."""
+
+    def __init__(self, name: str, client: Any, system: Any, patience_s: float) -> None:
+        from mavsdk.plugins.mavlink_direct import MavlinkDirect
+        from mavsdk.plugins.mission_raw import MissionRaw
+        from mavsdk.plugins.telemetry import Telemetry
+
+        self.name = name
+        self.system_id: int = system.get_system_id()
+        self.ours: frozenset[str] = frozenset()
+        """Modes that it is in because of us; empty before anything was commanded."""
+        self.armed_by_us = False
+        self._client = client
+        self._direct = MavlinkDirect(system)
+        self._missions = MissionRaw(system)
+        self._telemetry = Telemetry(system)
+        self._heard: dict[str, tuple[float, dict[str, Any]]] = {}
+        self._texts: list[tuple[float, str]] = []
+        # Called from MAVSDK's own thread; each does one assignment or append.
+        for message in _HEARD:
+            self._direct.subscribe_message(message, self._hear)
+        self._telemetry.subscribe_status_text(
+            lambda said, _: self._texts.append((time.monotonic(), said.text))
+        )
+        self.firmware = self._recognise(patience_s)
+        self.modes = MODES[self.firmware]
+        self._dialect = DIALECTS[self.firmware]
+        self._ask_rates(patience_s)
+
+    @classmethod
+    def connect(cls, name: str, address: str, patience_s: float) -> Vehicle:
+        """Open a connection, find its vehicle, ask it for what is looked at.
+
+        Raises:
+            ConfigError: not an address, or not a vehicle that is supported, or several on one address.
+            VehicleError: nobody there, or no telemetry.
+        """
+        mavsdk = load_mavsdk()
+        kind = mavsdk.ComponentType.GROUND_STATION
+        client = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(kind))
+        try:
+            result = client.add_any_connection(address)
+            if result != mavsdk.ConnectionResult.SUCCESS:
+                raise ConfigError(
+                    f"{name}: {address}: {result.name}; allowed is an address like udpout://127.0.0.1:14550, "
+                    "udpin://0.0.0.0:14550, tcpout://127.0.0.1:5760 or serial:///dev/ttyACM0:57600"
+                )
+            # In slices, as no Ctrl-C is seen in between.
+            end_s = time.monotonic() + patience_s
+            system = client.first_autopilot(1.0)
+            while system is None and time.monotonic() < end_s:
+                system = client.first_autopilot(1.0)
+            if system is None:
+                raise VehicleError(f"{name}: no autopilot heard within {patience_s:g} s")
+            return cls(name, client, system, patience_s)
+        except BaseException:
+            client.destroy()
+            raise
+
+    def close(self) -> None:
+        """Let the connection go; the vehicle flies on."""
+        self._client.destroy()
+
+    # ------------------------------------------------------------ what it tells
+
+    def last(self, message: str, since_s: float = -math.inf) -> dict[str, Any]:
+        """The fields of the last message of a name; empty before the first one after `since_s`."""
+        at_s, fields = self._heard.get(message, (-math.inf, {}))
+        return fields if at_s >= since_s else {}
+
+    def age_s(self, message: str) -> float:
+        """Since the last message of a name."""
+        return time.monotonic() - self._heard.get(message, (-math.inf, {}))[0]
+
+    @property
+    def armed(self) -> bool:
+        """As the heartbeat says."""
+        return bool(self.last("HEARTBEAT").get("base_mode", 0) & ARMED)
+
+    @property
+    def mode(self) -> str:
+        """The mode in the autopilot's own words."""
+        return self._dialect.name(self.last("HEARTBEAT").get("custom_mode", -1))
+
+    @property
+    def on_ground(self) -> bool:
+        """As the autopilot's land detector says, and says now."""
+        landed = self.last("EXTENDED_SYS_STATE", time.monotonic() - _FRESH_S).get("landed_state")
+        return landed == LANDED_ON_GROUND
+
+    @property
+    def height_m(self) -> float:
+        """Above home."""
+        return float(self.last("GLOBAL_POSITION_INT").get("relative_alt", math.nan)) * 1e-3
+
+    @property
+    def place(self) -> Vec3:
+        """Latitude, longitude (deg), altitude above mean sea level (m)."""
+        fields = self.last("GLOBAL_POSITION_INT")
+        return fields["lat"] * 1e-7, fields["lon"] * 1e-7, fields["alt"] * 1e-3
+
+    @property
+    def home(self) -> Vec3:
+        """Latitude, longitude (deg), altitude above mean sea level (m)."""
+        fields = self.last("HOME_POSITION")
+        return fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3
+
+    @property
+    def item(self) -> int:
+        """Number of the mission's item that is flown, from 1."""
+        return int(self.last("MISSION_CURRENT").get("seq", 0)) + 1 - self.first_seq
+
+    def not_ready(self) -> str | None:
+        """Why it could not be armed yet, as far as it tells by itself; None when nothing is missing."""
+        place = self.last("GLOBAL_POSITION_INT")
+        if not place.get("lat") and not place.get("lon"):
+            return "no position yet"
+        if not self.last("HOME_POSITION"):
+            return "no home yet"
+        status = self.last("SYS_STATUS")
+        checked = status.get("onboard_control_sensors_present", 0) & _PREARM
+        if checked and not status.get("onboard_control_sensors_health", 0) & _PREARM:
+            return "pre-arm checks not passed yet"
+        return None
+
+    def said(self, since_s: float) -> str:
+        """The texts since a time (`time.monotonic`), in one line."""
+        return "; ".join(dict.fromkeys(text for at_s, text in list(self._texts) if at_s >= since_s))
+
+    # ------------------------------------------------------------ commands
+
+    def command(self, number: int, *params: float | None) -> None:
+        """Send a COMMAND_LONG and wait for its ACK; params left out are 0, None is NaN.
+
+        Raises:
+            VehicleError: refused (with what the vehicle said) or not acknowledged.
+        """
+        sent_s = time.monotonic()
+        result = self._acknowledged(number, params)
+        if result != mavlink.MAV_RESULT_ACCEPTED:
+            raise VehicleError(f"{self.name}: {self._refused(number, result, sent_s)}")
+
+    def set_mode(self, mode: FlightMode) -> None:
+        """Ask for a mode and wait until the heartbeat has it. Raises VehicleError."""
+        wanted = self._dialect.command(mode)
+        sent_s = time.monotonic()
+        self.command(CMD_DO_SET_MODE, CUSTOM_MODE_ENABLED, wanted.param2, wanted.param3)
+        if not self._within(
+            _CONFIRM_S, lambda: self.last("HEARTBEAT").get("custom_mode") == wanted.custom_mode
+        ):
+            name = self._dialect.name(wanted.custom_mode)
+            raise VehicleError(
+                f"{self.name}: acknowledged {name} and stays in {self.mode}{_because(self.said(sent_s))}"
+            )
+
+    def arm(self) -> None:
+        """Arm, and wait until the heartbeat says so. Raises VehicleError."""
+        sent_s = time.monotonic()
+        self.armed_by_us = True
+        try:
+            self.command(ARM_DISARM, 1.0)
+        except VehicleError:
+            self.armed_by_us = False
+            raise
+        if not self._within(_CONFIRM_S, lambda: self.armed):
+            raise VehicleError(
+                f"{self.name}: acknowledged arming and is disarmed{_because(self.said(sent_s))}"
+            )
+
+    def hear_again(self) -> None:
+        """Wait for a heartbeat from now on. Raises VehicleError."""
+        now_s = time.monotonic()
+        if not self._within(_CONFIRM_S, lambda: bool(self.last("HEARTBEAT", now_s))):
+            raise VehicleError(f"{self.name}: no heartbeat for {self.age_s('HEARTBEAT'):.0f} s")
+
+    def upload(self, items: Sequence[MissionItem]) -> None:
+        """Give it a mission, read it back and compare. Raises VehicleError."""
+        from mavsdk.plugins.mission_raw import MissionRawError
+
+        raw = [self._raw(item) for item in items]
+        if self.firmware is Firmware.ARDUPILOT:
+            lat, lon, alt = self.home
+            home = MissionItem(seq=0, command=16, frame=0, lat_deg=lat, lon_deg=lon, alt_m=alt)
+            raw.insert(0, self._raw(home))
+        for seq, item in enumerate(raw):
+            item.seq, item.current = seq, int(seq == 0)
+        sent_s = time.monotonic()
+        try:
+            self._missions.upload_mission(raw)
+            back = self._missions.download_mission()
+        except MissionRawError as error:
+            raise VehicleError(
+                f"{self.name}: {error.origin.removesuffix('()').replace('_', ' ')}: {error.result.name}"
+                f"{_because(self._reason(sent_s))}"
+            ) from error
+        wrong = difference(items, [_cooked(item) for item in back[self.first_seq :]])
+        if wrong is not None:
+            raise VehicleError(f"{self.name}: does not hold the mission that was sent: {wrong}")
+
+    def go_on_with(self, number: int) -> None:
+        """Send MISSION_SET_CURRENT with an item's number; `item` tells the rest. Raises VehicleError."""
+        from mavsdk.plugins.mavlink_direct import MavlinkDirectError
+
+        # Not MAVSDK's own call: it never returns when the item, a change of speed, is over at once.
+        message = self._message("MISSION_SET_CURRENT", {"seq": number - 1 + self.first_seq})
+        try:
+            self._direct.send_message(message)
+        except MavlinkDirectError as error:
+            raise VehicleError(f"{self.name}: MISSION_SET_CURRENT: {error.result.name}") from error
+
+    @property
+    def first_seq(self) -> int:
+        """Sequence number of item 1: ArduPilot keeps home as its item 0."""
+        return 1 if self.firmware is Firmware.ARDUPILOT else 0
+
+    # ------------------------------------------------------------ inside
+
+    def _hear(self, message: Any, _: object) -> None:
+        if message.component_id == _AUTOPILOT:
+            self._heard[message.message_name] = (time.monotonic(), json.loads(message.fields_json))
+
+    def _recognise(self, patience_s: float) -> Firmware:
+        """What it is, as its heartbeat says. Raises VehicleError, ConfigError."""
+        if not self._within(patience_s, lambda: bool(self.last("HEARTBEAT"))):
+            raise VehicleError(
+                f"{self.name}: no heartbeat from component {_AUTOPILOT} within {patience_s:g} s"
+            )
+        heartbeat = self.last("HEARTBEAT")
+        firmware = FIRMWARES.get(heartbeat["autopilot"])
+        if firmware is None:
+            raise ConfigError(
+                f"{self.name}: MAV_AUTOPILOT {heartbeat['autopilot']} is not supported; "
+                "supported are ArduPilot and PX4"
+            )
+        why = refusal(firmware, heartbeat["type"])
+        if why is not None:
+            raise ConfigError(f"{self.name}: {why}")
+        ids = sorted(
+            system.get_system_id() for system in self._client.get_systems() if system.has_autopilot()
+        )
+        if len(ids) > 1:
+            raise ConfigError(
+                f"{self.name}: several vehicles (systems {', '.join(map(str, ids))}); "
+                "allowed is one on each address"
+            )
+        return firmware
+
+    def _ask_rates(self, patience_s: float) -> None:
+        """Without it an ArduPilot tells nothing but its heartbeat. Raises VehicleError."""
+        for message_id, interval_s in _RATES.items():
+            self._acknowledged(CMD_SET_MESSAGE_INTERVAL, (message_id, interval_s * 1e6))
+        needed = ("GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE")
+        if not self._within(patience_s, lambda: all(self.last(name) for name in needed)):
+            missing = ", ".join(name for name in needed if not self.last(name))
+            raise VehicleError(f"{self.name}: no {missing} within {patience_s:g} s of asking for it")
+
+    def _acknowledged(self, number: int, params: Sequence[float | None]) -> int:
+        """Send a command; its MAV_RESULT. Raises VehicleError when no ACK comes."""
+        from mavsdk.plugins.mavlink_direct import MavlinkDirectError
+
+        fields: dict[str, float | None] = {"command": number, "confirmation": 0}
+        fields |= {f"param{n}": 0.0 for n in range(1, 8)}
+        fields |= {f"param{n}": value for n, value in enumerate(params, start=1)}
+        try:
+            answer = self._direct.send_command(self._message("COMMAND_LONG", fields))
+        except MavlinkDirectError as error:
+            raise VehicleError(f"{self.name}: {_COMMANDS[number]}: {error.result.name}") from error
+        return int(json.loads(answer.fields_json)["result"])
+
+    def _message(self, name: str, fields: dict[str, float | None]) -> Any:
+        """A message to the autopilot; null is NaN."""
+        from mavsdk.plugins.mavlink_direct import MavlinkMessage
+
+        target = {"target_system": self.system_id, "target_component": _AUTOPILOT}
+        return MavlinkMessage(
+            message_name=name,
+            target_system_id=self.system_id,
+            target_component_id=_AUTOPILOT,
+            fields_json=json.dumps(fields | target),
+        )
+
+    def _refused(self, number: int, result: int, sent_s: float) -> str:
+        name = _RESULTS.get(result, f"MAV_RESULT {result}")
+        return f"{_COMMANDS[number]} refused ({name}){_because(self._reason(sent_s))}"
+
+    def _reason(self, sent_s: float) -> str:
+        """What it said since a command that it refused."""
+        self._within(_TEXT_S, lambda: bool(self.said(sent_s)))
+        return self.said(sent_s)
+
+    def _within(self, seconds: float, done: Callable[[], bool]) -> bool:
+        """Wait for something short; whether it came."""
+        end_s = time.monotonic() + seconds
+        while not done():
+            if time.monotonic() > end_s:
+                return False
+            time.sleep(_POLL_S)
+        return True
+
+    def _raw(self, item: MissionItem) -> Any:
+        from mavsdk.plugins.mission_raw import MissionItem as RawItem
+
+        p1, p2, p3, p4 = (math.nan if value is None else value for value in item.params)
+        scale = 1.0 if item.frame == mavlink.MAV_FRAME_MISSION else 1e7
+        x, y = (_OPEN if value is None else round(value * scale) for value in (item.lat_deg, item.lon_deg))
+        z = math.nan if item.alt_m is None else item.alt_m
+        return RawItem(0, item.frame, item.command, 0, 1, p1, p2, p3, p4, x, y, z, 0)
+
+
+def _cooked(raw: Any) -> MissionItem:
+    """A downloaded item in degrees."""
+    params = (raw.param1, raw.param2, raw.param3, raw.param4)
+    p1, p2, p3, p4 = (None if math.isnan(value) else value for value in params)
+    return MissionItem(
+        seq=raw.seq,
+        command=raw.command,
+        frame=raw.frame,
+        params=(p1, p2, p3, p4),
+        lat_deg=None if raw.x == _OPEN else raw.x * 1e-7,
+        lon_deg=None if raw.y == _OPEN else raw.y * 1e-7,
+        alt_m=None if math.isnan(raw.z) else raw.z,
+    )
+
+
+def _because(text: str) -> str:
+    return f": {text}" if text else ""

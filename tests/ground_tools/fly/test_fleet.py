@@ -1,0 +1,204 @@
+"""The steps over vehicles that are made up: what is done with whom, and never."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.events import Firmware, FlightMode, MissionItem
+from ground_tools.fly import fleet as steps
+from ground_tools.fly.fleet import Fleet, finished
+from ground_tools.fly.vehicle import ARM_DISARM, MODES, VehicleError
+
+RTL = MissionItem(seq=2, command=20, frame=2)
+WAYPOINT = MissionItem(seq=1, command=16, frame=3, lat_deg=47.4, lon_deg=8.5, alt_m=20.0)
+
+
+class Made:
+    """What the steps ask of a vehicle, and what they told it."""
+
+    def __init__(self, firmware: Firmware, mode: str, *, on_ground: bool = False) -> None:
+        self.name = "vehicle 1"
+        self.firmware = firmware
+        self.modes = MODES[firmware]
+        self.first_seq = 1 if firmware is Firmware.ARDUPILOT else 0
+        self.ours: frozenset[str] = frozenset()
+        self.armed_by_us = True
+        self.armed = True
+        self.on_ground = on_ground
+        self.height_m = 0.0 if on_ground else 20.0
+        self.mode = mode
+        self.told: list[object] = []
+        self.messages: dict[str, dict[str, int]] = {}
+        self.refuses = False
+        self.silent = False
+        self.item = 1
+
+    def hear_again(self) -> None:
+        if self.silent:
+            raise VehicleError(f"{self.name}: no heartbeat for 12 s")
+
+    def age_s(self, _: str) -> float:
+        return 12.0 if self.silent else 0.1
+
+    def said(self, _: float) -> str:
+        return ""
+
+    def last(self, name: str, since_s: float = 0.0) -> dict[str, int]:
+        return self.messages.get(name, {})
+
+    def command(self, number: int, *params: float | None) -> None:
+        self.told.append((number, *params))
+        if self.refuses:
+            raise VehicleError(f"{self.name}: refused")
+
+    def set_mode(self, mode: FlightMode) -> None:
+        self.told.append(mode)
+        self.mode = self.modes.holding
+
+
+def fleet_of(*vehicles: Made) -> Fleet:
+    return Fleet(vehicles, lambda _: None, [])
+
+
+ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
+
+
+@pytest.mark.parametrize(
+    ("firmware", "mode", "ours", "told", "words"),
+    [
+        (ARDUPILOT, "AUTO", {"AUTO"}, [FlightMode.HOLD], "holds at 20.0 m, in BRAKE"),
+        (ARDUPILOT, "GUIDED", {"GUIDED"}, [FlightMode.HOLD], "holds at 20.0 m, in BRAKE"),
+        (ARDUPILOT, "GUIDED", {"AUTO"}, [], "in somebody else's hands, at 20.0 m: left in GUIDED"),
+        (ARDUPILOT, "LOITER", {"AUTO"}, [], "in somebody else's hands, at 20.0 m: left in LOITER"),
+        (ARDUPILOT, "LAND", {"LAND"}, [], "comes down, at 20.0 m: left in LAND"),
+        (ARDUPILOT, "AUTO", set(), [], "not commanded anything"),
+        (PX4, "AUTO.MISSION", {"AUTO.MISSION"}, [FlightMode.HOLD], "holds at 20.0 m, in AUTO.LOITER"),
+        (PX4, "AUTO.LOITER", {"AUTO.MISSION"}, [], "holds at 20.0 m, in AUTO.LOITER"),
+        (PX4, "OFFBOARD", {"AUTO.MISSION"}, [], "in somebody else's hands, at 20.0 m: left in OFFBOARD"),
+        (PX4, "AUTO.RTL", {"AUTO.MISSION"}, [], "comes down, at 20.0 m: left in AUTO.RTL"),
+    ],
+)
+def test_broken_off_in_the_air(firmware, mode, ours, told, words):
+    vehicle = Made(firmware, mode)
+    vehicle.ours = frozenset(ours)
+    vehicle.armed_by_us = bool(ours)
+    assert words in fleet_of(vehicle).make_safe()["vehicle 1"]
+    assert vehicle.told == told
+
+
+def test_broken_off_on_the_ground():
+    vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
+    vehicle.ours = vehicle.modes.climbing
+    assert fleet_of(vehicle).make_safe() == {"vehicle 1": "is on the ground: disarmed"}
+    # Without the 21196 in param 2 that would force it.
+    assert vehicle.told == [(ARM_DISARM, 0.0)]
+
+
+def test_what_was_not_armed_here_is_not_disarmed():
+    vehicle = Made(ARDUPILOT, "AUTO", on_ground=True)
+    vehicle.ours, vehicle.armed_by_us = frozenset({"AUTO"}), False
+    fleet_of(vehicle).make_safe()
+    assert vehicle.told == [FlightMode.HOLD]
+
+
+def test_an_autopilot_that_will_not_disarm_is_told_to_hold():
+    """It left the ground after its last word."""
+    vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
+    vehicle.ours, vehicle.refuses = vehicle.modes.climbing, True
+    assert "holds" in fleet_of(vehicle).make_safe()["vehicle 1"]
+    assert vehicle.told == [(ARM_DISARM, 0.0), FlightMode.HOLD]
+
+
+def test_one_that_is_silent_does_not_keep_the_others_from_being_made_safe():
+    lost, heard = Made(PX4, "AUTO.MISSION"), Made(PX4, "AUTO.MISSION")
+    heard.name = "vehicle 2"
+    lost.ours = heard.ours = frozenset({"AUTO.MISSION"})
+    lost.silent = True
+    done = fleet_of(lost, heard).make_safe()
+    assert "its own failsafe decides" in done["vehicle 1"]
+    assert heard.told == [FlightMode.HOLD]
+
+
+def test_a_mission_that_begins_in_the_air_is_not_started_on_the_ground():
+    vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
+    fleet = fleet_of(vehicle)
+    fleet._missions = [(WAYPOINT, RTL)]
+    with pytest.raises(VehicleError, match="does not begin with a take-off; add --takeoff"):
+        fleet.start()
+    assert vehicle.told == []
+
+
+@pytest.mark.parametrize(
+    ("state", "reached", "answer"),
+    [(5, None, True), (3, 4, False), (2, None, False), (0, 4, True), (0, 3, False), (0, None, False)],
+)
+def test_when_a_mission_is_flown(state, reached, answer):
+    assert finished(state, reached, 4) is answer
+
+
+def waiting(vehicle: Made, *items: MissionItem, seq: int, landed: bool = False) -> str | None:
+    """What ends the wait for its mission at an item: the error, or None. Landed, it forgets the item."""
+    fleet = fleet_of(vehicle)
+    fleet._missions = [items]
+    vehicle.on_ground, vehicle.armed = False, True
+    vehicle.messages["MISSION_CURRENT"] = {"seq": seq, "mission_state": 3}
+    try:
+        assert not fleet._is_finished(vehicle)
+        if landed:
+            vehicle.on_ground, vehicle.armed = True, False
+            vehicle.messages["MISSION_CURRENT"]["seq"] = vehicle.first_seq
+        fleet.wait()
+    except VehicleError as error:
+        return str(error)
+    return None
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time that passes when it is waited for; after ten minutes of it nothing more will happen."""
+    now, end = [0.0], [600.0]
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+        if now[0] > end[0]:
+            end[0] += 600.0
+            raise TimeoutError
+
+    monkeypatch.setattr(steps, "time", type("", (), {"monotonic": lambda: now[0], "sleep": sleep}))
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_return_that_the_mission_did_not_ask_for_is_no_end_of_it():
+    vehicle = Made(PX4, "AUTO.RTL")
+    assert "is in AUTO.RTL, not AUTO.MISSION or OFFBOARD" in (waiting(vehicle, WAYPOINT, RTL, seq=0) or "")
+    # At the item that asks for it, it is awaited down to the ground.
+    with pytest.raises(TimeoutError):
+        waiting(vehicle, WAYPOINT, RTL, seq=1)
+    assert waiting(vehicle, WAYPOINT, RTL, seq=1, landed=True) is None
+    assert "disarmed by itself" in (waiting(vehicle, WAYPOINT, RTL, seq=0, landed=True) or "")
+    assert "disarmed by itself" in (waiting(vehicle, WAYPOINT, seq=0, landed=True) or "")
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_companion_may_fly_a_conflict_out():
+    vehicle = Made(ARDUPILOT, "GUIDED")
+    with pytest.raises(TimeoutError):
+        waiting(vehicle, WAYPOINT, seq=1)
+    vehicle.mode = "STABILIZE"
+    assert "is in STABILIZE, not AUTO or GUIDED, by a pilot or a failsafe" in (
+        waiting(vehicle, WAYPOINT, seq=1) or ""
+    )
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_vehicle_that_falls_silent_ends_the_wait():
+    vehicle = Made(ARDUPILOT, "AUTO")
+    vehicle.silent = True
+    assert waiting(vehicle, WAYPOINT, seq=1) == "vehicle 1: no heartbeat for 10 s"
+
+
+def test_ctrl_c_ends_a_wait():
+    vehicle = Made(ARDUPILOT, "AUTO")
+    fleet = Fleet([vehicle], lambda _: None, [2])
+    with pytest.raises(KeyboardInterrupt):
+        fleet.wait()
