@@ -163,6 +163,8 @@ class Plan:
         return path_from_mission(
             self._items,
             speed_mps=speed,
+            max_climb_mps=self._config.limits.max_climb_mps,
+            max_descent_mps=self._config.limits.max_descent_mps,
             start=(position.lat_deg, position.lon_deg, position.height_above_home_m),
             home_alt_msl_m=home,
             # A mission that is being flown goes on; one that is not begins at its beginning.
