@@ -1,11 +1,11 @@
 """A timed path from the vehicle's own mission.
 
 What is flown: NAV_WAYPOINT with its hold time, NAV_LOITER_TIME as a waypoint that is held, NAV_DELAY of some
-seconds, at the speed of the last DO_CHANGE_SPEED. The clock starts at
-the place where the companion takes the vehicle, and every leg is straight at constant speed. The companion
-takes over in the air, so a NAV_TAKEOFF before the first waypoint is the pilot's or the autopilot's and is
-left out; NAV_LAND and NAV_RETURN_TO_LAUNCH end the path and are not flown. Everything else is refused: a
-mission flown in part is another mission.
+seconds, at the speed of the last DO_CHANGE_SPEED; a leg that is too steep for that as slowly as climb and
+descent allow, the way autopilots fly it. The clock starts at the place where the companion takes the vehicle,
+and every leg is straight at constant speed. The companion takes over in the air, so a NAV_TAKEOFF before the
+first waypoint is the pilot's or the autopilot's and is left out; NAV_LAND and NAV_RETURN_TO_LAUNCH end the
+path and are not flown. Everything else is refused: a mission flown in part is another mission.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ DO_CHANGE_SPEED = 178
 MAX_SPEED_MPS = 100.0
 MAX_HOLD_S = 3600.0
 MAX_LEG_M = 100_000.0
+STEEPEST = 0.9
+"""Share of the allowed climb and descent that a leg is planned with: the rest closes gaps."""
 SAME_PLACE_M = 0.01
 """Points closer than this are one: times on a path rise strictly."""
 
@@ -56,6 +58,8 @@ def path_from_mission(
     items: Sequence[MissionItem],
     *,
     speed_mps: float,
+    max_climb_mps: float,
+    max_descent_mps: float,
     start: Vec3,
     home_alt_msl_m: float | None,
     first_seq: int | None = None,
@@ -65,6 +69,7 @@ def path_from_mission(
     Args:
         items: As downloaded, ArduPilot's home item left out.
         speed_mps: Speed along the legs until a DO_CHANGE_SPEED.
+        max_climb_mps: Steep legs are flown more slowly, so that they stay below it and `max_descent_mps`.
         start: Latitude (deg), longitude (deg), height above home (m) where the clock starts.
         first_seq: Item that the vehicle is at: waypoints before it are behind, speeds before it hold.
         home_alt_msl_m: Home above mean sea level; needed by items that give altitudes above mean sea level.
@@ -73,7 +78,7 @@ def path_from_mission(
         ConfigError: an item that cannot be flown (names its number, its command and what is allowed), or no
             waypoint at all.
     """
-    builder = _Builder(speed_mps, start, home_alt_msl_m)
+    builder = _Builder(speed_mps, max_climb_mps, max_descent_mps, start, home_alt_msl_m)
     for item in items:
         if first_seq is not None and item.seq < first_seq and item.command != DO_CHANGE_SPEED:
             continue
@@ -129,10 +134,19 @@ def _refused(item: MissionItem, why: str) -> ConfigError:
 class _Builder:
     """The path so far and the speed that applies."""
 
-    def __init__(self, speed_mps: float, start: Vec3, home_alt_msl_m: float | None) -> None:
+    def __init__(
+        self,
+        speed_mps: float,
+        max_climb_mps: float,
+        max_descent_mps: float,
+        start: Vec3,
+        home_alt_msl_m: float | None,
+    ) -> None:
         if not 0 < speed_mps <= MAX_SPEED_MPS:
             raise ConfigError(f"mission speed {speed_mps} m/s: allowed is above 0 to {MAX_SPEED_MPS}")
         self._speed_mps = speed_mps
+        self._climb_mps = STEEPEST * max_climb_mps
+        self._descent_mps = STEEPEST * max_descent_mps
         self._home_alt_msl_m = home_alt_msl_m
         self.waypoints = [Waypoint(t_s=0.0, lat_deg=start[0], lon_deg=start[1], alt_m=start[2])]
 
@@ -159,7 +173,9 @@ class _Builder:
                 item, f"{length_m / 1e3:.0f} km from the point before; allowed is {MAX_LEG_M / 1e3:.0f}"
             )
         if length_m > SAME_PLACE_M:
-            self._add(length_m / self._speed_mps, lat_deg, lon_deg, alt_m)
+            # The first leg, from wherever the vehicle happens to be, may well be straight up.
+            steep_s = max(-down / self._climb_mps, down / self._descent_mps)
+            self._add(max(length_m / self._speed_mps, steep_s), lat_deg, lon_deg, alt_m)
         if hold_s > 0:
             self._add(hold_s, lat_deg, lon_deg, alt_m)
 

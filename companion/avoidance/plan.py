@@ -117,7 +117,14 @@ class Plan:
         self._checked = own.armed
         start = position.lat_deg, position.lon_deg, position.height_above_home_m
         try:
-            path = path_from_mission(self._items, speed_mps=speed, start=start, home_alt_msl_m=home)
+            path = path_from_mission(
+                self._items,
+                speed_mps=speed,
+                max_climb_mps=self.limits.max_climb_mps,
+                max_descent_mps=self.limits.max_descent_mps,
+                start=start,
+                home_alt_msl_m=home,
+            )
             whole = local_path(path, own.frame, home)
             if len(whole.times_s) > 2:
                 # The first leg begins where the vehicle is taken, which is not here.
@@ -223,6 +230,8 @@ class Plan:
         return path_from_mission(
             self._items,
             speed_mps=speed,
+            max_climb_mps=self.limits.max_climb_mps,
+            max_descent_mps=self.limits.max_descent_mps,
             start=(position.lat_deg, position.lon_deg, position.height_above_home_m),
             home_alt_msl_m=home,
             # A mission that is being flown goes on; one that is not begins at its beginning.

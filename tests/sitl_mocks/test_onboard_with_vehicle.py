@@ -128,6 +128,17 @@ def test_the_vehicles_own_mission_is_flown_as_a_timed_path(firmware):
 
 
 @pytest.mark.parametrize("firmware", Firmware)
+def test_a_waypoint_straight_overhead_is_climbed_to(firmware):
+    """Every vehicle that is taken right after its take-off is a little below its first waypoint."""
+    pair = Pair(firmware, mission=(MISSION[0], waypoint(2, 0.0, 0.0, 62.0), waypoint(3, 60.0, 0.0, 62.0)))
+    pair.run(12.0)
+    assert not [c.text for c in pair.commands(Say) if "refused" in c.text]
+    assert 1.7 < max(-c.velocity_ned_mps[2] for c in pair.commands(VelocitySetpoint)) < 2.001
+    pair.run(24.0)
+    assert math.dist(pair.vehicle.position_ned_m, (60.0, 0.0, -62.0)) < 5.0
+
+
+@pytest.mark.parametrize("firmware", Firmware)
 def test_a_mission_that_cannot_be_flown_is_refused_by_item_number(firmware):
     again = waypoint(3, 60.0, 40.0, 60.0, command=22)
     pair = Pair(firmware, mission=(MISSION[0], MISSION[1], again))

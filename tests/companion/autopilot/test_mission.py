@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 
 from companion.autopilot.mission import path_from_mission, place_of, speed_at
-from companion.config import TrajectoryFile
+from companion.avoidance.path import local_path
+from companion.avoidance.trajectory import check_speeds
+from companion.config import LimitsConfig, TrajectoryFile
 from companion.errors import ConfigError
 from companion.events import MissionItem
 from companion.geometry import LocalFrame
@@ -35,8 +37,17 @@ def simple(seq: int, command: int, *params: float) -> MissionItem:
     return MissionItem(seq=seq, command=command, frame=2, params=(one, two, three, four))
 
 
-def fly(*items: MissionItem, home: float | None = 400.0, speed: float = 5.0) -> TrajectoryFile:
-    return path_from_mission(items, speed_mps=speed, start=START, home_alt_msl_m=home)
+def fly(
+    *items: MissionItem, home: float | None = 400.0, speed: float = 5.0, climb: float = 9.0, sink: float = 9.0
+) -> TrajectoryFile:
+    return path_from_mission(
+        items,
+        speed_mps=speed,
+        max_climb_mps=climb,
+        max_descent_mps=sink,
+        start=START,
+        home_alt_msl_m=home,
+    )
 
 
 def times(path: TrajectoryFile) -> list[float]:
@@ -48,6 +59,15 @@ def test_legs_are_timed_by_their_length() -> None:
     assert path.altitude == "home"
     assert times(path) == pytest.approx([0.0, 20.0, 25.0], abs=0.01)
     assert [w.alt_m for w in path.waypoint] == [30.0, 30.0, 55.0]
+
+
+def test_legs_too_steep_for_the_speed_are_flown_as_slowly_as_the_limits_ask() -> None:
+    """ArduCopter's AUTO, taken 1 m below and 0.4 m beside its first waypoint."""
+    path = fly(waypoint(1, 0.4, height_m=31.0), waypoint(2, 100.0, height_m=31.0), climb=2.0, sink=1.0)
+    assert times(path) == pytest.approx([0.0, 1.0 / 1.8, 1.0 / 1.8 + 99.6 / 5.0], abs=0.01)
+    down = fly(waypoint(1, 0.0, height_m=12.0), climb=2.0, sink=1.0)
+    assert times(down) == pytest.approx([0.0, 20.0], abs=0.01)
+    check_speeds(local_path(down, FRAME, 0.0), LimitsConfig(max_descent_mps=1.0))
 
 
 def test_hold_time_is_flown() -> None:

@@ -174,7 +174,14 @@ def test_the_recorded_mission_download_is_understood(name: str, tmp_path: Path) 
             missions += [e for e in link.receive(raw, utc_s) if isinstance(e, MissionDownloaded)]
     (mission,) = missions
     assert len(mission.items) == 4
-    path = path_from_mission(mission.items, speed_mps=5.0, start=(47.397, 8.545, 30.0), home_alt_msl_m=400.0)
+    path = path_from_mission(
+        mission.items,
+        speed_mps=5.0,
+        max_climb_mps=2.0,
+        max_descent_mps=2.0,
+        start=(47.397, 8.545, 30.0),
+        home_alt_msl_m=400.0,
+    )
     assert len(path.waypoint) >= 2
 
 
