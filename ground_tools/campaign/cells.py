@@ -23,7 +23,7 @@ from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.traffic import adsb, right_of_way
-from ground_tools.campaign import flight, generators
+from ground_tools.campaign import flight, generators, twins
 from ground_tools.campaign.flight import World
 from ground_tools.campaign.generators import draw
 from ground_tools.kept import Kept
@@ -74,11 +74,16 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     intruders: Annotated[float, Meta(ge=0, le=1)] = 0.0
     """Share of the aircraft that do not avoid; the first ones."""
     intruder: str = "blind"
-    """What they do, of `flight.INTRUDERS`."""
+    """What they do, of `flight.INTRUDERS` and `flight.TWINS`."""
     world: str = "calm"
     """Of `WORLDS`."""
     reserve: bool = True
     """False: nobody can fly faster than planned."""
+
+    @property
+    def twins(self) -> bool:
+        """Whether two fly with one identity."""
+        return self.intruder in flight.TWINS and self.intruders > 0.0
 
     @property
     def name(self) -> str:
@@ -180,7 +185,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     except ValueError as error:
         raise ConfigError(f"seed {seed}: {error}") from error
     kinds = np.full(cell.aircraft, float(flight.AVOIDS))
-    kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
+    kinds[: round(cell.intruders * cell.aircraft)] = (flight.INTRUDERS | flight.TWINS)[cell.intruder]
     crewed = (kinds == flight.CREWED) | (kinds == flight.BAROMETRIC)
     if crewed.any():
         points[crewed] = _crewed_ways(times, points, crewed, seed)
@@ -203,7 +208,14 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     seen = np.full((decisions, n, n, flight.SEEN_COLUMNS), math.nan)
     pairs, result = np.zeros((n, n, flight.PAIR_ENTRIES)), np.zeros(flight.FLIGHT_ENTRIES)
     rng = np.random.default_rng([seed, 7])
-    flight.fly(rng, row, times, points, fence, settings, kinds, trace, decided, seen, pairs, result)
+    if cell.twins:
+        laws = [
+            law.Law(avoidance if kind == flight.AVOIDS else LAWS["none"], own, path, fence)
+            for kind, own, path in zip(kinds.tolist(), limits, paths, strict=True)
+        ]
+        twins.fly(rng, row, times, points, fence, settings, kinds, laws, pairs, result)
+    else:
+        flight.fly(rng, row, times, points, fence, settings, kinds, trace, decided, seen, pairs, result)
     found = _row(seed, result, pairs[np.tril_indices(n, -1)])
     return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, decided, seen)
 

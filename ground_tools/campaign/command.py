@@ -21,7 +21,7 @@ from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import run_folder, tables
 from ground_tools.campaign.cells import Cell, Row
-from ground_tools.campaign.flight import INTRUDERS
+from ground_tools.campaign.flight import INTRUDERS, TWINS
 from ground_tools.campaign.generators import NAMES
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
@@ -61,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--loss", type=float, default=0.0, metavar="SHARE", help="of messages (default: 0)")
     command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
                          help="of aircraft that do not avoid (default: 0)")  # fmt: skip
-    command.add_argument("--intruder", choices=INTRUDERS, default="blind", metavar="KIND",
-                         help=f"what those do: {', '.join(INTRUDERS)} (default: blind)")  # fmt: skip
+    command.add_argument("--intruder", choices=(*INTRUDERS, *TWINS), default="blind", metavar="KIND",
+                         help=f"what those do: {', '.join((*INTRUDERS, *TWINS))} (default: blind)")  # fmt: skip
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"{', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
     command.add_argument("--no-reserve", action="store_true", help="nobody can fly faster than planned")

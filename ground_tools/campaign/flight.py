@@ -62,12 +62,17 @@ AWAY_M = 15.0
 # What an aircraft is: one that avoids; one that sends and flies its path (blind), or besides turns and climbs
 # at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), sends
 # a wrong position (liar); crewed traffic, heard by ADS-B, with a geometric altitude (crewed) or with one that
-# says nothing within 300 m (barometric).
-AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC = range(8)
+# says nothing within 300 m (barometric); one that flies its path and sends with the identity of the second
+# aircraft (twin), and from its radio address, too (clone), or likewise with that of whoever hears it (own twin,
+# own clone), which is `twins.fly`'s.
+(
+    AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC, TWIN, CLONE, OWN_TWIN, OWN_CLONE,
+) = range(12)  # fmt: skip
 INTRUDERS = {
     "blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN, "crewed": CREWED,
     "barometric": BAROMETRIC,
 }  # fmt: skip
+TWINS = {"twin": TWIN, "clone": CLONE, "own-twin": OWN_TWIN, "own-clone": OWN_CLONE}
 _TURN_S = 4.0
 """Between two changes of mind of one that turns."""
 _TURN_RAD = math.radians(60.0)
@@ -334,12 +339,9 @@ def begin(
 
 @_compiled
 def send(rng: np.random.Generator, world: Array, tick: int, i: int, kinds: Array, craft: Fleet) -> int:
-    """What aircraft i sends at a step, into `sent` and `arrival`; the slot, or -1: nothing now."""
-    message_every = int(world[W_MESSAGE])
-    if (tick + craft.phase[i]) % message_every != 0:
-        return -1
+    """What aircraft i sends at a step of its phase, into `sent` and `arrival`; the slot."""
     now = world[W_START] + tick * world[W_STEP]
-    slot = int(((tick + craft.phase[i]) // message_every) % craft.sent.shape[1])
+    slot = int(((tick + craft.phase[i]) // int(world[W_MESSAGE])) % craft.sent.shape[1])
     message = craft.sent[i, slot]
     message[M_TIME] = now + craft.clock[i]
     for c in range(3):
@@ -501,10 +503,10 @@ def fly(
     craft = on_the_ground(fleet, world)
     step = world[W_STEP]
     steps = round((world[W_END] - world[W_START]) / step)
-    every, slots = int(world[W_PERIOD]), craft.sent.shape[1]
+    every, message_every, slots = int(world[W_PERIOD]), int(world[W_MESSAGE]), craft.sent.shape[1]
     mind_every = round(_TURN_S / step)
     position, velocity, command = craft.position, craft.velocity, craft.command
-    error, own_error, clock = craft.error, craft.own_error, craft.clock
+    error, own_error, clock, phase = craft.error, craft.own_error, craft.clock, craft.phase
     sent, arrival = craft.sent, craft.arrival
     turn, climb = np.zeros(fleet), np.zeros(fleet)
     heard = np.zeros((fleet, fleet, MESSAGE_COLUMNS))
@@ -543,9 +545,8 @@ def fly(
         for i in range(fleet):
             if i == dark and blacked:
                 continue
-            slot = send(rng, world, tick, i, kinds, craft)
-            if slot >= 0:
-                heard[i, i] = sent[i, slot]
+            if (tick + phase[i]) % message_every == 0:
+                heard[i, i] = sent[i, send(rng, world, tick, i, kinds, craft)]
         if tick % every == 0:
             for i in range(fleet):
                 if i == dark and unfit:
