@@ -76,11 +76,11 @@ def fly(
             if (tick + phases[i]) % message_every == 0:
                 slot = flight.send(rng, world, tick, i, kinds, craft)
                 air.take(i, slot, craft.sent[i, slot].tolist(), now)
-        places = (craft.position + craft.error).tolist()
-        for heart, place in zip(hearts, places, strict=True):
-            heart.traffic.note_own(now, tuple(place))
+        places = list(map(tuple, (craft.position + craft.error).tolist()))
+        velocities = list(map(tuple, (craft.velocity + craft.own_error).tolist()))
+        for heart, place, velocity in zip(hearts, places, velocities, strict=True):
+            heart.traffic.note_own(now, place, velocity)
         if tick % every == 0:
-            velocities = (craft.velocity + craft.own_error).tolist()
             for i, heart in enumerate(hearts):
                 if kinds[i] == flight.AVOIDS:
                     for frame in air.heard(i, now, craft.arrival[i]):
@@ -88,7 +88,7 @@ def fly(
                     heart.traffic.expire(now)
                 decided = heart.law.decide(
                     Situation(
-                        now, now, tuple(places[i]), tuple(velocities[i]), declared,
+                        now, now, places[i], velocities[i], declared,
                         heart.traffic.neighbours(now), floor, ceiling,
                     )
                 )  # fmt: skip

@@ -121,7 +121,7 @@ def test_repeated_advertisements_say_nothing_about_clocks():
 
 def test_range_is_counted_from_where_we_are():
     listener = Listener()
-    listener.traffic.note_own(10.0, (66_000.0, 0.0, 0.0))
+    listener.traffic.note_own(10.0, (66_000.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     listener.hear(10.0, basic("X"), location(north_m=66_050.0))
     assert list(listener.tracks) == ["X"]
 
@@ -275,7 +275,7 @@ def test_a_vague_height_does_not_separate():
 def test_own_identity_counts_as_echo_only_where_we_are():
     listener = Listener()
     for k in range(40):
-        listener.traffic.note_own(8.0 + 0.25 * k, (100.0, 5.0 * (0.25 * k - 2.0), 0.0))
+        listener.traffic.note_own(8.0 + 0.25 * k, (100.0, 5.0 * (0.25 * k - 2.0), 0.0), (0.0, 5.0, 0.0))
     listener.hear(12.0, basic("OWN"), location(north_m=101.0, east_m=0.0, timestamp_s=10.0), address="own")
     assert not listener.tracks
     listener.hear(12.0, basic("OWN"), location(north_m=160.0, timestamp_s=12.0), address="clone")
