@@ -33,7 +33,7 @@ from companion.traffic.judge import Judge
 from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
-from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, off, reach, same
+from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, likely_reach, off, reach, same
 
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
@@ -53,6 +53,8 @@ _OWN_SAMPLES = 100
 _JOINED_WITHIN_M = 15.0
 """Two tracks become one only this near to each other: what one aircraft tells on two transports comes from
 one receiver. If more, a sender with a copied name could take an aircraft off the table."""
+_TWIN_MEMORY_S = 60.0
+"""After another track of its identity is gone, a track may still be taken for that one's."""
 _RANKED_EVERY = 8
 """Messages: an aircraft does not come much nearer between two."""
 
@@ -294,13 +296,14 @@ class Traffic:
         """The track that the fix updated or opened."""
         identity = source.identity or source.key
         known = self._by_identity.get(identity, [])
-        track, away = self._match(known, fix, now_s)
+        track, away = self._match(known, source, fix, now_s)
         ours = identity == self.own_uas_id or source.about.address in self.own_addresses
         if ours and self._from_us(fix, now_s) < away:
             self.counts.own_echo += 1
             return None
         if track is None:
             return self._open(identity, known, source, fix, now_s)
+        track.fed_by[source.about.transport] = source.key
         if source.key not in track.sources:
             # Also without news: on two transports the same message comes twice.
             track.sources.append(source.key)
@@ -357,9 +360,15 @@ class Traffic:
             least = min(least, away)
         return least
 
-    def _match(self, known: list[Track], fix: Fix, now_s: float) -> tuple[Track | None, float]:
+    def _match(
+        self, known: list[Track], source: Source, fix: Fix, now_s: float
+    ) -> tuple[Track | None, float]:
         """The track of this identity whose aircraft can have flown to the fix, and how far off the fix is (m):
-        the nearest of several; infinite without one."""
+        the nearest of several; infinite without one.
+
+        After some silence one aircraft can be nearly anywhere. Where two are heard under the identity, or the
+        address is not the track's, it must be near: the track would leave the other one unseen.
+        """
         at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
         best, least = None, math.inf
         for track in known:
@@ -367,6 +376,12 @@ class Traffic:
             away, allowed = off(track, fix, at), reach(elapsed, fix.sigma_m + track.sigma_m)
             if not track.velocity_known:
                 allowed += self.config.max_speed_mps * elapsed
+            if len(known) > 1:
+                track.beside_s = now_s
+            if track.fed_by.get(source.about.transport) != source.key:
+                allowed = min(allowed, _JOINED_WITHIN_M)
+            elif now_s - track.beside_s <= _TWIN_MEMORY_S:
+                allowed = min(allowed, likely_reach(elapsed))
             if away <= allowed and away < least:
                 best, least = track, away
         return best, least
@@ -402,6 +417,7 @@ class Traffic:
             leads_s=deque([first_lead_s], maxlen=_LEADS),
             about=About(source.about.transport, source.about.address),
             sources=deque([source.key], maxlen=_ADDRESSES_PER_TRACK),
+            fed_by={source.about.transport: source.key},
             motion=MotionWindow(fix, now_s),
             opened_s=now_s,
         )
