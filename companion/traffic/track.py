@@ -115,9 +115,9 @@ def reach(elapsed_s: float, noise: float) -> float:
     return 20.0 + 4.0 * noise + 8.0 * elapsed_s + 5.0 * elapsed_s * elapsed_s
 
 
-def likely_reach(elapsed_s: float) -> float:
-    """How far (m) from its predicted place an aircraft is that does nothing sudden; beyond, it may be another."""
-    return 15.0 + 4.0 * elapsed_s
+def near(noise: float) -> float:
+    """How far (m) from its predicted place a message is the aircraft's, whoever else it might be of."""
+    return 10.0 + 2.0 * noise
 
 
 def apart(track: Track, fix: Fix, now_s: float) -> bool:

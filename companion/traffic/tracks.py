@@ -33,7 +33,7 @@ from companion.traffic.judge import Judge
 from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
-from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, likely_reach, off, reach, same
+from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, near, off, reach, same
 
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
@@ -372,16 +372,15 @@ class Traffic:
         at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
         best, least = None, math.inf
         for track in known:
-            elapsed = abs(at - track.sample_s)
-            away, allowed = off(track, fix, at), reach(elapsed, fix.sigma_m + track.sigma_m)
-            if not track.velocity_known:
-                allowed += self.config.max_speed_mps * elapsed
+            elapsed, noise = abs(at - track.sample_s), fix.sigma_m + track.sigma_m
+            away, allowed = off(track, fix, at), reach(elapsed, noise)
             if len(known) > 1:
                 track.beside_s = now_s
-            if track.fed_by.get(source.about.transport) != source.key:
-                allowed = min(allowed, _JOINED_WITHIN_M)
-            elif now_s - track.beside_s <= _TWIN_MEMORY_S:
-                allowed = min(allowed, likely_reach(elapsed))
+            twins = now_s - track.beside_s <= _TWIN_MEMORY_S
+            if not track.velocity_known:
+                allowed += self.config.max_speed_mps * elapsed
+            elif twins or track.fed_by.get(source.about.transport) != source.key:
+                allowed = near(noise)
             if away <= allowed and away < least:
                 best, least = track, away
         return best, least

@@ -111,6 +111,7 @@ def run(args: argparse.Namespace) -> int:
     """
     cell, seeds = _cell(args), _seeds(args.seeds)
     _check_worst(args)
+    _check_twins(args, cell)
     words = Console(stderr=True)
     began = time.perf_counter()
     unavoided = campaign.baseline(cell)
@@ -148,7 +149,8 @@ def run_table(args: argparse.Namespace) -> int:
     ]
     if args.file is not None:
         ends = (seeds[0], seeds[-1])
-        tables.write(args.file, tables.Kept(software=campaign.software(), seeds=ends, lines=tuple(lines)))
+        state = campaign.software(twins=any(cell.twins for cell in wanted))
+        tables.write(args.file, tables.Kept(software=state, seeds=ends, lines=tuple(lines)))
     print(tables.markdown(lines), end="")
     return 0
 
@@ -209,7 +211,7 @@ def _fly(part: Part) -> list[Row]:
 def _state() -> str:
     """What rows hang on. All that flies is compiled then, and kept for the other workers of the machine."""
     campaign.fly(Cell(generator="crossing", aircraft=2), [1])
-    return f"{campaign.software()}, numba {numba.__version__}, numpy {np.__version__}"
+    return f"{campaign.software(twins=True)}, numba {numba.__version__}, numpy {np.__version__}"
 
 
 def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
@@ -293,6 +295,15 @@ def _check_worst(args: argparse.Namespace) -> None:
             f"--worst: goes with up to {run_folder.MOST_AIRCRAFT} aircraft; a run folder of "
             f"{args.aircraft} is too large"
         )
+
+
+def _check_twins(args: argparse.Namespace, cell: Cell) -> None:
+    if not cell.twins:
+        return
+    if args.worst:
+        raise ConfigError(f"--worst: goes without --intruder {cell.intruder}: whose track is whose is not known")
+    if campaign.WORLDS[cell.world].blackout_s > 0.0:
+        raise ConfigError(f"--world: {cell.world}: goes without --intruder {cell.intruder}")
 
 
 def _seeds(text: str) -> range:
