@@ -304,7 +304,11 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
     Raises:
         ConfigError: it was flown by another state of the law or the world, or cannot be read.
     """
-    header = {**msgspec.to_builtins(cell), "delay_s": list(cell.delay_s), "software": software(twins=cell.twins)}
+    header = {
+        **msgspec.to_builtins(cell),
+        "delay_s": list(cell.delay_s),
+        "software": software(twins=cell.twins),
+    }
     return Kept(folder / f"{cell.name}.jsonl", header, Row, attrgetter("seed"))
 
 

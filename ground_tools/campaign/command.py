@@ -34,6 +34,8 @@ _MOST_AIRCRAFT = 200
 _MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
 """Aircraft that a worker flies before it hands over what came of them."""
+_TWINS_LONGER = 50
+"""Times as long as others a flight with twins takes."""
 
 Part = tuple[Cell, list[int]]
 """What a worker flies at once: seeds of a cell."""
@@ -176,7 +178,7 @@ def fly_missing(
     parts: list[Part] = []
     for cell in wanted:
         missing = [seed for seed in seeds if seed not in rows[cell]]
-        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft)
+        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft // (_TWINS_LONGER if cell.twins else 1))
         parts += [(cell, missing[at : at + size]) for at in range(0, len(missing), size)]
     with progress("flights", len(parts)) as advance:
         for (cell, _), found in work(parts):
@@ -301,7 +303,9 @@ def _check_twins(args: argparse.Namespace, cell: Cell) -> None:
     if not cell.twins:
         return
     if args.worst:
-        raise ConfigError(f"--worst: goes without --intruder {cell.intruder}: whose track is whose is not known")
+        raise ConfigError(
+            f"--worst: goes without --intruder {cell.intruder}: whose track is whose is not known"
+        )
     if campaign.WORLDS[cell.world].blackout_s > 0.0:
         raise ConfigError(f"--world: {cell.world}: goes without --intruder {cell.intruder}")
 

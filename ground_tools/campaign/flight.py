@@ -438,9 +438,7 @@ def move(
         for j in range(fleet):
             if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
                 level = settings[i, k.S_CREWED] / math.sqrt(2.0)
-                aside = (
-                    math.hypot(position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]) / level
-                )
+                aside = math.hypot(position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]) / level
                 above = abs(position[i, 2] - position[j, 2]) * settings[i, k.S_CREWED_VERTICAL] / level
                 result[F_CREWED] = min(result[F_CREWED], max(aside, above))
         if recovery[i] == math.inf and gap <= settings[i, k.S_REGAINED]:
