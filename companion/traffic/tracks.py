@@ -338,8 +338,8 @@ class Traffic:
     def _from_us(self, fix: Fix, now_s: float) -> float:
         """Distance (m, horizontal) of a fix from where we were; infinite where we were not so.
 
-        It may be our own broadcast come back, or a second transmitter of ours. What flies beside us, above us or
-        towards us with our identity is another aircraft, and to be seen.
+        It may be our own broadcast come back, or a second transmitter of ours. What flies beside us, above us
+        or towards us with our identity is another aircraft, and to be seen.
         """
         least = math.inf
         stamp_s = fix.stamp_s
@@ -363,8 +363,8 @@ class Traffic:
     def _match(
         self, known: list[Track], source: Source, fix: Fix, now_s: float
     ) -> tuple[Track | None, float]:
-        """The track of this identity whose aircraft can have flown to the fix, and how far off the fix is (m):
-        the nearest of several; infinite without one.
+        """The track of this identity whose aircraft can have flown to the fix, the nearest of several; and
+        how far off it the fix is (m), infinite without one.
 
         After some silence one aircraft can be nearly anywhere. Where two are heard under the identity, or the
         address is not the track's, it must be near: the track would leave the other one unseen.

@@ -34,6 +34,7 @@ _MOST_AIRCRAFT = 200
 _MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
 """Aircraft that a worker flies before it hands over what came of them."""
+_INTRUDERS = (*INTRUDERS, *TWINS)
 _TWINS_LONGER = 50
 """Times as long as others a flight with twins takes."""
 
@@ -63,8 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--loss", type=float, default=0.0, metavar="SHARE", help="of messages (default: 0)")
     command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
                          help="of aircraft that do not avoid (default: 0)")  # fmt: skip
-    command.add_argument("--intruder", choices=(*INTRUDERS, *TWINS), default="blind", metavar="KIND",
-                         help=f"what those do: {', '.join((*INTRUDERS, *TWINS))} (default: blind)")  # fmt: skip
+    command.add_argument("--intruder", choices=_INTRUDERS, default="blind", metavar="KIND",
+                         help=f"what those do: {', '.join(_INTRUDERS)} (default: blind)")  # fmt: skip
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"{', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
     command.add_argument("--no-reserve", action="store_true", help="nobody can fly faster than planned")

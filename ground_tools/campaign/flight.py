@@ -63,8 +63,8 @@ AWAY_M = 15.0
 # at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), sends
 # a wrong position (liar); crewed traffic, heard by ADS-B, with a geometric altitude (crewed) or with one that
 # says nothing within 300 m (barometric); one that flies its path and sends with the identity of the second
-# aircraft (twin), and from its radio address, too (clone), or likewise with that of whoever hears it (own twin,
-# own clone), which is `twins.fly`'s.
+# aircraft (twin), and from its radio address, too (clone), or with that of whoever hears it (own twin, own
+# clone): those are flown by `twins.fly`.
 (
     AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC, TWIN, CLONE, OWN_TWIN, OWN_CLONE,
 ) = range(12)  # fmt: skip

@@ -1,9 +1,9 @@
 """Flights in which two send with one identity: the heart's own tracks, in the campaign's world.
 
-Vehicles, errors, messages and their delays are `flight`'s, draw for draw. Here each aircraft hears frames (Basic
-ID and Location, from a radio address) with the heart's `Traffic` and decides by its `Law`: who is whose twin is
-not known to either. Everybody hears the own frames, too, as a second receiver does. It takes some fifty times as
-long as the compiled flight.
+Vehicles, errors, messages and their delays are `flight`'s, draw for draw. Here each aircraft hears frames
+(Basic ID and Location, from a radio address) with the heart's `Traffic` and decides by its `Law`: who is
+whose twin is not known to either. Everybody hears the own frames, too, as a second receiver does. It takes
+some fifty times as long as the compiled flight.
 """
 
 from __future__ import annotations
