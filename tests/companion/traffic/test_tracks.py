@@ -349,6 +349,17 @@ def test_after_a_silence_a_twin_does_not_take_the_others_track(addresses):
     assert places == pytest.approx([-100.0, -60.0], abs=0.01)
 
 
+def test_two_of_one_name_that_were_never_heard_apart_are_two():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(timestamp_s=10.0), address="a")
+    for k in range(4):
+        north_m, address = (140.0, "b") if k % 2 == 0 else (100.0, "a")
+        report = location(north_m=north_m, east_m=5.0 * (3.0 + k), timestamp_s=13.0 + k)
+        listener.hear(13.2 + k, basic("X"), report, address=address)
+    places = sorted(t.position_ned_m[0] for t in listener.tracks.values())
+    assert places == pytest.approx([100.0, 140.0], abs=0.01)
+
+
 def test_an_aircraft_that_changes_its_address_stays_one():
     listener = Listener()
     for k in range(6):
