@@ -164,6 +164,8 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 _compiled = compiled()
+_inlined = compiled(inline="always")
+"""For what every step calls: a call that hands over a fleet costs as much as the step."""
 
 
 class Fleet(NamedTuple):
@@ -286,7 +288,7 @@ def _write_down(
         seen[i, j, SEEN_VIEW:] = view[n]
 
 
-@_compiled
+@_inlined
 def on_the_ground(fleet: int, world: Array) -> Fleet:
     """A fleet of which nothing is known yet."""
     slots = int(world[W_DELAY_HIGH] / (world[W_MESSAGE] * world[W_STEP])) + 2
@@ -337,32 +339,34 @@ def begin(
             craft.lie[i, 1] = world[W_LIE] * math.sin(bearing)
 
 
-@_compiled
+@_inlined
 def send(rng: np.random.Generator, world: Array, tick: int, i: int, kinds: Array, craft: Fleet) -> int:
     """What aircraft i sends at a step of its phase, into `sent` and `arrival`; the slot."""
+    position, velocity, error, clock = craft.position, craft.velocity, craft.error, craft.clock
+    phase, frozen, lie, sent, arrival = craft.phase, craft.frozen, craft.lie, craft.sent, craft.arrival
     now = world[W_START] + tick * world[W_STEP]
-    slot = int(((tick + craft.phase[i]) // int(world[W_MESSAGE])) % craft.sent.shape[1])
-    message = craft.sent[i, slot]
-    message[M_TIME] = now + craft.clock[i]
+    slot = int(((tick + phase[i]) // int(world[W_MESSAGE])) % sent.shape[1])
+    message = sent[i, slot]
+    message[M_TIME] = now + clock[i]
     for c in range(3):
-        sent_velocity = craft.frozen[i, c] if kinds[i] == FROZEN else craft.velocity[i, c]
-        message[M_POSITION + c] = craft.position[i, c] + craft.error[i, c]
+        sent_velocity = frozen[i, c] if kinds[i] == FROZEN else velocity[i, c]
+        message[M_POSITION + c] = position[i, c] + error[i, c]
         message[M_VELOCITY + c] = sent_velocity + rng.normal(0.0, world[W_SIGMA_VELOCITY])
-    message[M_POSITION] += craft.lie[i, 0]
-    message[M_POSITION + 1] += craft.lie[i, 1]
+    message[M_POSITION] += lie[i, 0]
+    message[M_POSITION + 1] += lie[i, 1]
     if world[W_QUANTISED] != 0.0:
         _quantise(message)
     for j in range(len(kinds)):
         if j != i:
             delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
             lost = world[W_LOSS] > 0.0 and rng.random() < world[W_LOSS]
-            if kinds[i] == SILENT and _distance(craft.position, i, j) > world[W_SILENT]:
+            if kinds[i] == SILENT and _distance(position, i, j) > world[W_SILENT]:
                 lost = True
-            craft.arrival[j, i, slot] = math.inf if lost else now + delay
+            arrival[j, i, slot] = math.inf if lost else now + delay
     return slot
 
 
-@_compiled
+@_inlined
 def move(
     rng: np.random.Generator,
     world: Array,
@@ -395,7 +399,7 @@ def move(
     position, before, velocity, command = craft.position, craft.before, craft.velocity, craft.command
     error, own_error, gust = craft.error, craft.own_error, craft.gust
     conflict_at, recovery, away_since = craft.conflict_at, craft.recovery, craft.away_since
-    least2 = craft.least2
+    least2, way = craft.least2, craft.way
     fleet = len(kinds)
     for i in range(fleet):
         an, ae, ad = (
@@ -422,8 +426,8 @@ def move(
         late = state[i, k.L_DELAY]
         n, e, d = k.path_position(path_times[i], path_points[i], now + step - late)
         pn, pe, pd = k.path_position(path_times[i], path_points[i], now - late)
-        craft.way[1] += math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
-        craft.way[0] += math.sqrt(
+        way[1] += math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
+        way[0] += math.sqrt(
             (position[i, 0] - before[i, 0]) ** 2
             + (position[i, 1] - before[i, 1]) ** 2
             + (position[i, 2] - before[i, 2]) ** 2
