@@ -50,6 +50,10 @@ class Track:
     """Radio addresses that it was heard from, the last few."""
     motion: MotionWindow
     opened_s: float
+    fed_by: dict[str, str] = field(default_factory=dict)
+    """Radio address that it was heard from last, by transport."""
+    beside_s: float = -math.inf
+    """When there was another track of its identity (our monotonic time)."""
     split_from: str | None = None
     """Track that this one was opened beside, both from one radio address."""
     doubts: Doubts = field(default_factory=Doubts)
@@ -66,6 +70,7 @@ class Track:
     def take_over(self, other: Track) -> None:
         """The other track was this aircraft, heard on another transport before it told its name."""
         self.sources.extend(key for key in other.sources if key not in self.sources)
+        self.fed_by |= other.fed_by
         self.messages += other.messages
         self.opened_s = min(self.opened_s, other.opened_s)
         if other.sample_s > self.sample_s:
@@ -108,6 +113,11 @@ def off(track: Track, fix: Fix, at_s: float) -> float:
 def reach(elapsed_s: float, noise: float) -> float:
     """How far (m) from its predicted place an aircraft may be: noise, and 10 m/s^2 in any direction."""
     return 20.0 + 4.0 * noise + 8.0 * elapsed_s + 5.0 * elapsed_s * elapsed_s
+
+
+def near(noise: float) -> float:
+    """How far (m) from its predicted place a message is the aircraft's, whoever else it might be of."""
+    return 10.0 + 2.0 * noise
 
 
 def apart(track: Track, fix: Fix, now_s: float) -> bool:

@@ -33,14 +33,19 @@ from companion.traffic.judge import Judge
 from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
-from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, off, reach, same
+from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, near, off, reach, same
 
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
 _ADDRESSES_PER_TRACK = 4
 _TRACKS_PER_IDENTITY = 4
 _LEADS = 5
-_ECHO_M = 15.0
+_ECHO_M = 5.0
+_ECHO_S = 0.5
+_ECHO_HIGH_M = 10.0
+_ECHO_MPS = 3.0
+"""A message with our identity is ours as near as this to where and how we flew: two receivers on one aircraft
+(m), two clocks (s), which count along the way, heights, velocities. Farther off it is avoided."""
 _ECHO_DELAY_S = 3.0
 """Without a timestamp, an own frame may come back this late: some radios repeat the last one."""
 _OWN_SPACING_S = 0.25
@@ -48,6 +53,8 @@ _OWN_SAMPLES = 100
 _JOINED_WITHIN_M = 15.0
 """Two tracks become one only this near to each other: what one aircraft tells on two transports comes from
 one receiver. If more, a sender with a copied name could take an aircraft off the table."""
+_TWIN_MEMORY_S = 60.0
+"""After another track of its identity is gone, a track may still be taken for that one's."""
 _RANKED_EVERY = 8
 """Messages: an aircraft does not come much nearer between two."""
 
@@ -93,13 +100,13 @@ class Traffic:
         self._judge = Judge(own_uas_id, self.tracks, Verifier(config.keys) if config.keys else None)
         self._split_number = 1
         """Rises for good: a number is never tried twice, whoever holds the name that it makes."""
-        self._own: deque[tuple[float, Vec3]] = deque(maxlen=_OWN_SAMPLES)
-        """Where we were."""
+        self._own: deque[tuple[float, Vec3, Vec3]] = deque(maxlen=_OWN_SAMPLES)
+        """When we were where, and how fast."""
 
-    def note_own(self, now_s: float, position: Vec3) -> None:
-        """Remember the own position (local NED), to know an echo and to rank tracks."""
+    def note_own(self, now_s: float, position: Vec3, velocity: Vec3) -> None:
+        """Remember the own state (local NED), to know an echo and to rank tracks."""
         if not self._own or now_s - self._own[-1][0] >= _OWN_SPACING_S:
-            self._own.append((now_s, position))
+            self._own.append((now_s, position, velocity))
 
     def hear(
         self,
@@ -288,14 +295,15 @@ class Traffic:
     def _take(self, source: Source, fix: Fix, now_s: float) -> Track | None:
         """The track that the fix updated or opened."""
         identity = source.identity or source.key
+        known = self._by_identity.get(identity, [])
+        track, away = self._match(known, source, fix, now_s)
         ours = identity == self.own_uas_id or source.about.address in self.own_addresses
-        if ours and self._is_echo(fix, now_s):
+        if ours and self._from_us(fix, now_s) < away:
             self.counts.own_echo += 1
             return None
-        known = self._by_identity.get(identity, [])
-        track = self._match(known, fix, now_s)
         if track is None:
             return self._open(identity, known, source, fix, now_s)
+        track.fed_by[source.about.transport] = source.key
         if source.key not in track.sources:
             # Also without news: on two transports the same message comes twice.
             track.sources.append(source.key)
@@ -327,29 +335,55 @@ class Traffic:
         self.counts.updates += 1
         return track
 
-    def _is_echo(self, fix: Fix, now_s: float) -> bool:
-        """Own identity where we were: our own broadcast come back, or a second transmitter of ours."""
-        if not self._own:
-            return False
-        if fix.stamp_s is None:
-            places = [place for at_s, place in self._own if now_s - at_s <= _ECHO_DELAY_S]
-        else:
-            stamp_s = fix.stamp_s
-            places = [min(self._own, key=lambda sample: abs(sample[0] - stamp_s))[1]]
-        return any(math.hypot(p[0] - fix.position[0], p[1] - fix.position[1]) <= _ECHO_M for p in places)
+    def _from_us(self, fix: Fix, now_s: float) -> float:
+        """Distance (m, horizontal) of a fix from where we were; infinite where we were not so.
 
-    def _match(self, known: list[Track], fix: Fix, now_s: float) -> Track | None:
-        """The track of this identity whose aircraft can have flown to the fix; the nearest of several."""
+        It may be our own broadcast come back, or a second transmitter of ours. What flies beside us, above us
+        or towards us with our identity is another aircraft, and to be seen.
+        """
+        least = math.inf
+        stamp_s = fix.stamp_s
+        samples = [own for own in self._own if now_s - own[0] <= _ECHO_DELAY_S]
+        if stamp_s is not None and self._own:
+            samples = [min(self._own, key=lambda own: abs(own[0] - stamp_s))]
+        for at_s, place, velocity in samples:
+            along = 0.0 if stamp_s is None else stamp_s - at_s
+            north = place[0] + along * velocity[0] - fix.position[0]
+            east = place[1] + along * velocity[1] - fix.position[1]
+            away = math.hypot(north, east)
+            if away > _ECHO_M + _ECHO_S * math.hypot(*velocity):
+                continue
+            if fix.vertical_known and abs(place[2] - fix.position[2]) > _ECHO_HIGH_M:
+                continue
+            if fix.velocity is not None and math.dist(velocity, fix.velocity) > _ECHO_MPS:
+                continue
+            least = min(least, away)
+        return least
+
+    def _match(
+        self, known: list[Track], source: Source, fix: Fix, now_s: float
+    ) -> tuple[Track | None, float]:
+        """The track of this identity whose aircraft can have flown to the fix, the nearest of several; and
+        how far off it the fix is (m), infinite without one.
+
+        After some silence one aircraft can be nearly anywhere. Where two are heard under the identity, or the
+        address is not the track's, it must be near: the track would leave the other one unseen.
+        """
         at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
         best, least = None, math.inf
         for track in known:
-            elapsed = abs(at - track.sample_s)
-            away, allowed = off(track, fix, at), reach(elapsed, fix.sigma_m + track.sigma_m)
+            elapsed, noise = abs(at - track.sample_s), fix.sigma_m + track.sigma_m
+            away, allowed = off(track, fix, at), reach(elapsed, noise)
+            if len(known) > 1:
+                track.beside_s = now_s
+            twins = now_s - track.beside_s <= _TWIN_MEMORY_S
             if not track.velocity_known:
                 allowed += self.config.max_speed_mps * elapsed
+            elif twins or track.fed_by.get(source.about.transport) != source.key:
+                allowed = near(noise)
             if away <= allowed and away < least:
                 best, least = track, away
-        return best
+        return best, least
 
     def _open(
         self, identity: str, known: list[Track], source: Source, fix: Fix, now_s: float
@@ -382,6 +416,7 @@ class Traffic:
             leads_s=deque([first_lead_s], maxlen=_LEADS),
             about=About(source.about.transport, source.about.address),
             sources=deque([source.key], maxlen=_ADDRESSES_PER_TRACK),
+            fed_by={source.about.transport: source.key},
             motion=MotionWindow(fix, now_s),
             opened_s=now_s,
         )

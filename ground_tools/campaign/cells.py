@@ -16,14 +16,26 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from companion import config
+from companion import config, geometry
 from companion.avoidance import kernels, law, trajectory
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
-from companion.traffic import adsb, right_of_way
+from companion.traffic import (
+    about,
+    adsb,
+    eviction,
+    fix,
+    judge,
+    plausibility,
+    reception,
+    right_of_way,
+    track,
+    tracks,
+)
 from ground_tools.campaign import flight, generators
+from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.flight import World
 from ground_tools.campaign.generators import draw
 from ground_tools.kept import Kept
@@ -52,6 +64,7 @@ WORLDS = {
     "fence": World(),
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
+_TRACKS = (about, eviction, fix, geometry, judge, plausibility, reception, track, tracks, twin_flight)
 CREWED_MPS = 50.0
 FENCE_ASIDE_M = 20.0
 FENCE_BRAKES = 0.5
@@ -74,11 +87,16 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     intruders: Annotated[float, Meta(ge=0, le=1)] = 0.0
     """Share of the aircraft that do not avoid; the first ones."""
     intruder: str = "blind"
-    """What they do, of `flight.INTRUDERS`."""
+    """What they do, of `flight.INTRUDERS` and `flight.TWINS`."""
     world: str = "calm"
     """Of `WORLDS`."""
     reserve: bool = True
     """False: nobody can fly faster than planned."""
+
+    @property
+    def twins(self) -> bool:
+        """Whether two fly with one identity."""
+        return self.intruder in flight.TWINS and self.intruders > 0.0
 
     @property
     def name(self) -> str:
@@ -180,7 +198,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     except ValueError as error:
         raise ConfigError(f"seed {seed}: {error}") from error
     kinds = np.full(cell.aircraft, float(flight.AVOIDS))
-    kinds[: round(cell.intruders * cell.aircraft)] = flight.INTRUDERS[cell.intruder]
+    kinds[: round(cell.intruders * cell.aircraft)] = (flight.INTRUDERS | flight.TWINS)[cell.intruder]
     crewed = (kinds == flight.CREWED) | (kinds == flight.BAROMETRIC)
     if crewed.any():
         points[crewed] = _crewed_ways(times, points, crewed, seed)
@@ -203,7 +221,14 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     seen = np.full((decisions, n, n, flight.SEEN_COLUMNS), math.nan)
     pairs, result = np.zeros((n, n, flight.PAIR_ENTRIES)), np.zeros(flight.FLIGHT_ENTRIES)
     rng = np.random.default_rng([seed, 7])
-    flight.fly(rng, row, times, points, fence, settings, kinds, trace, decided, seen, pairs, result)
+    if cell.twins:
+        laws = [
+            law.Law(avoidance if kind == flight.AVOIDS else LAWS["none"], own, path, fence)
+            for kind, own, path in zip(kinds.tolist(), limits, paths, strict=True)
+        ]
+        twin_flight.fly(rng, row, times, points, fence, settings, kinds, laws, pairs, result)
+    else:
+        flight.fly(rng, row, times, points, fence, settings, kinds, trace, decided, seen, pairs, result)
     found = _row(seed, result, pairs[np.tril_indices(n, -1)])
     return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, decided, seen)
 
@@ -279,13 +304,19 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
     Raises:
         ConfigError: it was flown by another state of the law or the world, or cannot be read.
     """
-    header = {**msgspec.to_builtins(cell), "delay_s": list(cell.delay_s), "software": software()}
+    header = {
+        **msgspec.to_builtins(cell),
+        "delay_s": list(cell.delay_s),
+        "software": software(twins=cell.twins),
+    }
     return Kept(folder / f"{cell.name}.jsonl", header, Row, attrgetter("seed"))
 
 
-def software() -> str:
-    """The state of law, world and encounters that flights hang on."""
-    modules = (kernels, law, trajectory, config, flight, generators, scenario, adsb, right_of_way)
+def software(*, twins: bool = False) -> str:
+    """The state of law, world and encounters that flights hang on; with twins that of the tracks, too."""
+    modules = [kernels, law, trajectory, config, flight, generators, scenario, adsb, right_of_way]
+    if twins:
+        modules += _TRACKS
     files = [inspect.getsourcefile(module) or "" for module in modules] + [__file__]
     return hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()[:12]
 

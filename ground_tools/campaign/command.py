@@ -21,7 +21,7 @@ from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import run_folder, tables
 from ground_tools.campaign.cells import Cell, Row
-from ground_tools.campaign.flight import INTRUDERS
+from ground_tools.campaign.flight import INTRUDERS, TWINS
 from ground_tools.campaign.generators import NAMES
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
@@ -34,6 +34,9 @@ _MOST_AIRCRAFT = 200
 _MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
 """Aircraft that a worker flies before it hands over what came of them."""
+_INTRUDERS = (*INTRUDERS, *TWINS)
+_TWINS_LONGER = 50
+"""Times as long as others a flight with twins takes."""
 
 Part = tuple[Cell, list[int]]
 """What a worker flies at once: seeds of a cell."""
@@ -61,8 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     command.add_argument("--loss", type=float, default=0.0, metavar="SHARE", help="of messages (default: 0)")
     command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
                          help="of aircraft that do not avoid (default: 0)")  # fmt: skip
-    command.add_argument("--intruder", choices=INTRUDERS, default="blind", metavar="KIND",
-                         help=f"what those do: {', '.join(INTRUDERS)} (default: blind)")  # fmt: skip
+    command.add_argument("--intruder", choices=_INTRUDERS, default="blind", metavar="KIND",
+                         help=f"what those do: {', '.join(_INTRUDERS)} (default: blind)")  # fmt: skip
     command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
                          help=f"{', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
     command.add_argument("--no-reserve", action="store_true", help="nobody can fly faster than planned")
@@ -111,6 +114,7 @@ def run(args: argparse.Namespace) -> int:
     """
     cell, seeds = _cell(args), _seeds(args.seeds)
     _check_worst(args)
+    _check_twins(args, cell)
     words = Console(stderr=True)
     began = time.perf_counter()
     unavoided = campaign.baseline(cell)
@@ -148,7 +152,8 @@ def run_table(args: argparse.Namespace) -> int:
     ]
     if args.file is not None:
         ends = (seeds[0], seeds[-1])
-        tables.write(args.file, tables.Kept(software=campaign.software(), seeds=ends, lines=tuple(lines)))
+        state = campaign.software(twins=any(cell.twins for cell in wanted))
+        tables.write(args.file, tables.Kept(software=state, seeds=ends, lines=tuple(lines)))
     print(tables.markdown(lines), end="")
     return 0
 
@@ -174,7 +179,7 @@ def fly_missing(
     parts: list[Part] = []
     for cell in wanted:
         missing = [seed for seed in seeds if seed not in rows[cell]]
-        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft)
+        size = max(1, _AIRCRAFT_AT_ONCE // cell.aircraft // (_TWINS_LONGER if cell.twins else 1))
         parts += [(cell, missing[at : at + size]) for at in range(0, len(missing), size)]
     with progress("flights", len(parts)) as advance:
         for (cell, _), found in work(parts):
@@ -209,7 +214,7 @@ def _fly(part: Part) -> list[Row]:
 def _state() -> str:
     """What rows hang on. All that flies is compiled then, and kept for the other workers of the machine."""
     campaign.fly(Cell(generator="crossing", aircraft=2), [1])
-    return f"{campaign.software()}, numba {numba.__version__}, numpy {np.__version__}"
+    return f"{campaign.software(twins=True)}, numba {numba.__version__}, numpy {np.__version__}"
 
 
 def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
@@ -293,6 +298,17 @@ def _check_worst(args: argparse.Namespace) -> None:
             f"--worst: goes with up to {run_folder.MOST_AIRCRAFT} aircraft; a run folder of "
             f"{args.aircraft} is too large"
         )
+
+
+def _check_twins(args: argparse.Namespace, cell: Cell) -> None:
+    if not cell.twins:
+        return
+    if args.worst:
+        raise ConfigError(
+            f"--worst: goes without --intruder {cell.intruder}: whose track is whose is not known"
+        )
+    if campaign.WORLDS[cell.world].blackout_s > 0.0:
+        raise ConfigError(f"--world: {cell.world}: goes without --intruder {cell.intruder}")
 
 
 def _seeds(text: str) -> range:

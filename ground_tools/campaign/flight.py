@@ -10,7 +10,7 @@ velocities carry white noise, and messages are quantised as Remote ID does (ASTM
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -62,12 +62,17 @@ AWAY_M = 15.0
 # What an aircraft is: one that avoids; one that sends and flies its path (blind), or besides turns and climbs
 # at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), sends
 # a wrong position (liar); crewed traffic, heard by ADS-B, with a geometric altitude (crewed) or with one that
-# says nothing within 300 m (barometric).
-AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC = range(8)
+# says nothing within 300 m (barometric); one that flies its path and sends with the identity of the second
+# aircraft (twin), and from its radio address, too (clone), or with that of whoever hears it (own twin, own
+# clone): those are flown by `twins.fly`.
+(
+    AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC, TWIN, CLONE, OWN_TWIN, OWN_CLONE,
+) = range(12)  # fmt: skip
 INTRUDERS = {
     "blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN, "crewed": CREWED,
     "barometric": BAROMETRIC,
 }  # fmt: skip
+TWINS = {"twin": TWIN, "clone": CLONE, "own-twin": OWN_TWIN, "own-clone": OWN_CLONE}
 _TURN_S = 4.0
 """Between two changes of mind of one that turns."""
 _TURN_RAD = math.radians(60.0)
@@ -159,6 +164,49 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 _compiled = compiled()
+_inlined = compiled(inline="always")
+"""For what every step calls: a call that hands over a fleet costs as much as the step."""
+
+
+class Fleet(NamedTuple):
+    """A fleet in the air, A aircraft. NED, m and s; by aircraft where nothing else is said."""
+
+    position: Array
+    """(A, 3)."""
+    before: Array
+    """(A, 3): a step ago."""
+    velocity: Array
+    """(A, 3)."""
+    command: Array
+    """(A, 3)."""
+    error: Array
+    """(A, 3), of the GNSS position."""
+    own_error: Array
+    """(A, 3), of the own velocity."""
+    gust: Array
+    """(A, 3), m/s^2."""
+    clock: Array
+    """(A,): how far it leads."""
+    phase: NDArray[np.int64]
+    """(A,): steps from a message to the flight's first step."""
+    frozen: Array
+    """(A, 3): the first velocity."""
+    lie: Array
+    """(A, 2): what is added to a sent position."""
+    sent: Array
+    """(A, slots, MESSAGE_COLUMNS): the last messages."""
+    arrival: Array
+    """(receiver, sender, slots): when those come; infinite: not, or they came."""
+    conflict_at: Array
+    """(A,): when it was in conflict last."""
+    recovery: Array
+    """(A,): how long it took to come back; infinite: not back."""
+    away_since: Array
+    """(A,): infinite while it is not away."""
+    way: Array
+    """(2,): flown and planned, of all."""
+    least2: Array
+    """(A, A): squares of the least distances."""
 
 
 @_compiled
@@ -240,6 +288,187 @@ def _write_down(
         seen[i, j, SEEN_VIEW:] = view[n]
 
 
+@_inlined
+def on_the_ground(fleet: int, world: Array) -> Fleet:
+    """A fleet of which nothing is known yet."""
+    slots = int(world[W_DELAY_HIGH] / (world[W_MESSAGE] * world[W_STEP])) + 2
+    return Fleet(
+        position=np.zeros((fleet, 3)),
+        before=np.zeros((fleet, 3)),
+        velocity=np.zeros((fleet, 3)),
+        command=np.zeros((fleet, 3)),
+        error=np.zeros((fleet, 3)),
+        own_error=np.zeros((fleet, 3)),
+        gust=np.zeros((fleet, 3)),
+        clock=np.zeros(fleet),
+        phase=np.zeros(fleet, np.int64),
+        frozen=np.zeros((fleet, 3)),
+        lie=np.zeros((fleet, 2)),
+        sent=np.zeros((fleet, slots, MESSAGE_COLUMNS)),
+        arrival=np.full((fleet, fleet, slots), math.inf),
+        conflict_at=np.zeros(fleet),
+        recovery=np.zeros(fleet),
+        away_since=np.full(fleet, math.inf),
+        way=np.zeros(2),
+        least2=np.full((fleet, fleet), math.inf),
+    )
+
+
+@_compiled
+def begin(
+    rng: np.random.Generator, world: Array, path_times: Array, path_points: Array, kinds: Array, craft: Fleet
+) -> None:
+    """Every aircraft onto its path, with the errors that it has; arguments as of `fly`."""
+    step, message_every = world[W_STEP], int(world[W_MESSAGE])
+    position, velocity = craft.position, craft.velocity
+    for i in range(len(kinds)):
+        n, e, d = k.path_position(path_times[i], path_points[i], world[W_START])
+        position[i, 0], position[i, 1], position[i, 2] = n, e, d
+        bn, be, bd = k.path_position(path_times[i], path_points[i], world[W_START] + step)
+        velocity[i, 0], velocity[i, 1], velocity[i, 2] = (bn - n) / step, (be - e) / step, (bd - d) / step
+        for c in range(3):
+            craft.command[i, c] = velocity[i, c]
+            craft.error[i, c] = rng.normal(0.0, world[W_SIGMA])
+            craft.frozen[i, c] = velocity[i, c]
+            craft.own_error[i, c] = rng.normal(0.0, world[W_OWN_VELOCITY])
+        craft.phase[i] = rng.integers(0, message_every)
+        craft.clock[i] = rng.uniform(-world[W_CLOCK], world[W_CLOCK])
+        bearing = rng.uniform(0.0, 2.0 * math.pi)
+        if kinds[i] == LIAR:
+            craft.lie[i, 0] = world[W_LIE] * math.cos(bearing)
+            craft.lie[i, 1] = world[W_LIE] * math.sin(bearing)
+
+
+@_inlined
+def send(rng: np.random.Generator, world: Array, tick: int, i: int, kinds: Array, craft: Fleet) -> int:
+    """What aircraft i sends at a step of its phase, into `sent` and `arrival`; the slot."""
+    position, velocity, error, clock = craft.position, craft.velocity, craft.error, craft.clock
+    phase, frozen, lie, sent, arrival = craft.phase, craft.frozen, craft.lie, craft.sent, craft.arrival
+    now = world[W_START] + tick * world[W_STEP]
+    slot = int(((tick + phase[i]) // int(world[W_MESSAGE])) % sent.shape[1])
+    message = sent[i, slot]
+    message[M_TIME] = now + clock[i]
+    for c in range(3):
+        sent_velocity = frozen[i, c] if kinds[i] == FROZEN else velocity[i, c]
+        message[M_POSITION + c] = position[i, c] + error[i, c]
+        message[M_VELOCITY + c] = sent_velocity + rng.normal(0.0, world[W_SIGMA_VELOCITY])
+    message[M_POSITION] += lie[i, 0]
+    message[M_POSITION + 1] += lie[i, 1]
+    if world[W_QUANTISED] != 0.0:
+        _quantise(message)
+    for j in range(len(kinds)):
+        if j != i:
+            delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
+            lost = world[W_LOSS] > 0.0 and rng.random() < world[W_LOSS]
+            if kinds[i] == SILENT and _distance(position, i, j) > world[W_SILENT]:
+                lost = True
+            arrival[j, i, slot] = math.inf if lost else now + delay
+    return slot
+
+
+@_inlined
+def move(
+    rng: np.random.Generator,
+    world: Array,
+    tick: int,
+    last: bool,
+    path_times: Array,
+    path_points: Array,
+    fence: Array,
+    settings: Array,
+    kinds: Array,
+    state: Array,
+    craft: Fleet,
+    trace: Array,
+    result: Array,
+) -> None:
+    """One step of all vehicles, as they are commanded, and what it does to the result; arguments as of `fly`.
+
+    Args:
+        last: this is the flight's last step.
+        state: shape (A, STATE_ENTRIES); each path's delay is read.
+        craft: moved.
+    """
+    step, lag, most = world[W_STEP], world[W_LAG], world[W_ACCELERATION]
+    now = world[W_START] + tick * step
+    keep = math.exp(-step / world[W_SIGMA_MEMORY])
+    fresh = math.sqrt(1.0 - keep * keep) * world[W_SIGMA]
+    gust_keep = math.exp(-step / world[W_GUST_MEMORY])
+    gust_fresh = math.sqrt(1.0 - gust_keep * gust_keep) * world[W_GUST]
+    own_fresh = math.sqrt(1.0 - keep * keep) * world[W_OWN_VELOCITY]
+    position, before, velocity, command = craft.position, craft.before, craft.velocity, craft.command
+    error, own_error, gust = craft.error, craft.own_error, craft.gust
+    conflict_at, recovery, away_since = craft.conflict_at, craft.recovery, craft.away_since
+    least2, way = craft.least2, craft.way
+    fleet = len(kinds)
+    for i in range(fleet):
+        an, ae, ad = (
+            (command[i, 0] - velocity[i, 0]) / lag,
+            (command[i, 1] - velocity[i, 1]) / lag,
+            (command[i, 2] - velocity[i, 2]) / lag,
+        )
+        size = math.sqrt(an * an + ae * ae + ad * ad)
+        if size > most:
+            an, ae, ad = an * most / size, ae * most / size, ad * most / size
+        if world[W_GUST] > 0.0:
+            for c in range(3):
+                gust[i, c] = gust_keep * gust[i, c] + gust_fresh * rng.normal(0.0, 1.0)
+        for c, answer in enumerate((an, ae, ad)):
+            a = answer + gust[i, c]
+            before[i, c] = position[i, c]
+            position[i, c] += (velocity[i, c] + 0.5 * step * a) * step
+            velocity[i, c] += step * a
+            error[i, c] = keep * error[i, c] + fresh * rng.normal(0.0, 1.0)
+            if own_fresh > 0.0:
+                own_error[i, c] = keep * own_error[i, c] + own_fresh * rng.normal(0.0, 1.0)
+        if tick < len(trace):
+            trace[tick, i] = position[i]
+        late = state[i, k.L_DELAY]
+        n, e, d = k.path_position(path_times[i], path_points[i], now + step - late)
+        pn, pe, pd = k.path_position(path_times[i], path_points[i], now - late)
+        way[1] += math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
+        way[0] += math.sqrt(
+            (position[i, 0] - before[i, 0]) ** 2
+            + (position[i, 1] - before[i, 1]) ** 2
+            + (position[i, 2] - before[i, 2]) ** 2
+        )
+        if kinds[i] != AVOIDS:
+            continue
+        gap = math.sqrt((n - position[i, 0]) ** 2 + (e - position[i, 1]) ** 2 + (d - position[i, 2]) ** 2)
+        result[F_DEVIATION] = max(result[F_DEVIATION], gap)
+        away_since[i] = min(away_since[i], now) if gap > AWAY_M else math.inf
+        result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
+        result[F_FENCE] = max(result[F_FENCE], _beyond(fence, position[i, 0], position[i, 1]))
+        for j in range(fleet):
+            if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
+                level = settings[i, k.S_CREWED] / math.sqrt(2.0)
+                aside = math.hypot(position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]) / level
+                above = abs(position[i, 2] - position[j, 2]) * settings[i, k.S_CREWED_VERTICAL] / level
+                result[F_CREWED] = min(result[F_CREWED], max(aside, above))
+        if recovery[i] == math.inf and gap <= settings[i, k.S_REGAINED]:
+            recovery[i] = now - conflict_at[i]
+        if last:
+            result[F_BACK] = max(result[F_BACK], gap)
+            result[F_LOST] = max(result[F_LOST], state[i, k.L_DELAY])
+            result[F_RECOVERY] = max(result[F_RECOVERY], recovery[i])
+    for i in range(fleet):
+        for j in range(i):
+            near2 = _least_distance2(position, before, i, j)
+            if near2 < least2[i, j]:
+                least2[i, j] = near2
+                if near2 < result[F_SEPARATION]:
+                    result[F_SEPARATION], result[F_TIME] = near2, now
+                    result[F_FIRST], result[F_SECOND] = j, i
+
+
+@_compiled
+def land(craft: Fleet, pairs: Array, result: Array) -> None:
+    """What the steps have gathered, into `pairs` and `result` of `fly`."""
+    pairs[:, :, P_SEPARATION] = np.sqrt(craft.least2)
+    result[F_SEPARATION] = math.sqrt(result[F_SEPARATION])
+    result[F_PATH_RATIO] = craft.way[0] / craft.way[1] if craft.way[1] > 0.0 else 1.0
+
+
 @_compiled
 def fly(
     rng: np.random.Generator,
@@ -273,25 +502,15 @@ def fly(
         result: FLIGHT_ENTRIES values; written.
     """
     fleet = path_times.shape[0]
-    step, lag, most = world[W_STEP], world[W_LAG], world[W_ACCELERATION]
+    craft = on_the_ground(fleet, world)
+    step = world[W_STEP]
     steps = round((world[W_END] - world[W_START]) / step)
-    every, message_every = int(world[W_PERIOD]), int(world[W_MESSAGE])
-    slots = int(world[W_DELAY_HIGH] / (message_every * step)) + 2
-    keep = math.exp(-step / world[W_SIGMA_MEMORY])
-    fresh = math.sqrt(1.0 - keep * keep) * world[W_SIGMA]
-
-    position, before, velocity = np.zeros((fleet, 3)), np.zeros((fleet, 3)), np.zeros((fleet, 3))
-    error, command = np.zeros((fleet, 3)), np.zeros((fleet, 3))
-    gust, own_error = np.zeros((fleet, 3)), np.zeros((fleet, 3))
-    clock, turn, climb = np.zeros(fleet), np.zeros(fleet), np.zeros(fleet)
-    lie, frozen = np.zeros((fleet, 2)), np.zeros((fleet, 3))
-    gust_keep = math.exp(-step / world[W_GUST_MEMORY])
-    gust_fresh = math.sqrt(1.0 - gust_keep * gust_keep) * world[W_GUST]
-    own_fresh = math.sqrt(1.0 - keep * keep) * world[W_OWN_VELOCITY]
+    every, message_every, slots = int(world[W_PERIOD]), int(world[W_MESSAGE]), craft.sent.shape[1]
     mind_every = round(_TURN_S / step)
-    phase = np.zeros(fleet, np.int64)
-    sent = np.zeros((fleet, slots, MESSAGE_COLUMNS))  # the sender's last messages
-    arrival = np.full((fleet, fleet, slots), math.inf)  # (receiver, sender, slot)
+    position, velocity, command = craft.position, craft.velocity, craft.command
+    error, own_error, clock, phase = craft.error, craft.own_error, craft.clock, craft.phase
+    sent, arrival = craft.sent, craft.arrival
+    turn, climb = np.zeros(fleet), np.zeros(fleet)
     heard = np.zeros((fleet, fleet, MESSAGE_COLUMNS))
     heard[:, :, M_TIME] = -math.inf
     state = np.zeros((fleet, k.STATE_ENTRIES))
@@ -304,9 +523,8 @@ def fly(
     planes, scratch = np.zeros((walls + 2 * fleet, 4)), np.zeros((walls + 2 * fleet, 4))
     view, out = np.zeros((fleet, k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
     senders = np.zeros(fleet, np.int64)
-    conflict_at, recovery = np.zeros(fleet), np.zeros(fleet)  # infinite while not back
-    in_conflict, away_since = np.zeros(fleet), np.full(fleet, math.inf)
-    flown = planned = manoeuvres = infeasible = decisions = 0.0
+    conflict_at, recovery, in_conflict = craft.conflict_at, craft.recovery, np.zeros(fleet)
+    manoeuvres = infeasible = decisions = 0.0
     result[:] = 0.0
     result[F_SEPARATION] = result[F_CREWED] = math.inf
     dark, dark_from = -1, math.inf
@@ -316,24 +534,10 @@ def fly(
         dark_from = middle + rng.uniform(-_BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S)
         if kinds[dark] != AVOIDS:
             dark = -1
-    least2 = np.full((fleet, fleet), math.inf)
     pairs[:, :, P_ALERT] = 0.0
 
+    begin(rng, world, path_times, path_points, kinds, craft)
     for i in range(fleet):
-        n, e, d = k.path_position(path_times[i], path_points[i], world[W_START])
-        position[i, 0], position[i, 1], position[i, 2] = n, e, d
-        bn, be, bd = k.path_position(path_times[i], path_points[i], world[W_START] + step)
-        velocity[i, 0], velocity[i, 1], velocity[i, 2] = (bn - n) / step, (be - e) / step, (bd - d) / step
-        for c in range(3):
-            command[i, c] = velocity[i, c]
-            error[i, c] = rng.normal(0.0, world[W_SIGMA])
-            frozen[i, c] = velocity[i, c]
-            own_error[i, c] = rng.normal(0.0, world[W_OWN_VELOCITY])
-        phase[i] = rng.integers(0, message_every)
-        clock[i] = rng.uniform(-world[W_CLOCK], world[W_CLOCK])
-        bearing = rng.uniform(0.0, 2.0 * math.pi)
-        if kinds[i] == LIAR:
-            lie[i, 0], lie[i, 1] = world[W_LIE] * math.cos(bearing), world[W_LIE] * math.sin(bearing)
         k.begin(state[i], settings[i])
 
     for tick in range(steps):
@@ -344,25 +548,7 @@ def fly(
             if i == dark and blacked:
                 continue
             if (tick + phase[i]) % message_every == 0:
-                slot = ((tick + phase[i]) // message_every) % slots
-                message = sent[i, slot]
-                message[M_TIME] = now + clock[i]
-                for c in range(3):
-                    sent_velocity = frozen[i, c] if kinds[i] == FROZEN else velocity[i, c]
-                    message[M_POSITION + c] = position[i, c] + error[i, c]
-                    message[M_VELOCITY + c] = sent_velocity + rng.normal(0.0, world[W_SIGMA_VELOCITY])
-                message[M_POSITION] += lie[i, 0]
-                message[M_POSITION + 1] += lie[i, 1]
-                if world[W_QUANTISED] != 0.0:
-                    _quantise(message)
-                heard[i, i] = message
-                for j in range(fleet):
-                    if j != i:
-                        delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
-                        lost = world[W_LOSS] > 0.0 and rng.random() < world[W_LOSS]
-                        if kinds[i] == SILENT and _distance(position, i, j) > world[W_SILENT]:
-                            lost = True
-                        arrival[j, i, slot] = math.inf if lost else now + delay
+                heard[i, i] = sent[i, send(rng, world, tick, i, kinds, craft)]
         if tick % every == 0:
             for i in range(fleet):
                 if i == dark and unfit:
@@ -435,69 +621,11 @@ def fly(
                         if view[n, k.V_CONFLICT] != 0.0:
                             pairs[max(i, senders[n]), min(i, senders[n]), P_ALERT] = 1.0
 
-        for i in range(fleet):
-            an, ae, ad = (
-                (command[i, 0] - velocity[i, 0]) / lag,
-                (command[i, 1] - velocity[i, 1]) / lag,
-                (command[i, 2] - velocity[i, 2]) / lag,
-            )
-            size = math.sqrt(an * an + ae * ae + ad * ad)
-            if size > most:
-                an, ae, ad = an * most / size, ae * most / size, ad * most / size
-            if world[W_GUST] > 0.0:
-                for c in range(3):
-                    gust[i, c] = gust_keep * gust[i, c] + gust_fresh * rng.normal(0.0, 1.0)
-            for c, answer in enumerate((an, ae, ad)):
-                a = answer + gust[i, c]
-                before[i, c] = position[i, c]
-                position[i, c] += (velocity[i, c] + 0.5 * step * a) * step
-                velocity[i, c] += step * a
-                error[i, c] = keep * error[i, c] + fresh * rng.normal(0.0, 1.0)
-                if own_fresh > 0.0:
-                    own_error[i, c] = keep * own_error[i, c] + own_fresh * rng.normal(0.0, 1.0)
-            if tick < len(trace):
-                trace[tick, i] = position[i]
-            late = state[i, k.L_DELAY]
-            n, e, d = k.path_position(path_times[i], path_points[i], now + step - late)
-            pn, pe, pd = k.path_position(path_times[i], path_points[i], now - late)
-            planned += math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
-            flown += math.sqrt(
-                (position[i, 0] - before[i, 0]) ** 2
-                + (position[i, 1] - before[i, 1]) ** 2
-                + (position[i, 2] - before[i, 2]) ** 2
-            )
-            if kinds[i] != AVOIDS:
-                continue
-            gap = math.sqrt((n - position[i, 0]) ** 2 + (e - position[i, 1]) ** 2 + (d - position[i, 2]) ** 2)
-            result[F_DEVIATION] = max(result[F_DEVIATION], gap)
-            away_since[i] = min(away_since[i], now) if gap > AWAY_M else math.inf
-            result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
-            result[F_FENCE] = max(result[F_FENCE], _beyond(fence, position[i, 0], position[i, 1]))
-            for j in range(fleet):
-                if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
-                    level = settings[i, k.S_CREWED] / math.sqrt(2.0)
-                    aside = (
-                        math.hypot(position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]) / level
-                    )
-                    above = abs(position[i, 2] - position[j, 2]) * settings[i, k.S_CREWED_VERTICAL] / level
-                    result[F_CREWED] = min(result[F_CREWED], max(aside, above))
-            if recovery[i] == math.inf and gap <= settings[i, k.S_REGAINED]:
-                recovery[i] = now - conflict_at[i]
-            if tick == steps - 1:
-                result[F_BACK] = max(result[F_BACK], gap)
-                result[F_LOST] = max(result[F_LOST], state[i, k.L_DELAY])
-                result[F_RECOVERY] = max(result[F_RECOVERY], recovery[i])
-        for i in range(fleet):
-            for j in range(i):
-                near2 = _least_distance2(position, before, i, j)
-                if near2 < least2[i, j]:
-                    least2[i, j] = near2
-                    if near2 < result[F_SEPARATION]:
-                        result[F_SEPARATION], result[F_TIME] = near2, now
-                        result[F_FIRST], result[F_SECOND] = j, i
+        move(
+            rng, world, tick, tick == steps - 1, path_times, path_points, fence, settings, kinds, state,
+            craft, trace, result,
+        )  # fmt: skip
 
-    pairs[:, :, P_SEPARATION] = np.sqrt(least2)
-    result[F_SEPARATION] = math.sqrt(result[F_SEPARATION])
-    result[F_PATH_RATIO] = flown / planned if planned > 0.0 else 1.0
+    land(craft, pairs, result)
     result[F_MANOEUVRES] = manoeuvres
     result[F_INFEASIBLE] = infeasible / max(decisions, 1.0)

@@ -10,7 +10,7 @@ import msgspec
 
 from companion.errors import ConfigError
 from ground_tools.campaign.cells import LAWS, WORLDS, Cell
-from ground_tools.campaign.flight import INTRUDERS
+from ground_tools.campaign.flight import INTRUDERS, TWINS
 from ground_tools.campaign.generators import NAMES
 
 _NOTHING: Final = "-"
@@ -85,12 +85,23 @@ def _open_ground() -> list[Cell]:
     return [*rows, Cell(generator="streams", aircraft=50, delay_s=DELAYS_S[1])]
 
 
+def _twins() -> list[Cell]:
+    """Two with one identity; then with four of five messages lost, where one may be taken for the other."""
+    rows = [_twin(kind, DELAYS_S[1], 0.0) for kind in ("twin", "own-twin")]
+    return rows + [_twin(kind, DELAYS_S[0], 0.8) for kind in TWINS]
+
+
+def _twin(kind: str, delay_s: tuple[float, float], loss: float) -> Cell:
+    return Cell(generator="circle", aircraft=5, intruders=0.2, intruder=kind, delay_s=delay_s, loss=loss)
+
+
 TABLES: Final[dict[str, Callable[[], list[Cell]]]] = {
     "generators": _generators,
     "laws": _laws,
     "many": _many,
     "fast": _fast,
     "open-ground": _open_ground,
+    "twins": _twins,
 }
 
 

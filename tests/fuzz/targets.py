@@ -142,7 +142,7 @@ class _Hearing:
         self.traffic = Traffic(TrafficConfig(max_tracks=MAX_TRACKS, keys={SIGNER: PUBLIC_KEY}), "OWN")
         self.frame = LocalFrame(47.5, 8.5, 450.0)
         self.now_s = 0.0
-        self.traffic.note_own(0.0, (0.0, 0.0, 0.0))
+        self.traffic.note_own(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def take(self, event: RemoteIdHeard | None) -> bool:
         self.now_s += 0.01

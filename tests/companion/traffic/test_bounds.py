@@ -119,7 +119,7 @@ def test_two_hundred_thousand_hostile_frames(keys):
         for k in range(FRAMES // len(PLACES) // 2):
             now_s = 100.0 + 0.002 * k
             if k % 50 == 0:
-                traffic.note_own(now_s, (0.1 * k, 0.0, 0.0))
+                traffic.note_own(now_s, (0.1 * k, 0.0, 0.0), (0.0, 0.0, 0.0))
                 traffic.expire(now_s)
                 traffic.flagged(now_s)
                 assert len(traffic.neighbours(now_s)) == len(traffic.tracks)
@@ -171,7 +171,7 @@ def location_at(north_m: float, timestamp_s: float) -> Location:
 def full_table(max_tracks: int) -> tuple[Traffic, LocalFrame]:
     """As many tracks and addresses as the table holds, with the names of splits squatted upon."""
     traffic, frame = Traffic(TrafficConfig(max_tracks=max_tracks), "OWN"), LocalFrame(47.397, 8.545, 400.0)
-    traffic.note_own(10.0, (0.0, 0.0, 0.0))
+    traffic.note_own(10.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for k in range(max_tracks):
         identity = f"X#{k}" if k % 2 else f"I{k}"
         hear(traffic, frame, 10.0, identity, location_at(20.0 + 30_000.0 * k / max_tracks, 10.0), f"s{k}")

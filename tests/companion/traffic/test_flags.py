@@ -139,7 +139,7 @@ def test_one_position_elsewhere_and_back_is_no_duplicate():
 def test_our_own_identity_elsewhere_is_a_duplicate():
     listener = Listener(own="X")
     for t in seconds(10):
-        listener.traffic.note_own(t, (0.0, 0.0, -50.0))
+        listener.traffic.note_own(t, (0.0, 0.0, -50.0), (0.0, 0.0, 0.0))
         fly(listener, straight(), [t])
     assert listener.flags("X") == {Flag.DUPLICATE_IDENTITY}
 

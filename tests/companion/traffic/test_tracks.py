@@ -121,7 +121,7 @@ def test_repeated_advertisements_say_nothing_about_clocks():
 
 def test_range_is_counted_from_where_we_are():
     listener = Listener()
-    listener.traffic.note_own(10.0, (66_000.0, 0.0, 0.0))
+    listener.traffic.note_own(10.0, (66_000.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     listener.hear(10.0, basic("X"), location(north_m=66_050.0))
     assert list(listener.tracks) == ["X"]
 
@@ -275,10 +275,105 @@ def test_a_vague_height_does_not_separate():
 def test_own_identity_counts_as_echo_only_where_we_are():
     listener = Listener()
     for k in range(40):
-        listener.traffic.note_own(8.0 + 0.25 * k, (100.0, 5.0 * (0.25 * k - 2.0), 0.0))
+        listener.traffic.note_own(8.0 + 0.25 * k, (100.0, 5.0 * (0.25 * k - 2.0), 0.0), (0.0, 5.0, 0.0))
     listener.hear(12.0, basic("OWN"), location(north_m=101.0, east_m=0.0, timestamp_s=10.0), address="own")
     assert not listener.tracks
     listener.hear(12.0, basic("OWN"), location(north_m=160.0, timestamp_s=12.0), address="clone")
+    assert len(listener.tracks) == 1
+
+
+def fly_own(listener, to_s=14.0):
+    """Ourselves at 5 m/s to the east, at (100, 0) at 10 s."""
+    for k in range(round((to_s - 8.0) / 0.25) + 1):
+        at_s = 8.0 + 0.25 * k
+        listener.traffic.note_own(at_s, (100.0, 5.0 * (at_s - 10.0), 0.0), (0.0, 5.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"north_m": 108.0},
+        {"east_m": -8.0},
+        {"direction_deg": 270.0},
+        {"speed_mps": 1.5},
+        {"alt_geodetic_m": 459.0},
+        {"vertical_speed_mps": 4.0},
+    ],
+    ids=["beside", "behind", "towards us", "slower", "above", "climbing"],
+)
+def test_a_twin_of_ours_is_seen_unless_it_flies_as_we_do_where_we_do(change):
+    listener = Listener()
+    fly_own(listener)
+    listener.hear(11.0, basic("OWN"), location(timestamp_s=10.0, **change), address="twin")
+    assert len(listener.tracks) == 1
+    listener = Listener()
+    fly_own(listener)
+    noisy = {
+        "north_m": 103.0,
+        "east_m": 2.0,
+        "speed_mps": 6.0,
+        "direction_deg": 80.0,
+        "alt_geodetic_m": 450.0,
+    }
+    listener.hear(11.0, basic("OWN"), location(timestamp_s=10.0, **noisy), address="own")
+    assert not listener.tracks
+
+
+def test_a_twin_of_ours_that_was_seen_is_followed_up_to_us():
+    """Nearer to where it was to be than to us, it is no echo; what we send meanwhile is."""
+    listener = Listener()
+    fly_own(listener)
+    for k in range(5):
+        twin = location(north_m=112.0 - 2.0 * k, east_m=5.0 * k, timestamp_s=10.0 + k)
+        listener.hear(10.5 + k, basic("OWN"), twin, address="twin")
+        listener.hear(10.5 + k, basic("OWN"), location(east_m=5.0 * k, timestamp_s=10.0 + k), address="own")
+    (track,) = listener.tracks.values()
+    assert track.position_ned_m[:2] == pytest.approx((104.0, 20.0), abs=0.01)
+    assert listener.traffic.counts.own_echo == 5
+
+
+@pytest.mark.parametrize("addresses", ["ab", "aa"], ids=["own address", "copied address"])
+def test_after_a_silence_a_twin_does_not_take_the_others_track(addresses):
+    """One aircraft could have flown there meanwhile; the other would be unseen from then on."""
+    listener = Listener()
+    first, second = addresses
+    listener.hear(10.0, basic("X"), location(timestamp_s=10.0), address=first)
+    listener.hear(10.5, basic("X"), location(north_m=-100.0, timestamp_s=10.5), address=second)
+    assert len(listener.tracks) == 2
+    # One is not heard for so long that it is forgotten, the other for 6 s.
+    listener.hear(20.5, basic("X"), location(north_m=-100.0, east_m=50.0, timestamp_s=20.5), address=second)
+    listener.traffic.expire(25.5)
+    assert len(listener.tracks) == 1
+    listener.hear(26.5, basic("X"), location(north_m=-60.0, east_m=80.0, timestamp_s=26.5), address=first)
+    places = sorted(t.position_ned_m[0] for t in listener.tracks.values())
+    assert places == pytest.approx([-100.0, -60.0], abs=0.01)
+
+
+def test_two_of_one_name_that_were_never_heard_apart_are_two():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(timestamp_s=10.0), address="a")
+    for k in range(4):
+        north_m, address = (140.0, "b") if k % 2 == 0 else (100.0, "a")
+        report = location(north_m=north_m, east_m=5.0 * (3.0 + k), timestamp_s=13.0 + k)
+        listener.hear(13.2 + k, basic("X"), report, address=address)
+    places = sorted(t.position_ned_m[0] for t in listener.tracks.values())
+    assert places == pytest.approx([100.0, 140.0], abs=0.01)
+
+
+def test_an_aircraft_that_changes_its_address_stays_one():
+    listener = Listener()
+    for k in range(6):
+        report = location(north_m=100.0 + 3.0 * (k % 2), east_m=5.0 * k, timestamp_s=10.0 + k)
+        listener.hear(10.5 + k, basic("X"), report, address=f"{k}")
+    assert len(listener.tracks) == 1
+    listener.hear(16.5, basic("X"), location(east_m=30.0, timestamp_s=16.0), address="0", transport="ble5")
+    assert len(listener.tracks) == 1
+
+
+def test_one_that_is_alone_may_have_flown_anywhere_meanwhile():
+    listener = Listener()
+    listener.hear(10.0, basic("X"), location(timestamp_s=10.0))
+    listener.hear(16.5, basic("X"), location(north_m=140.0, east_m=30.0, timestamp_s=16.0))
     assert len(listener.tracks) == 1
 
 
