@@ -1,0 +1,53 @@
+"""Hours of trouble, in small: the rules hold, they can be broken, and a seed is a flight."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import product
+
+import pytest
+
+from companion.core import Companion
+from companion.events import Firmware
+from companion.ownship import Ownship
+from sitl_mocks import cli
+from sitl_mocks.soak import BrokenRuleError, soak
+
+HOURS = 0.12
+
+
+def fly(firmware, use, seed=1, hours=HOURS):
+    return soak(firmware, use, seed, hours, lambda share: None)
+
+
+@pytest.mark.parametrize(("firmware", "use"), list(product(Firmware, ("guard", "fly"))))
+def test_no_rule_is_broken(firmware, use):
+    told = fly(firmware, use)
+    assert told.taken > 0
+    assert told.setpoints > 500
+    assert sum(told.troubles.values()) > 3
+    assert use == "fly" or told.given_back > 0
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "broken", "words"),
+    [
+        (Companion, "_pilot_took_over", lambda self, now_s: False, "after the pilot's mode was seen"),
+        (Ownship, "unfit", lambda self, now_s, stale_after_s: None, "a setpoint on a position"),
+    ],
+)
+def test_a_companion_that_breaks_a_rule_is_found(monkeypatch, where, name, broken, words):
+    monkeypatch.setattr(where, name, broken)
+    with pytest.raises(BrokenRuleError, match=f"seed 1, at .*{words}"):
+        fly(Firmware.PX4, "fly", hours=2.0)
+
+
+def test_a_seed_is_a_flight():
+    one, other = (dataclasses.asdict(fly(Firmware.PX4, "guard", hours=0.03)) for _ in range(2))
+    del one["memory_mb"], other["memory_mb"]
+    assert one == other
+
+
+def test_hours_that_are_none_are_refused(capsys):
+    assert cli.main(["soak", "--hours", "0"]) == 2
+    assert "--hours: 0: allowed above 0 to 1000" in capsys.readouterr().err
