@@ -13,11 +13,11 @@ from companion.ownship import Ownship
 from sitl_mocks import cli
 from sitl_mocks.soak import BrokenRuleError, soak
 
-HOURS = 0.12
+HOURS = {"guard": 0.2, "fly": 0.1}
 
 
-def fly(firmware, use, seed=1, hours=HOURS):
-    return soak(firmware, use, seed, hours, lambda share: None)
+def fly(firmware, use, seed=1, hours=None):
+    return soak(firmware, use, seed, hours or HOURS[use], lambda share: None)
 
 
 @pytest.mark.parametrize(("firmware", "use"), list(product(Firmware, ("guard", "fly"))))
