@@ -144,6 +144,27 @@ def test_kill_leaves_a_readable_record_and_the_vehicle_to_its_failsafe(start, tm
     assert cli.main(["replay", str(file.parent)]) == 0
 
 
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+def test_a_hung_companion_leaves_the_vehicle_to_its_failsafe_and_ends_itself(start, tmp_path, firmware):
+    vehicle, companion = fly(start, tmp_path, firmware)
+    companion.wait_for("vehicle mode external")
+    with Station(vehicle) as station:
+        station.wait_for("GLOBAL_POSITION_INT", lambda m: m.vx > 50)
+        companion.process.send_signal(signal.SIGSTOP)
+        if firmware == "ardupilot":
+            station.wait_for("GLOBAL_POSITION_INT", lambda m: abs(m.vx) < 10)
+        else:
+            station.wait_for("HEARTBEAT", lambda m: m.custom_mode == 0x05040000)
+        time.sleep(5.0)
+        # Its watchdog's time is over, too: it comes back to nothing.
+        companion.process.send_signal(signal.SIGCONT)
+        assert companion.process.wait(60.0) == 1
+    assert "Timeout" in companion.output
+    file, _ = the_record(tmp_path)
+    assert not (file.parent / "summary.json").exists()
+    assert vehicle.end() == 0
+
+
 def test_a_dry_run_leaves_the_vehicle_alone(start, tmp_path):
     vehicle = start(
         "sitl_mocks.cli", "serve", "--firmware", "px4", "--link", "udpin:127.0.0.1:0", "--airborne", "50"
