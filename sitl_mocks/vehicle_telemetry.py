@@ -267,12 +267,15 @@ class Telemetry:
         return mavlink.MAVLink_rc_channels_message(self._boot_ms(now_s), 8, *channels, 200)
 
     def _estimator_status(self, now_s: float) -> MavlinkMessage:
-        """EKF_STATUS_REPORT or ESTIMATOR_STATUS; the flags have the same bits in both."""
+        """EKF_STATUS_REPORT or ESTIMATOR_STATUS; the flags have the same bits in both, but PX4's position is
+        constant also while it rests on the ground."""
         troubles = self._troubles
         ratio = 1.5 if troubles.estimator_bad else 0.1
         flags = _ESTIMATOR_LOST if troubles.position_lost else _ESTIMATOR_GOOD
         if self._manners.estimator_message == mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
             return mavlink.MAVLink_ekf_status_report_message(flags, ratio, ratio, 0.1, 0.1, 0.0)
+        if self._flight.landed is Landed.ON_GROUND:
+            flags |= mavlink.ESTIMATOR_CONST_POS_MODE
         accuracy = self._options.gnss_horizontal_sigma_m or _MIN_ACCURACY_M
         usec = round((now_s - self.boot_s) * 1e6)
         return mavlink.MAVLink_estimator_status_message(
