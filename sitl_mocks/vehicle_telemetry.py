@@ -49,8 +49,8 @@ _CAPABILITIES = (
 )
 _ESTIMATOR_GOOD = 0x33F
 """Attitude, velocities, places (also predicted), heights: bits 0 to 5, 8 and 9."""
-_ESTIMATOR_LOST = 0x0A5
-"""Attitude, vertical velocity, height; constant position mode."""
+_ESTIMATOR_LOST = 0x025
+"""Attitude, vertical velocity, height."""
 _FIRST_FIX_S = 8.0
 """From boot to the first place that GNSS gives; the estimator may take longer."""
 _MIN_ACCURACY_M = 0.3
@@ -267,11 +267,15 @@ class Telemetry:
         return mavlink.MAVLink_rc_channels_message(self._boot_ms(now_s), 8, *channels, 200)
 
     def _estimator_status(self, now_s: float) -> MavlinkMessage:
-        """EKF_STATUS_REPORT or ESTIMATOR_STATUS; the flags have the same bits in both."""
+        """EKF_STATUS_REPORT or ESTIMATOR_STATUS; the flags have the same bits in both, but constant position
+        is ArduPilot's way out without a position, and PX4's rest on the ground."""
         troubles = self._troubles
         ratio = 1.5 if troubles.estimator_bad else 0.1
         flags = _ESTIMATOR_LOST if troubles.position_lost else _ESTIMATOR_GOOD
-        if self._manners.estimator_message == mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
+        ardupilot = self._manners.estimator_message == mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT
+        if troubles.position_lost if ardupilot else self._flight.landed is Landed.ON_GROUND:
+            flags |= mavlink.ESTIMATOR_CONST_POS_MODE
+        if ardupilot:
             return mavlink.MAVLink_ekf_status_report_message(flags, ratio, ratio, 0.1, 0.1, 0.0)
         accuracy = self._options.gnss_horizontal_sigma_m or _MIN_ACCURACY_M
         usec = round((now_s - self.boot_s) * 1e6)

@@ -186,16 +186,18 @@ def mission_current(fields: Fields) -> MissionCurrent:
 
 def ekf_status_report(fields: Fields) -> EstimatorState:
     """EKF_STATUS_REPORT (ArduPilot)."""
-    return EstimatorState(usable=_usable(fields[5]))
+    flags = fields[5]
+    return EstimatorState(usable=_estimates(flags) and not flags & _CONSTANT_POSITION)
 
 
 def estimator_status(fields: Fields) -> EstimatorState:
-    """ESTIMATOR_STATUS (PX4); the flags are the same."""
-    return EstimatorState(usable=_usable(fields[9]))
+    """ESTIMATOR_STATUS (PX4): the same flags, but the position is constant also while it rests on the ground
+    (Ekf::get_ekf_soln_status); where the place is only assumed, the other two soon go."""
+    return EstimatorState(usable=_estimates(fields[9]))
 
 
-def _usable(flags: int) -> bool:
-    return flags & _ESTIMATES == _ESTIMATES and not flags & _CONSTANT_POSITION
+def _estimates(flags: int) -> bool:
+    return flags & _ESTIMATES == _ESTIMATES
 
 
 def rc_channels(fields: Fields) -> RcChannels:

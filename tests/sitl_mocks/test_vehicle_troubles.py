@@ -194,6 +194,15 @@ def test_battery_is_told_and_acts_where_it_was_told_to(airborne, firmware):
         assert b.vehicle.mode is mode
 
 
+def test_px4_at_rest_on_the_ground_says_constant_position(bench, airborne):
+    for make, flag in ((bench, mavlink.ESTIMATOR_CONST_POS_MODE), (airborne, 0)):
+        b = make(PX4)
+        b.interval(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, 5.0)
+        told = kinds(b.run(0.5), "ESTIMATOR_STATUS")[-1]
+        assert told.flags & mavlink.ESTIMATOR_CONST_POS_MODE == flag
+        assert told.flags & mavlink.ESTIMATOR_POS_HORIZ_ABS
+
+
 @pytest.mark.parametrize(("firmware", "name"), [(AP, "EKF_STATUS_REPORT"), (PX4, "ESTIMATOR_STATUS")])
 def test_bad_estimator_ends_the_flight_by_position(airborne, firmware, name):
     b = airborne(firmware).in_external()

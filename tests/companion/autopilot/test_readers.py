@@ -29,6 +29,10 @@ ORDER = {
     "target_component frame current autocontinue mission_type",
     mavlink.MAVLINK_MSG_ID_MISSION_ITEM: "param1 param2 param3 param4 x y z seq command target_system "
     "target_component frame current autocontinue mission_type",
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: "velocity_variance pos_horiz_variance pos_vert_variance "
+    "compass_variance terrain_alt_variance flags airspeed_variance",
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: "time_usec vel_ratio pos_horiz_ratio pos_vert_ratio mag_ratio "
+    "hagl_ratio tas_ratio pos_horiz_accuracy pos_vert_accuracy flags",
     mavlink.MAVLINK_MSG_ID_MISSION_ACK: "target_system target_component type mission_type",
 }
 
@@ -152,6 +156,25 @@ def test_undefined_landed_state_is_bad_data() -> None:
 
 def test_mission_current() -> None:
     assert read(mavlink.MAVLink_mission_current_message(7)).seq == 7
+
+
+@pytest.mark.parametrize(
+    ("flags", "px4", "ardupilot"),
+    [
+        (0x33F, True, True),
+        (0x37F, True, True),  # PX4 1.17 in flight, with a range finder
+        (0x3FF, True, False),  # the same on the ground, at rest; to ArduPilot, a place that is assumed
+        (0x3BF & ~16, False, False),
+        (0x33F & ~2, False, False),
+        (0, False, False),
+    ],
+)
+def test_what_the_estimators_flags_say(flags: int, px4: bool, ardupilot: bool) -> None:
+    ratios = (0.1,) * 5
+    told = read(mavlink.MAVLink_ekf_status_report_message(flags, *ratios))
+    assert told.usable is ardupilot
+    told = read(mavlink.MAVLink_estimator_status_message(1, flags, *ratios, 0.0, 1.0, 1.0))
+    assert told.usable is px4
 
 
 # ---------------------------------------------------------------- ADS-B
