@@ -49,7 +49,7 @@ from companion.events import (
 from companion.geometry import LocalFrame
 from companion.ownship import Ownship
 from companion.remote_id.broadcaster import Broadcaster
-from companion.settings import ENABLE, applied, differences
+from companion.settings import SWITCHED_OFF, applied, differences
 from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.tracks import Traffic
 
@@ -79,7 +79,9 @@ _LATE_STEP_S = 30.0
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
 _TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED}
 """Moves that the pilot is told of, besides each that ends watching."""
-_OFF = f"switched off ({ENABLE} is 0)"
+_BRAKING_S = 3.0
+"""Who switches off wants the vehicle to stop, not to meet what an autopilot does when setpoints end: for so
+long at most it is commanded to stand, until it holds by itself."""
 _QUIET_LOG_S = 1.0
 """Decisions are logged at least this often; while avoiding or recovering each one is."""
 
@@ -96,6 +98,7 @@ class Companion:
         """What counts: as configured, with the settings over it."""
         self._configured = self._wanted = config
         self._settings = Settings()
+        self._brake_until_s = -math.inf
         self.own = Ownship()
         self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
         self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
@@ -258,7 +261,7 @@ class Companion:
         if self.config.flight.use == "watch":
             return 'flight.use is "watch"'
         if not self._settings.enable:
-            return _OFF
+            return SWITCHED_OFF
         if own.heartbeat is None or not own.heartbeat.armed:
             return "vehicle to be armed"
         if not self._seen_down:
@@ -282,7 +285,7 @@ class Companion:
         unfit = self.own.unfit(now_s, self.config.vehicle.stale_after_s)
         if gap_s > _HUNG_S or (self.state in HOLDING and now_s - self._commanded_s > _HUNG_S):
             unfit = f"the loop is late: nothing commanded for {_HUNG_S:g} s"
-        ended = unfit if self._settings.enable else _OFF
+        ended = unfit if self._settings.enable else SWITCHED_OFF
         if ended is not None:
             self._healthy_s = now_s + _HEALTHY_AFTER_S
         elif self._refused is not None:
@@ -298,6 +301,8 @@ class Companion:
             if due and unfit is None and self.own.landed(now_s) is Landed.IN_AIR:
                 self._decided_s = now_s
                 self._alert(now_s, self._neighbours(now_s), None, commands)
+            if now_s < self._brake_until_s and unfit is None and self.own.mode is FlightMode.EXTERNAL:
+                commands.append(self._setpoint((0.0, 0.0, 0.0)))
             return
         law = self.plan.law
         assert law is not None
@@ -431,7 +436,10 @@ class Companion:
         if trigger is Trigger.REARM and self.own.position is not None:
             self.plan.resume(self.own, now_s)
         if previous in HOLDING and self.state not in HOLDING:
+            self._brake_until_s = -math.inf if self._settings.enable else now_s + _BRAKING_S
             self._let_go(trigger, commands)
+        if trigger is not Trigger.UNFIT:
+            self._brake_until_s = -math.inf
         if self.state not in HOLDING:
             self._result = None
             self._left = False
@@ -458,7 +466,6 @@ class Companion:
             self._ours = frozenset({FlightMode.EXTERNAL})
             ardupilot = self.own.heartbeat is not None and self.own.heartbeat.firmware is Firmware.ARDUPILOT
             if ardupilot or not self._settings.enable:
-                # Who switches off wants it to stop, not to meet what PX4 does when setpoints end.
                 self._ours |= {FlightMode.HOLD}
                 commands.append(SetMode(mode=FlightMode.HOLD))
 

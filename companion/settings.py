@@ -18,6 +18,8 @@ from companion.events import Settings
 
 ENABLE = "DMUCA_ENABLE"
 """0: the vehicle is neither taken nor kept. 1: as flight.use says."""
+SWITCHED_OFF = f"switched off ({ENABLE} is 0)"
+"""What the status and the pilot are told then."""
 
 
 @dataclass(frozen=True, slots=True)

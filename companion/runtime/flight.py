@@ -55,7 +55,7 @@ from companion.runtime.signing import KeptSigning
 from companion.runtime.status import Status, StatusServer
 from companion.runtime.voice import Voice
 from companion.runtime.warm import warm_up
-from companion.settings import differences
+from companion.settings import SWITCHED_OFF, differences
 
 _WATCHDOG_S = 5.0
 """A loop that hangs sends nothing anyway; after this the process ends, so that it can be started anew."""
@@ -430,6 +430,7 @@ class Flight:
             text += "".join(f"; {words}" for words in (broadcaster.trouble, broadcaster.lacking) if words)
         if self._refused:
             text += f"; {self._refused} broadcasts refused"
+        text += "" if self.onboard.settings.enable else f"; {SWITCHED_OFF}"
         if self._kept_settings.error is not None:
             text += f"; settings not kept: {self._kept_settings.error}"
         if self._recorder is not None and self._recorder.error is not None:
