@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import msgspec
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -34,6 +36,7 @@ def test_what_is_kept_is_read_again(config):
         kept.keep(Settings(conflict_radius_m=float(radius)))
     kept.keep(SET)
     kept.close()
+    assert "settings" not in {thread.name for thread in threading.enumerate()}
     assert kept.error is None
     assert read_settings(config) == SET
     assert [p.name for p in settings_path(config).parent.iterdir()] == ["settings-A_B.json"]
