@@ -75,6 +75,11 @@ class IdentityConfig(_Section, frozen=True):
         """`uas_id` as people and files can take it: hexadecimal where it is raw bytes."""
         return self.uas_id if self.uas_id.isprintable() else self.uas_id.encode("latin-1").hex()
 
+    @property
+    def file_name(self) -> str:
+        """`name` as a file can take it."""
+        return "".join(c if c.isalnum() or c in "-_" else "_" for c in self.name)
+
 
 class FlightConfig(_Section, frozen=True):
     """What to fly and who may fly it."""

@@ -40,6 +40,7 @@ from companion.events import (
     Say,
     SetMode,
     SetSpeed,
+    Settings,
     Severity,
     Vec3,
     VehicleParameters,
@@ -48,6 +49,7 @@ from companion.events import (
 from companion.geometry import LocalFrame
 from companion.ownship import Ownship
 from companion.remote_id.broadcaster import Broadcaster
+from companion.settings import SWITCHED_OFF, applied, differences
 from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.tracks import Traffic
 
@@ -77,6 +79,9 @@ _LATE_STEP_S = 30.0
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
 _TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED}
 """Moves that the pilot is told of, besides each that ends watching."""
+_BRAKING_S = 3.0
+"""Who switches off wants the vehicle to stop, not to meet what an autopilot does when setpoints end: for so
+long at most it is commanded to stand, until it holds by itself."""
 _QUIET_LOG_S = 1.0
 """Decisions are logged at least this often; while avoiding or recovering each one is."""
 
@@ -90,6 +95,10 @@ class Companion:
 
     def __init__(self, config: Config, policy: bytes | None = None) -> None:
         self.config = config
+        """What counts: as configured, with the settings over it."""
+        self._configured = self._wanted = config
+        self._settings = Settings()
+        self._brake_until_s = -math.inf
         self.own = Ownship()
         self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
         self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
@@ -181,6 +190,8 @@ class Companion:
                     commands += self.plan.take_parameters(event)
                 case ModeRefused():
                     commands += self._mode_refused(event)
+                case Settings():
+                    commands += self._take_settings(event)
                 case RcChannels():
                     self._sticks.take(event)
                 case _:
@@ -198,6 +209,17 @@ class Companion:
                 self.adsb.take(report, now_s, own.frame, own.separation_m)
         self._choose_transports(now_s, commands)
         commands += self.broadcaster.step(own, now_s)
+
+    def _take_settings(self, event: Settings) -> list[Command]:
+        """Off counts at once; numbers as soon as no law flies by the old ones."""
+        later = (
+            ""
+            if self.plan.law is None or event.enable != self._settings.enable
+            else "; from the next path on"
+        )
+        told = differences(self._configured, self._settings, event)
+        self._settings, self._wanted = event, applied(self._configured, event)
+        return [Say(severity=Severity.NOTICE, text=f"DMUCA: {text}{later}") for text in told]
 
     def _choose_transports(self, now_s: float, commands: list[Command]) -> None:
         """The paper's ATMC. It only asks: the law's floor and make before break are the broadcaster's."""
@@ -220,6 +242,10 @@ class Companion:
             self._seen_down = True
             commands += self.plan.check(own, now_s)
             self.plan.drop()
+        if self.plan.law is None and self._wanted is not self.config:
+            self.config = self._wanted
+            self.plan.configure(self.config)
+            self.alerts.configure(self.config.avoidance)
         if self.state is State.STANDBY and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
             if self.plan.ready and not self.plan.near(own, now_s):
@@ -234,6 +260,8 @@ class Companion:
         own = self.own
         if self.config.flight.use == "watch":
             return 'flight.use is "watch"'
+        if not self._settings.enable:
+            return SWITCHED_OFF
         if own.heartbeat is None or not own.heartbeat.armed:
             return "vehicle to be armed"
         if not self._seen_down:
@@ -257,11 +285,12 @@ class Companion:
         unfit = self.own.unfit(now_s, self.config.vehicle.stale_after_s)
         if gap_s > _HUNG_S or (self.state in HOLDING and now_s - self._commanded_s > _HUNG_S):
             unfit = f"the loop is late: nothing commanded for {_HUNG_S:g} s"
-        if unfit is not None:
+        ended = unfit if self._settings.enable else SWITCHED_OFF
+        if ended is not None:
             self._healthy_s = now_s + _HEALTHY_AFTER_S
         elif self._refused is not None:
             self._healthy_s = now_s + _REFUSED_PAUSE_S
-        self._move(now_s, self._triggers(now_s, unfit), unfit, commands)
+        self._move(now_s, self._triggers(now_s, ended), ended, commands)
         self._refused = None
         due = now_s - self._decided_s >= self.config.avoidance.period_s - 1e-6
         if self.state is State.WATCHING and due and gap_s <= self._late_s:
@@ -272,6 +301,8 @@ class Companion:
             if due and unfit is None and self.own.landed(now_s) is Landed.IN_AIR:
                 self._decided_s = now_s
                 self._alert(now_s, self._neighbours(now_s), None, commands)
+            if now_s < self._brake_until_s and unfit is None and self.own.mode is FlightMode.EXTERNAL:
+                commands.append(self._setpoint((0.0, 0.0, 0.0)))
             return
         law = self.plan.law
         assert law is not None
@@ -405,7 +436,10 @@ class Companion:
         if trigger is Trigger.REARM and self.own.position is not None:
             self.plan.resume(self.own, now_s)
         if previous in HOLDING and self.state not in HOLDING:
+            self._brake_until_s = -math.inf if self._settings.enable else now_s + _BRAKING_S
             self._let_go(trigger, commands)
+        if trigger is not Trigger.UNFIT:
+            self._brake_until_s = -math.inf
         if self.state not in HOLDING:
             self._result = None
             self._left = False
@@ -430,7 +464,8 @@ class Companion:
             commands.append(SetMode(mode=FlightMode.HOLD))
         elif trigger is Trigger.UNFIT and external:
             self._ours = frozenset({FlightMode.EXTERNAL})
-            if self.own.heartbeat is not None and self.own.heartbeat.firmware is Firmware.ARDUPILOT:
+            ardupilot = self.own.heartbeat is not None and self.own.heartbeat.firmware is Firmware.ARDUPILOT
+            if ardupilot or not self._settings.enable:
                 self._ours |= {FlightMode.HOLD}
                 commands.append(SetMode(mode=FlightMode.HOLD))
 

@@ -320,6 +320,19 @@ class RemoteIdModule(Event, frozen=True):
     text: str = ""
 
 
+# ---------------------------------------------------------------- from ground stations
+
+
+class Settings(Event, frozen=True, forbid_unknown_fields=True):
+    """All that ground stations have set over the configuration; None: as configured."""
+
+    enable: bool = True
+    """False: the vehicle is neither taken nor kept."""
+    conflict_radius_m: float | None = None
+    horizon_s: float | None = None
+    max_speed_mps: float | None = None
+
+
 # ---------------------------------------------------------------- to the autopilot
 
 
@@ -509,6 +522,7 @@ AnyEvent = (
     | RadioState
     | OperatorData
     | RemoteIdModule
+    | Settings
 )
 
 AnyCommand = (

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import cast
 
 from companion.autopilot.link import AutopilotLink
+from companion.autopilot.own_parameters import OwnParameters
 from companion.autopilot.signing import Signing
 from companion.autopilot.tlog import TlogWriter
 from companion.avoidance.authority import HOLDING
@@ -30,6 +31,7 @@ from companion.events import (
     Say,
     SetMode,
     SetSpeed,
+    Settings,
     Threat,
     VelocitySetpoint,
 )
@@ -52,6 +54,7 @@ class Onboard:
         tlog: TlogWriter | None = None,
         utc_guess_s: float = 0.0,
         signing: Signing | None = None,
+        settings: Settings | None = None,
     ) -> None:
         """Build it.
 
@@ -63,21 +66,30 @@ class Onboard:
             tlog: takes the MAVLink of both directions.
             utc_guess_s: UTC minus monotonic time for the tlog until the vehicle tells it.
             signing: of the MAVLink link, as `AutopilotLink` takes it.
+            settings: what ground stations have set before, checked; None: nothing.
         """
         self.commanding = commanding
         self.tlog = tlog
         self._utc_guess_s = utc_guess_s
         self.heart = Companion(config, policy)
+        self._own_parameters = OwnParameters(config, settings or Settings())
         self.link = AutopilotLink(
             config.vehicle,
             signing=signing,
             remote_id_component=config.remote_id.component,
             identity=basic_id_of(config.identity),
             yaw=config.flight.yaw,
+            settings=self._own_parameters,
         )
         self._remote_id_component = config.remote_id.component and commanding
         self._record = record
-        self._events: list[Event] = []
+        # By way of the record: a replay begins with the same settings.
+        self._events: list[Event] = [] if self.settings == Settings() else [self.settings]
+
+    @property
+    def settings(self) -> Settings:
+        """What ground stations have set."""
+        return self._own_parameters.settings
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Bytes from the autopilot's link."""

@@ -11,7 +11,8 @@ Who is listened to: component 1 of one system, the configured one or the first t
 HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out; ADS-B
 traffic is the vehicle's own stream too, of what its receiver told it (a receiver's own frames, which
 ArduPilot forwards only with ADSB_TYPE = 0, would be the same aircraft twice). Remote ID comes from others by
-its nature: `remote_id` says whose.
+its nature: `remote_id` says whose. Parameters of our own, where there are any, are asked for and set by other
+systems; only those three messages of theirs, and addressed to us, are taken (`own_parameters`).
 
 Who we are: before the vehicle is known (a `udpout` link must speak first) our heartbeat carries the
 configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground
@@ -24,6 +25,7 @@ is signed. SETUP_SIGNING is obeyed from nobody, key or not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -50,6 +52,7 @@ from companion.events import (
     Say,
     SetMode,
     SetSpeed,
+    Severity,
     Threat,
     VehicleParameters,
     VehicleTime,
@@ -58,7 +61,7 @@ from companion.events import (
 from companion.remote_id.mavlink import COMPONENT_ID
 from companion.remote_id.messages import BasicId
 
-from . import encoders, remote_id
+from . import encoders, own_parameters, remote_id
 from .dialect import (
     AUTOPILOT_INVALID,
     CMD_DO_CHANGE_SPEED,
@@ -70,6 +73,7 @@ from .dialect import (
 from .fence import areas_from_items
 from .mission_download import FENCE, MISSION, MissionDownload
 from .mode_request import ModeRequest
+from .own_parameters import OwnParameters
 from .parameters import ParameterReader
 from .readers import READERS, Fields, heartbeat, unpack
 from .remote_id import RemoteIdComponent, RemoteIdCounts, RemoteIdListener
@@ -93,6 +97,8 @@ _GOOD_RESULTS = (0, 5)
 _GROUND_STATION = 6
 _GROUND_SPEED, _THROTTLE_AS_IT_IS = 1.0, -1.0
 _SPEED_RETRY_S, _SPEED_TRIES = 1.0, 5
+_SAME_REFUSAL_S = 5.0
+"""A ground station asks again for what was refused; it is told why no more often."""
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _ALL_REFUSED = {
     Refusal.UNSIGNED: "unsigned: signing is not set up on the autopilot",
@@ -144,6 +150,10 @@ class LinkCounts(RemoteIdCounts):
     """Gaps between heartbeats of more than `LOST_AFTER_S`."""
     stream_requests: int = 0
     parameter_requests: int = 0
+    settings_requests: int = 0
+    """Requests of ground stations for parameters of our own."""
+    settings_refused: int = 0
+    """PARAM_SET with a value that is not allowed."""
     mode_requests: int = 0
     setpoints: int = 0
     setpoints_dropped: int = 0
@@ -176,6 +186,7 @@ class AutopilotLink:
         remote_id_component: bool = False,
         identity: BasicId | None = None,
         yaw: Literal["face", "hold"] = "face",
+        settings: OwnParameters | None = None,
     ) -> None:
         """A link that has heard nothing yet.
 
@@ -184,6 +195,7 @@ class AutopilotLink:
             yaw: as `flight.yaw`, for every setpoint.
             remote_id_component: also be the vehicle's Remote ID component (236), from the first ArmStatus on.
             identity: what that component tells the autopilot of whom it broadcasts.
+            settings: parameters of our own that ground stations may read and set. None: there are none.
 
         Raises:
             ConfigError: we would be that component twice.
@@ -213,6 +225,8 @@ class AutopilotLink:
         self._parameters: ParameterReader | None = None
         """Of a vehicle that can be commanded."""
         self._parameters_told: VehicleParameters | None = None
+        self._own_parameters = settings
+        self._refusal_said: tuple[str, float] = "", -math.inf
         self._nose = Nose(yaw)
         self._timesync = TimeSync()
         self._texts = TextAssembler()
@@ -270,6 +284,8 @@ class AutopilotLink:
                     self._take_remote_id(frame, now_s)
                 elif self._ours(frame):
                     self._take(frame, now_s)
+                elif self._of_our_parameters(frame):
+                    self.counts.settings_requests += 1
                 else:
                     self._leave(frame)
             except PeerDataError as error:
@@ -297,6 +313,15 @@ class AutopilotLink:
             if now_s - refused_s <= LOST_AFTER_S:
                 return f"every frame of the vehicle is {_ALL_REFUSED[reason]}"
         return self._signing.counts.refused()
+
+    def _of_our_parameters(self, frame: Frame) -> bool:
+        """Whether another system wants something of our parameters; it is answered by `advance`."""
+        ours, vehicle = self._own_parameters, self._vehicle
+        if ours is None or vehicle is None or frame.system_id == vehicle.system_id:
+            return False
+        if frame.message_id not in own_parameters.MESSAGE_IDS:
+            return False
+        return ours.take(frame, vehicle.system_id, self._config.component_id)
 
     def _leave(self, frame: Frame) -> None:
         self.counts.foreign += 1
@@ -491,11 +516,26 @@ class AutopilotLink:
         if self._component is not None and vehicle is not None:
             for frame in self._component.due(vehicle.system_id, now_s):
                 self._queue_frame(frame)
+        self._answer_for_parameters(now_s)
         self._move_mode(now_s)
         self._move_speed(now_s)
         self._move_download(now_s)
         self._events += self._texts.overdue(now_s)
         return self._take_events()
+
+    def _answer_for_parameters(self, now_s: float) -> None:
+        answer = None if self._own_parameters is None else self._own_parameters.due(now_s)
+        if answer is None:
+            return
+        self._queue(answer.value)
+        if answer.changed is not None:
+            self._events.append(answer.changed)
+        if answer.refused is not None:
+            self.counts.settings_refused += 1
+            text, said_s = self._refusal_said
+            if answer.refused != text or now_s - said_s > _SAME_REFUSAL_S:
+                self._refusal_said = answer.refused, now_s
+                self.send(Say(severity=Severity.WARNING, text=f"DMUCA: {answer.refused}"), now_s)
 
     def _move_speed(self, now_s: float) -> None:
         asked, vehicle = self._speed, self._vehicle

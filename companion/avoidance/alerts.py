@@ -127,6 +127,10 @@ class Alerts:
         self._spoken = False
         """Of a caution or warning that is not over."""
 
+    def configure(self, config: AvoidanceConfig) -> None:
+        """Other distances and times count from now on."""
+        self._config = config
+
     @property
     def levels(self) -> dict[_Key, Level]:
         """Of the tracks that have one."""

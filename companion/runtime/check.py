@@ -28,6 +28,7 @@ from companion.events import (
     LandedState,
     LocalPosition,
     MissionCurrent,
+    Settings,
     VehicleParameters,
     VehicleTime,
 )
@@ -39,8 +40,10 @@ from companion.runtime.policy import judge_policy
 from companion.runtime.preflight import Preflight
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
+from companion.runtime.settings import read_settings
 from companion.runtime.signing import KeptSigning
 from companion.runtime.warm import warm_up, was_compiled
+from companion.settings import differences
 
 _RADIO_S = 2.5
 _SETTLE_S = 2.0
@@ -75,7 +78,7 @@ def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) 
         0 when nothing is red, 1 otherwise.
     """
     found = Preflight()
-    for probe in (_configuration, _kernels, _disk, _policy, _radios, _vehicle):
+    for probe in (_configuration, _settings, _kernels, _disk, _policy, _radios, _vehicle):
         before = len(found.findings)
         probe(config, found)
         if not as_json:
@@ -104,6 +107,20 @@ def _configuration(config: Config, found: Preflight) -> None:
         check_path(config, "configuration")
     except ConfigError as error:
         found.red("path", str(error), "change the trajectory, or [limits]")
+
+
+def _settings(config: Config, found: Preflight) -> None:
+    """In flight what cannot be used is left out; before it, it is to be put right."""
+    try:
+        settings = read_settings(config)
+    except ConfigError as error:
+        found.red("settings", f"{error}: not used", "delete the file, or put it or the configuration right")
+        return
+    told = differences(config, Settings(), settings)
+    for text in told:
+        found.yellow("settings", text, "nothing, if a ground station is to have set it")
+    if not told:
+        found.green("settings", "as configured")
 
 
 def _kernels(_config: Config, found: Preflight) -> None:

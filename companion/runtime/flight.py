@@ -29,7 +29,15 @@ from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.errors import ConfigError
-from companion.events import AuthorityChanged, Broadcast, Decision, FlightMode, Say, Severity
+from companion.events import (
+    AuthorityChanged,
+    Broadcast,
+    Decision,
+    FlightMode,
+    Say,
+    Settings,
+    Severity,
+)
 from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Header, Step
@@ -42,10 +50,12 @@ from companion.runtime.policy import RUN_FILE, read_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
+from companion.runtime.settings import KeptSettings, read_settings
 from companion.runtime.signing import KeptSigning
 from companion.runtime.status import Status, StatusServer
 from companion.runtime.voice import Voice
 from companion.runtime.warm import warm_up
+from companion.settings import SWITCHED_OFF, differences
 
 _WATCHDOG_S = 5.0
 """A loop that hangs sends nothing anyway; after this the process ends, so that it can be started anew."""
@@ -130,6 +140,8 @@ class Flight:
             self._voice.close()
             raise
         self._policy = self._read_policy(config)
+        settings = self._read_settings(config)
+        self._kept_settings = KeptSettings(config, settings)
         guess = time.time() - time.monotonic()
         self._tape = _Tape()
         self.onboard = Onboard(
@@ -140,6 +152,7 @@ class Flight:
             tlog=TlogWriter(self._tape),
             utc_guess_s=guess,
             signing=self._signing.signing,
+            settings=settings,
         )
         chooser = self.onboard.heart.chooser
         if chooser is not None and chooser.trouble is not None:
@@ -163,7 +176,7 @@ class Flight:
     @property
     def _aircraft(self) -> str:
         """The name as a file can take it."""
-        return "".join(c if c.isalnum() or c in "-_" else "_" for c in self.config.identity.name)
+        return self.config.identity.file_name
 
     def stop(self, _signal: int = 0, _frame: FrameType | None = None) -> None:
         """Ask `run` to end (also a signal handler)."""
@@ -200,6 +213,16 @@ class Flight:
         except ConfigError as error:
             self._say(str(error))
             return None
+
+    def _read_settings(self, config: Config) -> Settings:
+        try:
+            settings = read_settings(config)
+        except ConfigError as error:
+            self._say(f"settings: {error}; not used, the configuration's values count")
+            return Settings()
+        for text in differences(config, Settings(), settings):
+            self._say(f"settings: {text}")
+        return settings
 
     def _arm_broadcast(self, config: Config) -> None:
         """Prepare the radios for what goes on the air. Raises ConfigError as `prepare` does."""
@@ -302,6 +325,7 @@ class Flight:
         for event in self.radio.events(now_s):
             self.onboard.hear(event)
         broadcasts = self.onboard.tick(now_s)
+        self._kept_settings.keep(self.onboard.settings)
         self.link.send(self.onboard.drain(now_s))
         for broadcast in broadcasts:
             self._broadcast(broadcast, now_s)
@@ -361,6 +385,8 @@ class Flight:
         health = self.radio.health(time.monotonic())
         self.radio.close()
         self.link.close()
+        self._kept_settings.keep(self.onboard.settings)
+        self._kept_settings.close()
         self._signing.close()
         if self._recorder is not None and self.folder is not None:
             answered = self._recorder.close()
@@ -404,6 +430,9 @@ class Flight:
             text += "".join(f"; {words}" for words in (broadcaster.trouble, broadcaster.lacking) if words)
         if self._refused:
             text += f"; {self._refused} broadcasts refused"
+        text += "" if self.onboard.settings.enable else f"; {SWITCHED_OFF}"
+        if self._kept_settings.error is not None:
+            text += f"; settings not kept: {self._kept_settings.error}"
         if self._recorder is not None and self._recorder.error is not None:
             text += f"; not recording: {self._recorder.error}"
         return text

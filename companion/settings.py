@@ -1,0 +1,127 @@
+"""The few numbers of a configuration that a ground station may change, each under the name of a parameter.
+
+A setting lies over the configuration: None is what the file says. Each one is held against its own range and,
+with all others, against the checks that the configuration itself has passed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+
+from companion import config as configuration
+from companion.avoidance.path import check_path
+from companion.config import Config
+from companion.errors import ConfigError
+from companion.events import Settings
+
+ENABLE = "DMUCA_ENABLE"
+"""0: the vehicle is neither taken nor kept. 1: as flight.use says."""
+SWITCHED_OFF = f"switched off ({ENABLE} is 0)"
+"""What the status and the pilot are told then."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Number:
+    """A number of the configuration."""
+
+    section: str
+    key: str
+    """Also the field of `Settings`."""
+    lowest: float
+    highest: float
+
+    def configured(self, config: Config) -> float:
+        """What the configuration says."""
+        value: float = getattr(getattr(config, self.section), self.key)
+        return value
+
+
+_NUMBERS = {
+    "DMUCA_RADIUS": _Number("avoidance", "conflict_radius_m", 2.0, 50.0),
+    "DMUCA_HORIZON": _Number("avoidance", "horizon_s", 5.0, 60.0),
+    # The configured speed is what somebody has answered for: a link may only lower it.
+    "DMUCA_SPD_MAX": _Number("limits", "max_speed_mps", 1.0, 0.0),
+}
+NAMES = (ENABLE, *_NUMBERS)
+"""In the order of their PARAM index; at most 16 characters each."""
+
+
+def value_of(name: str, config: Config, settings: Settings) -> float:
+    """What counts now.
+
+    Args:
+        config: as configured, without settings.
+    """
+    if name == ENABLE:
+        return float(settings.enable)
+    number = _NUMBERS[name]
+    value: float | None = getattr(settings, number.key)
+    return number.configured(config) if value is None else value
+
+
+def changed(name: str, value: float, config: Config, settings: Settings) -> Settings:
+    """The settings with one of them changed; the configured value itself is as good as none.
+
+    Args:
+        value: may come from a 32-bit float; six digits of it count.
+        config: as configured, without settings.
+
+    Raises:
+        ConfigError: names the parameter and what is allowed.
+    """
+    value = _six(value)
+    if name == ENABLE:
+        if value not in (0.0, 1.0):
+            raise ConfigError(f"{name}: {value:g}: allowed: 0 (watch only), 1 (as configured)")
+        return msgspec.structs.replace(settings, enable=value == 1.0)
+    number = _NUMBERS[name]
+    configured = number.configured(config)
+    lowest, highest = min(number.lowest, configured), max(number.highest, configured)
+    if value == _six(configured):
+        new = msgspec.structs.replace(settings, **{number.key: None})
+    elif lowest <= value <= highest:
+        new = msgspec.structs.replace(settings, **{number.key: value})
+    else:
+        # NaN comes here, too.
+        raise ConfigError(f"{name}: {value:g}: allowed: {lowest:g} to {highest:g}")
+    result = applied(config, new)
+    configuration.check(result, f"{name} {value:g}")
+    check_path(result, f"{name} {value:g}")
+    return new
+
+
+def checked(settings: Settings, config: Config) -> Settings:
+    """Settings that were made for an earlier configuration, held against this one.
+
+    Raises:
+        ConfigError: names the parameter and what is allowed.
+    """
+    result = Settings()
+    for name in NAMES:
+        result = changed(name, value_of(name, config, settings), config, result)
+    return result
+
+
+def applied(config: Config, settings: Settings) -> Config:
+    """The configuration with the settings over it; `Settings.enable` is no part of it."""
+    sections: dict[str, dict[str, float]] = {}
+    for number in _NUMBERS.values():
+        value: float | None = getattr(settings, number.key)
+        if value is not None:
+            sections.setdefault(number.section, {})[number.key] = value
+    return msgspec.structs.replace(
+        config,
+        **{name: msgspec.structs.replace(getattr(config, name), **keys) for name, keys in sections.items()},
+    )
+
+
+def differences(config: Config, before: Settings, after: Settings) -> list[str]:
+    """What has changed, in words for the pilot."""
+    values = {name: (value_of(name, config, before), value_of(name, config, after)) for name in NAMES}
+    return [f"{name} {new:g}, was {old:g}" for name, (old, new) in values.items() if new != old]
+
+
+def _six(value: float) -> float:
+    return float(f"{value:.6g}")

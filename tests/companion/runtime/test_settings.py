@@ -1,0 +1,140 @@
+"""What ground stations have set outlives the process, whole or not at all."""
+
+from __future__ import annotations
+
+import threading
+
+import msgspec
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.wire import MavlinkWriter
+from companion.config import Config, IdentityConfig, LimitsConfig, RecordConfig
+from companion.errors import ConfigError
+from companion.events import Settings
+from companion.runtime import settings as module
+from companion.runtime.check import _settings
+from companion.runtime.flight import Flight
+from companion.runtime.preflight import Preflight
+from companion.runtime.settings import KeptSettings, read_settings, settings_path
+from tests.companion.runtime.test_flight import Autopilot, Radio, configured, fly, kept_signals, watchdog
+
+__all__ = ["kept_signals", "watchdog"]
+
+SET = Settings(enable=False, max_speed_mps=3.5)
+
+
+@pytest.fixture
+def config(tmp_path):
+    return Config(identity=IdentityConfig(uas_id="A/B"), record=RecordConfig(folder=str(tmp_path / "runs")))
+
+
+def test_what_is_kept_is_read_again(config):
+    assert read_settings(config) == Settings()
+    kept = KeptSettings(config, Settings())
+    for radius in range(3, 20):
+        kept.keep(Settings(conflict_radius_m=float(radius)))
+    kept.keep(SET)
+    kept.close()
+    assert "settings" not in {thread.name for thread in threading.enumerate()}
+    assert kept.error is None
+    assert read_settings(config) == SET
+    assert [p.name for p in settings_path(config).parent.iterdir()] == ["settings-A_B.json"]
+
+
+def test_nothing_is_written_of_what_was_read(config):
+    kept = KeptSettings(config, SET)
+    kept.keep(SET)
+    kept.close()
+    assert not settings_path(config).exists()
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_says_so(config, monkeypatch):
+    kept = KeptSettings(config, Settings())
+    kept.keep(SET)
+    kept.close()
+
+    def full(_file):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module.os, "fsync", full)
+    kept = KeptSettings(config, SET)
+    kept.keep(Settings(horizon_s=9.0))
+    kept.close()
+    assert "No space left" in (kept.error or "")
+    assert read_settings(config) == SET
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"", "damaged"),
+        (b'{"type":"Settings","enable":fal', "damaged"),
+        (b'{"type":"Settings","enable":"no"}', "enable"),
+        (b'{"type":"Settings","speed":3}', "speed"),
+        (b'{"type":"Heartbeat"}', "Heartbeat"),
+        (b"\xff\xfe\x00", "damaged"),
+        (b'{"type":"Settings","conflict_radius_m":900}', "DMUCA_RADIUS: 900: allowed: 2 to 50"),
+        (b'{"type":"Settings","max_speed_mps":7}', "DMUCA_SPD_MAX: 7: allowed: 1 to 5"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named_with_the_reason(config, content, why):
+    path = settings_path(config)
+    path.parent.mkdir()
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=f"{path.name}.*{why}"):
+        read_settings(config)
+    found = Preflight()
+    _settings(config, found)
+    assert not found.ready
+    assert why in found.findings[0].line()
+
+
+def test_check_shows_what_is_set(config):
+    found = Preflight()
+    _settings(config, found)
+    assert "as configured" in found.findings[0].line()
+    path = settings_path(config)
+    path.parent.mkdir()
+    path.write_bytes(msgspec.json.encode(SET))
+    found = Preflight()
+    _settings(config, found)
+    lines = " ".join(f.line() for f in found.findings)
+    assert "DMUCA_ENABLE 0, was 1" in lines
+    assert "DMUCA_SPD_MAX 3.5, was 5" in lines
+    assert found.ready
+
+
+def test_a_flight_stores_what_is_set_and_the_next_one_begins_with_it(
+    make_config, tmp_path, kept_signals, watchdog, until
+):
+    sets = MavlinkWriter(255, 190).pack(
+        mavlink.MAVLink_param_set_message(1, 191, b"DMUCA_ENABLE", 0.0, mavlink.MAV_PARAM_TYPE_REAL32)
+    )
+    autopilot, said = Autopilot(wrap=lambda heartbeat: heartbeat + sets), []
+    made = configured(make_config, tmp_path, autopilot.port)
+    flight = Flight(made, said.append, dry_run=False)
+    flight.radio = Radio()
+    fly(flight, lambda: until(lambda: settings_path(made).exists()))
+    assert read_settings(made) == Settings(enable=False)
+
+    again = Flight(made, said.append, dry_run=False)
+    assert again.onboard.settings == Settings(enable=False)
+    assert "settings: DMUCA_ENABLE 0, was 1" in said
+    again._close()
+
+    settings_path(made).write_bytes(b"{")
+    damaged = Flight(made, said.append, dry_run=False)
+    assert damaged.onboard.settings == Settings()
+    assert any("damaged" in line and "the configuration's values count" in line for line in said)
+    damaged._close()
+    autopilot.end()
+
+
+def test_settings_of_another_configuration_are_not_used(config):
+    path = settings_path(config)
+    path.parent.mkdir()
+    path.write_bytes(msgspec.json.encode(SET))
+    slower = msgspec.structs.replace(config, limits=LimitsConfig(max_speed_mps=3.0))
+    with pytest.raises(ConfigError, match="DMUCA_SPD_MAX"):
+        read_settings(slower)
