@@ -309,6 +309,8 @@ class Companion:
         self._log(now_s, result, commands)
         if self._conflicts >= _SURE:
             self._move(now_s, frozenset({Trigger.CONFLICT}), None, commands)
+            # The way to the item may end short of what the mission flies into: it counts all the same.
+            self._conflict_s = now_s
 
     def _give_back(self, now_s: float, commands: list[Command]) -> None:
         """On the path, and no conflict: the mission goes on, if it is still the same."""

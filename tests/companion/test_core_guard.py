@@ -8,11 +8,13 @@ import pytest
 from companion.avoidance.authority import State
 from companion.core import Companion
 from companion.events import (
+    AuthorityChanged,
     DownloadMission,
     EstimatorState,
     Firmware,
     FlightMode,
     MissionCurrent,
+    MissionItem,
     ModeRefused,
     RcChannels,
     Say,
@@ -26,9 +28,10 @@ from tests.companion.test_core import intruder
 def guarded():
     """Flies its mission at 3 m/s due north, to 300 m."""
 
-    def build(**flight):
+    def build(items=None, **flight):
         made = msgspec.structs.replace(config(use="guard", **flight), path=None)
-        bench = Bench(Companion(made), mission=mission(300.0, 900.0), mode=FlightMode.MISSION)
+        items = items or mission(300.0, 900.0)
+        bench = Bench(Companion(made), mission=items, mode=FlightMode.MISSION)
         bench.velocity_ned_mps = (3.0, 0.0, 0.0)
         bench.extra.append(MissionCurrent(seq=0))
         bench.until(lambda: bench.heart.state is State.WATCHING)
@@ -233,3 +236,22 @@ def test_the_estimators_word_ends_authority_at_once(guarded):
     assert bench.heart.state is State.FAULT
     bench.extra.append(EstimatorState(usable=True))
     bench.until(lambda: bench.heart.state is not State.FAULT)
+
+
+# ------------------------------------------------------------ what the path to the item does not show
+
+
+def test_a_conflict_beyond_the_missions_item_is_avoided(guarded):
+    """The way to the item ends short of what the mission flies into: the vehicle is taken all the same."""
+    bench = guarded(items=(MissionItem(seq=0, command=20, frame=3, lat_deg=None, lon_deg=None, alt_m=None),))
+    bench.velocity_ned_mps = (0.0, 5.0, 0.0)
+    for k in range(8):
+        bench.extra.append(intruder(bench, 72.0 - 6.0 * k, 6.0, east_m=60.0))
+        for _ in range(20):
+            bench.east_m += 0.25 if bench.mode is FlightMode.MISSION else 0.0
+            bench.step()
+        if bench.heart.in_control:
+            break
+    moves = [c.trigger for _, c in bench.log if isinstance(c, AuthorityChanged)]
+    assert moves[1:] == ["conflict"]
+    assert bench.heart.in_control
