@@ -58,6 +58,8 @@ _TAKE_FROM = {
 }
 """Modes that the companion may take the vehicle from."""
 _GUARDED = frozenset({FlightMode.MISSION})
+_NOT_GUARDED = frozenset({Landed.TAKEOFF, Landed.LANDING})
+"""Parts of a guarded mission that the vehicle is not taken out of."""
 _LATE_S = 0.25
 """A step that comes this much after the last (or 2.5 periods) commands nothing: the loop was late."""
 _HUNG_S = 1.0
@@ -220,6 +222,9 @@ class Companion:
             self._seen_down = True
             commands += self.plan.check(own, now_s)
             self.plan.drop()
+        if self._guard is not None and self.state is State.STANDBY and own.mode not in _GUARDED | self._ours:
+            # What the pilot selects next may be another mission.
+            self.plan.drop()
         if self.state is State.STANDBY and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
             if self.plan.ready and not self.plan.near(own, now_s):
@@ -304,7 +309,8 @@ class Companion:
         commands += guard.watch(self.own, now_s)
         situation = self._situation(now_s)
         self._result = result = law.decide(situation)
-        self._conflicts = self._conflicts + 1 if result.conflict else 0
+        guarded = self.own.landed(now_s) not in _NOT_GUARDED
+        self._conflicts = self._conflicts + 1 if result.conflict and guarded else 0
         self._alert(now_s, situation.neighbours, None, commands)
         self._log(now_s, result, commands)
         if self._conflicts >= _SURE:
@@ -408,6 +414,8 @@ class Companion:
             self.plan.resume(self.own, now_s)
         if previous in HOLDING and self.state not in HOLDING:
             self._let_go(trigger, commands)
+        if self.state is State.WATCHING:
+            self._ours = frozenset()
         if self.state not in HOLDING:
             self._result = None
             self._left = False
@@ -424,12 +432,16 @@ class Companion:
     def _let_go(self, trigger: Trigger, commands: list[Command]) -> None:
         """Nothing is commanded any more. PX4 notices at once; ArduPilot would fly on for seconds as it was
         commanded last, so it is asked to stop. A pilot who moves the sticks gets a mode that takes them."""
-        external = self.own.mode is FlightMode.EXTERNAL
+        mode = self.own.mode
+        external = mode is FlightMode.EXTERNAL
         self._ours = frozenset()
         if trigger is Trigger.PILOT and external:
             commands.append(SetMode(mode=FlightMode.STICKS))
         elif trigger is Trigger.CHANGED:
             commands.append(SetMode(mode=FlightMode.HOLD))
+        elif trigger is Trigger.UNFIT and mode is not None and not external and not self._mode_confirmed:
+            # Our mode may be entered unseen.
+            self._ours = frozenset({mode, FlightMode.EXTERNAL})
         elif trigger is Trigger.UNFIT and external:
             self._ours = frozenset({FlightMode.EXTERNAL})
             if self.own.heartbeat is not None and self.own.heartbeat.firmware is Firmware.ARDUPILOT:

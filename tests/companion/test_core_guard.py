@@ -13,6 +13,7 @@ from companion.events import (
     EstimatorState,
     Firmware,
     FlightMode,
+    Landed,
     MissionCurrent,
     MissionItem,
     ModeRefused,
@@ -255,3 +256,60 @@ def test_a_conflict_beyond_the_missions_item_is_avoided(guarded):
     moves = [c.trigger for _, c in bench.log if isinstance(c, AuthorityChanged)]
     assert moves[1:] == ["conflict"]
     assert bench.heart.in_control
+
+
+@pytest.mark.parametrize("landed", [Landed.TAKEOFF, Landed.LANDING])
+def test_take_offs_and_landings_are_not_guarded(guarded, landed):
+    bench = guarded()
+    bench.landed = landed
+    meet(bench, seconds=5.0)
+    assert bench.heart.state is State.WATCHING
+    bench.landed = Landed.IN_AIR
+    bench.step(20)
+    assert bench.heart.state is State.AVOIDING
+
+
+@pytest.mark.parametrize("unfit", [False, True])
+def test_a_mission_selected_again_is_fetched_again(guarded, unfit):
+    """It may have been changed while the pilot flew."""
+    bench = guarded()
+    bench.fix_type = 1 if unfit else 3
+    bench.step()
+    bench.mode, bench.mission = FlightMode.OTHER, mission(-300.0)
+    bench.step(20)
+    bench.mode, bench.fix_type = FlightMode.MISSION, 3
+    bench.step(20)
+    assert bench.heart.state is State.WATCHING
+    meet(bench)
+    way = bench.heart.plan.law.trajectory
+    assert way.points_ned_m[-1][0] == pytest.approx(-300.0, abs=1.0)
+
+
+def unseen(guarded):
+    """The link goes down while the vehicle is being taken."""
+    bench = guarded()
+    bench.obeys = False
+    meet(bench, seconds=1.5)
+    assert modes(c for _, c in bench.log) == [FlightMode.EXTERNAL]
+    bench.silent = True
+    bench.step(60)
+    assert bench.heart.state is State.FAULT
+    bench.silent = False
+    return bench
+
+
+def test_a_mode_that_was_entered_unseen_is_given_back(guarded):
+    bench = unseen(guarded)
+    bench.obeys, bench.mode = True, FlightMode.EXTERNAL
+    bench.until(lambda: bench.heart.in_control)
+    over(bench)
+    assert bench.mode is FlightMode.MISSION
+
+
+def test_a_mode_that_was_not_entered_is_the_pilots_later(guarded):
+    bench = unseen(guarded)
+    bench.heart.traffic.clear()
+    bench.until(lambda: bench.heart.state is State.WATCHING)
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(100)
+    assert bench.heart.state is State.STANDBY
