@@ -74,6 +74,9 @@ _SURE = 3
 """Decisions in a row that must see a conflict before a guarded vehicle is taken."""
 _GIVING_BACK_S = 8.0
 """For this long after the mission was asked for, the vehicle may still obey; then it is asked again."""
+_KEPT_OFF_S = 60.0
+"""Kept off its way for so long with no conflict, by a floor, a ceiling, a fence or the wind, a guarded
+vehicle is given back where it is."""
 _LATE_STEP_S = 30.0
 """The pilot is told each time that the path has waited for this long again."""
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
@@ -322,7 +325,7 @@ class Companion:
         """On the path, and no conflict: the mission goes on, if it is still the same."""
         if self._guard is None or not self._mode_confirmed or now_s - self._gave_back_s < _GIVING_BACK_S:
             return
-        same, asked = self._guard.give_back(now_s)
+        same, asked = self._guard.give_back(self.own, now_s)
         commands += asked
         if same:
             self._gave_back_s = now_s
@@ -383,7 +386,8 @@ class Companion:
         if now_s - self._conflict_s < self._clear_after_s:
             return frozenset()
         distance, regained = self.plan.distance_m(self.own, now_s), self.config.avoidance.regained_m
-        if distance <= regained:
+        kept_off = self._guard is not None and now_s - self._conflict_s >= _KEPT_OFF_S
+        if distance <= regained or kept_off:
             return frozenset({Trigger.CLEAR, Trigger.REGAINED})
         return frozenset({Trigger.CLEAR, Trigger.AWAY} if distance > 2.0 * regained else {Trigger.CLEAR})
 
@@ -463,12 +467,17 @@ class Companion:
             Trigger.LEFT: f"the mission was left for mode {mode}",
             Trigger.RESUMED: f"the vehicle flies its mission on at item {self.own.mission_seq}, taken for "
             f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most",
-            Trigger.CHANGED: "the mission was changed meanwhile: it is not resumed, the vehicle is to hold",
+            Trigger.CHANGED: f"{self._not_resumed}: it is not resumed, the vehicle is to hold",
             Trigger.CONFLICT: "conflict with " + ", ".join(conflicts),
             Trigger.CLEAR: "no conflict",
             Trigger.AWAY: "off the timed path",
             Trigger.REGAINED: "back on the timed path",
         }[trigger]
+
+    @property
+    def _not_resumed(self) -> str:
+        ended = self._guard is not None and self._guard.ended
+        return "the mission had come to its end" if ended else "the mission was changed meanwhile"
 
     def _take_control(self, now_s: float) -> None:
         heartbeat = self.own.heartbeat

@@ -191,6 +191,8 @@ class MissionCurrent(Event, frozen=True):
     """MISSION_CURRENT."""
 
     seq: int
+    complete: bool = False
+    """Its last item is done; not told by older vehicles."""
 
 
 class FenceArea(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -313,3 +313,38 @@ def test_a_mode_that_was_not_entered_is_the_pilots_later(guarded):
     bench.mode = FlightMode.EXTERNAL
     bench.step(100)
     assert bench.heart.state is State.STANDBY
+
+
+def test_a_mission_that_is_complete_is_not_entered_again(guarded):
+    """ArduPilot would fly it from its beginning."""
+    bench = guarded()
+    bench.extra.append(MissionCurrent(seq=1, complete=True))
+    bench.step()
+    taken(bench)
+    bench.extra.append(MissionCurrent(seq=1))
+    bench.velocity_ned_mps = (0.0, 0.0, 0.0)
+    for _ in range(800):
+        on_path(bench)
+        if bench.heart.state is State.YIELDED:
+            break
+    assert modes(c for _, c in bench.log) == [FlightMode.EXTERNAL, FlightMode.HOLD]
+    assert any(isinstance(c, Say) and "come to its end" in c.text for _, c in bench.log)
+
+
+def test_a_vehicle_that_is_kept_off_its_way_is_given_back(guarded):
+    """Such as by a floor above its mission."""
+    bench = taken(guarded())
+    bench.velocity_ned_mps = (0.0, 0.0, 0.0)
+    bench.heart.traffic.clear()
+    bench.east_m = 30.0
+    bench.step(round(50.0 / 0.05))
+    assert bench.heart.state is State.RECOVERING
+    bench.step(round(12.0 / 0.05))
+    assert bench.heart.state is State.WATCHING
+
+
+def test_a_position_at_the_other_end_of_the_earth_is_not_flown_on(guarded):
+    bench = guarded()
+    bench.lat_deg, bench.lon_deg = -bench.lat_deg, bench.lon_deg - 180.0
+    bench.step(200)
+    assert bench.heart.state is State.STANDBY
