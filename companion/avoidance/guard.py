@@ -124,8 +124,8 @@ class GuardPlan(Plan):
         self.drop()
 
     def give_back(self, own: Ownship, now_s: float) -> tuple[bool | None, list[Command]]:
-        """Whether the mission may be resumed: True; False: it was changed, or is complete, and ArduPilot would
-        fly it again from its beginning; None: not known yet, with what is to be asked."""
+        """Whether the mission may be resumed: True; False: it was changed, or is complete (ArduPilot would
+        fly it again from its beginning); None: not known yet, with what is to be asked."""
         self.ended = self.ended or own.mission_complete
         if self._changed_mission or self.ended:
             return False, []
