@@ -439,7 +439,11 @@ class Companion:
         mode = self.own.mode
         external = mode is FlightMode.EXTERNAL
         self._ours = frozenset()
-        if trigger is Trigger.PILOT and external:
+        heartbeat = self.own.heartbeat
+        ours = heartbeat is not None and (
+            external or (not self._mode_confirmed and heartbeat.custom_mode == self._custom_before)
+        )
+        if trigger is Trigger.PILOT and ours:
             commands.append(SetMode(mode=FlightMode.STICKS))
         elif trigger is Trigger.CHANGED:
             commands.append(SetMode(mode=FlightMode.HOLD))

@@ -243,6 +243,8 @@ class VehicleParameters(Event, frozen=True):
     """PX4: what it does then."""
     fence_action: Parameter | None = None
     """What it does at its own fence; ArduPilot: whether it has one."""
+    mission_restart: Parameter | None = None
+    """ArduPilot: 1: AUTO always begins the mission anew."""
 
 
 class AdsbVehicle(Event, frozen=True):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from companion.autopilot.advice import restarting
 from companion.autopilot.mission import place_of, speed_at
 from companion.avoidance.law import Law
 from companion.avoidance.plan import RETRY_S, Plan
@@ -66,6 +67,9 @@ class GuardPlan(Plan):
         if now_s - self._tried_s < RETRY_S:
             return []
         self._tried_s = now_s
+        restart = None if self._vehicle is None else restarting(self._vehicle)
+        if restart is not None:
+            return self.refuse(restart)
         asked = self._ask_fence(now_s)
         if asked is not None:
             return asked

@@ -17,9 +17,11 @@ from companion.events import (
     MissionCurrent,
     MissionItem,
     ModeRefused,
+    Parameter,
     RcChannels,
     Say,
     SetMode,
+    VehicleParameters,
 )
 from tests.companion.conftest import Bench, config, mission
 from tests.companion.test_core import intruder
@@ -348,3 +350,34 @@ def test_a_position_at_the_other_end_of_the_earth_is_not_flown_on(guarded):
     bench.lat_deg, bench.lon_deg = -bench.lat_deg, bench.lon_deg - 180.0
     bench.step(200)
     assert bench.heart.state is State.STANDBY
+
+
+def test_a_mission_that_would_begin_anew_is_not_guarded(guarded):
+    """ArduPilot with MIS_RESTART = 1."""
+    made = msgspec.structs.replace(config(use="guard"), path=None)
+    bench = Bench(Companion(made), mission=mission(300.0), mode=FlightMode.MISSION)
+    restart = Parameter(name="MIS_RESTART", value=1.0)
+    bench.extra += [
+        MissionCurrent(seq=0),
+        VehicleParameters(firmware=Firmware.ARDUPILOT, mission_restart=restart),
+    ]
+    bench.step(400)
+    assert bench.heart.state is State.STANDBY
+    assert any(isinstance(c, Say) and "MIS_RESTART 1" in c.text for _, c in bench.log)
+
+
+@pytest.mark.parametrize("mode", [FlightMode.MISSION, FlightMode.OTHER])
+def test_sticks_that_move_while_the_vehicle_is_being_taken(guarded, mode):
+    """Our mode may be entered yet: the one that takes sticks is asked for, unless the pilot chose another."""
+    bench = guarded()
+    bench.obeys = False
+    bench.extra.append(RcChannels(sticks_us=(1500, 1500, 1500)))
+    meet(bench, seconds=1.5)
+    before = len(bench.log)
+    bench.mode = mode
+    bench.extra += [RcChannels(sticks_us=(1500, 1700, 1500))] * 2
+    bench.step()
+    assert bench.heart.state is State.YIELDED
+    assert modes(c for _, c in bench.log[before:]) == (
+        [FlightMode.STICKS] if mode is FlightMode.MISSION else []
+    )
