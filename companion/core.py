@@ -364,8 +364,11 @@ class Companion:
         standing_by = self.state is State.STANDBY and self.plan.ready
         if standing_by and self.waits_for(now_s) is None and self.plan.near(own, now_s):
             found.add(Trigger.WATCH if self._guard is not None and on_mission else Trigger.READY)
-        if self._guard is not None:
-            found.add(Trigger.RESUMED if on_mission else Trigger.LEFT)
+        if self._guard is not None and not on_mission:
+            found.add(Trigger.LEFT)
+        elif self._guard is not None and now_s - self._gave_back_s < _GIVING_BACK_S:
+            # Not before it was asked for: the vehicle may be in our mode already, and not have said so.
+            found.add(Trigger.RESUMED)
         return frozenset(found)
 
     def _pilot_took_over(self, now_s: float) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from companion.avoidance.authority import State
+from companion.avoidance.authority import HOLDING, State
 from companion.core import Companion
 from companion.events import (
     AuthorityChanged,
@@ -381,3 +381,32 @@ def test_sticks_that_move_while_the_vehicle_is_being_taken(guarded, mode):
     assert modes(c for _, c in bench.log[before:]) == (
         [FlightMode.STICKS] if mode is FlightMode.MISSION else []
     )
+
+
+def test_a_vehicle_that_obeys_while_it_recovers_is_left_alone(guarded):
+    """The mission was asked for and is entered unseen: flying on, the vehicle leaves our path."""
+    bench = taken(guarded())
+    over(bench)
+    bench.obeys, bench.mode = False, FlightMode.EXTERNAL
+    bench.east_m += 12.0
+    bench.step(8)
+    assert bench.heart.state is State.RECOVERING
+    before = len(bench.log)
+    bench.mode = FlightMode.MISSION
+    bench.step(40)
+    assert bench.heart.state is State.WATCHING
+    assert not modes(c for _, c in bench.log[before:])
+
+
+def test_a_vehicle_that_is_slow_to_be_taken_is_not_taken_for_one_that_resumed(guarded):
+    """The conflict is over before a heartbeat shows our mode, which the vehicle has entered."""
+    bench = guarded()
+    bench.obeys = False
+    meet(bench, seconds=0.8)
+    assert bench.heart.state is State.AVOIDING
+    bench.heart.traffic.clear()
+    bench.step(76)
+    assert bench.heart.state in HOLDING
+    bench.obeys, bench.mode = True, FlightMode.EXTERNAL
+    over(bench)
+    bench.until(lambda: bench.heart.state is State.WATCHING)
