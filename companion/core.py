@@ -60,6 +60,8 @@ _TAKE_FROM = {
 }
 """Modes that the companion may take the vehicle from."""
 _GUARDED = frozenset({FlightMode.MISSION})
+_NOT_GUARDED = frozenset({Landed.TAKEOFF, Landed.LANDING})
+"""Parts of a guarded mission that the vehicle is not taken out of."""
 _LATE_S = 0.25
 """A step that comes this much after the last (or 2.5 periods) commands nothing: the loop was late."""
 _HUNG_S = 1.0
@@ -74,6 +76,9 @@ _SURE = 3
 """Decisions in a row that must see a conflict before a guarded vehicle is taken."""
 _GIVING_BACK_S = 8.0
 """For this long after the mission was asked for, the vehicle may still obey; then it is asked again."""
+_KEPT_OFF_S = 60.0
+"""Kept off its way for so long with no conflict, by a floor, a ceiling, a fence or the wind, a guarded
+vehicle is given back where it is."""
 _LATE_STEP_S = 30.0
 """The pilot is told each time that the path has waited for this long again."""
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
@@ -242,6 +247,9 @@ class Companion:
             self._seen_down = True
             commands += self.plan.check(own, now_s)
             self.plan.drop()
+        if self._guard is not None and self.state is State.STANDBY and own.mode not in _GUARDED | self._ours:
+            # What the pilot selects next may be another mission.
+            self.plan.drop()
         if self.plan.law is None and self._wanted is not self.config:
             self.config = self._wanted
             self.plan.configure(self.config)
@@ -335,17 +343,20 @@ class Companion:
         commands += guard.watch(self.own, now_s)
         situation = self._situation(now_s)
         self._result = result = law.decide(situation)
-        self._conflicts = self._conflicts + 1 if result.conflict else 0
+        guarded = self.own.landed(now_s) not in _NOT_GUARDED
+        self._conflicts = self._conflicts + 1 if result.conflict and guarded else 0
         self._alert(now_s, situation.neighbours, None, commands)
         self._log(now_s, result, commands)
         if self._conflicts >= _SURE:
             self._move(now_s, frozenset({Trigger.CONFLICT}), None, commands)
+            # The way to the item may end short of what the mission flies into: it counts all the same.
+            self._conflict_s = now_s
 
     def _give_back(self, now_s: float, commands: list[Command]) -> None:
         """On the path, and no conflict: the mission goes on, if it is still the same."""
         if self._guard is None or not self._mode_confirmed or now_s - self._gave_back_s < _GIVING_BACK_S:
             return
-        same, asked = self._guard.give_back(now_s)
+        same, asked = self._guard.give_back(self.own, now_s)
         commands += asked
         if same:
             self._gave_back_s = now_s
@@ -384,8 +395,11 @@ class Companion:
         standing_by = self.state is State.STANDBY and self.plan.ready
         if standing_by and self.waits_for(now_s) is None and self.plan.near(own, now_s):
             found.add(Trigger.WATCH if self._guard is not None and on_mission else Trigger.READY)
-        if self._guard is not None:
-            found.add(Trigger.RESUMED if on_mission else Trigger.LEFT)
+        if self._guard is not None and not on_mission:
+            found.add(Trigger.LEFT)
+        elif self._guard is not None and now_s - self._gave_back_s < _GIVING_BACK_S:
+            # Not before it was asked for: the vehicle may be in our mode already, and not have said so.
+            found.add(Trigger.RESUMED)
         return frozenset(found)
 
     def _pilot_took_over(self, now_s: float) -> bool:
@@ -406,7 +420,8 @@ class Companion:
         if now_s - self._conflict_s < self._clear_after_s:
             return frozenset()
         distance, regained = self.plan.distance_m(self.own, now_s), self.config.avoidance.regained_m
-        if distance <= regained:
+        kept_off = self._guard is not None and now_s - self._conflict_s >= _KEPT_OFF_S
+        if distance <= regained or kept_off:
             return frozenset({Trigger.CLEAR, Trigger.REGAINED})
         return frozenset({Trigger.CLEAR, Trigger.AWAY} if distance > 2.0 * regained else {Trigger.CLEAR})
 
@@ -440,6 +455,8 @@ class Companion:
             self._let_go(trigger, commands)
         if trigger is not Trigger.UNFIT:
             self._brake_until_s = -math.inf
+        if self.state is State.WATCHING:
+            self._ours = frozenset()
         if self.state not in HOLDING:
             self._result = None
             self._left = False
@@ -456,12 +473,20 @@ class Companion:
     def _let_go(self, trigger: Trigger, commands: list[Command]) -> None:
         """Nothing is commanded any more. PX4 notices at once; ArduPilot would fly on for seconds as it was
         commanded last, so it is asked to stop. A pilot who moves the sticks gets a mode that takes them."""
-        external = self.own.mode is FlightMode.EXTERNAL
+        mode = self.own.mode
+        external = mode is FlightMode.EXTERNAL
         self._ours = frozenset()
-        if trigger is Trigger.PILOT and external:
+        heartbeat = self.own.heartbeat
+        ours = heartbeat is not None and (
+            external or (not self._mode_confirmed and heartbeat.custom_mode == self._custom_before)
+        )
+        if trigger is Trigger.PILOT and ours:
             commands.append(SetMode(mode=FlightMode.STICKS))
         elif trigger is Trigger.CHANGED:
             commands.append(SetMode(mode=FlightMode.HOLD))
+        elif trigger is Trigger.UNFIT and mode is not None and not external and not self._mode_confirmed:
+            # Our mode may be entered unseen.
+            self._ours = frozenset({mode, FlightMode.EXTERNAL})
         elif trigger is Trigger.UNFIT and external:
             self._ours = frozenset({FlightMode.EXTERNAL})
             ardupilot = self.own.heartbeat is not None and self.own.heartbeat.firmware is Firmware.ARDUPILOT
@@ -484,12 +509,17 @@ class Companion:
             Trigger.LEFT: f"the mission was left for mode {mode}",
             Trigger.RESUMED: f"the vehicle flies its mission on at item {self.own.mission_seq}, taken for "
             f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most",
-            Trigger.CHANGED: "the mission was changed meanwhile: it is not resumed, the vehicle is to hold",
+            Trigger.CHANGED: f"{self._not_resumed}: it is not resumed, the vehicle is to hold",
             Trigger.CONFLICT: "conflict with " + ", ".join(conflicts),
             Trigger.CLEAR: "no conflict",
             Trigger.AWAY: "off the timed path",
             Trigger.REGAINED: "back on the timed path",
         }[trigger]
+
+    @property
+    def _not_resumed(self) -> str:
+        ended = self._guard is not None and self._guard.ended
+        return "the mission had come to its end" if ended else "the mission was changed meanwhile"
 
     def _take_control(self, now_s: float) -> None:
         heartbeat = self.own.heartbeat

@@ -191,6 +191,8 @@ class MissionCurrent(Event, frozen=True):
     """MISSION_CURRENT."""
 
     seq: int
+    complete: bool = False
+    """Its last item is done; not told by older vehicles."""
 
 
 class FenceArea(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -241,6 +243,8 @@ class VehicleParameters(Event, frozen=True):
     """PX4: what it does then."""
     fence_action: Parameter | None = None
     """What it does at its own fence; ArduPilot: whether it has one."""
+    mission_restart: Parameter | None = None
+    """ArduPilot: 1: AUTO always begins the mission anew."""
 
 
 class AdsbVehicle(Event, frozen=True):

@@ -53,6 +53,8 @@ _REBOOT_S = 1.0
 _JUMP_M = 30.0
 """Beyond what speed explains, a position that moves farther than this was not flown."""
 _JUMP_RATE_MPS = 20.0
+_FARTHEST_M = 1_000_000.0
+"""From the local frame's origin, no flight leads farther: a position beyond it is not believed."""
 _UNTRUSTED_S = 2.0
 """After a jump or a reboot the own state must be steady for this long."""
 
@@ -125,6 +127,8 @@ class Ownship:
     gnss: GnssFix | None = None
     mission_seq: int | None = None
     """Item that the vehicle's mission is at."""
+    mission_complete: bool = False
+    """Its last item is done."""
     takeoff: GlobalPosition | None = None
     """Where the aircraft was last seen on the ground."""
     separation_m: float | None = None
@@ -164,7 +168,7 @@ class Ownship:
             case EstimatorState():
                 self._estimator_lost_s = -math.inf if event.usable else now_s
             case MissionCurrent():
-                self.mission_seq = event.seq
+                self.mission_seq, self.mission_complete = event.seq, event.complete
             case VehicleTime():
                 self._tick(event.time_boot_s, now_s)
                 if event.utc_s is not None:
@@ -200,6 +204,8 @@ class Ownship:
             speed = _JUMP_RATE_MPS + math.hypot(*self.velocity_ned_mps)
             if math.dist(sample, self._sample_ned_m) > _JUMP_M + speed * elapsed:
                 self._trouble("own position jumped", now_s)
+        if math.hypot(*sample) > _FARTHEST_M:
+            self._trouble("own position is nowhere near where it was first", now_s)
         self.position, self._sample_ned_m = event, sample
         self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
         if self.landed(now_s) is Landed.ON_GROUND:

@@ -35,6 +35,7 @@ def ardupilot_params() -> ParamTable:
             "LAND_SPEED": (50.0, INT16),
             "DISARM_DELAY": (10.0, INT8),
             "FRAME_CLASS": (1.0, INT8),
+            "MIS_RESTART": (0.0, INT8),
             "FENCE_ENABLE": (0.0, INT8),
             "FENCE_TYPE": (7.0, INT8),
             "FENCE_ACTION": (1.0, INT8),

@@ -34,9 +34,22 @@ def remarks(config: Config, vehicle: VehicleParameters) -> list[str]:
             f"{loss.name} {loss.value:g}: a vehicle that hears no setpoints "
             f"{dialect.after_silence(int(loss.value))}"
         )
+    restart = restarting(vehicle)
+    if config.flight.use == "guard" and restart is not None:
+        found.append(restart)
     if limits.fence == "vehicle" and fence is not None and fence.value in dialect.idle_fence_actions:
         found.append(f"{fence.name} {fence.value:g}: the vehicle itself does not obey its fence")
     return found
+
+
+def restarting(vehicle: VehicleParameters) -> str | None:
+    """Why a mission cannot be given back to this vehicle, in words; None when it can."""
+    restart = vehicle.mission_restart
+    if restart is None or restart.value == 0:
+        return None
+    return (
+        f"{restart.name} {restart.value:g}: a mission that is given back would begin anew: set 0 to guard it"
+    )
 
 
 def after_silence(vehicle: VehicleParameters) -> str:

@@ -166,6 +166,7 @@ ARDUPILOT = Dialect(
         Wanted("acceleration_mps2", (("WP_ACC", 1.0), ("WPNAV_ACCEL", 0.01)), *_ACCELERATION),
         Wanted("setpoint_timeout_s", (("GUID_TIMEOUT", 1.0),), *_TIMEOUT),
         Wanted("fence_action", (("FENCE_ENABLE", 1.0),), 0, 1),
+        Wanted("mission_restart", (("MIS_RESTART", 1.0),), 0, 1),
     ),
     integers_bytewise=False,
     silence="brakes and stays in GUIDED",

@@ -113,12 +113,15 @@ def place_of(item: MissionItem, height_m: float, home_alt_msl_m: float) -> Vec3 
     """Where an item leads: latitude (deg), longitude (deg), height above home (m); None: nowhere of its own.
 
     Args:
-        height_m: present height above home, where the item's altitude is left open or measured from terrain.
+        height_m: present height above home, where the item's altitude is left open, 0 (ArduPilot keeps its
+            altitude then) or measured from terrain.
     """
     if item.command not in _PLACES or item.lat_deg is None or item.lon_deg is None:
         return None
     if item.lat_deg == 0 and item.lon_deg == 0:
         return None
+    if item.alt_m == 0:
+        return item.lat_deg, item.lon_deg, height_m
     if item.alt_m is not None and item.frame in _HOME_FRAMES:
         height_m = item.alt_m
     elif item.alt_m is not None and item.frame in _MSL_FRAMES:
@@ -210,6 +213,10 @@ class _Builder:
         if lat_deg == 0 and lon_deg == 0:
             raise _refused(
                 item, "0, 0 stands for the current position; a latitude and a longitude are needed"
+            )
+        if alt_m == 0:
+            raise _refused(
+                item, "altitude 0 stands for the present one on ArduPilot; one other than 0 is needed"
             )
         if item.frame in _HOME_FRAMES:
             return lat_deg, lon_deg, alt_m

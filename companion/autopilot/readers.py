@@ -181,7 +181,7 @@ def landed_state(fields: Fields) -> LandedState:
 
 def mission_current(fields: Fields) -> MissionCurrent:
     """MISSION_CURRENT; on ArduPilot item 0 is home, so the first item flown is 1."""
-    return MissionCurrent(seq=fields[0])
+    return MissionCurrent(seq=fields[0], complete=fields[2] == mavlink.MISSION_STATE_COMPLETE)
 
 
 def ekf_status_report(fields: Fields) -> EstimatorState:

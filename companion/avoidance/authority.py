@@ -79,6 +79,7 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.FAULT, Trigger.HEALTHY): State.STANDBY,
     (State.YIELDED, Trigger.REARM): State.STANDBY,
     (State.GUARDING, Trigger.RESUMED): State.WATCHING,
+    (State.RECOVERING, Trigger.RESUMED): State.WATCHING,
     (State.GUARDING, Trigger.CHANGED): State.YIELDED,
     (State.GUARDING, Trigger.CONFLICT): State.AVOIDING,
     (State.GUARDING, Trigger.AWAY): State.RECOVERING,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from companion.autopilot.advice import restarting
 from companion.autopilot.mission import place_of, speed_at
 from companion.avoidance.law import Law
 from companion.avoidance.plan import RETRY_S, Plan
@@ -37,6 +38,8 @@ class GuardPlan(Plan):
     _changed_mission = False
     _seq = 0
     """Item that the vehicle was at."""
+    ended = False
+    """The mission was complete when the vehicle was taken."""
 
     @property
     def ready(self) -> bool:
@@ -64,6 +67,9 @@ class GuardPlan(Plan):
         if now_s - self._tried_s < RETRY_S:
             return []
         self._tried_s = now_s
+        restart = None if self._vehicle is None else restarting(self._vehicle)
+        if restart is not None:
+            return self.refuse(restart)
         asked = self._ask_fence(now_s)
         if asked is not None:
             return asked
@@ -108,6 +114,7 @@ class GuardPlan(Plan):
         self.law.follow(path)
         self._start_s, self.lowest_height_m = now_s, lowest_m
         self._items_s, self._comparing, self._changed_mission = -math.inf, False, False
+        self.ended = own.mission_complete
 
     def near(self, own: Ownship, now_s: float) -> bool:
         """The way begins where the vehicle is."""
@@ -120,10 +127,11 @@ class GuardPlan(Plan):
         """The pilot gives authority anew: what he flies is fetched anew."""
         self.drop()
 
-    def give_back(self, now_s: float) -> tuple[bool | None, list[Command]]:
-        """Whether the mission may be resumed: True; False: it was changed; None: not known yet, with what is
-        to be asked."""
-        if self._changed_mission:
+    def give_back(self, own: Ownship, now_s: float) -> tuple[bool | None, list[Command]]:
+        """Whether the mission may be resumed: True; False: it was changed, or is complete (ArduPilot would
+        fly it again from its beginning); None: not known yet, with what is to be asked."""
+        self.ended = self.ended or own.mission_complete
+        if self._changed_mission or self.ended:
             return False, []
         if now_s - self._items_s <= RETRY_S:
             return True, []

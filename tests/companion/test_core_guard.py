@@ -5,18 +5,23 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from companion.avoidance.authority import State
+from companion.avoidance.authority import HOLDING, State
 from companion.core import Companion
 from companion.events import (
+    AuthorityChanged,
     DownloadMission,
     EstimatorState,
     Firmware,
     FlightMode,
+    Landed,
     MissionCurrent,
+    MissionItem,
     ModeRefused,
+    Parameter,
     RcChannels,
     Say,
     SetMode,
+    VehicleParameters,
 )
 from tests.companion.conftest import Bench, config, mission
 from tests.companion.test_core import intruder
@@ -26,9 +31,10 @@ from tests.companion.test_core import intruder
 def guarded():
     """Flies its mission at 3 m/s due north, to 300 m."""
 
-    def build(**flight):
+    def build(items=None, **flight):
         made = msgspec.structs.replace(config(use="guard", **flight), path=None)
-        bench = Bench(Companion(made), mission=mission(300.0, 900.0), mode=FlightMode.MISSION)
+        items = items or mission(300.0, 900.0)
+        bench = Bench(Companion(made), mission=items, mode=FlightMode.MISSION)
         bench.velocity_ned_mps = (3.0, 0.0, 0.0)
         bench.extra.append(MissionCurrent(seq=0))
         bench.until(lambda: bench.heart.state is State.WATCHING)
@@ -233,3 +239,174 @@ def test_the_estimators_word_ends_authority_at_once(guarded):
     assert bench.heart.state is State.FAULT
     bench.extra.append(EstimatorState(usable=True))
     bench.until(lambda: bench.heart.state is not State.FAULT)
+
+
+# ------------------------------------------------------------ what the path to the item does not show
+
+
+def test_a_conflict_beyond_the_missions_item_is_avoided(guarded):
+    """The way to the item ends short of what the mission flies into: the vehicle is taken all the same."""
+    bench = guarded(items=(MissionItem(seq=0, command=20, frame=3, lat_deg=None, lon_deg=None, alt_m=None),))
+    bench.velocity_ned_mps = (0.0, 5.0, 0.0)
+    for k in range(8):
+        bench.extra.append(intruder(bench, 72.0 - 6.0 * k, 6.0, east_m=60.0))
+        for _ in range(20):
+            bench.east_m += 0.25 if bench.mode is FlightMode.MISSION else 0.0
+            bench.step()
+        if bench.heart.in_control:
+            break
+    moves = [c.trigger for _, c in bench.log if isinstance(c, AuthorityChanged)]
+    assert moves[1:] == ["conflict"]
+    assert bench.heart.in_control
+
+
+@pytest.mark.parametrize("landed", [Landed.TAKEOFF, Landed.LANDING])
+def test_take_offs_and_landings_are_not_guarded(guarded, landed):
+    bench = guarded()
+    bench.landed = landed
+    meet(bench, seconds=5.0)
+    assert bench.heart.state is State.WATCHING
+    bench.landed = Landed.IN_AIR
+    bench.step(20)
+    assert bench.heart.state is State.AVOIDING
+
+
+@pytest.mark.parametrize("unfit", [False, True])
+def test_a_mission_selected_again_is_fetched_again(guarded, unfit):
+    """It may have been changed while the pilot flew."""
+    bench = guarded()
+    bench.fix_type = 1 if unfit else 3
+    bench.step()
+    bench.mode, bench.mission = FlightMode.OTHER, mission(-300.0)
+    bench.step(20)
+    bench.mode, bench.fix_type = FlightMode.MISSION, 3
+    bench.step(20)
+    assert bench.heart.state is State.WATCHING
+    meet(bench)
+    way = bench.heart.plan.law.trajectory
+    assert way.points_ned_m[-1][0] == pytest.approx(-300.0, abs=1.0)
+
+
+def unseen(guarded):
+    """The link goes down while the vehicle is being taken."""
+    bench = guarded()
+    bench.obeys = False
+    meet(bench, seconds=1.5)
+    assert modes(c for _, c in bench.log) == [FlightMode.EXTERNAL]
+    bench.silent = True
+    bench.step(60)
+    assert bench.heart.state is State.FAULT
+    bench.silent = False
+    return bench
+
+
+def test_a_mode_that_was_entered_unseen_is_given_back(guarded):
+    bench = unseen(guarded)
+    bench.obeys, bench.mode = True, FlightMode.EXTERNAL
+    bench.until(lambda: bench.heart.in_control)
+    over(bench)
+    assert bench.mode is FlightMode.MISSION
+
+
+def test_a_mode_that_was_not_entered_is_the_pilots_later(guarded):
+    bench = unseen(guarded)
+    bench.heart.traffic.clear()
+    bench.until(lambda: bench.heart.state is State.WATCHING)
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(100)
+    assert bench.heart.state is State.STANDBY
+
+
+def test_a_mission_that_is_complete_is_not_entered_again(guarded):
+    """ArduPilot would fly it from its beginning."""
+    bench = guarded()
+    bench.extra.append(MissionCurrent(seq=1, complete=True))
+    bench.step()
+    taken(bench)
+    bench.extra.append(MissionCurrent(seq=1))
+    bench.velocity_ned_mps = (0.0, 0.0, 0.0)
+    for _ in range(800):
+        on_path(bench)
+        if bench.heart.state is State.YIELDED:
+            break
+    assert modes(c for _, c in bench.log) == [FlightMode.EXTERNAL, FlightMode.HOLD]
+    assert any(isinstance(c, Say) and "come to its end" in c.text for _, c in bench.log)
+
+
+def test_a_vehicle_that_is_kept_off_its_way_is_given_back(guarded):
+    """Such as by a floor above its mission."""
+    bench = taken(guarded())
+    bench.velocity_ned_mps = (0.0, 0.0, 0.0)
+    bench.heart.traffic.clear()
+    bench.east_m = 30.0
+    bench.step(round(50.0 / 0.05))
+    assert bench.heart.state is State.RECOVERING
+    bench.step(round(12.0 / 0.05))
+    assert bench.heart.state is State.WATCHING
+
+
+def test_a_position_at_the_other_end_of_the_earth_is_not_flown_on(guarded):
+    bench = guarded()
+    bench.lat_deg, bench.lon_deg = -bench.lat_deg, bench.lon_deg - 180.0
+    bench.step(200)
+    assert bench.heart.state is State.STANDBY
+
+
+def test_a_mission_that_would_begin_anew_is_not_guarded(guarded):
+    """ArduPilot with MIS_RESTART = 1."""
+    made = msgspec.structs.replace(config(use="guard"), path=None)
+    bench = Bench(Companion(made), mission=mission(300.0), mode=FlightMode.MISSION)
+    restart = Parameter(name="MIS_RESTART", value=1.0)
+    bench.extra += [
+        MissionCurrent(seq=0),
+        VehicleParameters(firmware=Firmware.ARDUPILOT, mission_restart=restart),
+    ]
+    bench.step(400)
+    assert bench.heart.state is State.STANDBY
+    assert any(isinstance(c, Say) and "MIS_RESTART 1" in c.text for _, c in bench.log)
+
+
+@pytest.mark.parametrize("mode", [FlightMode.MISSION, FlightMode.OTHER])
+def test_sticks_that_move_while_the_vehicle_is_being_taken(guarded, mode):
+    """Our mode may be entered yet: the one that takes sticks is asked for, unless the pilot chose another."""
+    bench = guarded()
+    bench.obeys = False
+    bench.extra.append(RcChannels(sticks_us=(1500, 1500, 1500)))
+    meet(bench, seconds=1.5)
+    before = len(bench.log)
+    bench.mode = mode
+    bench.extra += [RcChannels(sticks_us=(1500, 1700, 1500))] * 2
+    bench.step()
+    assert bench.heart.state is State.YIELDED
+    assert modes(c for _, c in bench.log[before:]) == (
+        [FlightMode.STICKS] if mode is FlightMode.MISSION else []
+    )
+
+
+def test_a_vehicle_that_obeys_while_it_recovers_is_left_alone(guarded):
+    """The mission was asked for and is entered unseen: flying on, the vehicle leaves our path."""
+    bench = taken(guarded())
+    over(bench)
+    bench.obeys, bench.mode = False, FlightMode.EXTERNAL
+    bench.east_m += 12.0
+    bench.step(8)
+    assert bench.heart.state is State.RECOVERING
+    before = len(bench.log)
+    bench.mode = FlightMode.MISSION
+    bench.step(40)
+    assert bench.heart.state is State.WATCHING
+    assert not modes(c for _, c in bench.log[before:])
+
+
+def test_a_vehicle_that_is_slow_to_be_taken_is_not_taken_for_one_that_resumed(guarded):
+    """The conflict is over before a heartbeat shows our mode, which the vehicle has entered."""
+    bench = guarded()
+    bench.obeys = False
+    meet(bench, seconds=0.8)
+    assert bench.heart.state is State.AVOIDING
+    bench.heart.traffic.clear()
+    bench.step(76)
+    assert bench.heart.state in HOLDING
+    bench.obeys, bench.mode = True, FlightMode.EXTERNAL
+    over(bench)
+    bench.until(lambda: bench.heart.state is State.WATCHING)

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot import readers
 from companion.errors import PeerDataError
-from companion.events import AdsbVehicle, GlobalPosition, GnssFix, Landed, VehicleTime
+from companion.events import AdsbVehicle, GlobalPosition, GnssFix, Landed, MissionCurrent, VehicleTime
 
 ORDER = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: "custom_mode type autopilot base_mode system_status mavlink_version",
@@ -155,7 +155,9 @@ def test_undefined_landed_state_is_bad_data() -> None:
 
 
 def test_mission_current() -> None:
-    assert read(mavlink.MAVLink_mission_current_message(7)).seq == 7
+    assert read(mavlink.MAVLink_mission_current_message(7)) == MissionCurrent(seq=7)
+    complete = mavlink.MAVLink_mission_current_message(7, 8, mavlink.MISSION_STATE_COMPLETE, 0)
+    assert read(complete) == MissionCurrent(seq=7, complete=True)
 
 
 @pytest.mark.parametrize(

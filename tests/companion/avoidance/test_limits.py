@@ -140,6 +140,9 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
         (told(Firmware.PX4, fence_action=("GF_ACTION", 1)), {"fence": "vehicle"}, "GF_ACTION 1: the vehicle"),
         (told(Firmware.PX4, fence_action=("GF_ACTION", 3)), {"fence": "vehicle"}, None),
         (told(setpoint_timeout_s=("GUID_TIMEOUT", 0.1)), {"use": "watch"}, None),
+        (told(mission_restart=("MIS_RESTART", 1)), {"use": "guard"}, "MIS_RESTART 1: a mission that is"),
+        (told(mission_restart=("MIS_RESTART", 0)), {"use": "guard"}, None),
+        (told(mission_restart=("MIS_RESTART", 1)), {}, None),
         (told(), {}, None),
     ],
 )
