@@ -42,6 +42,19 @@ def test_head_on_is_avoided_and_the_same_item_is_flown_on(firmware, cooperating)
     assert one.states().count("avoiding") == 1
 
 
+def test_the_missions_own_speed_comes_with_the_mission():
+    """ArduPilot forgets it; with the request for AUTO, not after it, its leg begins with that speed."""
+    slow = item(2, 0.0, 0.0, command=178, params=(1.0, 3.0, -1.0, 0.0))
+    items = (item(1, 0.0, 0.0, command=22), slow, item(3, 400.0, 0.0))
+    sky = taken(head_on(Firmware.ARDUPILOT, mission=items))
+    one = sky.aircraft[0]
+    sky.until(lambda: one.vehicle.mode is VehicleMode.MISSION)
+    told = MavlinkReader().feed(one.to_vehicle[-1])
+    assert [m.command for m in told if m.get_type() == "COMMAND_LONG"][-2:] == [176, 178]
+    sky.run(8.0)
+    assert math.dist(one.places[-1], one.places[-21]) == pytest.approx(3.0, abs=0.2)
+
+
 @pytest.mark.parametrize("firmware", Firmware)
 def test_nobody_in_the_way_nothing_is_commanded(firmware):
     sky = head_on(firmware)
