@@ -360,7 +360,7 @@ class Companion:
         commands += asked
         if same:
             self._gave_back_s = now_s
-            commands.append(SetMode(mode=FlightMode.MISSION))
+            commands.append(SetMode(mode=FlightMode.MISSION, speed_mps=self._forgotten_speed_mps()))
         elif same is False:
             self._move(now_s, frozenset({Trigger.CHANGED}), None, commands)
 
@@ -446,15 +446,15 @@ class Companion:
         if trigger in _TOLD or previous is State.WATCHING:
             severity = Severity.WARNING if trigger in _TOLD_LOUDLY else Severity.INFO
             commands.append(Say(severity=severity, text=f"DMUCA {self.state.value}: {reason}"))
-        if trigger is Trigger.RESUMED:
-            commands += self._restore_speed()
+        if trigger is Trigger.RESUMED and (speed := self._forgotten_speed_mps()) is not None:
+            commands.append(SetSpeed(speed_mps=speed))
         if trigger is Trigger.REARM and self.own.position is not None:
             self.plan.resume(self.own, now_s)
         if previous in HOLDING and self.state not in HOLDING:
-            self._brake_until_s = -math.inf if self._settings.enable else now_s + _BRAKING_S
             self._let_go(trigger, commands)
-        if trigger is not Trigger.UNFIT:
-            self._brake_until_s = -math.inf
+        # A hold is waited for standing: PX4's own failsafe is quicker than the next heartbeat.
+        holds = trigger is Trigger.CHANGED or (trigger is Trigger.UNFIT and not self._settings.enable)
+        self._brake_until_s = now_s + _BRAKING_S if holds and previous in HOLDING else -math.inf
         if self.state is State.WATCHING:
             self._ours = frozenset()
         if self.state not in HOLDING:
@@ -462,13 +462,14 @@ class Companion:
             self._left = False
             self._conflicts = 0
 
-    def _restore_speed(self) -> list[Command]:
-        """ArduPilot forgets the mission's own speed when the mission's mode is left."""
+    def _forgotten_speed_mps(self) -> float | None:
+        """The mission's own speed, which ArduPilot forgets when the mission's mode is entered. It must come
+        right behind the request for that: a leg that was begun at the vehicle's own speed overshoots it by
+        metres a second."""
         guard, heartbeat = self._guard, self.own.heartbeat
         if guard is None or heartbeat is None or heartbeat.firmware is not Firmware.ARDUPILOT:
-            return []
-        speed = guard.mission_speed_mps(self.own)
-        return [] if speed is None else [SetSpeed(speed_mps=speed)]
+            return None
+        return guard.mission_speed_mps(self.own)
 
     def _let_go(self, trigger: Trigger, commands: list[Command]) -> None:
         """Nothing is commanded any more. PX4 notices at once; ArduPilot would fly on for seconds as it was

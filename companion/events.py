@@ -350,6 +350,8 @@ class SetMode(Command, frozen=True):
     """Ask for a flight mode; the link retries until the heartbeat confirms it, or reports ModeRefused."""
 
     mode: FlightMode
+    speed_mps: float | None = None
+    """Ground speed to fly there, told in the same breath (DO_CHANGE_SPEED); None leaves it."""
 
 
 class SetSpeed(Command, frozen=True):

@@ -43,7 +43,6 @@ from companion.events import (
     FenceDownloaded,
     FenceRefused,
     Firmware,
-    FlightMode,
     GlobalPosition,
     LocalPosition,
     MissionDownloaded,
@@ -232,6 +231,7 @@ class AutopilotLink:
         self._texts = TextAssembler()
         self._text_id = 0
         self._mode: ModeRequest | None = None
+        self._mode_speed_mps: float | None = None
         self._speed: _SpeedRequest | None = None
         self._download: MissionDownload | None = None
         self._download_next: int | None = None
@@ -541,11 +541,15 @@ class AutopilotLink:
         asked, vehicle = self._speed, self._vehicle
         if asked is None or vehicle is None or now_s < asked.next_s:
             return
-        params = (_GROUND_SPEED, asked.speed_mps, _THROTTLE_AS_IT_IS)
-        self._queue(encoders.command_long(CMD_DO_CHANGE_SPEED, params, vehicle.system_id, asked.tries))
+        self._queue(self._speed_command(asked.speed_mps, asked.tries))
         asked.tries, asked.next_s = asked.tries + 1, now_s + _SPEED_RETRY_S
         if asked.tries == _SPEED_TRIES:
             self._speed = None
+
+    def _speed_command(self, speed_mps: float, confirmation: int = 0) -> encoders.Outgoing:
+        assert self._vehicle is not None
+        params = (_GROUND_SPEED, speed_mps, _THROTTLE_AS_IT_IS)
+        return encoders.command_long(CMD_DO_CHANGE_SPEED, params, self._vehicle.system_id, confirmation)
 
     def _connected(self, now_s: float) -> bool:
         return self._heartbeat_heard_s is not None and now_s - self._heartbeat_heard_s <= LOST_AFTER_S
@@ -567,7 +571,7 @@ class AutopilotLink:
             case VelocitySetpoint():
                 self._send_setpoint(command, now_s)
             case SetMode():
-                self._send_mode(command.mode, now_s)
+                self._send_mode(command, now_s)
             case SetSpeed():
                 self._speed = _SpeedRequest(command.speed_mps)
             case DownloadMission():
@@ -611,8 +615,8 @@ class AutopilotLink:
             command.velocity_ned_mps, yaw_rad, boot_ms, vehicle.system_id
         )
 
-    def _send_mode(self, mode: FlightMode, now_s: float) -> None:
-        vehicle = self._vehicle
+    def _send_mode(self, command: SetMode, now_s: float) -> None:
+        mode, vehicle = command.mode, self._vehicle
         if vehicle is None:
             self._events.append(ModeRefused(mode=mode, reason="no vehicle has been heard yet"))
         elif vehicle.refusal is not None:
@@ -620,6 +624,7 @@ class AutopilotLink:
         else:
             dialect = DIALECTS[vehicle.firmware]
             self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode, now_s, self._mode)
+            self._mode_speed_mps = command.speed_mps
             self._move_mode(now_s)
 
     def cancel_mode(self) -> None:
@@ -633,6 +638,9 @@ class AutopilotLink:
         if outgoing is not None:
             self.counts.mode_requests += 1
             self._queue(outgoing)
+            if self._mode_speed_mps is not None:
+                # Right behind it: ArduPilot forgets the speed when the mode begins.
+                self._queue(self._speed_command(self._mode_speed_mps))
         self._settle_mode()
 
     def _settle_mode(self) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from companion.autopilot.advice import restarting
-from companion.autopilot.mission import place_of, speed_at
+from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speed_at
 from companion.avoidance.law import Law
 from companion.avoidance.plan import RETRY_S, Plan
 from companion.avoidance.trajectory import Trajectory
@@ -141,8 +141,12 @@ class GuardPlan(Plan):
         return None, self._ask_mission(now_s)
 
     def mission_speed_mps(self, own: Ownship) -> float | None:
-        """What the mission has asked for; None: the vehicle's own speed."""
-        return None if own.mission_seq is None else speed_at(self._flown, own.mission_seq)
+        """What the mission has asked for; None: the vehicle's own speed. ArduPilot returns home at that,
+        whatever was asked for before."""
+        item = self._item(own)
+        if item is None or item.command == NAV_RETURN_TO_LAUNCH:
+            return None
+        return speed_at(self._flown, item.seq)
 
     def _item(self, own: Ownship) -> MissionItem | None:
         return next((item for item in self._flown if item.seq == own.mission_seq), None)

@@ -8,7 +8,7 @@ import pytest
 
 from companion.autopilot.wire import MavlinkReader
 from companion.avoidance.authority import State
-from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
+from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode, SetSpeed
 from sitl_mocks.vehicle_manners import VehicleMode
 from tests.sitl_mocks.guarding import Guarded, Sky, head_on, item, mission
 
@@ -40,6 +40,33 @@ def test_head_on_is_avoided_and_the_same_item_is_flown_on(firmware, cooperating)
     # The way back leads to the same leg, and the mission to its end.
     sky.until(lambda: math.dist(one.places[-1], (400.0, 200.0, -50.0)) < 3.0)
     assert one.states().count("avoiding") == 1
+
+
+def test_the_missions_own_speed_comes_with_the_mission():
+    """ArduPilot forgets it; with the request for AUTO, not after it, its leg begins with that speed."""
+    slow = item(2, 0.0, 0.0, command=178, params=(1.0, 3.0, -1.0, 0.0))
+    items = (item(1, 0.0, 0.0, command=22), slow, item(3, 400.0, 0.0))
+    sky = taken(head_on(Firmware.ARDUPILOT, mission=items))
+    one = sky.aircraft[0]
+    sky.until(lambda: one.vehicle.mode is VehicleMode.MISSION)
+    told = MavlinkReader().feed(one.to_vehicle[-1])
+    assert [m.command for m in told if m.get_type() == "COMMAND_LONG"][-2:] == [176, 178]
+    sky.run(8.0)
+    assert math.dist(one.places[-1], one.places[-21]) == pytest.approx(3.0, abs=0.2)
+
+
+def test_a_return_is_not_slowed_to_the_missions_own_speed():
+    """ArduPilot returns home at its own speed, whatever the mission has asked for before."""
+    slow = item(2, 0.0, 0.0, command=178, params=(1.0, 3.0, -1.0, 0.0))
+    items = (item(1, 0.0, 0.0, command=22), slow, item(3, 0.0, 0.0, command=20))
+    start = [(300.0, 0.0, 50.0)]
+    one = Guarded("ONE", Firmware.ARDUPILOT, start, mission=items)
+    two = Guarded("TWO", Firmware.PX4, [(0.0, 0.0, 50.0), (500.0, 0.0, 50.0)], guarded=False, number=2)
+    sky = taken(Sky(one, two))
+    assert one.seq == 3
+    sky.until(lambda: one.state is State.WATCHING)
+    assert [c.speed_mps for c in one.of(SetMode) if c.mode is FlightMode.MISSION] == [None]
+    assert not one.of(SetSpeed)
 
 
 @pytest.mark.parametrize("firmware", Firmware)

@@ -414,6 +414,23 @@ def test_a_newer_mode_replaces_an_older(ardupilot: Scripted) -> None:
     assert ardupilot.after(9.0) == []
 
 
+def test_a_speed_that_comes_with_a_mode_follows_each_request_at_once(ardupilot: Scripted) -> None:
+    """ArduPilot forgets it as the mode begins, and a leg begun without it overshoots it."""
+    ardupilot.link.send(SetMode(mode=FlightMode.MISSION, speed_mps=4.0), ardupilot.now_s)
+    for _ in range(2):
+        ardupilot.after(1.0)
+        assert 178 not in {m.command for m in ardupilot.told("COMMAND_LONG")}, "not before the mode"
+        ardupilot.heartbeat()
+        ardupilot.after(0.05)
+        asked = [m for m in ardupilot.told("COMMAND_LONG") if m.command in (176, 178)]
+        assert [m.command for m in asked] == [176, 178]
+        assert (asked[1].param1, asked[1].param2, asked[1].param3) == (1.0, 4.0, -1.0)
+    ardupilot.link.send(SetMode(mode=FlightMode.HOLD), ardupilot.now_s)
+    ardupilot.heartbeat()
+    ardupilot.after(0.05)
+    assert 178 not in {m.command for m in ardupilot.told("COMMAND_LONG")}
+
+
 def test_acknowledgements_for_others_are_not_ours(ardupilot: Scripted) -> None:
     ardupilot.link.send(EXTERNAL, ardupilot.now_s)
     ardupilot.says(ack(0, system=255, component=190))
