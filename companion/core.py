@@ -256,7 +256,7 @@ class Companion:
             self.alerts.configure(self.config.avoidance)
         if self.state is State.STANDBY and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
-            if self.plan.ready and not self.plan.near(own, now_s):
+            if self.plan.ready and not self.plan.near(own, now_s) and not self.plan.remake(own):
                 limit = self.config.flight.start_within_m
                 commands += self.plan.refuse(f"vehicle is not within {limit:g} m of the path's point")
         if self.plan.law is not None:

@@ -315,6 +315,13 @@ class Plan:
         """Near enough to that point to be taken. Needs a law."""
         return self.distance_m(own, now_s) <= self._config.flight.start_within_m
 
+    def remake(self, own: Ownship) -> bool:
+        """A mission that the vehicle itself has flown on meanwhile is planned anew from where it is."""
+        if self._config.path is not None or own.mode is not FlightMode.MISSION:
+            return False
+        self.drop()
+        return True
+
     def distance_m(self, own: Ownship, now_s: float) -> float:
         """How far the aircraft is from that point."""
         return math.dist(self.point(now_s), own.position_ned_m(now_s))

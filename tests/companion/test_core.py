@@ -26,6 +26,7 @@ from companion.events import (
 from companion.remote_id import codec
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
 from companion.replay import on_air
+from tests.companion.conftest import Bench, config, mission
 
 UTC_AT_ZERO_S = 1_767_225_600.0
 UTC_IN_HOUR_S = UTC_AT_ZERO_S % 3600.0
@@ -552,3 +553,19 @@ def test_a_ceiling_below_the_default_floor_takes_the_floor_with_it(make_bench, m
     bench.step(200)
     assert bench.heart.state in HOLDING
     assert bench.heart.plan.floor_height_m == 5.0
+
+
+def test_a_mission_that_the_vehicle_flew_on_meanwhile_is_planned_anew():
+    """Taken in vain: its path begins where the vehicle is no more."""
+    made = msgspec.structs.replace(config(trajectory="mission", mission_speed_mps=3.0), path=None)
+    bench = Bench(Companion(made), mission=mission(300.0, 900.0), mode=FlightMode.MISSION)
+    bench.extra.append(MissionCurrent(seq=0))
+    bench.obeys = False
+    bench.until(lambda: bench.heart.state is State.GUARDING)
+    bench.silent = True
+    bench.step(40)
+    assert bench.heart.state is State.FAULT
+    bench.silent = False
+    bench.north_m = 250.0
+    bench.until(lambda: bench.heart.state is State.GUARDING)
+    assert bench.heart.plan.near(bench.heart.own, bench.now_s)

@@ -26,7 +26,7 @@ def test_ardupilot_numbers_are_those_of_copter() -> None:
     assert ARDUPILOT.command(FlightMode.EXTERNAL).custom_mode == number["GUIDED"]
     assert ARDUPILOT.command(FlightMode.MISSION).custom_mode == number["AUTO"]
     assert ARDUPILOT.command(FlightMode.HOLD).custom_mode == number["BRAKE"]
-    assert ARDUPILOT.mode(1, number["LOITER"]) is FlightMode.HOLD
+    assert ARDUPILOT.mode(1, number["LOITER"]) is FlightMode.STICKS
     assert ARDUPILOT.mode(1, number["RTL"]) is FlightMode.OTHER
     assert ARDUPILOT.name(6) == "RTL"
 

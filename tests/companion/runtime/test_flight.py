@@ -656,6 +656,7 @@ class Air(NullTransport):
 
 
 ASKS = {"HEARTBEAT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT", "MISSION_ACK"}
+ASKS |= {"PARAM_REQUEST_READ", "TIMESYNC"}
 """What a dry run may send beside COMMAND_LONG with SET_MESSAGE_INTERVAL: to be told things, and no more."""
 
 
