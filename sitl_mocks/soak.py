@@ -10,8 +10,11 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import multiprocessing
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
@@ -403,11 +406,8 @@ def _mission(first: int) -> tuple[MissionItem, ...]:
     return (*items, MissionItem(seq=first + len(items), command=_LAUNCH, frame=6))
 
 
-def soak(firmware: Firmware, use: Use, seed: int, hours: float, progress: Callable[[float], None]) -> Told:
+def soak(firmware: Firmware, use: Use, seed: int, hours: float) -> Told:
     """Fly one pair for some simulated hours.
-
-    Args:
-        progress: called with the share done.
 
     Raises:
         BrokenRuleError: with the seed and the time.
@@ -424,8 +424,6 @@ def soak(firmware: Firmware, use: Use, seed: int, hours: float, progress: Callab
             ) from error
         if number % hour == 0 or number == steps:
             run.told.memory_mb.append(round(_resident_mb(), 1))
-        if number % 2000 == 0:
-            progress(number / steps)
     run.told.hours = hours
     return run.told
 
@@ -459,16 +457,21 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
     pairs: list[tuple[Firmware, Use]] = list(product(Firmware, ("guard", "fly")))
-    for firmware, use in pairs:
+    hours, broken = args.hours / len(pairs), False
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(len(pairs), os.cpu_count() or 1), mp_context=spawn) as pool:
         began = time.monotonic()
-        try:
-            told = soak(firmware, use, args.seed, args.hours / len(pairs), lambda share: None)
-        except BrokenRuleError as error:
-            print(f"broken: {error}", flush=True)
-            return 1
-        took = round(time.monotonic() - began, 1)
-        print(
-            json.dumps({"firmware": firmware.value, "use": use, "wall_s": took, **asdict(told)}), flush=True
-        )
-    print(f"{args.hours:g} simulated hours, seed {args.seed}: no rule broken", flush=True)
-    return 0
+        flown = {pool.submit(soak, *pair, args.seed, hours): pair for pair in pairs}
+        for future in as_completed(flown):
+            firmware, use = flown[future]
+            try:
+                told = future.result()
+            except BrokenRuleError as error:
+                print(f"broken: {error}", flush=True)
+                broken = True
+                continue
+            report = {"firmware": firmware.value, "use": use, "after_s": round(time.monotonic() - began, 1)}
+            print(json.dumps(report | asdict(told)), flush=True)
+    if not broken:
+        print(f"{args.hours:g} simulated hours, seed {args.seed}: no rule broken", flush=True)
+    return int(broken)

@@ -17,7 +17,7 @@ HOURS = {"guard": 0.2, "fly": 0.1}
 
 
 def fly(firmware, use, seed=1, hours=None):
-    return soak(firmware, use, seed, hours or HOURS[use], lambda share: None)
+    return soak(firmware, use, seed, hours or HOURS[use])
 
 
 @pytest.mark.parametrize(("firmware", "use"), list(product(Firmware, ("guard", "fly"))))
