@@ -128,7 +128,14 @@ def test_a_scenario_becomes_one_mission_an_aircraft_at_its_speeds():
     assert uploaded[0][1].params[:2] == (1.0, pytest.approx(3.0))
     frame = LocalFrame(*ORIGIN)
     start = (uploaded[1][0].lat_deg, uploaded[1][0].lon_deg, 20.0)
-    path = path_from_mission(uploaded[1][1:], speed_mps=1.0, start=start, home_alt_msl_m=400.0)
+    path = path_from_mission(
+        uploaded[1][1:],
+        speed_mps=1.0,
+        max_climb_mps=2.0,
+        max_descent_mps=2.0,
+        start=start,
+        home_alt_msl_m=400.0,
+    )
     flown = [(w.t_s, *frame.to_ned(w.lat_deg, w.lon_deg, 400.0 + w.alt_m)) for w in path.waypoint]
     assert len(flown) == 4
     for row, wanted in zip(flown, turn.points, strict=True):
