@@ -169,7 +169,7 @@ def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path,
         intruder = Intruder(ether)
         intruder.start()
         station = Station(station_a)
-        station.upload(1, [(0.0, 0.0, 50.0), (300.0, 0.0, 50.0)], guarded == "ardupilot")
+        station.upload(1, [(0.0, 0.0, 50.0), (1500.0, 0.0, 50.0)], guarded == "ardupilot")
         a = companions["A"]
         for _ in range(20):  # PX4 accepts it right after the upload, and does not enter it
             station.select(1, *((3.0, 0.0) if guarded == "ardupilot" else (4.0, 4.0)))
