@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
-from companion.events import Decision, GlobalPosition, Vec3
+from companion.events import Vec3
 from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.timeline import TimeLine, time_line
 from ground_tools.inspect.truth import ORIGIN
@@ -197,30 +197,18 @@ def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array
 
 def _fixes(record: AircraftRecord) -> Array:
     """(n, 4) of now_s, lat_deg, lon_deg, alt_msl_m; now_s strictly rising."""
-    rows: list[tuple[float, ...]] = [
-        (step.now_s, event.lat_deg, event.lon_deg, event.alt_msl_m)
-        for step in record.steps
-        for event in step.events
-        if isinstance(event, GlobalPosition)
-    ]
-    if not rows:
-        rows = [
-            (step.now_s, *_geodetic(command))
-            for step in record.steps
-            for command in step.commands
-            if isinstance(command, Decision)
-        ]
-    if not rows:
-        return np.zeros((0, 4))
-    table = np.asarray(rows, dtype=np.float64)
+    facts = record.facts
+    if len(facts.fixes):
+        return facts.fixes[:, :4]
+    made = facts.decisions
+    table = np.zeros((len(made.now_s), 4))
+    table[:, 0] = made.now_s
+    for index, origin in enumerate(made.origins):
+        rows = made.origin == index
+        table[rows, 1:] = np.column_stack(pymap3d.ned2geodetic(*made.position_ned_m[rows].T, *origin))
     # Of several in one step the last counts.
-    last: Array = table[np.append(np.diff(table[:, 0]) > 0, True)]
+    last: Array = table[np.append(np.diff(table[:, 0]) > 0, True)] if len(table) else table
     return last
-
-
-def _geodetic(decision: Decision) -> Vec3:
-    lat, lon, alt = pymap3d.ned2geodetic(*decision.position_ned_m, *decision.origin)
-    return float(lat), float(lon), float(alt)
 
 
 def _separation(first: Path, second: Path) -> Separation:

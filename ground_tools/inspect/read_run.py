@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import glob
 import json
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,17 +20,21 @@ from numpy.typing import NDArray
 from companion import record
 from companion.errors import ConfigError, PeerDataError
 from companion.record import Header, Step
+from ground_tools.inspect.facts import Facts, gather
 from ground_tools.inspect.truth import read_truth
 
 
 @dataclass(frozen=True, slots=True)
 class AircraftRecord:
-    """What entered and left one heart, in order."""
+    """What entered and left one heart."""
 
     name: str
     header: Header | None
     """None where the file was cut off before it."""
-    steps: tuple[Step, ...]
+    facts: Facts
+    steps: Callable[[], Iterator[Step]]
+    """Every step in order, read from the file anew: a long record does not fit into memory. Damage ends it, as it
+    did when the facts were gathered."""
     truth: NDArray[np.float64] | None = None
     """(n, 4) of utc_s, north_m, east_m, down_m; None where its true positions are not known."""
 
@@ -107,23 +112,31 @@ def _json(path: Path, problems: list[str]) -> dict[str, Any] | None:
 
 
 def _aircraft(path: Path, folder: Path, problems: list[str]) -> AircraftRecord:
-    header: Header | None = None
-    steps: list[Step] = []
     name = path.name.removesuffix(".events")
-    with path.open("rb") as stream:
-        try:
-            for entry in record.read(stream, path.name):
-                if isinstance(entry, Header):
-                    header = header or entry
-                else:
-                    steps.append(entry)
-        except PeerDataError as error:
-            problems.append(f"{error}; read up to there")
-    if header is None:
+    headers: list[Header] = []
+    facts = gather(_steps(path, headers, problems))
+    if not headers:
         problems.append(f"{path.name}: no header")
     truth = None
     try:
         truth = read_truth(folder / f"{name}.truth.csv")
     except PeerDataError as error:
         problems.append(str(error))
-    return AircraftRecord(name, header, tuple(steps), truth)
+
+    def steps() -> Iterator[Step]:
+        return _steps(path, [], [])
+
+    return AircraftRecord(name, headers[0] if headers else None, facts, steps, truth)
+
+
+def _steps(path: Path, headers: list[Header], problems: list[str]) -> Iterator[Step]:
+    """The steps of a file, its headers and what is damaged put aside."""
+    with path.open("rb") as stream:
+        try:
+            for entry in record.read(stream, path.name):
+                if isinstance(entry, Header):
+                    headers.append(entry)
+                else:
+                    yield entry
+        except PeerDataError as error:
+            problems.append(f"{error}; read up to there")

@@ -20,7 +20,6 @@ from companion.events import (
     AlertChanged,
     AuthorityChanged,
     Decision,
-    GnssFix,
     ModeRefused,
     RemoteIdHeard,
     Say,
@@ -172,16 +171,11 @@ class _Writer:
         return part
 
     def _authority(self, record: AircraftRecord, offset_s: float) -> None:
-        changes = [
-            (step.now_s, command)
-            for step in record.steps
-            for command in step.commands
-            if isinstance(command, AuthorityChanged)
-        ]
+        changes = [(now, what) for now, what in record.facts.rare if isinstance(what, AuthorityChanged)]
         if not changes:
             return
         # The state before the first change is known from that change.
-        time = np.array([record.steps[0].now_s, *(now for now, _ in changes)]) + offset_s
+        time = np.array([record.facts.start_s, *(now for now, _ in changes)]) + offset_s
         states = [changes[0][1].previous, *(change.state for _, change in changes)]
         self._columns(
             f"/authority/{self._part(record.name)}", time, self._rr.StateChange.columns(state=states)
@@ -215,11 +209,11 @@ def _until_stale(time_s: Array) -> tuple[Array, NDArray[np.int64]]:
 
 def _heard(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, Array]]:
     """By transmitter's address: times (n,) and reported positions (n, 3) in the common frame."""
-    undulation = _undulation_m(record)
+    undulation = record.facts.undulation_m
     rows: dict[str, list[tuple[float, ...]]] = {}
     heard = (
         (step.now_s, event.address, place)
-        for step in record.steps
+        for step in record.steps()
         for event in step.events
         if isinstance(event, RemoteIdHeard)
         for place in event.messages
@@ -235,24 +229,10 @@ def _heard(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, A
         yield address, table[:, 0], to_ned(table[:, 1:], origin)
 
 
-def _undulation_m(record: AircraftRecord) -> float:
-    """How far mean sea level lies above the ellipsoid at the aircraft (m); 0 where its GNSS does not say.
-
-    Reports carry ellipsoid altitudes and the frame is one of mean sea level.
-    """
-    differences = [
-        event.alt_ellipsoid_m - event.alt_msl_m
-        for step in record.steps
-        for event in step.events
-        if isinstance(event, GnssFix) and event.alt_ellipsoid_m is not None
-    ]
-    return float(np.median(differences)) if differences else 0.0
-
-
 def _predicted(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, Array]]:
     """By track: times (n,) and positions (n, 3) that the law took it for, in the common frame."""
     rows: dict[tuple[str, Vec3], list[tuple[float, ...]]] = {}
-    for step in record.steps:
+    for step in record.steps():
         for command in step.commands:
             if isinstance(command, Decision):
                 for track in command.tracks:
@@ -264,22 +244,21 @@ def _predicted(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Arra
 
 
 def _log_lines(record: AircraftRecord) -> Iterable[LogLine]:
-    for step in record.steps:
-        for item in (*step.events, *step.commands):
-            match item:
-                case AuthorityChanged():
-                    words = f"authority {item.previous} -> {item.state} on {item.trigger}: {item.reason}"
-                    yield step.now_s, "INFO", words
-                case AlertChanged():
-                    yield step.now_s, "WARN" if item.level == Level.WARNING else "INFO", item.reason
-                case Say():
-                    yield step.now_s, _level(item.severity), f"says: {item.text}"
-                case VehicleText():
-                    yield step.now_s, _level(item.severity), f"autopilot: {item.text}"
-                case ModeRefused():
-                    yield step.now_s, "WARN", f"mode {item.mode.value} refused: {item.reason}"
-                case _:
-                    pass
+    for now, item in record.facts.rare:
+        match item:
+            case AuthorityChanged():
+                words = f"authority {item.previous} -> {item.state} on {item.trigger}: {item.reason}"
+                yield now, "INFO", words
+            case AlertChanged():
+                yield now, "WARN" if item.level == Level.WARNING else "INFO", item.reason
+            case Say():
+                yield now, _level(item.severity), f"says: {item.text}"
+            case VehicleText():
+                yield now, _level(item.severity), f"autopilot: {item.text}"
+            case ModeRefused():
+                yield now, "WARN", f"mode {item.mode.value} refused: {item.reason}"
+            case _:
+                pass
 
 
 def _level(severity: int) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from companion.avoidance.alerts import Level
-from companion.events import AlertChanged, AuthorityChanged, Broadcast, Decision, RemoteIdHeard
+from companion.events import AlertChanged, AuthorityChanged
 from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.read_run import AircraftRecord, Run
 
@@ -102,23 +102,20 @@ def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str
 
 
 def _aircraft(record: AircraftRecord) -> dict[str, Any]:
-    steps = record.steps
-    commands = [command for step in steps for command in step.commands]
-    decisions = [command for command in commands if isinstance(command, Decision)]
-    authority = [command.state for command in commands if isinstance(command, AuthorityChanged)]
-    levels = [command.level for command in commands if isinstance(command, AlertChanged)]
-    ages = [track.age_s for decision in decisions for track in decision.tracks]
+    facts = record.facts
+    authority = [what.state for _, what in facts.rare if isinstance(what, AuthorityChanged)]
+    levels = [what.level for _, what in facts.rare if isinstance(what, AlertChanged)]
     return {
         "name": record.name,
-        "steps": len(steps),
-        "duration_s": steps[-1].now_s - steps[0].now_s if steps else 0.0,
-        "broadcasts": sum(isinstance(command, Broadcast) for command in commands),
-        "heard": sum(isinstance(event, RemoteIdHeard) for step in steps for event in step.events),
-        "decisions": len(decisions),
-        "conflicts": sum(any(track.conflict for track in decision.tracks) for decision in decisions),
+        "steps": facts.steps,
+        "duration_s": facts.duration_s,
+        "broadcasts": sum(len(times) for times in facts.sent.values()),
+        "heard": sum(len(heard.now_s) for heard in facts.heard.values()),
+        "decisions": len(facts.decisions.now_s),
+        "conflicts": int(facts.decisions.conflict.sum()),
         "cautions": levels.count(Level.CAUTION),
         "warnings": levels.count(Level.WARNING),
-        "infeasible": sum(not decision.feasible for decision in decisions),
-        "oldest_track_s": max(ages, default=None),
+        "infeasible": int((~facts.decisions.feasible).sum()),
+        "oldest_track_s": max((float(track.age_s.max()) for track in facts.tracks.values()), default=None),
         "authority": authority[-1] if authority else None,
     }

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.events import VehicleTime
-from ground_tools.inspect.read_run import AircraftRecord, Run
+from ground_tools.inspect.read_run import Run
 
 SHARED_CLOCK_S = 0.05
 """Clocks that agree with UTC alike to within this are one clock."""
@@ -32,7 +31,7 @@ class TimeLine:
 
 def time_line(run: Run) -> TimeLine:
     """The time line of a run."""
-    to_utc = {record.name: utc_offset(record) for record in run.aircraft}
+    to_utc = {record.name: record.facts.utc_offset_s for record in run.aircraft}
     known = {name: offset for name, offset in to_utc.items() if offset is not None}
     if len(known) < len(to_utc):
         words = "the companion's own clock"
@@ -48,22 +47,11 @@ def time_line(run: Run) -> TimeLine:
     else:
         words = "UTC of the autopilots"
         # Small numbers plot better: the line counts from the start of the first aircraft.
-        zero = min(record.steps[0].now_s + known[record.name] for record in run.aircraft)
+        zero = min(record.facts.start_s + known[record.name] for record in run.aircraft)
     start = _start_of_paths(run)
     if start is not None:
         zero, words = start, f"{words}; 0 is the start of the timed paths"
     return TimeLine({name: offset - zero for name, offset in known.items()}, zero, words)
-
-
-def utc_offset(record: AircraftRecord) -> float | None:
-    """What to add to `now_s` for UTC; None where the aircraft never knew it."""
-    offsets = [
-        event.utc_s - step.now_s
-        for step in record.steps
-        for event in step.events
-        if isinstance(event, VehicleTime) and event.utc_s is not None
-    ]
-    return float(np.median(offsets)) if offsets else None
 
 
 def _start_of_paths(run: Run) -> float | None:

@@ -39,7 +39,7 @@ def run(tmp_path_factory):
 
 
 def of_type(record, kind):
-    return [c for step in record.steps for c in (*step.events, *step.commands) if isinstance(c, kind)]
+    return [c for step in record.steps() for c in (*step.events, *step.commands) if isinstance(c, kind)]
 
 
 def test_a_flight_that_is_looked_into_is_the_same(look):
@@ -53,7 +53,7 @@ def test_the_record_shows_what_the_law_decides(look, run):
     logged = 0
     for i in (1, 2):
         law = Law(look.avoidance, look.limits[i], Trajectory(look.times[i].tolist(), look.points[i].tolist()))
-        steps = run.aircraft[i].steps
+        steps = list(run.aircraft[i].steps())
         assert len(steps) == len(look.decided) == 1200
         for step, own, seen in zip(steps, look.decided[:, i].tolist(), look.seen[:, i], strict=True):
             heard = [

@@ -22,7 +22,7 @@ def test_a_whole_folder_is_read(run_folder: Path) -> None:
     run = read_run(run_folder)
     assert run.name == "20260101T000000Z-demo"
     assert (run.manifest, run.summary) == ({"what": "test", "seed": 1}, {"ok": True})
-    assert [(one.name, len(one.steps)) for one in run.aircraft] == [("DMUCA001", 601), ("DMUCA002", 601)]
+    assert [(one.name, one.facts.steps) for one in run.aircraft] == [("DMUCA001", 601), ("DMUCA002", 601)]
     assert run.aircraft[0].header is not None
     assert run.problems == ()
     assert read_unavoided(run_folder) is not None
@@ -33,7 +33,7 @@ def test_a_torn_tail_costs_the_tail_only(run_folder: Path) -> None:
     path = run_folder / "DMUCA001.events"
     path.write_bytes(path.read_bytes()[:-7])
     run = read_run(run_folder)
-    assert [len(one.steps) for one in run.aircraft] == [600, 601]
+    assert [one.facts.steps for one in run.aircraft] == [600, 601]
     assert run.problems == ()
 
 
@@ -44,7 +44,7 @@ def test_damage_in_the_middle_is_said_and_what_stands_before_is_read(run_folder:
     path.write_bytes(data)
     (run_folder / "manifest.json").write_text("{broken")
     run = read_run(run_folder)
-    assert 100 < len(run.aircraft[1].steps) < 500
+    assert 100 < run.aircraft[1].facts.steps < 500
     assert run.manifest is None
     assert [problem.split(":")[0] for problem in run.problems] == ["manifest.json", "DMUCA002.events"]
     assert "read up to there" in run.problems[1]

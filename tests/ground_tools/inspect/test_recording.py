@@ -14,7 +14,7 @@ from companion.record import Step
 from companion.remote_id.messages import Location
 from ground_tools.inspect import recording
 from ground_tools.inspect.blueprint import ENCOUNTER, encounter_time
-from ground_tools.inspect.read_run import AircraftRecord, read_run
+from ground_tools.inspect.read_run import read_run
 
 pytest.importorskip("rerun")
 
@@ -110,7 +110,7 @@ def test_severities(severity: int, level: str) -> None:
     assert recording._level(severity) == level
 
 
-def test_reported_altitudes_are_drawn_above_mean_sea_level(made: SimpleNamespace) -> None:
+def test_reported_altitudes_are_drawn_above_mean_sea_level(tmp_path: Path, made: SimpleNamespace) -> None:
     """Remote ID reports ellipsoid altitudes; sea level lies 47 m above the ellipsoid here."""
     lat, lon, alt = made.home.to_geodetic(30.0, 40.0, -50.0)
     fix = GnssFix(fix_type=3, lat_deg=lat, lon_deg=lon, alt_msl_m=alt, alt_ellipsoid_m=alt + 47.0)
@@ -119,6 +119,7 @@ def test_reported_altitudes_are_drawn_above_mean_sea_level(made: SimpleNamespace
     heard = RemoteIdHeard(transport="wifi", address="c2:00:00:00:00:02", messages=(report, nowhere))
     step = Step(now_s=7.0, events=(fix, heard), commands=())
     origin = made.home.to_geodetic(0.0, 0.0, 0.0)
-    ((address, time, position),) = recording._heard(AircraftRecord("a", None, (step,)), origin)
+    made.write_events(tmp_path, "a", [step])
+    ((address, time, position),) = recording._heard(read_run(tmp_path).aircraft[0], origin)
     assert (address, time.tolist()) == ("c2:00:00:00:00:02", [7.0])
     assert position[0] == pytest.approx((30.0, 40.0, -50.0), abs=0.01)

@@ -128,7 +128,7 @@ def swarm_folder(tmp_path: Path, made: SimpleNamespace) -> Path:
 
 def test_a_swarm_is_one_run(swarm_folder: Path) -> None:
     run = read_run(swarm_folder)
-    assert [(one.name, len(one.steps)) for one in run.aircraft] == [("A[1]", 601), ("B", 601)]
+    assert [(one.name, one.facts.steps) for one in run.aircraft] == [("A[1]", 601), ("B", 601)]
     assert run.problems == ()
     ways = flown(run)
     assert ways.positions == TRUE
@@ -141,7 +141,7 @@ def test_an_aircraft_that_a_swarm_lacks_or_has_twice_is_said(
     (swarm_folder / "20260101T000001Z-B" / "B.events").unlink()
     made.write_events(swarm_folder / "20260101T000009Z-A[1]", "A[1]", [])
     run = read_run(swarm_folder)
-    assert [(one.name, len(one.steps)) for one in run.aircraft] == [("A[1]", 0)]
+    assert [(one.name, one.facts.steps) for one in run.aircraft] == [("A[1]", 0)]
     assert run.problems == ("A[1]: 2 event records; the last is taken", "B: no event record")
 
 

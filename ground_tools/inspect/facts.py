@@ -1,0 +1,294 @@
+"""What one aircraft's record tells, in columns: gathered in one pass, and small beside the record.
+
+Everything that comes often (positions, decisions, messages) is kept as numbers; what comes rarely (who flew,
+alerts, words, changes of mode) as the events and commands themselves. Times are the aircraft's own `now_s`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from array import array
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.events import (
+    AlertChanged,
+    AnyCommand,
+    AnyEvent,
+    AuthorityChanged,
+    Broadcast,
+    BroadcastChanged,
+    Decision,
+    EstimatorState,
+    FenceDownloaded,
+    FenceRefused,
+    GlobalPosition,
+    GnssFix,
+    Heartbeat,
+    LandedState,
+    MissionDownloaded,
+    MissionRefused,
+    ModeRefused,
+    RadioState,
+    RemoteIdHeard,
+    RemoteIdModule,
+    Say,
+    SetMode,
+    Settings,
+    TrackFlagged,
+    TransportsChosen,
+    Vec3,
+    VehicleParameters,
+    VehicleText,
+    VehicleTime,
+)
+from companion.record import Step
+from companion.remote_id.messages import BasicId
+
+Array = NDArray[np.float64]
+
+_RARE = (
+    AlertChanged,
+    AuthorityChanged,
+    BroadcastChanged,
+    FenceDownloaded,
+    FenceRefused,
+    MissionDownloaded,
+    MissionRefused,
+    ModeRefused,
+    RadioState,
+    Say,
+    SetMode,
+    Settings,
+    TrackFlagged,
+    TransportsChosen,
+    VehicleParameters,
+    VehicleText,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What was received from one radio address."""
+
+    now_s: Array
+    """(n,) of every frame."""
+    transports: tuple[str, ...]
+    uas_ids: tuple[str, ...]
+    """Identities that were sent from there."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackFacts:
+    """How the law saw one track: a row a second, of the decisions in it."""
+
+    now_s: Array
+    """(n,) of the nearest decision of each second."""
+    distance_m: Array
+    """(n,) slant, the least of the second; what the law predicted, not what was."""
+    age_s: Array
+    """(n,) of the information, the oldest of the second."""
+    conflict: NDArray[np.bool_]
+    """(n,) at any decision of the second."""
+    adsb: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Decisions:
+    """Every decision of the law, in numbers."""
+
+    now_s: Array
+    """(n,)"""
+    origin: NDArray[np.int64]
+    """(n,) which of `origins` the row's frame has."""
+    origins: tuple[Vec3, ...]
+    """lat_deg, lon_deg, alt_msl_m."""
+    position_ned_m: Array
+    """(n, 3)"""
+    velocity_ned_mps: Array
+    """(n, 3) flown."""
+    wanted_ned_mps: Array
+    """(n, 3)"""
+    chosen_ned_mps: Array
+    """(n, 3)"""
+    late_s: Array
+    """(n,)"""
+    feasible: NDArray[np.bool_]
+    """(n,)"""
+    conflict: NDArray[np.bool_]
+    """(n,) with any track."""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """One aircraft."""
+
+    steps: int
+    start_s: float
+    """`now_s` of the first step; 0 without any."""
+    end_s: float
+    fixes: Array
+    """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising."""
+    decisions: Decisions
+    utc_offset_s: float | None
+    """What to add to `now_s` for UTC; None where the aircraft never knew it."""
+    undulation_m: float
+    """How far mean sea level lies above the ellipsoid (m); 0 where its GNSS does not say."""
+    sent: dict[str, Array]
+    """By transport: now_s of every broadcast."""
+    heard: dict[str, Heard]
+    """By radio address."""
+    tracks: dict[str, TrackFacts]
+    rare: tuple[tuple[float, AnyEvent | AnyCommand], ...]
+    """(now_s, what), in order: whatever does not come in numbers. Of what is told again and again (heartbeat,
+    landed, estimator, Remote ID module) each change."""
+
+    @property
+    def duration_s(self) -> float:
+        """From the first step to the last."""
+        return self.end_s - self.start_s
+
+
+@dataclass(slots=True)
+class _Track:
+    adsb: bool
+    rows: array[float] = field(default_factory=lambda: array("d"))
+    second: float = -math.inf
+
+
+class _Gatherer:
+    def __init__(self) -> None:
+        self.steps = 0
+        self.start_s = self.end_s = 0.0
+        self.fixes = array("d")
+        self.decisions = array("d")
+        self.origins: dict[Vec3, int] = {}
+        self.utc = array("d")
+        self.undulation = array("d")
+        self.sent: dict[str, array[float]] = {}
+        self.heard: dict[str, tuple[array[float], set[str], set[str]]] = {}
+        self.tracks: dict[str, _Track] = {}
+        self.rare: list[tuple[float, AnyEvent | AnyCommand]] = []
+        self.last: dict[object, object] = {}
+
+    def step(self, step: Step) -> None:
+        self.start_s = step.now_s if self.steps == 0 else self.start_s
+        self.end_s = step.now_s
+        self.steps += 1
+        for item in itertools.chain(step.events, step.commands):
+            self._item(step.now_s, item)
+
+    def _item(self, now_s: float, item: AnyEvent | AnyCommand) -> None:
+        match item:
+            case GlobalPosition():
+                if len(self.fixes) >= 7 and self.fixes[-7] >= now_s:
+                    del self.fixes[-7:]  # of several in one step the last counts
+                place = (item.lat_deg, item.lon_deg, item.alt_msl_m)
+                self.fixes.extend((now_s, *place, *item.velocity_ned_mps))
+            case RemoteIdHeard():
+                self._hear(now_s, item)
+            case Broadcast():
+                self.sent.setdefault(item.transport, array("d")).append(now_s)
+            case Decision():
+                self._decide(now_s, item)
+            case GnssFix():
+                if item.alt_ellipsoid_m is not None:
+                    self.undulation.append(item.alt_ellipsoid_m - item.alt_msl_m)
+            case VehicleTime():
+                if item.utc_s is not None:
+                    self.utc.append(item.utc_s - now_s)
+            case Heartbeat():
+                self._change(now_s, item, (item.custom_mode, item.armed, item.firmware))
+            case LandedState() | EstimatorState():
+                self._change(now_s, item, item)
+            case RemoteIdModule():
+                self._change(now_s, item, item, item.component_id)
+            case _ if isinstance(item, _RARE):
+                self.rare.append((now_s, item))
+
+    def _change(self, now_s: float, item: AnyEvent, state: object, of: int = 0) -> None:
+        if self.last.get((type(item), of)) != state:
+            self.last[type(item), of] = state
+            self.rare.append((now_s, item))
+
+    def _hear(self, now_s: float, event: RemoteIdHeard) -> None:
+        times, transports, names = self.heard.setdefault(event.address, (array("d"), set(), set()))
+        times.append(now_s)
+        transports.add(event.transport)
+        names.update(m.uas_id for m in event.messages if isinstance(m, BasicId) and m.uas_id)
+
+    def _decide(self, now_s: float, one: Decision) -> None:
+        origin = self.origins.setdefault(one.origin, len(self.origins))
+        conflict = False
+        for track in one.tracks:
+            conflict |= track.conflict
+            found = self.tracks.setdefault(track.track_id, _Track(track.adsb))
+            distance = math.dist(track.position_ned_m, one.position_ned_m)
+            if now_s - found.second >= 1.0:
+                found.second = math.floor(now_s)
+                found.rows.extend((now_s, distance, track.age_s, track.conflict))
+                continue
+            rows = found.rows
+            if distance < rows[-3]:
+                rows[-4], rows[-3] = now_s, distance
+            rows[-2], rows[-1] = max(rows[-2], track.age_s), max(rows[-1], track.conflict)
+        self.decisions.extend(
+            (
+                now_s,
+                *one.position_ned_m,
+                *one.velocity_ned_mps,
+                *one.wanted_ned_mps,
+                *one.chosen_ned_mps,
+                one.late_s,
+                one.feasible,
+                conflict,
+                origin,
+            )
+        )
+
+    def facts(self) -> Facts:
+        d = np.array(self.decisions).reshape(-1, 17)
+        return Facts(
+            steps=self.steps,
+            start_s=self.start_s,
+            end_s=self.end_s,
+            fixes=np.array(self.fixes).reshape(-1, 7),
+            decisions=Decisions(
+                now_s=d[:, 0],
+                origin=d[:, 16].astype(np.int64),
+                origins=tuple(self.origins),
+                position_ned_m=d[:, 1:4],
+                velocity_ned_mps=d[:, 4:7],
+                wanted_ned_mps=d[:, 7:10],
+                chosen_ned_mps=d[:, 10:13],
+                late_s=d[:, 13],
+                feasible=d[:, 14] > 0,
+                conflict=d[:, 15] > 0,
+            ),
+            utc_offset_s=float(np.median(self.utc)) if self.utc else None,
+            undulation_m=float(np.median(self.undulation)) if self.undulation else 0.0,
+            sent={name: np.array(times) for name, times in self.sent.items()},
+            heard={
+                address: Heard(np.array(times), tuple(sorted(transports)), tuple(sorted(names)))
+                for address, (times, transports, names) in self.heard.items()
+            },
+            tracks={name: _track_facts(found) for name, found in self.tracks.items()},
+            rare=tuple(self.rare),
+        )
+
+
+def _track_facts(found: _Track) -> TrackFacts:
+    rows = np.array(found.rows).reshape(-1, 4)
+    return TrackFacts(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] > 0, found.adsb)
+
+
+def gather(steps: Iterable[Step]) -> Facts:
+    """The facts of one aircraft's steps, in one pass."""
+    gatherer = _Gatherer()
+    for step in steps:
+        gatherer.step(step)
+    return gatherer.facts()

@@ -1,0 +1,107 @@
+"""Facts of a record: what its columns hold, and that they are few beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from companion.events import (
+    AuthorityChanged,
+    Firmware,
+    FlightMode,
+    Heartbeat,
+    ModeRefused,
+    RemoteIdHeard,
+    Say,
+    VehicleText,
+)
+from companion.record import Step
+from companion.remote_id.messages import BasicId, IdType, UaType
+from ground_tools.inspect.facts import gather
+from ground_tools.inspect.read_run import read_run
+
+
+def test_columns_of_a_record(made: SimpleNamespace) -> None:
+    facts = gather(made.steps(made.northbound, made.eastbound(20.0)))
+    assert (facts.steps, facts.start_s, facts.end_s, facts.duration_s) == (601, 0.0, 60.0, 60.0)
+    assert facts.fixes.shape == (601, 7)
+    assert facts.utc_offset_s == pytest.approx(made.utc_s)
+    assert {name: len(times) for name, times in facts.sent.items()} == {"wifi": 61}
+    assert {a: (len(h.now_s), h.transports) for a, h in facts.heard.items()} == {
+        "c2:00:00:00:00:02": (61, ("wifi",))
+    }
+    kinds = [type(what) for _, what in facts.rare]
+    assert kinds == [AuthorityChanged, Say, VehicleText, ModeRefused]
+    assert len(facts.decisions.now_s) == 301
+    assert facts.decisions.origin.max() == 0
+    assert facts.decisions.conflict.any()
+    assert facts.decisions.feasible.all()
+
+
+def test_a_track_has_a_row_a_second_with_its_least_distance(made: SimpleNamespace) -> None:
+    facts = gather(made.steps(made.northbound, made.eastbound(20.0)))
+    track = facts.tracks["DMUCA002"]
+    assert len(track.now_s) == 61
+    assert (np.diff(track.now_s) > 0).all()
+    # 5 m/s each, decided at 5 Hz: the least is taken at one of the decisions, not at the second.
+    times = facts.decisions.now_s
+    truth = np.hypot(20.0 - 5.0 * (times - 30.0), 5.0 * (times - 30.0))
+    assert track.distance_m.min() == pytest.approx(truth.min(), abs=0.01)
+    assert set(np.flatnonzero(track.conflict)) == {
+        int(t) for t, d in zip(times, truth, strict=True) if d < 20.0
+    }
+
+
+def test_what_is_told_again_is_kept_when_it_changes() -> None:
+    def beat(mode: int, armed: bool) -> Heartbeat:
+        return Heartbeat(
+            system_id=1,
+            firmware=Firmware.ARDUPILOT,
+            vehicle_type=2,
+            custom_mode=mode,
+            mode=FlightMode.OTHER,
+            armed=armed,
+        )
+
+    modes = [(3, False), (3, False), (3, True), (4, True), (4, True), (3, True)]
+    facts = gather(Step(now_s=float(i), events=(beat(*m),), commands=()) for i, m in enumerate(modes))
+    assert [now for now, _ in facts.rare] == [0.0, 2.0, 3.0, 5.0]
+
+
+def test_who_was_heard_from_an_address() -> None:
+    names = ("A", "B", "A")
+    steps = [
+        Step(
+            now_s=float(i),
+            events=(
+                RemoteIdHeard(
+                    transport="ble4",
+                    address="aa",
+                    messages=(BasicId(uas_id=name, id_type=IdType.SERIAL_NUMBER, ua_type=UaType.NONE),),
+                ),
+            ),
+            commands=(),
+        )
+        for i, name in enumerate(names)
+    ]
+    assert gather(steps).heard["aa"].uas_ids == ("A", "B")
+
+
+def test_no_steps() -> None:
+    facts = gather([])
+    assert (facts.steps, facts.duration_s, facts.fixes.shape, facts.rare) == (0, 0.0, (0, 7), ())
+
+
+def test_steps_are_read_anew_and_end_where_the_facts_do(run_folder: Path) -> None:
+    path = run_folder / "DMUCA001.events"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2] + b"\xff" + whole[len(whole) // 2 + 1 :])
+    run = read_run(run_folder)
+    one = run.aircraft[0]
+    assert len(run.problems) == 1
+    assert "checksum" in run.problems[0]
+    assert 0 < one.facts.steps < 601
+    assert [len(list(one.steps())) for _ in range(2)] == [one.facts.steps] * 2
