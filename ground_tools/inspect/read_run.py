@@ -33,8 +33,8 @@ class AircraftRecord:
     """None where the file was cut off before it."""
     facts: Facts
     steps: Callable[[], Iterator[Step]]
-    """Every step in order, read from the file anew: a long record does not fit into memory. Damage ends it, as it
-    did when the facts were gathered."""
+    """Every step in order, read from the file anew: a long record does not fit into memory. Damage ends it,
+    as it did when the facts were gathered."""
     truth: NDArray[np.float64] | None = None
     """(n, 4) of utc_s, north_m, east_m, down_m; None where its true positions are not known."""
 
