@@ -38,7 +38,8 @@ from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, ne
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
 _ADDRESSES_PER_TRACK = 4
-_TRACKS_PER_IDENTITY = 4
+_TRACKS_PER_IDENTITY = 16
+"""An owner that speaks once a second becomes established among so many copies a second."""
 _LEADS = 5
 _ECHO_M = 5.0
 _ECHO_S = 0.5
@@ -390,7 +391,7 @@ class Traffic:
     ) -> Track | None:
         if len(known) >= _TRACKS_PER_IDENTITY:
             known = list(known)
-            self._remove(min(known, key=lambda t: t.received_s))
+            self._remove(max(known, key=self._dispensable))
             self.counts.evicted += 1
         elif len(self.tracks) >= self.config.max_tracks and not self._make_room(fix):
             self.counts.refused_full += 1
@@ -426,6 +427,13 @@ class Traffic:
         self._judge.first_message(track, known, source, fix, now_s)
         self.counts.updates += 1
         return track
+
+    def _dispensable(self, track: Track) -> tuple[bool, float]:
+        """The greatest of an identity's tracks gives way: the fresh one that is silent longest; where all are
+        established, the farthest. A copied name that leaps about is heard more often than its owner."""
+        if track.messages < ESTABLISHED:
+            return True, -track.received_s
+        return False, math.dist(track.position_ned_m, self._own_position())
 
     def _make_room(self, fix: Fix) -> bool:
         """Give up one track for a newcomer: a fresh one before an established one, the farthest first."""

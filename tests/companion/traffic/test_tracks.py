@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 
@@ -254,8 +255,28 @@ def test_tracks_under_one_identity_are_bounded_and_the_true_one_stays():
     for k in range(40):
         listener.hear(10.0 + k, basic("X"), location(north_m=100.0, east_m=5.0 * k, timestamp_s=10.0 + k))
         listener.hear(10.1 + k, location(north_m=300.0 * (k + 2), timestamp_s=10.1 + k))
-        assert len(listener.tracks) <= 4
+        assert len(listener.tracks) <= 16
         assert any(abs(t.position_ned_m[0] - 100.0) < 1.0 for t in listener.tracks.values())
+
+
+@pytest.mark.parametrize(
+    ("begins_s", "nearest_m", "farthest_m"), [(0, 500, 5000), (5, 500, 5000), (5, 40, 90)]
+)
+def test_a_copied_name_that_leaps_about_does_not_drive_out_its_owner(begins_s, nearest_m, farthest_m):
+    """Ten copies a second, each elsewhere and from another address; the owner speaks once a second."""
+    listener, draw = Listener(), random.Random(1)
+    for tenth in range(250):
+        now_s = 10.0 + 0.1 * tenth
+        stamp = {"timestamp_s": round(now_s, 1)}
+        if tenth % 10 == 0:
+            east_m = 0.5 * tenth
+            listener.hear(now_s, basic("X"), location(100.0, east_m, **stamp), address="owner")
+        if tenth >= 10 * begins_s:
+            away_m, angle = draw.uniform(nearest_m, farthest_m), draw.uniform(0.0, math.tau)
+            copy = location(away_m * math.cos(angle), away_m * math.sin(angle), **stamp)
+            listener.hear(now_s, basic("X"), copy, address=f"copy {tenth}")
+        places = [t.position_ned_m[:2] for t in listener.tracks.values()]
+        assert any(math.dist(place, (100.0, east_m)) < 15.0 for place in places)
 
 
 def test_the_names_arrival_keeps_the_newer_track():
