@@ -7,6 +7,7 @@ never sends setpoints: in flight those are the companion's.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 import time
@@ -125,9 +126,10 @@ def _fly(
 
 
 def _tell(trouble: BaseException) -> str:
-    """Say why it ends here."""
+    """Say why it ends here, where anybody still listens: a closed terminal must not keep it from more."""
     error = str(trouble) or "broken off"
-    print(f"ground-tools fly: {error}", file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError):
+        print(f"ground-tools fly: {error}", file=sys.stderr, flush=True)
     return error
 
 
