@@ -190,7 +190,9 @@ class Flight:
                 cannot be written.
         """
         for number in _SIGNALS:
-            signal.signal(number, self.stop)
+            # Under nohup the terminal may close, and the flight goes on.
+            if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self.stop)
         self._signing.start()
         try:
             self._find_vehicle()

@@ -232,6 +232,18 @@ def test_signals_end_a_flight_in_order(flight, said, until, number):
     assert summary(flight)["ticks"] > 0
 
 
+def test_under_nohup_a_closed_terminal_ends_nothing(flight, said, until):
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    def hang_up():
+        os.kill(os.getpid(), signal.SIGHUP)
+        ticks = flight._ticks
+        until(lambda: flight._ticks > ticks + 3)
+        assert not flight._stop
+
+    fly(flight, lambda: until(heard_of(said, "recording to")), hang_up)
+
+
 def test_a_broken_pipe_does_not_end_a_flight(autopilot, make_config, tmp_path, kept_signals, watchdog, until):
     def broken(_line):
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
