@@ -364,27 +364,32 @@ class Traffic:
     def _match(
         self, known: list[Track], source: Source, fix: Fix, now_s: float
     ) -> tuple[Track | None, float]:
-        """The track of this identity whose aircraft can have flown to the fix, the nearest of several; and
-        how far off it the fix is (m), infinite without one.
+        """The track of this identity whose aircraft can have flown to the fix, the nearest of several, one
+        of its own address before others; and how far off it the fix is (m), infinite without one.
 
         After some silence one aircraft can be nearly anywhere. Where two are heard under the identity, or the
-        address is not the track's, it must be near: the track would leave the other one unseen.
+        address is not the track's, it must be near: the track would leave the other one unseen. An aircraft
+        that changes its address does not come back to it: where two take turns on a transport, each has a
+        track, or one could draw the track away from the other.
         """
         at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
-        best, least = None, math.inf
+        best, least = None, (True, math.inf)
         for track in known:
             elapsed, noise = abs(at - track.sample_s), fix.sigma_m + track.sigma_m
             away, allowed = off(track, fix, at), reach(elapsed, noise)
             if len(known) > 1:
                 track.beside_s = now_s
             twins = now_s - track.beside_s <= _TWIN_MEMORY_S
+            others = track.fed_by.get(source.about.transport) != source.key
+            if others and source.key in track.sources:
+                continue
             if not track.velocity_known:
                 allowed += self.config.max_speed_mps * elapsed
-            elif twins or track.fed_by.get(source.about.transport) != source.key:
+            elif twins or others:
                 allowed = near(noise)
-            if away <= allowed and away < least:
-                best, least = track, away
-        return best, least
+            if away <= allowed and (others, away) < least:
+                best, least = track, (others, away)
+        return best, least[1]
 
     def _open(
         self, identity: str, known: list[Track], source: Source, fix: Fix, now_s: float

@@ -381,6 +381,36 @@ def test_two_of_one_name_that_were_never_heard_apart_are_two():
     assert places == pytest.approx([100.0, 140.0], abs=0.01)
 
 
+@pytest.mark.parametrize("lead_s", [0.0, 4.0])
+def test_a_copied_name_cannot_draw_the_track_away_from_its_owner(lead_s):
+    """Ten copies a second from another address, 5 m farther aside each second, to 20 m."""
+    listener = Listener()
+    for tenth in range(200):
+        now_s = 10.0 + 0.1 * tenth
+        along = {"north_m": 300.0 - 0.5 * tenth, "direction_deg": 180.0}
+        if tenth % 10 == 0:
+            listener.hear(now_s, basic("X"), location(**along, timestamp_s=round(now_s, 1)), address="owner")
+        if tenth > 20:
+            aside = {"east_m": min(20.0, 0.5 * tenth - 10.0), "timestamp_s": round(now_s + lead_s, 1)}
+            listener.hear(now_s, basic("X"), location(**along, **aside), address="copy")
+        now = [
+            [p + n.age_s * v for p, v in zip(n.position_ned_m, n.velocity_ned_mps, strict=True)]
+            for n in listener.traffic.neighbours(now_s)
+        ]
+        assert min(math.dist(place[:2], (along["north_m"], 0.0)) for place in now) < 5.0
+    assert len(listener.tracks) == 2
+
+
+def test_an_aircraft_with_two_addresses_on_one_transport_is_no_more_than_two_tracks():
+    """Both bands of a Wi-Fi transmitter, in turns."""
+    listener = Listener()
+    for half in range(60):
+        now_s = 10.0 + 0.5 * half
+        told = location(east_m=2.5 * half, timestamp_s=round(now_s, 1))
+        listener.hear(now_s, basic("X"), told, address="ab"[half % 2])
+    assert len(listener.tracks) == 2
+
+
 def test_an_aircraft_that_changes_its_address_stays_one():
     listener = Listener()
     for k in range(6):
