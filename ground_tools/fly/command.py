@@ -31,7 +31,8 @@ _EXAMPLES = """examples:
   ground-tools fly tcpout://127.0.0.1:5760 --land
 
 A failure, Ctrl-C or a terminal that closes leaves vehicles in the air holding (BRAKE on ArduPilot, HOLD on
-PX4) and says so; nothing is disarmed in the air. Exit code: 0 done, 1 a vehicle refused or was lost, 2 wrong input, 130 Ctrl-C.
+PX4) and says so; nothing is disarmed in the air. Exit code: 0 done, 1 a vehicle refused or was lost, 2 wrong
+input, 130 Ctrl-C.
 """
 
 
