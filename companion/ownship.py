@@ -46,7 +46,6 @@ dates a question back by the time that its bytes take on a serial line, even whe
 57600 baud."""
 _DRIFT_DISARMED = 0.1
 """On the ground a clock that slipped is soon forgiven."""
-_FROM_THE_FUTURE_S = 0.5
 _FRAME_REACH_M = 5_000.0
 """A disarmed vehicle farther than this from the local frame's origin gets a new one."""
 _REBOOT_S = 1.0
@@ -55,6 +54,8 @@ _JUMP_M = 30.0
 _JUMP_RATE_MPS = 20.0
 _FARTHEST_M = 1_000_000.0
 """From the local frame's origin, no flight leads farther: a position beyond it is not believed."""
+_MOST_SEPARATION_M = 150.0
+"""The geoid is nowhere farther from the ellipsoid than 110 m."""
 _UNTRUSTED_S = 2.0
 """After a jump or a reboot the own state must be steady for this long."""
 
@@ -144,6 +145,7 @@ class Ownship:
     _estimator_lost_s: float = -math.inf
     """When the autopilot last said that it does not know where it is."""
     _velocity_boot_s: float = -math.inf
+    _position_heard_s: float = -math.inf
     _sample_ned_m: Vec3 = (0.0, 0.0, 0.0)
     _upset_s: float = -math.inf
     _upset: str = ""
@@ -156,11 +158,15 @@ class Ownship:
             case GlobalPosition():
                 self._take_position(event, now_s)
             case LocalPosition():
-                self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
+                # One that is dated far ahead would shut out all that come after it.
+                if event.time_boot_s <= self._clock.boot_s + _REBOOT_S:
+                    self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
             case GnssFix():
                 self.gnss, self._gnss_s = event, now_s
                 if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
-                    self.separation_m = event.alt_ellipsoid_m - event.alt_msl_m
+                    separation_m = event.alt_ellipsoid_m - event.alt_msl_m
+                    # A wrong one would put every other aircraft far above or below us.
+                    self.separation_m = separation_m if abs(separation_m) <= _MOST_SEPARATION_M else None
             case ClockRead():
                 self._clock.read(event)
             case LandedState():
@@ -206,7 +212,7 @@ class Ownship:
                 self._trouble("own position jumped", now_s)
         if math.hypot(*sample) > _FARTHEST_M:
             self._trouble("own position is nowhere near where it was first", now_s)
-        self.position, self._sample_ned_m = event, sample
+        self.position, self._sample_ned_m, self._position_heard_s = event, sample, now_s
         self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
         if self.landed(now_s) is Landed.ON_GROUND:
             self.takeoff = event
@@ -226,10 +232,11 @@ class Ownship:
         return self._landed if now_s - self._landed_s <= _LANDED_LOST_S else Landed.UNDEFINED
 
     def sample_s(self) -> float:
-        """Our monotonic time of the position held. Needs a position."""
+        """Our monotonic time of the position held, never after it was heard: whatever is learned of the clock
+        later, what is held does not grow younger. Needs a position."""
         assert self.position is not None
         assert self._clock.offset_s is not None
-        return self.position.time_boot_s + self._clock.offset_s
+        return min(self.position.time_boot_s + self._clock.offset_s, self._position_heard_s)
 
     @property
     def utc_offset_s(self) -> float | None:
@@ -270,8 +277,6 @@ class Ownship:
             return f"no heartbeat from the autopilot for {_HEARTBEAT_LOST_S:g} s"
         if self.age_s(now_s) > stale_after_s:
             return f"own position older than {stale_after_s:g} s"
-        if self.age_s(now_s) < -_FROM_THE_FUTURE_S:
-            return "own position dated in the future"
         if self.gnss is None or now_s - self._gnss_s > _GNSS_LOST_S:
             return f"no GNSS report for {_GNSS_LOST_S:g} s"
         if self.gnss.fix_type < 3:

@@ -60,6 +60,8 @@ from companion.settings import SWITCHED_OFF, differences
 _WATCHDOG_S = 5.0
 """A loop that hangs sends nothing anyway; after this the process ends, so that it can be started anew."""
 _STATUS_S = 5.0
+_FRESH_S = 0.25
+"""What a tick has decided leaves within this time of the state that it was decided on, or not at all."""
 _LET_GO_S = 2.0
 _COLLECT_S = 1.0
 """Reference cycles are looked for this often, right after a tick."""
@@ -190,7 +192,9 @@ class Flight:
                 cannot be written.
         """
         for number in _SIGNALS:
-            signal.signal(number, self.stop)
+            # Under nohup the terminal may close, and the flight goes on.
+            if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self.stop)
         self._signing.start()
         try:
             self._find_vehicle()
@@ -326,7 +330,10 @@ class Flight:
             self.onboard.hear(event)
         broadcasts = self.onboard.tick(now_s)
         self._kept_settings.keep(self.onboard.settings)
-        self.link.send(self.onboard.drain(now_s))
+        data = self.onboard.drain(now_s)
+        # Held up meanwhile, it would send an old setpoint. Requests are made again; texts are lost with it.
+        if time.monotonic() - now_s <= _FRESH_S:
+            self.link.send(data)
         for broadcast in broadcasts:
             self._broadcast(broadcast, now_s)
         self._serve_status(now_s)

@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Callable
 
-from companion.errors import ConfigError
 from companion.runtime.links import Link, LinkTrouble, open_link
 
 _PAUSE_S = 1.0
@@ -105,7 +104,8 @@ class KeptLink:
         while not self._closed.wait(_PAUSE_S):
             try:
                 link = self._open(self._name, self.trouble)
-            except ConfigError:
+            except Exception:
+                # Whatever it was: if this thread ended, the flight would be without a link for good.
                 continue
             self._opened.put(link)
             return

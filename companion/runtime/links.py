@@ -93,11 +93,11 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
     kind, _, rest = name.partition(":")
     if kind == "serial":
         device, _, baud = rest.rpartition(":")
-        if not device or not baud.isdigit():
+        if not device or not _is_number(baud) or int(baud) == 0:
             raise ConfigError(f"{key}: {name!r}: allowed are {_FORMS}")
         return SerialLink(device, int(baud), trouble, key)
     host, _, port = rest.rpartition(":")
-    if kind not in ("udpin", "udpout", "tcp") or not host or not port.isdigit() or int(port) > 65535:
+    if kind not in ("udpin", "udpout", "tcp") or not host or not _is_number(port) or int(port) > 65535:
         raise ConfigError(f"{key}: {name!r}: allowed are {_FORMS}")
     address = (host.strip("[]"), int(port))
     try:
@@ -112,6 +112,11 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
                 f"{key}: {name}: port {port} is in use by another program; close it or choose another"
             ) from error
         raise ConfigError(f"{key}: {name}: {error.strerror or error}") from error
+
+
+def _is_number(text: str) -> bool:
+    """Plain digits, and no more of them than any port or baud rate has."""
+    return text.isascii() and text.isdigit() and len(text) <= 9
 
 
 class UdpLink:
@@ -275,7 +280,8 @@ class SerialLink(_Stream):
         super().__init__(trouble)
         try:
             self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
-        except (serial.SerialException, termios.error, ValueError) as error:
+        except (OSError, termios.error, ValueError) as error:
+            # pyserial passes some of the kernel's refusals on as they are: a device that goes just now.
             raise ConfigError(f"{key}: serial:{device}:{baud}: {error}") from error
         self._fd = int(self._port.fileno())
         self._queue_bytes = baud / _BITS_PER_BYTE * _SERIAL_QUEUE_S

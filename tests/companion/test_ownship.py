@@ -115,6 +115,25 @@ def test_geoid_separation_only_where_the_receiver_gives_both_altitudes():
     assert own.separation_m == 47.5
 
 
+@pytest.mark.parametrize("alt_ellipsoid_m", [-8.0, 1400.0])
+def test_a_geoid_that_is_nowhere_on_earth_is_not_believed(alt_ellipsoid_m):
+    """It would tell the heights of all others wrongly by as much."""
+    own = Ownship()
+    fix = {"fix_type": 3, "lat_deg": 47.0, "lon_deg": 8.0, "alt_msl_m": 400.0}
+    own.take(GnssFix(**fix, alt_ellipsoid_m=447.5), 1.0)
+    own.take(GnssFix(**fix, alt_ellipsoid_m=alt_ellipsoid_m), 2.0)
+    assert own.separation_m is None
+
+
+def test_a_velocity_dated_far_ahead_does_not_shut_out_those_after_it():
+    own = Ownship()
+    own.take(position(100.0), 1.0)
+    ahead = LocalPosition(time_boot_s=4e6, position_ned_m=(0, 0, 0), velocity_ned_mps=(-9.0, 0, 0))
+    own.take(ahead, 1.05)
+    own.take(position(100.1, velocity=(2.0, 0.0, 0.0)), 1.1)
+    assert own.velocity_ned_mps == (2.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(("make", "forgiven"), [(Ownship, True), (armed, False)])
 def test_a_clock_that_slipped_is_forgiven_on_the_ground_only(make, forgiven):
     """In flight it cannot be told from a link that grew slow."""
@@ -239,3 +258,13 @@ def test_an_answer_before_any_position_is_left_out():
     assert own.utc_offset_s is None
     own.take(position(6.0), 2.0)
     assert own.age_s(2.0) == 0.0
+
+
+def test_no_answer_makes_a_position_younger_than_it_was_when_heard():
+    """Positions end and answers go on, from a clock that falls behind: forged, or of a broken autopilot."""
+    own, heard_s = flown(0.0, 0.0)
+    for second in range(1, 20):
+        now_s = heard_s + second
+        behind = ClockRead(time_boot_s=now_s - BOOT_S - 0.9 * second, asked_s=now_s - 0.01, heard_s=now_s)
+        own.take(behind, now_s)
+        assert own.age_s(now_s) >= second - 1e-6
