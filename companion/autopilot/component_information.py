@@ -1,8 +1,8 @@
 """What we are, for ground stations: messages on request, and files over MAVLink FTP.
 
 MAV_CMD_REQUEST_MESSAGE for COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA or AUTOPILOT_VERSION is answered
-with COMMAND_ACK and the message, FILE_TRANSFER_PROTOCOL with the same. The first two may be asked of everybody.
-AUTOPILOT_VERSION asked of everybody is the autopilot's to tell: a ground station could take ours for it.
+with COMMAND_ACK and the message, FILE_TRANSFER_PROTOCOL with the same. The first two may be asked of all.
+AUTOPILOT_VERSION asked of all is the autopilot's to tell: a ground station could take ours for it.
 
 What is asked is kept, a few requests at most, and answered one at a time: a flood fills no slow link.
 """
@@ -23,7 +23,7 @@ from .encoders import Outgoing
 from .ftp import FileServer
 from .metadata import GENERAL, MODEL, VENDOR, metadata_files, uri
 from .readers import unpack
-from .wire import Frame
+from .wire import COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA, Frame
 
 PERIOD_S = 0.1
 """From one answer to the next: 3 kB/s at most."""
@@ -31,10 +31,8 @@ MOST_WAITING = 8
 CMD_REQUEST_MESSAGE = 512
 _FTP = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
-_BASIC = mavlink.MAVLINK_MSG_ID_COMPONENT_INFORMATION_BASIC
-_METADATA = mavlink.MAVLINK_MSG_ID_COMPONENT_METADATA
 _VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
-_OF_ALL = (_BASIC, _METADATA)
+_OF_ALL = (COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA)
 """What may be asked of all components at once."""
 _ACCEPTED, _DENIED, _UNSUPPORTED = 0, 2, 3
 """MAV_RESULT."""
@@ -142,10 +140,10 @@ class ComponentInformation:
     def _content(self, message_id: int, now_s: float) -> bytes | None:
         """Payload of a message about us; None: there is no such."""
         boot_ms = int(now_s * 1e3) & 0xFFFF_FFFF
-        if message_id == _BASIC:
+        if message_id == COMPONENT_INFORMATION_BASIC:
             names = (VENDOR.encode(), MODEL.encode(), __version__.encode(), b"", b"")
             return _BASIC_LAYOUT.pack(CAPABILITIES, boot_ms, 0, *names)
-        if message_id == _METADATA:
+        if message_id == COMPONENT_METADATA:
             return _METADATA_LAYOUT.pack(boot_ms, self._general_crc, uri(GENERAL).encode())
         if message_id == _VERSION:
             major, minor, patch = (int(part) for part in __version__.split("."))
