@@ -10,6 +10,7 @@ What is asked is kept, a few requests at most, and answered one at a time: a flo
 from __future__ import annotations
 
 import math
+import re
 import struct
 from typing import NamedTuple
 
@@ -42,6 +43,9 @@ CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 )
 """MAV_PROTOCOL_CAPABILITY. All our parameters are floats, which is what a C cast makes of them, too."""
+_MAJOR, _MINOR, _PATCH = (int(number) for number in re.findall(r"\d+", __version__)[:3])
+_SOFTWARE = _MAJOR << 24 | _MINOR << 16 | _PATCH << 8
+"""As AUTOPILOT_VERSION has it, of FIRMWARE_VERSION_TYPE_DEV."""
 
 _ACK_LAYOUT = struct.Struct("<HBBiBB")
 _BASIC_LAYOUT = struct.Struct("<QII32s32s24s24s32s")
@@ -146,7 +150,5 @@ class ComponentInformation:
         if message_id == COMPONENT_METADATA:
             return _METADATA_LAYOUT.pack(boot_ms, self._general_crc, uri(GENERAL).encode())
         if message_id == _VERSION:
-            major, minor, patch = (int(part) for part in __version__.split("."))
-            version = major << 24 | minor << 16 | patch << 8
-            return _VERSION_LAYOUT.pack(CAPABILITIES, 0, version, 0, 0, 0, 0, 0, b"", b"", b"", b"")
+            return _VERSION_LAYOUT.pack(CAPABILITIES, 0, _SOFTWARE, 0, 0, 0, 0, 0, b"", b"", b"", b"")
         return None
