@@ -1,5 +1,5 @@
-"""Clients that share no code with us read and set our parameters, and fetch what they mean, over UDP on loopback:
-MAVSDK, and pymavlink's for parameters and for files."""
+"""Clients that share no code with us read and set our parameters, and fetch what they mean, over UDP on
+loopback: MAVSDK, and pymavlink's for parameters and for files."""
 
 from __future__ import annotations
 
