@@ -245,6 +245,10 @@ class VehicleParameters(Event, frozen=True):
     """What it does at its own fence; ArduPilot: whether it has one."""
     mission_restart: Parameter | None = None
     """ArduPilot: 1: AUTO always begins the mission anew."""
+    adsb_type: Parameter | None = None
+    """ArduPilot: its ADS-B receiver; 0: none."""
+    adsb_radius_m: Parameter | None = None
+    """ArduPilot: who is farther away is not told of; 0: everybody is."""
 
 
 class AdsbVehicle(Event, frozen=True):

@@ -167,6 +167,9 @@ ARDUPILOT = Dialect(
         Wanted("setpoint_timeout_s", (("GUID_TIMEOUT", 1.0),), *_TIMEOUT),
         Wanted("fence_action", (("FENCE_ENABLE", 1.0),), 0, 1),
         Wanted("mission_restart", (("MIS_RESTART", 1.0),), 0, 1),
+        # Before 4.1 ADSB_ENABLE.
+        Wanted("adsb_type", (("ADSB_TYPE", 1.0), ("ADSB_ENABLE", 1.0)), 0, 127),
+        Wanted("adsb_radius_m", (("ADSB_LIST_RADIUS", 1.0),), 0, 1e6),
     ),
     integers_bytewise=False,
     silence="brakes and stays in GUIDED",

@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.advice import after_silence, remarks
+from companion.autopilot.advice import after_silence, no_receiver, remarks
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.streams import ENOUGH, STREAM_RATES_HZ
@@ -335,11 +335,18 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
 
 def _judge_parameters(config: Config, told: VehicleParameters | None, found: Preflight) -> None:
     """What the vehicle's own limits and failsafes mean for this configuration."""
-    if told is None or config.flight.use == "watch":
+    if told is None:
         return
-    found.green("vehicle", after_silence(told))
+    watching = config.flight.use == "watch"
+    if not watching:
+        found.green("vehicle", after_silence(told))
+    deaf = no_receiver(told)
+    if deaf is not None:
+        found.green("vehicle", deaf)
     for text in remarks(config, told):
         found.yellow("vehicle", text, "change the parameter, or the configuration")
+    if watching:
+        return
     if told.speed_mps is None:
         found.yellow("vehicle", "it does not tell how fast it flies: [limits] alone count", "see to [limits]")
     try:

@@ -300,6 +300,28 @@ def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[.
     assert judge("fly", None) == (True, [])
 
 
+def test_what_the_vehicle_hears_of_crewed_traffic_is_told(make_config: Callable[..., Config]) -> None:
+    def judge(use: str, receiver: float) -> list[str]:
+        found = Preflight()
+        told = VehicleParameters(
+            firmware=Firmware.ARDUPILOT,
+            adsb_type=Parameter(name="ADSB_TYPE", value=receiver),
+            adsb_radius_m=Parameter(name="ADSB_LIST_RADIUS", value=2000.0),
+        )
+        _judge_parameters(make_config(use=use), told, found)
+        assert found.ready
+        return [f"{f.light.name} {f.what}: {f.text}" for f in found.findings if "ADSB" in f.text]
+
+    for use in ("fly", "watch"):
+        (line,) = judge(use, 1.0)
+        assert line.startswith(
+            "YELLOW vehicle: ADSB_LIST_RADIUS 2000: aircraft beyond 2000 m are not told of"
+        )
+        assert judge(use, 0.0) == [
+            "GREEN vehicle: ADSB_TYPE 0: no ADS-B receiver: crewed traffic is not heard"
+        ]
+
+
 @pytest.fixture
 def listed(vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path) -> Callable[..., Any]:
     """The findings of a check, by what they are about; keywords replace parts of the configuration."""
