@@ -45,6 +45,7 @@ from companion.runtime.disk import RUN, DiskFloor
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.lateness import Lateness
 from companion.runtime.live import heart_status
+from companion.runtime.no_vehicle import no_vehicle
 from companion.runtime.notify import Notifier
 from companion.runtime.policy import RUN_FILE, read_policy
 from companion.runtime.prepare import prepare
@@ -242,10 +243,8 @@ class Flight:
         while self.onboard.link.vehicle is None and not self._stop:
             now = time.monotonic()
             if now > give_up:
-                why = self.onboard.link.disbelief(now) or (
-                    "is the autopilot sending MAVLink to this address, and is vehicle.link right?"
-                )
-                raise ConfigError(f"{self.config.vehicle.link}: no vehicle within {wait_s:g} s: {why}")
+                _, why, do = no_vehicle(self.config.vehicle, self.link, self.onboard.link, now)
+                raise ConfigError(f"{why}: {do}")
             self._wait(now + 1.0 / self.config.flight.setpoint_rate_hz)
             self._tick(time.monotonic())
         vehicle = self.onboard.link.vehicle

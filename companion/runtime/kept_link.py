@@ -34,6 +34,7 @@ class KeptLink:
         opener: Callable[[str, LinkTrouble], Link] = open_link,
     ) -> None:
         self.trouble = LinkTrouble()
+        self.received_bytes = 0
         self._name = name
         self._say = say
         self._open = opener
@@ -59,10 +60,12 @@ class KeptLink:
             return b""
         assert self._link is not None
         try:
-            return self._link.receive(now_s)
+            data = self._link.receive(now_s)
         except OSError as error:
             self._lose(error)
             return b""
+        self.received_bytes += len(data)
+        return data
 
     def send(self, data: bytes) -> None:
         """Send now, or lose it."""

@@ -36,6 +36,11 @@ _SEND_BUFFER = 8 * 1024
 _SERIAL_QUEUE_S = 0.2
 """A serial driver that holds more than it can send in this time gets nothing new."""
 _BITS_PER_BYTE = 10
+_NOT_OPENED = {
+    errno.ENOENT: "there is no such device; see to the cable, or to the udev rule that names it",
+    errno.EACCES: "this user may not open it; put the user into the device's group (dialout)",
+    errno.EAGAIN: "another program has it open; a serial port has one reader",
+}
 
 
 @dataclass(slots=True)
@@ -282,7 +287,8 @@ class SerialLink(_Stream):
             self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
         except (OSError, termios.error, ValueError) as error:
             # pyserial passes some of the kernel's refusals on as they are: a device that goes just now.
-            raise ConfigError(f"{key}: serial:{device}:{baud}: {error}") from error
+            words = _NOT_OPENED.get(getattr(error, "errno", None) or 0, str(error))
+            raise ConfigError(f"{key}: serial:{device}:{baud}: {words}") from error
         self._fd = int(self._port.fileno())
         self._queue_bytes = baud / _BITS_PER_BYTE * _SERIAL_QUEUE_S
         os.set_blocking(self._fd, False)

@@ -410,7 +410,7 @@ def test_bytes_that_are_no_vehicle_are_told_from_silence(
 ) -> None:
     vehicle.silent.add("HEARTBEAT")
     link = f"tcp:127.0.0.1:{vehicle.port}"
-    assert "bytes came" in listed(1, vehicle=VehicleConfig(link=link, wait_s=0.5))["vehicle"][0][1]
+    assert "MAVLink came" in listed(1, vehicle=VehicleConfig(link=link, wait_s=0.5))["vehicle"][0][1]
     silent = listed(1, vehicle=VehicleConfig(link="udpin:127.0.0.1:0", wait_s=0.1))
     assert "not a byte" in silent["vehicle"][0][1]
     absent = listed(1, vehicle=VehicleConfig(link="serial:/dev/nothing:57600", wait_s=0.1))
