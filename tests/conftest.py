@@ -10,12 +10,12 @@ from companion.avoidance import kernels
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """In turn a file of real processes, which wait, and one that computes; many small ones come last."""
+    """A file of real processes, which wait, to every three that compute; many small ones come last."""
     files = dict.fromkeys(item.path for item in items)
     waiting = [file for file in files if file.parent.name == "integration"]
     computing = [file for file in reversed(files) if file not in waiting]
-    turn = {file: 2 * n for n, file in enumerate(waiting)}
-    turn |= {file: 2 * n + 1 for n, file in enumerate(computing)}
+    turn = {file: 3 * n - 0.5 for n, file in enumerate(waiting)}
+    turn |= {file: float(n) for n, file in enumerate(computing)}
     items.sort(key=lambda item: turn[item.path])
 
 
