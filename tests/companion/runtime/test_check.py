@@ -137,6 +137,8 @@ class Vehicle:
 def vehicle(monkeypatch: pytest.MonkeyPatch) -> Iterator[Vehicle]:
     monkeypatch.setattr("companion.runtime.check._SETTLE_S", 0.1)
     monkeypatch.setattr("companion.runtime.check._MEASURE_S", 0.5)
+    # It tells no parameters.
+    monkeypatch.setattr("companion.runtime.check._PARAMETERS_S", 0.2)
     made = Vehicle()
     yield made
     made.end()
@@ -346,7 +348,11 @@ def listed(vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path)
     return run
 
 
-def test_all_is_well_with_a_vehicle_that_sends_everything(listed: Callable[..., Any]) -> None:
+def test_all_is_well_with_a_vehicle_that_sends_everything(
+    listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Until it is asked for its parameters no more.
+    monkeypatch.setattr("companion.runtime.check._PARAMETERS_S", 60.0)
     found = listed(0)
     for what in ("configuration", "disk", "policy", "link", "vehicle", "rates", "GNSS", "clock"):
         assert {light for light, *_ in found[what]} == {"green"}, what
