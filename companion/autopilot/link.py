@@ -623,7 +623,10 @@ class AutopilotLink:
             self._events.append(ModeRefused(mode=mode, reason=vehicle.refusal))
         else:
             dialect = DIALECTS[vehicle.firmware]
-            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode, now_s, self._mode)
+            heard_s = -math.inf if self._heartbeat_heard_s is None else self._heartbeat_heard_s
+            self._mode = ModeRequest(
+                mode, dialect, vehicle.system_id, self._custom_mode, now_s, self._mode, heard_s=heard_s
+            )
             self._mode_speed_mps = command.speed_mps
             self._move_mode(now_s)
 
