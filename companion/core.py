@@ -104,6 +104,8 @@ class Companion:
         self._configured = self._wanted = config
         self._settings = Settings()
         self._brake_until_s = -math.inf
+        self._braked_in: FlightMode | None = None
+        """Mode that the vehicle was last seen in while it is commanded to stand."""
         self.own = Ownship()
         self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
         self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
@@ -309,7 +311,7 @@ class Companion:
             if due and unfit is None and self.own.landed(now_s) is Landed.IN_AIR:
                 self._decided_s = now_s
                 self._alert(now_s, self._neighbours(now_s), None, commands)
-            if now_s < self._brake_until_s and unfit is None and self.own.mode is FlightMode.EXTERNAL:
+            if self._brakes(now_s) and unfit is None:
                 commands.append(self._setpoint((0.0, 0.0, 0.0)))
             return
         law = self.plan.law
@@ -334,6 +336,16 @@ class Companion:
         self._ask_mode(now_s, commands)
         self._commanded_s = now_s
         commands.append(self._setpoint(self._result.chosen_ned_mps))
+
+    def _brakes(self, now_s: float) -> bool:
+        """The vehicle is still to be commanded to stand: until the mode that was asked for shows, or any
+        other, and then never again."""
+        mode = self.own.mode
+        if mode is FlightMode.EXTERNAL:
+            self._braked_in = mode
+        elif mode is not self._braked_in:
+            self._brake_until_s = -math.inf
+        return now_s < self._brake_until_s and mode is FlightMode.EXTERNAL
 
     def _watch(self, now_s: float, commands: list[Command]) -> None:
         """The autopilot flies its mission: would the law fly something else?"""
@@ -433,6 +445,7 @@ class Companion:
             return
         previous, (self.state, trigger) = self.state, moved
         reason = self._reason(now_s, trigger, unfit)
+        sticks = trigger is Trigger.PILOT and self._asks_sticks
         commands.append(
             AuthorityChanged(
                 previous=previous.value, state=self.state.value, trigger=trigger.value, reason=reason
@@ -450,11 +463,17 @@ class Companion:
             commands.append(SetSpeed(speed_mps=speed))
         if trigger is Trigger.REARM and self.own.position is not None:
             self.plan.resume(self.own, now_s)
+        if sticks:
+            commands.append(SetMode(mode=FlightMode.STICKS))
         if previous in HOLDING and self.state not in HOLDING:
             self._let_go(trigger, commands)
-        # A hold is waited for standing: PX4's own failsafe is quicker than the next heartbeat.
+        # A hold, and the pilot's mode, are waited for standing: PX4's own failsafe is quicker than the next
+        # heartbeat.
         holds = trigger is Trigger.CHANGED or (trigger is Trigger.UNFIT and not self._settings.enable)
-        self._brake_until_s = now_s + _BRAKING_S if holds and previous in HOLDING else -math.inf
+        if previous in HOLDING and (holds or sticks):
+            self._brake_until_s, self._braked_in = now_s + _BRAKING_S, self.own.mode
+        elif not sticks:
+            self._brake_until_s = -math.inf
         if self.state is State.WATCHING:
             self._ours = frozenset()
         if self.state not in HOLDING:
@@ -473,17 +492,11 @@ class Companion:
 
     def _let_go(self, trigger: Trigger, commands: list[Command]) -> None:
         """Nothing is commanded any more. PX4 notices at once; ArduPilot would fly on for seconds as it was
-        commanded last, so it is asked to stop. A pilot who moves the sticks gets a mode that takes them."""
+        commanded last, so it is asked to stop."""
         mode = self.own.mode
         external = mode is FlightMode.EXTERNAL
         self._ours = frozenset()
-        heartbeat = self.own.heartbeat
-        ours = heartbeat is not None and (
-            external or (not self._mode_confirmed and heartbeat.custom_mode == self._custom_before)
-        )
-        if trigger is Trigger.PILOT and ours:
-            commands.append(SetMode(mode=FlightMode.STICKS))
-        elif trigger is Trigger.CHANGED:
+        if trigger is Trigger.CHANGED:
             commands.append(SetMode(mode=FlightMode.HOLD))
         elif trigger is Trigger.UNFIT and mode is not None and not external and not self._mode_confirmed:
             # Our mode may be entered unseen.
@@ -495,12 +508,25 @@ class Companion:
                 self._ours |= {FlightMode.HOLD}
                 commands.append(SetMode(mode=FlightMode.HOLD))
 
+    @property
+    def _asks_sticks(self) -> bool:
+        """The pilot moves the sticks and has chosen no mode: the vehicle is in ours, in the hold that our
+        fault asked for, or still in the one that we are taking it from. He gets one that takes the sticks."""
+        heartbeat = self.own.heartbeat
+        if heartbeat is None or not self._sticks.moved:
+            return False
+        if heartbeat.mode is FlightMode.EXTERNAL:
+            return True
+        if self._ours:
+            return heartbeat.mode is FlightMode.HOLD and heartbeat.mode in self._ours
+        return not self._mode_confirmed and heartbeat.custom_mode == self._custom_before
+
     def _reason(self, now_s: float, trigger: Trigger, unfit: str | None) -> str:
         mode = self.own.mode.value if self.own.mode is not None else "unknown"
         conflicts = () if self._result is None else (t.track_id for t in self._result.tracks if t.conflict)
-        moved = self.own.mode is FlightMode.EXTERNAL
+        chosen = self._pilot_took_over(now_s)
         return {
-            Trigger.PILOT: "the pilot moves the sticks" if moved else f"mode changed to {mode}, not by us",
+            Trigger.PILOT: f"mode changed to {mode}, not by us" if chosen else "the pilot moves the sticks",
             Trigger.UNFIT: unfit or f"mode not entered: {self._refused}",
             Trigger.RELEASE: "vehicle disarmed or on the ground",
             Trigger.REARM: "authority given anew",

@@ -214,10 +214,88 @@ def test_sticks_that_move_take_the_vehicle_and_get_a_mode_that_takes_them(guarde
     bench.extra.append(RcChannels(sticks_us=(1500, 1650, 1490)))
     assert bench.setpoints(bench.step()), "one message may be a glitch"
     bench.extra.append(RcChannels(sticks_us=(1500, 1650, 1490)))
+    bench.obeys = False
     commands = bench.step()
-    assert not bench.setpoints(commands)
+    # Standing, until the pilot's mode shows: PX4 would go home after a second without setpoints.
+    assert [s.velocity_ned_mps for s in bench.setpoints(commands)] == [(0.0, 0.0, 0.0)]
     assert modes(commands) == [FlightMode.STICKS]
     assert bench.heart.state is State.YIELDED
+    bench.step(20)
+    assert [s.velocity_ned_mps for s in bench.setpoints()] == [(0.0, 0.0, 0.0)]
+    bench.mode = FlightMode.STICKS
+    assert not bench.setpoints(bench.step())
+    bench.mode = FlightMode.EXTERNAL
+    assert not bench.setpoints(bench.step(400)), "authority is not given anew"
+
+
+def sticks_moved(bench):
+    bench.extra += [RcChannels(sticks_us=(1500, 1700, 1500))] * 2
+    return bench.step()
+
+
+def at_rest(bench):
+    bench.extra.append(RcChannels(sticks_us=(1500, 1500, 1500)))
+    return taken(bench)
+
+
+def test_sticks_without_a_mode_that_follows_are_waited_for_standing_for_seconds_and_no_longer(guarded):
+    bench = at_rest(guarded())
+    bench.obeys = False
+    told = bench.setpoints(sticks_moved(bench) + bench.step(400))
+    assert {s.velocity_ned_mps for s in told} == {(0.0, 0.0, 0.0)}
+    assert 2.9 < len(told) * 0.05 < 3.1
+
+
+def test_a_mode_chosen_with_the_sticks_ends_the_standing_for_good(guarded):
+    bench = at_rest(guarded())
+    bench.obeys = False
+    assert bench.setpoints(sticks_moved(bench))
+    bench.mode = FlightMode.OTHER
+    assert not bench.setpoints(bench.step())
+    bench.mode = FlightMode.EXTERNAL
+    assert not bench.setpoints(bench.step(100))
+
+
+def test_nobody_stands_on_an_own_state_that_is_not_fit(guarded):
+    bench = at_rest(guarded())
+    bench.obeys = False
+    assert bench.setpoints(sticks_moved(bench))
+    bench.fix_type = 1
+    assert not bench.setpoints(bench.step(20))
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_sticks_that_move_in_a_fault_get_a_mode_that_takes_them(guarded, firmware):
+    """From ArduPilot's BRAKE, which takes none; from PX4 before its own failsafe shows."""
+    bench = guarded()
+    bench.firmware = firmware
+    at_rest(bench)
+    bench.fix_type = 1
+    bench.step(2)
+    assert bench.heart.state is State.FAULT
+    assert bench.mode is (FlightMode.HOLD if firmware is Firmware.ARDUPILOT else FlightMode.EXTERNAL)
+    commands = sticks_moved(bench)
+    assert bench.heart.state is State.YIELDED
+    assert modes(commands) == [FlightMode.STICKS]
+    assert not bench.setpoints(commands)
+    (change,) = [c for c in commands if isinstance(c, AuthorityChanged)]
+    assert change.reason == "the pilot moves the sticks"
+
+
+def test_sticks_that_move_in_a_fault_leave_a_mode_that_is_not_ours_alone(guarded):
+    """Our mode was never entered: the vehicle flies its mission on, as the pilot chose."""
+    bench = guarded()
+    bench.obeys = False
+    bench.extra.append(RcChannels(sticks_us=(1500, 1500, 1500)))
+    meet(bench, seconds=1.5)
+    bench.fix_type = 1
+    bench.step(2)
+    assert bench.heart.state is State.FAULT
+    commands = sticks_moved(bench)
+    assert bench.heart.state is State.YIELDED
+    assert modes(commands) == []
+    (change,) = [c for c in commands if isinstance(c, AuthorityChanged)]
+    assert change.reason == "the pilot moves the sticks"
 
 
 def test_a_glitch_and_sticks_at_rest_are_no_pilot(guarded):

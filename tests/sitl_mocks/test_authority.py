@@ -64,10 +64,15 @@ def test_sticks_that_move_give_the_pilot_a_mode_that_takes_them(firmware):
     sky = held(firmware)
     one = sky.aircraft[0]
     one.vehicle.troubles.sticks = (0.0, 0.5, 0.0, 0.0)
+    since = len(one.steps)
     sky.until(lambda: one.state is State.YIELDED, 1.0)
+    # Commanded to stand until it takes the sticks: without setpoints PX4 goes home after a second.
+    sky.until(lambda: one.heart.own.mode is FlightMode.STICKS, 3.0)
     assert silent_from_now(sky, one, 5.0)
     assert one.heart.own.mode is FlightMode.STICKS
     assert [c.mode for c in one.of(SetMode)][-1] is FlightMode.STICKS
+    assert VehicleMode.RTL not in one.modes[since:]
+    assert one.setpoints(since)[-1].velocity_ned_mps == (0.0, 0.0, 0.0)
 
 
 # ------------------------------------------------------------ what the autopilot does by itself
