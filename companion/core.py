@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 
 from companion.atmc.chooser import chooser_of
+from companion.autopilot.dialect import DIALECTS
 from companion.avoidance.alerts import Alerts
 from companion.avoidance.authority import HOLDING, State, Trigger, next_state
 from companion.avoidance.guard import GuardPlan
@@ -76,6 +77,9 @@ _SURE = 3
 """Decisions in a row that must see a conflict before a guarded vehicle is taken."""
 _GIVING_BACK_S = 8.0
 """For this long after the mission was asked for, the vehicle may still obey; then it is asked again."""
+_UNREAD_S = 90.0
+"""A mission that could not be fetched for so long, with the vehicle ready to be given back, is not resumed:
+longer than one download may take."""
 _KEPT_OFF_S = 60.0
 """Kept off its way for so long with no conflict, by a floor, a ceiling, a fence or the wind, a guarded
 vehicle is given back where it is."""
@@ -138,6 +142,8 @@ class Companion:
         """Decisions in a row, while a mission is guarded, that saw one."""
         self._gave_back_s = -math.inf
         """When the vehicle was last asked to fly its mission on."""
+        self._unread_s = math.inf
+        """Since when the vehicle could be given back, if its mission were known to be the same."""
         self._taken_s = -math.inf
         self._off_m = 0.0
         """Farthest from the way to the mission's item since then."""
@@ -322,6 +328,8 @@ class Companion:
                 return
         if self._result is None or due:
             self._decided_s = now_s
+            if self._guard is not None:
+                commands += self._guard.lead(self.own, now_s)
             situation = self._situation(now_s)
             self._result = law.decide(situation)
             if self._guard is not None:
@@ -373,7 +381,10 @@ class Companion:
         if same:
             self._gave_back_s = now_s
             commands.append(SetMode(mode=FlightMode.MISSION, speed_mps=self._forgotten_speed_mps()))
-        elif same is False:
+            self._unread_s = math.inf
+            return
+        self._unread_s = min(self._unread_s, now_s)
+        if same is False or now_s - self._unread_s >= _UNREAD_S:
             self._move(now_s, frozenset({Trigger.CHANGED}), None, commands)
 
     def _mode_refused(self, event: ModeRefused) -> list[Command]:
@@ -451,6 +462,7 @@ class Companion:
                 previous=previous.value, state=self.state.value, trigger=trigger.value, reason=reason
             )
         )
+        self._unread_s = math.inf
         if trigger is Trigger.READY or (previous is State.WATCHING and trigger is Trigger.CONFLICT):
             self._take_control(now_s)
         elif trigger is Trigger.CONFLICT and now_s - self._gave_back_s < _GIVING_BACK_S:
@@ -536,7 +548,7 @@ class Companion:
             Trigger.LEFT: f"the mission was left for mode {mode}",
             Trigger.RESUMED: f"the vehicle flies its mission on at item {self.own.mission_seq}, taken for "
             f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most",
-            Trigger.CHANGED: f"{self._not_resumed}: it is not resumed, the vehicle is to hold",
+            Trigger.CHANGED: self._not_resumed,
             Trigger.CONFLICT: "conflict with " + ", ".join(conflicts),
             Trigger.CLEAR: "no conflict",
             Trigger.AWAY: "off the timed path",
@@ -545,8 +557,18 @@ class Companion:
 
     @property
     def _not_resumed(self) -> str:
-        ended = self._guard is not None and self._guard.ended
-        return "the mission had come to its end" if ended else "the mission was changed meanwhile"
+        """Why the mission is not resumed, and what is left to the pilot."""
+        guard, heartbeat = self._guard, self.own.heartbeat
+        if guard is None or heartbeat is None:
+            return ""
+        why = f"the vehicle's mission could not be read for {_UNREAD_S:g} s"
+        if guard.ended:
+            why = "the mission had come to its end"
+        elif guard.changed:
+            why = "the mission was changed meanwhile"
+        dialect = DIALECTS[heartbeat.firmware]
+        mode = dialect.name(dialect.command(FlightMode.MISSION).custom_mode)
+        return f"{why}: it is not resumed, the vehicle is to hold. To fly it select {mode}"
 
     def _take_control(self, now_s: float) -> None:
         heartbeat = self.own.heartbeat

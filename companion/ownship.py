@@ -137,6 +137,8 @@ class Ownship:
     """Item that the vehicle's mission is at."""
     mission_complete: bool = False
     """Its last item is done."""
+    mission_mark: tuple[int, int] | None = None
+    """What is told of which mission that is: its number of items and its id; others mean another mission."""
     takeoff: GlobalPosition | None = None
     """Where the aircraft was last seen on the ground."""
     separation_m: float | None = None
@@ -181,6 +183,7 @@ class Ownship:
                 self._estimator_lost_s = -math.inf if event.usable else now_s
             case MissionCurrent():
                 self.mission_seq, self.mission_complete = event.seq, event.complete
+                self.mission_mark = event.total, event.mission_id
             case VehicleTime():
                 self._tick(event.time_boot_s, now_s)
                 if event.utc_s is not None:

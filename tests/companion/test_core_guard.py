@@ -15,7 +15,9 @@ from companion.events import (
     FlightMode,
     Landed,
     MissionCurrent,
+    MissionDownloaded,
     MissionItem,
+    MissionRefused,
     ModeRefused,
     Parameter,
     RcChannels,
@@ -363,6 +365,105 @@ def test_a_mission_selected_again_is_fetched_again(guarded, unfit):
     meet(bench)
     way = bench.heart.plan.law.trajectory
     assert way.points_ned_m[-1][0] == pytest.approx(-300.0, abs=1.0)
+
+
+def way_end_m(bench):
+    return bench.heart.plan.law.trajectory.points_ned_m[-1][0]
+
+
+@pytest.mark.parametrize("told", [{"total": 3}, {"mission_id": 9}])
+def test_a_mission_that_is_replaced_while_it_is_watched_is_fetched_again(guarded, told):
+    bench = guarded()
+    bench.extra.append(MissionCurrent(seq=0, total=2, mission_id=8))
+    bench.step(20)
+    before = len(bench.log)
+    bench.step(100)
+    assert not [c for _, c in bench.log[before:] if isinstance(c, DownloadMission)]
+    bench.mission = mission(-300.0)
+    bench.extra.append(MissionCurrent(seq=0, **{"total": 2, "mission_id": 8, **told}))
+    bench.step(20)
+    assert len([c for _, c in bench.log[before:] if isinstance(c, DownloadMission)]) == 1
+    meet(bench, seconds=0.8)
+    assert way_end_m(bench) == pytest.approx(-300.0, abs=1.0)
+
+
+def test_a_download_that_is_refused_while_the_mission_is_watched_is_asked_for_again(guarded):
+    bench = guarded()
+    bench.extra.append(MissionCurrent(seq=0, total=2))
+    bench.step(20)
+    bench.mission = None
+    bench.extra.append(MissionCurrent(seq=0, total=1))
+    bench.step(20)
+    bench.extra.append(MissionRefused(reason="the vehicle answered: denied"))
+    bench.step(20)
+    before, bench.mission = len(bench.log), mission(-300.0)
+    bench.step(220)
+    assert len([c for _, c in bench.log[before:] if isinstance(c, DownloadMission)]) == 1
+    meet(bench, seconds=0.8)
+    assert way_end_m(bench) == pytest.approx(-300.0, abs=1.0)
+
+
+def test_a_mission_that_is_known_to_be_another_is_not_led_to_before_it_is_fetched(guarded):
+    bench = guarded()
+    bench.extra.append(MissionCurrent(seq=0, total=2))
+    bench.step(20)
+    bench.mission = None
+    bench.extra.append(MissionCurrent(seq=0, total=1))
+    taken(bench)
+    assert way_end_m(bench) == pytest.approx(bench.north_m, abs=1.0)
+    bench.extra.append(MissionDownloaded(items=mission(-300.0)))
+    bench.step(10)
+    assert way_end_m(bench) == pytest.approx(-300.0, abs=1.0)
+
+
+def test_a_mission_that_was_replaced_unsaid_is_found_when_the_vehicle_is_taken(guarded):
+    """ArduPilot says nothing of a mission with as many items: it leads to its item, and is given back."""
+    bench = guarded()
+    bench.mission = mission(-300.0, -900.0)
+    taken(bench)
+    bench.step(10)
+    assert way_end_m(bench) == pytest.approx(-300.0, abs=1.0)
+    over(bench)
+    bench.until(lambda: bench.heart.state is State.WATCHING)
+
+
+def test_the_mission_is_compared_before_it_is_given_back_however_soon(guarded):
+    """What was fetched when the vehicle was taken says nothing of what came after."""
+    bench = taken(guarded())
+    bench.step(5)
+    bench.mission = mission(-300.0, -900.0)
+    bench.heart.traffic.clear()
+    bench.velocity_ned_mps = (0.0, 0.0, 0.0)
+    for _ in range(200):
+        on_path(bench)
+        if bench.heart.state is State.YIELDED:
+            break
+    assert bench.heart.state is State.YIELDED
+    assert FlightMode.MISSION not in modes(c for _, c in bench.log)
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_mission_that_cannot_be_read_is_not_waited_for_for_ever(guarded, firmware):
+    bench = guarded()
+    bench.firmware = firmware
+    taken(bench)
+    bench.mission = None
+    bench.velocity_ned_mps = (0.0, 0.0, 0.0)
+    bench.heart.traffic.clear()
+    since = None
+    for _ in range(round(120.0 / 0.05)):
+        on_path(bench)
+        if any(isinstance(c, DownloadMission) for c in bench.commands):
+            bench.extra.append(MissionRefused(reason="the vehicle answered: denied"))
+        if bench.heart.state is State.GUARDING:
+            since = since or bench.now_s
+        if bench.heart.state is State.YIELDED:
+            break
+    assert bench.heart.state is State.YIELDED
+    assert bench.now_s - since == pytest.approx(90.0, abs=1.0)
+    assert modes(c for _, c in bench.log) == [FlightMode.EXTERNAL, FlightMode.HOLD]
+    (text,) = [c.text for _, c in bench.log if isinstance(c, Say) and "could not be read for 90 s" in c.text]
+    assert text.endswith("select AUTO" if firmware is Firmware.ARDUPILOT else "select AUTO.MISSION")
 
 
 def unseen(guarded):
