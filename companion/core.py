@@ -83,6 +83,11 @@ longer than one download may take."""
 _KEPT_OFF_S = 60.0
 """Kept off its way for so long with no conflict, by a floor, a ceiling, a fence or the wind, a guarded
 vehicle is given back where it is."""
+_RETAKEN_S = 60.0
+"""A guarded vehicle that is taken again within this time after it was given back, as what its mission flies
+next leads into somebody, or as one after another crosses, is given back later: after twice as long without a
+conflict each time."""
+_LONGEST_PATIENCE_S = 60.0
 _LATE_STEP_S = 30.0
 """The pilot is told each time that the path has waited for this long again."""
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
@@ -142,6 +147,10 @@ class Companion:
         """Decisions in a row, while a mission is guarded, that saw one."""
         self._gave_back_s = -math.inf
         """When the vehicle was last asked to fly its mission on."""
+        self._resumed_s = -math.inf
+        """When the vehicle last flew its mission on."""
+        self._patience_s = 0.0
+        """A vehicle that was taken again is not given back before so long without a conflict."""
         self._unread_s = math.inf
         """Since when the vehicle could be given back, if its mission were known to be the same."""
         self._taken_s = -math.inf
@@ -376,6 +385,8 @@ class Companion:
         """On the path, and no conflict: the mission goes on, if it is still the same."""
         if self._guard is None or not self._mode_confirmed or now_s - self._gave_back_s < _GIVING_BACK_S:
             return
+        if now_s - self._conflict_s < self._patience_s:
+            return
         same, asked = self._guard.give_back(self.own, now_s)
         commands += asked
         if same:
@@ -465,12 +476,17 @@ class Companion:
         self._unread_s = math.inf
         if trigger is Trigger.READY or (previous is State.WATCHING and trigger is Trigger.CONFLICT):
             self._take_control(now_s)
+            if self._patience_s:
+                text = f"DMUCA: taken again: given back after {self._patience_s:g} s without a conflict"
+                commands.append(Say(severity=Severity.NOTICE, text=text))
         elif trigger is Trigger.CONFLICT and now_s - self._gave_back_s < _GIVING_BACK_S:
             # The mission may still be entered: what was asked for last counts.
             commands.append(SetMode(mode=FlightMode.EXTERNAL))
         if trigger in _TOLD or previous is State.WATCHING:
             severity = Severity.WARNING if trigger in _TOLD_LOUDLY else Severity.INFO
             commands.append(Say(severity=severity, text=f"DMUCA {self.state.value}: {reason}"))
+        if trigger is Trigger.RESUMED:
+            self._resumed_s = now_s
         if trigger is Trigger.RESUMED and (speed := self._forgotten_speed_mps()) is not None:
             commands.append(SetSpeed(speed_mps=speed))
         if trigger is Trigger.REARM and self.own.position is not None:
@@ -575,6 +591,9 @@ class Companion:
         if self._guard is not None:
             self._guard.leave(self.own, now_s)
             self._taken_s, self._off_m = now_s, 0.0
+            again = now_s - self._resumed_s < _RETAKEN_S
+            longer_s = min(2.0 * max(self._patience_s, self._clear_after_s), _LONGEST_PATIENCE_S)
+            self._patience_s = longer_s if again else 0.0
         self._sticks.begin()
         self._mode_confirmed, self._ours = False, frozenset()
         self._gave_back_s = -math.inf

@@ -367,6 +367,28 @@ def test_a_mission_selected_again_is_fetched_again(guarded, unfit):
     assert way.points_ned_m[-1][0] == pytest.approx(-300.0, abs=1.0)
 
 
+def given_back_after_s(bench):
+    """Taken for somebody who is gone soon: how long until the mission is asked for."""
+    bench.velocity_ned_mps = (3.0, 0.0, 0.0)
+    taken(bench)
+    bench.step(4)
+    bench.heart.traffic.clear()
+    since = bench.now_s
+    over(bench)
+    bench.until(lambda: bench.heart.state is State.WATCHING)
+    return bench.now_s - since
+
+
+def test_a_vehicle_that_is_taken_again_and_again_is_given_back_ever_later(guarded):
+    """As of crossing traffic that lasts: it is always taken at once, and not given back and forth."""
+    bench = guarded()
+    waited = [given_back_after_s(bench) for _ in range(4)]
+    assert waited == [pytest.approx(s, abs=1.0) for s in (3.0, 6.0, 12.0, 24.0)]
+    assert any(isinstance(c, Say) and "after 24 s without a conflict" in c.text for _, c in bench.log)
+    bench.step(round(61.0 / 0.05))
+    assert given_back_after_s(bench) == pytest.approx(3.0, abs=1.0)
+
+
 def way_end_m(bench):
     return bench.heart.plan.law.trajectory.points_ned_m[-1][0]
 
