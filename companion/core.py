@@ -487,8 +487,7 @@ class Companion:
             commands.append(Say(severity=severity, text=f"DMUCA {self.state.value}: {reason}"))
         if trigger is Trigger.RESUMED:
             self._resumed_s = now_s
-        if trigger is Trigger.RESUMED and (speed := self._forgotten_speed_mps()) is not None:
-            commands.append(SetSpeed(speed_mps=speed))
+            commands += self._tell_speed()
         if trigger is Trigger.REARM and self.own.position is not None:
             self.plan.resume(self.own, now_s)
         if sticks:
@@ -517,6 +516,20 @@ class Companion:
         if guard is None or heartbeat is None or heartbeat.firmware is not Firmware.ARDUPILOT:
             return None
         return guard.mission_speed_mps(self.own)
+
+    def _tell_speed(self) -> list[Command]:
+        """The vehicle flies its mission on: at which speed."""
+        guard, heartbeat = self._guard, self.own.heartbeat
+        speed_mps = self._forgotten_speed_mps()
+        if speed_mps is not None:
+            return [SetSpeed(speed_mps=speed_mps)]
+        ardupilot = heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
+        if guard is None or not ardupilot or not guard.speed_is_open(self.own):
+            return []
+        text = (
+            "DMUCA: the mission jumps, which of its speeds holds is not known: flown on at the vehicle's own"
+        )
+        return [Say(severity=Severity.WARNING, text=text)]
 
     def _let_go(self, trigger: Trigger, commands: list[Command]) -> None:
         """Nothing is commanded any more. PX4 notices at once; ArduPilot would fly on for seconds as it was

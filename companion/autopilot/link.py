@@ -43,6 +43,7 @@ from companion.events import (
     FenceDownloaded,
     FenceRefused,
     Firmware,
+    FlightMode,
     GlobalPosition,
     LocalPosition,
     MissionDownloaded,
@@ -539,7 +540,13 @@ class AutopilotLink:
 
     def _move_speed(self, now_s: float) -> None:
         asked, vehicle = self._speed, self._vehicle
-        if asked is None or vehicle is None or now_s < asked.next_s:
+        if asked is None or vehicle is None:
+            return
+        if DIALECTS[vehicle.firmware].modes.get(self._custom_mode) is not FlightMode.MISSION:
+            # It is the mission's speed: whoever flies now has another.
+            self._speed = None
+            return
+        if now_s < asked.next_s:
             return
         self._queue(self._speed_command(asked.speed_mps, asked.tries))
         asked.tries, asked.next_s = asked.tries + 1, now_s + _SPEED_RETRY_S
@@ -623,6 +630,7 @@ class AutopilotLink:
             self._events.append(ModeRefused(mode=mode, reason=vehicle.refusal))
         else:
             dialect = DIALECTS[vehicle.firmware]
+            self._speed = None
             heard_s = -math.inf if self._heartbeat_heard_s is None else self._heartbeat_heard_s
             self._mode = ModeRequest(
                 mode, dialect, vehicle.system_id, self._custom_mode, now_s, self._mode, heard_s=heard_s
@@ -631,8 +639,8 @@ class AutopilotLink:
             self._move_mode(now_s)
 
     def cancel_mode(self) -> None:
-        """Ask for no mode any more: who asked has given up the vehicle."""
-        self._mode = None
+        """Ask for no mode and no speed any more: who asked has given up the vehicle."""
+        self._mode = self._speed = None
 
     def _move_mode(self, now_s: float) -> None:
         if self._mode is None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from companion.autopilot.advice import restarting
-from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speed_at
+from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speeds_at
 from companion.avoidance.law import Law
 from companion.avoidance.plan import RETRY_S, Plan
 from companion.avoidance.trajectory import Trajectory
@@ -185,12 +185,20 @@ class GuardPlan(Plan):
         return None, self._ask_mission(now_s)
 
     def mission_speed_mps(self, own: Ownship) -> float | None:
-        """What the mission has asked for; None: the vehicle's own speed. ArduPilot returns home at that,
-        whatever was asked for before."""
+        """What the mission has asked for; None: the vehicle's own speed, or it is not known which."""
+        speeds = self._speeds(own)
+        return next(iter(speeds)) if len(speeds) == 1 else None
+
+    def speed_is_open(self, own: Ownship) -> bool:
+        """The mission jumps: which of its speeds holds is not known."""
+        return len(self._speeds(own)) > 1
+
+    def _speeds(self, own: Ownship) -> frozenset[float | None]:
+        """ArduPilot returns home at its own speed, whatever was asked for before."""
         item = self._item(own)
         if item is None or item.command == NAV_RETURN_TO_LAUNCH:
-            return None
-        return speed_at(self._flown, item.seq)
+            return frozenset()
+        return speeds_at(self._flown, item.seq)
 
     def _item(self, own: Ownship) -> MissionItem | None:
         return next((item for item in self._flown if item.seq == own.mission_seq), None)

@@ -23,6 +23,7 @@ from companion.events import (
     RcChannels,
     Say,
     SetMode,
+    SetSpeed,
     VehicleParameters,
 )
 from tests.companion.conftest import Bench, config, mission
@@ -365,6 +366,31 @@ def test_a_mission_selected_again_is_fetched_again(guarded, unfit):
     meet(bench)
     way = bench.heart.plan.law.trajectory
     assert way.points_ned_m[-1][0] == pytest.approx(-300.0, abs=1.0)
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+@pytest.mark.parametrize("jumps", [False, True])
+def test_a_speed_that_a_jump_leaves_open_is_not_set_and_that_is_said(guarded, firmware, jumps):
+    way, last = mission(300.0, 900.0)
+    speed = [
+        MissionItem(seq=s, command=178, frame=2, params=(1.0, v, -1.0, 0.0)) for s, v in ((1, 3.0), (3, 8.0))
+    ]
+    jump = (MissionItem(seq=5, command=177, frame=2, params=(2.0, 1.0, 0.0, 0.0)),) if jumps else ()
+    at = [msgspec.structs.replace(item, seq=s) for item, s in ((way, 2), (last, 4))]
+    bench = guarded(items=(speed[0], at[0], speed[1], at[1], *jump))
+    bench.firmware = firmware
+    bench.extra.append(MissionCurrent(seq=2))
+    taken(bench)
+    bench.heart.traffic.clear()
+    over(bench)
+    bench.until(lambda: bench.heart.state is State.WATCHING)
+    ardupilot = firmware is Firmware.ARDUPILOT
+    (back,) = [c for _, c in bench.log if isinstance(c, SetMode) and c.mode is FlightMode.MISSION]
+    assert back.speed_mps == (3.0 if ardupilot and not jumps else None)
+    asked = [c.speed_mps for _, c in bench.log if isinstance(c, SetSpeed)]
+    assert asked == ([3.0] if ardupilot and not jumps else [])
+    told = any(isinstance(c, Say) and "jumps" in c.text for _, c in bench.log)
+    assert told is (ardupilot and jumps)
 
 
 def given_back_after_s(bench):

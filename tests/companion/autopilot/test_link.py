@@ -21,6 +21,7 @@ from companion.events import (
     ModeRefused,
     Say,
     SetMode,
+    SetSpeed,
     Severity,
     Threat,
     VehicleText,
@@ -460,6 +461,56 @@ def test_a_speed_that_comes_with_a_mode_follows_each_request_at_once(ardupilot: 
     ardupilot.heartbeat()
     ardupilot.after(0.05)
     assert 178 not in {m.command for m in ardupilot.told("COMMAND_LONG")}
+
+
+def speeds(scripted: Scripted) -> int:
+    return sum(m.command == 178 for m in scripted.told("COMMAND_LONG"))
+
+
+AUTO = 3
+
+
+def flying_its_mission(scripted: Scripted) -> None:
+    """In AUTO, its speed asked for once and not answered."""
+    scripted.heartbeat(AUTO)
+    scripted.told()
+    scripted.link.send(SetSpeed(speed_mps=4.0), scripted.now_s)
+    scripted.after(0.05)
+    assert speeds(scripted) == 1
+
+
+def test_a_missions_speed_is_asked_for_five_times(ardupilot: Scripted) -> None:
+    flying_its_mission(ardupilot)
+    for _ in range(10):
+        ardupilot.heartbeat(AUTO)
+        ardupilot.after(1.0)
+    assert speeds(ardupilot) == 4
+
+
+def test_a_missions_speed_is_not_asked_for_once_it_is_answered(ardupilot: Scripted) -> None:
+    flying_its_mission(ardupilot)
+    ardupilot.says(ack(0, command=178))
+    ardupilot.heartbeat(AUTO)
+    ardupilot.after(1.0)
+    assert speeds(ardupilot) == 0
+
+
+@pytest.mark.parametrize("how", ["another mode", "given up", "taken"])
+def test_a_missions_speed_is_not_asked_for_once_another_flies(ardupilot: Scripted, how: str) -> None:
+    """Such as the pilot, who took over before it was answered, and selects AUTO again himself."""
+    flying_its_mission(ardupilot)
+    if how == "another mode":
+        ardupilot.heartbeat(LOITER)
+    elif how == "given up":
+        ardupilot.link.cancel_mode()
+    else:
+        ardupilot.link.send(EXTERNAL, ardupilot.now_s)
+    ardupilot.after(0.95)
+    ardupilot.heartbeat(AUTO)
+    for _ in range(6):
+        ardupilot.after(1.0)
+        ardupilot.heartbeat(AUTO)
+    assert speeds(ardupilot) == 0
 
 
 def test_acknowledgements_for_others_are_not_ours(ardupilot: Scripted) -> None:
