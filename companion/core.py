@@ -91,7 +91,7 @@ _LONGEST_PATIENCE_S = 60.0
 _LATE_STEP_S = 30.0
 """The pilot is told each time that the path has waited for this long again."""
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
-_TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED}
+_TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED, Trigger.ENDED}
 """Moves that the pilot is told of, besides each that ends watching."""
 _BRAKING_S = 3.0
 """Who switches off wants the vehicle to stop, not to meet what an autopilot does when setpoints end: for so
@@ -298,7 +298,7 @@ class Companion:
             modes = "GUIDED or AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "HOLD or MISSION"
             if self._guard is not None:
                 modes = "AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "MISSION"
-            return f"mode {modes} (now {own.heartbeat.mode.value})"
+            return f"mode {modes} (now {self._mode_name})"
         if self.config.region.transport_sets and self.broadcaster.trouble is not None:
             return self.broadcaster.trouble
         return own.unfit(now_s, self.config.vehicle.stale_after_s)
@@ -429,6 +429,8 @@ class Companion:
         standing_by = self.state is State.STANDBY and self.plan.ready
         if standing_by and self.waits_for(now_s) is None and self.plan.near(own, now_s):
             found.add(Trigger.WATCH if self._guard is not None and on_mission else Trigger.READY)
+        if self._ends_in_hold(now_s) and own.mission_complete:
+            found.add(Trigger.ENDED)
         if self._guard is not None and not on_mission:
             found.add(Trigger.LEFT)
         elif self._guard is not None and now_s - self._gave_back_s < _GIVING_BACK_S:
@@ -444,7 +446,17 @@ class Companion:
             return False
         if heartbeat.mode is FlightMode.MISSION and now_s - self._gave_back_s < _GIVING_BACK_S:
             return False
+        if self._ends_in_hold(now_s) and self.own.mission_complete:
+            return False
         return self._mode_confirmed or heartbeat.custom_mode != self._custom_before
+
+    def _ends_in_hold(self, now_s: float) -> bool:
+        """The vehicle holds, as PX4 does after a mission's last item, and its mission was just given back.
+        Whether that was done is told by MISSION_CURRENT, which may come later."""
+        heartbeat = self.own.heartbeat
+        if heartbeat is None or heartbeat.firmware is not Firmware.PX4:
+            return False
+        return heartbeat.mode is FlightMode.HOLD and now_s - self._gave_back_s < _GIVING_BACK_S
 
     def _law_triggers(self, now_s: float) -> frozenset[Trigger]:
         """What the law's last result says about authority."""
@@ -563,11 +575,15 @@ class Companion:
         return not self._mode_confirmed and heartbeat.custom_mode == self._custom_before
 
     def _reason(self, now_s: float, trigger: Trigger, unfit: str | None) -> str:
-        mode = self.own.mode.value if self.own.mode is not None else "unknown"
+        mode = self._mode_name
         conflicts = () if self._result is None else (t.track_id for t in self._result.tracks if t.conflict)
-        chosen = self._pilot_took_over(now_s)
+        pilot = "the pilot moves the sticks"
+        if self._pilot_took_over(now_s):
+            pilot = f"mode changed to {mode}, not by us"
+            if self._ends_in_hold(now_s):
+                pilot = f"mode changed to {mode} as the mission was given back: by its end, or by the pilot"
         return {
-            Trigger.PILOT: f"mode changed to {mode}, not by us" if chosen else "the pilot moves the sticks",
+            Trigger.PILOT: pilot,
             Trigger.UNFIT: unfit or f"mode not entered: {self._refused}",
             Trigger.RELEASE: "vehicle disarmed or on the ground",
             Trigger.REARM: "authority given anew",
@@ -577,12 +593,19 @@ class Companion:
             Trigger.LEFT: f"the mission was left for mode {mode}",
             Trigger.RESUMED: f"the vehicle flies its mission on at item {self.own.mission_seq}, taken for "
             f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most",
+            Trigger.ENDED: f"the mission came to its end as it was given back, in mode {mode}",
             Trigger.CHANGED: self._not_resumed,
             Trigger.CONFLICT: "conflict with " + ", ".join(conflicts),
             Trigger.CLEAR: "no conflict",
             Trigger.AWAY: "off the timed path",
             Trigger.REGAINED: "back on the timed path",
         }[trigger]
+
+    @property
+    def _mode_name(self) -> str:
+        """In the autopilot's own words."""
+        heartbeat = self.own.heartbeat
+        return "unknown" if heartbeat is None else DIALECTS[heartbeat.firmware].name(heartbeat.custom_mode)
 
     @property
     def _not_resumed(self) -> str:

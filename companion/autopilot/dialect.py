@@ -198,6 +198,8 @@ PX4 = Dialect(
         _px4_number(1): "MANUAL",
         _px4_number(2): "ALTCTL",
         _px4_number(3): "POSCTL",
+        _px4_number(3, 1): "POSCTL.ORBIT",
+        _px4_number(3, 2): "POSCTL.SLOW",
         _px4_number(4, 1): "AUTO.READY",
         _px4_number(4, 2): "AUTO.TAKEOFF",
         _px4_number(4, 3): "AUTO.LOITER",
@@ -209,6 +211,8 @@ PX4 = Dialect(
         _px4_number(5): "ACRO",
         _px4_number(6): "OFFBOARD",
         _px4_number(7): "STABILIZED",
+        _px4_number(10): "TERMINATION",
+        **{_px4_number(4, 10 + n): f"AUTO.EXTERNAL{n}" for n in range(1, 9)},
     },
     mode_known_s=0.1,
     wanted=(

@@ -560,6 +560,44 @@ def test_a_mission_that_is_complete_is_not_entered_again(guarded):
     assert any(isinstance(c, Say) and "come to its end" in c.text for _, c in bench.log)
 
 
+def ends_as_it_is_given_back(guarded, firmware, complete):
+    bench = guarded()
+    bench.firmware = firmware
+    taken(bench)
+    over(bench)
+    bench.mode, bench.custom_mode = FlightMode.HOLD, 0x03040000
+    bench.extra.append(MissionCurrent(seq=0, complete=complete))
+    return bench, bench.step()
+
+
+def test_a_mission_that_ends_as_it_is_given_back_is_not_the_pilots_takeover(guarded):
+    """PX4 holds then. Another mission that the pilot starts is guarded again."""
+    bench, commands = ends_as_it_is_given_back(guarded, Firmware.PX4, complete=True)
+    assert bench.heart.state is State.STANDBY
+    assert not bench.setpoints(commands)
+    assert not modes(commands)
+    assert any(isinstance(c, Say) and "came to its end as it was given back" in c.text for c in commands)
+    assert not bench.setpoints(bench.step(100))
+    bench.mode, bench.custom_mode = FlightMode.MISSION, 0
+    bench.extra.append(MissionCurrent(seq=0))
+    bench.until(lambda: bench.heart.state is State.WATCHING)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "words"),
+    [
+        (Firmware.PX4, "AUTO.LOITER as the mission was given back: by its end, or by the pilot"),
+        (Firmware.ARDUPILOT, "not by us"),
+    ],
+)
+def test_a_hold_whose_cause_is_not_known_is_the_pilots(guarded, firmware, words):
+    bench, commands = ends_as_it_is_given_back(guarded, firmware, complete=False)
+    assert bench.heart.state is State.YIELDED
+    assert not bench.setpoints(commands)
+    (change,) = [c for c in commands if isinstance(c, AuthorityChanged)]
+    assert change.reason.endswith(words)
+
+
 def test_a_vehicle_that_is_kept_off_its_way_is_given_back(guarded):
     """Such as by a floor above its mission."""
     bench = taken(guarded())

@@ -57,6 +57,8 @@ def test_a_mode_that_a_ground_station_commands(firmware):
     sky.until(lambda: one.state is State.YIELDED, 3.0)
     assert silent_from_now(sky, one)
     assert one.vehicle.mode is VehicleMode.RTL
+    name = "RTL" if firmware is ARDUPILOT else "AUTO.RTL"
+    assert f"DMUCA yielded: mode changed to {name}, not by us" in one.texts()
 
 
 @BOTH
@@ -187,5 +189,6 @@ def test_every_move_that_ends_authority_says_why(firmware):
     one.vehicle.pilot_selects(VehicleMode.HOLD)
     sky.until(lambda: one.state not in HOLDING, 3.0)
     (change,) = [c for c in one.of(AuthorityChanged) if c.state == "yielded"]
-    assert change.reason == "mode changed to " + one.heart.own.mode.value + ", not by us"
+    name = "LOITER" if firmware is ARDUPILOT else "AUTO.LOITER"
+    assert change.reason == f"mode changed to {name}, not by us"
     assert f"DMUCA yielded: {change.reason}" in one.texts()
