@@ -613,11 +613,7 @@ class Companion:
         guard, heartbeat = self._guard, self.own.heartbeat
         if guard is None or heartbeat is None:
             return ""
-        why = f"the vehicle's mission could not be read for {_UNREAD_S:g} s"
-        if guard.ended:
-            why = "the mission had come to its end"
-        elif guard.changed:
-            why = "the mission was changed meanwhile"
+        why = guard.why_not or f"the vehicle's mission could not be read for {_UNREAD_S:g} s"
         dialect = DIALECTS[heartbeat.firmware]
         mode = dialect.name(dialect.command(FlightMode.MISSION).custom_mode)
         return f"{why}: it is not resumed, the vehicle is to hold. To fly it select {mode}"

@@ -172,10 +172,10 @@ class GuardPlan(Plan):
         self.drop()
 
     def give_back(self, own: Ownship, now_s: float) -> tuple[bool | None, list[Command]]:
-        """Whether the mission may be resumed: True; False: it was changed, or is complete (ArduPilot would
-        fly it again from its beginning); None: not known yet, with what is to be asked."""
+        """Whether the mission may be resumed: True; False: it may not (`why_not`); None: not known yet, with
+        what is to be asked."""
         self.ended = self.ended or own.mission_complete
-        if self.changed or self.ended:
+        if self.why_not is not None:
             return False, []
         if now_s - self._compared_s <= RETRY_S:
             return True, []
@@ -183,6 +183,16 @@ class GuardPlan(Plan):
             return None, []
         self._comparing, self._tried_s = True, now_s
         return None, self._ask_mission(now_s)
+
+    @property
+    def why_not(self) -> str | None:
+        """Why the mission is not resumed, in words; None: nothing is known against it. ArduPilot would fly a
+        complete one, and with MIS_RESTART any, again from its beginning."""
+        if self.ended:
+            return "the mission had come to its end"
+        if self.changed:
+            return "the mission was changed meanwhile"
+        return None if self._vehicle is None else restarting(self._vehicle)
 
     def mission_speed_mps(self, own: Ownship) -> float | None:
         """What the mission has asked for; None: the vehicle's own speed, or it is not known which."""

@@ -631,6 +631,24 @@ def test_a_mission_that_would_begin_anew_is_not_guarded(guarded):
     assert any(isinstance(c, Say) and "MIS_RESTART 1" in c.text for _, c in bench.log)
 
 
+def test_a_mission_that_would_begin_anew_since_a_moment_ago_is_not_resumed(guarded):
+    """A ground station sets MIS_RESTART while the companion flies."""
+    bench = guarded()
+    bench.firmware = Firmware.ARDUPILOT
+    taken(bench)
+    restart = Parameter(name="MIS_RESTART", value=1.0)
+    bench.extra.append(VehicleParameters(firmware=Firmware.ARDUPILOT, mission_restart=restart))
+    bench.velocity_ned_mps = (0.0, 0.0, 0.0)
+    bench.heart.traffic.clear()
+    for _ in range(200):
+        on_path(bench)
+        if bench.heart.state is State.YIELDED:
+            break
+    assert modes(c for _, c in bench.log) == [FlightMode.EXTERNAL, FlightMode.HOLD]
+    (text,) = [c.text for _, c in bench.log if isinstance(c, Say) and "yielded" in c.text]
+    assert "MIS_RESTART 1" in text
+
+
 @pytest.mark.parametrize("mode", [FlightMode.MISSION, FlightMode.OTHER])
 def test_sticks_that_move_while_the_vehicle_is_being_taken(guarded, mode):
     """Our mode may be entered yet: the one that takes sticks is asked for, unless the pilot chose another."""
