@@ -72,6 +72,10 @@ class ModeRequest:
         self._ack: int | None = None
         self._text: str | None = None
 
+    def may_be_entered(self, now_s: float) -> bool:
+        """It was sent so lately that the vehicle may still enter it, or not have said so yet."""
+        return self._tries > 0 and now_s <= self._next_s - RETRY_S + SILENCE_S
+
     def due(self, now_s: float) -> Outgoing | None:
         """The command, when it is time to send it; after the last try the request is refused."""
         if self._tries and now_s < self._next_s:

@@ -77,6 +77,20 @@ def test_sticks_that_move_give_the_pilot_a_mode_that_takes_them(firmware):
     assert one.setpoints(since)[-1].velocity_ned_mps == (0.0, 0.0, 0.0)
 
 
+@BOTH
+def test_sticks_that_move_before_our_mode_shows(firmware):
+    """The vehicle is in our mode and has not said so: it comes to the pilot's all the same, and not home."""
+    sky = head_on(firmware)
+    one = sky.aircraft[0]
+    sky.until(lambda: one.vehicle.mode is VehicleMode.EXTERNAL)
+    since = len(one.steps)
+    one.vehicle.troubles.sticks = (0.0, 0.5, 0.0, 0.0)
+    sky.until(lambda: one.heart.own.mode is FlightMode.STICKS, 4.0)
+    assert one.state is State.YIELDED
+    assert VehicleMode.RTL not in one.modes[since:]
+    assert silent_from_now(sky, one, 5.0)
+
+
 # ------------------------------------------------------------ what the autopilot does by itself
 
 

@@ -433,6 +433,25 @@ def test_a_cancelled_request_is_not_sent_any_more(ardupilot: Scripted) -> None:
     assert mode_requests(ardupilot) == []
 
 
+@pytest.mark.parametrize(("later_s", "asked"), [(0.5, [3.0]), (4.0, [])])
+def test_a_cancelled_request_that_is_entered_yet_is_not_the_pilots_choice(
+    px4: Scripted, later_s: float, asked: list[float]
+) -> None:
+    """Sticks that move while the vehicle is being taken: OFFBOARD shows after POSCTL is asked for."""
+    px4.link.send(EXTERNAL, px4.now_s)
+    px4.told()
+    for _ in range(round(later_s / 0.5)):
+        px4.link.cancel_mode()
+        px4.after(0.5)
+    px4.heartbeat(0x03040000)
+    px4.after(0.2)
+    px4.told()
+    px4.link.send(SetMode(mode=FlightMode.STICKS), px4.now_s)
+    px4.heartbeat(OFFBOARD)
+    px4.after(0.05)
+    assert [m.param2 for m in mode_requests(px4)] == asked
+
+
 def test_a_newer_mode_replaces_an_older(ardupilot: Scripted) -> None:
     ardupilot.link.send(EXTERNAL, ardupilot.now_s)
     ardupilot.link.send(SetMode(mode=FlightMode.HOLD), ardupilot.now_s)
