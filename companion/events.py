@@ -193,6 +193,10 @@ class MissionCurrent(Event, frozen=True):
     seq: int
     complete: bool = False
     """Its last item is done; not told by older vehicles."""
+    total: int = 0
+    """How many items the mission has, as the vehicle counts; 0: none, or not told."""
+    mission_id: int = 0
+    """Another one for another mission; 0: not told (ArduPilot)."""
 
 
 class FenceArea(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

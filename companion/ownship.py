@@ -34,6 +34,13 @@ SIGMA_UNKNOWN_M = 5.0
 _HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0
+_GROUNDED_S, _GROUNDED_MESSAGES = 1.5, 3
+"""An armed vehicle that says for so long, so often in a row, that it stands on the ground is believed."""
+_GROUNDED_HIGH_S = 10.0
+"""The same, of one that is far from the height of its home and of its take-off."""
+_HIGH_M = 10.0
+_STANDING_MPS = 2.0
+"""Nobody on the ground is faster, however bad the estimate."""
 _ESTIMATOR_LOST_S = 5.0
 _DRIFT_ARMED = 1e-3
 """How fast the autopilot's clock may fall behind ours, seconds a second. More looks the same as a link that
@@ -130,6 +137,8 @@ class Ownship:
     """Item that the vehicle's mission is at."""
     mission_complete: bool = False
     """Its last item is done."""
+    mission_mark: tuple[int, int] | None = None
+    """What is told of which mission that is: its number of items and its id; others mean another mission."""
     takeoff: GlobalPosition | None = None
     """Where the aircraft was last seen on the ground."""
     separation_m: float | None = None
@@ -141,6 +150,10 @@ class Ownship:
     _clock: _BootClock = field(default_factory=_BootClock)
     _landed: Landed = Landed.UNDEFINED
     _landed_s: float = -math.inf
+    _grounded: int = 0
+    """Messages in a row that said that it stands on the ground."""
+    _grounded_s: float = -math.inf
+    """When the first of them came."""
     _gnss_s: float = -math.inf
     _estimator_lost_s: float = -math.inf
     """When the autopilot last said that it does not know where it is."""
@@ -170,17 +183,47 @@ class Ownship:
             case ClockRead():
                 self._clock.read(event)
             case LandedState():
-                self._landed, self._landed_s = event.landed, now_s
+                self._take_landed(event.landed, now_s)
             case EstimatorState():
                 self._estimator_lost_s = -math.inf if event.usable else now_s
             case MissionCurrent():
                 self.mission_seq, self.mission_complete = event.seq, event.complete
+                self.mission_mark = event.total, event.mission_id
             case VehicleTime():
                 self._tick(event.time_boot_s, now_s)
                 if event.utc_s is not None:
                     self.boot_to_utc_s = event.utc_s - event.time_boot_s
             case _:
                 pass
+
+    def _take_landed(self, landed: Landed, now_s: float) -> None:
+        """A false landing in flight would end all that is done against a collision. So of an armed vehicle it
+        takes more than one message, and more still far above home and take-off, where it may stand on a hill;
+        of one that moves none counts. Until it is believed, what was believed before holds."""
+        self._landed, self._landed_s = self.landed(now_s), now_s
+        if landed is not Landed.ON_GROUND or not self.armed:
+            self._landed, self._grounded = landed, 0
+            return
+        if self._landed is landed:
+            return
+        if math.hypot(*self.velocity_ned_mps) > _STANDING_MPS:
+            self._grounded = 0
+            return
+        if self._grounded == 0:
+            self._grounded_s = now_s
+        self._grounded += 1
+        least_s = _GROUNDED_HIGH_S if self._high else _GROUNDED_S
+        if self._grounded >= _GROUNDED_MESSAGES and now_s - self._grounded_s >= least_s - _EPSILON_S:
+            self._landed, self._grounded = landed, 0
+
+    @property
+    def _high(self) -> bool:
+        if self.position is None:
+            return False
+        heights = [self.position.height_above_home_m]
+        if self.takeoff is not None:
+            heights.append(self.position.alt_msl_m - self.takeoff.alt_msl_m)
+        return all(abs(height) > _HIGH_M for height in heights)
 
     def _tick(self, time_boot_s: float, now_s: float) -> None:
         if self._clock.take(time_boot_s, now_s, _DRIFT_ARMED if self.armed else _DRIFT_DISARMED):

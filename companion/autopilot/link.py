@@ -44,6 +44,7 @@ from companion.events import (
     FenceDownloaded,
     FenceRefused,
     Firmware,
+    FlightMode,
     GlobalPosition,
     LocalPosition,
     MissionDownloaded,
@@ -240,6 +241,8 @@ class AutopilotLink:
         self._texts = TextAssembler()
         self._text_id = 0
         self._mode: ModeRequest | None = None
+        self._cancelled: ModeRequest | None = None
+        """The last one that was given up."""
         self._mode_speed_mps: float | None = None
         self._speed: _SpeedRequest | None = None
         self._download: MissionDownload | None = None
@@ -565,7 +568,13 @@ class AutopilotLink:
 
     def _move_speed(self, now_s: float) -> None:
         asked, vehicle = self._speed, self._vehicle
-        if asked is None or vehicle is None or now_s < asked.next_s:
+        if asked is None or vehicle is None:
+            return
+        if DIALECTS[vehicle.firmware].modes.get(self._custom_mode) is not FlightMode.MISSION:
+            # It is the mission's speed: whoever flies now has another.
+            self._speed = None
+            return
+        if now_s < asked.next_s:
             return
         self._queue(self._speed_command(asked.speed_mps, asked.tries))
         asked.tries, asked.next_s = asked.tries + 1, now_s + _SPEED_RETRY_S
@@ -649,13 +658,22 @@ class AutopilotLink:
             self._events.append(ModeRefused(mode=mode, reason=vehicle.refusal))
         else:
             dialect = DIALECTS[vehicle.firmware]
-            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode, now_s, self._mode)
+            self._speed = None
+            before = self._mode
+            if before is None and self._cancelled is not None and self._cancelled.may_be_entered(now_s):
+                # Its mode is no choice of the pilot's either.
+                before = self._cancelled
+            self._cancelled = None
+            heard_s = -math.inf if self._heartbeat_heard_s is None else self._heartbeat_heard_s
+            self._mode = ModeRequest(
+                mode, dialect, vehicle.system_id, self._custom_mode, now_s, before, heard_s=heard_s
+            )
             self._mode_speed_mps = command.speed_mps
             self._move_mode(now_s)
 
     def cancel_mode(self) -> None:
-        """Ask for no mode any more: who asked has given up the vehicle."""
-        self._mode = None
+        """Ask for no mode and no speed any more: who asked has given up the vehicle."""
+        self._cancelled, self._mode, self._speed = self._mode or self._cancelled, None, None
 
     def _move_mode(self, now_s: float) -> None:
         if self._mode is None:

@@ -97,6 +97,29 @@ def test_landed_is_forgotten_when_it_is_not_repeated():
     assert own.landed(14.0) is Landed.UNDEFINED
 
 
+def test_a_landing_of_an_armed_vehicle_takes_more_than_one_message():
+    own = armed()
+    own.take(position(0.0, velocity=(0.0, 0.0, 0.0)), 10.0)
+    for k, landed in enumerate((Landed.IN_AIR, *[Landed.ON_GROUND] * 3, Landed.IN_AIR)):
+        own.take(LandedState(landed=landed), 11.0 + k)
+        assert own.landed(11.0 + k) is Landed.IN_AIR, "3 s, but 50 m above home"
+    for k in range(10):
+        own.take(LandedState(landed=Landed.ON_GROUND), 16.0 + k)
+    assert own.landed(25.0) is Landed.IN_AIR
+    own.take(LandedState(landed=Landed.ON_GROUND), 26.0)
+    assert own.landed(26.0) is Landed.ON_GROUND
+
+
+def test_a_landing_that_was_not_seen_is_not_taken_for_flight():
+    own = armed()
+    own.take(LandedState(landed=Landed.IN_AIR), 10.0)
+    own.take(LandedState(landed=Landed.ON_GROUND), 40.0)
+    assert own.landed(40.0) is Landed.UNDEFINED
+    own.take(LandedState(landed=Landed.ON_GROUND), 41.0)
+    own.take(LandedState(landed=Landed.ON_GROUND), 42.0)
+    assert own.landed(42.0) is Landed.ON_GROUND
+
+
 def test_the_newer_velocity_counts():
     own = Ownship()
     own.take(position(1.0), 1.0)
