@@ -61,6 +61,7 @@ _JUMP_M = 30.0
 _JUMP_RATE_MPS = 20.0
 _FARTHEST_M = 1_000_000.0
 """From the local frame's origin, no flight leads farther: a position beyond it is not believed."""
+_EPSILON_S = 1e-6
 _MOST_SEPARATION_M = 150.0
 """The geoid is nowhere farther from the ellipsoid than 110 m."""
 _UNTRUSTED_S = 2.0
