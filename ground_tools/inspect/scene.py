@@ -15,7 +15,7 @@ from companion.config import AvoidanceConfig
 from companion.events import Vec3
 from ground_tools.inspect.flown import Array, Separation
 
-PIECE_S = 25.0
+PIECE_S = 30.0
 """A recording is written in pieces of so much of the time line."""
 BEFORE_S, AFTER_S = 10.0, 20.0
 """What belongs to an encounter besides its conflicts."""

@@ -44,7 +44,8 @@ ARROW_S = 5.0
 """Arrows reach as far as the velocity leads in this time."""
 OLD_S = 5.0
 """Predictions from information of this age are drawn grey."""
-LANES = ("alert", "authority", "mode", "protocol")
+DRAWN_S = 0.2
+"""Distances are drawn as the least of each such time."""
 
 _SHAPES = {
     "Arrows3D": "vectors",
@@ -142,18 +143,13 @@ class Writer:
 
     def distances(self, pairs: Sequence[Separation], required_m: float) -> None:
         """The next part of every pair's distance, and that of whichever two are closest."""
-        for pair in pairs:
-            known = ~np.isnan(pair.distance_m)
-            self._line(
-                ("separation", f"{pair.first} - {pair.second}"),
-                pair.time_s[known],
-                pair.distance_m[known],
-                PAIR,
-                1.0,
-            )
         if not pairs:
             return
-        time, least = least_of(pairs)
+        for pair in pairs:
+            known = ~np.isnan(pair.distance_m)
+            time, least = least_in_bins(pair.time_s[known], pair.distance_m[known])
+            self._line(("separation", f"{pair.first} - {pair.second}"), time, least, PAIR, 1.0)
+        time, least = least_in_bins(*least_of(pairs))
         rgb = self._scene.aircraft[0].rgb
         self._line(("separation", "closest two"), time, least, rgb, 3.0)
         if len(time):
@@ -408,6 +404,16 @@ def until_stale(time_s: Array, lengths: NDArray[np.int64]) -> tuple[Array, NDArr
     counts = np.concatenate([lengths, np.zeros(last.sum(), dtype=np.int64)])
     order = np.argsort(times, kind="stable")
     return times[order], counts[order]
+
+
+def least_in_bins(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """Of the rows of each DRAWN_S the one with the least value: no minimum is lost."""
+    if not len(time_s):
+        return time_s, values
+    bins = np.floor(time_s / DRAWN_S)
+    order = np.lexsort((values, bins))
+    rows = order[np.append(True, np.diff(bins[order]) > 0.0)]
+    return time_s[rows], values[rows]
 
 
 def enu(position_ned_m: Array) -> NDArray[np.float32]:
