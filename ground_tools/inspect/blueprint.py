@@ -8,6 +8,7 @@ lies around it. What is not needed at the first glance is behind a tab.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from ground_tools.inspect.flown import Array, Separation
@@ -21,13 +22,22 @@ LANES = {
     "On the air": "protocol",
 }
 """Names of views, and what they show."""
-_EYE_M = (-55.0, -90.0, 75.0)
-"""From the encounter to the eye: east, north, up."""
+_EYE = (-0.8, -1.3, 1.1)
+"""From what is looked at to the eye, in its radii: east, north, up."""
 _LASTING = ("flown", "path")
 """Of an aircraft: drawn whole at any time."""
 
 
-def blueprint(scene: Scene, pairs: Sequence[Separation], look_at_ned_m: Array | None) -> Any:
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What a view turns to."""
+
+    centre_ned_m: Array
+    """(3,)"""
+    radius_m: float
+
+
+def blueprint(scene: Scene, pairs: Sequence[Separation], look: Look | None) -> Any:
     """The views of a run."""
     import rerun.blueprint as rrb
 
@@ -35,7 +45,7 @@ def blueprint(scene: Scene, pairs: Sequence[Separation], look_at_ned_m: Array | 
     return _opened(
         rrb,
         scene,
-        rrb.Tabs(_space(rrb, "In space", [scene], look_at_ned_m), _map(rrb, [scene]), active_tab=0),
+        rrb.Tabs(_space(rrb, "In space", [scene], look), _map(rrb, [scene]), active_tab=0),
         rrb.Tabs(
             _separation(rrb, scene, required, "/separation/**"),
             _plot(rrb, scene, "Age of information (s), of each track at each law", "/age/**"),
@@ -48,13 +58,13 @@ def blueprint(scene: Scene, pairs: Sequence[Separation], look_at_ned_m: Array | 
 
 
 def comparison(
-    scenes: Mapping[str, Scene], looks: Sequence[Array | None], required_m: float | None, zero: str
+    scenes: Mapping[str, Scene], looks: Sequence[Look | None], required_m: float | None, zero: str
 ) -> Any:
     """The views of several runs: beside each other, and one over the other.
 
     Args:
         scenes: by the run's name.
-        looks: what to turn to in each, (3,) NED.
+        looks: what to turn to in each.
         required_m: separation that was to be kept; None without any pair.
         zero: what time 0 is, in words.
     """
@@ -111,7 +121,7 @@ def _opened(rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: 
                     rrb.TextDocumentView(name="How to read this", origin=f"{scene.root}/about"),
                     active_tab=0,
                 ),
-                row_shares=[5, 4, 4],
+                row_shares=[4, 5, 4],
             ),
             column_shares=[1, 1],
         ),
@@ -126,12 +136,13 @@ def _opened(rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: 
     )
 
 
-def _space(rrb: Any, name: str, scenes: Sequence[Scene], look_at_ned_m: Array | None) -> Any:
+def _space(rrb: Any, name: str, scenes: Sequence[Scene], look: Look | None) -> Any:
     eye = None
-    if look_at_ned_m is not None:
-        north, east, down = (float(v) for v in look_at_ned_m)
+    if look is not None:
+        north, east, down = (float(v) for v in look.centre_ned_m)
+        away = [look.radius_m * share for share in _EYE]
         eye = rrb.EyeControls3D(
-            position=(east + _EYE_M[0], north + _EYE_M[1], -down + _EYE_M[2]),
+            position=(east + away[0], north + away[1], -down + away[2]),
             look_target=(east, north, -down),
             eye_up=(0.0, 0.0, 1.0),
         )

@@ -20,7 +20,7 @@ from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
 from companion.events import Heartbeat, Landed, LandedState, Vec3
 from companion.record import Step
-from ground_tools.inspect.blueprint import blueprint, comparison
+from ground_tools.inspect.blueprint import Look, blueprint, comparison
 from ground_tools.inspect.flown import (
     Array,
     Flown,
@@ -38,6 +38,8 @@ from ground_tools.inspect.writer import Writer, rerun
 
 MAX_PAIRS_DRAWN = 45
 """Closest pairs with a line of their own: ten aircraft in full."""
+LOOK_M = (60.0, 600.0)
+"""Radius of what a view turns to, at least and at most."""
 NEAR_M = 10_000.0
 """Runs that are compared are drawn in one frame when they lie no farther apart than this."""
 
@@ -65,7 +67,7 @@ def write(run: Run, path: File) -> None:
     encounter = first_encounter(_conflicts(run, ways.offsets_s), pairs[0] if pairs else None)
     colours = {record.name: colour(index) for index, record in enumerate(run.aircraft)}
     shown = _Shown(run, ways, pairs, _scene(run, ways, colours, encounter))
-    stream = _stream(run.name, path, blueprint(shown.scene, pairs, _look_at(ways, pairs)))
+    stream = _stream(run.name, path, blueprint(shown.scene, pairs, _look(ways, pairs, encounter)))
     _write_run(stream, shown)
     # Without this the end of the file is written at some later time, or never if the process is killed.
     stream.disconnect()
@@ -116,7 +118,7 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
         for index, (name, run, ways, found) in enumerate(zip(names, runs, every, pairs, strict=True))
     ]
     words = "the start of the timed paths" if by_path else "take-off"
-    looks = [_look_at(one.ways, one.pairs) for one in shown]
+    looks = [_look(one.ways, one.pairs, encounter) for one in shown]
     required_m = max((pair.required_m for found in pairs for pair in found), default=None)
     plan = comparison(dict(zip(names, (one.scene for one in shown), strict=True)), looks, required_m, words)
     stream = _stream(" and ".join(names), path, plan)
@@ -240,9 +242,13 @@ def _scene(
     return Scene(ways.origin, aircraft, encounter, root)
 
 
-def _look_at(ways: Flown, pairs: Sequence[Separation]) -> Array | None:
-    """(3,) what a view turns to: where the pairs come closest; None without any."""
-    return crossing(ways, pairs) if pairs else None
+def _look(ways: Flown, pairs: Sequence[Separation], encounter: Encounter | None) -> Look | None:
+    """Where the pairs come closest, and as far around as the aircraft are when the encounter begins."""
+    if not pairs or encounter is None:
+        return None
+    centre = crossing(ways, pairs)
+    away = [np.linalg.norm(_at(path, encounter.zero_s) - centre) for path in ways.paths]
+    return Look(centre, float(np.clip(max(away), *LOOK_M)))
 
 
 # ---------------------------------------------------------------- several runs

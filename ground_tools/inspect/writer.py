@@ -306,7 +306,7 @@ class Writer:
     def _mark(self, name: str, notes: Sequence[Note], where_ned_m: Array) -> None:
         rr = self._rr
         entity = self._entity("markers", name)
-        self._style(entity, rr.Points3D.from_fields(radii=[-5.0], show_labels=False))
+        self._style(entity, rr.Points3D.from_fields(radii=[-3.5], show_labels=False))
         columns = rr.Points3D.columns(
             positions=enu(where_ned_m),
             colors=[LEVELS[note.level] for note in notes],
