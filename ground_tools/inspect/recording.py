@@ -62,6 +62,7 @@ def write(run: Run, path: File) -> None:
     Raises:
         ConfigError: rerun is not installed, no aircraft recorded a position, or `path` cannot be written.
     """
+    rerun()
     ways = flown(run)
     pairs = _closest_pairs(ways.paths)
     encounter = first_encounter(_conflicts(run, ways.offsets_s), pairs[0] if pairs else None)
@@ -82,6 +83,7 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
     Raises:
         ConfigError: as `write`; fewer than two runs.
     """
+    rerun()
     if len(runs) < 2:
         raise ConfigError("a comparison takes two runs or more")
     names = _names(runs)

@@ -15,8 +15,9 @@ from companion.config import AvoidanceConfig
 from companion.events import Vec3
 from ground_tools.inspect.flown import Array, Separation
 
-PIECE_S = 30.0
-"""A recording is written in pieces of so much of the time line."""
+PIECE_S = 120.0
+"""A recording is written in pieces of at most so much of the time line. All of a piece is in memory at once, and
+until the file is closed its index is: a few kB for every column of every piece."""
 BEFORE_S, AFTER_S = 10.0, 20.0
 """What belongs to an encounter besides its conflicts."""
 CALM_S = 20.0

@@ -24,7 +24,7 @@ from companion.events import (
 )
 from companion.record import Step
 from companion.remote_id.messages import Location
-from ground_tools.inspect import recording, writer
+from ground_tools.inspect import recording, scene, writer
 from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.palette import AUTHORITY, LEVELS, LIMIT
 from ground_tools.inspect.read_run import read_run
@@ -116,12 +116,12 @@ def test_the_aircraft_is_where_it_took_itself_to_be_east_north_up(found: Read) -
 
 
 def test_pieces_join_without_a_gap(found: Read) -> None:
-    """The minute is two pieces and more: no row is lost or doubled where they meet, none is blanked."""
+    """Before, in and after the encounter: no row is lost or doubled where they meet, none is blanked."""
     rows = found.column("/aircraft/DMUCA001/own", "positions")[:-1]
     assert np.diff([time for time, _ in rows]) == pytest.approx(0.1, abs=1e-6)
     assert all(len(points) == 1 for _, points in rows)
     strips = found.column("/aircraft/DMUCA001/flown", "strips")
-    assert len(strips) > 60.0 / PIECE_S
+    assert len(strips) == 3
     points = [strip for _, (strip,) in strips]
     assert all(before[-1] == after[0] for before, after in itertools.pairwise(points))
     assert sum(len(strip) for strip in points) == 601 + len(points) - 1
@@ -249,13 +249,13 @@ def test_without_a_conflict_it_is_the_closest_approach(built: Path) -> None:
 
 def test_pieces_end_at_the_encounters_ends() -> None:
     """A piece is in the encounter or not, whole."""
-    scene = Scene((0.0, 0.0, 0.0), (), first_encounter(np.array([40.0]), None))
-    time = np.arange(0.0, 100.0, 0.5)
-    parts = scene.pieces(time)
-    assert [time[part][0] for part in parts] == [0.0, 30.0, 60.0, 60.5, 90.0]
-    assert [scene.piece(time[part][0])[1] for part in parts] == [False, True, True, False, False]
+    one = Scene((0.0, 0.0, 0.0), (), first_encounter(np.array([40.0]), None))
+    time = np.arange(0.0, 150.0, 0.5)
+    parts = one.pieces(time)
+    assert [time[part][0] for part in parts] == [0.0, 30.0, 60.5, PIECE_S]
+    assert [one.piece(time[part][0])[1] for part in parts] == [False, True, False, False]
     for part in parts:
-        assert len({scene.piece(t) for t in time[part]}) == 1
+        assert len({one.piece(t) for t in time[part]}) == 1
 
 
 def test_a_position_is_not_drawn_when_no_other_follows() -> None:
@@ -263,8 +263,11 @@ def test_a_position_is_not_drawn_when_no_other_follows() -> None:
     assert (times.tolist(), lengths.tolist()) == ([0.0, 1.0, 4.0, 9.0], [1, 2, 0, 1])
 
 
-def test_a_silence_across_pieces_is_blank(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_a_silence_across_pieces_is_blank(
+    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Nothing from 25 to 35 s, and the pieces meet at 30 s."""
+    monkeypatch.setattr(scene, "PIECE_S", 30.0)
     steps = [step for step in made.steps(made.northbound, made.eastbound(500.0)) if not 25 < step.now_s < 35]
     made.write_events(tmp_path, "a", steps)
     recording.write(read_run(tmp_path), tmp_path / "a.rrd")
