@@ -22,7 +22,7 @@ LANES = {
     "On the air": "protocol",
 }
 """Names of views, and what they show."""
-_EYE = (-0.8, -1.3, 1.1)
+_EYE = (-0.9, -1.5, 1.25)
 """From what is looked at to the eye, in its radii: east, north, up."""
 _LASTING = ("flown", "path")
 """Of an aircraft: drawn whole at any time."""

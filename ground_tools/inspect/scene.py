@@ -16,7 +16,7 @@ from companion.events import Vec3
 from ground_tools.inspect.flown import Array, Separation
 
 PIECE_S = 120.0
-"""A recording is written in pieces of at most so much of the time line. All of a piece is in memory at once, and
+"""A recording is written in pieces of at most so much of the time line. A whole piece is in memory at once;
 until the file is closed its index is: a few kB for every column of every piece."""
 BEFORE_S, AFTER_S = 10.0, 20.0
 """What belongs to an encounter besides its conflicts."""
