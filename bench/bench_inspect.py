@@ -1,7 +1,7 @@
 """A run as a recording: CPU time, size and memory, of a demonstration flight and of a ten times longer one.
 
-Targets: 500 s of 5 aircraft, read, written and verified, in under 10 s and 50 MB; memory flat for ten times as
-long.
+Targets: 500 s of 5 aircraft, read, written and verified, in under 10 s and 50 MB; memory flat for ten times
+as long.
 """
 
 from __future__ import annotations

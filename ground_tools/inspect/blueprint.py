@@ -44,12 +44,12 @@ def blueprint(scene: Scene, pairs: Sequence[Separation], look: Look | None) -> A
     required = max((pair.required_m for pair in pairs), default=None)
     return _opened(
         rrb,
-        scene,
+        [scene],
         rrb.Tabs(_space(rrb, "In space", [scene], look), _map(rrb, [scene]), active_tab=0),
         rrb.Tabs(
             _separation(rrb, scene, required, "/separation/**"),
-            _plot(rrb, scene, "Age of information (s), of each track at each law", "/age/**"),
-            _plot(rrb, scene, "Speed (m/s): flown (thick), chosen (pale), wanted (grey)", "/speed/**"),
+            _plot(rrb, scene, "Oldest information (s) of each pair", "/age/**"),
+            _plot(rrb, scene, "Speed (m/s)", "/speed/**"),
             _plot(rrb, scene, "Link", "/link/**"),
             active_tab=0,
         ),
@@ -80,7 +80,7 @@ def comparison(
     limits = [] if required_m is None else [_path(one, "separation", f"required {required_m:g} m")]
     return _opened(
         rrb,
-        one,
+        every,
         rrb.Tabs(
             rrb.Vertical(*beside, name="Beside each other"),
             over,
@@ -93,8 +93,10 @@ def comparison(
                 _separation(rrb, scene, required_m, f"{scene.root}/separation/**", name=f"Pairs: {name}")
                 for name, scene in scenes.items()
             ),
-            _plot(rrb, one, "Age of information (s)", "/runs/*/age/**"),
-            _plot(rrb, one, "Speed (m/s)", "/runs/*/speed/**"),
+            _plot(
+                rrb, one, "Oldest information (s) of each pair", *(f"{scene.root}/age/**" for scene in every)
+            ),
+            _plot(rrb, one, "Speed (m/s)", *(f"{scene.root}/speed/**" for scene in every)),
             active_tab=0,
         ),
         rrb.Tabs(
@@ -108,7 +110,9 @@ def comparison(
     )
 
 
-def _opened(rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: str = "Events") -> Any:
+def _opened(
+    rrb: Any, scenes: Sequence[Scene], space: Any, plots: Any, lanes: Any, events: str = "Events"
+) -> Any:
     """Space at the left, the rest beside it, playing the encounter."""
     return rrb.Blueprint(
         rrb.Horizontal(
@@ -117,8 +121,8 @@ def _opened(rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: 
                 plots,
                 lanes,
                 rrb.Tabs(
-                    _events(rrb, events),
-                    rrb.TextDocumentView(name="How to read this", origin=f"{scene.root}/about"),
+                    _events(rrb, scenes, events),
+                    rrb.TextDocumentView(name="How to read this", origin=f"{scenes[0].root}/about"),
                     active_tab=0,
                 ),
                 row_shares=[4, 5, 4],
@@ -126,7 +130,7 @@ def _opened(rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: 
             column_shares=[1, 1],
         ),
         rrb.TimePanel(
-            timeline=WHOLE if scene.encounter is None else ENCOUNTER,
+            timeline=WHOLE if scenes[0].encounter is None else ENCOUNTER,
             state="collapsed",
             play_state="playing",
             loop_mode="all",
@@ -202,11 +206,11 @@ def _separation(
     )
 
 
-def _plot(rrb: Any, scene: Scene, name: str, contents: str) -> Any:
+def _plot(rrb: Any, scene: Scene, name: str, *contents: str) -> Any:
     return rrb.TimeSeriesView(
         name=name,
         origin="/",
-        contents=[contents],
+        contents=list(contents),
         axis_x=_axis(rrb, scene),
         plot_legend=rrb.PlotLegend(visible=False),
     )
@@ -216,7 +220,7 @@ def _lane(rrb: Any, scene: Scene, name: str, *contents: str) -> Any:
     return rrb.StateTimelineView(name=name, origin="/", contents=list(contents), time_view=_axis(rrb, scene))
 
 
-def _events(rrb: Any, name: str) -> Any:
+def _events(rrb: Any, scenes: Sequence[Scene], name: str) -> Any:
     columns = [
         rrb.encodings.TextLogColumn("EntityPath", visible=False),
         rrb.encodings.TextLogColumn("LogLevel"),
@@ -225,7 +229,7 @@ def _events(rrb: Any, name: str) -> Any:
     return rrb.TextLogView(
         name=name,
         origin="/",
-        contents=["/events/**", "/runs/*/events/**"],
+        contents=[f"{scene.root}/events/**" for scene in scenes],
         columns=rrb.TextLogColumns(text_log_columns=columns),
     )
 

@@ -114,7 +114,7 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
                 ways,
                 {record.name: colour(index) for record in run.aircraft},
                 encounter,
-                f"/runs/{rerun().escape_entity_path_part(name)}",
+                name,
             ),
         )
         for index, (name, run, ways, found) in enumerate(zip(names, runs, every, pairs, strict=True))
@@ -229,8 +229,9 @@ def _conflicts(run: Run, offsets_s: dict[str, float]) -> Array:
 
 
 def _scene(
-    run: Run, ways: Flown, colours: dict[str, Rgb], encounter: Encounter | None, root: str = ""
+    run: Run, ways: Flown, colours: dict[str, Rgb], encounter: Encounter | None, name: str = ""
 ) -> Scene:
+    root = f"/runs/{rerun().escape_entity_path_part(name)}" if name else ""
     aircraft = tuple(
         Aircraft(
             name=record.name,
@@ -241,7 +242,7 @@ def _scene(
         )
         for record in run.aircraft
     )
-    return Scene(ways.origin, aircraft, encounter, root)
+    return Scene(ways.origin, aircraft, encounter, root, name)
 
 
 def _look(ways: Flown, pairs: Sequence[Separation], encounter: Encounter | None) -> Look | None:

@@ -69,6 +69,8 @@ class Scene:
     encounter: Encounter | None = None
     root: str = ""
     """Entity path that the run's entities stand under."""
+    name: str = ""
+    """Of the run, where it is one of several: its lines' names begin with it."""
 
     def piece(self, time_s: float) -> tuple[int, bool]:
         """Which piece of the time line a time belongs to: a number, and whether it is in the encounter."""

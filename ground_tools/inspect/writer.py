@@ -46,6 +46,8 @@ OLD_S = 5.0
 """Predictions from information of this age are drawn grey."""
 DRAWN_S = 0.2
 """Distances are drawn as the least of each such time."""
+AGE_S = 5.0
+"""Ages of information are drawn as the greatest of each such time: a loss stands out of their saw teeth."""
 
 _SHAPES = {
     "Arrows3D": "vectors",
@@ -66,6 +68,8 @@ In space, in each aircraft's colour:
 - pale ellipsoid around a track: the volume that the law cleared, while that track is in its way
 - line to a track: pale while in conflict; strong while that track bounds the chosen velocity
 - points of constant size: what happened there; point at one to read it
+
+Speed: thick flown, pale chosen, grey wanted. Ages: the greatest of each {AGE_S:g} s.
 
 Time line `encounter` holds what lies around the first conflict, `time` the whole run: switch below.
 """
@@ -147,9 +151,9 @@ class Writer:
             return
         for pair in pairs:
             known = ~np.isnan(pair.distance_m)
-            time, least = least_in_bins(pair.time_s[known], pair.distance_m[known])
+            time, least = least_in_bins(pair.time_s[known], pair.distance_m[known], DRAWN_S)
             self._line(("separation", f"{pair.first} - {pair.second}"), time, least, PAIR, 1.0)
-        time, least = least_in_bins(*least_of(pairs))
+        time, least = least_in_bins(*least_of(pairs), DRAWN_S)
         rgb = self._scene.aircraft[0].rgb
         self._line(("separation", "closest two"), time, least, rgb, 3.0)
         if len(time):
@@ -238,7 +242,8 @@ class Writer:
                 rows.setdefault(track.track_id, []).append((time, track.age_s))
         for track_id, found in rows.items():
             table = np.array(found)
-            self._line(("age", f"{track_id} at {one.name}"), table[:, 0], table[:, 1], rgb, 1.0)
+            when, less = least_in_bins(table[:, 0], -table[:, 1], AGE_S)
+            self._line(("age", f"{track_id} at {one.name}"), when, -less, rgb, 1.0)
 
     def _in_the_way(self, one: Aircraft, piece: Piece) -> None:
         """Volumes of tracks in conflict or at an active half-space, and lines to them."""
@@ -327,7 +332,8 @@ class Writer:
         if not len(time_s):
             return
         entity = self._entity(*parts)
-        style = self._rr.SeriesLines(colors=[rgb], widths=[width], names=[" ".join(parts[1:])])
+        named = [self._scene.name] if self._scene.name else []
+        style = self._rr.SeriesLines(colors=[rgb], widths=[width], names=[" ".join([*named, *parts[1:]])])
         self._style(entity, style)
         self._send(entity, time_s, self._rr.Scalars.columns(scalars=values))
 
@@ -406,11 +412,11 @@ def until_stale(time_s: Array, lengths: NDArray[np.int64]) -> tuple[Array, NDArr
     return times[order], counts[order]
 
 
-def least_in_bins(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Of the rows of each DRAWN_S the one with the least value: no minimum is lost."""
+def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Array]:
+    """Of the rows of each `bin_s` the one with the least value: no minimum is lost."""
     if not len(time_s):
         return time_s, values
-    bins = np.floor(time_s / DRAWN_S)
+    bins = np.floor(time_s / bin_s)
     order = np.lexsort((values, bins))
     rows = order[np.append(True, np.diff(bins[order]) > 0.0)]
     return time_s[rows], values[rows]

@@ -165,7 +165,7 @@ def test_distances_are_those_of_the_run(found: Read, built: Path) -> None:
 
 def test_no_minimum_is_lost_where_distances_are_thinned() -> None:
     time = np.array([0.0, 0.05, 0.1, 0.2, 0.35, 1.0])
-    times, values = writer.least_in_bins(time, np.array([5.0, 3.0, 4.0, 2.0, 2.5, 9.0]))
+    times, values = writer.least_in_bins(time, np.array([5.0, 3.0, 4.0, 2.0, 2.5, 9.0]), 0.2)
     assert (times.tolist(), values.tolist()) == ([0.05, 0.2, 1.0], [3.0, 2.0, 9.0])
 
 
@@ -196,9 +196,7 @@ def test_events_are_told_and_marked_where_they_happened(found: Read) -> None:
     assert (when, words) == (pytest.approx(32.0, abs=0.05), "DMUCA001 - DMUCA002 closest: 14.1 m (10 m kept)")
 
 
-def test_ages_speeds_and_the_map(found: Read) -> None:
-    ages = found.column("/age/DMUCA002\\ at\\ DMUCA001", "scalars")
-    assert (len(ages), {age[0] for _, age in ages}) == (301, {0.5})
+def test_speeds_and_the_map(found: Read) -> None:
     assert found.column("/speed/DMUCA001/flown", "scalars")[0][1] == [0.0]
     ((lat, lon),) = found.column("/map/DMUCA001/own", "positions")[300][1]
     assert (lat, lon) == (pytest.approx(47.397, abs=1e-6), pytest.approx(8.545, abs=1e-6))
@@ -342,6 +340,7 @@ def test_runs_are_compared_from_their_take_off(tmp_path: Path, made: SimpleNames
     shades = {found.fixed(f"/runs/{name}/aircraft/a/own", "colors")[0] for name in ("first", "second")}
     assert len(shades) == 2
     assert packed(LIMIT) not in shades
+    assert found.fixed("/runs/second/speed/a/flown", "names") == ["second a flown"]
 
 
 def test_runs_of_timed_paths_are_compared_from_the_paths_start(tmp_path: Path, made: SimpleNamespace) -> None:
@@ -370,6 +369,25 @@ def test_runs_are_drawn_in_one_frame_and_told_apart(run_folder: Path, tmp_path: 
 def test_one_run_is_no_comparison(run_folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="two runs or more"):
         recording.write_comparison([read_run(run_folder)], tmp_path / "one.rrd")
+
+
+def test_the_greatest_age_of_each_time_is_drawn(tmp_path: Path, made: SimpleNamespace) -> None:
+    """0.5 s, but for one decision at 22 s."""
+
+    def late(step: Step) -> Step:
+        commands = tuple(
+            msgspec.structs.replace(c, tracks=(msgspec.structs.replace(c.tracks[0], age_s=7.0),))
+            if isinstance(c, Decision) and step.now_s == 22.0
+            else c
+            for c in step.commands
+        )
+        return msgspec.structs.replace(step, commands=commands)
+
+    made.write_events(tmp_path, "a", [late(s) for s in made.steps(made.northbound, made.eastbound(500.0))])
+    recording.write(read_run(tmp_path), tmp_path / "a.rrd")
+    rows = Read(tmp_path / "a.rrd").column("/age/DMUCA002\\ at\\ a", "scalars")
+    assert len(rows) == 60.0 / writer.AGE_S + 1
+    assert [(time, age) for time, (age,) in rows if age != 0.5] == [(22.0, 7.0)]
 
 
 def test_arrows_lead_where_the_velocity_does(tmp_path: Path, made: SimpleNamespace) -> None:
