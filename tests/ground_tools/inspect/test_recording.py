@@ -341,6 +341,8 @@ def test_runs_are_compared_from_their_take_off(tmp_path: Path, made: SimpleNames
     assert len(shades) == 2
     assert packed(LIMIT) not in shades
     assert found.fixed("/runs/second/speed/a/flown", "names") == ["second a flown"]
+    texts = [text for _, (text,) in found.column("/runs/second/events/a", "text")]
+    assert all(text.startswith("second a: ") for text in texts)
 
 
 def test_runs_of_timed_paths_are_compared_from_the_paths_start(tmp_path: Path, made: SimpleNamespace) -> None:
