@@ -6,6 +6,7 @@ from bench import (
     bench_avoidance,
     bench_channel,
     bench_heart,
+    bench_inspect,
     bench_lockstep,
     bench_remote_id,
 )
@@ -18,6 +19,7 @@ for module in (
     bench_remote_id,
     bench_channel,
     bench_atmc,
+    bench_inspect,
 ):
     print(f"\n== {(module.__doc__ or '').splitlines()[0]}\n", flush=True)
     module.main()

@@ -1,75 +1,284 @@
-"""The Rerun recording: sound by rerun's own check, and holding what the run holds."""
+"""The Rerun recording, read back: sound by rerun's own check, and holding what the run holds."""
 
+import itertools
 import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from companion.events import GnssFix, RemoteIdHeard
+from companion.events import (
+    Decision,
+    Firmware,
+    FlightMode,
+    GnssFix,
+    Heartbeat,
+    Landed,
+    LandedState,
+    RemoteIdHeard,
+)
 from companion.record import Step
 from companion.remote_id.messages import Location
-from ground_tools.inspect import recording
-from ground_tools.inspect.blueprint import ENCOUNTER, encounter_time
+from ground_tools.inspect import recording, scene, writer
+from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.palette import AUTHORITY, LEVELS, LIMIT
 from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.scene import PIECE_S, Scene, first_encounter
 
 pytest.importorskip("rerun")
 
-
-def chunks(path: Path) -> dict[str, int]:
-    """Rows with a time, by entity path."""
-    from rerun.chunk import RrdReader
-
-    rows: dict[str, int] = {}
-    for chunk in RrdReader(path).stream().to_chunks():
-        if not chunk.is_static:
-            rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + chunk.num_rows
-    return rows
+WHOLE, ENCOUNTER = writer.WHOLE, writer.ENCOUNTER
 
 
-@pytest.fixture
-def saved(run_folder: Path) -> Path:
-    path = run_folder / "inspect.rrd"
-    recording.write(read_run(run_folder), path)
+class Read:
+    """A recording's columns, by entity."""
+
+    def __init__(self, path: Path) -> None:
+        from rerun.chunk import RrdReader
+
+        self.batches: dict[str, list[Any]] = {}
+        self.static: dict[str, list[Any]] = {}
+        for chunk in RrdReader(path).stream().to_chunks():
+            place = self.static if chunk.is_static else self.batches
+            place.setdefault(str(chunk.entity_path), []).append(chunk.to_record_batch())
+
+    def column(self, entity: str, component: str, line: str = WHOLE) -> list[tuple[float, Any]]:
+        """(time, value) of every row, in order of time."""
+        rows = []
+        for batch in self.batches[entity]:
+            names = batch.schema.names
+            found = [n for n in names if n.endswith(f":{component}")]
+            if line not in names or not found:
+                continue
+            (name,) = found
+            times = [round(value.value * 1e-9, 6) for value in batch.column(line)]
+            rows += zip(times, batch.column(name).to_pylist(), strict=True)
+        return sorted(rows, key=lambda row: row[0])
+
+    def fixed(self, entity: str, component: str) -> Any:
+        """A component that holds for all rows."""
+        (value,) = [
+            batch.column(name)[0].as_py()
+            for batch in self.static[entity]
+            for name in batch.schema.names
+            if name.endswith(f":{component}")
+        ]
+        return value
+
+
+def packed(rgb: tuple[int, int, int]) -> int:
+    """As rerun stores a colour."""
+    red, green, blue = rgb
+    return red << 24 | green << 16 | blue << 8 | 255
+
+
+def verify(path: Path) -> subprocess.CompletedProcess[str]:
+    program = Path(sys.executable).with_name("rerun")
+    return subprocess.run(
+        [program, "rrd", "verify", path], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def saved(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "inspect.rrd"
+    recording.write(read_run(built), path)
     return path
 
 
-def test_the_file_is_sound(saved: Path) -> None:
-    program = Path(sys.executable).with_name("rerun")
-    result = subprocess.run(
-        [program, "rrd", "verify", saved], capture_output=True, text=True, timeout=60, check=False
-    )
+@pytest.fixture(scope="module")
+def found(saved: Path) -> Read:
+    return Read(saved)
+
+
+def test_the_file_is_sound_and_the_check_would_notice_one_cut_off(saved: Path, tmp_path: Path) -> None:
+    result = verify(saved)
     assert result.returncode == 0, result.stdout + result.stderr
+    torn = tmp_path / "torn.rrd"
+    torn.write_bytes(saved.read_bytes()[:-2000])
+    assert verify(torn).returncode != 0
 
 
-def test_the_check_would_notice_a_file_cut_off(saved: Path) -> None:
-    saved.write_bytes(saved.read_bytes()[:-2000])
-    program = Path(sys.executable).with_name("rerun")
-    result = subprocess.run([program, "rrd", "verify", saved], capture_output=True, timeout=60, check=False)
-    assert result.returncode != 0
+def test_the_aircraft_is_where_it_took_itself_to_be_east_north_up(found: Read) -> None:
+    rows = found.column("/aircraft/DMUCA001/own", "positions")
+    assert len(rows) == 601 + 1
+    # The origin is the first position: 150 m south of the crossing, 50 m high.
+    assert rows[250] == (pytest.approx(25.0), [pytest.approx([0.0, 125.0, 0.0], abs=0.1)])
+    # Nobody is drawn for ever.
+    assert rows[-1] == (pytest.approx(60.0 + writer.SHOWN_S), [])
+    sizes = found.column("/aircraft/DMUCA001/volume", "half_sizes")
+    assert sizes[0][1] == [pytest.approx([5.0, 5.0, 5.0 / 0.85])]
 
 
-def test_every_part_of_the_run_is_in_it(saved: Path) -> None:
-    rows = chunks(saved)
+def test_pieces_join_without_a_gap(found: Read) -> None:
+    """Before, in and after the encounter: no row is lost or doubled where they meet, none is blanked."""
+    rows = found.column("/aircraft/DMUCA001/own", "positions")[:-1]
+    assert np.diff([time for time, _ in rows]) == pytest.approx(0.1, abs=1e-6)
+    assert all(len(points) == 1 for _, points in rows)
+    strips = found.column("/aircraft/DMUCA001/flown", "strips")
+    assert len(strips) == 3
+    points = [strip for _, (strip,) in strips]
+    assert all(before[-1] == after[0] for before, after in itertools.pairwise(points))
+    assert sum(len(strip) for strip in points) == 601 + len(points) - 1
+
+
+def test_what_was_heard_and_predicted_is_drawn_where_it_was_said_to_be(found: Read) -> None:
     heard = "/aircraft/DMUCA001/heard/c2\\:00\\:00\\:00\\:00\\:02"
-    # Positions end with a row of none, so that none is drawn for ever.
-    assert rows["/aircraft/DMUCA001/own"] == 601 + 1
-    assert rows[heard] == 61 + 1
-    assert rows["/aircraft/DMUCA001/predicted/DMUCA002"] == 301 + 1
-    assert rows["/authority/DMUCA002"] == 2
-    assert rows["/events/DMUCA001"] == 4
-    assert rows["/separation/DMUCA001\\ -\\ DMUCA002"] > 1000
-    assert rows["/separation/required\\ 10\\ m"] == 2
-    assert rows["/separation/closest\\ two"] > 1000
+    rows = found.column(heard, "positions")
+    assert len(rows) == 61 + 1
+    # Where the other was half a second before: 20 m north of the crossing, flying east.
+    assert rows[40] == (pytest.approx(40.0), [pytest.approx([47.5, 170.0, 0.0], abs=0.1)])
+    predicted = found.column("/aircraft/DMUCA001/predicted", "positions")
+    assert len(predicted) == 301 + 1
+    assert predicted[200] == (pytest.approx(40.0), [pytest.approx([50.0, 170.0, 0.0], abs=0.1)])
+    (label,) = found.column("/aircraft/DMUCA001/predicted", "labels")[200][1]
+    assert label == "DMUCA002 as DMUCA001 predicts it, 0.5 s old"
+
+
+def test_a_track_in_the_way_has_the_volume_that_was_used(found: Read) -> None:
+    """In conflict below 20 m of distance, which is from 30.5 to 33.5 s or so."""
+    rows = found.column("/aircraft/DMUCA001/in\\ the\\ way", "half_sizes")
+    drawn = [time for time, sizes in rows if sizes]
+    assert (min(drawn), max(drawn)) == (pytest.approx(30.0, abs=0.3), pytest.approx(34.0, abs=0.3))
+    assert next(sizes for _, sizes in rows if sizes) == [pytest.approx([10.0, 10.0, 10.0 / 0.85])]
+    sight = dict(found.column("/aircraft/DMUCA001/sight", "strips"))
+    own = dict(found.column("/aircraft/DMUCA001/own", "positions"))
+    assert sight[32.0][0][0] == pytest.approx(own[32.0][0], abs=0.05)
+
+
+def test_distances_are_those_of_the_run(found: Read, built: Path) -> None:
+    (pair,) = separations(flown(read_run(built)).paths)
+    rows = found.column("/separation/DMUCA001\\ -\\ DMUCA002", "scalars")
+    times, values = np.array([t for t, _ in rows]), np.array([v[0] for _, v in rows])
+    assert values.min() == pytest.approx(pair.minimum_m, abs=0.01)
+    assert np.abs(values - np.interp(times, pair.time_s, pair.distance_m)).max() < 0.01
+    assert np.diff(times).max() < 2.0 * writer.DRAWN_S
+    closest = found.column("/separation/closest\\ two", "scalars")
+    assert [v for _, v in closest] == [v for _, v in rows]
+    assert {v[0] for _, v in found.column("/separation/required\\ 10\\ m", "scalars")} == {10.0}
+
+
+def test_no_minimum_is_lost_where_distances_are_thinned() -> None:
+    time = np.array([0.0, 0.05, 0.1, 0.2, 0.35, 1.0])
+    times, values = writer.least_in_bins(time, np.array([5.0, 3.0, 4.0, 2.0, 2.5, 9.0]), 0.2)
+    assert (times.tolist(), values.tolist()) == ([0.05, 0.2, 1.0], [3.0, 2.0, 9.0])
+
+
+def test_lanes_hold_the_states(found: Read) -> None:
+    rows = found.column("/authority/DMUCA002", "state")
+    assert [(pytest.approx(time), state) for time, (state,) in rows] == [(0.0, "watching"), (5.0, "flying")]
+    assert found.fixed("/authority/DMUCA002", "colors")[0] == packed(AUTHORITY["standby"])
+    assert "standby" in found.fixed("/authority/DMUCA002", "values")
+
+
+def test_events_are_told_and_marked_where_they_happened(found: Read) -> None:
+    lines = [
+        (time, level, text)
+        for (time, (text,)), (_, (level,)) in zip(
+            found.column("/events/DMUCA001", "text"), found.column("/events/DMUCA001", "level"), strict=True
+        )
+    ]
+    assert (10.0, "CRITICAL", "DMUCA001: autopilot: battery low") in lines
+    assert (10.0, "ERROR", "DMUCA001: mode external refused: denied") in lines
+    assert (5.0, "INFO", "DMUCA001: says: companion flies") in lines
+    ((at, text),) = [(time, text) for time, _, text in lines if "conflict with" in text]
+    assert "conflict with DMUCA002: 3 m in 1 s, heard 0.5 s ago" in text
+    marks = dict(found.column("/markers/DMUCA001", "positions"))
+    colours = dict(found.column("/markers/DMUCA001", "colors"))
+    assert marks[at] == [pytest.approx([0.0, 5.0 * at, 0.0], abs=0.1)]
+    assert colours[at] == [packed(LEVELS["WARN"])]
+    ((when, (words,)),) = found.column("/markers/closest", "labels")
+    assert (when, words) == (pytest.approx(32.0, abs=0.05), "DMUCA001 - DMUCA002 closest: 14.1 m (10 m kept)")
+
+
+def test_speeds_and_the_map(found: Read) -> None:
+    assert found.column("/speed/DMUCA001/flown", "scalars")[0][1] == [0.0]
+    ((lat, lon),) = found.column("/map/DMUCA001/own", "positions")[300][1]
+    assert (lat, lon) == (pytest.approx(47.397, abs=1e-6), pytest.approx(8.545, abs=1e-6))
+    lines = [line for _, (line,) in found.column("/map/DMUCA001/flown", "line_strings")]
+    assert lines[0][0] == pytest.approx([47.395651, 8.545], abs=1e-5)
+    assert lines[-1][-1] == pytest.approx([47.398349, 8.545], abs=1e-5)
+
+
+def test_the_encounter_counts_from_the_first_conflict_and_holds_what_lies_around_it(
+    found: Read, built: Path
+) -> None:
+    run = read_run(built)
+    conflicts = run.aircraft[0].facts.decisions
+    first = conflicts.now_s[conflicts.conflict][0]
+    rows = found.column("/aircraft/DMUCA001/own", "positions", ENCOUNTER)
+    whole = dict(found.column("/aircraft/DMUCA001/own", "positions"))
+    assert rows[0][0] == pytest.approx(-10.0, abs=0.1)
+    assert rows[-1][0] == pytest.approx(conflicts.now_s[conflicts.conflict][-1] + 20.0 - first, abs=0.2)
+    now = next(points for time, points in rows if abs(time) < 1e-6)
+    assert now == whole[first]
+    # States last: the one before the encounter stands at its start.
+    states = found.column("/authority/DMUCA001", "state", ENCOUNTER)
+    assert [(time, state) for time, (state,) in states] == [(-10.0, "watching"), (-10.0, "flying")]
+
+
+@pytest.mark.parametrize(
+    ("conflicts", "bounds"),
+    [
+        ([50.0, 41.0, 60.0, 90.0, 150.0], (31.0, 41.0, 80.0)),
+        ([5.0], (-5.0, 5.0, 25.0)),
+        ([float(t) for t in range(0, 1000, 10)], (-10.0, 0.0, 300.0)),
+    ],
+)
+def test_an_encounter_ends_when_it_is_calm(conflicts: list[float], bounds: tuple[float, ...]) -> None:
+    one = first_encounter(np.array(conflicts), None)
+    assert one is not None
+    assert (one.start_s, one.zero_s, one.end_s) == bounds
+    assert first_encounter(np.zeros(0), None) is None
+
+
+def test_without_a_conflict_it_is_the_closest_approach(built: Path) -> None:
+    (pair,) = separations(flown(read_run(built)).paths)
+    one = first_encounter(np.zeros(0), pair)
+    assert one is not None
+    assert one.zero_s == pair.minimum_time_s
+    assert one.clipped(np.array([-100.0, 32.0, 100.0])) == pytest.approx([-40.0, 0.0, 40.0], abs=0.1)
+
+
+def test_pieces_end_at_the_encounters_ends() -> None:
+    """A piece is in the encounter or not, whole."""
+    one = Scene((0.0, 0.0, 0.0), (), first_encounter(np.array([40.0]), None))
+    time = np.arange(0.0, 150.0, 0.5)
+    parts = one.pieces(time)
+    assert [time[part][0] for part in parts] == [0.0, 30.0, 60.5, PIECE_S]
+    assert [one.piece(time[part][0])[1] for part in parts] == [False, True, False, False]
+    for part in parts:
+        assert len({one.piece(t) for t in time[part]}) == 1
+
+
+def test_a_position_is_not_drawn_when_no_other_follows() -> None:
+    times, lengths = writer.until_stale(np.array([0.0, 1.0, 9.0]), np.array([1, 2, 1]))
+    assert (times.tolist(), lengths.tolist()) == ([0.0, 1.0, 4.0, 9.0], [1, 2, 0, 1])
+
+
+def test_a_silence_across_pieces_is_blank(
+    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing from 25 to 35 s, and the pieces meet at 30 s."""
+    monkeypatch.setattr(scene, "PIECE_S", 30.0)
+    steps = [step for step in made.steps(made.northbound, made.eastbound(500.0)) if not 25 < step.now_s < 35]
+    made.write_events(tmp_path, "a", steps)
+    recording.write(read_run(tmp_path), tmp_path / "a.rrd")
+    rows = dict(Read(tmp_path / "a.rrd").column("/aircraft/a/own", "positions"))
+    blank = [time for time, points in rows.items() if not points]
+    assert blank == [pytest.approx(28.0), pytest.approx(63.0)]
 
 
 def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, made: SimpleNamespace) -> None:
     made.write_events(tmp_path, "Åse's 1: x", made.steps(made.northbound, made.eastbound(20.0)))
     recording.write(read_run(tmp_path), tmp_path / "one.rrd")
-    assert any("own" in entity for entity in chunks(tmp_path / "one.rrd"))
+    assert verify(tmp_path / "one.rrd").returncode == 0
+    assert any("own" in entity for entity in Read(tmp_path / "one.rrd").batches)
 
 
 def test_a_place_that_cannot_be_written_is_said(run_folder: Path) -> None:
@@ -77,37 +286,8 @@ def test_a_place_that_cannot_be_written_is_said(run_folder: Path) -> None:
         recording.write(read_run(run_folder), run_folder / "no" / "such" / "folder.rrd")
 
 
-def test_a_position_is_not_drawn_when_no_other_follows() -> None:
-    times, lengths = recording._until_stale(np.array([0.0, 1.0, 9.0]))
-    assert (times.tolist(), lengths.tolist()) == ([0.0, 1.0, 4.0, 9.0, 12.0], [1, 1, 0, 1, 0])
-
-
-def test_the_encounter_counts_from_the_closest_approach_and_holds_what_lies_around_it(saved: Path) -> None:
-    """Closest at 32 s of 60: all before it lies within the encounter's time before."""
-    from rerun.chunk import RrdReader
-
-    ((start, end),) = [
-        (column[0].as_py(), column[-1].as_py())
-        for chunk in RrdReader(saved).stream().to_chunks()
-        if str(chunk.entity_path) == "/aircraft/DMUCA001/own" and not chunk.is_static
-        for column in [chunk.to_record_batch().column(ENCOUNTER)]
-    ]
-    assert start.total_seconds() == pytest.approx(-32.0, abs=0.01)
-    assert end.total_seconds() == pytest.approx(60.0 + recording.SHOWN_S - 32.0, abs=0.01)
-    assert encounter_time(np.array([0.0, 100.0, 500.0]), 100.0).tolist() == [-40.0, 0.0, 60.0]
-
-
 def test_north_east_down_is_drawn_east_north_up() -> None:
-    drawn = recording._enu(np.array([[1.0, 2.0, -3.0]]))
-    assert drawn.tolist() == [[2.0, 1.0, 3.0]]
-
-
-@pytest.mark.parametrize(
-    ("severity", "level"),
-    [(0, "CRITICAL"), (2, "CRITICAL"), (3, "ERROR"), (4, "WARN"), (6, "INFO"), (7, "INFO")],
-)
-def test_severities(severity: int, level: str) -> None:
-    assert recording._level(severity) == level
+    assert writer.enu(np.array([[1.0, 2.0, -3.0]])).tolist() == [[2.0, 1.0, 3.0]]
 
 
 def test_reported_altitudes_are_drawn_above_mean_sea_level(tmp_path: Path, made: SimpleNamespace) -> None:
@@ -116,10 +296,117 @@ def test_reported_altitudes_are_drawn_above_mean_sea_level(tmp_path: Path, made:
     fix = GnssFix(fix_type=3, lat_deg=lat, lon_deg=lon, alt_msl_m=alt, alt_ellipsoid_m=alt + 47.0)
     report = Location(lat_deg=lat, lon_deg=lon, alt_geodetic_m=alt + 47.0)
     nowhere = Location(alt_geodetic_m=alt)
-    heard = RemoteIdHeard(transport="wifi", address="c2:00:00:00:00:02", messages=(report, nowhere))
-    step = Step(now_s=7.0, events=(fix, heard), commands=())
-    origin = made.home.to_geodetic(0.0, 0.0, 0.0)
-    made.write_events(tmp_path, "a", [step])
-    ((address, time, position),) = recording._heard(read_run(tmp_path).aircraft[0], origin)
-    assert (address, time.tolist()) == ("c2:00:00:00:00:02", [7.0])
-    assert position[0] == pytest.approx((30.0, 40.0, -50.0), abs=0.01)
+    heard = RemoteIdHeard(transport="wifi", address="c2", messages=(report, nowhere), rssi_dbm=-60.0)
+    first, *others = made.steps(made.northbound, made.eastbound(20.0))
+    step = msgspec.structs.replace(first, events=(*first.events, fix, heard))
+    made.write_events(tmp_path, "a", [step, *others])
+    recording.write(read_run(tmp_path), tmp_path / "a.rrd")
+    found = Read(tmp_path / "a.rrd")
+    rows = found.column("/aircraft/a/heard/c2", "positions")
+    # The frame's origin: the first position, 150 m south of home and 50 m above it.
+    assert rows == [(0.0, [pytest.approx([40.0, 180.0, 0.0], abs=0.05)]), (writer.SHOWN_S, [])]
+    assert found.column("/link/a\\ hears\\ c2\\ \\(dBm\\)", "scalars") == [(0.0, [-60.0])]
+
+
+# ---------------------------------------------------------------- several runs
+
+
+def taking_off(steps: list[Step], at_s: float) -> list[Step]:
+    """The same, armed at the start and in the air from a time on; no law that flies a path at a UTC."""
+    armed = Heartbeat(
+        system_id=1, firmware=Firmware.PX4, vehicle_type=2, custom_mode=0, mode=FlightMode.OTHER, armed=True
+    )
+    changed = []
+    for step in steps:
+        landed = Landed.IN_AIR if step.now_s >= at_s else Landed.ON_GROUND
+        events = (armed, LandedState(landed=landed), *step.events)
+        changed.append(msgspec.structs.replace(step, events=events))
+    return changed
+
+
+def test_runs_are_compared_from_their_take_off(tmp_path: Path, made: SimpleNamespace) -> None:
+    """The same flight, which one record begins to count 100 s later; in the air 7 s after its start."""
+    for name, clock_s in (("first", 0.0), ("second", 100.0)):
+        steps = made.steps(made.northbound, made.eastbound(20.0), clock_s, utc=False)
+        made.write_events(tmp_path / name, "a", taking_off(steps, clock_s + 7.0))
+    runs = [read_run(tmp_path / name) for name in ("first", "second")]
+    recording.write_comparison(runs, tmp_path / "both.rrd")
+    assert verify(tmp_path / "both.rrd").returncode == 0
+    found = Read(tmp_path / "both.rrd")
+    one, two = (found.column(f"/runs/{name}/aircraft/a/own", "positions") for name in ("first", "second"))
+    assert one[0][0] == pytest.approx(-7.0)
+    assert [time for time, _ in one] == pytest.approx([time for time, _ in two], abs=1e-6)
+    assert [points for _, points in one[:-1]] == [points for _, points in two[:-1]]
+    shades = {found.fixed(f"/runs/{name}/aircraft/a/own", "colors")[0] for name in ("first", "second")}
+    assert len(shades) == 2
+    assert packed(LIMIT) not in shades
+    assert found.fixed("/runs/second/speed/a/flown", "names") == ["second a flown"]
+    texts = [text for _, (text,) in found.column("/runs/second/events/a", "text")]
+    assert all(text.startswith("second a: ") for text in texts)
+
+
+def test_runs_of_timed_paths_are_compared_from_the_paths_start(tmp_path: Path, made: SimpleNamespace) -> None:
+    for name, start_s in (("first", 10.0), ("second", 20.0)):
+        steps = made.steps(made.northbound, made.eastbound(20.0))
+        made.write_events(tmp_path / name, "a", taking_off(steps, 7.0), start_utc_s=made.utc_s + start_s)
+    runs = [read_run(tmp_path / name) for name in ("first", "second")]
+    recording.write_comparison(runs, tmp_path / "both.rrd")
+    found = Read(tmp_path / "both.rrd")
+    starts = [found.column(f"/runs/{name}/speed/a/flown", "scalars")[0][0] for name in ("first", "second")]
+    assert starts == [pytest.approx(-10.0), pytest.approx(-20.0)]
+
+
+def test_runs_are_drawn_in_one_frame_and_told_apart(run_folder: Path, tmp_path: Path) -> None:
+    """A run and itself: what is drawn of both lies in the same places."""
+    recording.write_comparison([read_run(run_folder)] * 2, tmp_path / "both.rrd")
+    found = Read(tmp_path / "both.rrd")
+    name = "/runs/20260101T000000Z\\-demo"
+    roots = sorted({entity.rsplit("/aircraft")[0] for entity in found.batches if "/aircraft" in entity})
+    assert len(roots) == 2
+    first, second = (found.column(f"{root}/aircraft/DMUCA002/predicted", "positions") for root in roots)
+    assert first == second
+    assert any(root.startswith(name.split("\\")[0]) for root in roots)
+
+
+def test_one_run_is_no_comparison(run_folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="two runs or more"):
+        recording.write_comparison([read_run(run_folder)], tmp_path / "one.rrd")
+
+
+def test_the_greatest_age_of_each_time_is_drawn(tmp_path: Path, made: SimpleNamespace) -> None:
+    """0.5 s, but for one decision at 22 s."""
+
+    def late(step: Step) -> Step:
+        commands = tuple(
+            msgspec.structs.replace(c, tracks=(msgspec.structs.replace(c.tracks[0], age_s=7.0),))
+            if isinstance(c, Decision) and step.now_s == 22.0
+            else c
+            for c in step.commands
+        )
+        return msgspec.structs.replace(step, commands=commands)
+
+    made.write_events(tmp_path, "a", [late(s) for s in made.steps(made.northbound, made.eastbound(500.0))])
+    recording.write(read_run(tmp_path), tmp_path / "a.rrd")
+    rows = Read(tmp_path / "a.rrd").column("/age/DMUCA002\\ at\\ a", "scalars")
+    assert len(rows) == 60.0 / writer.AGE_S + 1
+    assert [(time, age) for time, (age,) in rows if age != 0.5] == [(22.0, 7.0)]
+
+
+def test_arrows_lead_where_the_velocity_does(tmp_path: Path, made: SimpleNamespace) -> None:
+    def turned(step: Step) -> Step:
+        commands = tuple(
+            msgspec.structs.replace(c, wanted_ned_mps=(1.0, 2.0, -3.0), chosen_ned_mps=(3.0, 0.0, 0.5))
+            if isinstance(c, Decision)
+            else c
+            for c in step.commands
+        )
+        return msgspec.structs.replace(step, commands=commands)
+
+    made.write_events(tmp_path, "a", [turned(s) for s in made.steps(made.northbound, made.eastbound(20.0))])
+    recording.write(read_run(tmp_path), tmp_path / "a.rrd")
+    found = Read(tmp_path / "a.rrd")
+    assert found.column("/aircraft/a/wanted", "vectors")[5][1] == [pytest.approx([10.0, 5.0, 15.0])]
+    assert found.column("/aircraft/a/chosen", "vectors")[5][1] == [pytest.approx([0.0, 15.0, -2.5])]
+    # A second after the start, 5 m north of the frame's origin.
+    assert found.column("/aircraft/a/wanted", "origins")[5][1] == [pytest.approx([0.0, 5.0, 0.0], abs=0.05)]
+    assert found.column("/speed/a/chosen", "scalars")[5][1] == [pytest.approx(np.hypot(3.0, 0.5))]

@@ -1,0 +1,114 @@
+"""A run as a recording: CPU time, size and memory, of a demonstration flight and of a ten times longer one.
+
+Targets: 500 s of 5 aircraft, read, written and verified, in under 10 s and 50 MB; memory flat for ten times
+as long.
+"""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from companion import record
+from companion.config import Config
+from companion.events import AnyEvent, VehicleTime
+from companion.record import Header, Step
+from sitl_mocks import settings
+from sitl_mocks.lockstep import fly
+
+LONGER = 10
+_CONVERT = """
+import resource, sys
+from pathlib import Path
+from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.recording import write
+write(read_run(Path(sys.argv[1])), Path(sys.argv[2]))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def flown(folder: Path) -> float:
+    """Fly the default scenario, its event records into `folder`; returns how long it was (s)."""
+    end_s = 0.0
+
+    def recorder(name: str, config: Config) -> Callable[[Step], None]:
+        stream = (folder / f"{name}.events").open("wb")
+        header = Header(aircraft=name, software="bench", config=config)
+        stream.write(record.MAGIC + record.encode(header))
+
+        def take(step: Step) -> None:
+            nonlocal end_s
+            end_s = step.now_s
+            stream.write(record.encode(step))
+
+        return take
+
+    folder.mkdir()
+    fly(settings.DEFAULT, 1, record=recorder)
+    return end_s
+
+
+def repeated(source: Path, target: Path, length_s: float) -> None:
+    """The same flight LONGER times, one after the other."""
+    target.mkdir()
+    for path in source.glob("*.events"):
+        with path.open("rb") as read, (target / path.name).open("wb") as written:
+            written.write(record.MAGIC)
+            for turn in range(LONGER):
+                read.seek(0)
+                for entry in record.read(read, path.name):
+                    if isinstance(entry, Step):
+                        written.write(record.encode(_later(entry, turn * length_s)))
+                    elif turn == 0:
+                        written.write(record.encode(entry))
+
+
+def _later(step: Step, by_s: float) -> Step:
+    def moved(event: AnyEvent) -> AnyEvent:
+        if isinstance(event, VehicleTime) and event.utc_s is not None:
+            return msgspec.structs.replace(event, utc_s=event.utc_s + by_s)
+        return event
+
+    return Step(now_s=step.now_s + by_s, events=tuple(map(moved, step.events)), commands=step.commands)
+
+
+def cpu_s(*command: str | Path) -> tuple[float, str]:
+    """CPU time of a process, its imports among it, and what it printed."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, printed
+
+
+def main() -> None:
+    """Print the table."""
+    with tempfile.TemporaryDirectory() as scratch:
+        once, longer = Path(scratch) / "once", Path(scratch) / "longer"
+        length_s = flown(once)
+        repeated(once, longer, length_s + 0.05)
+        print(
+            f"{'s flown':>8}{'records (MB)':>14}{'CPU s':>8}{'verify':>8}{'.rrd (MB)':>11}{'peak (MB)':>11}"
+        )
+        peaks = []
+        for folder, times in ((once, 1), (longer, LONGER)):
+            path = folder / "inspect.rrd"
+            took, printed = cpu_s(sys.executable, "-c", _CONVERT, folder, path)
+            check, _ = cpu_s(Path(sys.executable).with_name("rerun"), "rrd", "verify", path)
+            records = sum(file.stat().st_size for file in folder.glob("*.events"))
+            size = path.stat().st_size
+            peaks.append(float(printed))
+            print(
+                f"{times * length_s:8.0f}{records / 1e6:14.1f}{took:8.1f}{check:8.1f}"
+                f"{size / 1e6:11.1f}{peaks[-1]:11.0f}"
+            )
+        print(f"\npeak memory, {LONGER} times as long: {peaks[1] / peaks[0]:.2f} times")
+
+
+if __name__ == "__main__":
+    main()
