@@ -19,11 +19,12 @@ from companion.events import (
     AuthorityChanged,
     Decision,
     FenceDownloaded,
-    GlobalPosition,
     Settings,
     Vec3,
     VehicleParameters,
 )
+from companion.ownship import Ownship
+from companion.record import Step
 from companion.settings import applied
 from ground_tools.inspect.read_run import AircraftRecord
 from ground_tools.inspect.why import Alternative, Explainer, HalfSpace, Look
@@ -48,7 +49,7 @@ class Manoeuvre:
     tracks: tuple[str, ...]
     """In conflict, or with an active half-space, at any time; the first ones first."""
     track: str | None
-    """The track that comes nearest, at the wanted velocity, of those in conflict at the start; None: a fence."""
+    """Of those in conflict at the start, the one that would have come nearest; None: a fence."""
     time_to_closest_s: float | None
     """At the start, at the wanted velocity, to that track."""
     closest_m: float | None
@@ -136,8 +137,8 @@ class _Finder:
         assert record.header is not None
         self._configured = self._config = record.header.config
         self._vehicle: VehicleParameters | None = None
-        self._areas = None if self._config.limits.fence == "vehicle" else self._config.fence
-        self._height_m: float | None = None
+        self._areas = self._config.fence
+        self.own = Ownship()
         self._guarded = self._watching = False
         self._warned: tuple[float, Decision] | None = None
         self._explainer = Explainer(self._config)
@@ -146,17 +147,27 @@ class _Finder:
         """Over, but not back on the path."""
 
     def _renew(self) -> None:
-        self._explainer = Explainer(self._config, self._vehicle, self._areas or ())
+        self._explainer.configure(self._config, self._vehicle, self._areas)
 
-    def authority(self, event: AuthorityChanged) -> None:
+    def _authority(self, event: AuthorityChanged) -> None:
         held = event.state in _HOLDING
         self._guarded = held and (self._guarded or event.previous == State.WATCHING.value)
         self._watching = event.state == State.WATCHING.value
 
-    def event(self, item: object) -> None:
+    def step(self, step: Step) -> Iterator[_Open]:
+        """Yields what is over and followed to its end."""
+        for event in step.events:
+            self.own.take(event, step.now_s)
+            self._take(event)
+        self._explainer.note(step.now_s, self.own.velocity_ned_mps)
+        for command in step.commands:
+            if isinstance(command, Decision):
+                yield from self._decision(step.now_s, command)
+            elif isinstance(command, AuthorityChanged):
+                self._authority(command)
+
+    def _take(self, item: object) -> None:
         match item:
-            case GlobalPosition():
-                self._height_m = item.height_above_home_m
             case VehicleParameters():
                 self._vehicle = item
                 self._renew()
@@ -167,12 +178,8 @@ class _Finder:
             case Settings():
                 self._config = applied(self._configured, item)
                 self._renew()
-            case AuthorityChanged():
-                self.authority(item)
 
-    def decision(self, now_s: float, decision: Decision) -> Iterator[_Open]:
-        """Yields what is over and followed to its end."""
-        self._explainer.note(now_s, decision)
+    def _decision(self, now_s: float, decision: Decision) -> Iterator[_Open]:
         if self._watching:
             self._warned = (now_s, decision) if any(t.conflict for t in decision.tracks) else None
         if self.open is not None and (self._watching or now_s - self.open.end_s > GAP_S):
@@ -194,7 +201,8 @@ class _Finder:
         if self._guarded and self._warned is not None and not any(t.conflict for t in decision.tracks):
             at_s, why = self._warned
         try:
-            look = self._explainer.look(at_s, why, self._height_m)
+            height_m = None if self.own.position is None else self.own.position.height_above_home_m
+            look = self._explainer.look(at_s, why, height_m, self.own.sigma_m)
         except (ConfigError, ValueError):  # a fence of the record that no flight would have taken
             look = Look((), ())
         self.open = _Open(now_s, self._guarded, why, look, decision)
@@ -216,19 +224,14 @@ class _Finder:
 
 
 def find(record: AircraftRecord) -> tuple[Manoeuvre, ...]:
-    """Every manoeuvre of a record, in one pass over its steps; none without a header, or of the law "none"."""
+    """Every manoeuvre of a record, in one pass over its steps; none of a record without its header, or of the
+    law "none"."""
     if record.header is None or record.header.config.avoidance.law == "none":
         return ()
     finder = _Finder(record)
     found: list[_Open] = []
     for step in record.steps():
-        for event in step.events:
-            finder.event(event)
-        for command in step.commands:
-            if isinstance(command, Decision):
-                found += finder.decision(step.now_s, command)
-            else:
-                finder.event(command)
+        found += finder.step(step)
     found += finder.rest()
     return tuple(_finished(one) for one in found)
 
@@ -270,7 +273,9 @@ def _finished(one: _Open) -> Manoeuvre:
 
 
 def _why(one: _Open) -> str:
-    conflicts = sorted((t for t in one.decision.tracks if t.conflict), key=lambda t: (t.closest_m, t.track_id))
+    conflicts = sorted(
+        (t for t in one.decision.tracks if t.conflict), key=lambda t: (t.closest_m, t.track_id)
+    )
     if conflicts:
         ways = [
             f"within {t.closest_m:.1f} m of {t.track_id} in {t.time_to_closest_s:.1f} s (volume "
@@ -318,10 +323,15 @@ def _came(one: _Open) -> str:
     parts = []
     if one.nearest is not None:
         distance, when_s, track = one.nearest
-        parts.append(f"Nearest was {track} at {distance:.1f} m, as predicted then, at {when_s:.1f} s")
+        after_s = when_s - one.start_s
+        parts.append(
+            f"nearest was {track} at {distance:.1f} m, as predicted then, {after_s:.1f} s after its start"
+        )
     if one.deviation_m is not None:
-        back = "not regained" if one.regained_s is None else f"regained at {one.regained_s:.1f} s"
-        parts.append(f"at most {one.deviation_m:.1f} m from the timed path, {back}")
+        back = "was not regained before the next one or the end"
+        if one.regained_s is not None:
+            back = f"was regained {one.regained_s - one.end_s:.1f} s after its end"
+        parts.append(f"at most {one.deviation_m:.1f} m from the timed path, which {back}")
     words = "; ".join(parts)
     return words[:1].upper() + words[1:] + "." if words else ""
 

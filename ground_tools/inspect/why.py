@@ -4,12 +4,13 @@ A `Decision` tells what the law saw, wanted and chose. Its half-spaces are made 
 `kernels.decide`, never by a second implementation. That is not bit for bit what was computed in flight,
 because a `Decision` does not hold all that went in; what is missing is taken so:
 
-- the own velocity at the time of each neighbour's sample: between those of the decisions noted before;
 - our share: 1 for crewed traffic, one half for all others (in flight also 1 for what cannot manoeuvre);
 - accuracies: such that the radius is the logged one;
 - the second half-space of a track that fell silent (where it would stand): left out;
-- the floor where none is configured: 15 m above home, or the height flown where that is less;
-- the own accuracy, by which a fence's margin grows: 0.
+- the floor where none is configured: 15 m above home, or the height flown where that is less.
+
+Where none of these differs they are the flight's to within rounding, given the own velocities that the record
+holds (`Explainer.note`); a test compares them with the heart's.
 
 Which of them bound the velocity is the log's own word (`TrackView.active`, `Decision.limits`), not taken from
 these. For the exact planes run the heart again (`companion.replay`).
@@ -24,8 +25,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.avoidance import kernels as k
-from companion.avoidance.law import LEAST_MARGIN_M, LIMITS, LOOK_S, QUANTUM_MPS, SIGMAS, on_plane
-from companion.avoidance.law import horizon_s, separation_m, settings_of
+from companion.avoidance.law import (
+    LEAST_MARGIN_M,
+    LIMITS,
+    LOOK_S,
+    QUANTUM_MPS,
+    SIGMAS,
+    horizon_s,
+    on_plane,
+    separation_m,
+    settings_of,
+)
 from companion.avoidance.limits import effective
 from companion.avoidance.plan import LEAST_HEIGHT_M, LEAST_LAYER_M
 from companion.avoidance.trajectory import Trajectory
@@ -97,46 +107,56 @@ class Look:
 
 
 class Explainer:
-    """Explains decisions of one aircraft; what it is noted beforehand makes the half-spaces truer.
+    """Explains decisions of one aircraft; what it is noted beforehand makes the half-spaces truer."""
 
-    Args:
-        config: of the record's header.
-        vehicle: the vehicle's own limits, as far as known.
-        areas: the fence that was flown within; None: the configured one.
-    """
-
-    def __init__(
-        self,
-        config: Config,
-        vehicle: VehicleParameters | None = None,
-        areas: Sequence[FenceArea] | None = None,
-    ) -> None:
-        self._avoidance: AvoidanceConfig = config.avoidance
-        self._configured = config.limits
-        self._limits = effective(config.limits, vehicle)
-        self._areas = config.fence if areas is None else tuple(areas)
+    def __init__(self, config: Config) -> None:
+        """
+        Args:
+            config: of the record's header.
+        """
+        self.configure(config, None, config.fence)
         self._state = np.zeros(k.STATE_ENTRIES)
         self._times, self._velocities = np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3))
 
-    def note(self, now_s: float, decision: Decision) -> None:
-        """Keep the own velocity of an earlier decision."""
-        k.note_velocity(self._state, self._times, self._velocities, now_s, *decision.velocity_ned_mps)
+    def configure(
+        self, config: Config, vehicle: VehicleParameters | None, areas: Sequence[FenceArea]
+    ) -> None:
+        """What counts from now on.
 
-    def look(self, now_s: float, decision: Decision, height_m: float | None = None) -> Look:
+        Args:
+            vehicle: the vehicle's own limits, as far as known.
+            areas: the fence that is flown within.
+        """
+        self._avoidance: AvoidanceConfig = config.avoidance
+        self._configured = config.limits
+        self._limits = effective(config.limits, vehicle)
+        self._areas = tuple(areas)
+
+    def note(self, now_s: float, velocity_ned_mps: Vec3) -> None:
+        """Keep the own velocity before a decision, as the heart does at every step."""
+        k.note_velocity(self._state, self._times, self._velocities, now_s, *velocity_ned_mps)
+
+    def look(
+        self, now_s: float, decision: Decision, height_m: float | None = None, sigma_m: float = 0.0
+    ) -> Look:
         """Half-spaces and alternatives of a decision.
 
         Args:
             height_m: own height above home; None: no floor and no ceiling are known.
+            sigma_m: own horizontal standard deviation, by which a fence's margin grows.
         """
-        spaces, solved = self._half_spaces(now_s, decision, height_m)
+        spaces, solved = self._half_spaces(now_s, decision, height_m, sigma_m)
         speed, climb = self._limits.max_speed_mps, self._limits.max_climb_mps
         found = self._alternative("as the law found", solved, decision, spaces)
         wanted = self._alternative("keep on as wanted", decision.wanted_ned_mps, decision, spaces)
         others = [self._alternative("stop", (0.0, 0.0, 0.0), decision, spaces)]
-        n, e, d = decision.wanted_ned_mps
+        n, e, _ = decision.wanted_ned_mps
         if math.hypot(n, e) >= _LEAST_SPEED_MPS:
             others += [self._turn(side, decision, spaces) for side in (1, -1)]
-        for name, down in (("climb", -min(climb, speed)), ("descend", min(self._limits.max_descent_mps, speed))):
+        for name, down in (
+            ("climb", -min(climb, speed)),
+            ("descend", min(self._limits.max_descent_mps, speed)),
+        ):
             level = math.sqrt(max(speed * speed - down * down, 0.0))
             share = min(level / max(math.hypot(n, e), 1e-9), 1.0)
             others.append(
@@ -159,7 +179,7 @@ class Explainer:
         return found[_USUAL_TURN_DEG]
 
     def _half_spaces(
-        self, now_s: float, decision: Decision, height_m: float | None
+        self, now_s: float, decision: Decision, height_m: float | None, sigma_m: float
     ) -> tuple[tuple[HalfSpace, ...], Vec3]:
         """The half-spaces, and the velocity that the law finds in them."""
         here, want = decision.position_ned_m, decision.wanted_ned_mps
@@ -176,10 +196,10 @@ class Explainer:
         tracks = decision.tracks
         neighbours = np.zeros((len(tracks) + 1, k.NEIGHBOUR_COLUMNS))
         for row, track in zip(neighbours, tracks, strict=False):
-            self._neighbour(row, track, decision)
+            self._neighbour(row, track, decision, sigma_m)
         own = np.zeros(k.OWN_ENTRIES)
         own[:6] = *here, *decision.velocity_ned_mps
-        own[k.O_NOW], own[k.O_PATH_TIME] = now_s, 0.0
+        own[k.O_SIGMA], own[k.O_NOW], own[k.O_PATH_TIME] = sigma_m, now_s, 0.0
         own[k.O_FLOOR], own[k.O_CEILING] = self._boundaries(here[2], height_m)
         # Copies: the history goes on as if nobody had looked.
         state, times, velocities = self._state.copy(), self._times.copy(), self._velocities.copy()
@@ -205,16 +225,16 @@ class Explainer:
         )
         solved = out[k.R_SOLVED : k.R_SOLVED + 3].tolist()
         found = []
-        for row, plane in enumerate(planes[: int(out[k.R_HARD])].tolist()):
-            cause = LIMITS[min(row, 2)]
-            active = cause in decision.limits and (row < k.DOWN_SPEEDS or on_plane(plane, solved))
+        for number, plane in enumerate(planes[: int(out[k.R_HARD])].tolist()):
+            cause = LIMITS[min(number, k.DOWN_SPEEDS)]
+            active = cause in decision.limits and (number < k.DOWN_SPEEDS or on_plane(plane, solved))
             found.append(HalfSpace(cause, False, (plane[0], plane[1], plane[2]), plane[3], active))
         for track, seen in zip(tracks, view.tolist(), strict=False):
             n, e, d, least = seen[k.V_PLANE : k.V_STANDING]
             found.append(HalfSpace(track.track_id, True, (n, e, d), least, track.active))
         return tuple(found), (solved[0], solved[1], solved[2])
 
-    def _neighbour(self, row: k.Array, track: TrackView, decision: Decision) -> None:
+    def _neighbour(self, row: k.Array, track: TrackView, decision: Decision, own_sigma_m: float) -> None:
         """Fill one row: where it was at its message, and what makes its radius the logged one."""
         crewed = self._crewed(track)
         age = max(track.age_s, 0.0)
@@ -222,7 +242,8 @@ class Explainer:
         row[:3] = [p - age * v for p, v in zip(track.position_ned_m, track.velocity_ned_mps, strict=True)]
         row[3:6] = track.velocity_ned_mps
         row[k.N_AGE] = age
-        row[k.N_SIGMA] = max(margin, LEAST_MARGIN_M) / SIGMAS
+        sigma = max(margin, LEAST_MARGIN_M) / SIGMAS
+        row[k.N_SIGMA] = math.sqrt(max(sigma * sigma - own_sigma_m * own_sigma_m, 0.0))
         row[k.N_SHARE] = share_of(FREE, CREWED if crewed else FREE)
         # The kernel predicts who tells no height to exactly our own.
         row[k.N_VERTICAL] = track.position_ned_m[2] != decision.position_ned_m[2]
