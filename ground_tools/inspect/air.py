@@ -21,8 +21,8 @@ from companion.remote_id.law import longest_period_s
 from companion.remote_id.messages import BasicId, Location, System
 from ground_tools.inspect.read_run import AircraftRecord
 
-SLACK_S = 0.051
-"""A period that is over by one step of the heart is the step's, not the schedule's."""
+SLACK_S = 1e-3
+"""Rounding of the times: no period is longer for that."""
 _HOUR_S = 3600.0
 _LATE_COUNTS = 8
 _LONGEST_GAP_S = 10.0
@@ -174,9 +174,7 @@ def gather(record: AircraftRecord) -> dict[str, Any]:
         "region": None if config is None else config.region.name,
         "not_legal_s": found.illegal_s,
         "not_legal_because": list(found.reasons),
-        "sent": [
-            _sent(transport, kind, lane) for (transport, kind), lane in sorted(found.sent.items())
-        ],
+        "sent": [_sent(transport, kind, lane) for (transport, kind), lane in sorted(found.sent.items())],
         "heard": [
             _heard(transport, address, one) for (transport, address), one in sorted(found.senders.items())
         ],

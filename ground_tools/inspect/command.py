@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from companion.errors import ConfigError
-from ground_tools.inspect import recording, summary
+from ground_tools.inspect import recording, summary, tables
 from ground_tools.inspect.read_run import read_run
 
 EXAMPLE = "example: ground-tools inspect runs/20260101T000000Z-demo, then: rerun runs/.../inspect.rrd"
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print(json.dumps(summary.describe(one)))
             continue
-        print(summary.text(summary.describe(one)))
+        tables.show(summary.describe(one), tables.console())
         if not figures_only:
             path = args.save or folder / "inspect.rrd"
             recording.write(one, path)

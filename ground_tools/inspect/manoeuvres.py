@@ -79,12 +79,14 @@ class Manoeuvre:
     why: str
     done: str
     came: str
-    instead: str
+    instead: tuple[str, ...]
+    """The alternatives, each with what it would have led to."""
 
     @property
     def text(self) -> str:
         """All of it in a few sentences."""
-        return " ".join(words for words in (self.why, self.done, self.came, self.instead) if words)
+        instead = f"Instead: {'; '.join(self.instead)}." if self.instead else ""
+        return " ".join(words for words in (self.why, self.done, self.came, instead) if words)
 
 
 @dataclass(slots=True)
@@ -268,7 +270,7 @@ def _finished(one: _Open) -> Manoeuvre:
         why=_why(one),
         done=done,
         came=_came(one),
-        instead=_instead(one.look.alternatives),
+        instead=tuple(outcome(other) for other in one.look.alternatives[1:]),
     )
 
 
@@ -336,10 +338,6 @@ def _came(one: _Open) -> str:
     return words[:1].upper() + words[1:] + "." if words else ""
 
 
-def _instead(others: tuple[Alternative, ...]) -> str:
-    return f"Instead: {'; '.join(outcome(one) for one in others[2:])}." if len(others) > 2 else ""
-
-
 def outcome(one: Alternative) -> str:
     """An alternative and what it would have led to, in words."""
     if one.closest_track is None or one.closest_m is None:
@@ -381,5 +379,5 @@ def figures(one: Manoeuvre) -> dict[str, object]:
         "why": one.why,
         "done": one.done,
         "came": one.came,
-        "instead": one.instead,
+        "instead": list(one.instead),
     }
