@@ -1,9 +1,9 @@
 """Remote ID of one aircraft: what it sent against the floor of its region, and how the others came in.
 
-The floor is that of the region in the record's header (`companion.remote_id.law`), for as long as a transport
-was to be on the air by the log (`BroadcastChanged`). Losses are counted where frames carry a counter, with the
-rules of `companion.traffic.reception`. The latency of a message is its time of arrival less its own time, by
-UTC of the autopilot; the age of information is that which the law decided with.
+The floor is that of the region in the record's header (`companion.remote_id.law`), for as long as a
+transport was to be on the air by the log (`BroadcastChanged`). Losses are counted where frames carry a
+counter, with the rules of `companion.traffic.reception`. The latency of a message is its time of arrival less
+its own time, by UTC of the autopilot; the age of information is that which the law decided with.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The flight of one aircraft in figures: arming, distance, speeds, modes, who flew, alerts, what went wrong."""
+"""The flight of one aircraft in figures: arming, distance, speeds, modes, who flew, alerts, faults."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def alerts(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
 
 
 def faults(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
-    """What went wrong, in order: authority lost, requests refused, doubted tracks, texts of warning and above."""
+    """What went wrong, in order: authority lost, requests refused, doubted tracks, texts of warning or worse."""
     return [
         {"time_s": now_s + offset_s, "what": words[0], "text": words[1]}
         for now_s, what in record.facts.rare

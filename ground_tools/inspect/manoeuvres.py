@@ -352,6 +352,8 @@ def verdict(one: Alternative) -> str:
     if one.excluded_by:
         causes = ", ".join(f"{cause} (by {short:.1f} m/s)" for cause, short in one.excluded_by[:_MOST_NAMED])
         return f"excluded by {causes}"
+    if one.from_wanted_mps == 0.0:
+        return "no half-space excludes it yet, but in a conflict the law keeps to the right"
     enters = f" but into the volume of {', '.join(one.enters)} later on" if one.enters else ""
     return f"allowed{enters}, {one.from_wanted_mps:.1f} m/s from the wanted velocity"
 

@@ -1,5 +1,5 @@
-"""A run in figures: closest approaches and what was done, each flight, manoeuvre and broadcast, what went wrong
-and what is damaged or missing."""
+"""A run in figures: closest approaches and what was done, each flight, manoeuvre and broadcast, what went
+wrong and what is damaged or missing."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def _conflicts(
     done: dict[str, tuple[Manoeuvre, ...]],
     offsets: dict[str, float],
 ) -> list[dict[str, Any]]:
-    """Pairs of the run that came near or were in conflict, and heard aircraft that were; the closest first."""
+    """Pairs of the run that came near or were in conflict, and heard aircraft that were, closest first."""
     records = {record.name: record for record in run.aircraft}
     rows = []
     for pair in pairs:

@@ -1,7 +1,7 @@
 """The figures of a run in the terminal.
 
-What comes from logs (identities, texts) is hostile: it is printed as plain text, without markup, and characters
-that steer a terminal are shown as their codes.
+What comes from logs (identities, texts) is hostile: it is printed as plain text, without markup, and
+characters that steer a terminal are shown as their codes.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -59,7 +60,7 @@ def show(figures: dict[str, Any], console: Console) -> None:
         for row in one["manoeuvres"]:
             _line(console, f"{one['name']}, {row['start_s']:.1f} to {row['end_s']:.1f} s", "bold")
             for words in sentences(row):
-                _line(console, f"  {words}")
+                console.print(Padding(Text(plain(words)), (0, 0, 0, 2)))
 
 
 def head(figures: dict[str, Any]) -> str:
@@ -151,6 +152,11 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
 def kept(value: bool | None) -> str:
     """A verdict in words."""
     return {True: "kept", False: "LOST", None: "-"}[value]
+
+
+def alarming(row: Sequence[str]) -> bool:
+    """Whether a row of a table tells of a loss or of something not kept."""
+    return any(cell.startswith(("LOST", "NOT ")) or cell == "NO" for cell in row)
 
 
 def _conflicts(rows: Sequence[dict[str, Any]]) -> Rows:
@@ -346,8 +352,7 @@ def _table(console: Console, title: str, rows: Rows) -> None:
     for words in rows[0]:
         table.add_column(words, overflow="fold")
     for row in rows[1 : _MOST_ROWS + 1]:
-        style = "bold red" if any(c.startswith(("LOST", "NOT")) or c == "NO" for c in row) else ""
-        table.add_row(*(Text(plain(cell)) for cell in row), style=style)
+        table.add_row(*(Text(plain(cell)) for cell in row), style="bold red" if alarming(row) else "")
     console.print(table)
     if len(rows) > _MOST_ROWS + 1:
         _line(console, f"  {len(rows) - 1 - _MOST_ROWS} more rows: see --json")
