@@ -113,7 +113,7 @@ def alerts(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
 
 
 def faults(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
-    """What went wrong, in order: authority lost, requests refused, doubted tracks, texts of warning or worse."""
+    """What went wrong, in order: authority lost, requests refused, doubted tracks, warnings."""
     return [
         {"time_s": now_s + offset_s, "what": words[0], "text": words[1]}
         for now_s, what in record.facts.rare

@@ -1,5 +1,5 @@
-"""Plots of a run as SVG that stands in a page: paths, separation, heights, speeds, ages, rates, lanes, and the
-velocity space of a manoeuvre.
+"""Plots of a run as SVG that stands in a page: paths, separation, heights, speeds, ages, rates, lanes, and
+the velocity space of a manoeuvre.
 
 Texts stay texts: small, sharp in print. Names come from logs, so nothing in them is read as mathematics, and
 matplotlib writes them escaped.
@@ -26,6 +26,10 @@ MOST_LINES = 12
 """Pairs or tracks drawn one by one in one plot; beyond, the closest ones."""
 _MOST_POINTS = 1200
 """Of one line: more cannot be told apart on paper."""
+_OVER = 5
+"""Broadcasts that a rate is taken over."""
+_MAX_SILENCE_S = 3.0
+"""Ages farther apart are not joined by a line."""
 _HALF_WIDTH_M = 120.0
 _TOP_OF_REQUIRED = 6.0
 _LIMIT = hexadecimal(LIMIT)
@@ -44,7 +48,7 @@ _STATES = {
     "guarding": "#9fd3a8",
     "watching": "#cfe5f5",
     "avoiding": "#d55e00",
-    "recovering": "#e69f00",
+    "recovering": "#56b4e9",
     "standby": "#dddddd",
     "yielded": "#cc79a7",
     "fault": "#b00020",
@@ -148,6 +152,9 @@ def separation(pairs: list[Separation]) -> str:
         axes.axhline(required, color=_LIMIT, lw=1.6, ls="--", label=f"limit {required:g} m")
         top = max(_TOP_OF_REQUIRED * required, 1.5 * float(np.nanmin(least)))
         axes.axhspan(0.0, required, color=_LIMIT, alpha=0.08, lw=0)
+        near = time[least <= top]
+        if len(near):
+            axes.set_xlim(near[0] - 5.0, near[-1] + 5.0)
         axes.set(ylim=(0.0, top), xlabel="time (s)", ylabel="slant distance (m)")
         _legend(figure, axes)
 
@@ -211,22 +218,23 @@ def ages(run: Run, ways: Flown) -> str | None:
             mine = sorted((f for f in shown if f[0] == name), key=lambda f: -float(f[2].age_s.max()))
             for index, (_, track, facts) in enumerate(mine[:MOST_LINES]):
                 time, age = thin(facts.now_s + ways.offsets_s[name], facts.age_s)
-                axes.plot(time, age, ".", ms=2, color=shade(index), label=plain(track))
+                age = np.where(np.diff(time, prepend=time[0]) > _MAX_SILENCE_S, np.nan, age)
+                axes.plot(time, age, lw=0.8, color=shade(index), label=plain(track))
             axes.set_title(plain(f"what {name} knew"), fontsize=_WORDS)
             axes.set(ylim=(0.0, None), ylabel="age (s)")
-            axes.legend(fontsize=6.5, ncols=6, frameon=False, loc="upper left", markerscale=3)
+            axes.legend(fontsize=6.5, ncols=6, frameon=False, loc="upper left")
         rows[-1].set_xlabel("time (s)")
 
     return svg((9.4, 0.9 + 1.3 * len(names)), draw)
 
 
 def rates(run: Run, ways: Flown) -> str | None:
-    """Broadcasts a second on each transport, over 5 s; None without any."""
+    """Broadcasts a second on each transport, over the last `_OVER`; None without any."""
     lanes = [
         (record.name, transport, times + ways.offsets_s[record.name])
         for record in run.aircraft
         for transport, times in sorted(record.facts.sent.items())
-        if len(times) > 1
+        if len(times) > _OVER
     ]
     if not lanes:
         return None
@@ -235,16 +243,9 @@ def rates(run: Run, ways: Flown) -> str | None:
         axes = figure.subplots()
         styles = dict(zip(sorted({t for _, t, _ in lanes}), ("-", "--", ":", "-."), strict=False))
         for index, (name, transport, times) in enumerate(lanes[: 2 * MOST_LINES]):
-            edges = np.arange(times[0], times[-1] + 5.0, 5.0)
-            count, _ = np.histogram(times, edges)
-            axes.stairs(
-                count / 5.0,
-                edges,
-                baseline=None,
-                color=shade(index),
-                ls=styles.get(transport, "-"),
-                label=plain(f"{name} {transport}"),
-            )
+            time, rate = thin(times[_OVER:], _OVER / np.maximum(times[_OVER:] - times[:-_OVER], 1e-3))
+            look = {"color": shade(index), "ls": styles.get(transport, "-")}
+            axes.plot(time, rate, label=plain(f"{name} {transport}"), **look)
         axes.set(ylim=(0.0, None), xlabel="time (s)", ylabel="broadcasts a second")
         _legend(figure, axes)
 
@@ -341,7 +342,7 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
             )
         for velocity, words, tint in (
             (one.decision.velocity_ned_mps, "flown then", "#9a9a9a"),
-            (one.decision.wanted_ned_mps, "wanted", "#0072b2"),
+            (one.decision.wanted_ned_mps, "wanted", "#111111"),
             (found, "found by the law", _LIMIT),
         ):
             axes.annotate(

@@ -7,7 +7,6 @@ comes from logs is hostile and is escaped.
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,8 @@ from ground_tools.inspect.tables import Rows, number, plain
 
 MOST_DRAWN = 24
 """Manoeuvres whose velocity space is drawn; the others stand in words."""
+_LONGEST_WORD = 20
+"""A longer one may be broken anywhere."""
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _STYLE = """
 :root { color-scheme: light; }
@@ -34,12 +35,15 @@ p, li { overflow-wrap: anywhere; }
 .bad { color: #b00020; }
 .gone { background: #fff6dd; border-left: 4px solid #e69f00; padding: .5rem .8rem; }
 table { border-collapse: collapse; width: 100%; font-size: 12.5px; margin: .4rem 0 1rem; }
-th { text-align: left; border-bottom: 1.5px solid #555; padding: .2rem .5rem .2rem 0; vertical-align: bottom; }
+th { text-align: left; vertical-align: bottom; border-bottom: 1.5px solid #555;
+  padding: .2rem .5rem .2rem 0; }
 td { border-bottom: 1px solid #ddd; padding: .2rem .5rem .2rem 0; vertical-align: top;
-  overflow-wrap: anywhere; font-variant-numeric: tabular-nums; }
+  font-variant-numeric: tabular-nums; }
+td.long { overflow-wrap: anywhere; }
 tr { break-inside: avoid; }
 figure { margin: .6rem 0; break-inside: avoid; }
-figure svg { max-width: 100%; height: auto; }
+figure svg { width: 100%; height: auto; }
+.manoeuvre figure svg { max-width: 34rem; }
 figcaption { font-size: 12.5px; color: #444; }
 .manoeuvre { break-inside: avoid; }
 .note { font-size: 12.5px; color: #444; }
@@ -60,7 +64,8 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
         figures: of `summary.describe`.
 
     Raises:
-        ConfigError: matplotlib is not installed, no aircraft recorded a position, or `path` cannot be written.
+        ConfigError: matplotlib is not installed, no aircraft recorded a position, or `path` cannot be
+            written.
     """
     text = page(run, figures)
     try:
@@ -71,9 +76,9 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
 
 def page(run: Run, figures: dict[str, Any]) -> str:
     """The report, whole."""
-    parts = [_head(run, figures), *_drawings(run, figures)]
-    found = dict(tables.sections(figures))
-    parts += [_section(title, _table(rows)) for title, rows in found.items()]
+    told = [_section(title, _table(rows)) for title, rows in tables.sections(figures)]
+    # The conflicts come first, and are followed by what they looked like.
+    parts = [_head(run, figures), *told[:1], *_drawings(run, figures), *told[1:]]
     parts += _manoeuvres(run, figures)
     title = escaped(f"{figures['run']}: flight report")
     return (
@@ -126,14 +131,14 @@ def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
         ("Paths from above", f"By {ways.positions}.", plots.paths(ways, pairs)),
         (
             "Separation",
-            f"The closest {min(len(pairs), plots.MOST_LINES)} of {len(pairs)} pairs; far ones are cut off.",
+            f"The closest {min(len(pairs), plots.MOST_LINES)} of {len(pairs)} pairs, while any is near.",
             plots.separation(pairs) if pairs else None,
         ),
         ("Who flew, modes and alerts", "", plots.lanes(run, ways, figures["aircraft"])),
         ("Height", "", plots.heights(ways)),
         ("Speeds", "Of every decision of the law.", plots.speeds(run, ways)),
         ("Age of information", "The oldest of every second, as the law decided.", plots.ages(run, ways)),
-        ("Broadcasts", "Averages over 5 s.", plots.rates(run, ways)),
+        ("Broadcasts", "Each rate over the five before it.", plots.rates(run, ways)),
     ]
     return [
         _section(title, f"<figure>{drawing}<figcaption>{escaped(words)}</figcaption></figure>")
@@ -155,8 +160,8 @@ def _manoeuvres(run: Run, figures: dict[str, Any]) -> list[str]:
         return []
     note = (
         "<p class=note>What else could have been flown, each by what it led to if every track kept its "
-        "velocity; the half-spaces are the law's own, at the start of the manoeuvre. In the drawings the tinted "
-        "side of a line is excluded at the vertical speed found; x: excluded, o: allowed.</p>"
+        "velocity; the half-spaces are the law's own, at the start of the manoeuvre. In the drawings the "
+        "tinted side of a line is excluded at the vertical speed found; x: excluded, o: allowed.</p>"
     )
     return [_section("Every manoeuvre", note + "\n".join(parts), new_page=True)]
 
@@ -175,8 +180,9 @@ def _manoeuvre(name: str, one: Manoeuvre, row: dict[str, Any], drawing: str | No
         ]
         for index, other in enumerate(one.alternatives[1:])
     ]
+    when = f"{row['start_s']:.1f} to {row['end_s']:.1f} s"
     return (
-        f'<div class="manoeuvre"><h3>{escaped(name)}, {row["start_s"]:.1f} to {row["end_s"]:.1f} s</h3>{words}'
+        f'<div class="manoeuvre"><h3>{escaped(name)}, {when}</h3>{words}'
         + _table(rows)
         + (f"<figure>{drawing}</figure>" if drawing else "")
         + "</div>"
@@ -188,10 +194,14 @@ def _section(title: str, body: str, new_page: bool = False) -> str:
 
 
 def _table(rows: Rows) -> str:
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "".join(f"<{tag}>{escaped(cell)}</{tag}>" for cell in cells)
-
+    head = "".join(f"<th>{escaped(cell)}</th>" for cell in rows[0])
     body = "".join(
-        f"<tr{' class=bad' if tables.alarming(row) else ''}>{line(row, 'td')}</tr>" for row in rows[1:]
+        f"<tr{' class=bad' if tables.alarming(row) else ''}>{''.join(map(_cell, row))}</tr>"
+        for row in rows[1:]
     )
-    return f"<table><thead><tr>{line(rows[0], 'th')}</tr></thead><tbody>{body}</tbody></table>"
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _cell(text: str) -> str:
+    long = max(map(len, text.split()), default=0) > _LONGEST_WORD
+    return f"<td{' class=long' if long else ''}>{escaped(text)}</td>"

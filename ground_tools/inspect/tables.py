@@ -47,18 +47,18 @@ def console() -> Console:
 
 def show(figures: dict[str, Any], console: Console) -> None:
     """Print the figures of `summary.describe`."""
-    _line(console, head(figures), "bold")
+    line(console, head(figures), "bold")
     for words in verdicts(figures):
         bad = any(mark in words for mark in ("LOST", "NOT"))
-        _line(console, f"  {words}", "bold red" if bad else "")
+        line(console, f"  {words}", "bold red" if bad else "")
     for words in damage(figures):
-        _line(console, f"  {words}", "yellow")
+        line(console, f"  {words}", "yellow")
     console.print()
     for title, rows in sections(figures):
-        _table(console, title, rows)
+        show_table(console, title, rows)
     for one in figures["aircraft"]:
         for row in one["manoeuvres"]:
-            _line(console, f"{one['name']}, {row['start_s']:.1f} to {row['end_s']:.1f} s", "bold")
+            line(console, f"{one['name']}, {row['start_s']:.1f} to {row['end_s']:.1f} s", "bold")
             for words in sentences(row):
                 console.print(Padding(Text(plain(words)), (0, 0, 0, 2)))
 
@@ -117,7 +117,8 @@ def _verdicts_on_remote_id(aircraft: Sequence[dict[str, Any]]) -> list[str]:
 def damage(figures: dict[str, Any]) -> list[str]:
     """What is damaged or missing, one line each."""
     gone = [f"missing: {one['name']}: {words}" for one in figures["aircraft"] for words in one["missing"]]
-    return [*(f"problem: {words}" for words in figures["problems"]), *gone]
+    problems = [f"problem: {words}" for words in figures["problems"]]
+    return [*problems, *(f"note: {words}" for words in figures.get("notes", ())), *gone]
 
 
 def sentences(row: dict[str, Any]) -> list[str]:
@@ -191,8 +192,8 @@ def _separations(figures: dict[str, Any]) -> Rows:
 
 
 def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = ["aircraft", "record (s)", "armed (s)", "flown (m)", "fastest (m/s)", "highest (m)", "law's looks"]
-    head += ["in con- flict", "not kept", "caut- ions", "warn- ings", "use, law"]
+    head = ["aircraft", "record (s)", "armed (s)", "flown (m)", "fastest (m/s)", "highest (m)", "looks"]
+    head += ["in conflict", "not kept", "cautions", "warnings", "use, law"]
     return [head] + [
         [
             one["name"],
@@ -343,16 +344,18 @@ def _air(rows: Sequence[dict[str, Any]]) -> Rows:
     return found
 
 
-def _line(console: Console, words: str, style: str = "") -> None:
+def line(console: Console, words: str, style: str = "") -> None:
+    """Print a line as it is, however long."""
     console.print(Text(plain(words), style=style), soft_wrap=True)
 
 
-def _table(console: Console, title: str, rows: Rows) -> None:
+def show_table(console: Console, title: str, rows: Rows) -> None:
+    """Print a table, cut off after `_MOST_ROWS`."""
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
     for words in rows[0]:
-        table.add_column(words, overflow="fold")
+        table.add_column(words, overflow="fold", min_width=max(map(len, words.split()), default=0))
     for row in rows[1 : _MOST_ROWS + 1]:
         table.add_row(*(Text(plain(cell)) for cell in row), style="bold red" if alarming(row) else "")
     console.print(table)
     if len(rows) > _MOST_ROWS + 1:
-        _line(console, f"  {len(rows) - 1 - _MOST_ROWS} more rows: see --json")
+        line(console, f"  {len(rows) - 1 - _MOST_ROWS} more rows: see --json")
