@@ -13,9 +13,11 @@ from ground_tools.inspect import air, flight, manoeuvres
 from ground_tools.inspect.flown import Separation, flown, separations
 from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.read_run import AircraftRecord, Run
+from ground_tools.inspect.tables import text as text
 
 NEAR = 3.0
 """Pairs that stayed farther apart than so many times their limit, and never conflicted, are no conflict."""
+_SAME_TIME_S, _FAR_OFF_M = 1.5, 5.0
 _BEFORE_S = 60.0
 """A manoeuvre that ended longer before the closest approach has nothing to do with it."""
 
@@ -198,6 +200,18 @@ def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ..
         )
         return f"{record.name} {ways}"
     return f"{record.name} {_why_nothing(record, track)}"
+
+
+def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: float) -> str:
+    """What the law took the distance to be then, where that is far from what it was."""
+    facts = record.facts.tracks.get(track)
+    if facts is None:
+        return ""
+    row = int(abs(facts.now_s - at_s).argmin())
+    seen_m = float(facts.distance_m[row])
+    if abs(float(facts.now_s[row]) - at_s) > _SAME_TIME_S or abs(seen_m - distance_m) < _FAR_OFF_M:
+        return ""
+    return f" (it took the distance to be {seen_m:.1f} m then)"
 
 
 def _why_nothing(record: AircraftRecord, track: str) -> str:

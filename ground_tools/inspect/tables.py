@@ -192,8 +192,8 @@ def _separations(figures: dict[str, Any]) -> Rows:
 
 
 def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = ["aircraft", "record (s)", "armed (s)", "flown (m)", "fastest (m/s)", "highest (m)", "looks"]
-    head += ["in conflict", "not kept", "cautions", "warnings", "use, law"]
+    head = ["aircraft", "record (s)", "armed (s)", "flown (m)", "fastest (m/s)", "highest (m)"]
+    head += ["in conflict", "not kept", "cautions", "warnings", "use", "law"]
     return [head] + [
         [
             one["name"],
@@ -202,8 +202,9 @@ def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
             number(one["flight"]["distance_m"], 0),
             number(one["flight"]["max_speed_mps"]),
             number(one["flight"]["max_height_m"]),
-            *(str(one[key]) for key in ("decisions", "conflicts", "infeasible", "cautions", "warnings")),
-            "-" if one["use"] is None else f"{one['use']}, {one['law']}",
+            *(str(one[key]) for key in ("conflicts", "infeasible", "cautions", "warnings")),
+            one["use"] or "-",
+            one["law"] or "-",
         ]
         for one in aircraft
     ]
