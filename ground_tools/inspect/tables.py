@@ -78,10 +78,12 @@ def verdicts(figures: dict[str, Any]) -> list[str]:
     found = []
     if known:
         least = known[0]
-        how = f"LOST by {len(lost)} of {len(known)} pairs" if lost else f"kept by all {len(known)} pairs"
+        how = f"kept by {len(known)} of {len(known)} pairs"
+        if lost:
+            how = f"LOST by {len(lost)} of {len(known)} pairs"
         found.append(
-            f"Separation {how}: closest {' - '.join(least['pair'])}, {least['minimum_m']:.2f} m "
-            f"(limit {least['required_m']:g} m)"
+            f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
+            f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {kept(least['kept'])})"
         )
     else:
         found.append("Separation: no two aircraft of this run were known at one time")
