@@ -67,9 +67,9 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
         ConfigError: matplotlib is not installed, no aircraft recorded a position, or `path` cannot be
             written.
     """
-    text = page(run, figures)
     try:
-        path.write_text(text, encoding="utf-8")
+        with path.open("w", encoding="utf-8") as file:
+            file.write(page(run, figures))
     except OSError as error:
         raise ConfigError(f"--report: {path}: cannot be written: {error.strerror}") from error
 

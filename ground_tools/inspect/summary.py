@@ -146,10 +146,10 @@ def _conflicts(
                 "kept": pair.minimum_m >= pair.required_m,
                 "by": "positions",
                 "done": [
-                    _what_was_done(
-                        record, track, done[record.name], pair.minimum_time_s - offsets[record.name]
-                    )
+                    _what_was_done(record, track, done[record.name], at_s)
+                    + _taken_to_be(record, track, at_s, pair.minimum_m)
                     for record, track in seen
+                    for at_s in (pair.minimum_time_s - offsets[record.name],)
                 ],
             }
         )

@@ -60,7 +60,7 @@ def show(figures: dict[str, Any], console: Console) -> None:
         for row in one["manoeuvres"]:
             line(console, f"{one['name']}, {row['start_s']:.1f} to {row['end_s']:.1f} s", "bold")
             for words in sentences(row):
-                console.print(Padding(Text(plain(words)), (0, 0, 0, 2)))
+                console.print(Padding(Text(plain(words)), (0, 0, 0, 2), expand=False))
 
 
 def head(figures: dict[str, Any]) -> str:

@@ -6,7 +6,7 @@ import pytest
 
 from companion.config import Config, IdentityConfig
 from companion.events import Broadcast, BroadcastChanged, RadioState, RemoteIdHeard, VehicleTime
-from companion.remote_id.messages import BasicId, IdType, Location
+from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.remote_id.region import Region
 from ground_tools.inspect.air import gather
 from tests.ground_tools.inspect.flights import decision, read, step, track
@@ -23,9 +23,16 @@ CONFIG = Config(identity=IdentityConfig(uas_id="ONE"), region=REGION)
 ON = BroadcastChanged(rates=(("wifi", 1.0),), legal=True, reason="")
 
 
+def name_of(uas_id):
+    return BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id=uas_id)
+
+
 def sends(times, *, channel=6, before=(ON,), transport="wifi"):
     """A pack at each time."""
-    pack = (BasicId(id_type=IdType.SERIAL_NUMBER, uas_id="ONE"), Location())
+    pack = (
+        BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="ONE"),
+        Location(),
+    )
     found = [step(0.0, *before, events=(RadioState(can_send=("wifi",), wifi_channel=channel),))]
     return found + [step(t, Broadcast(transport=transport, messages=pack)) for t in times]
 
@@ -67,7 +74,7 @@ def test_time_that_was_not_legal_is_summed_with_its_reasons(tmp_path: Path) -> N
 
 def frame(counter, stamp_s=None):
     messages = (
-        BasicId(id_type=IdType.SERIAL_NUMBER, uas_id="TWO"),
+        name_of("TWO"),
         Location(lat_deg=47.0, lon_deg=8.0, timestamp_s=stamp_s),
     )
     return RemoteIdHeard(transport="wifi", address="c2:00", messages=messages, counter=counter)
