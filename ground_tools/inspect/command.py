@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from companion.errors import ConfigError
-from ground_tools.inspect import compare, recording, report, summary, tables
+from ground_tools.inspect import compare, recording, report, summary, terminal
 from ground_tools.inspect.read_run import read_run
 
 EXAMPLE = "example: ground-tools inspect runs/20260101T000000Z-demo, then: rerun runs/.../inspect.rrd"
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print(json.dumps(differences))
         else:
-            compare.show(differences, tables.console())
+            compare.show(differences, terminal.console())
         return 0
     if args.report is not None:
         if len(folders) > 1 or args.save is not None:
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             print(json.dumps(summary.describe(one)))
             continue
-        tables.show(summary.describe(one), tables.console())
+        terminal.show(summary.describe(one), terminal.console())
         if not figures_only:
             path = args.save or folder / "inspect.rrd"
             recording.write(one, path)

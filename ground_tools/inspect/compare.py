@@ -20,7 +20,7 @@ from companion.events import Heartbeat, Landed, LandedState
 from ground_tools.inspect.flown import Flown, flown
 from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.summary import describe
-from ground_tools.inspect.tables import PIPED_WIDTH, Rows, line, number, show_table
+from ground_tools.inspect.terminal import PIPED_WIDTH, Rows, line, number, show_table
 
 _WHOLE = frozenset({"path", "fence"})
 """Parts of a configuration that are told to differ, and not shown."""

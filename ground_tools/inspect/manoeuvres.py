@@ -125,7 +125,7 @@ class _Open:
             return
         away = math.dist(decision.path_ned_m, decision.position_ned_m)
         self.deviation_m = max(self.deviation_m or 0.0, away)
-        if now_s > self.end_s and away <= regained_m:
+        if away <= regained_m:
             self.regained_s = now_s
 
 

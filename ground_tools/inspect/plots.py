@@ -20,7 +20,7 @@ from ground_tools.inspect.flown import Array, Flown, Separation, crossing, least
 from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.palette import LIMIT, colour, hexadecimal
 from ground_tools.inspect.read_run import Run
-from ground_tools.inspect.tables import plain
+from ground_tools.inspect.terminal import plain
 
 MOST_LINES = 12
 """Pairs or tracks drawn one by one in one plot; beyond, the closest ones."""
@@ -323,9 +323,10 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
         axes = figure.subplots()
         around = np.linspace(0.0, 2.0 * np.pi, 120)
         axes.plot(speed_mps * np.sin(around), speed_mps * np.cos(around), color="#999999", lw=0.9, ls=":")
-        grid = np.linspace(-reach, reach, 220)
+        grid = np.linspace(-reach, reach, 9)  # of planes: exact on any grid
         east, north = np.meshgrid(grid, grid)
         index = 0
+        shown: list[str] = []
         for space in one.half_spaces:
             n, e, d = space.normal_ned
             if n == e == d == 0.0 or np.hypot(n, e) < 1e-6:
@@ -337,9 +338,10 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
             index += space.active
             axes.contour(east, north, kept, [0.0], colors=[tint], linewidths=1.5 if space.active else 0.8)
             axes.contourf(east, north, kept, [kept.min(), 0.0], colors=[tint], alpha=0.14)
-            axes.plot(
-                [], [], color=tint, label=plain(space.cause) + ("" if space.active else " (not active)")
-            )
+            name = space.cause if space.active else "others, not active"
+            if name not in shown and len(shown) < MOST_LINES:
+                shown.append(name)
+                axes.plot([], [], color=tint, label=plain(name))
         for velocity, words, tint in (
             (one.decision.velocity_ned_mps, "flown then", "#9a9a9a"),
             (one.decision.wanted_ned_mps, "wanted", "#111111"),

@@ -12,11 +12,11 @@ from typing import Any
 
 from companion.config import LimitsConfig
 from companion.errors import ConfigError
-from ground_tools.inspect import manoeuvres, plots, tables
+from ground_tools.inspect import manoeuvres, plots, terminal
 from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.read_run import Run
-from ground_tools.inspect.tables import Rows, number, plain
+from ground_tools.inspect.terminal import Rows, number, plain
 
 MOST_DRAWN = 24
 """Manoeuvres whose velocity space is drawn; the others stand in words."""
@@ -64,8 +64,7 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
         figures: of `summary.describe`.
 
     Raises:
-        ConfigError: matplotlib is not installed, no aircraft recorded a position, or `path` cannot be
-            written.
+        ConfigError: matplotlib is not installed, or `path` cannot be written.
     """
     try:
         with path.open("w", encoding="utf-8") as file:
@@ -76,7 +75,7 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
 
 def page(run: Run, figures: dict[str, Any]) -> str:
     """The report, whole."""
-    told = [_section(title, _table(rows)) for title, rows in tables.sections(figures)]
+    told = [_section(title, _table(rows)) for title, rows in terminal.sections(figures)]
     # The conflicts come first, and are followed by what they looked like.
     parts = [_head(run, figures), *told[:1], *_drawings(run, figures), *told[1:]]
     parts += _manoeuvres(run, figures)
@@ -112,12 +111,12 @@ def _head(run: Run, figures: dict[str, Any]) -> str:
     facts += [f"flown by version {version}" for version in sorted(software)]
     verdicts = "".join(
         f"<li{' class=bad' if 'LOST' in words or 'NOT' in words else ''}>{escaped(words)}</li>"
-        for words in tables.verdicts(figures)
+        for words in terminal.verdicts(figures)
     )
-    damage = tables.damage(figures)
+    damage = terminal.damage(figures)
     gone = "".join(f"<li>{escaped(words)}</li>" for words in damage)
     return (
-        f"<h1>{escaped(figures['run'])}</h1>\n<p>{escaped(tables.head(figures))}</p>\n"
+        f"<h1>{escaped(figures['run'])}</h1>\n<p>{escaped(terminal.head(figures))}</p>\n"
         + (f'<p class="note">{escaped("; ".join(facts))}</p>\n' if facts else "")
         + f'<ul class="verdicts">{verdicts}</ul>\n'
         + (f'<div class="gone"><strong>Damaged or missing</strong><ul>{gone}</ul></div>' if damage else "")
@@ -125,7 +124,10 @@ def _head(run: Run, figures: dict[str, Any]) -> str:
 
 
 def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
-    ways = flown(run)
+    try:
+        ways = flown(run)
+    except ConfigError:  # told among the problems
+        return []
     pairs = [pair for pair in separations(ways.paths) if pair.minimum_m is not None]
     found: list[tuple[str, str, str | None]] = [
         ("Paths from above", f"By {ways.positions}.", plots.paths(ways, pairs)),
@@ -196,7 +198,7 @@ def _section(title: str, body: str, new_page: bool = False) -> str:
 def _table(rows: Rows) -> str:
     head = "".join(f"<th>{escaped(cell)}</th>" for cell in rows[0])
     body = "".join(
-        f"<tr{' class=bad' if tables.alarming(row) else ''}>{''.join(map(_cell, row))}</tr>"
+        f"<tr{' class=bad' if terminal.alarming(row) else ''}>{''.join(map(_cell, row))}</tr>"
         for row in rows[1:]
     )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -8,12 +8,14 @@ from typing import Any
 import msgspec
 
 from companion.avoidance.alerts import Level
+from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged
 from ground_tools.inspect import air, flight, manoeuvres
 from ground_tools.inspect.flown import Separation, flown, separations
 from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.read_run import AircraftRecord, Run
-from ground_tools.inspect.tables import text as text
+from ground_tools.inspect.terminal import text as text
+from ground_tools.inspect.timeline import time_line
 
 NEAR = 3.0
 """Pairs that stayed farther apart than so many times their limit, and never conflicted, are no conflict."""
@@ -23,20 +25,24 @@ _BEFORE_S = 60.0
 
 
 def describe(run: Run) -> dict[str, Any]:
-    """Figures of a run, ready for JSON. All times are on the common time line that `clock` names.
-
-    Raises:
-        ConfigError: no aircraft recorded a position.
-    """
-    ways = flown(run)
+    """Figures of a run, ready for JSON; without any position there are no separations in them. All times are
+    on the common time line that `clock` names."""
+    ways = None
+    pairs: list[Separation] = []
+    unknown: tuple[str, ...] = ()
+    try:
+        ways = flown(run)
+        pairs, unknown = separations(ways.paths), ways.problems
+    except ConfigError as error:
+        unknown = (str(error),)
+    line = time_line(run)
     air_rows, air_problems = _air(run.summary)
-    pairs = separations(ways.paths)
     done = {record.name: manoeuvres.find(record) for record in run.aircraft}
-    offsets = ways.offsets_s
+    offsets = line.offsets_s
     return {
         "run": run.name,
-        "clock": ways.clock,
-        "positions": ways.positions,
+        "clock": line.words,
+        "positions": ways.positions if ways else None,
         "conflicts": _conflicts(run, pairs, done, offsets),
         "aircraft": [_aircraft(record, done[record.name], offsets[record.name]) for record in run.aircraft],
         "separations": [
@@ -50,7 +56,7 @@ def describe(run: Run) -> dict[str, Any]:
             for pair in pairs
         ],
         "air": air_rows,
-        "problems": [*run.problems, *ways.problems, *air_problems],
+        "problems": [*run.problems, *unknown, *air_problems],
     }
 
 

@@ -48,13 +48,15 @@ def test_a_guarded_vehicle_is_taken_once(tmp_path: Path) -> None:
 
 
 def test_what_the_law_saw_while_the_autopilot_flew_is_none(tmp_path: Path) -> None:
-    config, steps = guarded()[0]
-    watched = []
-    for one in steps:
-        if any(isinstance(c, AuthorityChanged) and c.state == "avoiding" for c in one.commands):
-            break
-        watched.append(one)
-    assert find(read(tmp_path, config, watched)) == ()
+    def moved(previous, state):
+        return AuthorityChanged(previous=previous, state=state, trigger="x", reason="y")
+
+    left = decision(track(), chosen=RIGHT)
+    steps = [step(0.0, moved("standby", "watching")), *(step(k / 5, left) for k in range(1, 50))]
+    assert find(read(tmp_path / "watched", CONFIG, steps)) == ()
+    steps += [step(10.0, moved("watching", "avoiding")), *(step(10.0 + k / 5, left) for k in range(1, 5))]
+    (one,) = find(read(tmp_path / "taken", CONFIG, steps))
+    assert (one.start_s, one.guarded) == (10.2, True)
 
 
 def test_short_gaps_belong_to_it_and_long_ones_part_it(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import argparse
 import html.parser
 import re
 import sys
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,12 +13,14 @@ import pytest
 from companion.config import Config, FlightConfig, IdentityConfig
 from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged, Broadcast, VehicleText
+from companion.record import Step
 from companion.remote_id.messages import Location
 from ground_tools.inspect import command, plots, report
 from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.manoeuvres import find
 from ground_tools.inspect.read_run import read_run
 from ground_tools.inspect.summary import describe
-from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
+from tests.ground_tools.inspect.flights import decision, guarded, read, step, track, write
 
 pytest.importorskip("matplotlib")
 EVIL = "<script>alert(1)</script>$x_{\\frac}$\"'&\x1b[2J"
@@ -163,6 +166,25 @@ def test_separation_draws_the_limit_and_the_pair(run_folder: Path) -> None:
     drawing = plots.separation(separations(flown(read_run(run_folder)).paths))
     assert "limit 10 m" in drawing
     assert "DMUCA001 - DMUCA002" in drawing
+
+
+def test_without_any_position_the_rest_is_told(tmp_path: Path) -> None:
+    steps = [Step(now_s=float(t), events=(), commands=()) for t in range(3)]
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE")), steps)
+    text = page(tmp_path)
+    assert "no aircraft recorded a position" in text
+    assert "<h2>Flights</h2>" in text
+    assert "<svg" not in text
+
+
+def test_fifty_tracks_fit_into_a_velocity_space(tmp_path: Path) -> None:
+    many = [track(f"T{k:02}", position_ned_m=(60.0 + k, float(k - 25), -51.0)) for k in range(50)]
+    steps = [step(k / 5, decision(*many, chosen=(4, 3, 0))) for k in range(10)]
+    config = Config(identity=IdentityConfig(uas_id="ONE"), flight=FlightConfig(use="fly"))
+    (one,) = find(read(tmp_path, config, steps))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # matplotlib warns of what does not fit
+        assert "found by the law" in plots.velocities(one, 5.0)
 
 
 def test_the_command_writes_it(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

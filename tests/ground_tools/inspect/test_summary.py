@@ -20,7 +20,7 @@ from companion.events import (
 )
 from companion.remote_id.messages import Location
 from companion.remote_id.region import Region
-from ground_tools.inspect import tables
+from ground_tools.inspect import terminal
 from ground_tools.inspect.read_run import read_run
 from ground_tools.inspect.summary import describe
 from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
@@ -29,7 +29,7 @@ FLYING = FlightConfig(use="fly")
 
 
 def told(folder: Path) -> str:
-    return " ".join(tables.text(describe(read_run(folder))).split())
+    return " ".join(terminal.text(describe(read_run(folder))).split())
 
 
 @pytest.fixture
@@ -59,13 +59,13 @@ def test_it_is_json_and_the_same_each_time(guard: Path) -> None:
     first, second = (json.dumps(describe(read_run(guard))) for _ in range(2))
     assert first == second
     assert json.loads(first)["aircraft"][0]["manoeuvres"][0]["half_spaces"]
-    assert tables.text(json.loads(first)) == tables.text(describe(read_run(guard)))
+    assert terminal.text(json.loads(first)) == terminal.text(describe(read_run(guard)))
 
 
 def test_tables_fit_where_there_is_no_terminal(guard: Path) -> None:
     """The run's name and what is missing are lines of their own length."""
-    lines = tables.text(describe(read_run(guard))).splitlines()
-    assert max(map(len, lines[lines.index("") :])) <= tables.PIPED_WIDTH
+    lines = terminal.text(describe(read_run(guard))).splitlines()
+    assert max(map(len, lines[lines.index("") :])) <= terminal.PIPED_WIDTH
     assert not re.search(r"\x1b", "\n".join(lines))
 
 
@@ -173,7 +173,7 @@ def test_what_logs_say_steers_no_terminal(tmp_path: Path) -> None:
     steps = [step(k / 5, decision(track(evil), chosen=(4, 3, 0))) for k in range(20)]
     steps.append(step(9.0, events=(VehicleText(severity=1, text=evil),)))
     write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE"), flight=FLYING), steps)
-    text = tables.text(describe(read_run(tmp_path)))
+    text = terminal.text(describe(read_run(tmp_path)))
     assert "[bold red]" in text
     assert "\\x1b[2J" in text
     assert all(c.isprintable() or c == "\n" for c in text)

@@ -101,8 +101,9 @@ def test_crewed_traffic_is_left_all_of_the_work():
 
 def test_an_unknown_height_is_no_way_out():
     """Such a track is predicted to exactly the own height."""
-    look = alternatives(decision(track(position_ned_m=(100.0, 3.0, -50.0))), CONFIG)
-    above = alternatives(decision(track(position_ned_m=(100.0, 3.0, -62.0))), CONFIG)
+    sinks = (-5.0, 0.0, 1.0)
+    look = alternatives(decision(track(position_ned_m=(100.0, 3.0, -50.0), velocity_ned_mps=sinks)), CONFIG)
+    above = alternatives(decision(track(position_ned_m=(100.0, 3.0, -62.0), velocity_ned_mps=sinks)), CONFIG)
     assert next(s for s in look.half_spaces if s.track).normal_ned[2] == 0.0
     assert next(s for s in above.half_spaces if s.track).normal_ned[2] > 0.1
     assert named(look, "climb").closest_m < 5.0

@@ -67,7 +67,7 @@ def head(figures: dict[str, Any]) -> str:
     """Which run it is, and by what its times and distances are."""
     return (
         f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
-        f"distances by {figures['positions']}"
+        f"distances by {figures['positions'] or 'no positions'}"
     )
 
 
