@@ -154,8 +154,8 @@ def missing(record: AircraftRecord) -> list[str]:
     facts, found = record.facts, []
     if record.header is None:
         found.append(
-            "no companion in this log: its configuration, decisions and alerts are not known; limits are the "
-            "defaults"
+            "no companion in this log: its configuration, decisions, alerts and Remote ID are not known; "
+            "limits are the defaults"
         )
     elif not len(facts.decisions.now_s):
         use = record.header.config.flight.use
@@ -166,8 +166,8 @@ def missing(record: AircraftRecord) -> list[str]:
         found.append("no heartbeat: arming and modes are not known")
     if facts.utc_offset_s is None:
         found.append("no UTC: latencies are not known")
-    if not facts.sent:
+    if record.header is not None and not facts.sent:
         found.append("no Remote ID sent")
-    if not facts.heard:
+    if record.header is not None and not facts.heard:
         found.append("no Remote ID heard")
     return found

@@ -18,6 +18,8 @@ from rich.text import Text
 
 PIPED_WIDTH = 120
 """Characters a line where there is no terminal."""
+_NAME = 24
+"""Characters of the first column that are not broken up."""
 _MOST_ROWS = 40
 """Of one table; what is left out is counted, and stands whole in --json."""
 
@@ -140,6 +142,7 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
         ("Conflicts", _conflicts(figures["conflicts"])),
         ("Other pairs", _separations(figures)),
         ("Flights", _flights(aircraft)),
+        ("Decisions and alerts", _decisions(aircraft)),
         ("Modes", _spans(aircraft, "modes", "mode")),
         ("Who flew", _spans(aircraft, "authority", "state", "reason")),
         ("Manoeuvres", _manoeuvres(aircraft)),
@@ -194,8 +197,7 @@ def _separations(figures: dict[str, Any]) -> Rows:
 
 
 def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = ["aircraft", "record (s)", "armed (s)", "flown (m)", "fastest (m/s)", "highest (m)"]
-    head += ["in conflict", "not kept", "cautions", "warnings", "use", "law"]
+    head = ["aircraft", "record (s)", "armed (s)", "flown (m)", "fastest (m/s)", "highest (m)", "use", "law"]
     return [head] + [
         [
             one["name"],
@@ -204,11 +206,18 @@ def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
             number(one["flight"]["distance_m"], 0),
             number(one["flight"]["max_speed_mps"]),
             number(one["flight"]["max_height_m"]),
-            *(str(one[key]) for key in ("conflicts", "infeasible", "cautions", "warnings")),
             one["use"] or "-",
             one["law"] or "-",
         ]
         for one in aircraft
+    ]
+
+
+def _decisions(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    """Of those that decided or alerted."""
+    keys = ("decisions", "conflicts", "infeasible", "cautions", "warnings")
+    return [["aircraft", "decisions", "in conflict", "kept not all half-spaces", "cautions", "warnings"]] + [
+        [one["name"], *(str(one[key]) for key in keys)] for one in aircraft if any(one[key] for key in keys)
     ]
 
 
@@ -355,8 +364,11 @@ def line(console: Console, words: str, style: str = "") -> None:
 def show_table(console: Console, title: str, rows: Rows) -> None:
     """Print a table, cut off after `_MOST_ROWS`."""
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
-    for words in rows[0]:
-        table.add_column(words, overflow="fold", min_width=max(map(len, words.split()), default=0))
+    for column, words in enumerate(rows[0]):
+        least = max(map(len, words.split()), default=0)
+        if column == 0:
+            least = min(max(len(plain(row[0])) for row in rows), _NAME)
+        table.add_column(words, overflow="fold", min_width=least)
     for row in rows[1 : _MOST_ROWS + 1]:
         table.add_row(*(Text(plain(cell)) for cell in row), style="bold red" if alarming(row) else "")
     console.print(table)
