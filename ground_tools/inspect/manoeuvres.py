@@ -354,7 +354,7 @@ def verdict(one: Alternative) -> str:
         return f"excluded by {causes}"
     if one.from_wanted_mps == 0.0:
         return "no half-space excludes it yet, but in a conflict the law keeps to the right"
-    enters = f" but into the volume of {', '.join(one.enters)} later on" if one.enters else ""
+    enters = f", though in the volume of {', '.join(one.enters)} now or later" if one.enters else ""
     return f"allowed{enters}, {one.from_wanted_mps:.1f} m/s from the wanted velocity"
 
 

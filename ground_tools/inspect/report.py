@@ -105,7 +105,7 @@ def _head(run: Run, figures: dict[str, Any]) -> str:
             ("git_commit", "commit"),
             ("seed", "seed"),
         )
-        if key in manifest
+        if manifest.get(key) is not None
     ]
     software = {one["software"] for one in figures["aircraft"] if one["software"] is not None}
     facts += [f"flown by version {version}" for version in sorted(software)]
