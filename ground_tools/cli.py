@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = parser_of("ground-tools", "Desk tools: look at runs, check laws and radio models.", _EXAMPLES)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
-        ("inspect", inspect_command, "a run folder as a Rerun recording, or its summary"),
+        ("inspect", inspect_command, "a run or a telemetry log as a Rerun recording, or its summary"),
         ("picture", picture, "a run folder as one PNG"),
         ("fly", fly_command, "arm, take off, upload, start and land vehicles"),
         ("paper", paper_command, "the paper's figures, beside what it says of them"),

@@ -36,6 +36,7 @@ def describe(run: Run) -> dict[str, Any]:
             for pair in separations(ways.paths)
         ],
         "air": air,
+        "notes": list(run.notes),
         "problems": [*run.problems, *ways.problems, *air_problems],
     }
 
@@ -49,6 +50,7 @@ def text(figures: dict[str, Any]) -> str:
     lines += [_aircraft_line(one) for one in figures["aircraft"]]
     lines += [_pair_line(pair) for pair in figures["separations"]]
     lines += [_air_line(row) for row in figures["air"]]
+    lines += [f"  note: {note}" for note in figures["notes"]]
     lines += [f"  problem: {problem}" for problem in figures["problems"]]
     return "\n".join(lines)
 
