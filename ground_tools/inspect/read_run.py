@@ -109,8 +109,9 @@ def read_run(path: Path) -> Run:
         return _file(path)
     problems: list[str] = []
     notes: list[str] = []
-    manifest = _json(path / "manifest.json", problems)
-    summary = _json(path / "summary.json", problems)
+    manifest, manifest_problem = read_json(path / "manifest.json")
+    summary, summary_problem = read_json(path / "summary.json")
+    problems += [problem for problem in (manifest_problem, summary_problem) if problem is not None]
     aircraft: list[AircraftRecord] = []
     for events, tlog in _flights(path, manifest, problems):
         aircraft += _flight(events, tlog, path, problems, notes)
@@ -187,18 +188,17 @@ def _nested(
     return found
 
 
-def _json(path: Path, problems: list[str]) -> dict[str, Any] | None:
+def read_json(path: Path) -> tuple[dict[str, Any] | None, str | None]:
+    """The JSON object in a file, or None and what is wrong with it; neither where there is no file."""
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
+    except (FileNotFoundError, NotADirectoryError):
+        return None, None
     except (OSError, ValueError) as error:
-        problems.append(f"{path.name}: {error}")
-        return None
+        return None, f"{path.name}: {error}"
     if not isinstance(value, dict):
-        problems.append(f"{path.name}: not a JSON object")
-        return None
-    return value
+        return None, f"{path.name}: not a JSON object"
+    return value, None
 
 
 def _flight(
