@@ -7,23 +7,28 @@ from typing import Any
 import msgspec
 
 from companion.avoidance.alerts import Level
+from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged
-from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.flown import Separation, flown, separations
 from ground_tools.inspect.read_run import AircraftRecord, Run
+from ground_tools.inspect.timeline import time_line
 
 
 def describe(run: Run) -> dict[str, Any]:
-    """Figures of a run, ready for JSON.
-
-    Raises:
-        ConfigError: no aircraft recorded a position.
-    """
-    ways = flown(run)
+    """Figures of a run, ready for JSON; without any position there are no separations in them."""
+    ways = None
+    pairs: list[Separation] = []
+    unknown: tuple[str, ...] = ()
+    try:
+        ways = flown(run)
+        pairs, unknown = separations(ways.paths), ways.problems
+    except ConfigError as error:
+        unknown = (str(error),)
     air, air_problems = _air(run.summary)
     return {
         "run": run.name,
-        "clock": ways.clock,
-        "positions": ways.positions,
+        "clock": time_line(run).words,
+        "positions": ways.positions if ways else None,
         "aircraft": [_aircraft(record) for record in run.aircraft],
         "separations": [
             {
@@ -33,11 +38,11 @@ def describe(run: Run) -> dict[str, Any]:
                 "required_m": pair.required_m,
                 "kept": None if pair.minimum_m is None else pair.minimum_m >= pair.required_m,
             }
-            for pair in separations(ways.paths)
+            for pair in pairs
         ],
         "air": air,
         "notes": list(run.notes),
-        "problems": [*run.problems, *ways.problems, *air_problems],
+        "problems": [*run.problems, *unknown, *air_problems],
     }
 
 
@@ -45,7 +50,7 @@ def text(figures: dict[str, Any]) -> str:
     """The figures of `describe` as lines a person reads."""
     lines = [
         f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
-        f"distances by {figures['positions']}"
+        f"distances by {figures['positions'] or 'no positions'}"
     ]
     lines += [_aircraft_line(one) for one in figures["aircraft"]]
     lines += [_pair_line(pair) for pair in figures["separations"]]
