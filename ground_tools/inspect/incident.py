@@ -134,10 +134,10 @@ def planned_again(run: Run) -> Incident:
     if len(run.aircraft) < 2:
         raise ConfigError(f"{run.folder}: one aircraft: a scenario needs at least two")
     given = _simulated(run)
-    starts = [_start_utc_s(record, run) for record in run.aircraft]
     # In a simulated run the frame is the scenarios' own.
     frame = HOME if given is not None else _frame(run.aircraft[0], run)
     points = [_planned(record, frame, run) for record in run.aircraft]
+    starts = [_start_utc_s(record, run) for record in run.aircraft]
     tracks = [rows[:, 1:] for rows in points]
     if given is None:
         tracks = _lifted(tracks)
