@@ -80,16 +80,21 @@ class Run:
     """What is damaged or missing, one line each."""
     notes: tuple[str, ...] = ()
     """What the input is and does not tell, one line each; nothing of it is wrong."""
+    others: int = 0
+    """How many more runs were put together with the one in `folder`."""
 
     @property
     def name(self) -> str:
         """The folder's or file's name."""
         path = self.folder.resolve()
-        return path.name if path.is_dir() else path.stem
+        name = path.name if path.is_dir() else path.stem
+        return f"{name} and {self.others} more" if self.others else name
 
     @property
     def recording(self) -> Path:
         """Where its recording goes unless told otherwise."""
+        if self.others:
+            return (self.folder if self.folder.is_dir() else self.folder.parent) / "together.rrd"
         return self.folder / "inspect.rrd" if self.folder.is_dir() else self.folder.with_suffix(".rrd")
 
 

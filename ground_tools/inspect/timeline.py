@@ -109,6 +109,7 @@ def together(runs: Sequence[Run]) -> Run:
         _distinct([(run, one) for run, aircraft in placed for one in aircraft]),
         tuple(problems),
         tuple(notes),
+        len(runs) - 1,
     )
 
 

@@ -98,6 +98,7 @@ def test_a_run_and_a_log_share_one_utc_line(run_folder: Path, tmp_path: Path, ma
     path = write_tlog(tmp_path / "other.tlog", made, made.eastbound(20.0), late_s=30.0)
     (run_folder / "DMUCA002.events").unlink()
     run = together([read_run(run_folder), read_run(path)])
+    assert (run.name, run.recording) == ("20260101T000000Z-demo and 1 more", run_folder / "together.rrd")
     assert [one.name for one in run.aircraft] == ["DMUCA001", "other"]
     closest = separations(flown(run).paths)[0]
     assert closest.minimum_m == pytest.approx(20.0 / 2**0.5, abs=0.03)
