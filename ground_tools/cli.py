@@ -13,11 +13,12 @@ from ground_tools.campaign import command as campaign_command
 from ground_tools.channel import command as channel_command
 from ground_tools.fly import command as fly_command
 from ground_tools.inspect import command as inspect_command
-from ground_tools.inspect import picture
+from ground_tools.inspect import export, picture
 from ground_tools.paper import command as paper_command
 
 _EXAMPLES = """examples:
   ground-tools inspect runs/20260101T000000Z-demo
+  ground-tools export runs/20260101T000000Z-demo --csv tables --kml run.kml
   ground-tools picture runs/20260101T000000Z-demo --out demo.png
   ground-tools fly udpin://0.0.0.0:14550 --takeoff 30 --mission survey.plan --start --land
   ground-tools orca check cases.json
@@ -33,7 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = parser_of("ground-tools", "Desk tools: look at runs, check laws and radio models.", _EXAMPLES)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
-        ("inspect", inspect_command, "a run folder as a Rerun recording, or its summary"),
+        ("inspect", inspect_command, "a run or a telemetry log as a Rerun recording, or its summary"),
+        ("export", export, "a run or a telemetry log as CSV, Parquet, KML, or a scenario to fly again"),
         ("picture", picture, "a run folder as one PNG"),
         ("fly", fly_command, "arm, take off, upload, start and land vehicles"),
         ("paper", paper_command, "the paper's figures, beside what it says of them"),

@@ -1,77 +1,144 @@
-"""`ground-tools inspect RUN...`: a run folder as a Rerun recording, or as figures in words or JSON."""
+"""`ground-tools inspect RUN...`: runs as Rerun recordings, as a page, or as figures in words or JSON.
+
+A run is a run folder, an event record, or the telemetry log (.tlog) of any MAVLink vehicle.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from companion.errors import ConfigError
-from ground_tools.inspect import compare, recording, report, summary, terminal
-from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect import compare, live, recording, report, summary, terminal, web
+from ground_tools.inspect.read_run import Run, read_run
+from ground_tools.inspect.timeline import together
 
 EXAMPLE = "example: ground-tools inspect runs/20260101T000000Z-demo, then: rerun runs/.../inspect.rrd"
+COMPARISON = "compare.rrd"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `ground-tools inspect`."""
     parser.description = "Show what was flown, heard, predicted and decided in a run."
     parser.epilog = EXAMPLE
-    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder")
-    parser.add_argument(
-        "--save", type=Path, metavar="FILE.rrd", help="recording of one run (default: RUN/inspect.rrd)"
+    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog")
+    several = parser.add_mutually_exclusive_group()
+    several.add_argument(
+        "--together", action="store_true", help="all RUNs as one, every aircraft on one UTC time line"
     )
-    parser.add_argument("--summary", action="store_true", help="print the figures and write no recording")
-    parser.add_argument(
-        "--compare", action="store_true", help="print how two or more runs differ, aligned at take-off"
+    several.add_argument(
+        "--compare", action="store_true", help="how two or more RUNs differ, aligned at take-off"
     )
-    parser.add_argument(
-        "--report",
-        type=Path,
-        metavar="FILE.html",
-        help="write one run as a page that prints, and no recording",
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--summary", action="store_true", help="print the figures and write no recording")
+    what.add_argument(
+        "--json", action="store_true", help="the same (or the differences) as JSON, one object per run and line"
     )
-    parser.add_argument(
-        "--json",
+    what.add_argument(
+        "--report", type=Path, metavar="FILE.html", help="write a page that prints, and no recording"
+    )
+    what.add_argument(
+        "--web", action="store_true", help="then serve the recording to a browser on this machine, until Ctrl-C"
+    )
+    what.add_argument(
+        "--live",
         action="store_true",
-        help="like --summary (--compare: that), one JSON object per run and line",
+        help="show a run while it is flown, in a browser on this machine, until Ctrl-C",
+    )
+    parser.add_argument(
+        "--save",
+        type=Path,
+        metavar="FILE.rrd",
+        help=f"the recording (default: inspect.rrd, of a comparison {COMPARISON}, beside the first RUN)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools inspect`. Returns 0.
+    """`ground-tools inspect`. Returns 0; 2 when one of several inputs could not be read.
 
     Raises:
-        ConfigError: a folder that is no run, a file that cannot be written, or rerun is not installed.
+        ConfigError: options that do not go together, nothing that can be read, a file that cannot be written,
+            or rerun is not installed.
+        PeerDataError: with --live: a record that is damaged, or of another version.
     """
-    folders: list[Path] = args.run_folder
-    figures_only = args.summary or args.json
-    if args.save is not None and (len(folders) > 1 or figures_only):
-        raise ConfigError("--save: goes with one run, and not with --summary or --json")
+    paths: list[Path] = args.run_folder
+    _check(args, several=len(paths) > 1 and not (args.together or args.compare))
+    if args.live:
+        live.follow(paths[0])
+        return 0
+    runs = read_all(paths)
     if args.compare:
-        if args.save is not None or args.report is not None:
-            raise ConfigError("--compare: goes with neither --save nor --report")
-        differences = compare.compare([read_run(folder) for folder in folders])
-        if args.json:
-            print(json.dumps(differences))
-        else:
-            compare.show(differences, terminal.console())
-        return 0
+        _compare(runs, args)
+    else:
+        for one in [together(runs)] if args.together else runs:
+            _show(one, args)
+    return 0 if len(runs) == len(paths) else 2
+
+
+def _check(args: argparse.Namespace, several: bool) -> None:
+    """Raises ConfigError for options that do not go together."""
+    if args.save is not None and (args.summary or args.json or args.report or args.live):
+        raise ConfigError("--save: goes not with --summary, --json, --report or --live, which write no recording")
+    for name in ("save", "report", "web", "live"):
+        if several and getattr(args, name):
+            raise ConfigError(f"--{name}: goes with one run; of several, add --together or --compare")
+    if args.live and (args.together or args.compare):
+        raise ConfigError("--live: goes with neither --together nor --compare")
+    if args.compare and args.report:
+        raise ConfigError("--report: is of one run, and goes not with --compare")
+
+
+def _show(one: Run, args: argparse.Namespace) -> None:
+    figures = summary.describe(one)
+    if args.json:
+        print(json.dumps(figures))
+        return
     if args.report is not None:
-        if len(folders) > 1 or args.save is not None:
-            raise ConfigError("--report: goes with one run, and not with --save")
-        one = read_run(folders[0])
-        report.write(one, summary.describe(one), args.report)
+        report.write(one, figures, args.report)
         print(f"wrote {args.report}")
-        return 0
-    for folder in folders:
-        one = read_run(folder)
-        if args.json:
-            print(json.dumps(summary.describe(one)))
-            continue
-        terminal.show(summary.describe(one), terminal.console())
-        if not figures_only:
-            path = args.save or folder / "inspect.rrd"
-            recording.write(one, path)
-            print(f"wrote {path}; open it with: rerun {path}")
-    return 0
+        return
+    terminal.show(figures, terminal.console())
+    if not args.summary:
+        path = args.save or one.recording
+        recording.write(one, path)
+        _wrote(path, args)
+
+
+def _compare(runs: Sequence[Run], args: argparse.Namespace) -> None:
+    differences = compare.compare(runs)
+    if args.json:
+        print(json.dumps(differences))
+        return
+    compare.show(differences, terminal.console())
+    if not args.summary:
+        path = args.save or runs[0].recording.with_name(COMPARISON)
+        recording.write_comparison(runs, path)
+        _wrote(path, args)
+
+
+def _wrote(path: Path, args: argparse.Namespace) -> None:
+    print(f"wrote {path}; open it with: rerun {path}")
+    if args.web:
+        web.serve(path)
+
+
+def read_all(paths: Sequence[Path]) -> list[Run]:
+    """Every input that can be read; of several, what is wrong with the others goes to standard error.
+
+    Raises:
+        ConfigError: none can be read.
+    """
+    runs = []
+    for path in paths:
+        try:
+            runs.append(read_run(path))
+        except ConfigError as error:
+            if len(paths) == 1:
+                raise
+            print(f"left out: {error}", file=sys.stderr)
+    if not runs:
+        raise ConfigError("none of these can be read")
+    return runs

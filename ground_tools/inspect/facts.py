@@ -160,7 +160,9 @@ class _Track:
     second: float = -math.inf
 
 
-class _Gatherer:
+class Gatherer:
+    """Takes steps one by one; `facts` tells what they held."""
+
     def __init__(self) -> None:
         self.steps = 0
         self.start_s = self.end_s = 0.0
@@ -176,6 +178,7 @@ class _Gatherer:
         self.last: dict[object, object] = {}
 
     def step(self, step: Step) -> None:
+        """The next one."""
         self.start_s = step.now_s if self.steps == 0 else self.start_s
         self.end_s = step.now_s
         self.steps += 1
@@ -251,6 +254,7 @@ class _Gatherer:
         )
 
     def facts(self) -> Facts:
+        """Everything taken so far."""
         d = np.array(self.decisions).reshape(-1, 17)
         return Facts(
             steps=self.steps,
@@ -288,7 +292,7 @@ def _track_facts(found: _Track) -> TrackFacts:
 
 def gather(steps: Iterable[Step]) -> Facts:
     """The facts of one aircraft's steps, in one pass."""
-    gatherer = _Gatherer()
+    gatherer = Gatherer()
     for step in steps:
         gatherer.step(step)
     return gatherer.facts()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pymap3d
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
-from companion.events import Vec3
+from companion.events import Heartbeat, Landed, LandedState, Vec3
 from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.timeline import TimeLine, time_line
 from ground_tools.inspect.truth import ORIGIN
@@ -47,20 +47,22 @@ class Path:
     """(n, 3) in the common frame."""
     radius_m: float
     """Conflict radius it was configured with."""
+    on_ground_s: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) of when it came to stand or was disarmed, and when it flew again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """Slant distance of two aircraft over the time that both were flying."""
+    """Slant distance of two aircraft over the time that both were recorded."""
 
     first: str
     second: str
     time_s: Array
     """(n,)"""
     distance_m: Array
-    """(n,), NaN where either position is not known."""
+    """(n,), NaN where either position is not known, or either stands on the ground."""
     minimum_m: float | None
-    """None where they were never known at once."""
+    """None where they were never known in the air at once."""
     minimum_time_s: float | None
     required_m: float
     """Both conflict radii together."""
@@ -84,6 +86,8 @@ class Flown:
     """Which time line it is, in words."""
     problems: tuple[str, ...]
     """Why there is no truth where some was found."""
+    utc_at_zero_s: float | None
+    """UTC at 0 of the common time line; None where it is not known."""
 
 
 def flown(run: Run) -> Flown:
@@ -93,7 +97,7 @@ def flown(run: Run) -> Flown:
         ConfigError: no aircraft recorded a position.
     """
     line = time_line(run)
-    fixes = {record.name: _fixes(record) for record in run.aircraft}
+    fixes = {record.name: fixes_of(record) for record in run.aircraft}
     known = [fix for fix in fixes.values() if len(fix)]
     has_truth = any(record.truth is not None for record in run.aircraft)
     if not known and not has_truth:
@@ -103,8 +107,9 @@ def flown(run: Run) -> Flown:
         Path(
             record.name,
             fixes[record.name][:, 0] + line.offsets_s[record.name],
-            to_ned(fixes[record.name][:, 1:], origin),
+            to_ned(fixes[record.name][:, 1:4], origin),
             _radius_m(record),
+            _on_ground(record) + line.offsets_s[record.name],
         )
         for record in run.aircraft
         if len(fixes[record.name])
@@ -113,7 +118,8 @@ def flown(run: Run) -> Flown:
     if not true and not own:
         raise ConfigError(f"{run.folder}: no aircraft recorded a position: {problem}")
     problems = () if problem is None else (f"true positions not used: {problem}",)
-    return Flown(origin, true or own, own, TRUE if true else OWN, line.offsets_s, line.words, problems)
+    kind = TRUE if true else OWN
+    return Flown(origin, true or own, own, kind, line.offsets_s, line.words, problems, line.utc_at_zero_s)
 
 
 def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[Path, ...], str | None]:
@@ -125,7 +131,8 @@ def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[
         if record.truth is None:
             return (), f"there are none of {record.name}"
         time = record.truth[:, 0] - line.utc_at_zero_s
-        paths.append(Path(record.name, time, record.truth[:, 1:], _radius_m(record)))
+        ground = _on_ground(record) + line.offsets_s[record.name]
+        paths.append(Path(record.name, time, record.truth[:, 1:], _radius_m(record), ground))
     by_name = {path.name: path for path in own}
     for path in paths:
         if path.name in by_name and (away := _median_distance_m(path, by_name[path.name])) > MAX_ERROR_M:
@@ -136,13 +143,33 @@ def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[
 def _median_distance_m(first: Path, second: Path) -> float:
     """Over the time that both are known; infinite without any."""
     inside = (second.time_s >= first.time_s[0]) & (second.time_s <= first.time_s[-1])
-    away = np.linalg.norm(_at(first, second.time_s[inside]) - second.position_ned_m[inside], axis=1)
+    away = np.linalg.norm(at(first, second.time_s[inside]) - second.position_ned_m[inside], axis=1)
     known = away[~np.isnan(away)]
     return float(np.median(known)) if len(known) else float("inf")
 
 
 def _radius_m(record: AircraftRecord) -> float:
     return (record.header.config.avoidance if record.header else AvoidanceConfig()).conflict_radius_m
+
+
+def _on_ground(record: AircraftRecord) -> Array:
+    """(n, 2) of spans of its `now_s`; unknown counts as flying."""
+    spans: list[tuple[float, float]] = []
+    landed, armed, since_s = False, True, None
+    for now_s, what in record.facts.rare:
+        if isinstance(what, LandedState):
+            landed = what.landed is Landed.ON_GROUND
+        elif isinstance(what, Heartbeat):
+            armed = what.armed
+        stands = landed or not armed
+        if stands and since_s is None:
+            since_s = now_s
+        elif not stands and since_s is not None:
+            spans.append((since_s, now_s))
+            since_s = None
+    if since_s is not None:
+        spans.append((since_s, np.inf))
+    return np.array(spans).reshape(-1, 2)
 
 
 def separations(paths: tuple[Path, ...]) -> list[Separation]:
@@ -195,17 +222,16 @@ def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array
     return to_ned(np.column_stack(pymap3d.ned2geodetic(n, e, d, *frame_origin)), origin)
 
 
-def _fixes(record: AircraftRecord) -> Array:
-    """(n, 4) of now_s, lat_deg, lon_deg, alt_msl_m; now_s strictly rising."""
+def fixes_of(record: AircraftRecord) -> Array:
+    """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising."""
     facts = record.facts
     if len(facts.fixes):
-        return facts.fixes[:, :4]
+        return facts.fixes
     made = facts.decisions
-    table = np.zeros((len(made.now_s), 4))
-    table[:, 0] = made.now_s
+    table = np.column_stack([made.now_s, np.zeros((len(made.now_s), 3)), made.velocity_ned_mps])
     for index, origin in enumerate(made.origins):
         rows = made.origin == index
-        table[rows, 1:] = np.column_stack(pymap3d.ned2geodetic(*made.position_ned_m[rows].T, *origin))
+        table[rows, 1:4] = np.column_stack(pymap3d.ned2geodetic(*made.position_ned_m[rows].T, *origin))
     # Of several in one step the last counts.
     last: Array = table[np.append(np.diff(table[:, 0]) > 0, True)] if len(table) else table
     return last
@@ -221,12 +247,14 @@ def _separation(first: Path, second: Path) -> Separation:
     grid = np.arange(start, end, GRID_S)
     samples = np.concatenate([first.time_s, second.time_s, [end]])
     time = np.union1d(grid, samples[(samples >= start) & (samples <= end)])
-    relative = _at(first, time) - _at(second, time)
+    relative = at(first, time) - at(second, time)
+    for start_s, end_s in np.concatenate([first.on_ground_s, second.on_ground_s]):
+        relative[(time >= start_s) & (time <= end_s)] = np.nan
     distance = np.linalg.norm(relative, axis=1)
     if np.isnan(distance).all():
         return Separation(first.name, second.name, time, distance, None, None, required)
-    least, at = _closest(time, relative)
-    return Separation(first.name, second.name, time, distance, least, at, required)
+    least, least_s = _closest(time, relative)
+    return Separation(first.name, second.name, time, distance, least, least_s, required)
 
 
 def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:
@@ -241,7 +269,7 @@ def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:
     return float(distance[closest]), float(times[closest])
 
 
-def _at(path: Path, time_s: Array) -> Array:
+def at(path: Path, time_s: Array) -> Array:
     """(n, 3) positions at times inside the path's, NaN inside gaps."""
     position = np.column_stack([np.interp(time_s, path.time_s, axis) for axis in path.position_ned_m.T])
     after = np.clip(np.searchsorted(path.time_s, time_s), 1, max(len(path.time_s) - 1, 1))

@@ -1,12 +1,15 @@
-"""Reading a run folder: `manifest.json`, `summary.json` where there is one, every aircraft's event record.
+"""Reading what was recorded: a run folder, one event record, or a telemetry log (.tlog) of any vehicle.
 
-A run that was killed is read as far as it was written. What could not be read is said in `problems`, and what
-was read stands beside it. A folder `unavoided` inside holds the same encounter flown without avoidance. In a
-swarm's run folder, each companion made a run folder of its own inside; they are read as one run.
+A run folder has `manifest.json`, `summary.json` where there is one, and every aircraft's event record. A run
+that was killed is read as far as it was written, and an aircraft whose event record is missing or unreadable
+by its .tlog. What could not be read is said in `problems`, and what was read stands beside it. A folder
+`unavoided` inside holds the same encounter flown without avoidance. In a swarm's run folder, each companion
+made a run folder of its own inside; they are read as one run.
 """
 
 from __future__ import annotations
 
+import functools
 import glob
 import json
 from collections.abc import Callable, Iterator
@@ -20,30 +23,54 @@ from numpy.typing import NDArray
 from companion import record
 from companion.errors import ConfigError, PeerDataError
 from companion.record import Header, Step
+from ground_tools.inspect import read_tlog
 from ground_tools.inspect.facts import Facts, gather
+from ground_tools.inspect.link_health import LinkHealth
 from ground_tools.inspect.truth import read_truth
+
+_OTHER_KINDS = {
+    b"\xa3\x95": "an ArduPilot dataflash log",
+    b"ULog": "a PX4 log (ULog)",
+    b"\x89PNG": "a picture",
+    b"\x1f\x8b": "compressed: unpack it first",
+    b"RRF2": "a Rerun recording: open it with rerun",
+    b"PK": "an archive: unpack it first",
+}
+"""First bytes of files that people have beside their logs."""
+TELLING_S = 0.05
+"""A log's clock that was off by more is worth a note."""
 
 
 @dataclass(frozen=True, slots=True)
 class AircraftRecord:
-    """What entered and left one heart."""
+    """What one aircraft recorded: what entered and left its companion's heart, or its telemetry."""
 
     name: str
     header: Header | None
-    """None where the file was cut off before it."""
+    """None for a telemetry log, and where the event record was cut off before it."""
     facts: Facts
     steps: Callable[[], Iterator[Step]]
     """Every step in order, read from the file anew: a long record does not fit into memory. Damage ends it,
     as it did when the facts were gathered."""
     truth: NDArray[np.float64] | None = None
     """(n, 4) of utc_s, north_m, east_m, down_m; None where its true positions are not known."""
+    tlog: bool = False
+    """Read from a telemetry log: `now_s` is the log's UTC."""
+    link_of: Callable[[], LinkHealth | None] = lambda: None
+
+    @property
+    def link(self) -> LinkHealth | None:
+        """How well the autopilot's link carried; read from the .tlog beside the event record when first asked
+        for. None where there is none, or none that can be laid on this record's time."""
+        return self.link_of()
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run folder."""
+    """One run: a folder's, a log's, or several together."""
 
     folder: Path
+    """The folder, or the file that was read."""
     manifest: dict[str, Any] | None
     """None where there is none, or none that can be read."""
     summary: dict[str, Any] | None
@@ -51,11 +78,24 @@ class Run:
     aircraft: tuple[AircraftRecord, ...]
     problems: tuple[str, ...]
     """What is damaged or missing, one line each."""
+    notes: tuple[str, ...] = ()
+    """What the input is and does not tell, one line each; nothing of it is wrong."""
+    others: int = 0
+    """How many more runs were put together with the one in `folder`."""
 
     @property
     def name(self) -> str:
-        """The folder's name."""
-        return self.folder.resolve().name
+        """The folder's or file's name."""
+        path = self.folder.resolve()
+        name = path.name if path.is_dir() else path.stem
+        return f"{name} and {self.others} more" if self.others else name
+
+    @property
+    def recording(self) -> Path:
+        """Where its recording goes unless told otherwise."""
+        if self.others:
+            return (self.folder if self.folder.is_dir() else self.folder.parent) / "together.rrd"
+        return self.folder / "inspect.rrd" if self.folder.is_dir() else self.folder.with_suffix(".rrd")
 
 
 def read_unavoided(folder: Path) -> Run | None:
@@ -64,79 +104,201 @@ def read_unavoided(folder: Path) -> Run | None:
     return read_run(inner) if inner.is_dir() else None
 
 
-def read_run(folder: Path) -> Run:
-    """Read a run folder.
+def read_run(path: Path) -> Run:
+    """Read a run folder, an event record or a telemetry log.
 
     Raises:
-        ConfigError: there is no such folder, or no event record in it.
+        ConfigError: there is no such file or folder, or nothing of a flight could be read from it.
     """
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such run folder")
+    if not path.is_dir():
+        return _file(path)
     problems: list[str] = []
-    manifest = _json(folder / "manifest.json", problems)
-    summary = _json(folder / "summary.json", problems)
-    files = sorted(folder.glob("*.events")) or _nested(folder, manifest, problems)
-    aircraft = [_aircraft(path, folder, problems) for path in files]
+    notes: list[str] = []
+    manifest, manifest_problem = read_json(path / "manifest.json")
+    summary, summary_problem = read_json(path / "summary.json")
+    problems += [problem for problem in (manifest_problem, summary_problem) if problem is not None]
+    aircraft: list[AircraftRecord] = []
+    for events, tlog in _flights(path, manifest, problems):
+        aircraft += _flight(events, tlog, path, problems, notes)
     if not aircraft:
-        raise ConfigError(f"{folder}: no event record (*.events) in this folder")
-    return Run(folder, manifest, summary, tuple(aircraft), tuple(problems))
+        found = (
+            "; ".join(problems) or "no event record (*.events) and no telemetry log (*.tlog) in this folder"
+        )
+        raise ConfigError(f"{path}: {found}")
+    return Run(path, manifest, summary, tuple(aircraft), tuple(problems), tuple(notes))
 
 
-def _nested(folder: Path, manifest: dict[str, Any] | None, problems: list[str]) -> list[Path]:
-    """The event records of a swarm: `<utc>-<name>/<name>.events` of every aircraft in its manifest."""
+def _file(path: Path) -> Run:
+    """A run of one file."""
+    problems: list[str] = []
+    notes: list[str] = []
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(8)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such run folder or file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    for magic, kind in _OTHER_KINDS.items():
+        if head.startswith(magic):
+            raise ConfigError(
+                f"{path}: {kind}; expected a run folder, an event record (.events) or a telemetry log (.tlog)"
+            )
+    if head.startswith(record.MAGIC[:-1]):
+        aircraft = _flight(path, _beside(path), path.parent, problems, notes)
+    else:
+        aircraft = _flight(None, path, path.parent, problems, notes)
+    if not aircraft:
+        raise ConfigError(f"{path.parent / problems[0]}" if problems else f"{path}: holds nothing")
+    return Run(path, None, None, tuple(aircraft), tuple(problems), tuple(notes))
+
+
+def _beside(events: Path) -> Path | None:
+    tlog = events.with_suffix(".tlog")
+    return tlog if tlog.is_file() else None
+
+
+def _flights(
+    folder: Path, manifest: dict[str, Any] | None, problems: list[str]
+) -> list[tuple[Path | None, Path | None]]:
+    """Event record and telemetry log of every aircraft, one of them at least."""
+    events = {path.stem: path for path in sorted(folder.glob("*.events"))}
+    tlogs = {path.stem: path for path in sorted(folder.glob("*.tlog"))}
+    if manifest is not None:
+        problems += [
+            f"{name}: no event record: shown by its telemetry log" for name in sorted({*tlogs} - {*events})
+        ]
+    if events or tlogs:
+        return [(events.get(name), tlogs.get(name)) for name in sorted({*events, *tlogs})]
+    return _nested(folder, manifest, problems)
+
+
+def _nested(
+    folder: Path, manifest: dict[str, Any] | None, problems: list[str]
+) -> list[tuple[Path | None, Path | None]]:
+    """Those of a swarm: in `<utc>-<name>/` of every aircraft in its manifest."""
     names = (manifest or {}).get("aircraft")
-    found = []
+    found: list[tuple[Path | None, Path | None]] = []
     for name in names if isinstance(names, list) else []:
         # Names of run folders begin with their time: the last is the latest.
-        files = sorted(folder.glob(f"*-{glob.escape(str(name))}/{glob.escape(str(name))}.events"))
-        found += files[-1:]
-        if not files:
+        inside = f"*-{glob.escape(str(name))}/{glob.escape(str(name))}"
+        events = sorted(folder.glob(f"{inside}.events"))
+        tlogs = sorted(folder.glob(f"{inside}.tlog"))
+        if not events:
             problems.append(f"{name}: no event record")
-        elif len(files) > 1:
-            problems.append(f"{name}: {len(files)} event records; the last is taken")
+        elif len(events) > 1:
+            problems.append(f"{name}: {len(events)} event records; the last is taken")
+        if events or tlogs:
+            found.append((events[-1], _beside(events[-1])) if events else (None, tlogs[-1]))
     return found
 
 
-def _json(path: Path, problems: list[str]) -> dict[str, Any] | None:
+def read_json(path: Path) -> tuple[dict[str, Any] | None, str | None]:
+    """The JSON object in a file, or None and what is wrong with it; neither where there is no file."""
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
+    except (FileNotFoundError, NotADirectoryError):
+        return None, None
     except (OSError, ValueError) as error:
-        problems.append(f"{path.name}: {error}")
-        return None
+        return None, f"{path.name}: {error}"
     if not isinstance(value, dict):
-        problems.append(f"{path.name}: not a JSON object")
-        return None
-    return value
+        return None, f"{path.name}: not a JSON object"
+    return value, None
 
 
-def _aircraft(path: Path, folder: Path, problems: list[str]) -> AircraftRecord:
+def _flight(
+    events: Path | None, tlog: Path | None, folder: Path, problems: list[str], notes: list[str]
+) -> list[AircraftRecord]:
+    """By the event record, or where that tells nothing by the telemetry log; the truth lies in `folder`."""
+    if events is not None:
+        one = _aircraft(events, tlog, folder, problems)
+        if one.facts.steps or (tlog is None and one.header is not None):
+            return [one]
+    if tlog is None:
+        return []
+    try:
+        log = read_tlog.read(tlog)
+    except (PeerDataError, OSError) as error:
+        problems.append(str(error))
+        return []
+    problems += log.problems
+    if events is not None:
+        problems.append(f"{events.name}: no step of it can be read: shown by its telemetry log")
+    if not log.vehicles:
+        problems.append(f"{tlog.name}: no vehicle: no autopilot's HEARTBEAT in {log.counts.records} records")
+    found = []
+    for vehicle in log.vehicles:
+        name = tlog.stem if len(log.vehicles) == 1 else f"{tlog.stem} {vehicle.system_id}"
+        notes.append(f"{name}: system {vehicle.system_id}: {vehicle.about}")
+        notes.append(f"{name}: not in the log: {', '.join(vehicle.missing)}")
+        if abs(vehicle.facts.utc_offset_s or 0.0) > TELLING_S:
+            notes.append(f"{name}: the log's clock was {_off(vehicle.facts)} the vehicle's UTC, which counts")
+        found.append(
+            AircraftRecord(
+                name,
+                None,
+                vehicle.facts,
+                vehicle.steps,
+                truth=_truth(folder, name, problems),
+                tlog=True,
+                link_of=functools.partial(_given, vehicle.link),
+            )
+        )
+    return found
+
+
+def _off(facts: Facts) -> str:
+    offset = facts.utc_offset_s or 0.0
+    return f"{abs(offset):.2f} s {'behind' if offset > 0.0 else 'ahead of'}"
+
+
+def _given(link: LinkHealth) -> LinkHealth:
+    return link
+
+
+def _aircraft(path: Path, tlog: Path | None, folder: Path, problems: list[str]) -> AircraftRecord:
     name = path.name.removesuffix(".events")
     headers: list[Header] = []
+    before = len(problems)
     facts = gather(_steps(path, headers, problems))
-    if not headers:
+    if not headers and len(problems) == before:
         problems.append(f"{path.name}: no header")
-    truth = None
-    try:
-        truth = read_truth(folder / f"{name}.truth.csv")
-    except PeerDataError as error:
-        problems.append(str(error))
 
     def steps() -> Iterator[Step]:
         return _steps(path, [], [])
 
-    return AircraftRecord(name, headers[0] if headers else None, facts, steps, truth)
+    @functools.cache
+    def link() -> LinkHealth | None:
+        if tlog is None or facts.utc_offset_s is None:
+            return None
+        try:
+            # A companion writes its log by the vehicle's UTC.
+            return read_tlog.read_health(tlog).moved(-facts.utc_offset_s)
+        except (PeerDataError, OSError):
+            return None
+
+    header = headers[0] if headers else None
+    return AircraftRecord(name, header, facts, steps, _truth(folder, name, problems), link_of=link)
+
+
+def _truth(folder: Path, name: str, problems: list[str]) -> NDArray[np.float64] | None:
+    try:
+        return read_truth(folder / f"{name}.truth.csv")
+    except PeerDataError as error:
+        problems.append(str(error))
+        return None
 
 
 def _steps(path: Path, headers: list[Header], problems: list[str]) -> Iterator[Step]:
     """The steps of a file, its headers and what is damaged put aside."""
-    with path.open("rb") as stream:
-        try:
+    try:
+        with path.open("rb") as stream:
             for entry in record.read(stream, path.name):
                 if isinstance(entry, Header):
                     headers.append(entry)
                 else:
                     yield entry
-        except PeerDataError as error:
-            problems.append(f"{error}; read up to there")
+    except PeerDataError as error:
+        problems.append(f"{error}; read up to there" if headers else str(error))
+    except OSError as error:
+        problems.append(f"{path.name}: cannot be read: {error.strerror}")

@@ -56,6 +56,7 @@ def describe(run: Run) -> dict[str, Any]:
             for pair in pairs
         ],
         "air": air_rows,
+        "notes": list(run.notes),
         "problems": [*run.problems, *unknown, *air_problems],
     }
 

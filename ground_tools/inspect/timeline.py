@@ -1,18 +1,21 @@
-"""The common time line of a run's aircraft.
+"""The common time line of a run's aircraft, and several runs put on one.
 
 In a lock-step run, and among companions on one machine, `now_s` of the steps is one clock for all. Elsewhere
 each companion counts from its own boot: there, UTC of the autopilots (SYSTEM_TIME) puts them together, to
-within the latency of the links and the error of the autopilots' clocks. Where all fly timed paths that start
-at one UTC, the line counts from that start, as the paths do. `words` says which it is.
+within the latency of the links and the error of the autopilots' clocks. A telemetry log has UTC of its own.
+Where all fly timed paths that start at one UTC, the line counts from that start, as the paths do. `words`
+says which it is.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ground_tools.inspect.read_run import Run
+from ground_tools.inspect.read_run import AircraftRecord, Run
 
 SHARED_CLOCK_S = 0.05
 """Clocks that agree with UTC alike to within this are one clock."""
@@ -40,18 +43,26 @@ def time_line(run: Run) -> TimeLine:
             words = f"one clock taken for granted: no UTC from {silent}"
         return TimeLine(dict.fromkeys(to_utc, 0.0), None, words)
     values = list(known.values())
-    if max(values) - min(values) <= SHARED_CLOCK_S:
+    if any(record.tlog for record in run.aircraft):
+        words = "UTC"
+        zero = _first_start(run.aircraft)
+    elif max(values) - min(values) <= SHARED_CLOCK_S:
         zero = float(np.median(values))
         known = dict.fromkeys(known, zero)
         words = "one clock shared by all aircraft" if len(known) > 1 else "the companion's own clock"
     else:
         words = "UTC of the autopilots"
         # Small numbers plot better: the line counts from the start of the first aircraft.
-        zero = min(record.facts.start_s + known[record.name] for record in run.aircraft)
+        zero = _first_start(run.aircraft)
     start = _start_of_paths(run)
     if start is not None:
         zero, words = start, f"{words}; 0 is the start of the timed paths"
     return TimeLine({name: offset - zero for name, offset in known.items()}, zero, words)
+
+
+def _first_start(aircraft: Sequence[AircraftRecord]) -> float:
+    """UTC of the first step of all; every one knows UTC."""
+    return min(record.facts.start_s + (record.facts.utc_offset_s or 0.0) for record in aircraft)
 
 
 def _start_of_paths(run: Run) -> float | None:
@@ -63,3 +74,73 @@ def _start_of_paths(run: Run) -> float | None:
         for record in run.aircraft
     }
     return starts.pop() if len(starts) == 1 else None
+
+
+def together(runs: Sequence[Run]) -> Run:
+    """Several runs as one, all aircraft on one UTC time line, their names distinct.
+
+    Who does not know UTC cannot be laid on it: a run in which somebody does gives it to its others, whose
+    clock is taken for the same; a run in which nobody does is left out, and `problems` says so, as they say
+    which runs have no time in common with any other.
+    """
+    if len(runs) == 1:
+        return runs[0]
+    problems = [f"{run.name}: {problem}" for run in runs for problem in run.problems]
+    notes = [f"{run.name}: {note}" for run in runs for note in run.notes]
+    placed: list[tuple[Run, list[AircraftRecord]]] = []
+    for run in runs:
+        offsets = [one.facts.utc_offset_s for one in run.aircraft if one.facts.utc_offset_s is not None]
+        if offsets:
+            common = float(np.median(offsets))
+            placed.append((run, [_with_utc(one, common, run.name, problems) for one in run.aircraft]))
+        else:
+            problems.append(f"{run.name}: nobody in it knows UTC: it cannot be laid beside the others")
+    if not placed:
+        placed = [(runs[0], list(runs[0].aircraft))]
+    spans = [(run.name, *_span(aircraft)) for run, aircraft in placed]
+    for name, start, end in spans:
+        others = [one for one in spans if one[0] != name]
+        if others and all(end < other[1] or other[2] < start for other in others):
+            problems.append(f"{name}: no time in common with the others ({_hours(start)} to {_hours(end)})")
+    return Run(
+        runs[0].folder,
+        None,
+        None,
+        _distinct([(run, one) for run, aircraft in placed for one in aircraft]),
+        tuple(problems),
+        tuple(notes),
+        len(runs) - 1,
+    )
+
+
+def _with_utc(record: AircraftRecord, common_s: float, run: str, problems: list[str]) -> AircraftRecord:
+    if record.facts.utc_offset_s is not None:
+        return record
+    problems.append(f"{run}: {record.name}: no UTC: its clock is taken for that of the others in this run")
+    return replace(record, facts=replace(record.facts, utc_offset_s=common_s))
+
+
+def _span(aircraft: Sequence[AircraftRecord]) -> tuple[float, float]:
+    """UTC of the first and last step."""
+    ends = [one.facts.end_s + (one.facts.utc_offset_s or 0.0) for one in aircraft]
+    return _first_start(aircraft), max(ends)
+
+
+def _hours(utc_s: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%SZ", time.gmtime(utc_s))
+
+
+def _distinct(aircraft: Sequence[tuple[Run, AircraftRecord]]) -> tuple[AircraftRecord, ...]:
+    """A name that several have gets its run's, and where that does not help, a number."""
+    names = [one.name for _, one in aircraft]
+    taken: set[str] = set()
+    found = []
+    for run, one in aircraft:
+        name = wanted = one.name if names.count(one.name) == 1 else f"{one.name} ({run.name})"
+        number = 1
+        while name in taken:
+            number += 1
+            name = f"{wanted} {number}"
+        taken.add(name)
+        found.append(replace(one, name=name))
+    return tuple(found)

@@ -1,0 +1,155 @@
+"""How well a telemetry link carried: what every component sent, what of it is missing, what the radio said.
+
+MAVLink numbers each component's frames from 0 to 255. A number that was skipped is a frame that is not in the
+log: lost on the way, or never written. A silence hides how often the numbers went round, so that it counts
+for 255 missing frames at most; a number that comes twice in a row is a frame that came twice.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.autopilot.tlog import TlogCounts
+
+Array = NDArray[np.float64]
+
+GAP_S = 3.0
+"""Silence of a component beyond this is a gap: three heartbeats."""
+_REPEATED = 255
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentHealth:
+    """Frames of one component."""
+
+    system_id: int
+    component_id: int
+    frames: int
+    missing: int
+    """By their numbers."""
+    repeated: int
+    gaps_s: Array
+    """(n, 2) of when a silence longer than GAP_S began, and how long it was; the log's end counts."""
+    seconds: Array
+    """(n, 3) of now_s, frames, missing frames: one row for every second with a frame."""
+
+    @property
+    def missing_share(self) -> float:
+        """Of all that were sent, as far as their numbers tell."""
+        return self.missing / (self.frames + self.missing)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkHealth:
+    """One log's link, as one vehicle's record tells it. Times are that record's `now_s`."""
+
+    components: tuple[ComponentHealth, ...]
+    """Of all systems in the log, in order of their ids."""
+    radio: Array
+    """(n, 8) of RADIO_STATUS: now_s, rssi, remote rssi, noise, remote noise, receive errors, corrected
+    packets, free transmit buffer (%). Signal and noise are in the radio's own units."""
+    reboots_s: Array
+    """(n,) when this vehicle's clock began anew."""
+    counts: TlogCounts
+    """Records, damaged spans, bytes that belong to no record."""
+    unknown: int
+    """Records of messages that this software's dialect does not have."""
+    bad_values: int
+    """Messages of this vehicle with values that no honest vehicle sends."""
+
+    def moved(self, offset_s: float) -> LinkHealth:
+        """The same with `offset_s` added to all times."""
+        columns = np.array([offset_s, 0.0])
+        return replace(
+            self,
+            components=tuple(
+                replace(
+                    one,
+                    gaps_s=one.gaps_s + columns,
+                    seconds=one.seconds + np.append(columns, 0.0),
+                )
+                for one in self.components
+            ),
+            radio=self.radio + np.append([offset_s], np.zeros(7)),
+            reboots_s=self.reboots_s + offset_s,
+        )
+
+
+@dataclass(slots=True)
+class _Component:
+    frames: int = 0
+    missing: int = 0
+    repeated: int = 0
+    number: int | None = None
+    last_s: float = 0.0
+    second: int | None = None
+    gaps: array[float] = field(default_factory=lambda: array("d"))
+    seconds: array[float] = field(default_factory=lambda: array("d"))
+
+
+class Tally:
+    """Counts frames as they come."""
+
+    def __init__(self) -> None:
+        self.unknown = 0
+        self._components: dict[tuple[int, int], _Component] = {}
+        self._radio = array("d")
+        self._end_s = 0.0
+
+    def frame(self, now_s: float, system_id: int, component_id: int, number: int) -> None:
+        """One frame's head."""
+        self._end_s = now_s
+        one = self._components.get((system_id, component_id))
+        if one is None:
+            one = self._components[system_id, component_id] = _Component(last_s=now_s)
+        elif now_s - one.last_s > GAP_S:
+            one.gaps.extend((one.last_s, now_s - one.last_s))
+        skipped = 0 if one.number is None else (number - one.number - 1) & 0xFF
+        if skipped == _REPEATED:
+            one.repeated += 1
+            skipped = 0
+        one.frames += 1
+        one.missing += skipped
+        one.number, one.last_s = number, now_s
+        second = int(now_s)
+        if second != one.second:
+            one.second = second
+            one.seconds.extend((second, 0.0, 0.0))
+        one.seconds[-2] += 1.0
+        one.seconds[-1] += skipped
+
+    def radio(self, now_s: float, fields: tuple[int, ...]) -> None:
+        """RADIO_STATUS in wire order: rxerrors, fixed, rssi, remrssi, txbuf, noise, remnoise."""
+        errors, fixed, rssi, remote, buffer, noise, remote_noise = fields
+        self._radio.extend((now_s, rssi, remote, noise, remote_noise, errors, fixed, buffer))
+
+    def health(self, reboots_s: array[float], counts: TlogCounts, bad_values: int) -> LinkHealth:
+        """Everything counted so far, beside what the vehicle's own messages told."""
+        return LinkHealth(
+            components=tuple(
+                ComponentHealth(
+                    system_id=system,
+                    component_id=component,
+                    frames=one.frames,
+                    missing=one.missing,
+                    repeated=one.repeated,
+                    gaps_s=np.array([*one.gaps, *self._silence(one)]).reshape(-1, 2),
+                    seconds=np.array(one.seconds).reshape(-1, 3),
+                )
+                for (system, component), one in sorted(self._components.items())
+            ),
+            radio=np.array(self._radio).reshape(-1, 8),
+            reboots_s=np.array(reboots_s),
+            counts=counts,
+            unknown=self.unknown,
+            bad_values=bad_values,
+        )
+
+    def _silence(self, one: _Component) -> tuple[float, ...]:
+        """The gap between a component's last frame and the log's end."""
+        silence = self._end_s - one.last_s
+        return (one.last_s, silence) if silence > GAP_S else ()

@@ -1,0 +1,188 @@
+"""Damaged and mixed inputs: everything that can be read is shown, and the rest is said in one line each."""
+
+import argparse
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.tlog import TlogWriter
+from companion.autopilot.wire import MavlinkWriter
+from companion.errors import ConfigError
+from companion.events import GlobalPosition, Landed, LandedState
+from companion.record import MAGIC, Step
+from ground_tools.inspect import command
+from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.timeline import time_line, together
+
+OTHER_VERSION = MAGIC[:-1] + b"3" + bytes(100)
+
+
+def write_tlog(path: Path, made: SimpleNamespace, motion: object, late_s: float = 0.0) -> Path:
+    """A minute at 10 Hz of one vehicle, as its companion would have logged it."""
+    one = MavlinkWriter(1, 1)
+    with path.open("wb") as stream:
+        writer = TlogWriter(stream)
+        for tick in range(601):
+            t = tick / 10
+            lat, lon, alt = made.home.to_geodetic(*motion(t))  # type: ignore[operator]
+            place = mavlink.MAVLink_global_position_int_message(
+                round(t * 1e3), round(lat * 1e7), round(lon * 1e7), round(alt * 1e3), 0, 0, 0, 0, 0
+            )
+            data = one.pack(place)
+            if tick % 10 == 0:
+                data = one.pack(mavlink.MAVLink_heartbeat_message(2, 3, 1 | 128, 4, 4, 3)) + data
+                utc = round((made.utc_s + t) * 1e6)
+                data += one.pack(mavlink.MAVLink_system_time_message(utc, round(t * 1e3)))
+            writer.received(made.utc_s + t + late_s, data)
+    return path
+
+
+@pytest.mark.parametrize("content", [OTHER_VERSION, b"", MAGIC + b"\x09\x00", None])
+def test_an_aircraft_without_a_readable_event_record_is_shown_by_its_tlog(
+    run_folder: Path, made: SimpleNamespace, content: bytes | None
+) -> None:
+    events = run_folder / "DMUCA002.events"
+    events.unlink()
+    if content is not None:
+        events.write_bytes(content)
+    write_tlog(run_folder / "DMUCA002.tlog", made, made.eastbound(20.0))
+    run = read_run(run_folder)
+    assert [(one.name, one.tlog) for one in run.aircraft] == [("DMUCA001", False), ("DMUCA002", True)]
+    assert any("shown by its telemetry log" in problem for problem in run.problems)
+    closest = separations(flown(run).paths)[0]
+    assert closest.minimum_m == pytest.approx(20.0 / 2**0.5, abs=0.03)
+
+
+@pytest.mark.parametrize("content", [OTHER_VERSION, b"\x89PNG"])
+def test_one_bad_record_does_not_hide_the_good_one(run_folder: Path, content: bytes) -> None:
+    (run_folder / "DMUCA002.events").write_bytes(content)
+    run = read_run(run_folder)
+    assert [one.name for one in run.aircraft] == ["DMUCA001"]
+    (problem,) = run.problems
+    assert problem.startswith("DMUCA002.events: ")
+    assert len(separations(flown(run).paths)) == 0
+
+
+def test_a_folder_of_another_version_says_which(tmp_path: Path) -> None:
+    (tmp_path / "a.events").write_bytes(OTHER_VERSION)
+    with pytest.raises(ConfigError, match="format b'3'; this version reads b'4'"):
+        read_run(tmp_path)
+
+
+def test_an_event_record_opens_alone(run_folder: Path) -> None:
+    run = read_run(run_folder / "DMUCA001.events")
+    assert (run.name, [one.facts.steps for one in run.aircraft]) == ("DMUCA001", [601])
+    assert run.recording == run_folder / "DMUCA001.rrd"
+
+
+def test_the_link_of_a_companion_is_that_of_the_tlog_beside_it(
+    run_folder: Path, made: SimpleNamespace
+) -> None:
+    write_tlog(run_folder / "DMUCA001.tlog", made, made.northbound)
+    one, other = read_run(run_folder).aircraft
+    assert (one.tlog, other.link) == (False, None)
+    assert one.link is not None
+    (component,) = one.link.components
+    assert component.frames == 601 + 2 * 61
+    # In the record's own time, which begins at 0.
+    assert component.seconds[:, 0].tolist() == pytest.approx(range(61), abs=1.0)
+
+
+def test_a_run_and_a_log_share_one_utc_line(run_folder: Path, tmp_path: Path, made: SimpleNamespace) -> None:
+    """The log's own clock is 30 s wrong: the vehicle's counts."""
+    path = write_tlog(tmp_path / "other.tlog", made, made.eastbound(20.0), late_s=30.0)
+    (run_folder / "DMUCA002.events").unlink()
+    run = together([read_run(run_folder), read_run(path)])
+    assert (run.name, run.recording) == ("20260101T000000Z-demo and 1 more", run_folder / "together.rrd")
+    assert [one.name for one in run.aircraft] == ["DMUCA001", "other"]
+    closest = separations(flown(run).paths)[0]
+    assert closest.minimum_m == pytest.approx(20.0 / 2**0.5, abs=0.03)
+    assert closest.minimum_time_s == pytest.approx(32.0, abs=0.02)
+    assert time_line(run).utc_at_zero_s == pytest.approx(made.utc_s)
+
+
+def test_names_that_several_have_become_distinct(run_folder: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(run_folder, tmp_path / "second"))
+    names = [one.name for one in together([read_run(run_folder), read_run(copy), read_run(copy)]).aircraft]
+    assert names[0] == "DMUCA001 (20260101T000000Z-demo)"
+    assert names[2] == "DMUCA001 (second)"
+    assert names[4] == "DMUCA001 (second) 2"
+    assert len(set(names)) == 6
+
+
+def test_inputs_without_a_time_in_common_are_said(
+    run_folder: Path, tmp_path: Path, made: SimpleNamespace
+) -> None:
+    motion = made.northbound
+    later = [
+        Step(
+            now_s=s.now_s,
+            commands=s.commands,
+            events=tuple(e for e in s.events if isinstance(e, GlobalPosition)),
+        )
+        for s in made.steps(motion, motion)
+    ]
+    made.write_events(tmp_path / "nowhere", "a", later)
+    made.utc_s += 3600.0
+    path = write_tlog(tmp_path / "later.tlog", made, motion)
+    made.utc_s -= 3600.0
+    run = together([read_run(run_folder), read_run(path), read_run(tmp_path / "nowhere")])
+    assert [p for p in run.problems if "no time in common" in p] == [
+        "20260101T000000Z-demo: no time in common with the others "
+        "(2025-12-31 23:59:50Z to 2026-01-01 00:00:50Z)",
+        "later: no time in common with the others (2026-01-01 00:59:50Z to 2026-01-01 01:00:50Z)",
+    ]
+    assert "nowhere: nobody in it knows UTC: it cannot be laid beside the others" in run.problems
+    assert [one.name for one in run.aircraft] == ["DMUCA001", "DMUCA002", "later"]
+
+
+def test_aircraft_on_the_ground_are_not_too_close(tmp_path: Path, made: SimpleNamespace) -> None:
+    """They stand side by side until 40 s; what counts is the flight after it."""
+
+    def beside(t: float) -> tuple[float, float, float]:
+        return (0.0, 2.0 + max(t - 40.0, 0.0) * 10.0, -50.0)
+
+    def here(t: float) -> tuple[float, float, float]:
+        return (0.0, 0.0, -50.0)
+
+    for name, motion in (("a", here), ("b", beside)):
+        found = []
+        for step in made.steps(motion, motion):
+            landed = Landed.ON_GROUND if step.now_s < 45.0 else Landed.IN_AIR
+            found.append(
+                Step(now_s=step.now_s, events=(LandedState(landed=landed), *step.events), commands=())
+            )
+        made.write_events(tmp_path, name, found)
+    closest = separations(flown(read_run(tmp_path)).paths)[0]
+    assert closest.minimum_m == pytest.approx(52.5, abs=0.1)
+    assert closest.minimum_time_s == pytest.approx(45.05, abs=0.1)
+
+
+def inspect(*arguments: object) -> int:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return command.run(parser.parse_args([str(a) for a in arguments]))
+
+
+def test_of_several_inputs_the_good_ones_are_shown(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "x.png"
+    bad.write_bytes(b"\x89PNG")
+    assert inspect(run_folder, bad, tmp_path / "none", "--json") == 2
+    out, err = capsys.readouterr()
+    assert len(json.loads(out)["aircraft"]) == 2
+    assert [line.split(":")[0] for line in err.splitlines()] == ["left out", "left out"]
+    with pytest.raises(ConfigError, match="none of these can be read"):
+        inspect(bad, tmp_path / "none", "--json")
+
+
+def test_together_is_one_run(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert inspect(run_folder, run_folder / "unavoided", "--together", "--json") == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert (len(figures["aircraft"]), len(figures["separations"])) == (4, 6)
