@@ -1,106 +1,234 @@
-"""How a recording opens: looking at the crossing, and playing the time around it in a loop.
+"""How a recording opens: looking at the encounter, and playing it in a loop.
 
 A viewer starts at the beginning of a time line, and nobody wants to watch minutes of straight flight. So
-there are two: `time` is all of the run, and `encounter` counts from the closest approach and holds only what
-lies around it.
+there are two: `time` is all of the run, and `encounter` counts from the first conflict and holds only what
+lies around it. What is not needed at the first glance is behind a tab.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
+from ground_tools.inspect.flown import Array, Separation
+from ground_tools.inspect.scene import Scene
+from ground_tools.inspect.writer import ENCOUNTER, WHOLE
 
-from ground_tools.inspect.flown import Array, Flown, Separation, crossing
-
-WHOLE = "time"
-ENCOUNTER = "encounter"
-BEFORE_S = 40.0
-AFTER_S = 60.0
-"""The time around the closest approach that is played and plotted."""
-_MARGIN_S = 0.5
-"""Left out of the plots at both ends, where everything outside is gathered."""
+LANES = {
+    "Authority": "authority",
+    "Alert level": "alert",
+    "Autopilot mode": "mode",
+    "On the air": "protocol",
+}
+"""Names of views, and what they show."""
 _EYE_M = (-55.0, -90.0, 75.0)
-"""From the crossing to the eye: east, north, up."""
+"""From the encounter to the eye: east, north, up."""
+_LASTING = ("flown", "path")
+"""Of an aircraft: drawn whole at any time."""
 
 
-def blueprint(ways: Flown, pairs: Sequence[Separation]) -> Any:
-    """The views of a recording; without pairs, whatever the viewer chooses to look at."""
+def blueprint(scene: Scene, pairs: Sequence[Separation], look_at_ned_m: Array | None) -> Any:
+    """The views of a run."""
     import rerun.blueprint as rrb
 
+    required = max((pair.required_m for pair in pairs), default=None)
+    return _opened(
+        rrb,
+        scene,
+        rrb.Tabs(_space(rrb, "In space", [scene], look_at_ned_m), _map(rrb, [scene]), active_tab=0),
+        rrb.Tabs(
+            _separation(rrb, scene, required, "/separation/**"),
+            _plot(rrb, scene, "Age of information (s), of each track at each law", "/age/**"),
+            _plot(rrb, scene, "Speed (m/s): flown (thick), chosen (pale), wanted (grey)", "/speed/**"),
+            _plot(rrb, scene, "Link", "/link/**"),
+            active_tab=0,
+        ),
+        rrb.Tabs(*(_lane(rrb, scene, name, f"/{lane}/**") for name, lane in LANES.items()), active_tab=0),
+    )
+
+
+def comparison(
+    scenes: Mapping[str, Scene], looks: Sequence[Array | None], required_m: float | None, zero: str
+) -> Any:
+    """The views of several runs: beside each other, and one over the other.
+
+    Args:
+        scenes: by the run's name.
+        looks: what to turn to in each, (3,) NED.
+        required_m: separation that was to be kept; None without any pair.
+        zero: what time 0 is, in words.
+    """
+    import rerun.blueprint as rrb
+
+    every = list(scenes.values())
+    one = every[0]
+    beside = [
+        _space(rrb, name, [scene], look) for (name, scene), look in zip(scenes.items(), looks, strict=True)
+    ]
+    over = _space(rrb, "One over the other", every, looks[0])
+    closest = [_path(scene, "separation", "closest two") for scene in every]
+    limits = [] if required_m is None else [_path(one, "separation", f"required {required_m:g} m")]
+    return _opened(
+        rrb,
+        one,
+        rrb.Tabs(
+            rrb.Vertical(*beside, name="Beside each other"),
+            over,
+            _map(rrb, every),
+            active_tab=0,
+        ),
+        rrb.Tabs(
+            _separation(rrb, one, required_m, *closest, *limits, name="Closest two of each run"),
+            *(
+                _separation(rrb, scene, required_m, f"{scene.root}/separation/**", name=f"Pairs: {name}")
+                for name, scene in scenes.items()
+            ),
+            _plot(rrb, one, "Age of information (s)", "/runs/*/age/**"),
+            _plot(rrb, one, "Speed (m/s)", "/runs/*/speed/**"),
+            active_tab=0,
+        ),
+        rrb.Tabs(
+            *(
+                _lane(rrb, one, name, *(f"{scene.root}/{lane}/**" for scene in every))
+                for name, lane in LANES.items()
+            ),
+            active_tab=0,
+        ),
+        f"Events; time 0 is {zero}",
+    )
+
+
+def _opened(rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: str = "Events") -> Any:
+    """Space at the left, the rest beside it, playing the encounter."""
     return rrb.Blueprint(
         rrb.Horizontal(
-            _paths(rrb, ways, pairs),
+            space,
             rrb.Vertical(
-                _separation(rrb, pairs),
-                rrb.StateTimelineView(name="Authority", origin="/authority", time_view=_axis(rrb, pairs)),
-                _events(rrb),
-                row_shares=[5, 4, 3],
+                plots,
+                lanes,
+                rrb.Tabs(
+                    _events(rrb, events),
+                    rrb.TextDocumentView(name="How to read this", origin=f"{scene.root}/about"),
+                    active_tab=0,
+                ),
+                row_shares=[5, 4, 4],
             ),
             column_shares=[1, 1],
         ),
-        _time_panel(rrb, pairs),
+        rrb.TimePanel(
+            timeline=WHOLE if scene.encounter is None else ENCOUNTER,
+            state="collapsed",
+            play_state="playing",
+            loop_mode="all",
+        ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="hidden"),
     )
 
 
-def _paths(rrb: Any, ways: Flown, pairs: Sequence[Separation]) -> Any:
+def _space(rrb: Any, name: str, scenes: Sequence[Scene], look_at_ned_m: Array | None) -> Any:
     eye = None
-    if pairs:
-        north, east, down = (float(v) for v in crossing(ways, pairs))
+    if look_at_ned_m is not None:
+        north, east, down = (float(v) for v in look_at_ned_m)
         eye = rrb.EyeControls3D(
             position=(east + _EYE_M[0], north + _EYE_M[1], -down + _EYE_M[2]),
             look_target=(east, north, -down),
             eye_up=(0.0, 0.0, 1.0),
         )
-    words = "Large: own. Pale: heard, small: predicted, in the hearer's colour"
+    lasting = [
+        *(
+            _path(scene, "aircraft", one.name, part)
+            for scene in scenes
+            for one in scene.aircraft
+            for part in _LASTING
+        ),
+        *(
+            _path(scene, "markers", name)
+            for scene in scenes
+            for name in ("closest", *(one.name for one in scene.aircraft))
+        ),
+    ]
     return rrb.Spatial3DView(
-        name=f"Lines: flown ({ways.positions}). {words}",
+        name=name,
         origin="/",
-        contents=["/world/**", "/aircraft/**"],
+        contents=[f"{scene.root}/{part}/**" for scene in scenes for part in ("aircraft", "markers")],
         eye_controls=eye,
+        overrides=_at_all_times(rrb, lasting),
     )
 
 
-def _separation(rrb: Any, pairs: Sequence[Separation]) -> Any:
-    required = max((pair.required_m for pair in pairs), default=10.0)
+def _map(rrb: Any, scenes: Sequence[Scene]) -> Any:
+    whole = [_path(scene, "map", one.name, "flown") for scene in scenes for one in scene.aircraft]
+    return rrb.MapView(
+        name="Map (tiles come from the network)",
+        origin="/",
+        contents=[f"{scene.root}/map/**" for scene in scenes],
+        overrides=_at_all_times(rrb, whole),
+    )
+
+
+def _at_all_times(rrb: Any, entities: Sequence[str]) -> dict[str, Any]:
+    """Rows of every time are drawn at once, not only the last one."""
+    infinite = rrb.TimeRangeBoundary.infinite()
+    ranges = rrb.VisibleTimeRanges(
+        [rrb.VisibleTimeRange(line, start=infinite, end=infinite) for line in (WHOLE, ENCOUNTER)]
+    )
+    return dict.fromkeys(entities, ranges)
+
+
+def _separation(
+    rrb: Any, scene: Scene, required_m: float | None, *contents: str, name: str | None = None
+) -> Any:
+    if name is None:
+        name = "Separation (m)" + (f"; limit {required_m:g} m" if required_m is not None else "")
     return rrb.TimeSeriesView(
-        name=f"Separation (m) of the closest two, and of each pair; limit {required:g} m",
-        origin="/separation",
-        axis_x=_axis(rrb, pairs),
-        axis_y=rrb.ScalarAxis(range=(0.0, 6.0 * required), zoom_lock=False),
+        name=name,
+        origin="/",
+        contents=list(contents),
+        axis_x=_axis(rrb, scene),
+        axis_y=rrb.ScalarAxis(range=(0.0, 6.0 * (required_m or 10.0)), zoom_lock=False),
+        plot_legend=rrb.PlotLegend(visible=len(contents) > 1),
+    )
+
+
+def _plot(rrb: Any, scene: Scene, name: str, contents: str) -> Any:
+    return rrb.TimeSeriesView(
+        name=name,
+        origin="/",
+        contents=[contents],
+        axis_x=_axis(rrb, scene),
         plot_legend=rrb.PlotLegend(visible=False),
     )
 
 
-def _events(rrb: Any) -> Any:
+def _lane(rrb: Any, scene: Scene, name: str, *contents: str) -> Any:
+    return rrb.StateTimelineView(name=name, origin="/", contents=list(contents), time_view=_axis(rrb, scene))
+
+
+def _events(rrb: Any, name: str) -> Any:
     columns = [
         rrb.encodings.TextLogColumn("EntityPath", visible=False),
         rrb.encodings.TextLogColumn("LogLevel"),
         rrb.encodings.TextLogColumn("Body"),
     ]
     return rrb.TextLogView(
-        name="Events", origin="/events", columns=rrb.TextLogColumns(text_log_columns=columns)
+        name=name,
+        origin="/",
+        contents=["/events/**", "/runs/*/events/**"],
+        columns=rrb.TextLogColumns(text_log_columns=columns),
     )
 
 
-def encounter_time(time_s: Array, closest_s: float) -> Array:
-    """Times from the closest approach; what lies farther from it than the encounter lasts is at its ends."""
-    clipped: Array = np.clip(time_s - closest_s, -BEFORE_S, AFTER_S)
-    return clipped
-
-
-def _time_panel(rrb: Any, pairs: Sequence[Separation]) -> Any:
-    return rrb.TimePanel(
-        timeline=ENCOUNTER if pairs else WHOLE, state="collapsed", play_state="playing", loop_mode="all"
-    )
-
-
-def _axis(rrb: Any, pairs: Sequence[Separation]) -> Any:
-    if not pairs:
+def _axis(rrb: Any, scene: Scene) -> Any:
+    one = scene.encounter
+    if one is None:
         return None
     absolute = rrb.TimeRangeBoundary.absolute
-    start, end = absolute(seconds=_MARGIN_S - BEFORE_S), absolute(seconds=AFTER_S - _MARGIN_S)
+    start, end = absolute(seconds=one.start_s - one.zero_s), absolute(seconds=one.end_s - one.zero_s)
     return rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
+
+
+def _path(scene: Scene, *parts: str) -> str:
+    from rerun import escape_entity_path_part as escape
+
+    return "/".join([scene.root, *(escape(part) for part in parts)])

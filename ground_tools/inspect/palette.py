@@ -1,8 +1,10 @@
-"""Colours of aircraft and pairs, told apart with every common colour vision (Okabe and Ito, 2008)."""
+"""Colours, told apart with every common colour vision (Okabe and Ito, 2008)."""
 
 from __future__ import annotations
 
-COLOURS: tuple[tuple[int, int, int], ...] = (
+Rgb = tuple[int, int, int]
+
+COLOURS: tuple[Rgb, ...] = (
     (0, 114, 178),
     (230, 159, 0),
     (0, 158, 115),
@@ -11,15 +13,51 @@ COLOURS: tuple[tuple[int, int, int], ...] = (
     (160, 110, 40),
     (90, 90, 90),
 )
-"""Vermilion is left out: it stands for the separation that must hold."""
+"""Of aircraft. Vermilion is left out: it stands for the separation that must hold."""
 LIMIT = (213, 94, 0)
+PAIR = (150, 150, 150)
+WANTED = (120, 120, 120)
+
+LEVELS: dict[str, Rgb] = {
+    "INFO": (86, 180, 233),
+    "WARN": (230, 159, 0),
+    "ERROR": LIMIT,
+    "CRITICAL": (180, 0, 30),
+}
+"""Of markers, by the level of what they mark."""
+
+AUTHORITY: dict[str, Rgb] = {
+    "standby": (150, 150, 150),
+    "watching": (86, 180, 233),
+    "guarding": (0, 158, 115),
+    "avoiding": LIMIT,
+    "recovering": (230, 159, 0),
+    "yielded": (204, 121, 167),
+    "fault": (180, 0, 30),
+}
+"""Of `companion.avoidance.authority.State`."""
+ALERTS: dict[str, Rgb] = {"advisory": (86, 180, 233), "caution": (230, 159, 0), "warning": LIMIT}
+"""Of `companion.avoidance.alerts.Level`."""
 
 
-def colour(index: int) -> tuple[int, int, int]:
+def colour(index: int) -> Rgb:
     """Red, green, blue (0-255) of the aircraft or pair of this number."""
     return COLOURS[index % len(COLOURS)]
 
 
-def hexadecimal(rgb: tuple[int, int, int]) -> str:
+def hexadecimal(rgb: Rgb) -> str:
     """The colour as "#rrggbb"."""
     return "#" + bytes(rgb).hex()
+
+
+def faded(rgb: Rgb, share: float) -> Rgb:
+    """The colour on its way to grey; a share of 1 and above is grey."""
+    part = min(max(share, 0.0), 1.0)
+    red, green, blue = (round(c + part * (165 - c)) for c in rgb)
+    return red, green, blue
+
+
+def pale(rgb: Rgb) -> Rgb:
+    """The colour half way to white."""
+    red, green, blue = ((c + 255) // 2 for c in rgb)
+    return red, green, blue

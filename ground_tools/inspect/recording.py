@@ -1,278 +1,322 @@
-"""A run as a Rerun recording (.rrd): all aircraft in one 3D view, their separations, authority and events.
+"""A run, or several to compare, as a Rerun recording (.rrd).
 
-The recording is written in columns (`send_columns`), not call by call: a long run converts in seconds. The
-local frame is drawn as x east, y north, z up (m). rerun is imported on use: its import takes seconds, and it
-is an optional dependency.
+Steps are read from the records and written piece by piece (`writer.Writer`): a long run takes more time, and
+hardly more memory. What must be known beforehand (where the encounter is, who came closest) are facts that
+were gathered when the run was read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from pathlib import Path
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path as File
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pymap3d
 
-from companion.avoidance.alerts import Level
+from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
-from companion.events import (
-    AlertChanged,
-    AuthorityChanged,
-    Decision,
-    ModeRefused,
-    RemoteIdHeard,
-    Say,
-    Severity,
-    Vec3,
-    VehicleText,
-)
-from companion.remote_id.messages import Location
-from ground_tools.inspect.blueprint import ENCOUNTER, WHOLE, blueprint, encounter_time
+from companion.events import Heartbeat, Landed, LandedState, Vec3
+from companion.record import Step
+from ground_tools.inspect.blueprint import blueprint, comparison
 from ground_tools.inspect.flown import (
     Array,
     Flown,
+    Path,
     Separation,
+    crossing,
     flown,
     from_frame,
-    least_of,
     separations,
-    to_ned,
 )
-from ground_tools.inspect.palette import LIMIT, colour
+from ground_tools.inspect.palette import Rgb, colour
 from ground_tools.inspect.read_run import AircraftRecord, Run
+from ground_tools.inspect.scene import Aircraft, Encounter, Scene, first_encounter
+from ground_tools.inspect.writer import Writer, rerun
 
 MAX_PAIRS_DRAWN = 45
 """Closest pairs with a line of their own: ten aircraft in full."""
-
-SHOWN_S = 3.0
-"""A position is drawn until the next one, and no longer than this."""
-_PAIR = (150, 150, 150)
-
-LogLine = tuple[float, str, str]
-"""Time (s), level, text."""
+NEAR_M = 10_000.0
+"""Runs that are compared are drawn in one frame when they lie no farther apart than this."""
 
 
-def write(run: Run, path: Path) -> None:
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """One run, ready to be written."""
+
+    run: Run
+    ways: Flown
+    """On the recording's time line, in the scene's frame."""
+    pairs: tuple[Separation, ...]
+    """Of the pairs that are drawn, the closest first: least distances, without the lines."""
+    scene: Scene
+
+
+def write(run: Run, path: File) -> None:
     """Write the recording of `run` to `path`.
 
     Raises:
         ConfigError: rerun is not installed, no aircraft recorded a position, or `path` cannot be written.
     """
     ways = flown(run)
-    pairs = [pair for pair in separations(ways.paths) if pair.minimum_m is not None][:MAX_PAIRS_DRAWN]
-    rr = _rerun()
-    stream = rr.RecordingStream("dmuca", recording_id=run.name)
-    try:
-        stream.save(path, default_blueprint=blueprint(ways, pairs))
-    except (OSError, RuntimeError) as error:
-        raise ConfigError(f"{path}: cannot be written: {error}") from error
-    writer = _Writer(rr, stream, ways, pairs[0].minimum_time_s if pairs else None)
-    writer.world()
-    for index, record in enumerate(run.aircraft):
-        writer.aircraft(record, colour(index))
-    if pairs:
-        writer.separations(pairs)
+    pairs = _closest_pairs(ways.paths)
+    encounter = first_encounter(_conflicts(run, ways.offsets_s), pairs[0] if pairs else None)
+    colours = {record.name: colour(index) for index, record in enumerate(run.aircraft)}
+    shown = _Shown(run, ways, pairs, _scene(run, ways, colours, encounter))
+    stream = _stream(run.name, path, blueprint(shown.scene, pairs, _look_at(ways, pairs)))
+    _write_run(stream, shown)
     # Without this the end of the file is written at some later time, or never if the process is killed.
     stream.disconnect()
 
 
-def _rerun() -> Any:
-    try:
-        import rerun
-    except ImportError as error:
-        raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'") from error
-    return rerun
+def write_comparison(runs: Sequence[Run], path: File) -> None:
+    """Write several runs into one recording, each under `/runs/<name>`, aligned at take-off.
 
+    Time 0 is the start of the timed paths where every run has one, and the first take-off otherwise. A run
+    has one colour.
 
-class _Writer:
-    """Puts the parts of one run into one recording."""
-
-    def __init__(self, rr: Any, stream: Any, ways: Flown, closest_s: float | None) -> None:
-        self._rr = rr
-        self._stream = stream
-        self._ways = ways
-        self._closest_s = closest_s
-        self._flown = {path.name: path for path in ways.paths}
-        self._own = {path.name: path for path in ways.own}
-
-    def world(self) -> None:
-        """Directions, and what the time line is."""
-        rr = self._rr
-        self._stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        lat, lon, alt = self._ways.origin
-        words = (
-            f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. Time line: {self._ways.clock}. "
-            f"Distances by {self._ways.positions}."
-        )
-        start = min(path.time_s[0] for path in self._ways.paths)
-        self._columns("/events/run", np.array([start]), rr.TextLog.columns(text=[words], level=["INFO"]))
-
-    def aircraft(self, record: AircraftRecord, rgb: tuple[int, int, int]) -> None:
-        """Everything of one aircraft."""
-        rr = self._rr
-        root = f"/aircraft/{self._part(record.name)}"
-        if (path := self._flown.get(record.name)) is not None:
-            strip = rr.LineStrips3D([_enu(path.position_ned_m)], colors=[rgb], radii=[-1.5])
-            self._stream.log(f"{root}/flown", strip, static=True)
-        if (own := self._own.get(record.name)) is not None:
-            self._points(f"{root}/own", own.time_s, own.position_ned_m, rgb, 1.2, record.name, named=True)
-        offset = self._ways.offsets_s[record.name]
-        for sender, time, position in _heard(record, self._ways.origin):
-            label = f"{sender} as {record.name} heard it"
-            self._points(
-                f"{root}/heard/{self._part(sender)}", time + offset, position, _pale(rgb), 0.9, label
-            )
-        for track, time, position in _predicted(record, self._ways.origin):
-            label = f"{track} as {record.name} predicts it"
-            self._points(f"{root}/predicted/{self._part(track)}", time + offset, position, rgb, 0.7, label)
-        self._authority(record, offset)
-        self._log(record, offset)
-
-    def separations(self, pairs: list[Separation]) -> None:
-        """Every pair's distance, that of whichever two are closest, and the distance that must hold."""
-        for pair in pairs:
-            known = ~np.isnan(pair.distance_m)
-            self._line(
-                f"{pair.first} - {pair.second}", pair.time_s[known], pair.distance_m[known], _PAIR, 1.0
-            )
-        time, least = least_of(pairs)
-        self._line("closest two", time, least, colour(0), 3.0)
-        required = max(pair.required_m for pair in pairs)
-        self._line(f"required {required:g} m", time[[0, -1]], np.full(2, required), LIMIT, 3.0)
-
-    def _line(self, name: str, time_s: Array, values: Array, rgb: tuple[int, int, int], width: float) -> None:
-        rr = self._rr
-        entity = f"/separation/{self._part(name)}"
-        style = rr.SeriesLines(colors=[rgb], widths=[width], names=[name])
-        self._stream.log(entity, style, static=True)
-        self._columns(entity, time_s, rr.Scalars.columns(scalars=values))
-
-    def _points(
-        self,
-        entity: str,
-        time_s: Array,
-        position_ned_m: Array,
-        rgb: tuple[int, int, int],
-        radius_m: float,
-        label: str,
-        *,
-        named: bool = False,
-    ) -> None:
-        rr = self._rr
-        style = rr.Points3D.from_fields(colors=[rgb], radii=[radius_m], labels=[label], show_labels=named)
-        self._stream.log(entity, style, static=True)
-        times, lengths = _until_stale(time_s)
-        columns = rr.Points3D.columns(positions=_enu(position_ned_m)).partition(lengths)
-        self._columns(entity, times, columns)
-
-    def _part(self, name: str) -> str:
-        part: str = self._rr.escape_entity_path_part(name)
-        return part
-
-    def _authority(self, record: AircraftRecord, offset_s: float) -> None:
-        changes = [(now, what) for now, what in record.facts.rare if isinstance(what, AuthorityChanged)]
-        if not changes:
-            return
-        # The state before the first change is known from that change.
-        time = np.array([record.facts.start_s, *(now for now, _ in changes)]) + offset_s
-        states = [changes[0][1].previous, *(change.state for _, change in changes)]
-        self._columns(
-            f"/authority/{self._part(record.name)}", time, self._rr.StateChange.columns(state=states)
-        )
-
-    def _log(self, record: AircraftRecord, offset_s: float) -> None:
-        lines = list(_log_lines(record))
-        if lines:
-            time = np.array([line[0] for line in lines]) + offset_s
-            columns = self._rr.TextLog.columns(
-                text=[f"{record.name}: {line[2]}" for line in lines], level=[line[1] for line in lines]
-            )
-            self._columns(f"/events/{self._part(record.name)}", time, columns)
-
-    def _columns(self, entity: str, time_s: Array, columns: Any) -> None:
-        times = [self._rr.TimeColumn(WHOLE, duration=time_s)]
-        if self._closest_s is not None:
-            around = encounter_time(time_s, self._closest_s)
-            times.append(self._rr.TimeColumn(ENCOUNTER, duration=around))
-        self._stream.send_columns(entity, times, columns)
-
-
-def _until_stale(time_s: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Rows of one point each, and a row of none where no other follows within SHOWN_S: times and lengths."""
-    last = np.append(np.diff(time_s) > SHOWN_S, True)
-    times = np.concatenate([time_s, time_s[last] + SHOWN_S])
-    lengths = np.concatenate([np.ones(len(time_s), dtype=np.int64), np.zeros(last.sum(), dtype=np.int64)])
-    order = np.argsort(times, kind="stable")
-    return times[order], lengths[order]
-
-
-def _heard(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, Array]]:
-    """By transmitter's address: times (n,) and reported positions (n, 3) in the common frame."""
-    undulation = record.facts.undulation_m
-    rows: dict[str, list[tuple[float, ...]]] = {}
-    heard = (
-        (step.now_s, event.address, place)
-        for step in record.steps()
-        for event in step.events
-        if isinstance(event, RemoteIdHeard)
-        for place in event.messages
-        if isinstance(place, Location)
+    Raises:
+        ConfigError: as `write`; fewer than two runs.
+    """
+    if len(runs) < 2:
+        raise ConfigError("a comparison takes two runs or more")
+    names = _names(runs)
+    every = [flown(run) for run in runs]
+    starts = [_start_of_path(run, ways) for run, ways in zip(runs, every, strict=True)]
+    by_path = None not in starts
+    zeros = [
+        start if by_path and start is not None else _take_off(run, ways)
+        for run, start, ways in zip(runs, starts, every, strict=True)
+    ]
+    every = [_moved(ways, -zero) for ways, zero in zip(every, zeros, strict=True)]
+    origin = every[0].origin
+    every = [_in_frame(ways, origin) if _apart_m(ways.origin, origin) < NEAR_M else ways for ways in every]
+    pairs = [_closest_pairs(ways.paths) for ways in every]
+    encounter = _joined(
+        [
+            first_encounter(_conflicts(run, ways.offsets_s), found[0] if found else None)
+            for run, ways, found in zip(runs, every, pairs, strict=True)
+        ]
     )
-    for now, address, place in heard:
-        if place.lat_deg is not None and place.lon_deg is not None:
-            # Without an altitude it is drawn at the origin's.
-            altitude = origin[2] if place.alt_geodetic_m is None else place.alt_geodetic_m - undulation
-            rows.setdefault(address, []).append((now, place.lat_deg, place.lon_deg, altitude))
-    for address, found in rows.items():
-        table = np.asarray(found)
-        yield address, table[:, 0], to_ned(table[:, 1:], origin)
+    shown = [
+        _Shown(
+            run,
+            ways,
+            found,
+            _scene(
+                run,
+                ways,
+                {record.name: colour(index) for record in run.aircraft},
+                encounter,
+                f"/runs/{rerun().escape_entity_path_part(name)}",
+            ),
+        )
+        for index, (name, run, ways, found) in enumerate(zip(names, runs, every, pairs, strict=True))
+    ]
+    words = "the start of the timed paths" if by_path else "take-off"
+    looks = [_look_at(one.ways, one.pairs) for one in shown]
+    required_m = max((pair.required_m for found in pairs for pair in found), default=None)
+    plan = comparison(dict(zip(names, (one.scene for one in shown), strict=True)), looks, required_m, words)
+    stream = _stream(" and ".join(names), path, plan)
+    for one in shown:
+        _write_run(stream, one)
+    stream.disconnect()
 
 
-def _predicted(record: AircraftRecord, origin: Vec3) -> Iterable[tuple[str, Array, Array]]:
-    """By track: times (n,) and positions (n, 3) that the law took it for, in the common frame."""
-    rows: dict[tuple[str, Vec3], list[tuple[float, ...]]] = {}
-    for step in record.steps():
-        for command in step.commands:
-            if isinstance(command, Decision):
-                for track in command.tracks:
-                    row = (step.now_s, *track.position_ned_m)
-                    rows.setdefault((track.track_id, command.origin), []).append(row)
-    for (track_id, frame), found in rows.items():
-        table = np.asarray(found)
-        yield track_id, table[:, 0], from_frame(table[:, 1:], frame, origin)
+def _stream(name: str, path: File, plan: Any) -> Any:
+    stream = rerun().RecordingStream("dmuca", recording_id=name)
+    try:
+        stream.save(path, default_blueprint=plan)
+    except (OSError, RuntimeError) as error:
+        raise ConfigError(f"{path}: cannot be written: {error}") from error
+    return stream
 
 
-def _log_lines(record: AircraftRecord) -> Iterable[LogLine]:
+def _write_run(stream: Any, shown: _Shown) -> None:
+    scene, ways = shown.scene, shown.ways
+    writer = Writer(stream, scene)
+    lat, lon, alt = ways.origin
+    start = min(path.time_s[0] for path in ways.paths)
+    words = (
+        f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. Time line: {ways.clock}. Distances by {ways.positions}."
+    )
+    writer.say(start, words)
+    for problem in (*shown.run.problems, *ways.problems):
+        writer.say(start, problem)
+    for record in shown.run.aircraft:
+        for steps in _in_pieces(record, scene, ways.offsets_s[record.name]):
+            writer.steps(record.name, steps)
+    for path in ways.paths:
+        for part in _pieces(path, scene):
+            n, e, d = part.position_ned_m.T
+            geodetic = pymap3d.ned2geodetic(n, e, d, *scene.origin)
+            writer.flown(part, np.column_stack(geodetic[:2]))
+    _write_distances(writer, shown)
+    writer.settle()
+
+
+def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[list[Step]]:
+    def piece(step: Step) -> tuple[int, bool]:
+        return scene.piece(step.now_s + offset_s)
+
+    for _, steps in itertools.groupby(record.steps(), key=piece):
+        yield list(steps)
+
+
+def _write_distances(writer: Writer, shown: _Shown) -> None:
+    drawn = {(pair.first, pair.second) for pair in shown.pairs}
+    if not drawn:
+        return
+    paths = shown.ways.paths
+    required = max(pair.required_m for pair in shown.pairs)
+    times = np.unique(np.concatenate([path.time_s[[0, -1]] for path in paths]))
+    edges = np.arange(times[0], times[-1], 1.0)
+    for piece in shown.scene.pieces(edges):
+        start = edges[piece.start]
+        end = edges[piece.stop] if piece.stop < len(edges) else times[-1]
+        near = [part for path in paths if (part := _between(path, start, end)) is not None]
+        found = [pair for pair in separations(tuple(near)) if (pair.first, pair.second) in drawn]
+        writer.distances([pair for pair in found if pair.minimum_m is not None], required)
+    by_name = {path.name: path for path in paths}
+    for pair in shown.pairs:
+        ends = (by_name[pair.first], by_name[pair.second])
+        middle = np.mean([_at(path, pair.minimum_time_s or 0.0) for path in ends], axis=0)
+        writer.closest(pair, middle)
+
+
+def _between(path: Path, start_s: float, end_s: float) -> Path | None:
+    """The part of a path from the last sample at or before a time to the first at or after another one."""
+    first = max(int(np.searchsorted(path.time_s, start_s, "right")) - 1, 0)
+    last = int(np.searchsorted(path.time_s, end_s, "left")) + 1
+    if path.time_s[0] > end_s or path.time_s[-1] < start_s:
+        return None
+    return replace(path, time_s=path.time_s[first:last], position_ned_m=path.position_ned_m[first:last])
+
+
+def _pieces(path: Path, scene: Scene) -> list[Path]:
+    """Parts that join: each ends with the first sample of the next one."""
+    rows = [slice(one.start, one.stop + 1) for one in scene.pieces(path.time_s)]
+    return [replace(path, time_s=path.time_s[r], position_ned_m=path.position_ned_m[r]) for r in rows]
+
+
+def _at(path: Path, time_s: float) -> Array:
+    return np.array([np.interp(time_s, path.time_s, axis) for axis in path.position_ned_m.T])
+
+
+def _closest_pairs(paths: tuple[Path, ...]) -> tuple[Separation, ...]:
+    """The closest pairs, each with its least distance alone: one pair's line at a time is in memory."""
+    found = []
+    for two in itertools.combinations(paths, 2):
+        (pair,) = separations(two)
+        if pair.minimum_m is not None:
+            found.append(replace(pair, time_s=np.zeros(0), distance_m=np.zeros(0)))
+    return tuple(sorted(found, key=lambda pair: pair.minimum_m or 0.0)[:MAX_PAIRS_DRAWN])
+
+
+def _conflicts(run: Run, offsets_s: dict[str, float]) -> Array:
+    """(n,) when any aircraft was in conflict with anybody."""
+    found = [
+        record.facts.decisions.now_s[record.facts.decisions.conflict] + offsets_s[record.name]
+        for record in run.aircraft
+    ]
+    return np.concatenate(found)
+
+
+def _scene(
+    run: Run, ways: Flown, colours: dict[str, Rgb], encounter: Encounter | None, root: str = ""
+) -> Scene:
+    aircraft = tuple(
+        Aircraft(
+            name=record.name,
+            rgb=colours[record.name],
+            offset_s=ways.offsets_s[record.name],
+            avoidance=record.header.config.avoidance if record.header else AvoidanceConfig(),
+            undulation_m=record.facts.undulation_m,
+        )
+        for record in run.aircraft
+    )
+    return Scene(ways.origin, aircraft, encounter, root)
+
+
+def _look_at(ways: Flown, pairs: Sequence[Separation]) -> Array | None:
+    """(3,) what a view turns to: where the pairs come closest; None without any."""
+    return crossing(ways, pairs) if pairs else None
+
+
+# ---------------------------------------------------------------- several runs
+
+
+def _names(runs: Sequence[Run]) -> list[str]:
+    """Each run's own name, told apart where two folders are called the same."""
+    names: list[str] = []
+    for run in runs:
+        number = sum(run.name == other.name for other in runs[: len(names)])
+        names.append(run.name if number == 0 else f"{run.name} ({number + 1})")
+    return names
+
+
+def _start_of_path(run: Run, ways: Flown) -> float | None:
+    """When the timed paths start at one UTC: the time line counts from it then."""
+    starts = [
+        record.header.config.flight.start == "utc" if record.header else False for record in run.aircraft
+    ]
+    return 0.0 if all(starts) and "start of the timed paths" in ways.clock else None
+
+
+def _take_off(run: Run, ways: Flown) -> float:
+    """When the first aircraft was armed and in the air; where none tells, when the first path begins."""
+    found = [
+        now + ways.offsets_s[record.name] for record in run.aircraft if (now := _in_air_s(record)) is not None
+    ]
+    return min(found, default=min(float(path.time_s[0]) for path in ways.paths))
+
+
+def _in_air_s(record: AircraftRecord) -> float | None:
+    armed = in_air = False
     for now, item in record.facts.rare:
         match item:
-            case AuthorityChanged():
-                words = f"authority {item.previous} -> {item.state} on {item.trigger}: {item.reason}"
-                yield now, "INFO", words
-            case AlertChanged():
-                yield now, "WARN" if item.level == Level.WARNING else "INFO", item.reason
-            case Say():
-                yield now, _level(item.severity), f"says: {item.text}"
-            case VehicleText():
-                yield now, _level(item.severity), f"autopilot: {item.text}"
-            case ModeRefused():
-                yield now, "WARN", f"mode {item.mode.value} refused: {item.reason}"
+            case Heartbeat():
+                armed = item.armed
+            case LandedState():
+                in_air = item.landed in (Landed.IN_AIR, Landed.TAKEOFF)
             case _:
-                pass
+                continue
+        if armed and in_air:
+            return now
+    return None
 
 
-def _level(severity: int) -> str:
-    if severity <= Severity.CRITICAL:
-        return "CRITICAL"
-    return {Severity.ERROR: "ERROR", Severity.WARNING: "WARN"}.get(Severity(min(severity, 6)), "INFO")
-
-
-def _enu(position_ned_m: Array) -> NDArray[np.float32]:
-    return np.column_stack([position_ned_m[:, 1], position_ned_m[:, 0], -position_ned_m[:, 2]]).astype(
-        np.float32
+def _moved(ways: Flown, by_s: float) -> Flown:
+    """The same on a time line that begins elsewhere."""
+    return replace(
+        ways,
+        paths=tuple(replace(path, time_s=path.time_s + by_s) for path in ways.paths),
+        own=tuple(replace(path, time_s=path.time_s + by_s) for path in ways.own),
+        offsets_s={name: offset + by_s for name, offset in ways.offsets_s.items()},
     )
 
 
-def _pale(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
-    red, green, blue = ((c + 255) // 2 for c in rgb)
-    return red, green, blue
+def _in_frame(ways: Flown, origin: Vec3) -> Flown:
+    def turned(path: Path) -> Path:
+        return replace(path, position_ned_m=from_frame(path.position_ned_m, ways.origin, origin))
+
+    return replace(
+        ways, origin=origin, paths=tuple(map(turned, ways.paths)), own=tuple(map(turned, ways.own))
+    )
+
+
+def _apart_m(one: Vec3, other: Vec3) -> float:
+    n, e, d = pymap3d.geodetic2ned(*one, *other)
+    return float(np.hypot(np.hypot(n, e), d))
+
+
+def _joined(found: Sequence[Encounter | None]) -> Encounter | None:
+    """One encounter that holds those of all runs; its zero is the first one's."""
+    known = [one for one in found if one is not None]
+    if not known:
+        return None
+    start, end = min(one.start_s for one in known), max(one.end_s for one in known)
+    first = min(known, key=lambda one: one.zero_s)
+    return Encounter(start, first.zero_s, end, first.what)
