@@ -27,8 +27,10 @@ _LASTING = ("flown", "path")
 """Of an aircraft: drawn whole at any time."""
 
 
-def blueprint(scene: Scene, pairs: Sequence[Separation], look_at_ned_m: Array | None) -> Any:
-    """The views of a run."""
+def blueprint(
+    scene: Scene, pairs: Sequence[Separation], look_at_ned_m: Array | None, *, live: bool = False
+) -> Any:
+    """The views of a run. `live`: at its newest time, which goes on."""
     import rerun.blueprint as rrb
 
     required = max((pair.required_m for pair in pairs), default=None)
@@ -44,6 +46,7 @@ def blueprint(scene: Scene, pairs: Sequence[Separation], look_at_ned_m: Array | 
             active_tab=0,
         ),
         rrb.Tabs(*(_lane(rrb, scene, name, f"/{lane}/**") for name, lane in LANES.items()), active_tab=0),
+        live=live,
     )
 
 
@@ -98,7 +101,9 @@ def comparison(
     )
 
 
-def _opened(rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: str = "Events") -> Any:
+def _opened(
+    rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: str = "Events", *, live: bool = False
+) -> Any:
     """Space at the left, the rest beside it, playing the encounter."""
     return rrb.Blueprint(
         rrb.Horizontal(
@@ -118,8 +123,8 @@ def _opened(rrb: Any, scene: Scene, space: Any, plots: Any, lanes: Any, events: 
         rrb.TimePanel(
             timeline=WHOLE if scene.encounter is None else ENCOUNTER,
             state="collapsed",
-            play_state="playing",
-            loop_mode="all",
+            play_state="following" if live else "playing",
+            loop_mode="off" if live else "all",
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="hidden"),

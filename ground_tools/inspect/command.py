@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from companion.errors import ConfigError
-from ground_tools.inspect import recording, summary
+from ground_tools.inspect import live, recording, summary, web
 from ground_tools.inspect.read_run import read_run
 
 EXAMPLE = "example: ground-tools inspect runs/20260101T000000Z-demo, then: rerun runs/.../inspect.rrd"
@@ -23,6 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--summary", action="store_true", help="print the figures and write no recording")
     parser.add_argument(
+        "--web",
+        action="store_true",
+        help="then serve the recording to a browser on this machine, until Ctrl-C",
+    )
+    parser.add_argument(
+        "--live",
+        action="store_true",
+        help="show a run while it is flown, in a browser on this machine, until Ctrl-C",
+    )
+    parser.add_argument(
         "--json", action="store_true", help="like --summary, one JSON object per run and line"
     )
 
@@ -37,6 +47,13 @@ def run(args: argparse.Namespace) -> int:
     figures_only = args.summary or args.json
     if args.save is not None and (len(folders) > 1 or figures_only):
         raise ConfigError("--save: goes with one run, and not with --summary or --json")
+    if args.live:
+        if len(folders) > 1 or figures_only or args.web or args.save is not None:
+            raise ConfigError("--live: goes with one run, and with no other option")
+        live.follow(folders[0])
+        return 0
+    if args.web and (len(folders) > 1 or figures_only):
+        raise ConfigError("--web: goes with one run, and not with --summary or --json")
     for folder in folders:
         one = read_run(folder)
         if args.json:
@@ -47,4 +64,6 @@ def run(args: argparse.Namespace) -> int:
             path = args.save or folder / "inspect.rrd"
             recording.write(one, path)
             print(f"wrote {path}; open it with: rerun {path}")
+            if args.web:
+                web.serve(path)
     return 0

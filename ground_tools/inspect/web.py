@@ -1,7 +1,7 @@
 """Rerun's web viewer in a process of its own, bound to loopback.
 
-The viewer comes with rerun: `rerun --serve-web` serves its page and the recording. By itself it listens on all
-interfaces; here it listens on 127.0.0.1 only.
+The viewer comes with rerun: `rerun --serve-web` serves its page and the recording. By itself it listens on
+all interfaces; here it listens on 127.0.0.1 only.
 """
 
 from __future__ import annotations
