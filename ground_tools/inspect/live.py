@@ -131,6 +131,7 @@ class Bridge:
             found = list(part)
             count += len(found)
             self._writer.steps(name, found)
+            self._writer.settle(found[-1].now_s + offset)
             self._path(name, found, offset)
         return count
 
