@@ -53,7 +53,7 @@ def test_a_growing_record_gives_what_the_whole_one_gives(tmp_path: Path, made: S
 
     recording.write(read_run(tmp_path), tmp_path / "whole.rrd")
     live, converted = rows(tmp_path / "live.rrd"), rows(tmp_path / "whole.rrd")
-    for entity in ("/authority/a", "/mode/a", "/speed/a\\ chosen"):
+    for entity in ("/authority/a", "/speed/a/chosen", "/events/a"):
         assert live[entity] == converted[entity] > 0, entity
     # The end of a converted run takes away what is drawn.
     assert live["/aircraft/a/own"] == converted["/aircraft/a/own"] - 1 == 601
