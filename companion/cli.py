@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import platform
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -131,7 +132,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
     from companion import replay
 
-    tolerance = 0.0 if _same_software(folder / "manifest.json") else replay.ELSEWHERE
+    tolerance = 0.0 if _same_machine_and_software(folder / "manifest.json") else replay.ELSEWHERE
     with path.open("rb") as stream:
         result = replay.replay_record(record.read(stream, str(path)), str(path), tolerance)
     if as_json:
@@ -147,11 +148,13 @@ def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
     return 1 if result.differences else 0
 
 
-def _same_software(manifest: Path) -> bool:
+def _same_machine_and_software(manifest: Path) -> bool:
     try:
         facts = json.loads(manifest.read_text())
-        return facts["dmuca"] == __version__ and all(
-            metadata.version(name) == version for name, version in facts["versions"].items()
+        return (
+            facts["machine"] == platform.machine()
+            and facts["dmuca"] == __version__
+            and all(metadata.version(name) == version for name, version in facts["versions"].items())
         )
     except (OSError, ValueError, KeyError, TypeError, metadata.PackageNotFoundError):
         return False

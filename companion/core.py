@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 
 from companion.atmc.chooser import chooser_of
+from companion.autopilot.dialect import DIALECTS
 from companion.avoidance.alerts import Alerts
 from companion.avoidance.authority import HOLDING, State, Trigger, next_state
 from companion.avoidance.guard import GuardPlan
@@ -76,13 +77,21 @@ _SURE = 3
 """Decisions in a row that must see a conflict before a guarded vehicle is taken."""
 _GIVING_BACK_S = 8.0
 """For this long after the mission was asked for, the vehicle may still obey; then it is asked again."""
+_UNREAD_S = 90.0
+"""A mission that could not be fetched for so long, with the vehicle ready to be given back, is not resumed:
+longer than one download may take."""
 _KEPT_OFF_S = 60.0
 """Kept off its way for so long with no conflict, by a floor, a ceiling, a fence or the wind, a guarded
 vehicle is given back where it is."""
+_RETAKEN_S = 60.0
+"""A guarded vehicle that is taken again within this time after it was given back, as what its mission flies
+next leads into somebody, or as one after another crosses, is given back later: after twice as long without a
+conflict each time."""
+_LONGEST_PATIENCE_S = 60.0
 _LATE_STEP_S = 30.0
 """The pilot is told each time that the path has waited for this long again."""
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
-_TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED}
+_TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED, Trigger.ENDED}
 """Moves that the pilot is told of, besides each that ends watching."""
 _BRAKING_S = 3.0
 """Who switches off wants the vehicle to stop, not to meet what an autopilot does when setpoints end: for so
@@ -104,6 +113,8 @@ class Companion:
         self._configured = self._wanted = config
         self._settings = Settings()
         self._brake_until_s = -math.inf
+        self._braked_in: FlightMode | None = None
+        """Mode that the vehicle was last seen in while it is commanded to stand."""
         self.own = Ownship()
         self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
         self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
@@ -136,6 +147,12 @@ class Companion:
         """Decisions in a row, while a mission is guarded, that saw one."""
         self._gave_back_s = -math.inf
         """When the vehicle was last asked to fly its mission on."""
+        self._resumed_s = -math.inf
+        """When the vehicle last flew its mission on."""
+        self._patience_s = 0.0
+        """A vehicle that was taken again is not given back before so long without a conflict."""
+        self._unread_s = math.inf
+        """Since when the vehicle could be given back, if its mission were known to be the same."""
         self._taken_s = -math.inf
         self._off_m = 0.0
         """Farthest from the way to the mission's item since then."""
@@ -281,7 +298,7 @@ class Companion:
             modes = "GUIDED or AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "HOLD or MISSION"
             if self._guard is not None:
                 modes = "AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "MISSION"
-            return f"mode {modes} (now {own.heartbeat.mode.value})"
+            return f"mode {modes} (now {self._mode_name})"
         if self.config.region.transport_sets and self.broadcaster.trouble is not None:
             return self.broadcaster.trouble
         return own.unfit(now_s, self.config.vehicle.stale_after_s)
@@ -309,7 +326,7 @@ class Companion:
             if due and unfit is None and self.own.landed(now_s) is Landed.IN_AIR:
                 self._decided_s = now_s
                 self._alert(now_s, self._neighbours(now_s), None, commands)
-            if now_s < self._brake_until_s and unfit is None and self.own.mode is FlightMode.EXTERNAL:
+            if self._brakes(now_s) and unfit is None:
                 commands.append(self._setpoint((0.0, 0.0, 0.0)))
             return
         law = self.plan.law
@@ -320,6 +337,8 @@ class Companion:
                 return
         if self._result is None or due:
             self._decided_s = now_s
+            if self._guard is not None:
+                commands += self._guard.lead(self.own, now_s)
             situation = self._situation(now_s)
             self._result = law.decide(situation)
             if self._guard is not None:
@@ -334,6 +353,16 @@ class Companion:
         self._ask_mode(now_s, commands)
         self._commanded_s = now_s
         commands.append(self._setpoint(self._result.chosen_ned_mps))
+
+    def _brakes(self, now_s: float) -> bool:
+        """The vehicle is still to be commanded to stand: until the mode that was asked for shows, or any
+        other, and then never again."""
+        mode = self.own.mode
+        if mode is FlightMode.EXTERNAL:
+            self._braked_in = mode
+        elif mode is not self._braked_in:
+            self._brake_until_s = -math.inf
+        return now_s < self._brake_until_s and mode is FlightMode.EXTERNAL
 
     def _watch(self, now_s: float, commands: list[Command]) -> None:
         """The autopilot flies its mission: would the law fly something else?"""
@@ -356,12 +385,17 @@ class Companion:
         """On the path, and no conflict: the mission goes on, if it is still the same."""
         if self._guard is None or not self._mode_confirmed or now_s - self._gave_back_s < _GIVING_BACK_S:
             return
+        if now_s - self._conflict_s < self._patience_s:
+            return
         same, asked = self._guard.give_back(self.own, now_s)
         commands += asked
         if same:
             self._gave_back_s = now_s
             commands.append(SetMode(mode=FlightMode.MISSION, speed_mps=self._forgotten_speed_mps()))
-        elif same is False:
+            self._unread_s = math.inf
+            return
+        self._unread_s = min(self._unread_s, now_s)
+        if same is False or now_s - self._unread_s >= _UNREAD_S:
             self._move(now_s, frozenset({Trigger.CHANGED}), None, commands)
 
     def _mode_refused(self, event: ModeRefused) -> list[Command]:
@@ -395,6 +429,8 @@ class Companion:
         standing_by = self.state is State.STANDBY and self.plan.ready
         if standing_by and self.waits_for(now_s) is None and self.plan.near(own, now_s):
             found.add(Trigger.WATCH if self._guard is not None and on_mission else Trigger.READY)
+        if self._ends_in_hold(now_s) and own.mission_complete:
+            found.add(Trigger.ENDED)
         if self._guard is not None and not on_mission:
             found.add(Trigger.LEFT)
         elif self._guard is not None and now_s - self._gave_back_s < _GIVING_BACK_S:
@@ -410,7 +446,17 @@ class Companion:
             return False
         if heartbeat.mode is FlightMode.MISSION and now_s - self._gave_back_s < _GIVING_BACK_S:
             return False
+        if self._ends_in_hold(now_s) and self.own.mission_complete:
+            return False
         return self._mode_confirmed or heartbeat.custom_mode != self._custom_before
+
+    def _ends_in_hold(self, now_s: float) -> bool:
+        """The vehicle holds, as PX4 does after a mission's last item, and its mission was just given back.
+        Whether that was done is told by MISSION_CURRENT, which may come later."""
+        heartbeat = self.own.heartbeat
+        if heartbeat is None or heartbeat.firmware is not Firmware.PX4:
+            return False
+        return heartbeat.mode is FlightMode.HOLD and now_s - self._gave_back_s < _GIVING_BACK_S
 
     def _law_triggers(self, now_s: float) -> frozenset[Trigger]:
         """What the law's last result says about authority."""
@@ -433,28 +479,40 @@ class Companion:
             return
         previous, (self.state, trigger) = self.state, moved
         reason = self._reason(now_s, trigger, unfit)
+        sticks = trigger is Trigger.PILOT and self._asks_sticks
         commands.append(
             AuthorityChanged(
                 previous=previous.value, state=self.state.value, trigger=trigger.value, reason=reason
             )
         )
+        self._unread_s = math.inf
         if trigger is Trigger.READY or (previous is State.WATCHING and trigger is Trigger.CONFLICT):
             self._take_control(now_s)
+            if self._patience_s:
+                text = f"DMUCA: taken again: given back after {self._patience_s:g} s without a conflict"
+                commands.append(Say(severity=Severity.NOTICE, text=text))
         elif trigger is Trigger.CONFLICT and now_s - self._gave_back_s < _GIVING_BACK_S:
             # The mission may still be entered: what was asked for last counts.
             commands.append(SetMode(mode=FlightMode.EXTERNAL))
         if trigger in _TOLD or previous is State.WATCHING:
             severity = Severity.WARNING if trigger in _TOLD_LOUDLY else Severity.INFO
             commands.append(Say(severity=severity, text=f"DMUCA {self.state.value}: {reason}"))
-        if trigger is Trigger.RESUMED and (speed := self._forgotten_speed_mps()) is not None:
-            commands.append(SetSpeed(speed_mps=speed))
+        if trigger is Trigger.RESUMED:
+            self._resumed_s = now_s
+            commands += self._tell_speed()
         if trigger is Trigger.REARM and self.own.position is not None:
             self.plan.resume(self.own, now_s)
+        if sticks:
+            commands.append(SetMode(mode=FlightMode.STICKS))
         if previous in HOLDING and self.state not in HOLDING:
             self._let_go(trigger, commands)
-        # A hold is waited for standing: PX4's own failsafe is quicker than the next heartbeat.
+        # A hold, and the pilot's mode, are waited for standing: PX4's own failsafe is quicker than the next
+        # heartbeat.
         holds = trigger is Trigger.CHANGED or (trigger is Trigger.UNFIT and not self._settings.enable)
-        self._brake_until_s = now_s + _BRAKING_S if holds and previous in HOLDING else -math.inf
+        if previous in HOLDING and (holds or sticks):
+            self._brake_until_s, self._braked_in = now_s + _BRAKING_S, self.own.mode
+        elif not sticks:
+            self._brake_until_s = -math.inf
         if self.state is State.WATCHING:
             self._ours = frozenset()
         if self.state not in HOLDING:
@@ -471,19 +529,27 @@ class Companion:
             return None
         return guard.mission_speed_mps(self.own)
 
+    def _tell_speed(self) -> list[Command]:
+        """The vehicle flies its mission on: at which speed."""
+        guard, heartbeat = self._guard, self.own.heartbeat
+        speed_mps = self._forgotten_speed_mps()
+        if speed_mps is not None:
+            return [SetSpeed(speed_mps=speed_mps)]
+        ardupilot = heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
+        if guard is None or not ardupilot or not guard.speed_is_open(self.own):
+            return []
+        text = (
+            "DMUCA: the mission jumps, which of its speeds holds is not known: flown on at the vehicle's own"
+        )
+        return [Say(severity=Severity.WARNING, text=text)]
+
     def _let_go(self, trigger: Trigger, commands: list[Command]) -> None:
         """Nothing is commanded any more. PX4 notices at once; ArduPilot would fly on for seconds as it was
-        commanded last, so it is asked to stop. A pilot who moves the sticks gets a mode that takes them."""
+        commanded last, so it is asked to stop."""
         mode = self.own.mode
         external = mode is FlightMode.EXTERNAL
         self._ours = frozenset()
-        heartbeat = self.own.heartbeat
-        ours = heartbeat is not None and (
-            external or (not self._mode_confirmed and heartbeat.custom_mode == self._custom_before)
-        )
-        if trigger is Trigger.PILOT and ours:
-            commands.append(SetMode(mode=FlightMode.STICKS))
-        elif trigger is Trigger.CHANGED:
+        if trigger is Trigger.CHANGED:
             commands.append(SetMode(mode=FlightMode.HOLD))
         elif trigger is Trigger.UNFIT and mode is not None and not external and not self._mode_confirmed:
             # Our mode may be entered unseen.
@@ -495,12 +561,29 @@ class Companion:
                 self._ours |= {FlightMode.HOLD}
                 commands.append(SetMode(mode=FlightMode.HOLD))
 
+    @property
+    def _asks_sticks(self) -> bool:
+        """The pilot moves the sticks and has chosen no mode: the vehicle is in ours, in the hold that our
+        fault asked for, or still in the one that we are taking it from. He gets one that takes the sticks."""
+        heartbeat = self.own.heartbeat
+        if heartbeat is None or not self._sticks.moved:
+            return False
+        if heartbeat.mode is FlightMode.EXTERNAL:
+            return True
+        if self._ours:
+            return heartbeat.mode is FlightMode.HOLD and heartbeat.mode in self._ours
+        return not self._mode_confirmed and heartbeat.custom_mode == self._custom_before
+
     def _reason(self, now_s: float, trigger: Trigger, unfit: str | None) -> str:
-        mode = self.own.mode.value if self.own.mode is not None else "unknown"
+        mode = self._mode_name
         conflicts = () if self._result is None else (t.track_id for t in self._result.tracks if t.conflict)
-        moved = self.own.mode is FlightMode.EXTERNAL
+        pilot = "the pilot moves the sticks"
+        if self._pilot_took_over(now_s):
+            pilot = f"mode changed to {mode}, not by us"
+            if self._ends_in_hold(now_s):
+                pilot = f"mode changed to {mode} as the mission was given back: by its end, or by the pilot"
         return {
-            Trigger.PILOT: "the pilot moves the sticks" if moved else f"mode changed to {mode}, not by us",
+            Trigger.PILOT: pilot,
             Trigger.UNFIT: unfit or f"mode not entered: {self._refused}",
             Trigger.RELEASE: "vehicle disarmed or on the ground",
             Trigger.REARM: "authority given anew",
@@ -510,7 +593,8 @@ class Companion:
             Trigger.LEFT: f"the mission was left for mode {mode}",
             Trigger.RESUMED: f"the vehicle flies its mission on at item {self.own.mission_seq}, taken for "
             f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most",
-            Trigger.CHANGED: f"{self._not_resumed}: it is not resumed, the vehicle is to hold",
+            Trigger.ENDED: f"the mission came to its end as it was given back, in mode {mode}",
+            Trigger.CHANGED: self._not_resumed,
             Trigger.CONFLICT: "conflict with " + ", ".join(conflicts),
             Trigger.CLEAR: "no conflict",
             Trigger.AWAY: "off the timed path",
@@ -518,15 +602,30 @@ class Companion:
         }[trigger]
 
     @property
+    def _mode_name(self) -> str:
+        """In the autopilot's own words."""
+        heartbeat = self.own.heartbeat
+        return "unknown" if heartbeat is None else DIALECTS[heartbeat.firmware].name(heartbeat.custom_mode)
+
+    @property
     def _not_resumed(self) -> str:
-        ended = self._guard is not None and self._guard.ended
-        return "the mission had come to its end" if ended else "the mission was changed meanwhile"
+        """Why the mission is not resumed, and what is left to the pilot."""
+        guard, heartbeat = self._guard, self.own.heartbeat
+        if guard is None or heartbeat is None:
+            return ""
+        why = guard.why_not or f"the vehicle's mission could not be read for {_UNREAD_S:g} s"
+        dialect = DIALECTS[heartbeat.firmware]
+        mode = dialect.name(dialect.command(FlightMode.MISSION).custom_mode)
+        return f"{why}: it is not resumed, the vehicle is to hold. To fly it select {mode}"
 
     def _take_control(self, now_s: float) -> None:
         heartbeat = self.own.heartbeat
         if self._guard is not None:
             self._guard.leave(self.own, now_s)
             self._taken_s, self._off_m = now_s, 0.0
+            again = now_s - self._resumed_s < _RETAKEN_S
+            longer_s = min(2.0 * max(self._patience_s, self._clear_after_s), _LONGEST_PATIENCE_S)
+            self._patience_s = longer_s if again else 0.0
         self._sticks.begin()
         self._mode_confirmed, self._ours = False, frozenset()
         self._gave_back_s = -math.inf

@@ -193,6 +193,10 @@ class MissionCurrent(Event, frozen=True):
     seq: int
     complete: bool = False
     """Its last item is done; not told by older vehicles."""
+    total: int = 0
+    """How many items the mission has, as the vehicle counts; 0: none, or not told."""
+    mission_id: int = 0
+    """Another one for another mission; 0: not told (ArduPilot)."""
 
 
 class FenceArea(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -245,6 +249,10 @@ class VehicleParameters(Event, frozen=True):
     """What it does at its own fence; ArduPilot: whether it has one."""
     mission_restart: Parameter | None = None
     """ArduPilot: 1: AUTO always begins the mission anew."""
+    adsb_type: Parameter | None = None
+    """ArduPilot: its ADS-B receiver; 0: none."""
+    adsb_radius_m: Parameter | None = None
+    """ArduPilot: who is farther away is not told of; 0: everybody is."""
 
 
 class AdsbVehicle(Event, frozen=True):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
+from companion.autopilot.component_information import ComponentInformation
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.own_parameters import OwnParameters
 from companion.autopilot.signing import Signing
@@ -80,6 +81,7 @@ class Onboard:
             identity=basic_id_of(config.identity),
             yaw=config.flight.yaw,
             settings=self._own_parameters,
+            information=ComponentInformation(config),
         )
         self._remote_id_component = config.remote_id.component and commanding
         self._record = record

@@ -34,6 +34,13 @@ SIGMA_UNKNOWN_M = 5.0
 _HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0
+_GROUNDED_S, _GROUNDED_MESSAGES = 1.5, 3
+"""An armed vehicle that says for so long, so often in a row, that it stands on the ground is believed."""
+_GROUNDED_HIGH_S = 10.0
+"""The same, of one that is far from the height of its home and of its take-off."""
+_HIGH_M = 10.0
+_STANDING_MPS = 2.0
+"""Nobody on the ground is faster, however bad the estimate."""
 _ESTIMATOR_LOST_S = 5.0
 _DRIFT_ARMED = 1e-3
 """How fast the autopilot's clock may fall behind ours, seconds a second. More looks the same as a link that
@@ -46,7 +53,6 @@ dates a question back by the time that its bytes take on a serial line, even whe
 57600 baud."""
 _DRIFT_DISARMED = 0.1
 """On the ground a clock that slipped is soon forgiven."""
-_FROM_THE_FUTURE_S = 0.5
 _FRAME_REACH_M = 5_000.0
 """A disarmed vehicle farther than this from the local frame's origin gets a new one."""
 _REBOOT_S = 1.0
@@ -55,6 +61,9 @@ _JUMP_M = 30.0
 _JUMP_RATE_MPS = 20.0
 _FARTHEST_M = 1_000_000.0
 """From the local frame's origin, no flight leads farther: a position beyond it is not believed."""
+_EPSILON_S = 1e-6
+_MOST_SEPARATION_M = 150.0
+"""The geoid is nowhere farther from the ellipsoid than 110 m."""
 _UNTRUSTED_S = 2.0
 """After a jump or a reboot the own state must be steady for this long."""
 
@@ -129,6 +138,8 @@ class Ownship:
     """Item that the vehicle's mission is at."""
     mission_complete: bool = False
     """Its last item is done."""
+    mission_mark: tuple[int, int] | None = None
+    """What is told of which mission that is: its number of items and its id; others mean another mission."""
     takeoff: GlobalPosition | None = None
     """Where the aircraft was last seen on the ground."""
     separation_m: float | None = None
@@ -140,10 +151,15 @@ class Ownship:
     _clock: _BootClock = field(default_factory=_BootClock)
     _landed: Landed = Landed.UNDEFINED
     _landed_s: float = -math.inf
+    _grounded: int = 0
+    """Messages in a row that said that it stands on the ground."""
+    _grounded_s: float = -math.inf
+    """When the first of them came."""
     _gnss_s: float = -math.inf
     _estimator_lost_s: float = -math.inf
     """When the autopilot last said that it does not know where it is."""
     _velocity_boot_s: float = -math.inf
+    _position_heard_s: float = -math.inf
     _sample_ned_m: Vec3 = (0.0, 0.0, 0.0)
     _upset_s: float = -math.inf
     _upset: str = ""
@@ -156,25 +172,59 @@ class Ownship:
             case GlobalPosition():
                 self._take_position(event, now_s)
             case LocalPosition():
-                self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
+                # One that is dated far ahead would shut out all that come after it.
+                if event.time_boot_s <= self._clock.boot_s + _REBOOT_S:
+                    self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
             case GnssFix():
                 self.gnss, self._gnss_s = event, now_s
                 if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
-                    self.separation_m = event.alt_ellipsoid_m - event.alt_msl_m
+                    separation_m = event.alt_ellipsoid_m - event.alt_msl_m
+                    # A wrong one would put every other aircraft far above or below us.
+                    self.separation_m = separation_m if abs(separation_m) <= _MOST_SEPARATION_M else None
             case ClockRead():
                 self._clock.read(event)
             case LandedState():
-                self._landed, self._landed_s = event.landed, now_s
+                self._take_landed(event.landed, now_s)
             case EstimatorState():
                 self._estimator_lost_s = -math.inf if event.usable else now_s
             case MissionCurrent():
                 self.mission_seq, self.mission_complete = event.seq, event.complete
+                self.mission_mark = event.total, event.mission_id
             case VehicleTime():
                 self._tick(event.time_boot_s, now_s)
                 if event.utc_s is not None:
                     self.boot_to_utc_s = event.utc_s - event.time_boot_s
             case _:
                 pass
+
+    def _take_landed(self, landed: Landed, now_s: float) -> None:
+        """A false landing in flight would end all that is done against a collision. So of an armed vehicle it
+        takes more than one message, and more still far above home and take-off, where it may stand on a hill;
+        of one that moves none counts. Until it is believed, what was believed before holds."""
+        self._landed, self._landed_s = self.landed(now_s), now_s
+        if landed is not Landed.ON_GROUND or not self.armed:
+            self._landed, self._grounded = landed, 0
+            return
+        if self._landed is landed:
+            return
+        if math.hypot(*self.velocity_ned_mps) > _STANDING_MPS:
+            self._grounded = 0
+            return
+        if self._grounded == 0:
+            self._grounded_s = now_s
+        self._grounded += 1
+        least_s = _GROUNDED_HIGH_S if self._high else _GROUNDED_S
+        if self._grounded >= _GROUNDED_MESSAGES and now_s - self._grounded_s >= least_s - _EPSILON_S:
+            self._landed, self._grounded = landed, 0
+
+    @property
+    def _high(self) -> bool:
+        if self.position is None:
+            return False
+        heights = [self.position.height_above_home_m]
+        if self.takeoff is not None:
+            heights.append(self.position.alt_msl_m - self.takeoff.alt_msl_m)
+        return all(abs(height) > _HIGH_M for height in heights)
 
     def _tick(self, time_boot_s: float, now_s: float) -> None:
         if self._clock.take(time_boot_s, now_s, _DRIFT_ARMED if self.armed else _DRIFT_DISARMED):
@@ -206,7 +256,7 @@ class Ownship:
                 self._trouble("own position jumped", now_s)
         if math.hypot(*sample) > _FARTHEST_M:
             self._trouble("own position is nowhere near where it was first", now_s)
-        self.position, self._sample_ned_m = event, sample
+        self.position, self._sample_ned_m, self._position_heard_s = event, sample, now_s
         self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
         if self.landed(now_s) is Landed.ON_GROUND:
             self.takeoff = event
@@ -226,10 +276,11 @@ class Ownship:
         return self._landed if now_s - self._landed_s <= _LANDED_LOST_S else Landed.UNDEFINED
 
     def sample_s(self) -> float:
-        """Our monotonic time of the position held. Needs a position."""
+        """Our monotonic time of the position held, never after it was heard: whatever is learned of the clock
+        later, what is held does not grow younger. Needs a position."""
         assert self.position is not None
         assert self._clock.offset_s is not None
-        return self.position.time_boot_s + self._clock.offset_s
+        return min(self.position.time_boot_s + self._clock.offset_s, self._position_heard_s)
 
     @property
     def utc_offset_s(self) -> float | None:
@@ -270,8 +321,6 @@ class Ownship:
             return f"no heartbeat from the autopilot for {_HEARTBEAT_LOST_S:g} s"
         if self.age_s(now_s) > stale_after_s:
             return f"own position older than {stale_after_s:g} s"
-        if self.age_s(now_s) < -_FROM_THE_FUTURE_S:
-            return "own position dated in the future"
         if self.gnss is None or now_s - self._gnss_s > _GNSS_LOST_S:
             return f"no GNSS report for {_GNSS_LOST_S:g} s"
         if self.gnss.fix_type < 3:

@@ -29,6 +29,9 @@ from companion.remote_id.messages import Location
 STEP_S = 0.05
 ELSEWHERE = 1e-9
 """Largest relative difference of a number that another machine or version may show."""
+_NEAR_ZERO = 10.0
+"""Near zero so many times the tolerance counts as equal: positions are differences of earth-centred ones, of
+some 6e6 m, whose neighbours are 9.3e-10 m apart, and another machine's rounding moves it by some of them."""
 
 
 @dataclass(slots=True)
@@ -52,7 +55,8 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
     Args:
         records: from `companion.record.read`.
         name: of the file, for messages.
-        tolerance: relative difference of a number that still counts as equal; 0 for bit for bit.
+        tolerance: relative difference of a number that still counts as equal, and ten times it absolute
+            (m, m/s); 0 for bit for bit.
 
     Raises:
         PeerDataError: the record does not begin with its header.
@@ -88,7 +92,7 @@ def _differing(step: Step, now: tuple[Command, ...]) -> str:
 
 def _close(a: object, b: object, tolerance: float) -> bool:
     if isinstance(a, float) and isinstance(b, float):
-        return math.isclose(a, b, rel_tol=tolerance, abs_tol=tolerance)
+        return math.isclose(a, b, rel_tol=tolerance, abs_tol=_NEAR_ZERO * tolerance)
     if isinstance(a, dict) and isinstance(b, dict):
         return a.keys() == b.keys() and all(_close(a[k], b[k], tolerance) for k in a)
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):

@@ -61,6 +61,19 @@ def value_of(name: str, config: Config, settings: Settings) -> float:
     return number.configured(config) if value is None else value
 
 
+def allowed(name: str, config: Config) -> tuple[float, float]:
+    """Lowest and highest value that the parameter may be given; the configured one is always among them.
+
+    Args:
+        config: as configured, without settings.
+    """
+    if name == ENABLE:
+        return 0.0, 1.0
+    number = _NUMBERS[name]
+    configured = number.configured(config)
+    return min(number.lowest, configured), max(number.highest, configured)
+
+
 def changed(name: str, value: float, config: Config, settings: Settings) -> Settings:
     """The settings with one of them changed; the configured value itself is as good as none.
 
@@ -78,7 +91,7 @@ def changed(name: str, value: float, config: Config, settings: Settings) -> Sett
         return msgspec.structs.replace(settings, enable=value == 1.0)
     number = _NUMBERS[name]
     configured = number.configured(config)
-    lowest, highest = min(number.lowest, configured), max(number.highest, configured)
+    lowest, highest = allowed(name, config)
     if value == _six(configured):
         new = msgspec.structs.replace(settings, **{number.key: None})
     elif lowest <= value <= highest:

@@ -10,13 +10,19 @@ from types import FrameType
 
 @contextlib.contextmanager
 def end_signals() -> Iterator[list[int]]:
-    """A list that is empty until SIGINT or SIGTERM came; the handlers before are put back."""
+    """A list that is empty until SIGINT, SIGTERM or SIGHUP came; the handlers before are put back.
+
+    SIGHUP, the terminal that closes, is left alone where it is ignored, as under nohup.
+    """
     ended: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
         ended.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, note) for number in numbers}
     try:
         yield ended
     finally:

@@ -48,6 +48,7 @@ def ardupilot_params() -> ParamTable:
             "DID_MAVPORT": (-1.0, INT8),
             "DID_OPTIONS": (0.0, INT16),
             "ADSB_TYPE": (0.0, INT8),
+            "ADSB_LIST_RADIUS": (2000.0, INT32),
             "SIM_ADSB_COUNT": (-1.0, INT16),
             "SIM_ADSB_RADIUS": (10000.0, REAL32),
             "SIM_ADSB_ALT": (1000.0, REAL32),

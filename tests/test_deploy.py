@@ -36,6 +36,10 @@ def test_the_process_ends_itself_before_the_watchdog_does():
     assert float(values("WatchdogSec")[0]) > flight._WATCHDOG_S
 
 
+def test_a_refused_system_call_does_not_end_the_flight():
+    assert values("SystemCallErrorNumber") == ["EPERM"]
+
+
 def test_where_the_service_may_write_is_what_it_writes():
     environment = dict(part.split("=", 1) for line in values("Environment") for part in line.split())
     assert environment["NUMBA_CACHE_DIR"] == f"/var/cache/{values('CacheDirectory')[0]}"
@@ -56,6 +60,21 @@ def test_systemd_takes_the_unit(tmp_path, dropin):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+def test_systemd_takes_what_brings_the_router_back(tmp_path):
+    """And it says that the router is started for ever."""
+    (tmp_path / "mavlink-router.service").write_text("[Service]\nExecStart=/bin/true\n")
+    folder = tmp_path / "mavlink-router.service.d"
+    folder.mkdir()
+    restart = shutil.copy(ROOT / "deploy" / "mavlink-router-restart.conf", folder)
+    done = subprocess.run(
+        ["systemd-analyze", "verify", tmp_path / "mavlink-router.service"], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = Path(restart).read_text().splitlines()
+    assert {"StartLimitIntervalSec=0", "Restart=always"} <= set(lines)
+
+
 def test_files_that_the_document_copies_are_in_the_project():
     named = set(re.findall(r"/opt/dmuca/((?:config|deploy)/\S+)", DOCUMENT))
     assert len(named) >= 5
@@ -63,7 +82,13 @@ def test_files_that_the_document_copies_are_in_the_project():
         assert (ROOT / name).exists(), name
     assert set((ROOT / "deploy").iterdir()) == {
         ROOT / "deploy" / name
-        for name in ("99-dmuca.rules", "dmuca-companion.service", "mavlink-router.conf", "radio.conf")
+        for name in (
+            "99-dmuca.rules",
+            "dmuca-companion.service",
+            "mavlink-router.conf",
+            "mavlink-router-restart.conf",
+            "radio.conf",
+        )
     }
 
 

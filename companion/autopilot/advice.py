@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from companion.avoidance.law import horizon_s
 from companion.avoidance.limits import lower_ones
 from companion.config import Config
 from companion.events import VehicleParameters
@@ -11,10 +12,35 @@ from .dialect import DIALECTS
 LEAST_TIMEOUT_S = 0.5
 LEAST_SETPOINTS = 5
 """The vehicle's setpoint timeout should outlast a hitch of the loop and some lost frames."""
+CREWED_MPS = 80.0
+"""Crewed aircraft in low airspace are seldom faster."""
 
 
 def remarks(config: Config, vehicle: VehicleParameters) -> list[str]:
-    """What of the vehicle's parameters the operator should know before the companion flies it, in words."""
+    """What of the vehicle's parameters the operator should know, in words; where the companion only watches,
+    what concerns the traffic."""
+    late = late_traffic(config, vehicle)
+    return [*([] if late is None else [late]), *_flown(config, vehicle)]
+
+
+def late_traffic(config: Config, vehicle: VehicleParameters) -> str | None:
+    """Why crewed traffic is told of later than the law could use it, in words; None when it is not."""
+    receiver, radius = vehicle.adsb_type, vehicle.adsb_radius_m
+    if receiver is None or receiver.value == 0 or radius is None:
+        return None
+    horizon = horizon_s(config.avoidance, crewed=True)
+    least_m = horizon * CREWED_MPS
+    if radius.value == 0 or radius.value >= least_m:
+        return None
+    return (
+        f"{radius.name} {radius.value:g}: aircraft beyond {radius.value:g} m are not told of; at "
+        f"{CREWED_MPS:g} m/s that is {radius.value / CREWED_MPS:.0f} s, and {horizon:g} s are looked ahead: "
+        f"set {least_m:g} m or more"
+    )
+
+
+def _flown(config: Config, vehicle: VehicleParameters) -> list[str]:
+    """Of a vehicle that is to be flown or guarded."""
     if config.flight.use == "watch":
         return []
     dialect, limits, rate_hz = DIALECTS[vehicle.firmware], config.limits, config.flight.setpoint_rate_hz
@@ -50,6 +76,14 @@ def restarting(vehicle: VehicleParameters) -> str | None:
     return (
         f"{restart.name} {restart.value:g}: a mission that is given back would begin anew: set 0 to guard it"
     )
+
+
+def no_receiver(vehicle: VehicleParameters) -> str | None:
+    """That the vehicle has no ADS-B receiver, in words; None when it has, or does not tell."""
+    receiver = vehicle.adsb_type
+    if receiver is None or receiver.value != 0:
+        return None
+    return f"{receiver.name} 0: no ADS-B receiver: crewed traffic is not heard"
 
 
 def after_silence(vehicle: VehicleParameters) -> str:

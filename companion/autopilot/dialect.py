@@ -88,6 +88,9 @@ class Dialect:
     modes: dict[int, FlightMode]
     commands: dict[FlightMode, ModeCommand]
     names: dict[int, str]
+    mode_known_s: float
+    """For how long the mode in a heartbeat is still the vehicle's: one that says each change at once is known
+    until a heartbeat is missing; of one that says it once a second only what it has just said."""
     wanted: tuple[Wanted, ...]
     integers_bytewise: bool
     """PARAM_VALUE holds an integer's own bytes; False: every value is cast to float."""
@@ -158,6 +161,8 @@ ARDUPILOT = Dialect(
         for number, entry in mavlink.enums["COPTER_MODE"].items()
         if not entry.name.endswith("_ENUM_END")
     },
+    # Copter::set_mode sends a heartbeat.
+    mode_known_s=1.5,
     # Since 4.7 WP_*, in metres; before WPNAV_*, in centimetres.
     wanted=(
         Wanted("speed_mps", (("WP_SPD", 1.0), ("WPNAV_SPEED", 0.01)), *_SPEED),
@@ -167,6 +172,9 @@ ARDUPILOT = Dialect(
         Wanted("setpoint_timeout_s", (("GUID_TIMEOUT", 1.0),), *_TIMEOUT),
         Wanted("fence_action", (("FENCE_ENABLE", 1.0),), 0, 1),
         Wanted("mission_restart", (("MIS_RESTART", 1.0),), 0, 1),
+        # Before 4.1 ADSB_ENABLE.
+        Wanted("adsb_type", (("ADSB_TYPE", 1.0), ("ADSB_ENABLE", 1.0)), 0, 127),
+        Wanted("adsb_radius_m", (("ADSB_LIST_RADIUS", 1.0),), 0, 1e6),
     ),
     integers_bytewise=False,
     silence="brakes and stays in GUIDED",
@@ -193,6 +201,8 @@ PX4 = Dialect(
         _px4_number(1): "MANUAL",
         _px4_number(2): "ALTCTL",
         _px4_number(3): "POSCTL",
+        _px4_number(3, 1): "POSCTL.ORBIT",
+        _px4_number(3, 2): "POSCTL.SLOW",
         _px4_number(4, 1): "AUTO.READY",
         _px4_number(4, 2): "AUTO.TAKEOFF",
         _px4_number(4, 3): "AUTO.LOITER",
@@ -204,7 +214,10 @@ PX4 = Dialect(
         _px4_number(5): "ACRO",
         _px4_number(6): "OFFBOARD",
         _px4_number(7): "STABILIZED",
+        _px4_number(10): "TERMINATION",
+        **{_px4_number(4, 10 + n): f"AUTO.EXTERNAL{n}" for n in range(1, 9)},
     },
+    mode_known_s=0.1,
     wanted=(
         Wanted("speed_mps", (("MPC_XY_VEL_MAX", 1.0),), *_SPEED),
         Wanted("climb_mps", (("MPC_Z_VEL_MAX_UP", 1.0),), *_SPEED),

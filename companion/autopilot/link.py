@@ -12,7 +12,8 @@ HEARTBEAT. Vehicles forward what others send, so everything else is counted as f
 traffic is the vehicle's own stream too, of what its receiver told it (a receiver's own frames, which
 ArduPilot forwards only with ADSB_TYPE = 0, would be the same aircraft twice). Remote ID comes from others by
 its nature: `remote_id` says whose. Parameters of our own, where there are any, are asked for and set by other
-systems; only those three messages of theirs, and addressed to us, are taken (`own_parameters`).
+systems; only those three messages of theirs, and addressed to us, are taken (`own_parameters`), and requests
+to tell what we are (`component_information`).
 
 Who we are: before the vehicle is known (a `udpout` link must speak first) our heartbeat carries the
 configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground
@@ -43,6 +44,7 @@ from companion.events import (
     FenceDownloaded,
     FenceRefused,
     Firmware,
+    FlightMode,
     GlobalPosition,
     LocalPosition,
     MissionDownloaded,
@@ -61,6 +63,7 @@ from companion.remote_id.mavlink import COMPONENT_ID
 from companion.remote_id.messages import BasicId
 
 from . import encoders, own_parameters, remote_id
+from .component_information import ComponentInformation
 from .dialect import (
     AUTOPILOT_INVALID,
     CMD_DO_CHANGE_SPEED,
@@ -153,6 +156,10 @@ class LinkCounts(RemoteIdCounts):
     """Requests of ground stations for parameters of our own."""
     settings_refused: int = 0
     """PARAM_SET with a value that is not allowed."""
+    information_requests: int = 0
+    """Requests of ground stations for messages and files about us."""
+    information_refused: int = 0
+    """Of them, damaged ones, and those for what there is not."""
     mode_requests: int = 0
     setpoints: int = 0
     setpoints_dropped: int = 0
@@ -186,6 +193,7 @@ class AutopilotLink:
         identity: BasicId | None = None,
         yaw: Literal["face", "hold"] = "face",
         settings: OwnParameters | None = None,
+        information: ComponentInformation | None = None,
     ) -> None:
         """A link that has heard nothing yet.
 
@@ -195,6 +203,7 @@ class AutopilotLink:
             remote_id_component: also be the vehicle's Remote ID component (236), from the first ArmStatus on.
             identity: what that component tells the autopilot of whom it broadcasts.
             settings: parameters of our own that ground stations may read and set. None: there are none.
+            information: tells ground stations what we are. None: nobody does.
 
         Raises:
             ConfigError: we would be that component twice.
@@ -225,12 +234,15 @@ class AutopilotLink:
         """Of a vehicle that can be commanded."""
         self._parameters_told: VehicleParameters | None = None
         self._own_parameters = settings
+        self._information = information
         self._refusal_said: tuple[str, float] = "", -math.inf
         self._nose = Nose(yaw)
         self._timesync = TimeSync()
         self._texts = TextAssembler()
         self._text_id = 0
         self._mode: ModeRequest | None = None
+        self._cancelled: ModeRequest | None = None
+        """The last one that was given up."""
         self._mode_speed_mps: float | None = None
         self._speed: _SpeedRequest | None = None
         self._download: MissionDownload | None = None
@@ -286,6 +298,8 @@ class AutopilotLink:
                     self._take(frame, now_s)
                 elif self._of_our_parameters(frame):
                     self.counts.settings_requests += 1
+                elif self._about_us(frame):
+                    self.counts.information_requests += 1
                 else:
                     self._leave(frame)
             except PeerDataError as error:
@@ -322,6 +336,13 @@ class AutopilotLink:
         if frame.message_id not in own_parameters.MESSAGE_IDS:
             return False
         return ours.take(frame, vehicle.system_id, self._config.component_id)
+
+    def _about_us(self, frame: Frame) -> bool:
+        """Whether another system wants to know what we are; it is answered by `advance`."""
+        information, vehicle = self._information, self._vehicle
+        if information is None or vehicle is None or frame.system_id == vehicle.system_id:
+            return False
+        return information.take(frame, vehicle.system_id, self._config.component_id)
 
     def _leave(self, frame: Frame) -> None:
         self.counts.foreign += 1
@@ -517,6 +538,7 @@ class AutopilotLink:
             for frame in self._component.due(vehicle.system_id, now_s):
                 self._queue_frame(frame)
         self._answer_for_parameters(now_s)
+        self._tell_about_us(now_s)
         self._move_mode(now_s)
         self._move_speed(now_s)
         self._move_download(now_s)
@@ -537,9 +559,22 @@ class AutopilotLink:
                 self._refusal_said = answer.refused, now_s
                 self.send(Say(severity=Severity.WARNING, text=f"DMUCA: {answer.refused}"), now_s)
 
+    def _tell_about_us(self, now_s: float) -> None:
+        answer = None if self._information is None else self._information.due(now_s)
+        if answer is not None:
+            self.counts.information_refused += answer.refused
+            for outgoing in answer.messages:
+                self._queue(outgoing)
+
     def _move_speed(self, now_s: float) -> None:
         asked, vehicle = self._speed, self._vehicle
-        if asked is None or vehicle is None or now_s < asked.next_s:
+        if asked is None or vehicle is None:
+            return
+        if DIALECTS[vehicle.firmware].modes.get(self._custom_mode) is not FlightMode.MISSION:
+            # It is the mission's speed: whoever flies now has another.
+            self._speed = None
+            return
+        if now_s < asked.next_s:
             return
         self._queue(self._speed_command(asked.speed_mps, asked.tries))
         asked.tries, asked.next_s = asked.tries + 1, now_s + _SPEED_RETRY_S
@@ -623,13 +658,22 @@ class AutopilotLink:
             self._events.append(ModeRefused(mode=mode, reason=vehicle.refusal))
         else:
             dialect = DIALECTS[vehicle.firmware]
-            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._custom_mode, now_s, self._mode)
+            self._speed = None
+            before = self._mode
+            if before is None and self._cancelled is not None and self._cancelled.may_be_entered(now_s):
+                # Its mode is no choice of the pilot's either.
+                before = self._cancelled
+            self._cancelled = None
+            heard_s = -math.inf if self._heartbeat_heard_s is None else self._heartbeat_heard_s
+            self._mode = ModeRequest(
+                mode, dialect, vehicle.system_id, self._custom_mode, now_s, before, heard_s=heard_s
+            )
             self._mode_speed_mps = command.speed_mps
             self._move_mode(now_s)
 
     def cancel_mode(self) -> None:
-        """Ask for no mode any more: who asked has given up the vehicle."""
-        self._mode = None
+        """Ask for no mode and no speed any more: who asked has given up the vehicle."""
+        self._cancelled, self._mode, self._speed = self._mode or self._cancelled, None, None
 
     def _move_mode(self, now_s: float) -> None:
         if self._mode is None:

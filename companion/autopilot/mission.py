@@ -30,6 +30,8 @@ NAV_TAKEOFF = 22
 NAV_SPLINE_WAYPOINT = 82
 NAV_DELAY = 93
 DO_CHANGE_SPEED = 178
+_JUMPS = frozenset({177, 601})
+"""DO_JUMP, DO_JUMP_TAG."""
 
 MAX_SPEED_MPS = 100.0
 MAX_HOLD_S = 3600.0
@@ -99,14 +101,24 @@ def path_from_mission(
     return TrajectoryFile(altitude="home", waypoint=tuple(builder.waypoints))
 
 
-def speed_at(items: Sequence[MissionItem], seq: int) -> float | None:
-    """Speed (m/s) that the mission itself has asked for by the time it is at an item; None: it has not."""
-    speed = None
-    for item in items:
-        asked = item.params[1]
-        if item.seq <= seq and item.command == DO_CHANGE_SPEED and item.params[0] in _SPEED_KINDS:
-            speed = asked if asked is not None and 0 < asked <= MAX_SPEED_MPS else speed
-    return speed
+def speeds_at(items: Sequence[MissionItem], seq: int) -> frozenset[float | None]:
+    """Speeds (m/s) that the mission itself may have asked for by the time it is at an item; None: none.
+
+    It is one, but where the mission jumps: how often it has done so is not told, so any of its speeds may
+    hold, and none where a jump passes the first of them or leads back before it.
+    """
+    changes = [(i.seq, i.params[1]) for i in items if i.command == DO_CHANGE_SPEED and _is_speed(i)]
+    jumps = [i.seq for i in items if i.command in _JUMPS]
+    if not jumps or not changes:
+        return frozenset([None, *(speed for at, speed in changes if at <= seq)][-1:])
+    first = changes[0][0]
+    unset = {None} if seq < first or jumps[0] < first else set()
+    return frozenset(speed for _, speed in changes) | unset
+
+
+def _is_speed(item: MissionItem) -> bool:
+    kind, speed_mps = item.params[:2]
+    return kind in _SPEED_KINDS and speed_mps is not None and 0 < speed_mps <= MAX_SPEED_MPS
 
 
 def place_of(item: MissionItem, height_m: float, home_alt_msl_m: float) -> Vec3 | None:

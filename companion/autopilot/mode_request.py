@@ -2,11 +2,14 @@
 
 An acknowledgement proves nothing (PX4 accepts modes that it then does not enter), so only `custom_mode`
 confirms; acknowledgements and the vehicle's texts are kept for the reason. When the vehicle goes to a third
-mode meanwhile, the pilot or a failsafe has acted: the request ends there. Every try, the first too, follows a
-heartbeat that has just shown that nobody has: it is never sent against a pilot whose choice is not heard yet.
+mode meanwhile, the pilot or a failsafe has acted: the request ends there. Every try follows a heartbeat that
+shows that nobody has, the first one at once where the last heartbeat still does: it is never sent against a
+pilot whose choice is not heard yet. How long a heartbeat shows that is the dialect's (`mode_known_s`).
 """
 
 from __future__ import annotations
+
+import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -42,7 +45,16 @@ class ModeRequest:
         from_mode: int,
         now_s: float,
         replaced: ModeRequest | None = None,
+        *,
+        heard_s: float = -math.inf,
     ) -> None:
+        """A request that has not been sent.
+
+        Args:
+            from_mode: the vehicle's custom mode in its last heartbeat.
+            replaced: what was asked for until now.
+            heard_s: when that heartbeat came.
+        """
         self.mode = mode
         self.confirmed = False
         self.refused: str | None = None
@@ -54,11 +66,15 @@ class ModeRequest:
         if replaced is not None:
             # The vehicle may still be on its way to what was asked for before.
             self._expected |= replaced._expected
-        self._heard = False
+        self._heard = now_s - heard_s <= dialect.mode_known_s
         self._tries = 0
         self._next_s = now_s + RETRY_S
         self._ack: int | None = None
         self._text: str | None = None
+
+    def may_be_entered(self, now_s: float) -> bool:
+        """It was sent so lately that the vehicle may still enter it, or not have said so yet."""
+        return self._tries > 0 and now_s <= self._next_s - RETRY_S + SILENCE_S
 
     def due(self, now_s: float) -> Outgoing | None:
         """The command, when it is time to send it; after the last try the request is refused."""

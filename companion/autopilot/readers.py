@@ -65,6 +65,8 @@ _VALID_CALLSIGN = 16
 _ALTITUDE_TYPES = (0, 1)
 """ADSB_ALTITUDE_TYPE: from a barometer, from GNSS."""
 _UNPACKERS: dict[int, struct.Struct] = {i: m.unpacker for i, m in mavlink.mavlink_map.items()}
+# With the extension mission_id, which pymavlink's dialect ends before.
+_UNPACKERS[mavlink.MAVLINK_MSG_ID_MISSION_CURRENT] = struct.Struct("<HHBBI")
 
 
 def unpack(message_id: int, payload: bytes) -> Fields:
@@ -180,8 +182,11 @@ def landed_state(fields: Fields) -> LandedState:
 
 
 def mission_current(fields: Fields) -> MissionCurrent:
-    """MISSION_CURRENT; on ArduPilot item 0 is home, so the first item flown is 1."""
-    return MissionCurrent(seq=fields[0], complete=fields[2] == mavlink.MISSION_STATE_COMPLETE)
+    """MISSION_CURRENT; on ArduPilot item 0 is home, so the first item flown is 1. PX4 tells with `mission_id`
+    (a checksum) when the mission is replaced, ArduPilot only with `total`."""
+    seq, total, state, _mode, mission_id = fields
+    complete = state == mavlink.MISSION_STATE_COMPLETE
+    return MissionCurrent(seq=seq, complete=complete, total=total, mission_id=mission_id)
 
 
 def ekf_status_report(fields: Fields) -> EstimatorState:

@@ -37,6 +37,13 @@ _HEAD_V2 = struct.Struct("<BBBBBBBHB")
 _REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 _FLIPPED = bytes((_REVERSED[_SIGNED],))
 _CRC_EXTRA = {i: bytes([_REVERSED[m.crc_extra]]) for i, m in mavlink.mavlink_map.items()}
+COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA = 396, 397
+# Of common.xml, not in pymavlink's dialects nor in ArduPilot's: sent by us, unknown when they are heard.
+_SENT_EXTRA = {
+    COMPONENT_INFORMATION_BASIC: bytes([_REVERSED[50]]),
+    COMPONENT_METADATA: bytes([_REVERSED[182]]),
+    **_CRC_EXTRA,
+}
 
 
 @dataclass(slots=True)
@@ -65,8 +72,9 @@ class Frame(NamedTuple):
 
 
 def checksum(body: bytes, message_id: int) -> int:
-    """Checksum of a frame's bytes between the magic byte and the checksum; the message must be known."""
-    crc = crc_hqx(_CRC_EXTRA[message_id], crc_hqx(body.translate(_REVERSED), 0xFFFF))
+    """Checksum of a frame's bytes between the magic byte and the checksum; the message must be known, or one
+    that is only sent."""
+    crc = crc_hqx(_SENT_EXTRA[message_id], crc_hqx(body.translate(_REVERSED), 0xFFFF))
     return _REVERSED[crc & 0xFF] << 8 | _REVERSED[crc >> 8]
 
 

@@ -9,7 +9,8 @@ Rules, in the order they are judged at every step (the first trigger that the ta
 3. A vehicle that is disarmed or on the ground is released.
 4. Control is taken only from standby and only of a vehicle that is ready: armed, in the air, fit, with a
    path, and in a mode we may take it from. Where the autopilot flies its mission and is only guarded
-   (`WATCHING`), it is taken for a conflict alone, and the mission is handed back (`RESUMED`).
+   (`WATCHING`), it is taken for a conflict alone, and the mission is handed back (`RESUMED`), or
+   comes to its end as it is (`ENDED`).
 5. Among the states that hold the vehicle, the law's conflict decides.
 """
 
@@ -49,6 +50,7 @@ class Trigger(enum.Enum):
     WATCH = "watch"
     LEFT = "left"
     RESUMED = "resumed"
+    ENDED = "ended"
     CHANGED = "changed"
     CONFLICT = "conflict"
     CLEAR = "clear"
@@ -80,6 +82,9 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.YIELDED, Trigger.REARM): State.STANDBY,
     (State.GUARDING, Trigger.RESUMED): State.WATCHING,
     (State.RECOVERING, Trigger.RESUMED): State.WATCHING,
+    (State.GUARDING, Trigger.ENDED): State.STANDBY,
+    (State.AVOIDING, Trigger.ENDED): State.STANDBY,
+    (State.RECOVERING, Trigger.ENDED): State.STANDBY,
     (State.GUARDING, Trigger.CHANGED): State.YIELDED,
     (State.GUARDING, Trigger.CONFLICT): State.AVOIDING,
     (State.GUARDING, Trigger.AWAY): State.RECOVERING,

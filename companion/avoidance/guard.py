@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from companion.autopilot.advice import restarting
-from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speed_at
+from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speeds_at
 from companion.avoidance.law import Law
 from companion.avoidance.plan import RETRY_S, Plan
 from companion.avoidance.trajectory import Trajectory
@@ -30,14 +30,30 @@ _STAY_S = 1.0
 
 
 class GuardPlan(Plan):
-    """Path, law and path clock of a guarded mission. The mission is fetched when the vehicle begins to fly it
-    and once more before it is given back: one that was changed meanwhile is not resumed."""
+    """Path, law and path clock of a guarded mission.
+
+    The mission is fetched when the vehicle begins to fly it, and again when its item number goes back or
+    MISSION_CURRENT tells of another one. That is not all: ArduPilot says nothing of a mission with as many
+    items that comes on another link. So it is fetched once more when the vehicle is taken, and before it is
+    given back: one that was changed in between is not resumed.
+    """
 
     _fetched = False
     _comparing = False
-    _changed_mission = False
+    changed = False
+    """The mission is another than when the vehicle was taken."""
+    _compared_s = -math.inf
+    """When it was last found to be the same."""
+    _stale = False
+    """What was fetched may not be what the vehicle flies: it is to be fetched anew."""
     _seq = 0
     """Item that the vehicle was at."""
+    _mark: tuple[int, int] | None = None
+    """What it told of its mission (`Ownship.mission_mark`)."""
+    _led: tuple[tuple[MissionItem, ...], int | None] = (), None
+    """The mission and the item that the path leads to."""
+    _speed_mps = 0.0
+    """Flown when the vehicle was taken."""
     ended = False
     """The mission was complete when the vehicle was taken."""
 
@@ -49,15 +65,16 @@ class GuardPlan(Plan):
     def drop(self) -> None:
         """The flight is over, or another mission is to be flown."""
         super().drop()
-        self._fetched = self._comparing = self._changed_mission = False
+        self._fetched = self._comparing = self.changed = self._stale = False
+        self._mark, self._compared_s = None, -math.inf
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
         """What the vehicle flies, or whether it is still that."""
         super().take_mission(event, now_s)
         if self._comparing:
-            self._changed_mission = self._items != self._flown
+            self.changed, self._compared_s = self._items != self._flown, now_s
         else:
-            self._flown = self._items
+            self._flown, self._stale = self._items, False
         self._fetched, self._comparing = True, False
 
     def prepare(self, own: Ownship, now_s: float) -> list[Command]:
@@ -89,7 +106,7 @@ class GuardPlan(Plan):
 
     def watch(self, own: Ownship, now_s: float) -> list[Command]:
         """The path is what the vehicle flies. Needs a law. Returns what is to be asked: an item number that
-        went back is that of another mission, or of a jump."""
+        went back is that of another mission, or of a jump; what marks the mission tells of another one."""
         assert self.law is not None
         here, v = own.position_ned_m(now_s), own.velocity_ned_mps
         there = (here[0] + _AHEAD_S * v[0], here[1] + _AHEAD_S * v[1], here[2] + _AHEAD_S * v[2])
@@ -97,24 +114,51 @@ class GuardPlan(Plan):
         self._start_s = now_s
         self.lowest_height_m = self._height_m(own)
         back = own.mission_seq is not None and own.mission_seq < self._seq
-        self._seq = own.mission_seq or 0
-        return self._ask_mission(now_s) if back else []
+        if back or (own.mission_mark != self._mark and self._mark is not None):
+            self._renew()
+        self._seq, self._mark = own.mission_seq or 0, own.mission_mark
+        return self._fetch(now_s)
+
+    def _renew(self) -> None:
+        """The mission is to be fetched anew, at once, also where it is being fetched."""
+        self._stale = True
+        self._asked_s = self._tried_s = -math.inf
+
+    def _fetch(self, now_s: float) -> list[Command]:
+        if not self._stale or now_s - self._tried_s < RETRY_S:
+            return []
+        self._tried_s = now_s
+        return self._ask_mission(now_s)
 
     def leave(self, own: Ownship, now_s: float) -> None:
-        """The vehicle is taken: its path is the way to its mission's item. Needs a law."""
+        """The vehicle is taken: its path is the way to its mission's item; of a mission that is not known, to
+        where it is. Needs a law."""
+        self._speed_mps = math.hypot(*own.velocity_ned_mps)
+        self._follow(own, now_s)
+        self._comparing, self.changed, self._compared_s = False, False, -math.inf
+        self.ended = own.mission_complete
+        self._renew()
+
+    def lead(self, own: Ownship, now_s: float) -> list[Command]:
+        """The vehicle is flown: its path leads to the item that it is at, once that is known to be another.
+        Returns what is to be asked. Needs a law."""
+        if not self._stale and self._led != (self._flown, own.mission_seq):
+            self._follow(own, now_s)
+        return self._fetch(now_s)
+
+    def _follow(self, own: Ownship, now_s: float) -> None:
         assert self.law is not None
-        here, item = own.position_ned_m(now_s), self._item(own)
+        here, item = own.position_ned_m(now_s), None if self._stale else self._item(own)
         path, lowest_m = _standing(here), self._height_m(own)
         place = None if item is None else place_of(item, self._height_m(own), self.home_alt_msl_m)
         if place is not None:
             lat_deg, lon_deg, height_m = place
             there = self._frame(own).to_ned(lat_deg, lon_deg, self.home_alt_msl_m + height_m)
-            path = _way(here, there, math.hypot(*own.velocity_ned_mps), self.limits)
+            path = _way(here, there, self._speed_mps, self.limits)
             lowest_m = min(lowest_m, height_m)
         self.law.follow(path)
         self._start_s, self.lowest_height_m = now_s, lowest_m
-        self._items_s, self._comparing, self._changed_mission = -math.inf, False, False
-        self.ended = own.mission_complete
+        self._led = ((), None) if self._stale else (self._flown, own.mission_seq)
 
     def near(self, own: Ownship, now_s: float) -> bool:
         """The way begins where the vehicle is."""
@@ -128,25 +172,43 @@ class GuardPlan(Plan):
         self.drop()
 
     def give_back(self, own: Ownship, now_s: float) -> tuple[bool | None, list[Command]]:
-        """Whether the mission may be resumed: True; False: it was changed, or is complete (ArduPilot would
-        fly it again from its beginning); None: not known yet, with what is to be asked."""
+        """Whether the mission may be resumed: True; False: it may not (`why_not`); None: not known yet, with
+        what is to be asked."""
         self.ended = self.ended or own.mission_complete
-        if self._changed_mission or self.ended:
+        if self.why_not is not None:
             return False, []
-        if now_s - self._items_s <= RETRY_S:
+        if now_s - self._compared_s <= RETRY_S:
             return True, []
-        if now_s - self._tried_s < RETRY_S:
+        if self._stale or now_s - self._tried_s < RETRY_S:
             return None, []
         self._comparing, self._tried_s = True, now_s
         return None, self._ask_mission(now_s)
 
+    @property
+    def why_not(self) -> str | None:
+        """Why the mission is not resumed, in words; None: nothing is known against it. ArduPilot would fly a
+        complete one, and with MIS_RESTART any, again from its beginning."""
+        if self.ended:
+            return "the mission had come to its end"
+        if self.changed:
+            return "the mission was changed meanwhile"
+        return None if self._vehicle is None else restarting(self._vehicle)
+
     def mission_speed_mps(self, own: Ownship) -> float | None:
-        """What the mission has asked for; None: the vehicle's own speed. ArduPilot returns home at that,
-        whatever was asked for before."""
+        """What the mission has asked for; None: the vehicle's own speed, or it is not known which."""
+        speeds = self._speeds(own)
+        return next(iter(speeds)) if len(speeds) == 1 else None
+
+    def speed_is_open(self, own: Ownship) -> bool:
+        """The mission jumps: which of its speeds holds is not known."""
+        return len(self._speeds(own)) > 1
+
+    def _speeds(self, own: Ownship) -> frozenset[float | None]:
+        """ArduPilot returns home at its own speed, whatever was asked for before."""
         item = self._item(own)
         if item is None or item.command == NAV_RETURN_TO_LAUNCH:
-            return None
-        return speed_at(self._flown, item.seq)
+            return frozenset()
+        return speeds_at(self._flown, item.seq)
 
     def _item(self, own: Ownship) -> MissionItem | None:
         return next((item for item in self._flown if item.seq == own.mission_seq), None)

@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.advice import after_silence, remarks
+from companion.autopilot.advice import after_silence, no_receiver, remarks
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.streams import ENOUGH, STREAM_RATES_HZ
@@ -36,6 +36,7 @@ from companion.ownship import Ownship
 from companion.remote_id.identity import check_identity
 from companion.runtime.disk import finished_runs, free_mb
 from companion.runtime.kept_link import KeptLink
+from companion.runtime.no_vehicle import no_vehicle
 from companion.runtime.policy import judge_policy
 from companion.runtime.preflight import Preflight
 from companion.runtime.prepare import prepare
@@ -267,7 +268,6 @@ class _Probe:
         self.own = Ownship()
         self.counts: Counter[type[Event]] = Counter()
         self.measured_s = 0.0
-        self.received = 0
         self.now_s = time.monotonic()
 
     def measure(self, seconds: float) -> None:
@@ -284,7 +284,6 @@ class _Probe:
             self.now_s = now
             self.link.wait(0.05)
             data = self.link.receive(now)
-            self.received += len(data)
             for event in [*self.protocol.receive(data, now), *self.protocol.advance(now)]:
                 self.counts[type(event)] += 1
                 self.own.take(event, now)
@@ -294,22 +293,7 @@ class _Probe:
 def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
     where, vehicle = config.vehicle.link, probe.protocol.vehicle
     if vehicle is None:
-        silence = f"{where}: no vehicle within {config.vehicle.wait_s:g} s"
-        disbelief = probe.protocol.disbelief(probe.now_s)
-        if disbelief is not None:
-            found.red("signing", f"{silence}: {disbelief}", "docs/flying.md says how a key is set")
-        elif probe.received:
-            found.red(
-                "vehicle",
-                f"{silence}; {probe.received} bytes came",
-                "see to the baud rate, to MAVLink on the autopilot's port, and to vehicle.system_id",
-            )
-        else:
-            found.red(
-                "vehicle",
-                f"{silence}, not a byte",
-                "see to the autopilot's power, to the wires (TX to RX), or to who sends to this address",
-            )
+        found.red(*no_vehicle(config.vehicle, probe.link, probe.protocol, probe.now_s))
         return
     bad = probe.protocol.counts.wire.corrupt
     if bad:
@@ -335,11 +319,18 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
 
 def _judge_parameters(config: Config, told: VehicleParameters | None, found: Preflight) -> None:
     """What the vehicle's own limits and failsafes mean for this configuration."""
-    if told is None or config.flight.use == "watch":
+    if told is None:
         return
-    found.green("vehicle", after_silence(told))
+    watching = config.flight.use == "watch"
+    if not watching:
+        found.green("vehicle", after_silence(told))
+    deaf = no_receiver(told)
+    if deaf is not None:
+        found.green("vehicle", deaf)
     for text in remarks(config, told):
         found.yellow("vehicle", text, "change the parameter, or the configuration")
+    if watching:
+        return
     if told.speed_mps is None:
         found.yellow("vehicle", "it does not tell how fast it flies: [limits] alone count", "see to [limits]")
     try:

@@ -45,6 +45,7 @@ from companion.runtime.disk import RUN, DiskFloor
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.lateness import Lateness
 from companion.runtime.live import heart_status
+from companion.runtime.no_vehicle import no_vehicle
 from companion.runtime.notify import Notifier
 from companion.runtime.policy import RUN_FILE, read_policy
 from companion.runtime.prepare import prepare
@@ -60,6 +61,8 @@ from companion.settings import SWITCHED_OFF, differences
 _WATCHDOG_S = 5.0
 """A loop that hangs sends nothing anyway; after this the process ends, so that it can be started anew."""
 _STATUS_S = 5.0
+_FRESH_S = 0.25
+"""What a tick has decided leaves within this time of the state that it was decided on, or not at all."""
 _LET_GO_S = 2.0
 _COLLECT_S = 1.0
 """Reference cycles are looked for this often, right after a tick."""
@@ -190,7 +193,9 @@ class Flight:
                 cannot be written.
         """
         for number in _SIGNALS:
-            signal.signal(number, self.stop)
+            # Under nohup the terminal may close, and the flight goes on.
+            if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self.stop)
         self._signing.start()
         try:
             self._find_vehicle()
@@ -238,10 +243,8 @@ class Flight:
         while self.onboard.link.vehicle is None and not self._stop:
             now = time.monotonic()
             if now > give_up:
-                why = self.onboard.link.disbelief(now) or (
-                    "is the autopilot sending MAVLink to this address, and is vehicle.link right?"
-                )
-                raise ConfigError(f"{self.config.vehicle.link}: no vehicle within {wait_s:g} s: {why}")
+                _, why, do = no_vehicle(self.config.vehicle, self.link, self.onboard.link, now)
+                raise ConfigError(f"{why}: {do}")
             self._wait(now + 1.0 / self.config.flight.setpoint_rate_hz)
             self._tick(time.monotonic())
         vehicle = self.onboard.link.vehicle
@@ -326,7 +329,10 @@ class Flight:
             self.onboard.hear(event)
         broadcasts = self.onboard.tick(now_s)
         self._kept_settings.keep(self.onboard.settings)
-        self.link.send(self.onboard.drain(now_s))
+        data = self.onboard.drain(now_s)
+        # Held up meanwhile, it would send an old setpoint. Requests are made again; texts are lost with it.
+        if time.monotonic() - now_s <= _FRESH_S:
+            self.link.send(data)
         for broadcast in broadcasts:
             self._broadcast(broadcast, now_s)
         self._serve_status(now_s)

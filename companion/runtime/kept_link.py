@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Callable
 
-from companion.errors import ConfigError
 from companion.runtime.links import Link, LinkTrouble, open_link
 
 _PAUSE_S = 1.0
@@ -35,6 +34,7 @@ class KeptLink:
         opener: Callable[[str, LinkTrouble], Link] = open_link,
     ) -> None:
         self.trouble = LinkTrouble()
+        self.received_bytes = 0
         self._name = name
         self._say = say
         self._open = opener
@@ -60,10 +60,12 @@ class KeptLink:
             return b""
         assert self._link is not None
         try:
-            return self._link.receive(now_s)
+            data = self._link.receive(now_s)
         except OSError as error:
             self._lose(error)
             return b""
+        self.received_bytes += len(data)
+        return data
 
     def send(self, data: bytes) -> None:
         """Send now, or lose it."""
@@ -105,7 +107,8 @@ class KeptLink:
         while not self._closed.wait(_PAUSE_S):
             try:
                 link = self._open(self._name, self.trouble)
-            except ConfigError:
+            except Exception:
+                # Whatever it was: if this thread ended, the flight would be without a link for good.
                 continue
             self._opened.put(link)
             return

@@ -36,6 +36,11 @@ _SEND_BUFFER = 8 * 1024
 _SERIAL_QUEUE_S = 0.2
 """A serial driver that holds more than it can send in this time gets nothing new."""
 _BITS_PER_BYTE = 10
+_NOT_OPENED = {
+    errno.ENOENT: "there is no such device; see to the cable, or to the udev rule that names it",
+    errno.EACCES: "this user may not open it; put the user into the device's group (dialout)",
+    errno.EAGAIN: "another program has it open; a serial port has one reader",
+}
 
 
 @dataclass(slots=True)
@@ -93,11 +98,11 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
     kind, _, rest = name.partition(":")
     if kind == "serial":
         device, _, baud = rest.rpartition(":")
-        if not device or not baud.isdigit():
+        if not device or not _is_number(baud) or int(baud) == 0:
             raise ConfigError(f"{key}: {name!r}: allowed are {_FORMS}")
         return SerialLink(device, int(baud), trouble, key)
     host, _, port = rest.rpartition(":")
-    if kind not in ("udpin", "udpout", "tcp") or not host or not port.isdigit() or int(port) > 65535:
+    if kind not in ("udpin", "udpout", "tcp") or not host or not _is_number(port) or int(port) > 65535:
         raise ConfigError(f"{key}: {name!r}: allowed are {_FORMS}")
     address = (host.strip("[]"), int(port))
     try:
@@ -112,6 +117,11 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
                 f"{key}: {name}: port {port} is in use by another program; close it or choose another"
             ) from error
         raise ConfigError(f"{key}: {name}: {error.strerror or error}") from error
+
+
+def _is_number(text: str) -> bool:
+    """Plain digits, and no more of them than any port or baud rate has."""
+    return text.isascii() and text.isdigit() and len(text) <= 9
 
 
 class UdpLink:
@@ -275,8 +285,10 @@ class SerialLink(_Stream):
         super().__init__(trouble)
         try:
             self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
-        except (serial.SerialException, termios.error, ValueError) as error:
-            raise ConfigError(f"{key}: serial:{device}:{baud}: {error}") from error
+        except (OSError, termios.error, ValueError) as error:
+            # pyserial passes some of the kernel's refusals on as they are: a device that goes just now.
+            words = _NOT_OPENED.get(getattr(error, "errno", None) or 0, str(error))
+            raise ConfigError(f"{key}: serial:{device}:{baud}: {words}") from error
         self._fd = int(self._port.fileno())
         self._queue_bytes = baud / _BITS_PER_BYTE * _SERIAL_QUEUE_S
         os.set_blocking(self._fd, False)

@@ -142,9 +142,10 @@ class StatusServer:
                 client.send(answer)
 
     def close(self) -> None:
-        """Stop serving and leave no file behind."""
+        """Stop serving and leave no file behind, where the folder is still ours to write."""
         self._socket.close()
-        self.path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.path.unlink(missing_ok=True)
 
 
 def _listen(name: str, where: list[Path]) -> tuple[Path, socket.socket]:

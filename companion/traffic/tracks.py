@@ -38,7 +38,8 @@ from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, ne
 _MAX_RANGE_M = 50_000.0
 """Remote ID is not heard from farther away, and the local frame is too coarse for it."""
 _ADDRESSES_PER_TRACK = 4
-_TRACKS_PER_IDENTITY = 4
+_TRACKS_PER_IDENTITY = 16
+"""An owner that speaks once a second becomes established among so many copies a second."""
 _LEADS = 5
 _ECHO_M = 5.0
 _ECHO_S = 0.5
@@ -363,34 +364,39 @@ class Traffic:
     def _match(
         self, known: list[Track], source: Source, fix: Fix, now_s: float
     ) -> tuple[Track | None, float]:
-        """The track of this identity whose aircraft can have flown to the fix, the nearest of several; and
-        how far off it the fix is (m), infinite without one.
+        """The track of this identity whose aircraft can have flown to the fix, the nearest of several, one
+        of its own address before others; and how far off it the fix is (m), infinite without one.
 
         After some silence one aircraft can be nearly anywhere. Where two are heard under the identity, or the
-        address is not the track's, it must be near: the track would leave the other one unseen.
+        address is not the track's, it must be near: the track would leave the other one unseen. An aircraft
+        that changes its address does not come back to it: where two take turns on a transport, each has a
+        track, or one could draw the track away from the other.
         """
         at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
-        best, least = None, math.inf
+        best, least = None, (True, math.inf)
         for track in known:
             elapsed, noise = abs(at - track.sample_s), fix.sigma_m + track.sigma_m
             away, allowed = off(track, fix, at), reach(elapsed, noise)
             if len(known) > 1:
                 track.beside_s = now_s
             twins = now_s - track.beside_s <= _TWIN_MEMORY_S
+            others = track.fed_by.get(source.about.transport) != source.key
+            if others and source.key in track.sources:
+                continue
             if not track.velocity_known:
                 allowed += self.config.max_speed_mps * elapsed
-            elif twins or track.fed_by.get(source.about.transport) != source.key:
+            elif twins or others:
                 allowed = near(noise)
-            if away <= allowed and away < least:
-                best, least = track, away
-        return best, least
+            if away <= allowed and (others, away) < least:
+                best, least = track, (others, away)
+        return best, least[1]
 
     def _open(
         self, identity: str, known: list[Track], source: Source, fix: Fix, now_s: float
     ) -> Track | None:
         if len(known) >= _TRACKS_PER_IDENTITY:
             known = list(known)
-            self._remove(min(known, key=lambda t: t.received_s))
+            self._remove(max(known, key=self._dispensable))
             self.counts.evicted += 1
         elif len(self.tracks) >= self.config.max_tracks and not self._make_room(fix):
             self.counts.refused_full += 1
@@ -426,6 +432,13 @@ class Traffic:
         self._judge.first_message(track, known, source, fix, now_s)
         self.counts.updates += 1
         return track
+
+    def _dispensable(self, track: Track) -> tuple[bool, float]:
+        """The greatest of an identity's tracks gives way: the fresh one that is silent longest; where all are
+        established, the farthest. A copied name that leaps about is heard more often than its owner."""
+        if track.messages < ESTABLISHED:
+            return True, -track.received_s
+        return False, math.dist(track.position_ned_m, self._own_position())
 
     def _make_room(self, fix: Fix) -> bool:
         """Give up one track for a newcomer: a fresh one before an established one, the farthest first."""

@@ -7,6 +7,7 @@ never sends setpoints: in flight those are the companion's.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 import time
@@ -29,8 +30,9 @@ _EXAMPLES = """examples:
       --scenario config/scenarios/head_on.toml --start --land
   ground-tools fly tcpout://127.0.0.1:5760 --land
 
-A failure or Ctrl-C leaves vehicles in the air holding (BRAKE on ArduPilot, HOLD on PX4) and says so; nothing
-is disarmed in the air. Exit code: 0 done, 1 a vehicle refused or was lost, 2 wrong input, 130 Ctrl-C.
+A failure, Ctrl-C or a terminal that closes leaves vehicles in the air holding (BRAKE on ArduPilot, HOLD on
+PX4) and says so; nothing is disarmed in the air. Exit code: 0 done, 1 a vehicle refused or was lost, 2 wrong
+input, 130 Ctrl-C.
 """
 
 
@@ -125,9 +127,10 @@ def _fly(
 
 
 def _tell(trouble: BaseException) -> str:
-    """Say why it ends here."""
+    """Say why it ends here, where anybody still listens: a closed terminal must not keep it from more."""
     error = str(trouble) or "broken off"
-    print(f"ground-tools fly: {error}", file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError):
+        print(f"ground-tools fly: {error}", file=sys.stderr, flush=True)
     return error
 
 

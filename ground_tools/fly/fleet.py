@@ -175,7 +175,7 @@ class Fleet:
         for vehicle in self.vehicles:
             try:
                 done[vehicle.name] = self._leave(vehicle)
-            except VehicleError as error:
+            except Exception as error:  # One that fails, however, must not keep us from the others.
                 done[vehicle.name] = f"could not be told anything ({error}); its own failsafe decides"
         return done
 
@@ -233,12 +233,14 @@ class Fleet:
         """PX4 acknowledges a mission that it still checks and does not enter: asked until it flies."""
         end_s = time.monotonic() + _START_S
         while True:
-            vehicle.ours = frozenset({vehicle.modes.mission})
+            # Until it flies it is in the mode that we left it in.
+            vehicle.ours |= {vehicle.modes.mission}
             vehicle.command(MISSION_START)
             acked_s = time.monotonic() + _SETTLED_S
             while time.monotonic() < acked_s + 1.0:
                 state = vehicle.last("MISSION_CURRENT", acked_s).get("mission_state")
                 if vehicle.mode == vehicle.modes.mission and state in (_UNKNOWN, _ACTIVE, _COMPLETE):
+                    vehicle.ours = frozenset({vehicle.modes.mission})
                     return
                 self._sleep(_POLL_S)
             if time.monotonic() > end_s:
@@ -298,6 +300,7 @@ class Fleet:
         quiet: bool = False,
     ) -> None:
         """Wait until something holds for every vehicle, once for each."""
+        self._elsewhere_s.clear()
         left = list(self.vehicles)
         end_s = time.monotonic() + patience_s
         told: dict[str, str] = {}

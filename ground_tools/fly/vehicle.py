@@ -266,12 +266,12 @@ class Vehicle:
     def arm(self) -> None:
         """Arm, and wait until the heartbeat says so. Raises VehicleError."""
         sent_s = time.monotonic()
+        # Without an answer it may have armed all the same; only a refusal says that it has not.
         self.armed_by_us = True
-        try:
-            self.command(ARM_DISARM, 1.0)
-        except VehicleError:
+        result = self._acknowledged(ARM_DISARM, (1.0,))
+        if result != mavlink.MAV_RESULT_ACCEPTED:
             self.armed_by_us = False
-            raise
+            raise VehicleError(f"{self.name}: {self._refused(ARM_DISARM, result, sent_s)}")
         if not self._within(_CONFIRM_S, lambda: self.armed):
             raise VehicleError(
                 f"{self.name}: acknowledged arming and is disarmed{_because(self.said(sent_s))}"
@@ -326,7 +326,7 @@ class Vehicle:
     # ------------------------------------------------------------ inside
 
     def _hear(self, message: Any, _: object) -> None:
-        if message.component_id == _AUTOPILOT:
+        if (message.system_id, message.component_id) == (self.system_id, _AUTOPILOT):
             self._heard[message.message_name] = (time.monotonic(), json.loads(message.fields_json))
 
     def _recognise(self, patience_s: float) -> Firmware:

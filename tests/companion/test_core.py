@@ -330,10 +330,35 @@ def test_utc_before_2019_is_not_put_into_a_system_message(make_bench):
         codec.encode(broadcast.messages[2])
 
 
-def test_a_vehicle_on_the_ground_is_released(flying):
-    flying.landed = Landed.ON_GROUND
+@pytest.mark.parametrize("home_m", [0.0, 50.0])
+def test_a_vehicle_on_the_ground_is_released(flying, home_m):
+    """Armed, it is believed after a while, on a hill after a longer one."""
+    flying.landed, flying.height_m = Landed.ON_GROUND, home_m
+    least_s = 10.0 if home_m else 1.5
+    assert len(flying.setpoints(flying.step(round(least_s / 0.05)))) == round(least_s / 0.05)
     assert not flying.setpoints(flying.step())
     assert flying.heart.state is State.STANDBY
+
+
+def test_a_vehicle_that_disarms_is_released_at_once(flying):
+    flying.armed = False
+    assert not flying.setpoints(flying.step())
+    assert flying.heart.state is State.STANDBY
+
+
+@pytest.mark.parametrize(("seconds", "speed_mps"), [(1.0, 0.0), (8.0, 0.0), (60.0, 3.0)])
+def test_a_false_landing_in_flight_ends_nothing(flying, seconds, speed_mps):
+    flying.height_m = 0.0 if seconds == 1.0 else 50.0
+    flying.velocity_ned_mps = (speed_mps, 0.0, 0.0)
+    law = flying.heart.plan.law
+    flying.landed = Landed.ON_GROUND
+    count = round(seconds / 0.05)
+    assert len(flying.setpoints(flying.step(count))) == count
+    flying.landed = Landed.IN_AIR
+    flying.step(20)
+    assert flying.heart.state in HOLDING
+    assert flying.heart.plan.law is law
+    assert flying.heart.own.takeoff is None
 
 
 def test_a_refused_mode_is_a_fault_and_is_asked_again_later(make_bench):

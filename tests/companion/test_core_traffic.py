@@ -319,6 +319,7 @@ def test_our_own_transponder_is_no_threat(watching, own):
 )
 def test_no_alerts_on_the_ground_or_without_an_own_state(watching, change, value):
     setattr(watching, change, value)
+    watching.armed = change != "landed"
     watching.step(40)
     before = len(watching.log)
     levels_after(watching, 5.0)

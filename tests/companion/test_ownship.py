@@ -97,6 +97,29 @@ def test_landed_is_forgotten_when_it_is_not_repeated():
     assert own.landed(14.0) is Landed.UNDEFINED
 
 
+def test_a_landing_of_an_armed_vehicle_takes_more_than_one_message():
+    own = armed()
+    own.take(position(0.0, velocity=(0.0, 0.0, 0.0)), 10.0)
+    for k, landed in enumerate((Landed.IN_AIR, *[Landed.ON_GROUND] * 3, Landed.IN_AIR)):
+        own.take(LandedState(landed=landed), 11.0 + k)
+        assert own.landed(11.0 + k) is Landed.IN_AIR, "3 s, but 50 m above home"
+    for k in range(10):
+        own.take(LandedState(landed=Landed.ON_GROUND), 16.0 + k)
+    assert own.landed(25.0) is Landed.IN_AIR
+    own.take(LandedState(landed=Landed.ON_GROUND), 26.0)
+    assert own.landed(26.0) is Landed.ON_GROUND
+
+
+def test_a_landing_that_was_not_seen_is_not_taken_for_flight():
+    own = armed()
+    own.take(LandedState(landed=Landed.IN_AIR), 10.0)
+    own.take(LandedState(landed=Landed.ON_GROUND), 40.0)
+    assert own.landed(40.0) is Landed.UNDEFINED
+    own.take(LandedState(landed=Landed.ON_GROUND), 41.0)
+    own.take(LandedState(landed=Landed.ON_GROUND), 42.0)
+    assert own.landed(42.0) is Landed.ON_GROUND
+
+
 def test_the_newer_velocity_counts():
     own = Ownship()
     own.take(position(1.0), 1.0)
@@ -113,6 +136,25 @@ def test_geoid_separation_only_where_the_receiver_gives_both_altitudes():
     assert own.separation_m is None
     own.take(GnssFix(**fix, alt_ellipsoid_m=447.5), 2.0)
     assert own.separation_m == 47.5
+
+
+@pytest.mark.parametrize("alt_ellipsoid_m", [-8.0, 1400.0])
+def test_a_geoid_that_is_nowhere_on_earth_is_not_believed(alt_ellipsoid_m):
+    """It would tell the heights of all others wrongly by as much."""
+    own = Ownship()
+    fix = {"fix_type": 3, "lat_deg": 47.0, "lon_deg": 8.0, "alt_msl_m": 400.0}
+    own.take(GnssFix(**fix, alt_ellipsoid_m=447.5), 1.0)
+    own.take(GnssFix(**fix, alt_ellipsoid_m=alt_ellipsoid_m), 2.0)
+    assert own.separation_m is None
+
+
+def test_a_velocity_dated_far_ahead_does_not_shut_out_those_after_it():
+    own = Ownship()
+    own.take(position(100.0), 1.0)
+    ahead = LocalPosition(time_boot_s=4e6, position_ned_m=(0, 0, 0), velocity_ned_mps=(-9.0, 0, 0))
+    own.take(ahead, 1.05)
+    own.take(position(100.1, velocity=(2.0, 0.0, 0.0)), 1.1)
+    assert own.velocity_ned_mps == (2.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(("make", "forgiven"), [(Ownship, True), (armed, False)])
@@ -239,3 +281,13 @@ def test_an_answer_before_any_position_is_left_out():
     assert own.utc_offset_s is None
     own.take(position(6.0), 2.0)
     assert own.age_s(2.0) == 0.0
+
+
+def test_no_answer_makes_a_position_younger_than_it_was_when_heard():
+    """Positions end and answers go on, from a clock that falls behind: forged, or of a broken autopilot."""
+    own, heard_s = flown(0.0, 0.0)
+    for second in range(1, 20):
+        now_s = heard_s + second
+        behind = ClockRead(time_boot_s=now_s - BOOT_S - 0.9 * second, asked_s=now_s - 0.01, heard_s=now_s)
+        own.take(behind, now_s)
+        assert own.age_s(now_s) >= second - 1e-6

@@ -16,6 +16,7 @@ from companion.autopilot.tlog import read_tlog
 from companion.errors import PeerDataError
 from companion.events import VelocitySetpoint
 from companion.remote_id.messages import Location
+from companion.runtime.recorder import write_manifest
 from sitl_mocks import lockstep, settings
 
 DATA = Path(__file__).parents[1] / "data"
@@ -61,7 +62,7 @@ def test_replay_of_a_folder_by_command(run_folder, capsys):
     assert [line["aircraft"] for line in lines] == ["DMUCA001", "DMUCA002"]
 
 
-@pytest.mark.parametrize(("change", "code"), [(1e-4, 1), (1e-12, 0)])
+@pytest.mark.parametrize(("change", "code"), [(1e-4, 1), (1e-7, 1), (1e-12, 0)])
 def test_a_changed_command_is_found(run_folder, tmp_path, capsys, change, code):
     """1e-12 passes because the folder has no manifest that proves the same software."""
     source = next(iter(sorted(run_folder.glob("*.events"))))
@@ -89,6 +90,21 @@ def test_a_changed_command_is_found(run_folder, tmp_path, capsys, change, code):
     changed.write_bytes(record.MAGIC + b"".join(record.encode(item) for item in items))
     assert cli.main(["replay", str(changed)]) == code
     assert ("step" in capsys.readouterr().err) == (code == 1)
+
+
+@pytest.mark.parametrize(("key", "value"), [("machine", "another"), ("dmuca", "0.0.1")])
+def test_a_run_of_another_machine_or_version_is_not_compared_bit_for_bit(
+    run_folder, tmp_path, capsys, key, value
+):
+    source = next(iter(sorted(run_folder.glob("*.events"))))
+    (tmp_path / source.name).write_bytes(source.read_bytes())
+    write_manifest(tmp_path, "test")
+    assert cli.main(["replay", str(tmp_path)]) == 0
+    assert "(bit for bit)" in capsys.readouterr().out
+    manifest = tmp_path / "manifest.json"
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), key: value}))
+    assert cli.main(["replay", str(tmp_path)]) == 0
+    assert "(to 1e-09 (other machine or versions))" in capsys.readouterr().out
 
 
 def fly_log(stream, name):

@@ -169,7 +169,7 @@ def test_a_law_keeps_its_numbers_until_the_flight_is_over(make_bench):
     assert bench.heart.in_control
     assert bench.heart.plan.law is law
     assert bench.heart.config.limits.max_speed_mps == 5.0
-    bench.landed = Landed.ON_GROUND
+    bench.landed, bench.armed = Landed.ON_GROUND, False
     bench.step(2)
     assert bench.heart.config.limits.max_speed_mps == 3.5
     assert bench.heart.plan.limits.max_speed_mps == 3.5

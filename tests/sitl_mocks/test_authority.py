@@ -57,6 +57,8 @@ def test_a_mode_that_a_ground_station_commands(firmware):
     sky.until(lambda: one.state is State.YIELDED, 3.0)
     assert silent_from_now(sky, one)
     assert one.vehicle.mode is VehicleMode.RTL
+    name = "RTL" if firmware is ARDUPILOT else "AUTO.RTL"
+    assert f"DMUCA yielded: mode changed to {name}, not by us" in one.texts()
 
 
 @BOTH
@@ -64,10 +66,29 @@ def test_sticks_that_move_give_the_pilot_a_mode_that_takes_them(firmware):
     sky = held(firmware)
     one = sky.aircraft[0]
     one.vehicle.troubles.sticks = (0.0, 0.5, 0.0, 0.0)
+    since = len(one.steps)
     sky.until(lambda: one.state is State.YIELDED, 1.0)
+    # Commanded to stand until it takes the sticks: without setpoints PX4 goes home after a second.
+    sky.until(lambda: one.heart.own.mode is FlightMode.STICKS, 3.0)
     assert silent_from_now(sky, one, 5.0)
     assert one.heart.own.mode is FlightMode.STICKS
     assert [c.mode for c in one.of(SetMode)][-1] is FlightMode.STICKS
+    assert VehicleMode.RTL not in one.modes[since:]
+    assert one.setpoints(since)[-1].velocity_ned_mps == (0.0, 0.0, 0.0)
+
+
+@BOTH
+def test_sticks_that_move_before_our_mode_shows(firmware):
+    """The vehicle is in our mode and has not said so: it comes to the pilot's all the same, and not home."""
+    sky = head_on(firmware)
+    one = sky.aircraft[0]
+    sky.until(lambda: one.vehicle.mode is VehicleMode.EXTERNAL)
+    since = len(one.steps)
+    one.vehicle.troubles.sticks = (0.0, 0.5, 0.0, 0.0)
+    sky.until(lambda: one.heart.own.mode is FlightMode.STICKS, 4.0)
+    assert one.state is State.YIELDED
+    assert VehicleMode.RTL not in one.modes[since:]
+    assert silent_from_now(sky, one, 5.0)
 
 
 # ------------------------------------------------------------ what the autopilot does by itself
@@ -182,5 +203,6 @@ def test_every_move_that_ends_authority_says_why(firmware):
     one.vehicle.pilot_selects(VehicleMode.HOLD)
     sky.until(lambda: one.state not in HOLDING, 3.0)
     (change,) = [c for c in one.of(AuthorityChanged) if c.state == "yielded"]
-    assert change.reason == "mode changed to " + one.heart.own.mode.value + ", not by us"
+    name = "LOITER" if firmware is ARDUPILOT else "AUTO.LOITER"
+    assert change.reason == f"mode changed to {name}, not by us"
     assert f"DMUCA yielded: {change.reason}" in one.texts()

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from companion.autopilot.wire import MavlinkReader
+from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.avoidance.authority import State
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode, SetSpeed
 from sitl_mocks.vehicle_manners import VehicleMode
@@ -131,6 +131,21 @@ def test_a_mission_changed_meanwhile_is_not_resumed(firmware):
     assert any("mission was changed" in text for text in one.texts())
     (last,) = [c for c in one.of(AuthorityChanged) if c.state == "yielded"]
     assert last.trigger == "changed"
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+def test_a_mission_replaced_while_it_is_watched_is_given_back(firmware):
+    """As many items, on another link: the mock says nothing of it, as ArduPilot does not."""
+    sky = head_on(firmware)
+    one = sky.aircraft[0]
+    sky.until(lambda: one.state is State.WATCHING)
+    first = 1 if firmware is Firmware.ARDUPILOT else 0
+    points = [(0.0, 0.0, 50.0), (700.0, 0.0, 50.0), (700.0, -100.0, 50.0)]
+    one.upload(mission(*points, first=first), sky.now_s)
+    station = MavlinkWriter(255, 190)
+    one.vehicle.receive(station.pack(station.encoder.mission_set_current_encode(1, 1, first)), sky.now_s, 1)
+    taken(sky).until(lambda: one.state is State.WATCHING)
+    assert one.states() == ["watching", "avoiding", "recovering", "guarding", "watching"]
 
 
 # ------------------------------------------------------------ the pilot, and faults

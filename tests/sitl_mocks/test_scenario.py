@@ -49,10 +49,12 @@ def test_s2_conflicts_when_nobody_avoids() -> None:
     assert near >= 38
 
 
-def test_wrong_arguments() -> None:
+def test_wrong_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="S4"):
         encounter("S4", 5, 0)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="at least 2"):
         encounter("S1", 1, 0)
+    # Sixty never fit on the circle, in however many draws.
+    monkeypatch.setattr("sitl_mocks.scenario._MOST_DRAWS", 100)
     with pytest.raises(ValueError, match="do not fit"):
         encounter("S3", 60, 0)

@@ -21,6 +21,7 @@ from companion.events import (
     ModeRefused,
     Say,
     SetMode,
+    SetSpeed,
     Severity,
     Threat,
     VehicleText,
@@ -333,9 +334,8 @@ def test_hold_on_ardupilot_is_brake(ardupilot: Scripted) -> None:
 
 def test_a_heartbeat_confirms_and_ends_the_retries(ardupilot: Scripted) -> None:
     ardupilot.link.send(EXTERNAL, ardupilot.now_s)
-    for _ in range(2):
-        ardupilot.heartbeat()
-        ardupilot.after(1.0)
+    ardupilot.heartbeat()
+    ardupilot.after(1.0)
     assert [m.confirmation for m in mode_requests(ardupilot)] == [0, 1]
     assert [type(e) for e in ardupilot.heartbeat(GUIDED)] == [Heartbeat]
     assert ardupilot.after(10.0) == []
@@ -377,13 +377,38 @@ def test_silence_is_refused_as_no_answer(ardupilot: Scripted) -> None:
     assert "no answer" in refused.reason
 
 
-def test_no_try_without_a_heartbeat_that_shows_nobody_else_has_chosen(ardupilot: Scripted) -> None:
+@pytest.mark.parametrize(
+    ("vehicle", "old_s", "at_once"),
+    [("ardupilot", 1.4, True), ("ardupilot", 1.6, False), ("px4", 0.05, True), ("px4", 0.15, False)],
+)
+def test_the_first_try_goes_out_at_once_where_the_mode_is_known(
+    request: pytest.FixtureRequest, vehicle: str, old_s: float, at_once: bool
+) -> None:
+    """ArduPilot says a new mode at once, PX4 within a second: there only what it has just said is known."""
+    scripted: Scripted = request.getfixturevalue(vehicle)
+    scripted.after(old_s)
+    scripted.told()
+    scripted.link.send(EXTERNAL, scripted.now_s)
+    assert len(mode_requests(scripted)) == at_once
+    scripted.heartbeat(0x03040000 if vehicle == "px4" else 0)
+    scripted.after(1.0)
+    # After the heartbeat that shows that nobody has chosen: the second, or the first.
+    assert [m.confirmation for m in mode_requests(scripted)] == [int(at_once)]
+
+
+@pytest.mark.parametrize("vehicle", ["ardupilot", "px4"])
+def test_no_try_without_a_heartbeat_that_shows_nobody_else_has_chosen(
+    request: pytest.FixtureRequest, vehicle: str
+) -> None:
     """A pilot's choice that has not been heard yet is never overwritten: not by the first try either."""
-    ardupilot.link.send(EXTERNAL, ardupilot.now_s)
+    scripted: Scripted = request.getfixturevalue(vehicle)
+    scripted.after(2.0)
+    scripted.told()
+    scripted.link.send(EXTERNAL, scripted.now_s)
     for _ in range(29):
-        assert ardupilot.after(0.1) == []
-    assert mode_requests(ardupilot) == []
-    (refused,) = ardupilot.after(0.2)
+        assert scripted.after(0.1) == []
+    assert mode_requests(scripted) == []
+    (refused,) = scripted.after(0.2)
     assert isinstance(refused, ModeRefused)
     assert "no heartbeat" in refused.reason
 
@@ -400,11 +425,31 @@ def test_the_pilots_choice_ends_a_request_at_once(ardupilot: Scripted) -> None:
 
 def test_a_cancelled_request_is_not_sent_any_more(ardupilot: Scripted) -> None:
     ardupilot.link.send(EXTERNAL, ardupilot.now_s)
+    ardupilot.told()
     ardupilot.link.cancel_mode()
     for _ in range(5):
         ardupilot.heartbeat()
         assert ardupilot.after(1.0) == []
     assert mode_requests(ardupilot) == []
+
+
+@pytest.mark.parametrize(("later_s", "asked"), [(0.5, [3.0]), (4.0, [])])
+def test_a_cancelled_request_that_is_entered_yet_is_not_the_pilots_choice(
+    px4: Scripted, later_s: float, asked: list[float]
+) -> None:
+    """Sticks that move while the vehicle is being taken: OFFBOARD shows after POSCTL is asked for."""
+    px4.link.send(EXTERNAL, px4.now_s)
+    px4.told()
+    for _ in range(round(later_s / 0.5)):
+        px4.link.cancel_mode()
+        px4.after(0.5)
+    px4.heartbeat(0x03040000)
+    px4.after(0.2)
+    px4.told()
+    px4.link.send(SetMode(mode=FlightMode.STICKS), px4.now_s)
+    px4.heartbeat(OFFBOARD)
+    px4.after(0.05)
+    assert [m.param2 for m in mode_requests(px4)] == asked
 
 
 def test_a_newer_mode_replaces_an_older(ardupilot: Scripted) -> None:
@@ -423,17 +468,68 @@ def test_a_speed_that_comes_with_a_mode_follows_each_request_at_once(ardupilot: 
     """ArduPilot forgets it as the mode begins, and a leg begun without it overshoots it."""
     ardupilot.link.send(SetMode(mode=FlightMode.MISSION, speed_mps=4.0), ardupilot.now_s)
     for _ in range(2):
+        asked = [m for m in ardupilot.told("COMMAND_LONG") if m.command in (176, 178)]
+        assert [m.command for m in asked] == [176, 178]
+        assert (asked[1].param1, asked[1].param2, asked[1].param3) == (1.0, 4.0, -1.0)
         ardupilot.after(1.0)
         assert 178 not in {m.command for m in ardupilot.told("COMMAND_LONG")}, "not before the mode"
         ardupilot.heartbeat()
         ardupilot.after(0.05)
-        asked = [m for m in ardupilot.told("COMMAND_LONG") if m.command in (176, 178)]
-        assert [m.command for m in asked] == [176, 178]
-        assert (asked[1].param1, asked[1].param2, asked[1].param3) == (1.0, 4.0, -1.0)
+    ardupilot.told()
     ardupilot.link.send(SetMode(mode=FlightMode.HOLD), ardupilot.now_s)
     ardupilot.heartbeat()
     ardupilot.after(0.05)
     assert 178 not in {m.command for m in ardupilot.told("COMMAND_LONG")}
+
+
+def speeds(scripted: Scripted) -> int:
+    return sum(m.command == 178 for m in scripted.told("COMMAND_LONG"))
+
+
+AUTO = 3
+
+
+def flying_its_mission(scripted: Scripted) -> None:
+    """In AUTO, its speed asked for once and not answered."""
+    scripted.heartbeat(AUTO)
+    scripted.told()
+    scripted.link.send(SetSpeed(speed_mps=4.0), scripted.now_s)
+    scripted.after(0.05)
+    assert speeds(scripted) == 1
+
+
+def test_a_missions_speed_is_asked_for_five_times(ardupilot: Scripted) -> None:
+    flying_its_mission(ardupilot)
+    for _ in range(10):
+        ardupilot.heartbeat(AUTO)
+        ardupilot.after(1.0)
+    assert speeds(ardupilot) == 4
+
+
+def test_a_missions_speed_is_not_asked_for_once_it_is_answered(ardupilot: Scripted) -> None:
+    flying_its_mission(ardupilot)
+    ardupilot.says(ack(0, command=178))
+    ardupilot.heartbeat(AUTO)
+    ardupilot.after(1.0)
+    assert speeds(ardupilot) == 0
+
+
+@pytest.mark.parametrize("how", ["another mode", "given up", "taken"])
+def test_a_missions_speed_is_not_asked_for_once_another_flies(ardupilot: Scripted, how: str) -> None:
+    """Such as the pilot, who took over before it was answered, and selects AUTO again himself."""
+    flying_its_mission(ardupilot)
+    if how == "another mode":
+        ardupilot.heartbeat(LOITER)
+    elif how == "given up":
+        ardupilot.link.cancel_mode()
+    else:
+        ardupilot.link.send(EXTERNAL, ardupilot.now_s)
+    ardupilot.after(0.95)
+    ardupilot.heartbeat(AUTO)
+    for _ in range(6):
+        ardupilot.after(1.0)
+        ardupilot.heartbeat(AUTO)
+    assert speeds(ardupilot) == 0
 
 
 def test_acknowledgements_for_others_are_not_ours(ardupilot: Scripted) -> None:

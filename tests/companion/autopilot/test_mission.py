@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from companion.autopilot.mission import path_from_mission, place_of, speed_at
+from companion.autopilot.mission import path_from_mission, place_of, speeds_at
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import check_speeds
 from companion.config import LimitsConfig, TrajectoryFile
@@ -83,8 +83,32 @@ def test_loitering_for_a_time_and_delays_are_held() -> None:
 
 def test_the_speed_that_a_mission_has_asked_for() -> None:
     items = (waypoint(1, 50.0), simple(2, 178, 1.0, 3.0), waypoint(3, 100.0), simple(4, 178, 0.0, -1.0))
-    assert [speed_at(items, seq) for seq in (1, 2, 3, 4)] == [None, 3.0, 3.0, 3.0]
-    assert speed_at((*items, simple(5, 178, 2.0, 9.0)), 9) == 3.0, "the climb's speed is another"
+    assert [speeds_at(items, seq) for seq in (1, 2, 3, 4)] == [{None}, {3.0}, {3.0}, {3.0}]
+    assert speeds_at((*items, simple(5, 178, 2.0, 9.0)), 9) == {3.0}, "the climb's speed is another"
+
+
+@pytest.mark.parametrize(
+    ("jump", "target", "speeds"),
+    [
+        # Back over a speed: at item 3 it may be the first one or the last.
+        (6, 3, [{None, 3.0, 8.0}, {3.0, 8.0}, {3.0, 8.0}]),
+        # Forward past the first one.
+        (0, 3, [{None, 3.0, 8.0}] * 3),
+    ],
+)
+def test_a_jump_leaves_open_which_speed_holds(
+    jump: int, target: int, speeds: list[set[float | None]]
+) -> None:
+    items = [waypoint(1, 50.0), simple(2, 178, 1.0, 3.0), waypoint(3, 90.0), simple(4, 178, 1.0, 8.0)]
+    items += [waypoint(5, 120.0), simple(jump, 177, float(target), 2.0)]
+    items.sort(key=lambda item: item.seq)
+    assert [speeds_at(items, seq) for seq in (1, 3, 5)] == speeds
+
+
+def test_a_jump_among_items_of_one_speed_leaves_nothing_open() -> None:
+    items = [simple(1, 178, 1.0, 3.0), waypoint(2, 50.0), waypoint(3, 90.0), simple(4, 177, 2.0, 2.0)]
+    assert [speeds_at(items, seq) for seq in (1, 2, 3)] == [{3.0}] * 3
+    assert speeds_at([waypoint(1, 50.0), simple(2, 177, 1.0, 2.0)], 1) == {None}
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,21 @@ def test_both_generations_of_ardupilot_tell_the_same(names: tuple[str, ...], sca
     assert found == tuple(Parameter(name=n, value=x) for n, x in zip(names, numbers, strict=True))
     # The other generation's names are not asked for any more.
     scripted.after(1.1)
-    assert set(asked(scripted)) == {"GUID_TIMEOUT", "FENCE_ENABLE", "MIS_RESTART"}
+    assert set(asked(scripted)) == {
+        "GUID_TIMEOUT", "FENCE_ENABLE", "MIS_RESTART", "ADSB_TYPE", "ADSB_ENABLE", "ADSB_LIST_RADIUS",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["ADSB_TYPE", "ADSB_ENABLE"])
+def test_ardupilot_tells_of_its_receiver_by_either_name(name: str) -> None:
+    """4.7-dev answers for both with ADSB_TYPE 0, too: INT8 and INT32."""
+    scripted = heard()
+    assert name in asked(scripted)
+    told = last(scripted.says(value(name, 1.0, INT8), value("ADSB_LIST_RADIUS", 2000.0, INT32)))
+    assert told.adsb_type == Parameter(name=name, value=1.0)
+    assert told.adsb_radius_m == Parameter(name="ADSB_LIST_RADIUS", value=2000.0)
+    scripted.after(1.1)
+    assert not {n for n in asked(scripted) if n.startswith("ADSB")}
 
 
 def test_ardupilot_casts_what_px4_lays_bytewise() -> None:

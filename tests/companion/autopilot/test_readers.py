@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import pytest
@@ -157,7 +158,12 @@ def test_undefined_landed_state_is_bad_data() -> None:
 def test_mission_current() -> None:
     assert read(mavlink.MAVLink_mission_current_message(7)) == MissionCurrent(seq=7)
     complete = mavlink.MAVLink_mission_current_message(7, 8, mavlink.MISSION_STATE_COMPLETE, 0)
-    assert read(complete) == MissionCurrent(seq=7, complete=True)
+    assert read(complete) == MissionCurrent(seq=7, complete=True, total=8)
+    # PX4's checksum of the mission, an extension.
+    fields = readers.unpack(
+        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, struct.pack("<HHBBI", 7, 8, 3, 1, 0xFEDCBA98)
+    )
+    assert readers.mission_current(fields) == MissionCurrent(seq=7, total=8, mission_id=0xFEDCBA98)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from companion.autopilot.advice import after_silence, remarks
 from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.limits import effective
 from companion.avoidance.trajectory import Trajectory, check_speeds
-from companion.config import LimitsConfig
+from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.events import Firmware, Parameter, Say, Severity, VehicleParameters
 
@@ -22,6 +22,10 @@ LIMITS = LimitsConfig()
 def told(firmware: Firmware = Firmware.ARDUPILOT, **values: tuple[str, float]) -> VehicleParameters:
     fields = {key: Parameter(name=name, value=number) for key, (name, number) in values.items()}
     return VehicleParameters(firmware=firmware, **fields)
+
+
+def adsb(radius_m: float, receiver: float = 1) -> VehicleParameters:
+    return told(adsb_type=("ADSB_TYPE", receiver), adsb_radius_m=("ADSB_LIST_RADIUS", radius_m))
 
 
 SLOW = told(speed_mps=("WPNAV_SPEED", 2.0))
@@ -144,6 +148,19 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
         (told(mission_restart=("MIS_RESTART", 0)), {"use": "guard"}, None),
         (told(mission_restart=("MIS_RESTART", 1)), {}, None),
         (told(), {}, None),
+        (
+            adsb(2000),
+            {},
+            "ADSB_LIST_RADIUS 2000: aircraft beyond 2000 m are not told of; at 80 m/s that is 25 s",
+        ),
+        (adsb(2000), {}, "and 90 s are looked ahead: set 7200 m or more"),
+        (adsb(2000), {"use": "watch"}, "ADSB_LIST_RADIUS 2000"),
+        (adsb(7199), {}, "ADSB_LIST_RADIUS 7199"),
+        (adsb(7200), {}, None),
+        (adsb(0), {}, None),
+        (adsb(2000, receiver=0), {}, None),
+        (told(adsb_radius_m=("ADSB_LIST_RADIUS", 2000)), {}, None),
+        (told(adsb_type=("ADSB_TYPE", 1)), {}, None),
     ],
 )
 def test_remarks(make_config, vehicle: VehicleParameters, over: dict[str, Any], words: str | None) -> None:
@@ -152,6 +169,12 @@ def test_remarks(make_config, vehicle: VehicleParameters, over: dict[str, Any], 
     found = remarks(config, vehicle)
     assert len(found) == (words is not None)
     assert words is None or words in found[0]
+
+
+def test_a_longer_look_ahead_asks_for_a_wider_radius(make_config) -> None:
+    config = msgspec.structs.replace(make_config(), avoidance=AvoidanceConfig(horizon_s=100.0))
+    (text,) = remarks(config, adsb(7200))
+    assert text.endswith("100 s are looked ahead: set 8000 m or more")
 
 
 def test_what_follows_silence() -> None:

@@ -124,9 +124,9 @@ def test_a_ground_station_without_a_position_is_no_operator_position(bench):
 
 def test_the_take_off_point_is_the_last_place_on_the_ground(make_bench):
     bench = make_bench(use="watch")
-    bench.landed = Landed.ON_GROUND
+    bench.landed, bench.armed = Landed.ON_GROUND, False
     bench.step(20)
-    bench.landed, bench.north_m = Landed.IN_AIR, 500.0
+    bench.landed, bench.armed, bench.north_m = Landed.IN_AIR, True, 500.0
     system = told(bench, System)[-1]
     assert system.operator_location_type is OperatorLocationType.TAKEOFF
     assert system.operator_lat_deg == pytest.approx(bench.lat_deg, abs=1e-6)

@@ -137,6 +137,8 @@ class Vehicle:
 def vehicle(monkeypatch: pytest.MonkeyPatch) -> Iterator[Vehicle]:
     monkeypatch.setattr("companion.runtime.check._SETTLE_S", 0.1)
     monkeypatch.setattr("companion.runtime.check._MEASURE_S", 0.5)
+    # It tells no parameters.
+    monkeypatch.setattr("companion.runtime.check._PARAMETERS_S", 0.2)
     made = Vehicle()
     yield made
     made.end()
@@ -300,6 +302,28 @@ def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[.
     assert judge("fly", None) == (True, [])
 
 
+def test_what_the_vehicle_hears_of_crewed_traffic_is_told(make_config: Callable[..., Config]) -> None:
+    def judge(use: str, receiver: float) -> list[str]:
+        found = Preflight()
+        told = VehicleParameters(
+            firmware=Firmware.ARDUPILOT,
+            adsb_type=Parameter(name="ADSB_TYPE", value=receiver),
+            adsb_radius_m=Parameter(name="ADSB_LIST_RADIUS", value=2000.0),
+        )
+        _judge_parameters(make_config(use=use), told, found)
+        assert found.ready
+        return [f"{f.light.name} {f.what}: {f.text}" for f in found.findings if "ADSB" in f.text]
+
+    for use in ("fly", "watch"):
+        (line,) = judge(use, 1.0)
+        assert line.startswith(
+            "YELLOW vehicle: ADSB_LIST_RADIUS 2000: aircraft beyond 2000 m are not told of"
+        )
+        assert judge(use, 0.0) == [
+            "GREEN vehicle: ADSB_TYPE 0: no ADS-B receiver: crewed traffic is not heard"
+        ]
+
+
 @pytest.fixture
 def listed(vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path) -> Callable[..., Any]:
     """The findings of a check, by what they are about; keywords replace parts of the configuration."""
@@ -324,7 +348,11 @@ def listed(vehicle: Vehicle, make_config: Callable[..., Config], tmp_path: Path)
     return run
 
 
-def test_all_is_well_with_a_vehicle_that_sends_everything(listed: Callable[..., Any]) -> None:
+def test_all_is_well_with_a_vehicle_that_sends_everything(
+    listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Until it is asked for its parameters no more.
+    monkeypatch.setattr("companion.runtime.check._PARAMETERS_S", 60.0)
     found = listed(0)
     for what in ("configuration", "disk", "policy", "link", "vehicle", "rates", "GNSS", "clock"):
         assert {light for light, *_ in found[what]} == {"green"}, what
@@ -388,7 +416,7 @@ def test_bytes_that_are_no_vehicle_are_told_from_silence(
 ) -> None:
     vehicle.silent.add("HEARTBEAT")
     link = f"tcp:127.0.0.1:{vehicle.port}"
-    assert "bytes came" in listed(1, vehicle=VehicleConfig(link=link, wait_s=0.5))["vehicle"][0][1]
+    assert "MAVLink came" in listed(1, vehicle=VehicleConfig(link=link, wait_s=0.5))["vehicle"][0][1]
     silent = listed(1, vehicle=VehicleConfig(link="udpin:127.0.0.1:0", wait_s=0.1))
     assert "not a byte" in silent["vehicle"][0][1]
     absent = listed(1, vehicle=VehicleConfig(link="serial:/dev/nothing:57600", wait_s=0.1))

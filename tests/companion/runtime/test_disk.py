@@ -74,6 +74,13 @@ def test_nothing_is_deleted_unasked(small_disk):
     assert not RecordConfig().delete_oldest
 
 
+def test_a_manifest_made_to_choke_on_stops_nothing(small_disk):
+    (small_disk / DAYS[0] / "manifest.json").write_text(100_000 * "[")
+    made = floor(small_disk, 100.0)
+    assert made.trouble() is None
+    assert made.deleted == DAYS[1:2]
+
+
 def test_nothing_is_deleted_while_there_is_room(small_disk):
     assert floor(small_disk, 50.0).trouble() is None
     assert names(small_disk) == [*DAYS, OWN]

@@ -11,6 +11,7 @@ import socket
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -230,6 +231,37 @@ def test_signals_end_a_flight_in_order(flight, said, until, number):
     fly(flight, lambda: until(heard_of(said, "recording to")), ended)
     assert released.is_set()
     assert summary(flight)["ticks"] > 0
+
+
+def test_under_nohup_a_closed_terminal_ends_nothing(flight, said, until):
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    def hang_up():
+        os.kill(os.getpid(), signal.SIGHUP)
+        ticks = flight._ticks
+        until(lambda: flight._ticks > ticks + 3)
+        assert not flight._stop
+
+    fly(flight, lambda: until(heard_of(said, "recording to")), hang_up)
+
+
+@pytest.mark.parametrize(("held_up_s", "leaves"), [(0.2, True), (0.3, False)])
+def test_what_a_tick_decided_leaves_in_time_or_not_at_all(flight, monkeypatch, held_up_s, leaves):
+    now, sent = [1000.0], []
+    clock = SimpleNamespace(monotonic=lambda: now[0], time=time.time)
+    monkeypatch.setattr("companion.runtime.flight.time", clock)
+    monkeypatch.setattr(flight.link, "receive", lambda _: b"")
+    monkeypatch.setattr(flight.link, "send", sent.append)
+
+    def held_up(_now_s):
+        now[0] += held_up_s
+        return []
+
+    monkeypatch.setattr(flight.onboard, "tick", held_up)
+    monkeypatch.setattr(flight.onboard, "drain", lambda _: b"setpoint")
+    flight._tick(now[0])
+    assert sent == ([b"setpoint"] if leaves else [])
+    flight._close()
 
 
 def test_a_broken_pipe_does_not_end_a_flight(autopilot, make_config, tmp_path, kept_signals, watchdog, until):

@@ -43,15 +43,15 @@ class Opener:
     def __init__(self):
         self.made = []
         self.attempts = 0
-        self.absent = False
+        self.absent: Exception | None = None
         self.may_open = threading.Event()
         self.may_open.set()
 
     def __call__(self, name, trouble):
         self.attempts += 1
         self.may_open.wait()
-        if self.absent:
-            raise ConfigError("not there")
+        if self.absent is not None:
+            raise self.absent
         self.made.append(Pipe())
         return self.made[-1]
 
@@ -75,10 +75,13 @@ def kept(opener, said, monkeypatch):
     link.close()
 
 
-@pytest.mark.parametrize("found_by", ["receive", "send"])
-def test_lost_and_found_again_each_said_once(kept, opener, said, until, found_by):
+@pytest.mark.parametrize(
+    ("found_by", "absent"),
+    [("receive", ConfigError("x")), ("send", ConfigError("x")), ("receive", RuntimeError("unforeseen"))],
+)
+def test_lost_and_found_again_each_said_once(kept, opener, said, until, found_by, absent):
     assert kept.receive(0.0) == b"data"
-    opener.absent = True
+    opener.absent = absent
     opener.made[0].gone = True
     if found_by == "receive":
         assert kept.receive(0.0) == b""
@@ -89,7 +92,7 @@ def test_lost_and_found_again_each_said_once(kept, opener, said, until, found_by
     assert not kept.up
     assert kept.receive(0.0) == b""
     assert said == ["link tcp:there: lost: Input/output error; opening it again"]
-    opener.absent = False
+    opener.absent = None
     until(lambda: kept.receive(0.0) == b"data")
     assert said[1:] == ["link tcp:there: back"]
     assert kept.up

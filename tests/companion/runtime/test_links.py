@@ -254,6 +254,11 @@ def test_serial_reads_what_is_there_and_says_when_the_device_is_gone(serial_line
     [
         ("pigeon:a:1", "allowed are"),
         ("udpin:127.0.0.1:70000", "allowed are"),
+        ("udpin:127.0.0.1:²", "allowed are"),
+        ("tcp:127.0.0.1:" + 5000 * "9", "allowed are"),
+        ("serial:/dev/null:²", "allowed are"),
+        ("serial:/dev/null:0", "allowed are"),
+        ("serial:/dev/null:99999999999999", "allowed are"),
         ("serial:/dev/nothing", "allowed are"),
         ("serial:/dev/nothing:57600", "nothing"),
         ("serial:/dev/null:57600", "serial:/dev/null"),
@@ -263,6 +268,15 @@ def test_serial_reads_what_is_there_and_says_when_the_device_is_gone(serial_line
 def test_a_link_that_cannot_be_opened_is_bad_configuration(name, text):
     with pytest.raises(ConfigError, match=text):
         open_link(name)
+
+
+def test_a_device_that_goes_while_it_is_opened_is_bad_configuration(monkeypatch):
+    def gone(*_, **__):
+        raise OSError(5, "Input/output error")  # not a SerialException
+
+    monkeypatch.setattr("companion.runtime.links.serial.Serial", gone)
+    with pytest.raises(ConfigError, match=r"serial:/dev/x:57600: .*Input/output error"):
+        open_link("serial:/dev/x:57600")
 
 
 def test_nobody_at_a_tcp_port_is_bad_configuration():

@@ -116,6 +116,15 @@ def test_without_a_client_no_state_is_built(server):
     server.serve(lambda: pytest.fail("nobody asked"))
 
 
+def test_a_socket_that_may_not_be_removed_ends_nothing(server, monkeypatch):
+    def refused(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(type(server.path), "unlink", refused)
+        server.close()
+
+
 def test_owner_and_group_may_ask(server):
     assert stat.S_IMODE(os.stat(server.path).st_mode) == 0o660
 

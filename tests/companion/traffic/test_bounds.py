@@ -93,7 +93,7 @@ def check_bounds(traffic: Traffic, max_tracks: int) -> None:
     assert sum(map(len, traffic._ranking._bands)) == len(tracks)
     twins = traffic._by_identity
     assert sum(map(len, twins.values())) == len(tracks)
-    assert all(1 <= len(group) <= 4 for group in twins.values())
+    assert all(1 <= len(group) <= 16 for group in twins.values())
     assert len(traffic._sources) <= 4 * max_tracks
     assert len(traffic._assembler) <= 256
     assert traffic._assembler.held_bytes() <= 256 * (17 + 30 * 23)

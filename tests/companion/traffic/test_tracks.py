@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 
@@ -254,8 +255,28 @@ def test_tracks_under_one_identity_are_bounded_and_the_true_one_stays():
     for k in range(40):
         listener.hear(10.0 + k, basic("X"), location(north_m=100.0, east_m=5.0 * k, timestamp_s=10.0 + k))
         listener.hear(10.1 + k, location(north_m=300.0 * (k + 2), timestamp_s=10.1 + k))
-        assert len(listener.tracks) <= 4
+        assert len(listener.tracks) <= 16
         assert any(abs(t.position_ned_m[0] - 100.0) < 1.0 for t in listener.tracks.values())
+
+
+@pytest.mark.parametrize(
+    ("begins_s", "nearest_m", "farthest_m"), [(0, 500, 5000), (5, 500, 5000), (5, 40, 90)]
+)
+def test_a_copied_name_that_leaps_about_does_not_drive_out_its_owner(begins_s, nearest_m, farthest_m):
+    """Ten copies a second, each elsewhere and from another address; the owner speaks once a second."""
+    listener, draw = Listener(), random.Random(1)
+    for tenth in range(250):
+        now_s = 10.0 + 0.1 * tenth
+        stamp = {"timestamp_s": round(now_s, 1)}
+        if tenth % 10 == 0:
+            east_m = 0.5 * tenth
+            listener.hear(now_s, basic("X"), location(100.0, east_m, **stamp), address="owner")
+        if tenth >= 10 * begins_s:
+            away_m, angle = draw.uniform(nearest_m, farthest_m), draw.uniform(0.0, math.tau)
+            copy = location(away_m * math.cos(angle), away_m * math.sin(angle), **stamp)
+            listener.hear(now_s, basic("X"), copy, address=f"copy {tenth}")
+        places = [t.position_ned_m[:2] for t in listener.tracks.values()]
+        assert any(math.dist(place, (100.0, east_m)) < 15.0 for place in places)
 
 
 def test_the_names_arrival_keeps_the_newer_track():
@@ -358,6 +379,36 @@ def test_two_of_one_name_that_were_never_heard_apart_are_two():
         listener.hear(13.2 + k, basic("X"), report, address=address)
     places = sorted(t.position_ned_m[0] for t in listener.tracks.values())
     assert places == pytest.approx([100.0, 140.0], abs=0.01)
+
+
+@pytest.mark.parametrize("lead_s", [0.0, 4.0])
+def test_a_copied_name_cannot_draw_the_track_away_from_its_owner(lead_s):
+    """Ten copies a second from another address, 5 m farther aside each second, to 20 m."""
+    listener = Listener()
+    for tenth in range(200):
+        now_s = 10.0 + 0.1 * tenth
+        along = {"north_m": 300.0 - 0.5 * tenth, "direction_deg": 180.0}
+        if tenth % 10 == 0:
+            listener.hear(now_s, basic("X"), location(**along, timestamp_s=round(now_s, 1)), address="owner")
+        if tenth > 20:
+            aside = {"east_m": min(20.0, 0.5 * tenth - 10.0), "timestamp_s": round(now_s + lead_s, 1)}
+            listener.hear(now_s, basic("X"), location(**along, **aside), address="copy")
+        now = [
+            [p + n.age_s * v for p, v in zip(n.position_ned_m, n.velocity_ned_mps, strict=True)]
+            for n in listener.traffic.neighbours(now_s)
+        ]
+        assert min(math.dist(place[:2], (along["north_m"], 0.0)) for place in now) < 5.0
+    assert len(listener.tracks) == 2
+
+
+def test_an_aircraft_with_two_addresses_on_one_transport_is_no_more_than_two_tracks():
+    """Both bands of a Wi-Fi transmitter, in turns."""
+    listener = Listener()
+    for half in range(60):
+        now_s = 10.0 + 0.5 * half
+        told = location(east_m=2.5 * half, timestamp_s=round(now_s, 1))
+        listener.hear(now_s, basic("X"), told, address="ab"[half % 2])
+    assert len(listener.tracks) == 2
 
 
 def test_an_aircraft_that_changes_its_address_stays_one():

@@ -119,6 +119,28 @@ def test_one_that_is_silent_does_not_keep_the_others_from_being_made_safe():
     assert heard.told == [FlightMode.HOLD]
 
 
+def test_one_that_fails_in_a_way_of_its_own_does_not_either():
+    broken, heard = Made(PX4, "AUTO.MISSION"), Made(PX4, "AUTO.MISSION")
+    heard.name = "vehicle 2"
+    broken.ours = heard.ours = frozenset({"AUTO.MISSION"})
+    broken.set_mode = lambda _: broken.messages["none"]["such"]  # type: ignore[method-assign]
+    done = fleet_of(broken, heard).make_safe()
+    assert "its own failsafe decides" in done["vehicle 1"]
+    assert heard.told == [FlightMode.HOLD]
+
+
+def test_one_whose_mission_does_not_start_is_still_ours():
+    """It hovers where our take-off has left it."""
+    vehicle = Made(ARDUPILOT, "GUIDED")
+    vehicle.ours, vehicle.refuses = vehicle.modes.climbing, True
+    fleet = fleet_of(vehicle)
+    with pytest.raises(VehicleError, match="refused"):
+        fleet.start()
+    vehicle.refuses = False
+    assert "holds" in fleet.make_safe()["vehicle 1"]
+    assert vehicle.told[-1] is FlightMode.HOLD
+
+
 def test_a_mission_that_begins_in_the_air_is_not_started_on_the_ground():
     vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
     fleet = fleet_of(vehicle)
@@ -188,6 +210,18 @@ def test_a_companion_may_fly_a_conflict_out():
     assert "is in STABILIZE, not AUTO or GUIDED, by a pilot or a failsafe" in (
         waiting(vehicle, WAYPOINT, seq=1) or ""
     )
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_moment_in_another_mode_is_forgotten_by_the_next_step():
+    vehicle = Made(ARDUPILOT, "LOITER")
+    fleet = fleet_of(vehicle)
+    fleet._must_fly_in(vehicle, {"AUTO"})
+    steps.time.sleep(60.0)
+    vehicle.mode = "GUIDED"  # As it is for a moment after it was told to land.
+    with pytest.raises(VehicleError, match="is in GUIDED, not"):
+        fleet.land()
+    assert steps.time.monotonic() > 63.0
 
 
 @pytest.mark.usefixtures("clock")

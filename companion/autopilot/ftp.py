@@ -1,0 +1,121 @@
+"""A few constant files for MAVLink FTP: the serving side, for reading only (mavlink.io, services/ftp).
+
+A payload in, a payload out: the client asks again for what got lost, and the same request has the same
+answer. A burst is one packet long, which the protocol allows: the client asks for the next one.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import NamedTuple
+
+PAYLOAD_BYTES = 251
+"""Of FILE_TRANSFER_PROTOCOL."""
+DATA_BYTES = 239
+"""Of them, those behind the header."""
+MOST_SESSIONS = 8
+"""Open files of all clients together; the one opened first is closed for the next."""
+_HEAD = struct.Struct("<HBBBBBxI")
+_U32 = struct.Struct("<I")
+# MAV_FTP_OPCODE.
+_NONE, _TERMINATE, _RESET, _OPEN, _READ, _CRC, _BURST, _ACK, _NAK = 0, 1, 2, 4, 5, 14, 15, 128, 129
+# MAV_FTP_ERR.
+_DATA_SIZE, _SESSION, _EOF, _UNKNOWN, _NOT_FOUND = 3, 4, 6, 7, 10
+
+
+class Reply(NamedTuple):
+    """What is sent back."""
+
+    payload: bytes
+    """`PAYLOAD_BYTES` of it."""
+    refused: bool
+    """A NAK, other than the end of the file."""
+
+
+class _NakError(Exception):
+    """Carries the MAV_FTP_ERR."""
+
+    def __init__(self, error: int) -> None:
+        super().__init__()
+        self.error = error
+
+
+def crc32(data: bytes) -> int:
+    """MAVLink's CRC-32: that of zlib without the inversion at both ends (mavlink.io, guide/crc)."""
+    return zlib.crc32(data, 0xFFFF_FFFF) ^ 0xFFFF_FFFF
+
+
+def is_request(payload: bytes) -> bool:
+    """Whether a payload asks for something: an ACK or a NAK must not be answered."""
+    return payload[3] < _ACK
+
+
+def sequence(payload: bytes) -> int:
+    """A request sent again has the same number."""
+    return payload[0] | payload[1] << 8
+
+
+class FileServer:
+    """Answers for the files; a session is a client's own number for a file that it has opened."""
+
+    def __init__(self, files: Mapping[str, bytes]) -> None:
+        """Serve these, by their path from the root, without a slash in front."""
+        self._files = {path.encode("ascii"): data for path, data in files.items()}
+        self._open: dict[tuple[int, int, int], bytes] = {}
+        """System, component and session -> the file, in order of opening."""
+
+    def reply(self, system_id: int, component_id: int, request: bytes) -> Reply:
+        """One request of a client; whatever its bytes are, there is an answer.
+
+        Args:
+            request: the payload, `PAYLOAD_BYTES` long.
+        """
+        seq, session, opcode, size, _, _, offset = _HEAD.unpack_from(request)
+        key, refused = (system_id, component_id, session), False
+        try:
+            if size > DATA_BYTES:
+                raise _NakError(_DATA_SIZE)
+            kind, data = _ACK, self._answer(key, opcode, size, offset, request[_HEAD.size :][:size])
+        except _NakError as nak:
+            kind, data, refused = _NAK, bytes((nak.error,)), nak.error != _EOF
+        head = _HEAD.pack((seq + 1) & 0xFFFF, session, kind, len(data), opcode, opcode == _BURST, offset)
+        return Reply((head + data).ljust(PAYLOAD_BYTES, b"\0"), refused)
+
+    def _answer(self, key: tuple[int, int, int], opcode: int, size: int, offset: int, data: bytes) -> bytes:
+        """The data of the ACK."""
+        if opcode == _NONE:
+            return b""
+        if opcode == _TERMINATE:
+            self._open.pop(key, None)
+            return b""
+        if opcode == _RESET:
+            # A client closes its own files, not those of another.
+            self._open = {k: file for k, file in self._open.items() if k[:2] != key[:2]}
+            return b""
+        if opcode == _OPEN:
+            file = self._file(data)
+            self._open.pop(key, None)
+            if len(self._open) >= MOST_SESSIONS:
+                del self._open[next(iter(self._open))]
+            self._open[key] = file
+            return _U32.pack(len(file))
+        if opcode == _CRC:
+            return _U32.pack(crc32(self._file(data)))
+        if opcode not in (_READ, _BURST):
+            raise _NakError(_UNKNOWN)
+        if key not in self._open:
+            raise _NakError(_SESSION)
+        if size == 0:
+            raise _NakError(_DATA_SIZE)
+        piece = self._open[key][offset : offset + size]
+        if not piece:
+            raise _NakError(_EOF)
+        return piece
+
+    def _file(self, path: bytes) -> bytes:
+        file = self._files.get(path.split(b"\0", 1)[0].removeprefix(b"/"))
+        if file is None:
+            raise _NakError(_NOT_FOUND)
+        return file

@@ -1,0 +1,31 @@
+"""How the suite is spread over the workers of pytest-xdist."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from companion.avoidance import kernels
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A file of real processes, which wait, to every three that compute; many small ones come last."""
+    files = dict.fromkeys(item.path for item in items)
+    waiting = [file for file in files if file.parent.name == "integration"]
+    computing = [file for file in reversed(files) if file not in waiting]
+    turn = {file: 3 * n - 0.5 for n, file in enumerate(waiting)}
+    turn |= {file: float(n) for n, file in enumerate(computing)}
+    items.sort(key=lambda item: turn[item.path])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Two more than cores, which are free while others wait."""
+    return len(os.sched_getaffinity(0)) + 2
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes() -> None:
+    """Compile once what in a fresh clone all workers, and the processes that they start, would compile."""
+    kernels.warm_up()
