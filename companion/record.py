@@ -59,26 +59,69 @@ def read(stream: BinaryIO, name: str) -> Iterator[Record]:
     Raises:
         PeerDataError: this is no event record, or a record inside the file is damaged (names the offset).
     """
-    magic = stream.read(len(MAGIC))
-    if magic != MAGIC and magic[:-1] == MAGIC[:-1]:
-        raise PeerDataError(
-            f"{name}: event record of format {magic[-1:]!r}; this version reads {MAGIC[-1:]!r}: "
-            "use the version that wrote it (its number stands in manifest.json)"
-        )
-    if magic != MAGIC:
-        raise PeerDataError(f"{name}: not an event record (it does not begin with {MAGIC!r})")
-    offset = len(MAGIC)
-    while len(head := stream.read(_HEAD.size)) == _HEAD.size:
+    return Reader(stream, name).records()
+
+
+class Reader:
+    """Reads the records of a file, on where it stopped when the file has grown.
+
+    Args:
+        stream: the file, at its beginning; it is sought in only where a torn record is read again.
+        name: what to call it in errors.
+    """
+
+    def __init__(self, stream: BinaryIO, name: str) -> None:
+        self._stream = stream
+        self._name = name
+        self._offset = 0
+        self._torn = False
+
+    def records(self) -> Iterator[Record]:
+        """Yield what is whole and was not yielded before.
+
+        Raises:
+            PeerDataError: this is no event record, or a record inside the file is damaged (names the offset).
+        """
+        if self._torn:
+            self._stream.seek(self._offset)
+            self._torn = False
+        if self._offset == 0:
+            self._magic()
+        while (body := self._body()) is not None:
+            try:
+                entry = _decoder.decode(body)
+            except msgspec.DecodeError as error:
+                raise self._damaged(str(error)) from error
+            self._offset += _HEAD.size + len(body)
+            yield entry
+
+    def _magic(self) -> None:
+        magic = self._stream.read(len(MAGIC))
+        if magic != MAGIC and magic[:-1] == MAGIC[:-1]:
+            raise PeerDataError(
+                f"{self._name}: event record of format {magic[-1:]!r}; this version reads {MAGIC[-1:]!r}: "
+                "use the version that wrote it (its number stands in manifest.json)"
+            )
+        if magic != MAGIC:
+            raise PeerDataError(f"{self._name}: not an event record (it does not begin with {MAGIC!r})")
+        self._offset = len(MAGIC)
+
+    def _body(self) -> bytes | None:
+        """The next record's; None where it is not whole."""
+        head = self._stream.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            self._torn = True
+            return None
         length, crc = _HEAD.unpack(head)
         if length > _MAX_RECORD:
-            raise PeerDataError(f"{name}: byte {offset}: record of {length} bytes, at most {_MAX_RECORD}")
-        body = stream.read(length)
+            raise self._damaged(f"record of {length} bytes, at most {_MAX_RECORD}")
+        body = self._stream.read(length)
         if len(body) < length:
-            return
+            self._torn = True
+            return None
         if zlib.crc32(body) != crc:
-            raise PeerDataError(f"{name}: byte {offset}: checksum differs")
-        try:
-            yield _decoder.decode(body)
-        except msgspec.DecodeError as error:
-            raise PeerDataError(f"{name}: byte {offset}: {error}") from error
-        offset += _HEAD.size + length
+            raise self._damaged("checksum differs")
+        return body
+
+    def _damaged(self, words: str) -> PeerDataError:
+        return PeerDataError(f"{self._name}: byte {self._offset}: {words}")

@@ -37,8 +37,8 @@ class Look:
     radius_m: float
 
 
-def blueprint(scene: Scene, pairs: Sequence[Separation], look: Look | None) -> Any:
-    """The views of a run."""
+def blueprint(scene: Scene, pairs: Sequence[Separation], look: Look | None, *, live: bool = False) -> Any:
+    """The views of a run. `live`: at its newest time, which goes on."""
     import rerun.blueprint as rrb
 
     required = max((pair.required_m for pair in pairs), default=None)
@@ -54,6 +54,7 @@ def blueprint(scene: Scene, pairs: Sequence[Separation], look: Look | None) -> A
             active_tab=0,
         ),
         rrb.Tabs(*(_lane(rrb, scene, name, f"/{lane}/**") for name, lane in LANES.items()), active_tab=0),
+        live=live,
     )
 
 
@@ -111,7 +112,14 @@ def comparison(
 
 
 def _opened(
-    rrb: Any, scenes: Sequence[Scene], space: Any, plots: Any, lanes: Any, events: str = "Events"
+    rrb: Any,
+    scenes: Sequence[Scene],
+    space: Any,
+    plots: Any,
+    lanes: Any,
+    events: str = "Events",
+    *,
+    live: bool = False,
 ) -> Any:
     """Space at the left, the rest beside it, playing the encounter."""
     return rrb.Blueprint(
@@ -132,8 +140,8 @@ def _opened(
         rrb.TimePanel(
             timeline=WHOLE if scenes[0].encounter is None else ENCOUNTER,
             state="collapsed",
-            play_state="playing",
-            loop_mode="all",
+            play_state="following" if live else "playing",
+            loop_mode="off" if live else "all",
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="hidden"),

@@ -65,3 +65,16 @@ def test_another_file_is_refused_in_one_line():
 def test_a_record_of_another_version_is_told_apart():
     with pytest.raises(PeerDataError, match="format b'1'; this version reads b'4'"):
         list(record.read(io.BytesIO(b"DMUCAEV1" + b"\0" * 20), "old.events"))
+
+
+def test_a_growing_file_is_read_on_from_where_it_stopped(tmp_path):
+    path = tmp_path / "a.events"
+    path.write_bytes(record.MAGIC)
+    found = []
+    with path.open("rb") as stream, path.open("ab") as end:
+        reader = record.Reader(stream, "a.events")
+        for at in range(len(record.MAGIC), len(DATA)):
+            end.write(DATA[at : at + 1])
+            end.flush()
+            found += reader.records()
+    assert found == [HEADER, STEP, STEP]

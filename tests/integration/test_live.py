@@ -1,0 +1,78 @@
+"""A flying companion with `inspect --live` beside it: neither the bridge nor the viewer reaches the flight."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from companion import record
+from tests.integration.conftest import Child
+from tests.integration.test_companion_run import fly
+
+pytest.importorskip("rerun")
+
+PART_S = 5.0
+TICK_S = 0.05
+
+
+def opened_by(pid: int) -> dict[Path, int]:
+    """Files a process has open, and how (O_ flags)."""
+    found = {}
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        flags = Path(f"/proc/{pid}/fdinfo/{link.name}").read_text().split("flags:\t")[1].split()[0]
+        found[Path(os.readlink(link))] = int(flags, 8)
+    return found
+
+
+def child_of(pid: int) -> int:
+    """The only process that a process started."""
+    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return int(child)
+
+
+def missed(times: list[float], start_s: float, end_s: float) -> float:
+    """Share of the ticks of a time that did not come."""
+    inside = [t for t in times if start_s <= t <= end_s]
+    lost = sum(round((b - a) / TICK_S) - 1 for a, b in zip(inside[:-1], inside[1:], strict=True))
+    return lost / (len(inside) + lost)
+
+
+def test_the_loop_keeps_its_time_while_the_viewer_is_watched_hangs_and_dies(start, tmp_path):
+    _, companion = fly(start, tmp_path, "ardupilot")
+    (folder,) = (tmp_path / "runs").iterdir()
+    marks = [time.monotonic()]
+
+    def part(seconds: float = PART_S) -> None:
+        time.sleep(seconds)  # a flight of that length is what is measured
+        marks.append(time.monotonic())
+
+    part()
+    live: Child = start("ground_tools.cli", "inspect", folder, "--live")
+    live.wait_for("live at http://127.0.0.1:")
+    marks[-1] = time.monotonic()
+    viewer = child_of(live.process.pid)
+    files = opened_by(live.process.pid)
+    assert files[folder / "TEST1.events"] & os.O_ACCMODE == os.O_RDONLY
+    assert {path for path in files if folder in path.parents} == {folder / "TEST1.events"}
+    part()
+    os.kill(viewer, signal.SIGSTOP)
+    part()
+    os.kill(viewer, signal.SIGKILL)
+    assert live.process.wait(60.0) == 2
+    assert "rerun's web viewer ended with exit code -9" in live.output
+    part(2.0)
+    assert companion.end() == 0
+    assert "fault" not in companion.output
+
+    with (folder / "TEST1.events").open("rb") as stream:
+        times = [entry.now_s for entry in record.read(stream, "e") if isinstance(entry, record.Step)]
+    # Steps are stamped with the same clock as the marks.
+    assert times[0] < marks[0] < marks[-1] < times[-1] + 1.0
+    shares = [missed(times, a, b) for a, b in zip(marks[:-1], marks[1:], strict=True)]
+    print("missed", shares)
+    # Drawing takes cores of this machine, so beside the flight alone a few ticks more may be late.
+    assert max(shares[1:]) <= shares[0] + 0.1, f"alone, watched, hung, after it: {shares}"
