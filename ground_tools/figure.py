@@ -40,13 +40,28 @@ def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[
     if path.is_dir() or not path.parent.is_dir():
         why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise ConfigError(f"--out: {path}: cannot be written: {why}")
+    with styled(size_in) as figure:
+        yield figure
+        try:
+            figure.savefig(path, dpi=dpi)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"--out: {path}: cannot be written: {error}") from error
+
+
+@contextmanager
+def styled(size_in: tuple[float, float], **style: Any) -> Iterator[Any]:
+    """An empty figure (width, height in inches) in the style, with matplotlib's settings in `style` over it.
+
+    Raises:
+        ConfigError: matplotlib is not installed.
+    """
     try:
         import matplotlib
     except ImportError as error:
         raise ConfigError(
             "matplotlib is not installed; in the checkout: pip install -e '.[inspect]'"
         ) from error
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(_STYLE | style):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
         from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -54,7 +69,3 @@ def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[
         figure = Figure(figsize=size_in, layout=ConstrainedLayoutEngine(h_pad=0.1))
         FigureCanvasAgg(figure)
         yield figure
-        try:
-            figure.savefig(path, dpi=dpi)
-        except (OSError, ValueError) as error:
-            raise ConfigError(f"--out: {path}: cannot be written: {error}") from error

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from companion.errors import ConfigError
-from ground_tools.inspect import recording, summary
+from ground_tools.inspect import compare, recording, report, summary, tables
 from ground_tools.inspect.read_run import read_run
 
 EXAMPLE = "example: ground-tools inspect runs/20260101T000000Z-demo, then: rerun runs/.../inspect.rrd"
@@ -23,7 +23,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--summary", action="store_true", help="print the figures and write no recording")
     parser.add_argument(
-        "--json", action="store_true", help="like --summary, one JSON object per run and line"
+        "--compare", action="store_true", help="print how two or more runs differ, aligned at take-off"
+    )
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help="write one run as a page that prints, and no recording",
+    )
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="like --summary (--compare: that), one JSON object per run and line",
     )
 
 
@@ -37,12 +48,28 @@ def run(args: argparse.Namespace) -> int:
     figures_only = args.summary or args.json
     if args.save is not None and (len(folders) > 1 or figures_only):
         raise ConfigError("--save: goes with one run, and not with --summary or --json")
+    if args.compare:
+        if args.save is not None or args.report is not None:
+            raise ConfigError("--compare: goes with neither --save nor --report")
+        differences = compare.compare([read_run(folder) for folder in folders])
+        if args.json:
+            print(json.dumps(differences))
+        else:
+            compare.show(differences, tables.console())
+        return 0
+    if args.report is not None:
+        if len(folders) > 1 or args.save is not None:
+            raise ConfigError("--report: goes with one run, and not with --save")
+        one = read_run(folders[0])
+        report.write(one, summary.describe(one), args.report)
+        print(f"wrote {args.report}")
+        return 0
     for folder in folders:
         one = read_run(folder)
         if args.json:
             print(json.dumps(summary.describe(one)))
             continue
-        print(summary.text(summary.describe(one)))
+        tables.show(summary.describe(one), tables.console())
         if not figures_only:
             path = args.save or folder / "inspect.rrd"
             recording.write(one, path)

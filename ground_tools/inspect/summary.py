@@ -1,4 +1,5 @@
-"""A run in figures: closest approaches, what each aircraft sent, heard and decided, what is damaged."""
+"""A run in figures: closest approaches and what was done, each flight, manoeuvre and broadcast, what went
+wrong and what is damaged or missing."""
 
 from __future__ import annotations
 
@@ -8,23 +9,36 @@ import msgspec
 
 from companion.avoidance.alerts import Level
 from companion.events import AlertChanged, AuthorityChanged
-from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect import air, flight, manoeuvres
+from ground_tools.inspect.flown import Separation, flown, separations
+from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.read_run import AircraftRecord, Run
+from ground_tools.inspect.tables import text as text
+
+NEAR = 3.0
+"""Pairs that stayed farther apart than so many times their limit, and never conflicted, are no conflict."""
+_SAME_TIME_S, _FAR_OFF_M = 1.5, 5.0
+_BEFORE_S = 60.0
+"""A manoeuvre that ended longer before the closest approach has nothing to do with it."""
 
 
 def describe(run: Run) -> dict[str, Any]:
-    """Figures of a run, ready for JSON.
+    """Figures of a run, ready for JSON. All times are on the common time line that `clock` names.
 
     Raises:
         ConfigError: no aircraft recorded a position.
     """
     ways = flown(run)
-    air, air_problems = _air(run.summary)
+    air_rows, air_problems = _air(run.summary)
+    pairs = separations(ways.paths)
+    done = {record.name: manoeuvres.find(record) for record in run.aircraft}
+    offsets = ways.offsets_s
     return {
         "run": run.name,
         "clock": ways.clock,
         "positions": ways.positions,
-        "aircraft": [_aircraft(record) for record in run.aircraft],
+        "conflicts": _conflicts(run, pairs, done, offsets),
+        "aircraft": [_aircraft(record, done[record.name], offsets[record.name]) for record in run.aircraft],
         "separations": [
             {
                 "pair": [pair.first, pair.second],
@@ -33,55 +47,11 @@ def describe(run: Run) -> dict[str, Any]:
                 "required_m": pair.required_m,
                 "kept": None if pair.minimum_m is None else pair.minimum_m >= pair.required_m,
             }
-            for pair in separations(ways.paths)
+            for pair in pairs
         ],
-        "air": air,
+        "air": air_rows,
         "problems": [*run.problems, *ways.problems, *air_problems],
     }
-
-
-def text(figures: dict[str, Any]) -> str:
-    """The figures of `describe` as lines a person reads."""
-    lines = [
-        f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
-        f"distances by {figures['positions']}"
-    ]
-    lines += [_aircraft_line(one) for one in figures["aircraft"]]
-    lines += [_pair_line(pair) for pair in figures["separations"]]
-    lines += [_air_line(row) for row in figures["air"]]
-    lines += [f"  problem: {problem}" for problem in figures["problems"]]
-    return "\n".join(lines)
-
-
-def _aircraft_line(one: dict[str, Any]) -> str:
-    return (
-        f"  {one['name']}: {one['duration_s']:.1f} s, {one['broadcasts']} broadcasts sent, "
-        f"{one['heard']} frames heard, {one['decisions']} decisions "
-        f"({one['conflicts']} with a conflict, {one['infeasible']} infeasible), "
-        f"{one['cautions']} cautions, {one['warnings']} warnings, "
-        f"authority {one['authority'] or 'never changed'}"
-    )
-
-
-def _pair_line(pair: dict[str, Any]) -> str:
-    names = " - ".join(pair["pair"])
-    if pair["minimum_m"] is None:
-        return f"  {names}: positions never known at one time"
-    verdict = "kept" if pair["kept"] else "LOST"
-    return (
-        f"  {names}: closest {pair['minimum_m']:.2f} m at {pair['minimum_time_s']:.2f} s "
-        f"({pair['required_m']:g} m {verdict})"
-    )
-
-
-def _air_line(row: dict[str, Any]) -> str:
-    words = f"  {row['sender']} > {row['receiver']}: {row['delivered']} of {row['sent']} frames delivered"
-    if row["information_age_mean_s"] is None:
-        return f"{words}, age of information unknown"
-    return (
-        f"{words}, age of information {row['information_age_mean_s']:.2f} s on average, "
-        f"{row['information_age_max_s']:.2f} s at most"
-    )
 
 
 def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str]]:
@@ -101,12 +71,15 @@ def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str
         return [], ["summary.json: air: not as a run writes it"]
 
 
-def _aircraft(record: AircraftRecord) -> dict[str, Any]:
+def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float) -> dict[str, Any]:
     facts = record.facts
     authority = [what.state for _, what in facts.rare if isinstance(what, AuthorityChanged)]
     levels = [what.level for _, what in facts.rare if isinstance(what, AlertChanged)]
     return {
         "name": record.name,
+        "software": None if record.header is None else record.header.software,
+        "law": None if record.header is None else record.header.config.avoidance.law,
+        "use": None if record.header is None else record.header.config.flight.use,
         "steps": facts.steps,
         "duration_s": facts.duration_s,
         "broadcasts": sum(len(times) for times in facts.sent.values()),
@@ -118,4 +91,138 @@ def _aircraft(record: AircraftRecord) -> dict[str, Any]:
         "infeasible": int((~facts.decisions.feasible).sum()),
         "oldest_track_s": max((float(track.age_s.max()) for track in facts.tracks.values()), default=None),
         "authority": authority[-1] if authority else None,
+        "flight": flight.flight(record, offset_s),
+        "manoeuvres": [_moved(manoeuvres.figures(one), offset_s) for one in done],
+        "alerts": flight.alerts(record, offset_s),
+        "remote_id": _moved_sent(air.gather(record), offset_s),
+        "faults": flight.faults(record, offset_s),
+        "missing": flight.missing(record),
     }
+
+
+def _moved(figures: dict[str, Any], offset_s: float) -> dict[str, Any]:
+    """A manoeuvre's times on the common line."""
+    for key in ("start_s", "end_s", "regained_s"):
+        figures[key] = None if figures[key] is None else figures[key] + offset_s
+    nearest = figures["nearest"]
+    nearest["time_s"] = None if nearest["time_s"] is None else nearest["time_s"] + offset_s
+    return figures
+
+
+def _moved_sent(figures: dict[str, Any], offset_s: float) -> dict[str, Any]:
+    for row in figures["sent"]:
+        row["longest_at_s"] = None if row["longest_at_s"] is None else row["longest_at_s"] + offset_s
+    return figures
+
+
+# ---------------------------------------------------------------- conflicts
+
+
+def _conflicts(
+    run: Run,
+    pairs: list[Separation],
+    done: dict[str, tuple[Manoeuvre, ...]],
+    offsets: dict[str, float],
+) -> list[dict[str, Any]]:
+    """Pairs of the run that came near or were in conflict, and heard aircraft that were, closest first."""
+    records = {record.name: record for record in run.aircraft}
+    rows = []
+    for pair in pairs:
+        if pair.minimum_m is None or pair.minimum_time_s is None:
+            continue
+        seen = [
+            (records[a], _identity(records[b]))
+            for a, b in ((pair.first, pair.second), (pair.second, pair.first))
+        ]
+        conflicted = any(_in_conflict(record, track) for record, track in seen)
+        if not conflicted and pair.minimum_m > NEAR * pair.required_m:
+            continue
+        rows.append(
+            {
+                "pair": [pair.first, pair.second],
+                "time_s": pair.minimum_time_s,
+                "minimum_m": pair.minimum_m,
+                "required_m": pair.required_m,
+                "kept": pair.minimum_m >= pair.required_m,
+                "by": "positions",
+                "done": [
+                    _what_was_done(record, track, done[record.name], at_s)
+                    + _taken_to_be(record, track, at_s, pair.minimum_m)
+                    for record, track in seen
+                    for at_s in (pair.minimum_time_s - offsets[record.name],)
+                ],
+            }
+        )
+    own = {_identity(record) for record in run.aircraft}
+    for record in run.aircraft:
+        for track, facts in sorted(record.facts.tracks.items()):
+            if track in own or not facts.conflict.any():
+                continue
+            row = int(facts.distance_m.argmin())
+            least, at_s = float(facts.distance_m[row]), float(facts.now_s[row])
+            rows.append(
+                {
+                    "pair": [record.name, track],
+                    "time_s": at_s + offsets[record.name],
+                    "minimum_m": least,
+                    "required_m": None,
+                    "kept": None,
+                    "by": "ADS-B, as predicted aboard" if facts.adsb else "Remote ID, as predicted aboard",
+                    "done": [_what_was_done(record, track, done[record.name], at_s)],
+                }
+            )
+    return sorted(rows, key=lambda row: (row["minimum_m"], row["pair"]))
+
+
+def _identity(record: AircraftRecord) -> str:
+    """What others know the aircraft by."""
+    return record.name if record.header is None else record.header.config.identity.uas_id
+
+
+def _in_conflict(record: AircraftRecord, track: str) -> bool:
+    facts = record.facts.tracks.get(track)
+    return facts is not None and bool(facts.conflict.any())
+
+
+def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ...], at_s: float) -> str:
+    """By one aircraft about a track, around a time of its own clock."""
+    near = [
+        one
+        for one in done
+        if track in one.tracks and one.start_s <= at_s + manoeuvres.GAP_S and one.end_s >= at_s - _BEFORE_S
+    ]
+    if near:
+        ways = "; ".join(
+            f"{'taken out of its mission, ' if one.guarded else ''}"
+            f"{manoeuvres.change(one.strongest.wanted_ned_mps, one.strongest.chosen_ned_mps)} "
+            f"for {one.end_s - one.start_s:.1f} s"
+            for one in near
+        )
+        return f"{record.name} {ways}"
+    return f"{record.name} {_why_nothing(record, track)}"
+
+
+def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: float) -> str:
+    """What the law took the distance to be then, where that is far from what it was."""
+    facts = record.facts.tracks.get(track)
+    if facts is None:
+        return ""
+    row = int(abs(facts.now_s - at_s).argmin())
+    seen_m = float(facts.distance_m[row])
+    if abs(float(facts.now_s[row]) - at_s) > _SAME_TIME_S or abs(seen_m - distance_m) < _FAR_OFF_M:
+        return ""
+    return f" (it took the distance to be {seen_m:.1f} m then)"
+
+
+def _why_nothing(record: AircraftRecord, track: str) -> str:
+    if record.header is None:
+        return "has no companion in its log"
+    config = record.header.config
+    if config.flight.use == "watch":
+        return "only watched"
+    if config.avoidance.law == "none":
+        return 'did nothing: law "none"'
+    facts = record.facts.tracks.get(track)
+    if facts is None:
+        return "did nothing: not seen by its law"
+    return "did nothing about it" if facts.conflict.any() else "did nothing: no conflict for its law"

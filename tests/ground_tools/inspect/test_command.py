@@ -64,12 +64,9 @@ def test_summary_shows_what_the_air_let_through(run_folder: Path, capsys: pytest
     mute = {"sender": "DMUCA002", "receiver": "DMUCA001", "sent": 9, "delivered": 0, **dict.fromkeys(ages)}
     (run_folder / "summary.json").write_text(json.dumps({"air": [row, mute]}))
     assert inspect(run_folder, "--summary") == 0
-    out = capsys.readouterr().out
-    assert (
-        "DMUCA001 > DMUCA002: 130 of 500 frames delivered, age of information 0.50 s on average, 2.25 s"
-        in out
-    )
-    assert "DMUCA002 > DMUCA001: 0 of 9 frames delivered, age of information unknown" in out
+    out = " ".join(capsys.readouterr().out.split())
+    assert "DMUCA001 DMUCA002 500 130 0.50 2.25" in out
+    assert "DMUCA002 DMUCA001 9 0 - -" in out
 
 
 @pytest.mark.parametrize("air", [3, [3], [{}], [{"sender": 1}], "x", None])

@@ -1,0 +1,364 @@
+"""The figures of a run in the terminal.
+
+What comes from logs (identities, texts) is hostile: it is printed as plain text, without markup, and
+characters that steer a terminal are shown as their codes.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+PIPED_WIDTH = 120
+"""Characters a line where there is no terminal."""
+_MOST_ROWS = 40
+"""Of one table; what is left out is counted, and stands whole in --json."""
+
+
+def plain(text: object) -> str:
+    """The text with every character that is not printable as its code."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """A figure, or "-" where it is not known."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def text(figures: dict[str, Any]) -> str:
+    """The figures of `summary.describe` as a terminal of `PIPED_WIDTH` shows them, without colour."""
+    stream = io.StringIO()
+    show(figures, Console(file=stream, width=PIPED_WIDTH, color_system=None, force_terminal=False))
+    return stream.getvalue().rstrip("\n")
+
+
+def console() -> Console:
+    """What to print to: the terminal, or a fixed width where the output is piped."""
+    found = Console(highlight=False)
+    return found if found.is_terminal else Console(highlight=False, width=PIPED_WIDTH, color_system=None)
+
+
+def show(figures: dict[str, Any], console: Console) -> None:
+    """Print the figures of `summary.describe`."""
+    line(console, head(figures), "bold")
+    for words in verdicts(figures):
+        bad = any(mark in words for mark in ("LOST", "NOT"))
+        line(console, f"  {words}", "bold red" if bad else "")
+    for words in damage(figures):
+        line(console, f"  {words}", "yellow")
+    console.print()
+    for title, rows in sections(figures):
+        show_table(console, title, rows)
+    for one in figures["aircraft"]:
+        for row in one["manoeuvres"]:
+            line(console, f"{one['name']}, {row['start_s']:.1f} to {row['end_s']:.1f} s", "bold")
+            for words in sentences(row):
+                console.print(Padding(Text(plain(words)), (0, 0, 0, 2), expand=False))
+
+
+def head(figures: dict[str, Any]) -> str:
+    """Which run it is, and by what its times and distances are."""
+    return (
+        f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
+        f"distances by {figures['positions']}"
+    )
+
+
+def verdicts(figures: dict[str, Any]) -> list[str]:
+    """What matters first, one line each: separation, Remote ID, manoeuvres, faults."""
+    known = [row for row in figures["separations"] if row["minimum_m"] is not None]
+    lost = [row for row in known if not row["kept"]]
+    found = []
+    if known:
+        least = known[0]
+        how = f"kept by {len(known)} of {len(known)} pairs"
+        if lost:
+            how = f"LOST by {len(lost)} of {len(known)} pairs"
+        found.append(
+            f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
+            f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {kept(least['kept'])})"
+        )
+    else:
+        found.append("Separation: no two aircraft of this run were known at one time")
+    found += _verdicts_on_remote_id(figures["aircraft"])
+    for words, key in (("manoeuvres", "manoeuvres"), ("faults and warnings", "faults")):
+        found.append(f"{sum(len(one[key]) for one in figures['aircraft'])} {words}")
+    return found
+
+
+def _verdicts_on_remote_id(aircraft: Sequence[dict[str, Any]]) -> list[str]:
+    found = []
+    regions: dict[str, list[dict[str, Any]]] = {}
+    for one in aircraft:
+        if one["remote_id"]["region"] is not None:
+            regions.setdefault(one["remote_id"]["region"], []).append(one)
+    for region, members in regions.items():
+        rows = [row for one in members for row in one["remote_id"]["sent"] if row["kept"] is not None]
+        broken = [
+            one["name"]
+            for one in members
+            if one["remote_id"]["not_legal_s"] > 0.0
+            or any(row["kept"] is False for row in one["remote_id"]["sent"])
+        ]
+        if broken:
+            found.append(f"Remote ID: floor of region {region} NOT kept by {', '.join(broken)}")
+        elif rows:
+            found.append(f"Remote ID: floor of region {region} kept by all {len(members)}")
+        else:
+            found.append(f"Remote ID: region {region} sets no floor for what was sent")
+    return found
+
+
+def damage(figures: dict[str, Any]) -> list[str]:
+    """What is damaged or missing, one line each."""
+    gone = [f"missing: {one['name']}: {words}" for one in figures["aircraft"] for words in one["missing"]]
+    problems = [f"problem: {words}" for words in figures["problems"]]
+    return [*problems, *(f"note: {words}" for words in figures.get("notes", ())), *gone]
+
+
+def sentences(row: dict[str, Any]) -> list[str]:
+    """A manoeuvre in words: why, what was done, what came of it; then each alternative."""
+    found = [row[key] for key in ("why", "done", "came") if row[key]]
+    return [*found, *(f"- {words}" for words in row["instead"])]
+
+
+Rows = list[list[str]]
+"""The first one is the head."""
+
+
+def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
+    """Every table of a run: title and rows; such as have no rows are left out."""
+    aircraft = figures["aircraft"]
+    found = [
+        ("Conflicts", _conflicts(figures["conflicts"])),
+        ("Other pairs", _separations(figures)),
+        ("Flights", _flights(aircraft)),
+        ("Modes", _spans(aircraft, "modes", "mode")),
+        ("Who flew", _spans(aircraft, "authority", "state", "reason")),
+        ("Manoeuvres", _manoeuvres(aircraft)),
+        ("Remote ID sent", _sent(aircraft)),
+        ("Remote ID heard", _heard(aircraft)),
+        ("Age of information when the law decided", _ages(aircraft)),
+        ("The simulated air, by the run's own summary", _air(figures["air"])),
+        ("Faults and warnings", _faults(aircraft)),
+    ]
+    return [(title, rows) for title, rows in found if len(rows) > 1]
+
+
+def kept(value: bool | None) -> str:
+    """A verdict in words."""
+    return {True: "kept", False: "LOST", None: "-"}[value]
+
+
+def alarming(row: Sequence[str]) -> bool:
+    """Whether a row of a table tells of a loss or of something not kept."""
+    return any(cell.startswith(("LOST", "NOT ")) or cell == "NO" for cell in row)
+
+
+def _conflicts(rows: Sequence[dict[str, Any]]) -> Rows:
+    head = ["pair", "at (s)", "closest (m)", "limit (m)", "", "what was done"]
+    return [head] + [
+        [
+            " - ".join(row["pair"]),
+            number(row["time_s"]),
+            number(row["minimum_m"], 2),
+            number(row["required_m"]),
+            kept(row["kept"]) if row["by"] == "positions" else row["by"],
+            "; ".join(row["done"]),
+        ]
+        for row in rows
+    ]
+
+
+def _separations(figures: dict[str, Any]) -> Rows:
+    """Of the pairs that were in no conflict."""
+    told = [row["pair"] for row in figures["conflicts"]]
+    return [["pair", "at (s)", "closest (m)", "limit (m)", ""]] + [
+        [
+            " - ".join(row["pair"]),
+            number(row["minimum_time_s"]),
+            number(row["minimum_m"], 2) if row["minimum_m"] is not None else "never known at one time",
+            number(row["required_m"]),
+            kept(row["kept"]),
+        ]
+        for row in figures["separations"]
+        if row["pair"] not in told
+    ]
+
+
+def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = ["aircraft", "record (s)", "armed (s)", "flown (m)", "fastest (m/s)", "highest (m)"]
+    head += ["in conflict", "not kept", "cautions", "warnings", "use", "law"]
+    return [head] + [
+        [
+            one["name"],
+            number(one["duration_s"]),
+            number(one["flight"]["armed_s"]),
+            number(one["flight"]["distance_m"], 0),
+            number(one["flight"]["max_speed_mps"]),
+            number(one["flight"]["max_height_m"]),
+            *(str(one[key]) for key in ("conflicts", "infeasible", "cautions", "warnings")),
+            one["use"] or "-",
+            one["law"] or "-",
+        ]
+        for one in aircraft
+    ]
+
+
+def _spans(aircraft: Sequence[dict[str, Any]], key: str, state: str, reason: str | None = None) -> Rows:
+    head = ["aircraft", "from (s)", "to (s)", state] + ([reason] if reason else [])
+    return [head] + [
+        [
+            one["name"],
+            number(row["from_s"]),
+            number(row["to_s"]),
+            row[state],
+            *([row[reason]] if reason else []),
+        ]
+        for one in aircraft
+        for row in one["flight"][key]
+    ]
+
+
+def _manoeuvres(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = [
+        "aircraft",
+        "from (s)",
+        "to (s)",
+        "because of",
+        "would have come (m)",
+        "in (s)",
+        "nearest then (m)",
+    ]
+    head += ["off the path (m)", "other limits", "feasible"]
+    return [head] + [
+        [
+            one["name"],
+            number(row["start_s"]),
+            number(row["end_s"]),
+            ", ".join(row["tracks"]) or ", ".join(row["limits"]),
+            number(row["closest_m"]),
+            number(row["time_to_closest_s"]),
+            number(row["nearest"]["distance_m"]),
+            number(row["deviation_m"]),
+            ", ".join(row["limits"]) or "-",
+            "yes" if row["feasible"] else "NO",
+        ]
+        for one in aircraft
+        for row in one["manoeuvres"]
+    ]
+
+
+def _sent(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = [
+        "aircraft",
+        "region",
+        "transport",
+        "message",
+        "sent",
+        "a second",
+        "longest gap (s)",
+        "legal (s)",
+        "",
+    ]
+    rows = [
+        [
+            one["name"],
+            one["remote_id"]["region"] or "-",
+            row["transport"],
+            row["message"],
+            str(row["count"]),
+            number(row["rate_hz"], 2),
+            number(row["longest_s"], 2),
+            number(row["legal_s"], 2),
+            f"NOT kept: {row['over_legal']} times" if row["kept"] is False else kept(row["kept"]),
+        ]
+        for one in aircraft
+        for row in one["remote_id"]["sent"]
+    ]
+    for one in aircraft:
+        told = one["remote_id"]
+        if told["not_legal_s"] > 0.0:
+            because = "; ".join(told["not_legal_because"])
+            words = f"NOT legal for {told['not_legal_s']:.1f} s: {because}"
+            rows.append([one["name"], told["region"] or "-", "", "", "", "", "", "", words])
+    return [head, *rows]
+
+
+def _heard(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = [
+        "aircraft",
+        "from",
+        "transport",
+        "frames",
+        "lost",
+        "silent (s)",
+        "latency: median",
+        "95 %",
+        "worst (s)",
+    ]
+    found = [head]
+    for one in aircraft:
+        for row in one["remote_id"]["heard"]:
+            late = row["latency"] or {}
+            lost = "not known" if row["lost"] is None else f"{row['lost']} of {row['lost_of']}"
+            found.append(
+                [
+                    one["name"],
+                    ", ".join(row["identities"]) or row["address"],
+                    row["transport"],
+                    str(row["frames"]),
+                    lost,
+                    number(row["longest_silence_s"], 2),
+                    *(number(late.get(key), 2) for key in ("median_s", "p95_s", "worst_s")),
+                ]
+            )
+    return found
+
+
+def _ages(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    return [["aircraft", "track", "median (s)", "95 % (s)", "worst (s)"]] + [
+        [one["name"], row["track"], *(number(row[key], 2) for key in ("median_s", "p95_s", "worst_s"))]
+        for one in aircraft
+        for row in one["remote_id"]["ages"]
+    ]
+
+
+def _faults(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    return [["aircraft", "at (s)", "what", "in words"]] + [
+        [one["name"], number(row["time_s"]), row["what"], row["text"]]
+        for one in aircraft
+        for row in one["faults"]
+    ]
+
+
+def _air(rows: Sequence[dict[str, Any]]) -> Rows:
+    found = [["from", "to", "frames", "delivered", "age: mean (s)", "worst (s)"]]
+    for row in rows:
+        ages = [number(row[key], 2) for key in ("information_age_mean_s", "information_age_max_s")]
+        found.append([row["sender"], row["receiver"], str(row["sent"]), str(row["delivered"]), *ages])
+    return found
+
+
+def line(console: Console, words: str, style: str = "") -> None:
+    """Print a line as it is, however long."""
+    console.print(Text(plain(words), style=style), soft_wrap=True)
+
+
+def show_table(console: Console, title: str, rows: Rows) -> None:
+    """Print a table, cut off after `_MOST_ROWS`."""
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
+    for words in rows[0]:
+        table.add_column(words, overflow="fold", min_width=max(map(len, words.split()), default=0))
+    for row in rows[1 : _MOST_ROWS + 1]:
+        table.add_row(*(Text(plain(cell)) for cell in row), style="bold red" if alarming(row) else "")
+    console.print(table)
+    if len(rows) > _MOST_ROWS + 1:
+        line(console, f"  {len(rows) - 1 - _MOST_ROWS} more rows: see --json")

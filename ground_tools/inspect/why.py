@@ -1,0 +1,309 @@
+"""Why a velocity was chosen: the half-spaces of one logged decision, and what else could have been flown.
+
+A `Decision` tells what the law saw, wanted and chose. Its half-spaces are made from that by the law's own
+`kernels.decide`, never by a second implementation. That is not bit for bit what was computed in flight,
+because a `Decision` does not hold all that went in; what is missing is taken so:
+
+- our share: 1 for crewed traffic, one half for all others (in flight also 1 for what cannot manoeuvre);
+- accuracies: such that the radius is the logged one;
+- the second half-space of a track that fell silent (where it would stand): left out;
+- the floor where none is configured: 15 m above home, or the height flown where that is less.
+
+Where none of these differs they are the flight's to within rounding, given the own velocities that the record
+holds (`Explainer.note`); a test compares them with the heart's.
+
+Which of them bound the velocity is the log's own word (`TrackView.active`, `Decision.limits`), not taken from
+these. For the exact planes run the heart again (`companion.replay`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.avoidance import kernels as k
+from companion.avoidance.law import (
+    LEAST_MARGIN_M,
+    LIMITS,
+    LOOK_S,
+    QUANTUM_MPS,
+    SIGMAS,
+    horizon_s,
+    on_plane,
+    separation_m,
+    settings_of,
+)
+from companion.avoidance.limits import effective
+from companion.avoidance.plan import LEAST_HEIGHT_M, LEAST_LAYER_M
+from companion.avoidance.trajectory import Trajectory
+from companion.avoidance.walls import walls_of
+from companion.config import AvoidanceConfig, Config
+from companion.events import Decision, FenceArea, TrackView, Vec3, VehicleParameters
+from companion.geometry import LocalFrame
+from companion.traffic.right_of_way import CREWED, FREE, share_of
+
+KEPT_MPS = k.SLACK_MPS
+"""A half-space that lacks no more than this is kept."""
+TURNS_DEG = (15, 30, 45, 60, 75, 90)
+_USUAL_TURN_DEG = 45
+_AHEAD_S = 60.0
+_LEAST_SPEED_MPS = 0.3
+"""Of a velocity whose direction can be turned."""
+
+
+@dataclass(frozen=True, slots=True)
+class HalfSpace:
+    """Velocities v (NED, m/s) with normal . v >= least_mps are allowed."""
+
+    cause: str
+    """Track, or one of `law.LIMITS`."""
+    track: bool
+    normal_ned: Vec3
+    """Unit, into what is allowed."""
+    least_mps: float
+    active: bool
+    """It bounded the velocity that was found, by the log."""
+
+    @property
+    def point_ned_mps(self) -> Vec3:
+        """The plane's point nearest to zero velocity."""
+        n, e, d = self.normal_ned
+        return (n * self.least_mps, e * self.least_mps, d * self.least_mps)
+
+    def short_mps(self, velocity: Vec3) -> float:
+        """What a velocity lacks to be allowed; 0 or less: it is."""
+        return self.least_mps - sum(a * b for a, b in zip(self.normal_ned, velocity, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A velocity that could have been flown, and what it led to if every track kept its own."""
+
+    name: str
+    velocity_ned_mps: Vec3
+    closest_track: str | None
+    """The track it would have come nearest to within the law's look ahead; None without any track."""
+    closest_m: float | None
+    """Slant distance."""
+    closest_in_s: float | None
+    enters: tuple[str, ...]
+    """Tracks whose volume (separation and margin) it would have entered."""
+    excluded_by: tuple[tuple[str, float], ...]
+    """Constraints that it breaks, and by how much (m/s), the most first."""
+    from_wanted_mps: float
+    """How far it is from the wanted velocity: of what is allowed the law takes the nearest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One decision, explained."""
+
+    half_spaces: tuple[HalfSpace, ...]
+    alternatives: tuple[Alternative, ...]
+    """What the law found first: the command follows it as fast as the acceleration limit lets it."""
+
+
+class Explainer:
+    """Explains decisions of one aircraft; what it is noted beforehand makes the half-spaces truer."""
+
+    def __init__(self, config: Config) -> None:
+        """
+        Args:
+            config: of the record's header.
+        """
+        self.configure(config, None, config.fence)
+        self._state = np.zeros(k.STATE_ENTRIES)
+        self._times, self._velocities = np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3))
+
+    def configure(
+        self, config: Config, vehicle: VehicleParameters | None, areas: Sequence[FenceArea]
+    ) -> None:
+        """What counts from now on.
+
+        Args:
+            vehicle: the vehicle's own limits, as far as known.
+            areas: the fence that is flown within.
+        """
+        self._avoidance: AvoidanceConfig = config.avoidance
+        self._configured = config.limits
+        self._limits = effective(config.limits, vehicle)
+        self._areas = tuple(areas)
+
+    def note(self, now_s: float, velocity_ned_mps: Vec3) -> None:
+        """Keep the own velocity before a decision, as the heart does at every step."""
+        k.note_velocity(self._state, self._times, self._velocities, now_s, *velocity_ned_mps)
+
+    def look(
+        self, now_s: float, decision: Decision, height_m: float | None = None, sigma_m: float = 0.0
+    ) -> Look:
+        """Half-spaces and alternatives of a decision.
+
+        Args:
+            height_m: own height above home; None: no floor and no ceiling are known.
+            sigma_m: own horizontal standard deviation, by which a fence's margin grows.
+        """
+        spaces, solved = self._half_spaces(now_s, decision, height_m, sigma_m)
+        speed, climb = self._limits.max_speed_mps, self._limits.max_climb_mps
+        found = self._alternative("as the law found", solved, decision, spaces)
+        wanted = self._alternative("keep on as wanted", decision.wanted_ned_mps, decision, spaces)
+        others = [self._alternative("stop", (0.0, 0.0, 0.0), decision, spaces)]
+        n, e, _ = decision.wanted_ned_mps
+        if math.hypot(n, e) >= _LEAST_SPEED_MPS:
+            others += [self._turn(side, decision, spaces) for side in (1, -1)]
+        for name, down in (
+            ("climb", -min(climb, speed)),
+            ("descend", min(self._limits.max_descent_mps, speed)),
+        ):
+            level = math.sqrt(max(speed * speed - down * down, 0.0))
+            share = min(level / max(math.hypot(n, e), 1e-9), 1.0)
+            others.append(
+                self._alternative(
+                    f"{name} at {abs(down):.1f} m/s", (share * n, share * e, down), decision, spaces
+                )
+            )
+        return Look(spaces, (found, wanted, *others))
+
+    def _turn(self, side: int, decision: Decision, spaces: tuple[HalfSpace, ...]) -> Alternative:
+        """The smallest of `TURNS_DEG` that is allowed; without any, the usual one."""
+        n, e, d = decision.wanted_ned_mps
+        found: dict[int, Alternative] = {}
+        for degrees in TURNS_DEG:
+            c, s = math.cos(math.radians(degrees)), side * math.sin(math.radians(degrees))
+            name = f"turn {'right' if side > 0 else 'left'} by {degrees} deg"
+            found[degrees] = self._alternative(name, (c * n - s * e, s * n + c * e, d), decision, spaces)
+            if not found[degrees].excluded_by:
+                return found[degrees]
+        return found[_USUAL_TURN_DEG]
+
+    def _half_spaces(
+        self, now_s: float, decision: Decision, height_m: float | None, sigma_m: float
+    ) -> tuple[tuple[HalfSpace, ...], Vec3]:
+        """The half-spaces, and the velocity that the law finds in them."""
+        here, want = decision.position_ned_m, decision.wanted_ned_mps
+        # Through here at the wanted velocity: what the law then prefers is just that.
+        straight = Trajectory(
+            [-_AHEAD_S, _AHEAD_S],
+            [
+                (here[0] + t * want[0], here[1] + t * want[1], here[2] + t * want[2])
+                for t in (-_AHEAD_S, _AHEAD_S)
+            ],
+        )
+        settings = settings_of(self._avoidance, self._limits, straight)
+        fence = walls_of(self._areas, LocalFrame(*decision.origin), None, 0.0)
+        tracks = decision.tracks
+        neighbours = np.zeros((len(tracks) + 1, k.NEIGHBOUR_COLUMNS))
+        for row, track in zip(neighbours, tracks, strict=False):
+            self._neighbour(row, track, decision, sigma_m)
+        own = np.zeros(k.OWN_ENTRIES)
+        own[:6] = *here, *decision.velocity_ned_mps
+        own[k.O_SIGMA], own[k.O_NOW], own[k.O_PATH_TIME] = sigma_m, now_s, 0.0
+        own[k.O_FLOOR], own[k.O_CEILING] = self._boundaries(here[2], height_m)
+        # Copies: the history goes on as if nobody had looked.
+        state, times, velocities = self._state.copy(), self._times.copy(), self._velocities.copy()
+        history = state[k.L_HISTORY]
+        k.begin(state, settings)
+        state[k.L_HISTORY] = history
+        planes = np.zeros((k.DOWN_SPEEDS + len(fence) + 2 * len(tracks) + 1, 4))
+        view, out = np.zeros((len(neighbours), k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
+        k.decide(
+            neighbours,
+            len(tracks),
+            own,
+            *straight.arrays,
+            fence,
+            settings,
+            state,
+            times,
+            velocities,
+            planes,
+            np.zeros_like(planes),
+            view,
+            out,
+        )
+        solved = out[k.R_SOLVED : k.R_SOLVED + 3].tolist()
+        found = []
+        for number, plane in enumerate(planes[: int(out[k.R_HARD])].tolist()):
+            cause = LIMITS[min(number, k.DOWN_SPEEDS)]
+            active = cause in decision.limits and (number < k.DOWN_SPEEDS or on_plane(plane, solved))
+            found.append(HalfSpace(cause, False, (plane[0], plane[1], plane[2]), plane[3], active))
+        for track, seen in zip(tracks, view.tolist(), strict=False):
+            n, e, d, least = seen[k.V_PLANE : k.V_STANDING]
+            found.append(HalfSpace(track.track_id, True, (n, e, d), least, track.active))
+        return tuple(found), (solved[0], solved[1], solved[2])
+
+    def _neighbour(self, row: k.Array, track: TrackView, decision: Decision, own_sigma_m: float) -> None:
+        """Fill one row: where it was at its message, and what makes its radius the logged one."""
+        crewed = self._crewed(track)
+        age = max(track.age_s, 0.0)
+        margin = track.radius_m - separation_m(self._avoidance, crewed)[0] - QUANTUM_MPS * age
+        row[:3] = [p - age * v for p, v in zip(track.position_ned_m, track.velocity_ned_mps, strict=True)]
+        row[3:6] = track.velocity_ned_mps
+        row[k.N_AGE] = age
+        sigma = max(margin, LEAST_MARGIN_M) / SIGMAS
+        row[k.N_SIGMA] = math.sqrt(max(sigma * sigma - own_sigma_m * own_sigma_m, 0.0))
+        row[k.N_SHARE] = share_of(FREE, CREWED if crewed else FREE)
+        # The kernel predicts who tells no height to exactly our own.
+        row[k.N_VERTICAL] = track.position_ned_m[2] != decision.position_ned_m[2]
+        row[k.N_CREWED] = crewed
+
+    def _crewed(self, track: TrackView) -> bool:
+        return track.adsb and track.radius_m >= separation_m(self._avoidance, True)[0]
+
+    def _boundaries(self, down_m: float, height_m: float | None) -> tuple[float, float]:
+        """NED down of floor and ceiling."""
+        if height_m is None:
+            return math.inf, -math.inf
+        floor, ceiling = self._configured.floor_height_m, self._configured.ceiling_height_m
+        if floor is None:
+            below = math.inf if ceiling is None else ceiling - LEAST_LAYER_M
+            floor = min(LEAST_HEIGHT_M, height_m, below)
+        highest = -math.inf if ceiling is None else down_m + height_m - ceiling
+        return down_m + height_m - floor, highest
+
+    def _alternative(
+        self, name: str, velocity: Vec3, decision: Decision, spaces: tuple[HalfSpace, ...]
+    ) -> Alternative:
+        nearest: tuple[float, float, str] | None = None
+        enters = []
+        for track in decision.tracks:
+            crewed = self._crewed(track)
+            away = [a - b for a, b in zip(track.position_ned_m, decision.position_ned_m, strict=True)]
+            closing = [a - b for a, b in zip(velocity, track.velocity_ned_mps, strict=True)]
+            if away[2] == 0.0:  # its height is not known
+                closing[2] = 0.0
+            look = max(LOOK_S, horizon_s(self._avoidance, crewed))
+            t, near2 = k.closest(away[0], away[1], away[2], closing[0], closing[1], closing[2], look)
+            if nearest is None or near2 < nearest[0]:
+                nearest = near2, t, track.track_id
+            scale = separation_m(self._avoidance, crewed)[1]
+            if self._avoidance.law == "paper":
+                scale = 1.0
+            _, near2 = k.closest(
+                away[0], away[1], scale * away[2], closing[0], closing[1], scale * closing[2], look
+            )
+            if near2 < track.radius_m * track.radius_m:
+                enters.append(track.track_id)
+        short = [(space.cause, space.short_mps(velocity)) for space in spaces]
+        worst: dict[str, float] = {}
+        for cause, missing in short:
+            if missing > KEPT_MPS:
+                worst[cause] = max(worst.get(cause, 0.0), missing)
+        return Alternative(
+            name=name,
+            velocity_ned_mps=velocity,
+            closest_track=None if nearest is None else nearest[2],
+            closest_m=None if nearest is None else math.sqrt(nearest[0]),
+            closest_in_s=None if nearest is None else nearest[1],
+            enters=tuple(enters),
+            excluded_by=tuple(sorted(worst.items(), key=lambda pair: (-pair[1], pair[0]))),
+            from_wanted_mps=math.dist(velocity, decision.wanted_ned_mps),
+        )
+
+
+def alternatives(decision: Decision, config: Config) -> Look:
+    """Explain one decision alone: the own velocity is taken to have been the same before, and neither floor
+    nor ceiling is known (`Explainer` knows more)."""
+    return Explainer(config).look(0.0, decision)

@@ -1,0 +1,84 @@
+"""Records of real hearts: guarded missions that meet. Parts of records that a test makes itself."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from companion import record
+from companion.avoidance.authority import State
+from companion.config import Config
+from companion.events import AnyCommand, AnyEvent, Decision, Firmware, GlobalPosition, TrackView, Vec3
+from companion.record import Header, Step
+from ground_tools.inspect.read_run import AircraftRecord, read_run
+from tests.sitl_mocks.guarding import head_on
+
+
+@functools.cache
+def guarded() -> tuple[tuple[Config, tuple[Step, ...]], ...]:
+    """ONE guards its mission and meets TWO, which only broadcasts, head on; the mission is resumed."""
+    sky = head_on(Firmware.ARDUPILOT)
+    one = sky.aircraft[0]
+    sky.until(lambda: one.state is State.AVOIDING)
+    sky.until(lambda: one.state is State.WATCHING)
+    sky.run(3.0)
+    return tuple((a.config, tuple(a.steps)) for a in sky.aircraft)
+
+
+def write(folder: Path, config: Config, steps: Iterable[Step]) -> Path:
+    """The event record of one aircraft, in a folder that is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    name = config.identity.uas_id
+    entries = (Header(aircraft=name, software="test", config=config), *steps)
+    path = folder / f"{config.identity.file_name}.events"
+    path.write_bytes(record.MAGIC + b"".join(record.encode(entry) for entry in entries))
+    return path
+
+
+def read(folder: Path, config: Config, steps: Iterable[Step]) -> AircraftRecord:
+    """The same, read back."""
+    write(folder, config, steps)
+    return read_run(folder).aircraft[0]
+
+
+def track(name: str = "TWO", **over: Any) -> TrackView:
+    """Head on, 200 m ahead of who flies north and 1 m above it, closing at 10 m/s in all."""
+    values: dict[str, Any] = {
+        "position_ned_m": (200.0, 0.0, -51.0),
+        "velocity_ned_mps": (-5.0, 0.0, 0.0),
+        "age_s": 1.0,
+        "radius_m": 14.0,
+        "conflict": True,
+        "active": True,
+        "time_to_closest_s": 20.0,
+        "closest_m": 1.0,
+    }
+    return TrackView(track_id=name, **(values | over))
+
+
+def decision(
+    *tracks: TrackView, chosen: Vec3 = (5.0, 0.0, 0.0), wanted: Vec3 = (5.0, 0.0, 0.0), **over: Any
+) -> Decision:
+    """Of one that flies north at 5 m/s, 50 m above the origin."""
+    values: dict[str, Any] = {
+        "origin": (47.397, 8.545, 400.0),
+        "position_ned_m": (0.0, 0.0, -50.0),
+        "velocity_ned_mps": (5.0, 0.0, 0.0),
+        "feasible": True,
+    }
+    return Decision(wanted_ned_mps=wanted, chosen_ned_mps=chosen, tracks=tracks, **(values | over))
+
+
+def step(now_s: float, *commands: AnyCommand, events: tuple[AnyEvent, ...] = ()) -> Step:
+    """One with a position, so that the record can be drawn."""
+    place = GlobalPosition(
+        time_boot_s=now_s,
+        lat_deg=47.397 + 4.5e-5 * now_s,
+        lon_deg=8.545,
+        alt_msl_m=450.0,
+        height_above_home_m=50.0,
+        velocity_ned_mps=(5.0, 0.0, 0.0),
+    )
+    return Step(now_s=now_s, events=(place, *events), commands=commands)

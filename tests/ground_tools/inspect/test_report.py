@@ -1,0 +1,214 @@
+"""The report stands alone, prints, shows what it should, and takes nothing from a log for markup."""
+
+import argparse
+import html.parser
+import re
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from companion.config import Config, FlightConfig, IdentityConfig
+from companion.errors import ConfigError
+from companion.events import AlertChanged, AuthorityChanged, Broadcast, VehicleText
+from companion.remote_id.messages import Location
+from ground_tools.inspect import command, plots, report
+from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.summary import describe
+from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
+
+pytest.importorskip("matplotlib")
+EVIL = "<script>alert(1)</script>$x_{\\frac}$\"'&\x1b[2J"
+CHROMIUM = Path("/usr/bin/chromium")
+
+
+class Page(html.parser.HTMLParser):
+    """Tags, attributes and words of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += attrs
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def inspect(*arguments: object) -> int:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return command.run(parser.parse_args([str(a) for a in arguments]))
+
+
+def page(folder: Path) -> str:
+    run = read_run(folder)
+    return report.page(run, describe(run))
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The page of a run in which everything that may be named is named by an enemy."""
+    folder = tmp_path_factory.mktemp("hostile") / "<b>run"
+    for name in ("ONE" + EVIL[:20], "TWO" + EVIL[:20]):
+        steps = [
+            step(
+                k / 5,
+                decision(track(EVIL), chosen=(4, 3, 0)),
+                Broadcast(transport="wifi" if k % 2 else "nan", messages=(Location(),)),
+                *(
+                    [
+                        AlertChanged(
+                            track_id=EVIL,
+                            level=2,
+                            reason=EVIL,
+                            time_to_closest_s=1.0,
+                            horizontal_m=1.0,
+                            vertical_m=1.0,
+                            acting=True,
+                        )
+                    ]
+                    if k == 5
+                    else []
+                ),
+                AuthorityChanged(previous="guarding", state=EVIL, trigger="x", reason=EVIL),
+                events=(VehicleText(severity=1, text=EVIL),),
+            )
+            for k in range(40)
+        ]
+        write(folder, Config(identity=IdentityConfig(uas_id=name), flight=FlightConfig(use="fly")), steps)
+    (folder / "manifest.json").write_text('{"what": "<img src=x>"}')
+    return page(folder)
+
+
+@pytest.fixture(scope="module")
+def guard(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """A guarded vehicle that was taken, and its page."""
+    folder = tmp_path_factory.mktemp("guard")
+    for config, steps in guarded():
+        write(folder, config, steps)
+    return SimpleNamespace(folder=folder, page=page(folder))
+
+
+def test_nothing_of_a_log_is_markup(hostile: str) -> None:
+    found = Page(hostile)
+    assert "script" not in found.tags
+    assert "img" not in found.tags
+    assert "b" not in found.tags
+    words = "".join(found.words)
+    assert "<script>alert(1)</script>" in words
+    assert "$x_{\\\\frac}$" in words or "$x_{\\frac}$" in words
+    assert "\x1b" not in words
+    assert "made by <img src=x>" in words
+
+
+def test_nothing_is_fetched(hostile: str) -> None:
+    found = Page(hostile)
+    for name, value in found.attributes:
+        if name in ("src", "href", "xlink:href", "data", "action"):
+            assert (value or "").startswith("#"), (name, value)
+    assert "@import" not in hostile
+    assert re.findall(r"url\((?!#)", hostile) == []
+    assert ("content", "default-src 'none'; style-src 'unsafe-inline'") in found.attributes
+
+
+def test_every_plot_and_manoeuvre_is_there(guard: SimpleNamespace) -> None:
+    text = guard.page
+    found = Page(text)
+    titles = ["Conflicts", "Paths from above", "Separation", "Who flew, modes and alerts", "Height", "Speeds"]
+    titles += ["Age of information", "Broadcasts", "Flights", "Manoeuvres", "Every manoeuvre"]
+    assert [t for t in titles if f"<h2>{t}</h2>" not in text] == []
+    assert found.tags.count("svg") == 8  # seven plots and one velocity space
+    words = "".join(found.words)
+    assert "would have come within 1.0 m of TWO in 30.3 s" in words
+    assert "turn right by 15 deg" in words
+    assert "break-inside: avoid" in text
+    assert text.count("<svg") == text.count("</svg>")
+    assert len(text) < 1_500_000
+
+
+def test_the_same_run_makes_the_same_page(guard: SimpleNamespace) -> None:
+    assert page(guard.folder) == guard.page
+
+
+def test_damage_stands_at_the_top(run_folder: Path) -> None:
+    path = run_folder / "DMUCA002.events"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    words = page(run_folder)
+    assert words.index("problem: DMUCA002.events: byte") < words.index("<h2>")
+
+
+def test_a_minimum_survives_the_thinning(run_folder: Path) -> None:
+    import numpy as np
+
+    time = np.arange(100_000.0)
+    values = np.full(100_000, 50.0)
+    values[77_777], values[:50] = 3.0, np.nan
+    short_time, short = plots.lowest(time, values)
+    assert len(short) < 3000
+    assert np.nanmin(short) == 3.0
+    assert short_time[np.nanargmin(short)] == 77_777.0
+
+
+def test_separation_draws_the_limit_and_the_pair(run_folder: Path) -> None:
+    drawing = plots.separation(separations(flown(read_run(run_folder)).paths))
+    assert "limit 10 m" in drawing
+    assert "DMUCA001 - DMUCA002" in drawing
+
+
+def test_the_command_writes_it(run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert inspect(run_folder, "--report", tmp_path / "r.html") == 0
+    assert (tmp_path / "r.html").read_text().startswith("<!DOCTYPE html>")
+    assert f"wrote {tmp_path / 'r.html'}" in capsys.readouterr().out
+    assert not (run_folder / "inspect.rrd").exists()
+
+
+@pytest.mark.parametrize("arguments", [["second"], ["--save", "x.rrd"]])
+def test_it_goes_with_one_run(run_folder: Path, arguments: list[str]) -> None:
+    with pytest.raises(ConfigError, match="--report"):
+        inspect(run_folder, *arguments, "--report", "x.html")
+
+
+def test_a_report_that_cannot_be_written_is_said(run_folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--report: no/such/x.html: cannot be written: No such file"):
+        inspect(run_folder, "--report", "no/such/x.html")
+
+
+def test_missing_matplotlib_is_one_line_of_advice(run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ConfigError, match="matplotlib is not installed"):
+        inspect(run_folder, "--report", "x.html")
+
+
+@pytest.mark.skipif(not CHROMIUM.exists(), reason="no chromium")
+def test_a_browser_shows_it_without_a_word_or_a_request(hostile: str, tmp_path: Path) -> None:
+    playwright = pytest.importorskip("playwright.sync_api")
+    path = tmp_path / "r.html"
+    path.write_text(hostile, encoding="utf-8")
+    told: list[str] = []
+    asked: list[str] = []
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox"])
+        shown = browser.new_page(viewport={"width": 1000, "height": 800})
+        shown.on("console", lambda message: told.append(message.text))
+        shown.on("pageerror", lambda error: told.append(str(error)))
+        shown.on("dialog", lambda dialog: told.append(dialog.message))
+        shown.on("request", lambda request: asked.append(request.url))
+        shown.goto(path.as_uri())
+        sizes = shown.evaluate("[...document.querySelectorAll('svg')].map(s => s.getBBox().width)")
+        wide = shown.evaluate("document.documentElement.scrollWidth")
+        browser.close()
+    assert told == []
+    assert asked == [path.as_uri()]
+    assert len(sizes) >= 7
+    assert all(size > 100 for size in sizes)
+    assert wide <= 1000
