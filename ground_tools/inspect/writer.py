@@ -321,8 +321,11 @@ class Writer:
 
     def _notes(self, name: str, notes: Sequence[Note]) -> None:
         if notes:
+            who = [self._scene.name] if self._scene.name else []
+            if name in self._aircraft:
+                who.append(name)
             columns = self._rr.TextLog.columns(
-                text=[f"{name}: {note.text}" if name in self._aircraft else note.text for note in notes],
+                text=[": ".join([" ".join(who), note.text] if who else [note.text]) for note in notes],
                 level=[note.level for note in notes],
             )
             self._send(self._entity("events", name), np.array([note.time_s for note in notes]), columns)

@@ -226,7 +226,7 @@ def test_the_encounter_counts_from_the_first_conflict_and_holds_what_lies_around
 @pytest.mark.parametrize(
     ("conflicts", "bounds"),
     [
-        ([50.0, 41.0, 60.0, 90.0], (31.0, 41.0, 80.0)),
+        ([50.0, 41.0, 60.0, 90.0, 150.0], (31.0, 41.0, 80.0)),
         ([5.0], (-5.0, 5.0, 25.0)),
         ([float(t) for t in range(0, 1000, 10)], (-10.0, 0.0, 300.0)),
     ],
@@ -342,6 +342,8 @@ def test_runs_are_compared_from_their_take_off(tmp_path: Path, made: SimpleNames
     assert len(shades) == 2
     assert packed(LIMIT) not in shades
     assert found.fixed("/runs/second/speed/a/flown", "names") == ["second a flown"]
+    texts = [text for _, (text,) in found.column("/runs/second/events/a", "text")]
+    assert all(text.startswith("second a: ") for text in texts)
 
 
 def test_runs_of_timed_paths_are_compared_from_the_paths_start(tmp_path: Path, made: SimpleNamespace) -> None:
@@ -406,6 +408,8 @@ def test_arrows_lead_where_the_velocity_does(tmp_path: Path, made: SimpleNamespa
     found = Read(tmp_path / "a.rrd")
     assert found.column("/aircraft/a/wanted", "vectors")[5][1] == [pytest.approx([10.0, 5.0, 15.0])]
     assert found.column("/aircraft/a/chosen", "vectors")[5][1] == [pytest.approx([0.0, 15.0, -2.5])]
+    # A second after the start, 5 m north of the frame's origin.
+    assert found.column("/aircraft/a/wanted", "origins")[5][1] == [pytest.approx([0.0, 5.0, 0.0], abs=0.05)]
     assert found.column("/speed/a/chosen", "scalars")[5][1] == [pytest.approx(np.hypot(3.0, 0.5))]
 
 
