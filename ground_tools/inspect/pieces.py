@@ -46,9 +46,12 @@ from companion.record import Step
 from companion.remote_id.messages import BasicId, Location
 from ground_tools.inspect.flown import Array, from_frame, to_ned
 from ground_tools.inspect.scene import Aircraft
+from ground_tools.inspect.why import Explainer, HalfSpace
 
 HELD_S = 5.0
 """A conflict that comes back within this time is the same one."""
+BOUNDS_S = 1.0
+"""Between two looks at the half-spaces: each is a decision of the law made anew."""
 UNKNOWN = ""
 """State of a lane of which nothing is known, or nothing to be said."""
 
@@ -76,6 +79,18 @@ class Places:
     """(n, 3) in the scene's frame."""
     rssi_dbm: Array
     """(n,) NaN where the radio does not tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """The active half-spaces of tracks at one decision."""
+
+    time_s: float
+    position_ned_m: Array
+    """(3,) own, in the scene's frame."""
+    velocity_ned_mps: Array
+    """(3,) that was chosen."""
+    half_spaces: tuple[HalfSpace, ...]
 
 
 @dataclass(slots=True)
@@ -110,6 +125,7 @@ class Piece:
     """(k,)"""
     setpoint_mps: Array
     """(k,) speed that was commanded."""
+    bounds: tuple[Bound, ...]
     heard: dict[str, Places]
     """By radio address, or "adsb" and the ICAO address."""
     notes: list[Note] = field(default_factory=list)
@@ -123,6 +139,7 @@ class _Rows:
     decisions: list[tuple[float, Decision]] = field(default_factory=list)
     setpoints: list[tuple[float, float]] = field(default_factory=list)
     heard: dict[str, list[tuple[float, ...]]] = field(default_factory=dict)
+    bounds: list[tuple[float, Decision, tuple[HalfSpace, ...]]] = field(default_factory=list)
 
 
 class Watch:
@@ -131,6 +148,8 @@ class Watch:
     def __init__(self, aircraft: Aircraft, origin: Vec3) -> None:
         self._aircraft = aircraft
         self._origin = origin
+        self._explainer = None if aircraft.config is None else Explainer(aircraft.config)
+        self._bound_s = -math.inf
         self._names: dict[str, str] = {}
         self._last: dict[object, object] = {}
         self._start_s: float | None = None
@@ -159,6 +178,8 @@ class Watch:
         match event:
             case GlobalPosition():
                 place = (event.lat_deg, event.lon_deg, event.alt_msl_m)
+                if self._explainer is not None:
+                    self._explainer.note(time, event.velocity_ned_mps)
                 rows.own.append((time, *place, math.hypot(*event.velocity_ned_mps)))
             case RemoteIdHeard():
                 self._hear(time, event, rows)
@@ -205,6 +226,7 @@ class Watch:
             case Decision():
                 rows.decisions.append((time, command))
                 self._conflicts(time, command)
+                self._bounds(time, command, rows)
             case AuthorityChanged():
                 self._before("authority", command.previous)
                 self._state(time, "authority", command.state)
@@ -265,6 +287,14 @@ class Watch:
                 self._note(time, "ERROR", words, marked=True)
             self._infeasible_s = time
 
+    def _bounds(self, time: float, decision: Decision, rows: _Rows) -> None:
+        bound = any(track.active for track in decision.tracks)
+        if self._explainer is None or not bound or time - self._bound_s < BOUNDS_S:
+            return
+        self._bound_s = time
+        found = self._explainer.look(time, decision).half_spaces
+        rows.bounds.append((time, decision, tuple(one for one in found if one.active and one.track)))
+
     def _mode(self, time: float, name: str) -> None:
         known = self._last.get(Heartbeat)
         if self._changed(Heartbeat, name):
@@ -313,6 +343,10 @@ class Watch:
             seen_ned_m=self._in_scene(owners, [t.position_ned_m for d in made for t in d.tracks]),
             setpoint_s=setpoints[:, 0],
             setpoint_mps=setpoints[:, 1],
+            bounds=tuple(
+                Bound(time, self._in_scene([d], [d.position_ned_m])[0], np.array(d.chosen_ned_mps), spaces)
+                for time, d, spaces in rows.bounds
+            ),
             heard={address: self._places(address, found) for address, found in rows.heard.items()},
             notes=self._notes,
             states=self._states,

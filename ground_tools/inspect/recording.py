@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pymap3d
 
-from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
 from companion.events import Heartbeat, Landed, LandedState, Vec3
 from companion.record import Step
+from ground_tools.inspect import manoeuvres
 from ground_tools.inspect.blueprint import Look, blueprint, comparison
 from ground_tools.inspect.flown import (
     Array,
@@ -32,6 +32,7 @@ from ground_tools.inspect.flown import (
     separations,
 )
 from ground_tools.inspect.palette import Rgb, colour
+from ground_tools.inspect.pieces import Note
 from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.scene import Aircraft, Encounter, Scene, first_encounter
 from ground_tools.inspect.writer import Writer, rerun
@@ -152,6 +153,10 @@ def _write_run(stream: Any, shown: _Shown) -> None:
     for record in shown.run.aircraft:
         for steps in _in_pieces(record, scene, ways.offsets_s[record.name]):
             writer.steps(record.name, steps)
+        for one in manoeuvres.find(record):
+            note = Note(one.start_s + ways.offsets_s[record.name], "WARN", f"manoeuvre: {one.text}", True)
+            here = np.array([one.decision.position_ned_m])
+            writer.tell(record.name, note, from_frame(here, one.decision.origin, scene.origin)[0])
     for path in ways.paths:
         for part in _pieces(path, scene):
             n, e, d = part.position_ned_m.T
@@ -237,7 +242,7 @@ def _scene(
             name=record.name,
             rgb=colours[record.name],
             offset_s=ways.offsets_s[record.name],
-            avoidance=record.header.config.avoidance if record.header else AvoidanceConfig(),
+            config=record.header.config if record.header else None,
             undulation_m=record.facts.undulation_m,
         )
         for record in run.aircraft

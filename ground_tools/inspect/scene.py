@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.config import AvoidanceConfig
+from companion.config import AvoidanceConfig, Config
 from companion.events import Vec3
 from ground_tools.inspect.flown import Array, Separation
 
@@ -54,9 +54,15 @@ class Aircraft:
     rgb: tuple[int, int, int]
     offset_s: float = 0.0
     """What to add to its `now_s` for the common time line."""
-    avoidance: AvoidanceConfig = _DEFAULT
+    config: Config | None = None
+    """Of its record's header; None: not known."""
     undulation_m: float = 0.0
     """How far mean sea level lies above the ellipsoid."""
+
+    @property
+    def avoidance(self) -> AvoidanceConfig:
+        """As configured; the defaults where that is not known."""
+        return _DEFAULT if self.config is None else self.config.avoidance
 
 
 @dataclass(frozen=True, slots=True)

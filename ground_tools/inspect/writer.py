@@ -35,6 +35,7 @@ from ground_tools.inspect.palette import (
 )
 from ground_tools.inspect.pieces import UNKNOWN, Note, Piece, Places, Watch
 from ground_tools.inspect.scene import Aircraft, Scene
+from ground_tools.inspect.why import HalfSpace
 
 WHOLE = "time"
 ENCOUNTER = "encounter"
@@ -42,6 +43,8 @@ SHOWN_S = 3.0
 """A position is drawn until the next one, and no longer than this."""
 ARROW_S = 5.0
 """Arrows reach as far as the velocity leads in this time."""
+SQUARE_M = 6.0
+"""Half the side of the squares that half-spaces are drawn as."""
 OLD_S = 5.0
 """Predictions from information of this age are drawn grey."""
 DRAWN_S = 0.2
@@ -67,6 +70,7 @@ In space, in each aircraft's colour:
 - small points: another one as its law predicted it, the greyer the older (grey from {OLD_S:g} s on)
 - pale ellipsoid around a track: the volume that the law cleared, while that track is in its way
 - line to a track: pale while in conflict; strong while that track bounds the chosen velocity
+- square at the tip of a chosen arrow: the half-space of a track that bounds it, its tick to what is allowed
 - points of constant size: what happened there; point at one to read it
 
 Speed: thick flown, pale chosen, grey wanted. Ages: the greatest of each {AGE_S:g} s.
@@ -121,12 +125,18 @@ class Writer:
         self._own(one, piece)
         self._decisions(one, piece)
         self._tracks(one, piece)
+        self._half_spaces(one, piece)
         for address, places in piece.heard.items():
             self._heard(one, address, places)
         for lane, states in piece.states.items():
             self._lane(lane, name, states)
         self._notes(name, piece.notes)
         self._markers(one, piece)
+
+    def tell(self, name: str, note: Note, where_ned_m: Array) -> None:
+        """Something that happened to an aircraft, and where, found in more than its steps."""
+        self._notes(name, [note])
+        self._mark(name, [note], where_ned_m.reshape(1, 3))
 
     def flown(self, path: Path, latitudes: Array) -> None:
         """The next part of the path that an aircraft flew.
@@ -271,6 +281,27 @@ class Writer:
             colors=[LIMIT if track.active else pale(LIMIT) for track in found],
         )
         self._send_until_stale(lines, "LineStrips3D", piece.decided_s, columns, lengths)
+
+    def _half_spaces(self, one: Aircraft, piece: Piece) -> None:
+        """Of tracks that bound the velocity: a square on the plane where the chosen velocity leads."""
+        if not piece.bounds:
+            return
+        rr = self._rr
+        entity = self._entity("aircraft", one.name, "half-spaces")
+        self._style(entity, rr.LineStrips3D.from_fields(radii=[-1.2], show_labels=False))
+        shapes = [
+            (square(bound.position_ned_m, bound.velocity_ned_mps, space), f"{space.cause} bounds {one.name}")
+            for bound in piece.bounds
+            for space in bound.half_spaces
+        ]
+        columns = rr.LineStrips3D.columns(
+            strips=[enu(shape) for shape, _ in shapes],
+            colors=[LIMIT] * len(shapes),
+            labels=[label for _, label in shapes],
+        )
+        times = np.array([bound.time_s for bound in piece.bounds])
+        lengths = np.array([len(bound.half_spaces) for bound in piece.bounds])
+        self._send_until_stale(entity, "LineStrips3D", times, columns, lengths)
 
     def _heard(self, one: Aircraft, address: str, places: Places) -> None:
         parts = ("aircraft", one.name, "heard", address)
@@ -423,6 +454,21 @@ def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Ar
     order = np.lexsort((values, bins))
     rows = order[np.append(True, np.diff(bins[order]) > 0.0)]
     return time_s[rows], values[rows]
+
+
+def square(position_ned_m: Array, velocity_ned_mps: Array, space: HalfSpace) -> Array:
+    """(7, 3) of a line around a square on a half-space's plane, and to the side that is allowed.
+
+    Velocities are drawn from the own position, as the arrows are.
+    """
+    normal = np.array(space.normal_ned)
+    on_plane = velocity_ned_mps + normal * space.short_mps(tuple(velocity_ned_mps))
+    middle = position_ned_m + ARROW_S * on_plane
+    level = np.cross(normal, (0.0, 0.0, 1.0) if abs(normal[2]) < 0.9 else (1.0, 0.0, 0.0))
+    side = SQUARE_M * level / np.linalg.norm(level)
+    up = np.cross(normal, side)
+    corners = [middle + side + up, middle + side - up, middle - side - up, middle - side + up]
+    return np.array([middle + 0.5 * SQUARE_M * normal, middle, *corners, corners[0]])
 
 
 def enu(position_ned_m: Array) -> NDArray[np.float32]:

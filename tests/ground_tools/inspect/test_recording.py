@@ -29,6 +29,7 @@ from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.palette import AUTHORITY, LEVELS, LIMIT
 from ground_tools.inspect.read_run import read_run
 from ground_tools.inspect.scene import PIECE_S, Scene, first_encounter
+from ground_tools.inspect.why import HalfSpace
 
 pytest.importorskip("rerun")
 
@@ -410,3 +411,12 @@ def test_arrows_lead_where_the_velocity_does(tmp_path: Path, made: SimpleNamespa
     # A second after the start, 5 m north of the frame's origin.
     assert found.column("/aircraft/a/wanted", "origins")[5][1] == [pytest.approx([0.0, 5.0, 0.0], abs=0.05)]
     assert found.column("/speed/a/chosen", "scalars")[5][1] == [pytest.approx(np.hypot(3.0, 0.5))]
+
+
+def test_a_half_spaces_square_lies_on_its_plane_and_points_to_what_is_allowed() -> None:
+    space = HalfSpace("b", True, (0.6, 0.8, 0.0), 2.0, True)
+    place, velocity = np.array([10.0, 20.0, -30.0]), np.array([3.0, 1.0, 0.5])
+    line = (writer.square(place, velocity, space) - place) / writer.ARROW_S
+    assert line[1:] @ np.array(space.normal_ned) == pytest.approx(2.0)
+    assert line[0] @ np.array(space.normal_ned) > 2.0
+    assert line[1] == pytest.approx(velocity + (2.0 - 2.6) * np.array(space.normal_ned))
