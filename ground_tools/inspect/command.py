@@ -35,13 +35,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--summary", action="store_true", help="print the figures and write no recording")
     what.add_argument(
-        "--json", action="store_true", help="the same (or the differences) as JSON, one object per run and line"
+        "--json",
+        action="store_true",
+        help="the same as JSON, one object per run and line",
     )
     what.add_argument(
         "--report", type=Path, metavar="FILE.html", help="write a page that prints, and no recording"
     )
     what.add_argument(
-        "--web", action="store_true", help="then serve the recording to a browser on this machine, until Ctrl-C"
+        "--web",
+        action="store_true",
+        help="then serve it to a browser on this machine, until Ctrl-C",
     )
     what.add_argument(
         "--live",
@@ -81,7 +85,9 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace, several: bool) -> None:
     """Raises ConfigError for options that do not go together."""
     if args.save is not None and (args.summary or args.json or args.report or args.live):
-        raise ConfigError("--save: goes not with --summary, --json, --report or --live, which write no recording")
+        raise ConfigError(
+            "--save: goes not with --summary, --json, --report or --live, which write no recording"
+        )
     for name in ("save", "report", "web", "live"):
         if several and getattr(args, name):
             raise ConfigError(f"--{name}: goes with one run; of several, add --together or --compare")
