@@ -9,6 +9,7 @@ from companion.avoidance.authority import HOLDING, State
 from companion.core import Companion
 from companion.events import (
     AuthorityChanged,
+    Decision,
     DownloadMission,
     EstimatorState,
     Firmware,
@@ -99,6 +100,28 @@ def test_one_look_at_a_conflict_is_not_enough(guarded):
     bench.heart.traffic.clear()
     bench.step(40)
     assert bench.heart.state is State.WATCHING
+
+
+def test_what_is_wanted_is_what_the_vehicle_flies(guarded):
+    """A path that began only now would be taken at half the speed: the law averages over time before it."""
+    bench = guarded()
+    meet(bench)
+    wanted = [c.wanted_ned_mps for _, c in bench.log if isinstance(c, Decision)]
+    assert len(wanted) > 5
+    for velocity in wanted:
+        assert velocity == pytest.approx((3.0, 0.0, 0.0), abs=0.1)
+
+
+def test_the_way_to_the_item_begins_at_the_speed_that_was_flown(guarded):
+    bench = taken(guarded())
+    first = next(
+        c for t, c in bench.log if isinstance(c, Decision) and bench.heart.in_control and t >= taken_s(bench)
+    )
+    assert first.wanted_ned_mps == pytest.approx((3.0, 0.0, 0.0), abs=0.1)
+
+
+def taken_s(bench):
+    return next(t for t, c in bench.log if getattr(c, "trigger", "") == "conflict")
 
 
 def test_no_setpoint_before_it_is_taken(guarded):
