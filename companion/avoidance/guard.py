@@ -24,8 +24,8 @@ from companion.ownship import Ownship
 _AHEAD_S = 60.0
 """How long a path is that goes on as the vehicle flies now."""
 _BEFORE_S = 10.0
-"""A path begins so long before now, as the vehicle flies: the law takes a path's velocity on average over time
-before and after (`kernels.S_TURN`), and before its beginning a path stands still."""
+"""A path begins so long before now, as the vehicle flies: the law takes a path's velocity on average over a
+while (`kernels.S_TURN`), and before its beginning a path stands still."""
 _LEAST_SPEED_MPS = 1.0
 """On the way back to the item's place, of a vehicle that stood or had only begun to move."""
 _HERE_M = 0.5
