@@ -22,7 +22,10 @@ from companion.events import Command, MissionDownloaded, MissionItem, Vec3
 from companion.ownship import Ownship
 
 _AHEAD_S = 60.0
-"""How long a path is that goes on as the vehicle flies now; what the law wants is its beginning."""
+"""How long a path is that goes on as the vehicle flies now."""
+_BEFORE_S = 10.0
+"""A path begins so long before now, as the vehicle flies: the law takes a path's velocity on average over a
+while (`kernels.S_TURN`), and before its beginning a path stands still."""
 _LEAST_SPEED_MPS = 1.0
 """On the way back to the item's place, of a vehicle that stood or had only begun to move."""
 _HERE_M = 0.5
@@ -109,8 +112,9 @@ class GuardPlan(Plan):
         went back is that of another mission, or of a jump; what marks the mission tells of another one."""
         assert self.law is not None
         here, v = own.position_ned_m(now_s), own.velocity_ned_mps
-        there = (here[0] + _AHEAD_S * v[0], here[1] + _AHEAD_S * v[1], here[2] + _AHEAD_S * v[2])
-        self.law.follow(Trajectory([0.0, _AHEAD_S], [here, there]))
+        self.law.follow(
+            Trajectory([-_BEFORE_S, _AHEAD_S], [_moved(here, v, -_BEFORE_S), _moved(here, v, _AHEAD_S)])
+        )
         self._start_s = now_s
         self.lowest_height_m = self._height_m(own)
         back = own.mission_seq is not None and own.mission_seq < self._seq
@@ -154,7 +158,7 @@ class GuardPlan(Plan):
         if place is not None:
             lat_deg, lon_deg, height_m = place
             there = self._frame(own).to_ned(lat_deg, lon_deg, self.home_alt_msl_m + height_m)
-            path = _way(here, there, self._speed_mps, self.limits)
+            path = _way(here, own.velocity_ned_mps, there, self._speed_mps, self.limits)
             lowest_m = min(lowest_m, height_m)
         self.law.follow(path)
         self._start_s, self.lowest_height_m = now_s, lowest_m
@@ -221,11 +225,16 @@ def _standing(here: Vec3) -> Trajectory:
     return Trajectory([0.0, _STAY_S], [here, here])
 
 
-def _way(here: Vec3, there: Vec3, speed_mps: float, limits: LimitsConfig) -> Trajectory:
-    """Straight there, at the speed as far as the limits allow."""
+def _way(here: Vec3, velocity: Vec3, there: Vec3, speed_mps: float, limits: LimitsConfig) -> Trajectory:
+    """Straight there, at the speed as far as the limits allow, from how the vehicle flies now."""
     length, down = math.dist(here, there), there[2] - here[2]
     if length < _HERE_M:
         return _standing(here)
     speed = min(max(speed_mps, _LEAST_SPEED_MPS), limits.max_speed_mps)
     vertical_mps = limits.max_descent_mps if down > 0.0 else limits.max_climb_mps
-    return Trajectory([0.0, max(length / speed, abs(down) / vertical_mps)], [here, there])
+    arrival_s = max(length / speed, abs(down) / vertical_mps)
+    return Trajectory([-_BEFORE_S, 0.0, arrival_s], [_moved(here, velocity, -_BEFORE_S), here, there])
+
+
+def _moved(here: Vec3, velocity: Vec3, by_s: float) -> Vec3:
+    return here[0] + by_s * velocity[0], here[1] + by_s * velocity[1], here[2] + by_s * velocity[2]

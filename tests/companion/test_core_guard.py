@@ -9,6 +9,7 @@ from companion.avoidance.authority import HOLDING, State
 from companion.core import Companion
 from companion.events import (
     AuthorityChanged,
+    Decision,
     DownloadMission,
     EstimatorState,
     Firmware,
@@ -99,6 +100,23 @@ def test_one_look_at_a_conflict_is_not_enough(guarded):
     bench.heart.traffic.clear()
     bench.step(40)
     assert bench.heart.state is State.WATCHING
+
+
+def test_what_is_wanted_is_what_the_vehicle_flies(guarded):
+    """A path that began only now would be taken at half the speed: the law averages over time before it."""
+    bench = taken(guarded())
+    made = [(t, c.wanted_ned_mps) for t, c in bench.log if isinstance(c, Decision)]
+    before = [wanted for t, wanted in made if t < taken_s(bench)]
+    assert before
+    for wanted in before:
+        assert wanted == pytest.approx((3.0, 0.0, 0.0), abs=1e-6)
+    # The way to the item begins at the speed that was flown.
+    after = next(wanted for t, wanted in made if t >= taken_s(bench))
+    assert after == pytest.approx((3.0, 0.0, 0.0), abs=0.1)
+
+
+def taken_s(bench):
+    return next(t for t, c in bench.log if getattr(c, "trigger", "") == "conflict")
 
 
 def test_no_setpoint_before_it_is_taken(guarded):
