@@ -15,7 +15,6 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from companion import record
-from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
 from companion.record import Header, Step
 from ground_tools.inspect.blueprint import blueprint
@@ -111,7 +110,7 @@ class Bridge:
                 name,
                 colour(index),
                 to_utc[name] - zero,
-                one.header.config.avoidance if one.header else AvoidanceConfig(),
+                one.header.config if one.header else None,
                 facts[name].undulation_m,
             )
             for index, (name, one) in enumerate(self._followed.items())

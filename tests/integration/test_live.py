@@ -1,7 +1,8 @@
-"""A flying companion with `inspect --live` beside it: neither the bridge nor the viewer reaches the flight."""
+"""A flying companion with `inspect --live` beside it: neither bridge nor viewer reaches the flight."""
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import time
@@ -37,7 +38,7 @@ def child_of(pid: int) -> int:
 def missed(times: list[float], start_s: float, end_s: float) -> float:
     """Share of the ticks of a time that did not come."""
     inside = [t for t in times if start_s <= t <= end_s]
-    lost = sum(round((b - a) / TICK_S) - 1 for a, b in zip(inside[:-1], inside[1:], strict=True))
+    lost = sum(round((b - a) / TICK_S) - 1 for a, b in itertools.pairwise(inside))
     return lost / (len(inside) + lost)
 
 
@@ -72,7 +73,6 @@ def test_the_loop_keeps_its_time_while_the_viewer_is_watched_hangs_and_dies(star
         times = [entry.now_s for entry in record.read(stream, "e") if isinstance(entry, record.Step)]
     # Steps are stamped with the same clock as the marks.
     assert times[0] < marks[0] < marks[-1] < times[-1] + 1.0
-    shares = [missed(times, a, b) for a, b in zip(marks[:-1], marks[1:], strict=True)]
-    print("missed", shares)
+    shares = [missed(times, a, b) for a, b in itertools.pairwise(marks)]
     # Drawing takes cores of this machine, so beside the flight alone a few ticks more may be late.
     assert max(shares[1:]) <= shares[0] + 0.1, f"alone, watched, hung, after it: {shares}"
