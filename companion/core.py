@@ -224,11 +224,12 @@ class Companion:
             self.adsb.clear()
             self.plan.drop()
         if own.frame is not None and own.position is not None:
-            traffic.note_own(now_s, own.position_ned_m(now_s), own.velocity_ned_mps)
+            here = own.position_ned_m(now_s)
+            traffic.note_own(now_s, here, own.velocity_ned_mps)
             for frame in heard:
                 traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
             for report in seen:
-                self.adsb.take(report, now_s, own.frame, own.separation_m)
+                self.adsb.take(report, now_s, own.frame, own.separation_m, here)
         self._choose_transports(now_s, commands)
         commands += self.broadcaster.step(own, now_s)
 
