@@ -43,6 +43,7 @@ from companion.events import (
     SetSpeed,
     Settings,
     Severity,
+    TwoAutopilots,
     Vec3,
     VehicleParameters,
     VelocitySetpoint,
@@ -138,6 +139,8 @@ class Companion:
         self._healthy_s = -math.inf
         """From when on a fault may end."""
         self._refused: str | None = None
+        self._unclear: str | None = None
+        """Why it is not known which vehicle on the link is ours."""
         self._left = False
         """The pilot has left the mode by which he gives authority."""
         self._told_late_s = 0.0
@@ -212,6 +215,9 @@ class Companion:
                     commands += self.plan.take_parameters(event)
                 case ModeRefused():
                     commands += self._mode_refused(event)
+                case TwoAutopilots():
+                    self._unclear = event.reason
+                    commands.append(Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}"))
                 case Settings():
                     commands += self._take_settings(event)
                 case RcChannels():
@@ -284,6 +290,8 @@ class Companion:
         """Why the vehicle cannot be taken now, in words; None when it can: it must be armed, in the air, fit,
         and in a mode that is ours to end."""
         own = self.own
+        if self._unclear is not None:
+            return self._unclear
         if self.config.flight.use == "watch":
             return 'flight.use is "watch"'
         if not self._settings.enable:
@@ -437,6 +445,8 @@ class Companion:
         elif self._guard is not None and now_s - self._gave_back_s < _GIVING_BACK_S:
             # Not before it was asked for: the vehicle may be in our mode already, and not have said so.
             found.add(Trigger.RESUMED)
+        if self.state is State.WATCHING and self._unclear is not None:
+            found.add(Trigger.LEFT)
         return frozenset(found)
 
     def _pilot_took_over(self, now_s: float) -> bool:
@@ -591,7 +601,9 @@ class Companion:
             Trigger.HEALTHY: "own state fit again",
             Trigger.READY: f"taking the vehicle from mode {mode}",
             Trigger.WATCH: "guarding the mission that the vehicle flies",
-            Trigger.LEFT: f"the mission was left for mode {mode}",
+            Trigger.LEFT: "which vehicle is ours is not known"
+            if self._unclear is not None
+            else f"the mission was left for mode {mode}",
             Trigger.RESUMED: f"the vehicle flies its mission on at item {self.own.mission_seq}, taken for "
             f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most",
             Trigger.ENDED: f"the mission came to its end as it was given back, in mode {mode}",
