@@ -72,6 +72,9 @@ _HEALTHY_AFTER_S = 3.0
 come again are a wish to go on."""
 _REFUSED_PAUSE_S = 8.0
 """After a refused mode change, before the vehicle is asked again."""
+_LISTEN_S = 3.0
+"""Three heartbeats: a vehicle that was not configured is not taken before so long, as another one on the link
+would be heard by then."""
 _STREAM_FIRST_S = 0.5
 """PX4 enters OFFBOARD only while setpoints already stream."""
 _SURE = 3
@@ -141,6 +144,8 @@ class Companion:
         self._refused: str | None = None
         self._unclear: str | None = None
         """Why it is not known which vehicle on the link is ours."""
+        self._found_s: float | None = None
+        """When the vehicle was first heard."""
         self._left = False
         """The pilot has left the mode by which he gives authority."""
         self._told_late_s = 0.0
@@ -224,6 +229,8 @@ class Companion:
                     self._sticks.take(event)
                 case _:
                     own.take(event, now_s)
+        if self._found_s is None and own.heartbeat is not None:
+            self._found_s = now_s
         if own.frame is not self._frame:
             self._frame = own.frame
             traffic.clear()
@@ -298,6 +305,9 @@ class Companion:
             return SWITCHED_OFF
         if own.heartbeat is None or not own.heartbeat.armed:
             return "vehicle to be armed"
+        found_s = self._found_s
+        if self.config.vehicle.system_id == 0 and (found_s is None or now_s - found_s < _LISTEN_S):
+            return "other autopilots on the link to show (vehicle.system_id is not set)"
         if not self._seen_down:
             return "a landing: the vehicle was flying when this started (flight.take_in_flight)"
         if own.landed(now_s) is not Landed.IN_AIR:

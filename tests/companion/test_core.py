@@ -645,3 +645,18 @@ def test_a_second_autopilot_does_not_end_an_avoidance_nor_is_the_vehicle_taken_a
     flying.step(400)
     assert flying.heart.state is State.STANDBY
     assert flying.heart.waits_for(flying.now_s) == TWO.reason
+
+
+def test_a_vehicle_that_is_not_configured_is_taken_once_others_would_have_been_heard(make_bench):
+    """The second autopilot's first heartbeat may come a second after the first one's."""
+    took_s = []
+    for system_id in (0, 1):
+        bench = make_bench()
+        vehicle = msgspec.structs.replace(bench.heart.config.vehicle, system_id=system_id)
+        bench.heart = Companion(msgspec.structs.replace(bench.heart.config, vehicle=vehicle))
+        bench.step()
+        assert ("other autopilots" in (bench.heart.waits_for(bench.now_s) or "")) is (system_id == 0)
+        bench.until(lambda b=bench: b.heart.state is State.GUARDING)
+        took_s.append(bench.now_s)
+    assert took_s[1] < 1.0
+    assert 3.0 <= took_s[0] < 4.0

@@ -139,8 +139,25 @@ def routed(sky, done, limit_s=90.0):
 
 
 @BOTH
+def test_a_neighbour_that_is_heard_first_is_never_commanded(firmware):
+    sky = head_on(firmware, chosen=False)
+    one, two = sky.aircraft
+    one.linked = False
+    routed(sky, lambda: one.onboard.link.vehicle is not None)
+    assert one.onboard.link.vehicle.system_id == 2
+    one.linked = True
+    routed(sky, lambda: sky.now_s > 30.0)
+    assert one.states() == []
+    assert one.texts().count(TWO) == 1
+    messages = MavlinkReader().feed(b"".join(one.to_vehicle))
+    assert not [m for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    assert not [m for m in messages if m.get_type() == "COMMAND_LONG" and m.command != 511]
+    assert two.vehicle.mode is VehicleMode.MISSION
+
+
+@BOTH
 def test_a_neighbour_that_is_heard_while_we_avoid_ends_nothing(firmware):
-    sky = held(firmware)
+    sky = held(firmware, chosen=False)
     one, _ = sky.aircraft
     routed(sky, lambda: one.state is State.STANDBY)
     # The mission was given back, and is not guarded any more.
