@@ -47,7 +47,7 @@ class VehicleConfig(_Section, frozen=True):
     link: str = "udpin:127.0.0.1:14540"
     """udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD."""
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
-    """Vehicle to fly with; 0 takes the first autopilot heard."""
+    """Vehicle to fly with; 0 takes the only autopilot on the link, of two none."""
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     wait_s: Annotated[float, Meta(gt=0, le=600)] = 10.0
     """How long to wait for the vehicle's first heartbeat."""

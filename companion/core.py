@@ -43,6 +43,7 @@ from companion.events import (
     SetSpeed,
     Settings,
     Severity,
+    TwoAutopilots,
     Vec3,
     VehicleParameters,
     VelocitySetpoint,
@@ -71,6 +72,9 @@ _HEALTHY_AFTER_S = 3.0
 come again are a wish to go on."""
 _REFUSED_PAUSE_S = 8.0
 """After a refused mode change, before the vehicle is asked again."""
+_LISTEN_S = 3.0
+"""Three heartbeats: a vehicle that was not configured is not taken before so long, as another one on the link
+would be heard by then."""
 _STREAM_FIRST_S = 0.5
 """PX4 enters OFFBOARD only while setpoints already stream."""
 _SURE = 3
@@ -138,6 +142,10 @@ class Companion:
         self._healthy_s = -math.inf
         """From when on a fault may end."""
         self._refused: str | None = None
+        self._unclear: str | None = None
+        """Why it is not known which vehicle on the link is ours."""
+        self._found_s: float | None = None
+        """When the vehicle was first heard."""
         self._left = False
         """The pilot has left the mode by which he gives authority."""
         self._told_late_s = 0.0
@@ -212,23 +220,29 @@ class Companion:
                     commands += self.plan.take_parameters(event)
                 case ModeRefused():
                     commands += self._mode_refused(event)
+                case TwoAutopilots():
+                    self._unclear = event.reason
+                    commands.append(Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}"))
                 case Settings():
                     commands += self._take_settings(event)
                 case RcChannels():
                     self._sticks.take(event)
                 case _:
                     own.take(event, now_s)
+        if self._found_s is None and own.heartbeat is not None:
+            self._found_s = now_s
         if own.frame is not self._frame:
             self._frame = own.frame
             traffic.clear()
             self.adsb.clear()
             self.plan.drop()
         if own.frame is not None and own.position is not None:
-            traffic.note_own(now_s, own.position_ned_m(now_s), own.velocity_ned_mps)
+            here = own.position_ned_m(now_s)
+            traffic.note_own(now_s, here, own.velocity_ned_mps)
             for frame in heard:
                 traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
             for report in seen:
-                self.adsb.take(report, now_s, own.frame, own.separation_m)
+                self.adsb.take(report, now_s, own.frame, own.separation_m, here)
         self._choose_transports(now_s, commands)
         commands += self.broadcaster.step(own, now_s)
 
@@ -283,12 +297,17 @@ class Companion:
         """Why the vehicle cannot be taken now, in words; None when it can: it must be armed, in the air, fit,
         and in a mode that is ours to end."""
         own = self.own
+        if self._unclear is not None:
+            return self._unclear
         if self.config.flight.use == "watch":
             return 'flight.use is "watch"'
         if not self._settings.enable:
             return SWITCHED_OFF
         if own.heartbeat is None or not own.heartbeat.armed:
             return "vehicle to be armed"
+        found_s = self._found_s
+        if self.config.vehicle.system_id == 0 and (found_s is None or now_s - found_s < _LISTEN_S):
+            return "other autopilots on the link to show (vehicle.system_id is not set)"
         if not self._seen_down:
             return "a landing: the vehicle was flying when this started (flight.take_in_flight)"
         if own.landed(now_s) is not Landed.IN_AIR:
@@ -436,6 +455,8 @@ class Companion:
         elif self._guard is not None and now_s - self._gave_back_s < _GIVING_BACK_S:
             # Not before it was asked for: the vehicle may be in our mode already, and not have said so.
             found.add(Trigger.RESUMED)
+        if self.state is State.WATCHING and self._unclear is not None:
+            found.add(Trigger.LEFT)
         return frozenset(found)
 
     def _pilot_took_over(self, now_s: float) -> bool:
@@ -590,7 +611,9 @@ class Companion:
             Trigger.HEALTHY: "own state fit again",
             Trigger.READY: f"taking the vehicle from mode {mode}",
             Trigger.WATCH: "guarding the mission that the vehicle flies",
-            Trigger.LEFT: f"the mission was left for mode {mode}",
+            Trigger.LEFT: "which vehicle is ours is not known"
+            if self._unclear is not None
+            else f"the mission was left for mode {mode}",
             Trigger.RESUMED: f"the vehicle flies its mission on at item {self.own.mission_seq}, taken for "
             f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most",
             Trigger.ENDED: f"the mission came to its end as it was given back, in mode {mode}",

@@ -82,6 +82,12 @@ class Heartbeat(Event, frozen=True):
     armed: bool
 
 
+class TwoAutopilots(Event, frozen=True):
+    """A second autopilot was heard on a link whose vehicle was not configured: which is ours is not known."""
+
+    reason: str
+
+
 class GlobalPosition(Event, frozen=True):
     """GLOBAL_POSITION_INT: the fused own position and velocity."""
 
@@ -515,6 +521,7 @@ class Decision(Command, frozen=True):
 
 AnyEvent = (
     Heartbeat
+    | TwoAutopilots
     | GlobalPosition
     | LocalPosition
     | GnssFix

@@ -194,7 +194,7 @@ def companion_config(scenario: Scenario, name: str, path: Points, law: str | Non
         atmc = AtmcConfig(period_s=atmc.period_s)
     return Config(
         identity=IdentityConfig(uas_id=uas_id_of(scenario, name)),
-        vehicle=VehicleConfig(),
+        vehicle=VehicleConfig(system_id=int(name.removeprefix("DMUCA"))),
         flight=FlightConfig(
             use="fly", start="utc", start_utc_s=UTC_AT_START_S + SETTLE_S, take_in_flight=True
         ),

@@ -24,7 +24,7 @@ import tomli_w
 from rich.console import Console
 
 from companion import config as configuration
-from companion.config import EtherRadio, RecordConfig, VehicleConfig
+from companion.config import EtherRadio, RecordConfig
 from companion.errors import ConfigError
 from companion.runtime.recorder import create_run_folder, write_json, write_manifest
 from companion.toml_input import without_none
@@ -210,7 +210,7 @@ def _fly(
         config = companion_config(scenario, name, path, None)
         config = msgspec.structs.replace(
             config,
-            vehicle=VehicleConfig(link=f"udpout:127.0.0.1:{port}"),
+            vehicle=msgspec.structs.replace(config.vehicle, link=f"udpout:127.0.0.1:{port}"),
             flight=msgspec.structs.replace(config.flight, start_utc_s=start_utc_s),
             radio=(EtherRadio(address=radio),),
             record=RecordConfig(folder=str(swarm.folder), name=name),

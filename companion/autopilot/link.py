@@ -8,12 +8,14 @@ A pure state machine: time is an argument, nothing here reads a clock or a socke
     socket.send(link.drain())               # whole frames; what leaves is what was drained
 
 Who is listened to: component 1 of one system, the configured one or the first that sends an autopilot's
-HEARTBEAT. Vehicles forward what others send, so everything else is counted as foreign and left out; ADS-B
-traffic is the vehicle's own stream too, of what its receiver told it (a receiver's own frames, which
-ArduPilot forwards only with ADSB_TYPE = 0, would be the same aircraft twice). Remote ID comes from others by
-its nature: `remote_id` says whose. Parameters of our own, where there are any, are asked for and set by other
-systems; only those three messages of theirs, and addressed to us, are taken (`own_parameters`), and requests
-to tell what we are (`component_information`).
+HEARTBEAT. That one may be a neighbour's, which some router or radio forwards: where none was configured, a
+second autopilot makes it `unclear` which is ours, for as long as this link lives. Vehicles forward what
+others send, so everything else is counted as foreign and left out; ADS-B traffic is the vehicle's own stream
+too, of what its receiver told it (a receiver's own frames, which ArduPilot forwards only with ADSB_TYPE = 0,
+would be the same aircraft twice). Remote ID comes from others by its nature: `remote_id` says whose.
+Parameters of our own, where there are any, are asked for and set by other systems; only those three messages
+of theirs, and addressed to us, are taken (`own_parameters`), and requests to tell what we are
+(`component_information`).
 
 Who we are: before the vehicle is known (a `udpout` link must speak first) our heartbeat carries the
 configured system id, or 1, as other companion software does; never 255, which ArduPilot takes for its ground
@@ -55,6 +57,7 @@ from companion.events import (
     SetSpeed,
     Severity,
     Threat,
+    TwoAutopilots,
     VehicleParameters,
     VehicleTime,
     VelocitySetpoint,
@@ -224,6 +227,8 @@ class AutopilotLink:
         """The latest bad value in words, for the status line."""
         self._writer = MavlinkWriter(config.system_id or _DEFAULT_SYSTEM_ID, config.component_id)
         self._vehicle: Vehicle | None = None
+        self.unclear: str | None = None
+        """Why it is not known which vehicle is ours, in words; None when it is."""
         self._custom_mode = 0
         self._boot_s: float | None = None
         self._boot_heard_s = 0.0
@@ -348,6 +353,21 @@ class AutopilotLink:
         self.counts.foreign += 1
         if frame.message_id == _HEARTBEAT_ID:
             self._remote_id.note_heartbeat(frame)
+            self._note_autopilot(frame)
+
+    def _note_autopilot(self, frame: Frame) -> None:
+        """The vehicle was not configured: is this another one?"""
+        vehicle = self._vehicle
+        if self._config.system_id != 0 or self.unclear is not None or vehicle is None:
+            return
+        if frame.component_id != encoders.AUTOPILOT_COMPONENT:
+            return
+        if _from_autopilot(unpack(frame.message_id, frame.payload)):
+            first, second = sorted((vehicle.system_id, frame.system_id))
+            self.unclear = (
+                f"two autopilots on this link (systems {first} and {second}): set vehicle.system_id"
+            )
+            self._events.append(TwoAutopilots(reason=self.unclear))
 
     def _take_remote_id(self, frame: Frame, now_s: float) -> None:
         system_id = None if self._vehicle is None else self._vehicle.system_id
@@ -411,7 +431,7 @@ class AutopilotLink:
 
     def _on_heartbeat(self, frame: Frame, fields: Fields, now_s: float) -> None:
         system_id = frame.system_id
-        if fields[1] == _GROUND_STATION or fields[2] == AUTOPILOT_INVALID:
+        if not _from_autopilot(fields):
             self.counts.foreign += 1
             return
         event = heartbeat(system_id, fields)
@@ -756,3 +776,8 @@ class AutopilotLink:
             self._events.append(known)
         events, self._events = self._events, []
         return events
+
+
+def _from_autopilot(fields: Fields) -> bool:
+    """Whether a HEARTBEAT of component 1 is an autopilot's: some ground stations call themselves that too."""
+    return bool(fields[1] != _GROUND_STATION and fields[2] != AUTOPILOT_INVALID)

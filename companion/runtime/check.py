@@ -306,6 +306,8 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
         found.green("vehicle", str(vehicle))
     else:
         found.red("vehicle", str(vehicle), "use another vehicle; this one is never commanded")
+    if probe.protocol.unclear is not None:
+        found.red("vehicle", probe.protocol.unclear, "whichever is ours, or end what forwards the other")
     for text in _module_of_another(config, vehicle.system_id):
         what, _, text = text.partition(": ")
         found.yellow(what, text, f"set system_id = {vehicle.system_id} and power-cycle the module")

@@ -49,7 +49,7 @@ class _Seen:
 
 
 class AdsbTraffic:
-    """Aircraft heard by ADS-B, at most `MOST`; the longest silent is forgotten first.
+    """Aircraft heard by ADS-B, at most `MOST`; of more, the farthest from us are left out.
 
     Args:
         own_icao: our own transponder's address, which a receiver aboard hears too; None: we have none.
@@ -59,12 +59,20 @@ class AdsbTraffic:
         self._own_icao = own_icao
         self._seen: dict[int, _Seen] = {}
 
-    def take(self, event: AdsbVehicle, now_s: float, frame: LocalFrame, separation_m: float | None) -> None:
+    def take(
+        self,
+        event: AdsbVehicle,
+        now_s: float,
+        frame: LocalFrame,
+        separation_m: float | None,
+        own_ned_m: Vec3,
+    ) -> None:
         """Take in one report.
 
         Args:
             frame: local frame (its altitude datum is mean sea level).
             separation_m: height of the geoid above the ellipsoid here; None while unknown.
+            own_ned_m: own position, which of too many the farthest are told by.
         """
         if event.icao == self._own_icao:
             return
@@ -83,8 +91,8 @@ class AdsbTraffic:
         if math.hypot(position[0], position[1]) > _MAX_RANGE_M:
             return
         self._seen.pop(event.icao, None)
-        if len(self._seen) >= MOST:
-            del self._seen[next(iter(self._seen))]
+        if len(self._seen) >= MOST and not self._make_room(math.dist(position, own_ned_m), now_s, own_ned_m):
+            return
         seen = self._seen[event.icao] = _Seen(
             position=position,
             velocity=event.velocity_ned_mps or (_STILL if before is None else before.velocity),
@@ -103,6 +111,23 @@ class AdsbTraffic:
             if event.velocity_ned_mps is None and at_s - anchor.at_s >= _APART_S:
                 seen.velocity = _between(anchor, seen)
 
+    def _make_room(self, distance_m: float, now_s: float, own_ned_m: Vec3) -> bool:
+        """For one at this distance; False: nobody is farther away. The silent ones go first, or who once was
+        near would keep others out for ever."""
+        self._expire(now_s)
+        if len(self._seen) < MOST:
+            return True
+        away_m = {icao: math.dist(seen.position, own_ned_m) for icao, seen in self._seen.items()}
+        farthest = max(away_m, key=away_m.__getitem__)
+        if away_m[farthest] <= distance_m:
+            return False
+        del self._seen[farthest]
+        return True
+
+    def _expire(self, now_s: float) -> None:
+        for icao in [i for i, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
+            del self._seen[icao]
+
     def clear(self) -> None:
         """Forget all places: the frame they were given in is no more."""
         self._seen.clear()
@@ -113,8 +138,7 @@ class AdsbTraffic:
         Args:
             own_down_m: own NED down, that barometric altitudes are told apart from.
         """
-        for icao in [i for i, seen in self._seen.items() if now_s - seen.at_s > EXPIRE_S]:
-            del self._seen[icao]
+        self._expire(now_s)
         return self.look(now_s, own_down_m)
 
     def look(self, now_s: float, own_down_m: float) -> list[Neighbour]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import msgspec
 import pytest
 
-from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, Waypoint
+from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, VehicleConfig, Waypoint
 from companion.core import Companion
 from companion.events import (
     Command,
@@ -48,7 +48,9 @@ def straight_path(speed_mps: float = 3.0) -> TrajectoryFile:
 
 def config(**flight: object) -> Config:
     """A companion that flies the straight path; keywords replace [flight] keys."""
-    made = Config(identity=IdentityConfig(uas_id="OWN"), path=straight_path())
+    made = Config(
+        identity=IdentityConfig(uas_id="OWN"), vehicle=VehicleConfig(system_id=1), path=straight_path()
+    )
     return msgspec.structs.replace(
         made, flight=FlightConfig(**{"use": "fly", "take_in_flight": True, **flight})
     )  # type: ignore[arg-type]

@@ -21,6 +21,7 @@ from companion.events import (
     RemoteIdHeard,
     Say,
     SetMode,
+    TwoAutopilots,
     VelocitySetpoint,
 )
 from companion.remote_id import codec
@@ -594,3 +595,68 @@ def test_a_mission_that_the_vehicle_flew_on_meanwhile_is_planned_anew():
     bench.north_m = 250.0
     bench.until(lambda: bench.heart.state is State.GUARDING)
     assert bench.heart.plan.near(bench.heart.own, bench.now_s)
+
+
+# ------------------------------------------------------------ whose vehicle it is
+
+TWO = TwoAutopilots(reason="two autopilots on this link (systems 1 and 2): set vehicle.system_id")
+
+
+def said(bench):
+    return [c.text for _, c in bench.log if isinstance(c, Say) and "two autopilots" in c.text]
+
+
+def test_a_vehicle_that_may_be_a_neighbours_is_not_taken(make_bench):
+    bench = make_bench()
+    bench.extra.append(TWO)
+    bench.step(600)
+    assert bench.heart.state is State.STANDBY
+    assert bench.heart.waits_for(bench.now_s) == TWO.reason
+    assert not [c for _, c in bench.log if isinstance(c, SetMode | VelocitySetpoint)]
+    assert said(bench) == [f"DMUCA: {TWO.reason}"]
+
+
+def test_a_vehicle_that_is_only_watched_shows_it_too(make_bench):
+    bench = make_bench(use="watch")
+    bench.extra.append(TWO)
+    bench.step()
+    assert bench.heart.waits_for(bench.now_s) == TWO.reason
+
+
+def test_a_second_autopilot_does_not_end_an_avoidance_nor_is_the_vehicle_taken_again(flying):
+    for k in range(3):
+        flying.extra.append(intruder(flying, 60.0 - 3.0 * k, 3.0))
+        flying.step(20)
+    assert flying.heart.state is State.AVOIDING
+    flying.extra.append(TWO)
+    before = len(flying.log)
+    for _ in range(400):
+        (setpoint,) = flying.setpoints(flying.step())
+        assert flying.heart.state in HOLDING
+        flying.north_m += 0.05 * setpoint.velocity_ned_mps[0]
+        flying.east_m += 0.05 * setpoint.velocity_ned_mps[1]
+    assert not [c for _, c in flying.log[before:] if isinstance(c, SetMode)]
+    assert said(flying) == [f"DMUCA: {TWO.reason}"]
+    # A fault ends it: from there the vehicle is not taken again.
+    flying.fix_type = 0
+    flying.step()
+    assert flying.heart.state is State.FAULT
+    flying.fix_type = 3
+    flying.step(400)
+    assert flying.heart.state is State.STANDBY
+    assert flying.heart.waits_for(flying.now_s) == TWO.reason
+
+
+def test_a_vehicle_that_is_not_configured_is_taken_once_others_would_have_been_heard(make_bench):
+    """The second autopilot's first heartbeat may come a second after the first one's."""
+    took_s = []
+    for system_id in (0, 1):
+        bench = make_bench()
+        vehicle = msgspec.structs.replace(bench.heart.config.vehicle, system_id=system_id)
+        bench.heart = Companion(msgspec.structs.replace(bench.heart.config, vehicle=vehicle))
+        bench.step()
+        assert ("other autopilots" in (bench.heart.waits_for(bench.now_s) or "")) is (system_id == 0)
+        bench.until(lambda b=bench: b.heart.state is State.GUARDING)
+        took_s.append(bench.now_s)
+    assert took_s[1] < 1.0
+    assert 3.0 <= took_s[0] < 4.0

@@ -25,6 +25,7 @@ from companion.events import (
     Say,
     SetMode,
     SetSpeed,
+    TwoAutopilots,
     VehicleParameters,
 )
 from tests.companion.conftest import Bench, config, mission
@@ -117,6 +118,34 @@ def test_what_is_wanted_is_what_the_vehicle_flies(guarded):
 
 def taken_s(bench):
     return next(t for t, c in bench.log if getattr(c, "trigger", "") == "conflict")
+
+
+TWO = TwoAutopilots(reason="two autopilots on this link (systems 1 and 2): set vehicle.system_id")
+
+
+def test_a_mission_that_may_be_a_neighbours_is_not_guarded(guarded):
+    bench = guarded()
+    bench.extra.append(TWO)
+    bench.step()
+    assert bench.heart.state is State.STANDBY
+    assert bench.heart.waits_for(bench.now_s) == TWO.reason
+    before = len(bench.log)
+    meet(bench, seconds=4.0)
+    assert bench.heart.state is State.STANDBY
+    assert not modes(c for _, c in bench.log[before:])
+    assert not bench.setpoints([c for _, c in bench.log[before:]])
+
+
+def test_a_second_autopilot_while_the_vehicle_is_held_ends_the_guarding_once_the_mission_flies_on(guarded):
+    bench = taken(guarded())
+    bench.extra.append(TWO)
+    over(bench)
+    assert bench.heart.state in HOLDING
+    bench.mode = FlightMode.MISSION
+    bench.until(lambda: bench.heart.state is State.STANDBY)
+    assert [c.state for _, c in bench.log if isinstance(c, AuthorityChanged)][-2:] == ["watching", "standby"]
+    assert bench.heart.waits_for(bench.now_s) == TWO.reason
+    assert not [c for _, c in bench.log if getattr(c, "trigger", "") in ("pilot", "unfit")]
 
 
 def test_no_setpoint_before_it_is_taken(guarded):

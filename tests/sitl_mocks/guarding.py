@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
-from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig, NullRadio
+from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig, NullRadio, VehicleConfig
 from companion.events import AuthorityChanged, Firmware, MissionItem, RadioState, Say, VelocitySetpoint
 from companion.geometry import LocalFrame
 from companion.onboard import Onboard
@@ -35,7 +35,8 @@ def mission(*points, first=1):
 
 
 class Guarded:
-    """Vehicle and companion. `guarded=False`: the companion only broadcasts."""
+    """Vehicle and companion. `guarded=False`: the companion only broadcasts; `chosen=False`: it is not told
+    which vehicle is its own."""
 
     def __init__(
         self,
@@ -48,6 +49,7 @@ class Guarded:
         config=None,
         start_s=0.0,
         take_in_flight=True,
+        chosen=True,
         **options,
     ):
         start = points[0]
@@ -70,6 +72,7 @@ class Guarded:
         )
         self.config = Config(
             identity=IdentityConfig(uas_id=name),
+            vehicle=VehicleConfig(system_id=number if chosen else 0),
             flight=FlightConfig(use="guard" if guarded else "watch", take_in_flight=take_in_flight),
             limits=LimitsConfig(max_speed_mps=8.0),
             radio=(NullRadio(),),

@@ -122,6 +122,52 @@ def test_a_failsafe_of_the_autopilot_is_obeyed_like_the_pilot(firmware, paramete
     assert one.vehicle.mode not in (VehicleMode.EXTERNAL, VehicleMode.MISSION)
 
 
+# ------------------------------------------------------------ a neighbour's vehicle on the link
+
+TWO = "DMUCA: two autopilots on this link (systems 1 and 2): set vehicle.system_id"
+
+
+def routed(sky, done, limit_s=90.0):
+    """Until `done`, with a router that joins the first aircraft's companion and the second one's vehicle."""
+    one, two = sky.aircraft
+    end = sky.now_s + limit_s
+    while not done():
+        assert sky.now_s < end, (one.state, one.texts())
+        sky.step()
+        two.vehicle.receive(one.to_vehicle[-1], sky.now_s, 1)
+        one.onboard.receive(two.vehicle.drain(1), sky.now_s)
+
+
+@BOTH
+def test_a_neighbour_that_is_heard_first_is_never_commanded(firmware):
+    sky = head_on(firmware, chosen=False)
+    one, two = sky.aircraft
+    one.linked = False
+    routed(sky, lambda: one.onboard.link.vehicle is not None)
+    assert one.onboard.link.vehicle.system_id == 2
+    one.linked = True
+    routed(sky, lambda: sky.now_s > 30.0)
+    assert one.states() == []
+    assert one.texts().count(TWO) == 1
+    messages = MavlinkReader().feed(b"".join(one.to_vehicle))
+    assert not [m for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+    assert not [m for m in messages if m.get_type() == "COMMAND_LONG" and m.command != 511]
+    assert two.vehicle.mode is VehicleMode.MISSION
+
+
+@BOTH
+def test_a_neighbour_that_is_heard_while_we_avoid_ends_nothing(firmware):
+    sky = held(firmware, chosen=False)
+    one, _ = sky.aircraft
+    routed(sky, lambda: one.state is State.STANDBY)
+    # The mission was given back, and is not guarded any more.
+    assert one.states()[-2:] == ["watching", "standby"]
+    assert not {"yielded", "fault"} & set(one.states())
+    assert one.texts().count(TWO) == 1
+    assert one.vehicle.mode is VehicleMode.MISSION
+    assert sky.least() > 10.0
+
+
 # ------------------------------------------------------------ navigation
 
 

@@ -20,6 +20,7 @@ from companion.config import (
     IdentityConfig,
     LimitsConfig,
     TrajectoryFile,
+    VehicleConfig,
     Waypoint,
 )
 from companion.events import (
@@ -110,6 +111,7 @@ class Pair:
         self.vehicle = MockVehicle(self.options, np.random.default_rng(1))
         self.config = Config(
             identity=IdentityConfig(uas_id="PAIR"),
+            vehicle=VehicleConfig(system_id=1),
             flight=FlightConfig(use=use, take_in_flight=True),
             limits=LimitsConfig(max_speed_mps=5.0, **(limits or {})),
             avoidance=AvoidanceConfig(law=law),

@@ -11,7 +11,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.signing import Signing, timestamp_at
 from companion.autopilot.wire import FrameScanner, MavlinkReader, MavlinkWriter, is_signed
-from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig, TrajectoryFile, Waypoint
+from companion.config import (
+    AvoidanceConfig,
+    Config,
+    FlightConfig,
+    IdentityConfig,
+    TrajectoryFile,
+    VehicleConfig,
+    Waypoint,
+)
 from companion.events import Firmware
 from companion.onboard import Onboard
 from sitl_mocks.autopilot import MockVehicle
@@ -50,6 +58,7 @@ class Signed:
         corners = ((0.0, 47.397), (200.0, 47.400))
         config = Config(
             identity=IdentityConfig(uas_id="SIGNED"),
+            vehicle=VehicleConfig(system_id=1),
             flight=FlightConfig(use="fly", take_in_flight=True),
             avoidance=AvoidanceConfig(law="none"),
             path=TrajectoryFile(

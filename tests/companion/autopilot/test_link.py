@@ -24,6 +24,7 @@ from companion.events import (
     SetSpeed,
     Severity,
     Threat,
+    TwoAutopilots,
     VehicleText,
     VelocitySetpoint,
 )
@@ -111,6 +112,49 @@ def test_a_configured_system_id_waits_for_that_vehicle() -> None:
     scripted.after(0.0)
     assert scripted.told()[0].get_srcSystem() == 7
     assert len(scripted.heartbeat(system=7)) == 1
+
+
+def test_a_forwarded_frame_that_comes_first_does_not_settle_whose_vehicle_it_is() -> None:
+    """One frame of a neighbour, forwarded by somebody; from then on only our own vehicle speaks."""
+    scripted = Scripted()
+    scripted.heartbeat(system=2)
+    assert scripted.link.unclear is None
+    events = []
+    for _ in range(100):
+        events += scripted.heartbeat(system=1) + scripted.after(1.0)
+    text = "two autopilots on this link (systems 1 and 2): set vehicle.system_id"
+    assert events == [TwoAutopilots(reason=text)], "told once"
+    assert scripted.link.unclear == text
+
+
+def test_which_of_two_autopilots_spoke_first_makes_no_difference(ardupilot: Scripted) -> None:
+    (event,) = ardupilot.heartbeat(system=2)
+    assert event == TwoAutopilots(
+        reason="two autopilots on this link (systems 1 and 2): set vehicle.system_id"
+    )
+    # What they tell is kept apart all the same.
+    assert ardupilot.says(ardupilot.position(1000), system=2) == []
+    assert len(ardupilot.says(ardupilot.position(1000))) == 1
+
+
+def test_a_configured_vehicle_is_clear_whoever_else_speaks() -> None:
+    scripted = Scripted(config=VehicleConfig(system_id=7))
+    for _ in range(3):
+        assert scripted.heartbeat(system=3) == []
+        assert len(scripted.heartbeat(system=7)) == 1
+    assert scripted.link.unclear is None
+
+
+@pytest.mark.parametrize(
+    ("vehicle_type", "autopilot", "system", "component"),
+    [(6, 8, 255, 190), (6, 8, 255, 1), (6, 3, 9, 1), (18, 8, 2, 191), (2, 3, 2, 100), (2, 3, 1, 2)],
+)
+def test_only_a_second_autopilot_makes_it_unclear(
+    ardupilot: Scripted, vehicle_type: int, autopilot: int, system: int, component: int
+) -> None:
+    message = mavlink.MAVLink_heartbeat_message(vehicle_type, autopilot, 81, 4, 4, 3)
+    assert ardupilot.says(message, system=system, component=component) == []
+    assert ardupilot.link.unclear is None
 
 
 def test_other_vehicles_and_components_are_ignored(ardupilot: Scripted) -> None:

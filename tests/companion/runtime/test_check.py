@@ -87,6 +87,8 @@ class Vehicle:
         """How old its positions grow within a second."""
         self.lat_e7 = 473_970_000
         self.noise = b""
+        self.forwarded = b""
+        """Frames of others."""
         self._began_s = time.monotonic()
         self._server = socket.create_server(("127.0.0.1", 0))
         self._server.settimeout(0.05)
@@ -109,7 +111,11 @@ class Vehicle:
             encode.system_time_encode(unix_us, boot_ms),
             encode.mission_current_encode(0),
         )
-        return self.noise + b"".join(writer.pack(m) for m in messages if m.get_type() not in self.silent)
+        return (
+            self.noise
+            + self.forwarded
+            + b"".join(writer.pack(m) for m in messages if m.get_type() not in self.silent)
+        )
 
     def _serve(self) -> None:
         writer, peers = MavlinkWriter(1, 1), list[socket.socket]()
@@ -409,6 +415,19 @@ def test_a_link_that_is_choked_or_noisy(
     assert "damaged frames" in choked[0][1]
     assert choked[1][0] == "red"
     assert "s old" in choked[1][1]
+
+
+def test_two_autopilots_are_not_ready_until_one_is_configured(
+    vehicle: Vehicle, listed: Callable[..., Any]
+) -> None:
+    writer = MavlinkWriter(2, 1)
+    vehicle.forwarded = writer.pack(writer.encoder.heartbeat_encode(2, 12, 1, 0, 4))
+    (light, text, do) = listed(1)["vehicle"][-1]
+    assert (light, do) == ("red", "whichever is ours, or end what forwards the other")
+    assert text == "two autopilots on this link (systems 1 and 2): set vehicle.system_id"
+    link = f"tcp:127.0.0.1:{vehicle.port}"
+    found = listed(0, vehicle=VehicleConfig(link=link, system_id=1, wait_s=60.0))
+    assert "system 1" in found["vehicle"][0][1]
 
 
 def test_bytes_that_are_no_vehicle_are_told_from_silence(

@@ -37,10 +37,11 @@ class Sky:
     def __init__(self, own_icao=None, separation_m=SEPARATION_M):
         self.traffic = AdsbTraffic(own_icao)
         self.separation_m = separation_m
+        self.own_ned_m = (0.0, 0.0, OWN_DOWN_M)
 
     def take(self, now_s, *reports):
         for one in reports:
-            self.traffic.take(one, now_s, FRAME, self.separation_m)
+            self.traffic.take(one, now_s, FRAME, self.separation_m, self.own_ned_m)
 
     def at(self, now_s, own_down_m=OWN_DOWN_M):
         return self.traffic.neighbours(now_s, own_down_m)
@@ -244,14 +245,45 @@ def test_a_velocity_that_is_told_is_taken():
 # ------------------------------------------------------------ bounds
 
 
-def test_the_longest_silent_of_too_many_is_forgotten():
+def icaos(sky, now_s):
+    return {int(seen.track_id, 16) for seen in sky.at(now_s)}
+
+
+def test_far_ones_however_many_do_not_displace_a_near_one():
+    sky = Sky()
+    sky.take(10.0, report(500.0))
+    for icao in range(3 * MOST):
+        sky.take(10.1, report(30_000.0, icao=icao))
+    heard = icaos(sky, 10.2)
+    assert len(heard) == MOST
+    assert ICAO in heard
+
+
+def test_of_too_many_the_farthest_from_us_are_left_out():
+    sky = Sky()
+    sky.own_ned_m = (20_000.0, 0.0, OWN_DOWN_M)
+    for icao in range(MOST):
+        sky.take(10.0, report(100.0 * icao, icao=icao))
+    sky.take(10.1, report(19_950.0, icao=MOST), report(50.0, icao=MOST + 1), report(-50.0, icao=MOST + 2))
+    # The first takes the place of 0; the others are farther away than 1.
+    assert icaos(sky, 10.2) == {*range(MOST + 1)} - {0}
+
+
+def test_one_that_is_known_keeps_its_place_among_too_many():
     sky = Sky()
     for icao in range(MOST):
-        sky.take(10.0 + 0.001 * icao, report(icao=icao))
-    sky.take(11.0, report(1010.0, icao=0), report(1010.0, icao=2))
-    sky.take(11.1, report(icao=MOST), report(icao=MOST + 1))
-    heard = {int(seen.track_id, 16) for seen in sky.at(11.1)}
-    assert heard == {*range(MOST + 2)} - {1, 3}
+        sky.take(10.0, report(100.0 * icao, icao=icao))
+    sky.take(11.0, report(100.0 * MOST, icao=MOST - 1))
+    assert icaos(sky, 11.0) == {*range(MOST)}
+
+
+def test_near_ones_that_fell_silent_keep_nobody_out():
+    """On the ground nobody asks for the neighbours, which is when the silent ones are forgotten."""
+    sky = Sky()
+    for icao in range(MOST):
+        sky.take(10.0, report(100.0, icao=icao))
+    sky.take(11.0 + EXPIRE_S, report(5000.0))
+    assert icaos(sky, 11.0 + EXPIRE_S) == {ICAO}
 
 
 @pytest.mark.parametrize(("east_m", "heard"), [(49_900.0, True), (50_100.0, False)])
