@@ -17,9 +17,9 @@ import numpy as np
 import pymap3d
 
 from companion.errors import ConfigError
-from companion.events import Heartbeat, Landed, LandedState, Vec3
+from companion.events import Vec3
 from companion.record import Step
-from ground_tools.inspect import manoeuvres
+from ground_tools.inspect import align, manoeuvres
 from ground_tools.inspect.blueprint import Look, blueprint, comparison
 from ground_tools.inspect.flown import (
     Array,
@@ -87,14 +87,9 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
     rerun()
     if len(runs) < 2:
         raise ConfigError("a comparison takes two runs or more")
-    names = _names(runs)
+    names = align.names(runs)
     every = [flown(run) for run in runs]
-    starts = [_start_of_path(run, ways) for run, ways in zip(runs, every, strict=True)]
-    by_path = None not in starts
-    zeros = [
-        start if by_path and start is not None else _take_off(run, ways)
-        for run, start, ways in zip(runs, starts, every, strict=True)
-    ]
+    zeros, zero_words = align.zeros(runs, every)
     every = [_moved(ways, -zero) for ways, zero in zip(every, zeros, strict=True)]
     origin = every[0].origin
     every = [_in_frame(ways, origin) if _apart_m(ways.origin, origin) < NEAR_M else ways for ways in every]
@@ -120,10 +115,11 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
         )
         for index, (name, run, ways, found) in enumerate(zip(names, runs, every, pairs, strict=True))
     ]
-    words = "the start of the timed paths" if by_path else "take-off"
     looks = [_look(one.ways, one.pairs, encounter) for one in shown]
     required_m = max((pair.required_m for found in pairs for pair in found), default=None)
-    plan = comparison(dict(zip(names, (one.scene for one in shown), strict=True)), looks, required_m, words)
+    plan = comparison(
+        dict(zip(names, (one.scene for one in shown), strict=True)), looks, required_m, zero_words
+    )
     stream = _stream(" and ".join(names), path, plan)
     for one in shown:
         _write_run(stream, one)
@@ -260,46 +256,6 @@ def _look(ways: Flown, pairs: Sequence[Separation], encounter: Encounter | None)
 
 
 # ---------------------------------------------------------------- several runs
-
-
-def _names(runs: Sequence[Run]) -> list[str]:
-    """Each run's own name, told apart where two folders are called the same."""
-    names: list[str] = []
-    for run in runs:
-        number = sum(run.name == other.name for other in runs[: len(names)])
-        names.append(run.name if number == 0 else f"{run.name} ({number + 1})")
-    return names
-
-
-def _start_of_path(run: Run, ways: Flown) -> float | None:
-    """When the timed paths start at one UTC: the time line counts from it then."""
-    starts = [
-        record.header.config.flight.start == "utc" if record.header else False for record in run.aircraft
-    ]
-    return 0.0 if all(starts) and "start of the timed paths" in ways.clock else None
-
-
-def _take_off(run: Run, ways: Flown) -> float:
-    """When the first aircraft was armed and in the air; where none tells, when the first path begins."""
-    found = [
-        now + ways.offsets_s[record.name] for record in run.aircraft if (now := _in_air_s(record)) is not None
-    ]
-    return min(found, default=min(float(path.time_s[0]) for path in ways.paths))
-
-
-def _in_air_s(record: AircraftRecord) -> float | None:
-    armed = in_air = False
-    for now, item in record.facts.rare:
-        match item:
-            case Heartbeat():
-                armed = item.armed
-            case LandedState():
-                in_air = item.landed in (Landed.IN_AIR, Landed.TAKEOFF)
-            case _:
-                continue
-        if armed and in_air:
-            return now
-    return None
 
 
 def _moved(ways: Flown, by_s: float) -> Flown:
