@@ -24,6 +24,7 @@ from companion.remote_id.mavlink import encode_odid
 from companion.remote_id.messages import Location
 from ground_tools.inspect import read_tlog
 from ground_tools.inspect.flown import flown
+from ground_tools.inspect.modes import mode_name
 from ground_tools.inspect.read_run import AircraftRecord, read_run
 from ground_tools.inspect.summary import describe, text
 
@@ -292,7 +293,7 @@ def test_mode_names() -> None:
     def name(firmware: str, kind: int, number: int) -> str:
         one = MavlinkWriter(1, 1).pack(beat(kind, 3 if firmware == "ardupilot" else 12, number))
         fields = read_tlog.unpack(0, one[10:19])
-        return read_tlog.mode_name(read_tlog.heartbeat(1, fields))
+        return mode_name(read_tlog.heartbeat(1, fields))
 
     assert name("ardupilot", 2, 4) == "GUIDED"
     assert name("ardupilot", 1, 4) == "ACRO"

@@ -47,7 +47,7 @@ def test_a_conflict_tells_what_each_did(guard: Path) -> None:
     assert row["done"][0].startswith("ONE taken out of its mission, turned right by")
     assert row["done"][1] == "TWO only watched"
     one = figures["aircraft"][0]
-    assert [(span["mode"]) for span in one["flight"]["modes"]] == ["mission", "external", "mission"]
+    assert [(span["mode"]) for span in one["flight"]["modes"]] == ["AUTO", "GUIDED", "AUTO"]
     assert one["flight"]["authority"][1]["reason"] == "conflict with TWO"
     assert one["flight"]["authority"][1]["to_s"] == one["flight"]["authority"][2]["from_s"]
     assert one["flight"]["max_height_m"] == pytest.approx(50.0, abs=1.0)
