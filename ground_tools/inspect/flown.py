@@ -134,6 +134,26 @@ def flown(run: Run) -> Flown:
     )
 
 
+def unplaced(run: Run, why: str) -> Flown:
+    """A run in which nobody's position is known: its clocks alone, in a frame of no meaning.
+
+    Args:
+        why: what to say of it.
+    """
+    line = time_line(run)
+    return Flown(
+        origin=(0.0, 0.0, 0.0),
+        paths=(),
+        own=(),
+        positions=OWN,
+        offsets_s=line.offsets_s,
+        clock=line.words,
+        from_path=line.from_path,
+        problems=(why,),
+        utc_at_zero_s=line.utc_at_zero_s,
+    )
+
+
 def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[Path, ...], str | None]:
     """True paths of all aircraft, or of none and why."""
     if line.utc_at_zero_s is None:

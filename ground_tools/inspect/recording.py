@@ -30,7 +30,9 @@ from ground_tools.inspect.flown import (
     flown,
     from_frame,
     separations,
+    unplaced,
 )
+from ground_tools.inspect.link_health import LinkHealth
 from ground_tools.inspect.palette import Rgb, colour
 from ground_tools.inspect.pieces import Note
 from ground_tools.inspect.read_run import AircraftRecord, Run
@@ -43,6 +45,18 @@ LOOK_M = (60.0, 600.0)
 """Radius of what a view turns to, at least and at most."""
 NEAR_M = 10_000.0
 """Runs that are compared are drawn in one frame when they lie no farther apart than this."""
+
+
+_RADIO = (
+    "radio signal",
+    "radio signal at the far end",
+    "radio noise",
+    "radio noise at the far end",
+    "radio receive errors",
+    "radio corrected packets",
+    "radio free buffer",
+)
+"""Columns of `LinkHealth.radio` after the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,18 +72,23 @@ class _Shown:
 
 
 def write(run: Run, path: File) -> None:
-    """Write the recording of `run` to `path`.
+    """Write the recording of `run` to `path`; without any position it has lanes, plots and texts.
 
     Raises:
-        ConfigError: rerun is not installed, no aircraft recorded a position, or `path` cannot be written.
+        ConfigError: rerun is not installed, or `path` cannot be written.
     """
     rerun()
-    ways = flown(run)
+    try:
+        ways = flown(run)
+    except ConfigError:
+        ways = unplaced(run, "No aircraft recorded a position: nothing is drawn in space.")
     pairs = _closest_pairs(ways.paths)
     encounter = first_encounter(_conflicts(run, ways.offsets_s), pairs[0] if pairs else None)
     colours = {record.name: colour(index) for index, record in enumerate(run.aircraft)}
     shown = _Shown(run, ways, pairs, _scene(run, ways, colours, encounter))
-    stream = _stream(run.name, path, blueprint(shown.scene, pairs, _look(ways, pairs, encounter)))
+    look = _look(ways, pairs, encounter)
+    plan = blueprint(shown.scene, pairs, look, placed=bool(ways.paths))
+    stream = _stream(run.name, path, plan)
     _write_run(stream, shown)
     # Without this the end of the file is written at some later time, or never if the process is killed.
     stream.disconnect()
@@ -82,7 +101,7 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
     has one colour.
 
     Raises:
-        ConfigError: as `write`; fewer than two runs.
+        ConfigError: as `write`; fewer than two runs; one in which no aircraft recorded a position.
     """
     rerun()
     if len(runs) < 2:
@@ -138,11 +157,12 @@ def _stream(name: str, path: File, plan: Any) -> Any:
 def _write_run(stream: Any, shown: _Shown) -> None:
     scene, ways = shown.scene, shown.ways
     writer = Writer(stream, scene)
-    lat, lon, alt = ways.origin
-    start = min(path.time_s[0] for path in ways.paths)
-    words = (
-        f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. Time line: {ways.clock}. Distances by {ways.positions}."
-    )
+    start = min(record.facts.start_s + ways.offsets_s[record.name] for record in shown.run.aircraft)
+    words = f"Time line: {ways.clock}."
+    if ways.paths:
+        lat, lon, alt = ways.origin
+        start = min(path.time_s[0] for path in ways.paths)
+        words = f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. {words} Distances by {ways.positions}."
     writer.say(start, words)
     for problem in (*shown.run.problems, *ways.problems):
         writer.say(start, problem)
@@ -153,6 +173,8 @@ def _write_run(stream: Any, shown: _Shown) -> None:
             note = Note(one.start_s + ways.offsets_s[record.name], "WARN", f"manoeuvre: {one.text}", True)
             here = np.array([one.decision.position_ned_m])
             writer.tell(record.name, note, from_frame(here, one.decision.origin, scene.origin)[0])
+        if record.link is not None:
+            _write_link(writer, scene, record.name, record.link.moved(ways.offsets_s[record.name]))
     for path in ways.paths:
         for part in _pieces(path, scene):
             n, e, d = part.position_ned_m.T
@@ -160,6 +182,29 @@ def _write_run(stream: Any, shown: _Shown) -> None:
             writer.flown(part, np.column_stack(geodetic[:2]))
     _write_distances(writer, shown)
     writer.settle()
+
+
+def _write_link(writer: Writer, scene: Scene, name: str, link: LinkHealth) -> None:
+    lines = [
+        (f"{one.system_id}/{one.component_id} missing frames", one.seconds[:, 0], one.seconds[:, 2])
+        for one in link.components
+    ]
+    lines += [(what, link.radio[:, 0], link.radio[:, column]) for column, what in enumerate(_RADIO, start=1)]
+    for what, time, values in lines:
+        for piece in scene.pieces(time):
+            writer.link(name, what, time[piece], values[piece])
+    notes = [
+        Note(begin, "WARN", f"link: nothing from {one.system_id}/{one.component_id} for {long:.1f} s")
+        for one in link.components
+        for begin, long in one.gaps_s
+    ]
+    notes += [Note(time, "WARN", "link: the vehicle's clock began anew") for time in link.reboots_s]
+    for _, some in itertools.groupby(sorted(notes, key=_time_of), key=lambda note: scene.piece(note.time_s)):
+        writer.notes(name, list(some))
+
+
+def _time_of(note: Note) -> float:
+    return note.time_s
 
 
 def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[list[Step]]:
