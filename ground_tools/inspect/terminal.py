@@ -87,8 +87,10 @@ def verdicts(figures: dict[str, Any]) -> list[str]:
             f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
             f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {kept(least['kept'])})"
         )
-    else:
+    elif len(figures["aircraft"]) > 1:
         found.append("Separation: no two aircraft of this run were known at one time")
+    else:
+        found.append("Separation: not known with one aircraft alone")
     found += _verdicts_on_remote_id(figures["aircraft"])
     for words, key in (("manoeuvres", "manoeuvres"), ("faults and warnings", "faults")):
         found.append(f"{sum(len(one[key]) for one in figures['aircraft'])} {words}")

@@ -1,5 +1,6 @@
 """Telemetry logs: against pymavlink's own reading, and logs made here for what recordings do not hold."""
 
+import functools
 import gzip
 import struct
 from collections import Counter
@@ -25,7 +26,7 @@ from companion.remote_id.messages import Location
 from ground_tools.inspect import read_tlog
 from ground_tools.inspect.flown import flown
 from ground_tools.inspect.modes import mode_name
-from ground_tools.inspect.read_run import AircraftRecord, read_run
+from ground_tools.inspect.read_run import AircraftRecord, Run, read_run
 from ground_tools.inspect.summary import describe, text
 
 THINNED = Path(__file__).parents[2] / "data"
@@ -51,6 +52,12 @@ def recording(unpacked: Path, name: str) -> Path:
     return path
 
 
+@functools.cache
+def opened(path: Path) -> Run:
+    """Read once for all tests: nothing of a run changes."""
+    return read_run(path)
+
+
 def told(one: AircraftRecord, kind: type) -> list[object]:
     return [item for step in one.steps() for item in (*step.events, *step.commands) if isinstance(item, kind)]
 
@@ -73,7 +80,7 @@ def test_positions_and_counts_are_those_that_pymavlink_reads(unpacked: Path, nam
         last[sender] = message.get_seq()
         if message.get_type() == "GLOBAL_POSITION_INT" and (message.lat or message.lon):
             places.append((message.lat / 1e7, message.lon / 1e7, message.alt / 1e3))
-    (one,) = read_run(path).aircraft
+    (one,) = opened(path).aircraft
     found = [p for p in told(one, GlobalPosition) if isinstance(p, GlobalPosition)]
     assert [(p.lat_deg, p.lon_deg, p.alt_msl_m) for p in found] == places
     assert one.link is not None
@@ -101,7 +108,7 @@ def test_positions_and_counts_are_those_that_pymavlink_reads(unpacked: Path, nam
 def test_what_a_log_is_and_does_not_tell_is_said(
     unpacked: Path, name: str, about: str, missing: str, problems: int
 ) -> None:
-    run = read_run(recording(unpacked, name))
+    run = opened(recording(unpacked, name))
     assert about in run.notes[0]
     assert missing in run.notes[1]
     assert "a companion's decisions" in run.notes[1]
@@ -113,7 +120,7 @@ def test_what_a_log_is_and_does_not_tell_is_said(
 
 
 def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
-    link = read_run(recording(unpacked, "dronekit_flight_replay")).aircraft[0].link
+    link = opened(recording(unpacked, "dronekit_flight_replay")).aircraft[0].link
     assert link is not None
     assert link.radio.shape == (1370, 8)
     assert 0 < link.radio[:, 1].mean() < 255
@@ -125,9 +132,9 @@ def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
 
 
 def test_adsb_and_setpoints_are_there(unpacked: Path) -> None:
-    (one,) = read_run(recording(unpacked, "ardupilot_sitl_odid_adsb")).aircraft
+    (one,) = opened(recording(unpacked, "ardupilot_sitl_odid_adsb")).aircraft
     assert len({a.icao for a in told(one, AdsbVehicle) if isinstance(a, AdsbVehicle)}) == 19
-    (one,) = read_run(recording(unpacked, "px4_sih_offboard")).aircraft
+    (one,) = opened(recording(unpacked, "px4_sih_offboard")).aircraft
     assert (3.0, 0.0, 0.0) in {s.velocity_ned_mps for s in told(one, VelocitySetpoint)}  # type: ignore[attr-defined]
 
 

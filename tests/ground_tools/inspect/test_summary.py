@@ -92,7 +92,7 @@ def test_an_aircraft_that_was_only_heard_is_a_conflict_by_prediction(tmp_path: P
     assert (row["pair"], row["kept"], row["time_s"]) == (["ONE", "INTRUDER"], None, 4.0)
     assert row["by"] == "Remote ID, as predicted aboard"
     assert "turned right by 37 deg" in row["done"][0]
-    assert "no two aircraft of this run were known at one time" in told(tmp_path)
+    assert "Separation: not known with one aircraft alone" in told(tmp_path)
 
 
 def test_a_distance_that_the_law_took_wrongly_is_said(tmp_path: Path, made: SimpleNamespace) -> None:
