@@ -120,7 +120,8 @@ def test_what_a_log_is_and_does_not_tell_is_said(
 
 
 def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
-    link = opened(recording(unpacked, "dronekit_flight_replay")).aircraft[0].link
+    run = opened(recording(unpacked, "dronekit_flight_replay"))
+    link = run.aircraft[0].link
     assert link is not None
     assert link.radio.shape == (1370, 8)
     assert 0 < link.radio[:, 1].mean() < 255
@@ -129,6 +130,14 @@ def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
     autopilot = next(c for c in link.components if (c.system_id, c.component_id) == (1, 1))
     # Its clock began anew behind a silence.
     assert any(start <= link.reboots_s[0] <= start + 30.0 for start, _ in autopilot.gaps_s)
+    rows = {row["component"]: row for row in describe(run)["aircraft"][0]["link"]}
+    assert len(rows) == len(link.components)
+    row = rows["1/1"]
+    assert (row["frames"], row["missing"]) == (autopilot.frames, autopilot.missing)
+    assert row["missing_percent"] == pytest.approx(
+        100.0 * autopilot.missing / (autopilot.frames + autopilot.missing)
+    )
+    assert (row["silences"], row["longest_silence_s"]) == (len(autopilot.gaps_s), max(autopilot.gaps_s[:, 1]))
 
 
 def test_adsb_and_setpoints_are_there(unpacked: Path) -> None:
