@@ -391,8 +391,17 @@ def test_how_well_the_link_carried_is_drawn(tmp_path: Path, made: SimpleNamespac
     ]
 
 
-def test_without_positions_the_rest_is_drawn(tmp_path: Path, made: SimpleNamespace) -> None:
+def test_without_positions_the_rest_is_drawn(
+    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A bench test: who flew, what was said and sent; the law decided nothing."""
+    plans: list[Any] = []
+
+    def kept(*arguments: Any, **options: Any) -> Any:
+        plans.append(blueprint(*arguments, **options))
+        return plans[-1]
+
+    monkeypatch.setattr(recording, "blueprint", kept)
     steps = [
         msgspec.structs.replace(
             step, commands=tuple(command for command in step.commands if not isinstance(command, Decision))
@@ -407,6 +416,8 @@ def test_without_positions_the_rest_is_drawn(tmp_path: Path, made: SimpleNamespa
     texts = [text for _, (text,) in found.column("/events/run", "text")]
     assert texts[1] == "No aircraft recorded a position: nothing is drawn in space."
     assert not any(entity.endswith("/own") for entity in found.batches)
+    # No view of space at the left of the rest.
+    assert type(plans[0].root_container).__name__ == "Vertical"
 
 
 # ---------------------------------------------------------------- several runs
