@@ -20,6 +20,7 @@ LANES = {
     "Alert level": "alert",
     "Autopilot mode": "mode",
     "On the air": "protocol",
+    "Transports chosen, and by whom": "choice",
 }
 """Names of views, and what they show."""
 _EYE = (-0.9, -1.5, 1.25)
@@ -37,22 +38,37 @@ class Look:
     radius_m: float
 
 
-def blueprint(scene: Scene, pairs: Sequence[Separation], look: Look | None, *, live: bool = False) -> Any:
-    """The views of a run. `live`: at its newest time, which goes on."""
+def blueprint(
+    scene: Scene, pairs: Sequence[Separation], look: Look | None, *, live: bool = False, placed: bool = True
+) -> Any:
+    """The views of a run. Those for which it has nothing are left out: separations without pairs, what a law
+    saw without a companion, the space without positions.
+
+    Args:
+        live: at its newest time, which goes on.
+        placed: somebody's position is known.
+    """
     import rerun.blueprint as rrb
 
-    required = max((pair.required_m for pair in pairs), default=None)
+    plots = []
+    if pairs:
+        required = max(pair.required_m for pair in pairs)
+        plots.append(_separation(rrb, scene, required, "/separation/**"))
+    if any(one.config is not None for one in scene.aircraft):
+        plots += [
+            _plot(rrb, scene, "Distance to heard traffic (m)", "/range/**", legend=not pairs),
+            _plot(rrb, scene, "Oldest information (s) of each pair", "/age/**"),
+        ]
+    plots += [
+        _plot(rrb, scene, "Speed (m/s)", "/speed/**"),
+        _plot(rrb, scene, "Link", "/link/**", legend=len(scene.aircraft) == 1),
+    ]
+    space = rrb.Tabs(_space(rrb, "In space", [scene], look), _map(rrb, [scene]), active_tab=0)
     return _opened(
         rrb,
         [scene],
-        rrb.Tabs(_space(rrb, "In space", [scene], look), _map(rrb, [scene]), active_tab=0),
-        rrb.Tabs(
-            _separation(rrb, scene, required, "/separation/**"),
-            _plot(rrb, scene, "Oldest information (s) of each pair", "/age/**"),
-            _plot(rrb, scene, "Speed (m/s)", "/speed/**"),
-            _plot(rrb, scene, "Link", "/link/**"),
-            active_tab=0,
-        ),
+        space if placed else None,
+        rrb.Tabs(*plots, active_tab=0),
         rrb.Tabs(*(_lane(rrb, scene, name, f"/{lane}/**") for name, lane in LANES.items()), active_tab=0),
         live=live,
     )
@@ -98,6 +114,7 @@ def comparison(
                 rrb, one, "Oldest information (s) of each pair", *(f"{scene.root}/age/**" for scene in every)
             ),
             _plot(rrb, one, "Speed (m/s)", *(f"{scene.root}/speed/**" for scene in every)),
+            _plot(rrb, one, "Link", *(f"{scene.root}/link/**" for scene in every)),
             active_tab=0,
         ),
         rrb.Tabs(
@@ -121,22 +138,19 @@ def _opened(
     *,
     live: bool = False,
 ) -> Any:
-    """Space at the left, the rest beside it, playing the encounter."""
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            space,
-            rrb.Vertical(
-                plots,
-                lanes,
-                rrb.Tabs(
-                    _events(rrb, scenes, events),
-                    rrb.TextDocumentView(name="How to read this", origin=f"{scenes[0].root}/about"),
-                    active_tab=0,
-                ),
-                row_shares=[4, 5, 4],
-            ),
-            column_shares=[1, 1],
+    """Space, where there is one, at the left, the rest beside it, playing the encounter."""
+    rest = rrb.Vertical(
+        plots,
+        lanes,
+        rrb.Tabs(
+            _events(rrb, scenes, events),
+            rrb.TextDocumentView(name="How to read this", origin=f"{scenes[0].root}/about"),
+            active_tab=0,
         ),
+        row_shares=[4, 5, 4],
+    )
+    return rrb.Blueprint(
+        rest if space is None else rrb.Horizontal(space, rest, column_shares=[1, 1]),
         rrb.TimePanel(
             timeline=WHOLE if scenes[0].encounter is None else ENCOUNTER,
             state="collapsed",
@@ -214,13 +228,13 @@ def _separation(
     )
 
 
-def _plot(rrb: Any, scene: Scene, name: str, *contents: str) -> Any:
+def _plot(rrb: Any, scene: Scene, name: str, *contents: str, legend: bool = False) -> Any:
     return rrb.TimeSeriesView(
         name=name,
         origin="/",
         contents=list(contents),
         axis_x=_axis(rrb, scene),
-        plot_legend=rrb.PlotLegend(visible=False),
+        plot_legend=rrb.PlotLegend(visible=legend),
     )
 
 

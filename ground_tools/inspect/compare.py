@@ -16,15 +16,14 @@ from rich.console import Console
 
 from companion.config import public
 from companion.errors import ConfigError
-from companion.events import Heartbeat, Landed, LandedState
-from ground_tools.inspect.flown import Flown, flown
-from ground_tools.inspect.read_run import AircraftRecord, Run
+from ground_tools.inspect import align
+from ground_tools.inspect.flown import flown
+from ground_tools.inspect.read_run import Run
 from ground_tools.inspect.summary import describe
 from ground_tools.inspect.terminal import PIPED_WIDTH, Rows, line, number, show_table
 
 _WHOLE = frozenset({"path", "fence"})
 """Parts of a configuration that are told to differ, and not shown."""
-_IN_AIR = frozenset({Landed.IN_AIR, Landed.TAKEOFF})
 
 
 def compare(runs: Sequence[Run]) -> dict[str, Any]:
@@ -37,11 +36,10 @@ def compare(runs: Sequence[Run]) -> dict[str, Any]:
         raise ConfigError("--compare: takes two runs or more")
     described = [describe(run) for run in runs]
     ways = [flown(run) for run in runs]
-    by_path = all("start of the timed paths" in one.clock for one in ways)
-    zeros = [0.0 if by_path else _take_off(run, one) for run, one in zip(runs, ways, strict=True)]
+    zeros, zero = align.zeros(runs, ways)
     return {
-        "runs": _names(runs),
-        "zero": "the start of the timed paths" if by_path else "the first take-off",
+        "runs": align.names(runs),
+        "zero": zero,
         "positions": [figures["positions"] for figures in described],
         "config": _config(runs),
         "pairs": _pairs(described, zeros),
@@ -50,42 +48,10 @@ def compare(runs: Sequence[Run]) -> dict[str, Any]:
         ],
         "problems": [
             {"run": name, "text": words}
-            for name, figures in zip(_names(runs), described, strict=True)
+            for name, figures in zip(align.names(runs), described, strict=True)
             for words in figures["problems"]
         ],
     }
-
-
-def _names(runs: Sequence[Run]) -> list[str]:
-    """Each run's own name, told apart where two folders are called the same."""
-    names = [run.name for run in runs]
-    return [
-        name if name not in names[:index] else f"{name} ({names[:index].count(name) + 1})"
-        for index, name in enumerate(names)
-    ]
-
-
-def _take_off(run: Run, ways: Flown) -> float:
-    """When the first aircraft was armed and in the air; where none tells, when the first path begins."""
-    found = [
-        now_s + ways.offsets_s[record.name]
-        for record in run.aircraft
-        if (now_s := _in_air_s(record)) is not None
-    ]
-    return min(found, default=min(float(path.time_s[0]) for path in ways.paths))
-
-
-def _in_air_s(record: AircraftRecord) -> float | None:
-    armed = in_air = False
-    for now_s, what in record.facts.rare:
-        match what:
-            case Heartbeat():
-                armed = what.armed
-            case LandedState():
-                in_air = what.landed in _IN_AIR
-        if armed and in_air:
-            return now_s
-    return None
 
 
 # ---------------------------------------------------------------- configuration

@@ -14,7 +14,6 @@ from companion.events import (
     BroadcastChanged,
     EstimatorState,
     FenceRefused,
-    FlightMode,
     GlobalPosition,
     Heartbeat,
     MissionRefused,
@@ -27,6 +26,7 @@ from companion.events import (
     VehicleText,
 )
 from ground_tools.inspect.flown import MAX_GAP_S, to_ned
+from ground_tools.inspect.modes import mode_name
 from ground_tools.inspect.read_run import AircraftRecord
 
 _ENDED = frozenset({"fault", "yielded"})
@@ -60,14 +60,10 @@ def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
         "max_height_m": height,
         "modes": [
             {"from_s": a + offset_s, "to_s": b + offset_s, "mode": mode}
-            for a, b, mode in _spans(beats, record.facts.end_s, _mode)
+            for a, b, mode in _spans(beats, record.facts.end_s, mode_name)
         ],
         "authority": _authority(record, offset_s),
     }
-
-
-def _mode(beat: Heartbeat) -> str:
-    return beat.mode.value if beat.mode is not FlightMode.OTHER else f"other ({beat.custom_mode})"
 
 
 def _spans(

@@ -84,6 +84,8 @@ class Flown:
     """What to add to an aircraft's `now_s` for the common time line."""
     clock: str
     """Which time line it is, in words."""
+    from_path: bool
+    """It counts from the start of the timed paths."""
     problems: tuple[str, ...]
     """Why there is no truth where some was found."""
     utc_at_zero_s: float | None
@@ -119,7 +121,37 @@ def flown(run: Run) -> Flown:
         raise ConfigError(f"{run.folder}: no aircraft recorded a position: {problem}")
     problems = () if problem is None else (f"true positions not used: {problem}",)
     kind = TRUE if true else OWN
-    return Flown(origin, true or own, own, kind, line.offsets_s, line.words, problems, line.utc_at_zero_s)
+    return Flown(
+        origin=origin,
+        paths=true or own,
+        own=own,
+        positions=kind,
+        offsets_s=line.offsets_s,
+        clock=line.words,
+        from_path=line.from_path,
+        problems=problems,
+        utc_at_zero_s=line.utc_at_zero_s,
+    )
+
+
+def unplaced(run: Run, why: str) -> Flown:
+    """A run in which nobody's position is known: its clocks alone, in a frame of no meaning.
+
+    Args:
+        why: what to say of it.
+    """
+    line = time_line(run)
+    return Flown(
+        origin=(0.0, 0.0, 0.0),
+        paths=(),
+        own=(),
+        positions=OWN,
+        offsets_s=line.offsets_s,
+        clock=line.words,
+        from_path=line.from_path,
+        problems=(why,),
+        utc_at_zero_s=line.utc_at_zero_s,
+    )
 
 
 def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[Path, ...], str | None]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.autopilot.dialect import DIALECTS
 from companion.avoidance.alerts import Level
 from companion.events import (
     AdsbVehicle,
@@ -45,6 +44,7 @@ from companion.events import (
 from companion.record import Step
 from companion.remote_id.messages import BasicId, Location
 from ground_tools.inspect.flown import Array, from_frame, to_ned
+from ground_tools.inspect.modes import mode_name
 from ground_tools.inspect.scene import Aircraft
 from ground_tools.inspect.why import Explainer, HalfSpace
 
@@ -130,7 +130,7 @@ class Piece:
     """By radio address, or "adsb" and the ICAO address."""
     notes: list[Note] = field(default_factory=list)
     states: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
-    """By lane: authority, alert, mode, protocol."""
+    """By lane: authority, alert, mode, protocol, choice."""
 
 
 @dataclass(slots=True)
@@ -190,7 +190,7 @@ class Watch:
                 row = (time - event.age_s, event.lat_deg, event.lon_deg, altitude, math.nan)
                 rows.heard.setdefault(f"adsb {event.icao:06X}", []).append(row)
             case Heartbeat():
-                name = DIALECTS[event.firmware].name(event.custom_mode)
+                name = mode_name(event)
                 self._mode(time, name if event.armed else f"{name}, disarmed")
             case LandedState():
                 if self._changed(LandedState, event.landed):
@@ -246,6 +246,7 @@ class Watch:
                 words = f"on the air: {sent}" + (f" ({command.reason})" if command.reason else "")
                 self._note(time, "INFO" if command.legal else "WARN", words, marked=not command.legal)
             case TransportsChosen():
+                self._state(time, "choice", f"{command.by}: {rates_text(command.rates) or 'none'}")
                 by = "" if command.by == "fixed" else f" by {command.by}"
                 words = f"transports chosen{by}: {rates_text(command.rates)} ({command.reason})"
                 self._note(time, "WARN" if command.by == "fallback" else "INFO", words)

@@ -19,11 +19,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot import remote_id
-from companion.autopilot.dialect import AUTOPILOT_INVALID, DIALECTS, FIRMWARES, FRAME_LOCAL_NED, refusal
+from companion.autopilot.dialect import AUTOPILOT_INVALID, FIRMWARES, FRAME_LOCAL_NED
 from companion.autopilot.encoders import AUTOPILOT_COMPONENT, MAX_SETPOINT_MPS
 from companion.autopilot.link import REBOOT_STEP_S
 from companion.autopilot.readers import READERS, Fields, heartbeat, unpack
@@ -37,10 +36,8 @@ from companion.events import (
     AnyCommand,
     AnyEvent,
     Command,
-    Firmware,
     GlobalPosition,
     GnssFix,
-    Heartbeat,
     LocalPosition,
     RemoteIdHeard,
     VehicleText,
@@ -50,6 +47,7 @@ from companion.events import (
 from companion.record import Step
 from ground_tools.inspect.facts import Facts, Gatherer
 from ground_tools.inspect.link_health import LinkHealth, Tally
+from ground_tools.inspect.modes import mode_name
 
 SET_BACK_S = 1.0
 """A stamp this much before the last one: the clock was set back, and the log goes on from where it was. Less
@@ -154,16 +152,6 @@ def read_health(path: Path) -> LinkHealth:
     for _ in _frames(path, counts, _Clock(), tally, frozenset()):
         pass
     return tally.health(array("d"), counts, 0)
-
-
-def mode_name(beat: Heartbeat) -> str:
-    """The flight mode as its firmware calls it; its number where nobody knows."""
-    if beat.firmware is Firmware.PX4 or refusal(beat.firmware, beat.vehicle_type) is None:
-        names = DIALECTS[beat.firmware].names
-    else:
-        # ArduPilot's fixed-wing aircraft, rovers, boats, submarines.
-        names = mavutil.mode_mapping_bynumber(beat.vehicle_type) or {}
-    return names.get(beat.custom_mode, f"mode {beat.custom_mode}")
 
 
 def _steps(path: Path, system_id: int) -> Iterator[Step]:

@@ -17,9 +17,9 @@ import numpy as np
 import pymap3d
 
 from companion.errors import ConfigError
-from companion.events import Heartbeat, Landed, LandedState, Vec3
+from companion.events import Vec3
 from companion.record import Step
-from ground_tools.inspect import manoeuvres
+from ground_tools.inspect import align, manoeuvres
 from ground_tools.inspect.blueprint import Look, blueprint, comparison
 from ground_tools.inspect.flown import (
     Array,
@@ -30,7 +30,9 @@ from ground_tools.inspect.flown import (
     flown,
     from_frame,
     separations,
+    unplaced,
 )
+from ground_tools.inspect.link_health import LinkHealth
 from ground_tools.inspect.palette import Rgb, colour
 from ground_tools.inspect.pieces import Note
 from ground_tools.inspect.read_run import AircraftRecord, Run
@@ -43,6 +45,18 @@ LOOK_M = (60.0, 600.0)
 """Radius of what a view turns to, at least and at most."""
 NEAR_M = 10_000.0
 """Runs that are compared are drawn in one frame when they lie no farther apart than this."""
+
+
+_RADIO = (
+    "radio signal",
+    "radio signal at the far end",
+    "radio noise",
+    "radio noise at the far end",
+    "radio receive errors",
+    "radio corrected packets",
+    "radio free buffer",
+)
+"""Columns of `LinkHealth.radio` after the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,18 +72,23 @@ class _Shown:
 
 
 def write(run: Run, path: File) -> None:
-    """Write the recording of `run` to `path`.
+    """Write the recording of `run` to `path`; without any position it has lanes, plots and texts.
 
     Raises:
-        ConfigError: rerun is not installed, no aircraft recorded a position, or `path` cannot be written.
+        ConfigError: rerun is not installed, or `path` cannot be written.
     """
     rerun()
-    ways = flown(run)
+    try:
+        ways = flown(run)
+    except ConfigError:
+        ways = unplaced(run, "No aircraft recorded a position: nothing is drawn in space.")
     pairs = _closest_pairs(ways.paths)
     encounter = first_encounter(_conflicts(run, ways.offsets_s), pairs[0] if pairs else None)
     colours = {record.name: colour(index) for index, record in enumerate(run.aircraft)}
     shown = _Shown(run, ways, pairs, _scene(run, ways, colours, encounter))
-    stream = _stream(run.name, path, blueprint(shown.scene, pairs, _look(ways, pairs, encounter)))
+    look = _look(ways, pairs, encounter)
+    plan = blueprint(shown.scene, pairs, look, placed=bool(ways.paths))
+    stream = _stream(run.name, path, plan)
     _write_run(stream, shown)
     # Without this the end of the file is written at some later time, or never if the process is killed.
     stream.disconnect()
@@ -82,19 +101,14 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
     has one colour.
 
     Raises:
-        ConfigError: as `write`; fewer than two runs.
+        ConfigError: as `write`; fewer than two runs; one in which no aircraft recorded a position.
     """
     rerun()
     if len(runs) < 2:
         raise ConfigError("a comparison takes two runs or more")
-    names = _names(runs)
+    names = align.names(runs)
     every = [flown(run) for run in runs]
-    starts = [_start_of_path(run, ways) for run, ways in zip(runs, every, strict=True)]
-    by_path = None not in starts
-    zeros = [
-        start if by_path and start is not None else _take_off(run, ways)
-        for run, start, ways in zip(runs, starts, every, strict=True)
-    ]
+    zeros, zero_words = align.zeros(runs, every)
     every = [_moved(ways, -zero) for ways, zero in zip(every, zeros, strict=True)]
     origin = every[0].origin
     every = [_in_frame(ways, origin) if _apart_m(ways.origin, origin) < NEAR_M else ways for ways in every]
@@ -120,10 +134,11 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
         )
         for index, (name, run, ways, found) in enumerate(zip(names, runs, every, pairs, strict=True))
     ]
-    words = "the start of the timed paths" if by_path else "take-off"
     looks = [_look(one.ways, one.pairs, encounter) for one in shown]
     required_m = max((pair.required_m for found in pairs for pair in found), default=None)
-    plan = comparison(dict(zip(names, (one.scene for one in shown), strict=True)), looks, required_m, words)
+    plan = comparison(
+        dict(zip(names, (one.scene for one in shown), strict=True)), looks, required_m, zero_words
+    )
     stream = _stream(" and ".join(names), path, plan)
     for one in shown:
         _write_run(stream, one)
@@ -142,11 +157,12 @@ def _stream(name: str, path: File, plan: Any) -> Any:
 def _write_run(stream: Any, shown: _Shown) -> None:
     scene, ways = shown.scene, shown.ways
     writer = Writer(stream, scene)
-    lat, lon, alt = ways.origin
-    start = min(path.time_s[0] for path in ways.paths)
-    words = (
-        f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. Time line: {ways.clock}. Distances by {ways.positions}."
-    )
+    start = min(record.facts.start_s + ways.offsets_s[record.name] for record in shown.run.aircraft)
+    words = f"Time line: {ways.clock}."
+    if ways.paths:
+        lat, lon, alt = ways.origin
+        start = min(path.time_s[0] for path in ways.paths)
+        words = f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. {words} Distances by {ways.positions}."
     writer.say(start, words)
     for problem in (*shown.run.problems, *ways.problems):
         writer.say(start, problem)
@@ -157,6 +173,8 @@ def _write_run(stream: Any, shown: _Shown) -> None:
             note = Note(one.start_s + ways.offsets_s[record.name], "WARN", f"manoeuvre: {one.text}", True)
             here = np.array([one.decision.position_ned_m])
             writer.tell(record.name, note, from_frame(here, one.decision.origin, scene.origin)[0])
+        if record.link is not None:
+            _write_link(writer, scene, record.name, record.link.moved(ways.offsets_s[record.name]))
     for path in ways.paths:
         for part in _pieces(path, scene):
             n, e, d = part.position_ned_m.T
@@ -164,6 +182,29 @@ def _write_run(stream: Any, shown: _Shown) -> None:
             writer.flown(part, np.column_stack(geodetic[:2]))
     _write_distances(writer, shown)
     writer.settle()
+
+
+def _write_link(writer: Writer, scene: Scene, name: str, link: LinkHealth) -> None:
+    lines = [
+        (f"{one.system_id}/{one.component_id} missing frames", one.seconds[:, 0], one.seconds[:, 2])
+        for one in link.components
+    ]
+    lines += [(what, link.radio[:, 0], link.radio[:, column]) for column, what in enumerate(_RADIO, start=1)]
+    for what, time, values in lines:
+        for piece in scene.pieces(time):
+            writer.link(name, what, time[piece], values[piece])
+    notes = [
+        Note(begin, "WARN", f"link: nothing from {one.system_id}/{one.component_id} for {long:.1f} s")
+        for one in link.components
+        for begin, long in one.gaps_s
+    ]
+    notes += [Note(time, "WARN", "link: the vehicle's clock began anew") for time in link.reboots_s]
+    for _, some in itertools.groupby(sorted(notes, key=_time_of), key=lambda note: scene.piece(note.time_s)):
+        writer.notes(name, list(some))
+
+
+def _time_of(note: Note) -> float:
+    return note.time_s
 
 
 def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[list[Step]]:
@@ -260,46 +301,6 @@ def _look(ways: Flown, pairs: Sequence[Separation], encounter: Encounter | None)
 
 
 # ---------------------------------------------------------------- several runs
-
-
-def _names(runs: Sequence[Run]) -> list[str]:
-    """Each run's own name, told apart where two folders are called the same."""
-    names: list[str] = []
-    for run in runs:
-        number = sum(run.name == other.name for other in runs[: len(names)])
-        names.append(run.name if number == 0 else f"{run.name} ({number + 1})")
-    return names
-
-
-def _start_of_path(run: Run, ways: Flown) -> float | None:
-    """When the timed paths start at one UTC: the time line counts from it then."""
-    starts = [
-        record.header.config.flight.start == "utc" if record.header else False for record in run.aircraft
-    ]
-    return 0.0 if all(starts) and "start of the timed paths" in ways.clock else None
-
-
-def _take_off(run: Run, ways: Flown) -> float:
-    """When the first aircraft was armed and in the air; where none tells, when the first path begins."""
-    found = [
-        now + ways.offsets_s[record.name] for record in run.aircraft if (now := _in_air_s(record)) is not None
-    ]
-    return min(found, default=min(float(path.time_s[0]) for path in ways.paths))
-
-
-def _in_air_s(record: AircraftRecord) -> float | None:
-    armed = in_air = False
-    for now, item in record.facts.rare:
-        match item:
-            case Heartbeat():
-                armed = item.armed
-            case LandedState():
-                in_air = item.landed in (Landed.IN_AIR, Landed.TAKEOFF)
-            case _:
-                continue
-        if armed and in_air:
-            return now
-    return None
 
 
 def _moved(ways: Flown, by_s: float) -> Flown:

@@ -102,9 +102,25 @@ def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: flo
         "manoeuvres": [_moved(manoeuvres.figures(one), offset_s) for one in done],
         "alerts": flight.alerts(record, offset_s),
         "remote_id": _moved_sent(air.gather(record), offset_s),
+        "link": _link(record),
         "faults": flight.faults(record, offset_s),
         "missing": flight.missing(record),
     }
+
+
+def _link(record: AircraftRecord) -> list[dict[str, Any]]:
+    """How well the telemetry carried each component's frames; empty without a telemetry log."""
+    return [
+        {
+            "component": f"{one.system_id}/{one.component_id}",
+            "frames": one.frames,
+            "missing": one.missing,
+            "missing_percent": 100.0 * one.missing_share,
+            "silences": len(one.gaps_s),
+            "longest_silence_s": float(one.gaps_s[:, 1].max()) if len(one.gaps_s) else None,
+        }
+        for one in (record.link.components if record.link is not None else ())
+    ]
 
 
 def _moved(figures: dict[str, Any], offset_s: float) -> dict[str, Any]:

@@ -87,8 +87,10 @@ def verdicts(figures: dict[str, Any]) -> list[str]:
             f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
             f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {kept(least['kept'])})"
         )
-    else:
+    elif len(figures["aircraft"]) > 1:
         found.append("Separation: no two aircraft of this run were known at one time")
+    else:
+        found.append("Separation: not known with one aircraft alone")
     found += _verdicts_on_remote_id(figures["aircraft"])
     for words, key in (("manoeuvres", "manoeuvres"), ("faults and warnings", "faults")):
         found.append(f"{sum(len(one[key]) for one in figures['aircraft'])} {words}")
@@ -150,6 +152,7 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
         ("Remote ID heard", _heard(aircraft)),
         ("Age of information when the law decided", _ages(aircraft)),
         ("The simulated air, by the run's own summary", _air(figures["air"])),
+        ("Telemetry link (missing by their numbers: lost, or never logged)", _link(aircraft)),
         ("Faults and warnings", _faults(aircraft)),
     ]
     return [(title, rows) for title, rows in found if len(rows) > 1]
@@ -233,6 +236,23 @@ def _spans(aircraft: Sequence[dict[str, Any]], key: str, state: str, reason: str
         ]
         for one in aircraft
         for row in one["flight"][key]
+    ]
+
+
+def _link(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = ["aircraft", "component", "frames", "missing", "missing (%)", "silences", "longest (s)"]
+    return [head] + [
+        [
+            one["name"],
+            row["component"],
+            str(row["frames"]),
+            str(row["missing"]),
+            number(row["missing_percent"], 2),
+            str(row["silences"]),
+            number(row["longest_silence_s"]),
+        ]
+        for one in aircraft
+        for row in one["link"]
     ]
 
 

@@ -30,6 +30,8 @@ class TimeLine:
     utc_at_zero_s: float | None
     """None where not every aircraft knew UTC."""
     words: str
+    from_path: bool = False
+    """It counts from the start of the timed paths."""
 
 
 def time_line(run: Run) -> TimeLine:
@@ -57,7 +59,8 @@ def time_line(run: Run) -> TimeLine:
     start = _start_of_paths(run)
     if start is not None:
         zero, words = start, f"{words}; 0 is the start of the timed paths"
-    return TimeLine({name: offset - zero for name, offset in known.items()}, zero, words)
+    offsets = {name: offset - zero for name, offset in known.items()}
+    return TimeLine(offsets, zero, words, from_path=start is not None)
 
 
 def _first_start(aircraft: Sequence[AircraftRecord]) -> float:

@@ -49,6 +49,8 @@ OLD_S = 5.0
 """Predictions from information of this age are drawn grey."""
 DRAWN_S = 0.2
 """Distances are drawn as the least of each such time."""
+RANGE_S = 1.0
+"""The same of the distances to tracks, as the law saw them."""
 AGE_S = 5.0
 """Ages of information are drawn as the greatest of each such time: a loss stands out of their saw teeth."""
 
@@ -73,7 +75,9 @@ In space, in each aircraft's colour:
 - square at the tip of a chosen arrow: the half-space of a track that bounds it, its tick to what is allowed
 - points of constant size: what happened there; point at one to read it
 
-Speed: thick flown, pale chosen, grey wanted. Ages: the greatest of each {AGE_S:g} s.
+Speed: thick flown, pale chosen, grey wanted. Distance to heard traffic: as the law saw it, the least of each
+{RANGE_S:g} s. Ages: the greatest of each {AGE_S:g} s. Link: frames that are missing of each component
+(system/component), by their numbers, in each second; what a radio says of itself, in its own units.
 
 Time line `encounter` holds what lies around the first conflict, `time` the whole run: switch below.
 """
@@ -117,7 +121,7 @@ class Writer:
 
     def say(self, time_s: float, text: str) -> None:
         """A line about the whole run."""
-        self._notes("run", [Note(time_s, "INFO", text)])
+        self.notes("run", [Note(time_s, "INFO", text)])
 
     def steps(self, name: str, steps: Sequence[Step]) -> None:
         """The next steps of one aircraft; all of them in one piece of the time line (`Scene.piece`)."""
@@ -130,12 +134,12 @@ class Writer:
             self._heard(one, address, places)
         for lane, states in piece.states.items():
             self._lane(lane, name, states)
-        self._notes(name, piece.notes)
+        self.notes(name, piece.notes)
         self._markers(one, piece)
 
     def tell(self, name: str, note: Note, where_ned_m: Array) -> None:
         """Something that happened to an aircraft, and where, found in more than its steps."""
-        self._notes(name, [note])
+        self.notes(name, [note])
         self._mark(name, [note], where_ned_m.reshape(1, 3))
 
     def flown(self, path: Path, latitudes: Array) -> None:
@@ -178,7 +182,7 @@ class Writer:
         words = f"{pair.first} - {pair.second} closest: {pair.minimum_m:.1f} m"
         words += f", {pair.required_m:g} m were to be kept" if lost else f" ({pair.required_m:g} m kept)"
         note = Note(pair.minimum_time_s, "CRITICAL" if lost else "INFO", words, marked=True)
-        self._notes("pairs", [note])
+        self.notes("pairs", [note])
         self._mark("closest", [note], where_ned_m.reshape(1, 3))
 
     def link(self, name: str, what: str, time_s: Array, values: Array) -> None:
@@ -246,14 +250,18 @@ class Writer:
         if seen:
             self._send_until_stale(entity, "Points3D", piece.decided_s, columns, lengths)
         self._in_the_way(one, piece)
-        rows: dict[str, list[tuple[float, float]]] = {}
-        for time, tracks in zip(piece.decided_s, piece.seen, strict=True):
-            for track in tracks:
-                rows.setdefault(track.track_id, []).append((time, track.age_s))
+        times, own = (np.repeat(rows, lengths, axis=0) for rows in (piece.decided_s, piece.decided_ned_m))
+        away = np.linalg.norm(piece.seen_ned_m - own, axis=1)
+        rows: dict[str, list[tuple[float, float, float]]] = {}
+        for time, track, distance in zip(times, seen, away, strict=True):
+            rows.setdefault(track.track_id, []).append((time, track.age_s, distance))
         for track_id, found in rows.items():
-            table = np.array(found)
-            when, less = least_in_bins(table[:, 0], -table[:, 1], AGE_S)
-            self._line(("age", f"{track_id} at {one.name}"), when, -less, rgb, 1.0)
+            when, ages, distances = np.array(found).T
+            name = f"{track_id} at {one.name}"
+            at, least = least_in_bins(when, distances, RANGE_S)
+            self._line(("range", name), at, least, rgb, 1.5)
+            at, less = least_in_bins(when, -ages, AGE_S)
+            self._line(("age", name), at, -less, rgb, 1.0)
 
     def _in_the_way(self, one: Aircraft, piece: Piece) -> None:
         """Volumes of tracks in conflict or at an active half-space, and lines to them."""
@@ -319,7 +327,8 @@ class Writer:
         columns = rr.StateChange.columns(state=[state or UNKNOWN for _, state in states])
         self._send(entity, np.array([time for time, _ in states]), columns, clip=True)
 
-    def _notes(self, name: str, notes: Sequence[Note]) -> None:
+    def notes(self, name: str, notes: Sequence[Note]) -> None:
+        """Lines about one aircraft, in order; all of one piece of the time line."""
         if notes:
             who = [self._scene.name] if self._scene.name else []
             if name in self._aircraft:

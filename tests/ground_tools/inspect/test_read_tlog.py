@@ -1,5 +1,6 @@
 """Telemetry logs: against pymavlink's own reading, and logs made here for what recordings do not hold."""
 
+import functools
 import gzip
 import struct
 from collections import Counter
@@ -24,7 +25,8 @@ from companion.remote_id.mavlink import encode_odid
 from companion.remote_id.messages import Location
 from ground_tools.inspect import read_tlog
 from ground_tools.inspect.flown import flown
-from ground_tools.inspect.read_run import AircraftRecord, read_run
+from ground_tools.inspect.modes import mode_name
+from ground_tools.inspect.read_run import AircraftRecord, Run, read_run
 from ground_tools.inspect.summary import describe, text
 
 THINNED = Path(__file__).parents[2] / "data"
@@ -50,6 +52,12 @@ def recording(unpacked: Path, name: str) -> Path:
     return path
 
 
+@functools.cache
+def opened(path: Path) -> Run:
+    """Read once for all tests: nothing of a run changes."""
+    return read_run(path)
+
+
 def told(one: AircraftRecord, kind: type) -> list[object]:
     return [item for step in one.steps() for item in (*step.events, *step.commands) if isinstance(item, kind)]
 
@@ -72,7 +80,7 @@ def test_positions_and_counts_are_those_that_pymavlink_reads(unpacked: Path, nam
         last[sender] = message.get_seq()
         if message.get_type() == "GLOBAL_POSITION_INT" and (message.lat or message.lon):
             places.append((message.lat / 1e7, message.lon / 1e7, message.alt / 1e3))
-    (one,) = read_run(path).aircraft
+    (one,) = opened(path).aircraft
     found = [p for p in told(one, GlobalPosition) if isinstance(p, GlobalPosition)]
     assert [(p.lat_deg, p.lon_deg, p.alt_msl_m) for p in found] == places
     assert one.link is not None
@@ -100,7 +108,7 @@ def test_positions_and_counts_are_those_that_pymavlink_reads(unpacked: Path, nam
 def test_what_a_log_is_and_does_not_tell_is_said(
     unpacked: Path, name: str, about: str, missing: str, problems: int
 ) -> None:
-    run = read_run(recording(unpacked, name))
+    run = opened(recording(unpacked, name))
     assert about in run.notes[0]
     assert missing in run.notes[1]
     assert "a companion's decisions" in run.notes[1]
@@ -112,7 +120,8 @@ def test_what_a_log_is_and_does_not_tell_is_said(
 
 
 def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
-    link = read_run(recording(unpacked, "dronekit_flight_replay")).aircraft[0].link
+    run = opened(recording(unpacked, "dronekit_flight_replay"))
+    link = run.aircraft[0].link
     assert link is not None
     assert link.radio.shape == (1370, 8)
     assert 0 < link.radio[:, 1].mean() < 255
@@ -121,12 +130,20 @@ def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
     autopilot = next(c for c in link.components if (c.system_id, c.component_id) == (1, 1))
     # Its clock began anew behind a silence.
     assert any(start <= link.reboots_s[0] <= start + 30.0 for start, _ in autopilot.gaps_s)
+    rows = {row["component"]: row for row in describe(run)["aircraft"][0]["link"]}
+    assert len(rows) == len(link.components)
+    row = rows["1/1"]
+    assert (row["frames"], row["missing"]) == (autopilot.frames, autopilot.missing)
+    assert row["missing_percent"] == pytest.approx(
+        100.0 * autopilot.missing / (autopilot.frames + autopilot.missing)
+    )
+    assert (row["silences"], row["longest_silence_s"]) == (len(autopilot.gaps_s), max(autopilot.gaps_s[:, 1]))
 
 
 def test_adsb_and_setpoints_are_there(unpacked: Path) -> None:
-    (one,) = read_run(recording(unpacked, "ardupilot_sitl_odid_adsb")).aircraft
+    (one,) = opened(recording(unpacked, "ardupilot_sitl_odid_adsb")).aircraft
     assert len({a.icao for a in told(one, AdsbVehicle) if isinstance(a, AdsbVehicle)}) == 19
-    (one,) = read_run(recording(unpacked, "px4_sih_offboard")).aircraft
+    (one,) = opened(recording(unpacked, "px4_sih_offboard")).aircraft
     assert (3.0, 0.0, 0.0) in {s.velocity_ned_mps for s in told(one, VelocitySetpoint)}  # type: ignore[attr-defined]
 
 
@@ -292,7 +309,7 @@ def test_mode_names() -> None:
     def name(firmware: str, kind: int, number: int) -> str:
         one = MavlinkWriter(1, 1).pack(beat(kind, 3 if firmware == "ardupilot" else 12, number))
         fields = read_tlog.unpack(0, one[10:19])
-        return read_tlog.mode_name(read_tlog.heartbeat(1, fields))
+        return mode_name(read_tlog.heartbeat(1, fields))
 
     assert name("ardupilot", 2, 4) == "GUIDED"
     assert name("ardupilot", 1, 4) == "ACRO"

@@ -1,6 +1,8 @@
 """The Rerun recording, read back: sound by rerun's own check, and holding what the run holds."""
 
+import dataclasses
 import itertools
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +13,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.autopilot.tlog import TlogCounts
+from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
 from companion.events import (
     Decision,
@@ -21,14 +25,17 @@ from companion.events import (
     Landed,
     LandedState,
     RemoteIdHeard,
+    TransportsChosen,
 )
 from companion.record import Step
 from companion.remote_id.messages import Location
 from ground_tools.inspect import recording, scene, writer
+from ground_tools.inspect.blueprint import blueprint
 from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.link_health import ComponentHealth, LinkHealth
 from ground_tools.inspect.palette import AUTHORITY, LEVELS, LIMIT
 from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.scene import PIECE_S, Scene, first_encounter
+from ground_tools.inspect.scene import PIECE_S, Aircraft, Scene, first_encounter
 from ground_tools.inspect.why import HalfSpace
 
 pytest.importorskip("rerun")
@@ -307,6 +314,110 @@ def test_reported_altitudes_are_drawn_above_mean_sea_level(tmp_path: Path, made:
     # The frame's origin: the first position, 150 m south of home and 50 m above it.
     assert rows == [(0.0, [pytest.approx([40.0, 180.0, 0.0], abs=0.05)]), (writer.SHOWN_S, [])]
     assert found.column("/link/a\\ hears\\ c2\\ \\(dBm\\)", "scalars") == [(0.0, [-60.0])]
+
+
+def test_what_the_law_took_the_distance_to_be_is_drawn(found: Read) -> None:
+    rows = dict(found.column("/range/DMUCA002\\ at\\ DMUCA001", "scalars"))
+    # The least of each second; closest at 32 s, when both are 10 m from where their paths would meet.
+    assert min(rows.values()) == [pytest.approx(math.hypot(10.0, 10.0), abs=0.01)]
+    assert rows[0.8] == [pytest.approx(math.dist((-146.0, 0.0), (20.0, -146.0)), abs=0.05)]
+
+
+def plots(plan: Any) -> list[str]:
+    """Names of the plots' tabs, in order."""
+    root = plan.root_container
+    rest = root.contents[-1] if type(root).__name__ == "Horizontal" else root
+    return [str(view.name) for view in rest.contents[0].contents]
+
+
+def test_only_plots_with_something_to_show_are_there(built: Path) -> None:
+    run = read_run(built)
+    pair = separations(flown(run).paths)
+    with_law = Aircraft("a", (1, 2, 3), config=Config(identity=IdentityConfig(uas_id="a")))
+    seen = ["Distance to heard traffic (m)", "Oldest information (s) of each pair"]
+    scenes = Scene((0.0, 0.0, 0.0), (with_law,)), Scene((0.0, 0.0, 0.0), (Aircraft("a", (1, 2, 3)),))
+    assert plots(blueprint(scenes[0], pair, None))[1:] == [*seen, "Speed (m/s)", "Link"]
+    assert plots(blueprint(scenes[0], pair, None))[0].startswith("Separation")
+    assert plots(blueprint(scenes[0], (), None, live=True)) == [*seen, "Speed (m/s)", "Link"]
+    assert plots(blueprint(scenes[1], (), None)) == ["Speed (m/s)", "Link"]
+    assert plots(blueprint(scenes[1], (), None, placed=False)) == ["Speed (m/s)", "Link"]
+
+
+def test_who_chose_the_transports_is_a_lane(tmp_path: Path, made: SimpleNamespace) -> None:
+    first, *others = made.steps(made.northbound, made.eastbound(20.0), end_s=10.0)
+    by_policy = TransportsChosen(rates=(("wifi", 5), ("bluetooth", 1)), by="policy", reason="crowded")
+    by_rule = TransportsChosen(rates=(("wifi", 1),), by="fallback", reason="no answer")
+    others[20] = msgspec.structs.replace(others[20], commands=(*others[20].commands, by_rule))
+    first = msgspec.structs.replace(first, commands=(*first.commands, by_policy))
+    made.write_events(tmp_path, "a", [first, *others])
+    recording.write(read_run(tmp_path), tmp_path / "a.rrd")
+    rows = Read(tmp_path / "a.rrd").column("/choice/a", "state")
+    assert rows == [(0.0, ["policy: wifi 5/s, bluetooth 1/s"]), (2.1, ["fallback: wifi 1/s"])]
+
+
+def test_how_well_the_link_carried_is_drawn(tmp_path: Path, made: SimpleNamespace) -> None:
+    """On the run's time line, which begins 20 s before the paths do."""
+    steps = made.steps(made.northbound, made.eastbound(20.0), end_s=15.0)
+    made.write_events(tmp_path, "a", steps, start_utc_s=made.utc_s + 20.0)
+    autopilot = ComponentHealth(
+        system_id=1,
+        component_id=1,
+        frames=30,
+        missing=4,
+        repeated=0,
+        gaps_s=np.array([[3.5, 4.0]]),
+        seconds=np.array([[2.0, 10.0, 0.0], [3.0, 10.0, 3.0], [7.0, 10.0, 1.0]]),
+    )
+    link = LinkHealth(
+        components=(autopilot,),
+        radio=np.array([[5.0, 200.0, 190.0, 40.0, 41.0, 7.0, 8.0, 99.0]]),
+        reboots_s=np.array([9.0]),
+        counts=TlogCounts(),
+        unknown=0,
+        bad_values=0,
+    )
+    run = read_run(tmp_path)
+    run = dataclasses.replace(run, aircraft=(dataclasses.replace(run.aircraft[0], link_of=lambda: link),))
+    recording.write(run, tmp_path / "a.rrd")
+    found = Read(tmp_path / "a.rrd")
+    missing = found.column("/link/a\\ 1\\/1\\ missing\\ frames", "scalars")
+    assert missing == [(-18.0, [0.0]), (-17.0, [3.0]), (-13.0, [1.0])]
+    assert found.column("/link/a\\ radio\\ noise", "scalars") == [(-15.0, [40.0])]
+    assert found.column("/link/a\\ radio\\ free\\ buffer", "scalars") == [(-15.0, [99.0])]
+    texts = [(time, text) for time, (text,) in found.column("/events/a", "text") if "link: " in text]
+    assert texts == [
+        (-16.5, "a: link: nothing from 1/1 for 4.0 s"),
+        (-11.0, "a: link: the vehicle's clock began anew"),
+    ]
+
+
+def test_without_positions_the_rest_is_drawn(
+    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bench test: who flew, what was said and sent; the law decided nothing."""
+    plans: list[Any] = []
+
+    def kept(*arguments: Any, **options: Any) -> Any:
+        plans.append(blueprint(*arguments, **options))
+        return plans[-1]
+
+    monkeypatch.setattr(recording, "blueprint", kept)
+    steps = [
+        msgspec.structs.replace(
+            step, commands=tuple(command for command in step.commands if not isinstance(command, Decision))
+        )
+        for step in made.steps(made.northbound, made.eastbound(20.0), positions=False)
+    ]
+    made.write_events(tmp_path, "a", steps)
+    recording.write(read_run(tmp_path), tmp_path / "a.rrd")
+    assert verify(tmp_path / "a.rrd").returncode == 0
+    found = Read(tmp_path / "a.rrd")
+    assert [state for _, (state,) in found.column("/authority/a", "state")] == ["watching", "flying"]
+    texts = [text for _, (text,) in found.column("/events/run", "text")]
+    assert texts[1] == "No aircraft recorded a position: nothing is drawn in space."
+    assert not any(entity.endswith("/own") for entity in found.batches)
+    # No view of space at the left of the rest.
+    assert type(plans[0].root_container).__name__ == "Vertical"
 
 
 # ---------------------------------------------------------------- several runs

@@ -47,7 +47,7 @@ def test_a_conflict_tells_what_each_did(guard: Path) -> None:
     assert row["done"][0].startswith("ONE taken out of its mission, turned right by")
     assert row["done"][1] == "TWO only watched"
     one = figures["aircraft"][0]
-    assert [(span["mode"]) for span in one["flight"]["modes"]] == ["mission", "external", "mission"]
+    assert [(span["mode"]) for span in one["flight"]["modes"]] == ["AUTO", "GUIDED", "AUTO"]
     assert one["flight"]["authority"][1]["reason"] == "conflict with TWO"
     assert one["flight"]["authority"][1]["to_s"] == one["flight"]["authority"][2]["from_s"]
     assert one["flight"]["max_height_m"] == pytest.approx(50.0, abs=1.0)
@@ -92,7 +92,7 @@ def test_an_aircraft_that_was_only_heard_is_a_conflict_by_prediction(tmp_path: P
     assert (row["pair"], row["kept"], row["time_s"]) == (["ONE", "INTRUDER"], None, 4.0)
     assert row["by"] == "Remote ID, as predicted aboard"
     assert "turned right by 37 deg" in row["done"][0]
-    assert "no two aircraft of this run were known at one time" in told(tmp_path)
+    assert "Separation: not known with one aircraft alone" in told(tmp_path)
 
 
 def test_a_distance_that_the_law_took_wrongly_is_said(tmp_path: Path, made: SimpleNamespace) -> None:

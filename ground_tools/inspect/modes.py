@@ -1,0 +1,18 @@
+"""Flight modes in the words of whoever flies in them."""
+
+from __future__ import annotations
+
+from pymavlink import mavutil
+
+from companion.autopilot.dialect import DIALECTS, refusal
+from companion.events import Firmware, Heartbeat
+
+
+def mode_name(beat: Heartbeat) -> str:
+    """The flight mode as its firmware calls it; its number where nobody knows."""
+    if beat.firmware is Firmware.PX4 or refusal(beat.firmware, beat.vehicle_type) is None:
+        names = DIALECTS[beat.firmware].names
+    else:
+        # ArduPilot's fixed-wing aircraft, rovers, boats, submarines.
+        names = mavutil.mode_mapping_bynumber(beat.vehicle_type) or {}
+    return names.get(beat.custom_mode, f"mode {beat.custom_mode}")
