@@ -1,4 +1,4 @@
-"""The pictures of docs/inspect.md: `python -m tests.browser.pictures RUN FOLDER` writes inspect.png, report.png."""
+"""Pictures of docs/inspect.md: `python -m tests.browser.pictures RUN FOLDER` makes inspect.png and report.png."""
 
 from __future__ import annotations
 
