@@ -1,4 +1,4 @@
-"""Pictures of docs/inspect.md: `python -m tests.browser.pictures RUN FOLDER` makes inspect.png and report.png."""
+"""Pictures of docs/inspect.md: `python -m tests.browser.pictures RUN FOLDER` (inspect.png, report.png)."""
 
 from __future__ import annotations
 
