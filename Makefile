@@ -27,6 +27,7 @@ fuzz: .venv/dev.stamp
 picture: .venv/dev.stamp
 	$(BIN)/sitl-mocks demo --runs runs/picture
 	$(BIN)/ground-tools picture "$$(ls -d runs/picture/* | tail -n 1)" --out docs/demo.png
+	$(BIN)/python -m tests.browser.pictures "$$(ls -d runs/picture/* | tail -n 1)" docs
 
 clean:
 	rm -rf .venv

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,17 +16,26 @@ Colour = tuple[int, int, int]
 
 
 def picture(
-    url: str, path: Path, colours: Sequence[Colour], width: int = 1440, height: int = 900
+    url: str,
+    path: Path,
+    colours: Sequence[Colour],
+    width: int = 1440,
+    height: int = 900,
+    arrange: Callable[[Any], None] = lambda page: None,
 ) -> dict[Colour, int]:
     """Open the viewer and take its picture once something of each colour is drawn.
+
+    Args:
+        arrange: what to do with Playwright's page beforehand.
 
     Returns:
         Pixels of each colour; fewer colours than asked for when patience ended.
     """
-    give_up_s = time.monotonic() + PATIENCE_S
     with opened(width, height) as page:
         page.page.route("**/*", lambda route: _loopback_only(route))
         page.page.goto(f"{url}&renderer=webgl")
+        arrange(page.page)
+        give_up_s = time.monotonic() + PATIENCE_S
         while True:
             image = page.page.screenshot()
             found = _count(image, colours)

@@ -1,0 +1,104 @@
+"""Pictures of docs/inspect.md: `python -m tests.browser.pictures RUN FOLDER` (inspect.png, report.png)."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import http.server
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from ground_tools.inspect import recording, report, summary
+from ground_tools.inspect.palette import LIMIT, colour
+from ground_tools.inspect.read_run import Run, read_run
+from ground_tools.inspect.web import WebViewer
+from tests.browser import chromium, viewer
+
+SIZE = 1600, 1000
+SMALL = 320, 240
+LOAD_S, SETTLE_S = 75.0, 25.0
+"""Software draws few pixels often and many seldom, and a recording is taken in between two frames: it loads
+in a small window."""
+PLAY_PX, CLOSEST_PX = (29, 984), (790, 984)
+"""The button that stops playing, and the place on the time line near the closest approach."""
+REPORT_SIZE = 1120, 1420
+
+
+def main(run_folder: str, folder: str) -> None:
+    """Draw both."""
+    run = read_run(Path(run_folder))
+    _viewer(run, Path(folder) / "inspect.png")
+    _report(run, Path(folder) / "report.png")
+
+
+def _viewer(run: Run, picture: Path) -> None:
+    colours = [colour(index) for index in range(len(run.aircraft))]
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "inspect.rrd"
+        recording.write(run, path)
+        with WebViewer() as web, _served(path) as file:
+            url = f"{web.url.partition('?')[0]}?url={file}"
+            drawn = viewer.picture(url, picture, [*colours, LIMIT], *SIZE, _arranged)
+    _shrink(picture)
+    print(f"wrote {picture}: {drawn}")
+
+
+def _arranged(page: Any) -> None:
+    page.set_viewport_size(dict(zip(("width", "height"), SMALL, strict=True)))
+    page.wait_for_timeout(1e3 * LOAD_S)
+    page.set_viewport_size(dict(zip(("width", "height"), SIZE, strict=True)))
+    for place in (PLAY_PX, CLOSEST_PX):
+        page.wait_for_timeout(1e3 * SETTLE_S)
+        page.mouse.click(*place)
+    page.wait_for_timeout(1e3 * SETTLE_S)
+
+
+@contextlib.contextmanager
+def _served(path: Path) -> Iterator[str]:
+    """The file on loopback: a whole recording comes sooner so than through the viewer's own server."""
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def end_headers(self) -> None:
+            self.send_header("Access-Control-Allow-Origin", "*")
+            super().end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    handler = functools.partial(Handler, directory=str(path.parent))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/{path.name}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def _report(run: Run, picture: Path) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        page = Path(name) / "report.html"
+        report.write(run, summary.describe(run), page)
+        with chromium.opened(*REPORT_SIZE, offline=True) as browser:
+            browser.page.goto(page.as_uri())
+            browser.page.screenshot(path=picture)
+    _shrink(picture)
+    print(f"wrote {picture}")
+
+
+def _shrink(picture: Path) -> None:
+    """To 256 colours: less than half the bytes."""
+    with Image.open(picture) as image:
+        few = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    few.save(picture, optimize=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
