@@ -96,7 +96,7 @@ _TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.R
 _BRAKING_S = 3.0
 """Who switches off wants the vehicle to stop, not to meet what an autopilot does when setpoints end: for so
 long at most it is commanded to stand, until it holds by itself."""
-_STICKS_S = 8.0
+_STICKS_S = 10.0
 """The same for a mode that takes sticks: longer than it is asked for, so that where the vehicle refuses it a
 hold can be asked for instead."""
 _QUIET_LOG_S = 1.0

@@ -264,7 +264,7 @@ def test_sticks_without_a_mode_that_follows_are_waited_for_standing_for_seconds_
     bench.obeys = False
     told = bench.setpoints(sticks_moved(bench) + bench.step(400))
     assert {s.velocity_ned_mps for s in told} == {(0.0, 0.0, 0.0)}
-    assert 7.9 < len(told) * 0.05 < 8.1
+    assert 9.9 < len(told) * 0.05 < 10.1
 
 
 def test_a_vehicle_that_refuses_the_mode_for_sticks_is_to_hold(guarded):
