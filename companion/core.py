@@ -100,6 +100,9 @@ _TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.R
 _BRAKING_S = 3.0
 """Who switches off wants the vehicle to stop, not to meet what an autopilot does when setpoints end: for so
 long at most it is commanded to stand, until it holds by itself."""
+_STICKS_S = 10.0
+"""The same for a mode that takes sticks: longer than it is asked for, so that where the vehicle refuses it a
+hold can be asked for instead."""
 _QUIET_LOG_S = 1.0
 """Decisions are logged at least this often; while avoiding or recovering each one is."""
 
@@ -418,11 +421,15 @@ class Companion:
             self._move(now_s, frozenset({Trigger.CHANGED}), None, commands)
 
     def _mode_refused(self, event: ModeRefused) -> list[Command]:
-        """What was asked for in order to fly is a fault; the rest is only told."""
+        """What was asked for in order to fly is a fault; the rest is told. Where the vehicle has no mode for
+        the sticks that move (PX4 without a calibrated radio), it is to hold before its failsafe acts."""
         if event.mode is FlightMode.EXTERNAL:
             self._refused = event.reason
             return []
-        return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
+        told: list[Command] = [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
+        if event.mode is FlightMode.STICKS and self.own.mode is FlightMode.EXTERNAL:
+            told.append(SetMode(mode=FlightMode.HOLD))
+        return told
 
     def _triggers(self, now_s: float, unfit: str | None) -> frozenset[Trigger]:
         """What the vehicle's state says about authority."""
@@ -531,7 +538,8 @@ class Companion:
         # heartbeat.
         holds = trigger is Trigger.CHANGED or (trigger is Trigger.UNFIT and not self._settings.enable)
         if previous in HOLDING and (holds or sticks):
-            self._brake_until_s, self._braked_in = now_s + _BRAKING_S, self.own.mode
+            self._brake_until_s = now_s + (_STICKS_S if sticks else _BRAKING_S)
+            self._braked_in = self.own.mode
         elif not sticks:
             self._brake_until_s = -math.inf
         if self.state is State.WATCHING:

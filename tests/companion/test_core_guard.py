@@ -293,7 +293,31 @@ def test_sticks_without_a_mode_that_follows_are_waited_for_standing_for_seconds_
     bench.obeys = False
     told = bench.setpoints(sticks_moved(bench) + bench.step(400))
     assert {s.velocity_ned_mps for s in told} == {(0.0, 0.0, 0.0)}
-    assert 2.9 < len(told) * 0.05 < 3.1
+    assert 9.9 < len(told) * 0.05 < 10.1
+
+
+def test_a_vehicle_that_refuses_the_mode_for_sticks_is_to_hold(guarded):
+    """PX4 with a radio that it does not count as calibrated; without setpoints it would go home."""
+    bench = at_rest(guarded())
+    bench.obeys = False
+    sticks_moved(bench)
+    bench.step(120)
+    bench.extra.append(ModeRefused(mode=FlightMode.STICKS, reason="POSCTL not entered"))
+    commands = bench.step()
+    assert modes(commands) == [FlightMode.HOLD]
+    assert [s.velocity_ned_mps for s in bench.setpoints(commands)] == [(0.0, 0.0, 0.0)]
+    bench.mode = FlightMode.HOLD
+    assert not bench.setpoints(bench.step(100))
+    assert bench.heart.state is State.YIELDED
+
+
+def test_a_mode_for_sticks_that_is_refused_as_the_pilot_chose_another_leaves_him_that(guarded):
+    bench = at_rest(guarded())
+    bench.obeys = False
+    sticks_moved(bench)
+    bench.mode = FlightMode.OTHER
+    bench.extra.append(ModeRefused(mode=FlightMode.STICKS, reason="the vehicle went to RTL"))
+    assert modes(bench.step()) == []
 
 
 def test_a_mode_chosen_with_the_sticks_ends_the_standing_for_good(guarded):
