@@ -82,9 +82,13 @@ def _open_ground() -> list[Cell]:
 
 
 def _twins() -> list[Cell]:
-    """Two with one identity; then with four of five messages lost, where one may be taken for the other."""
-    rows = [_twin(kind, DELAYS_S[1], 0.0) for kind in ("twin", "own-twin")]
-    return rows + [_twin(kind, DELAYS_S[0], 0.8) for kind in TWINS]
+    """Two with one identity."""
+    return [_twin(kind, DELAYS_S[1], 0.0) for kind in ("twin", "own-twin")]
+
+
+def _twins_lost() -> list[Cell]:
+    """The same with four of five messages lost, where one may be taken for the other."""
+    return [_twin(kind, DELAYS_S[0], 0.8) for kind in TWINS]
 
 
 def _twin(kind: str, delay_s: tuple[float, float], loss: float) -> Cell:
@@ -98,6 +102,7 @@ TABLES: Final[dict[str, Callable[[], list[Cell]]]] = {
     "fast": _fast,
     "open-ground": _open_ground,
     "twins": _twins,
+    "twins-lost": _twins_lost,
 }
 
 
