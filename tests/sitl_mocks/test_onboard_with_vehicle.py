@@ -64,7 +64,7 @@ MISSION = (
 class Pair:
     """Vehicle and companion, stepped together."""
 
-    def __init__(self, firmware, mission=MISSION, flight=None, system_id=0, **options):
+    def __init__(self, firmware, mission=MISSION, flight=None, system_id=1, **options):
         options = {"airborne": True, "start_position_ned_m": (0.0, 0.0, -50.0), **options}
         if options["airborne"] and firmware is Firmware.ARDUPILOT:
             # Taken off in GUIDED, as a ground station does it; LOITER is the pilot's.
