@@ -261,7 +261,9 @@ class Soak:
             self._say(lambda e: e.command_long_encode(1, 1, 300, 0, 0, 0, 0, 0, 0, 0, 0))
 
     def _select(self, mode: VehicleMode) -> None:
-        if self.vehicle.pilot_selects(mode) and self._state in HOLDING:
+        before = self.vehicle.custom_mode
+        # The mode that is flown already, as while the vehicle is being taken, shows in no heartbeat.
+        if self.vehicle.pilot_selects(mode) and self.vehicle.custom_mode != before and self._state in HOLDING:
             self._chosen = self.vehicle.custom_mode
 
     def _say(self, pack: Callable[[Any], MavlinkMessage]) -> None:

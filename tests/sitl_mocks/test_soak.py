@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from itertools import product
 
+import numpy as np
 import pytest
 
+from companion.avoidance.authority import HOLDING
 from companion.core import Companion
 from companion.events import Firmware
 from companion.ownship import Ownship
 from sitl_mocks import cli
-from sitl_mocks.soak import BrokenRuleError, soak
+from sitl_mocks.soak import BrokenRuleError, Soak, soak
+from sitl_mocks.vehicle_manners import VehicleMode
 
 HOURS = {"guard": 0.2, "fly": 0.1}
 SEEDS = {"guard": (1, 2), "fly": (1,)}
@@ -48,6 +52,19 @@ def test_a_seed_is_a_flight():
     one, other = (dataclasses.asdict(fly(Firmware.PX4, "guard", hours=0.03)) for _ in range(2))
     del one["memory_mb"], other["memory_mb"]
     assert one == other
+
+
+def test_a_mode_that_is_flown_already_is_not_seen_when_the_pilot_selects_it():
+    run = Soak(Firmware.PX4, "fly", np.random.default_rng(1))
+    while run.vehicle.mode is not VehicleMode.MISSION or run.onboard.heart.state not in HOLDING:
+        run.step()
+    run._next_trouble_s = math.inf
+    run._select(VehicleMode.MISSION)
+    while run.vehicle.mode is VehicleMode.MISSION:
+        run.step()
+    for _ in range(100):
+        run.step()
+    assert run.onboard.heart.state in HOLDING
 
 
 def test_hours_that_are_none_are_refused(capsys):
