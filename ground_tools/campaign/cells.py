@@ -24,20 +24,18 @@ from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.traffic import (
     about,
-    adsb,
     eviction,
     fix,
     judge,
     plausibility,
     reception,
-    right_of_way,
     track,
     tracks,
 )
-from ground_tools.campaign import flight, generators
+from ground_tools.campaign import compiled, flight, generators, outcome, vehicles
 from ground_tools.campaign import twins as twin_flight
-from ground_tools.campaign.flight import World
 from ground_tools.campaign.generators import draw
+from ground_tools.campaign.world import W_PERIOD, World
 from ground_tools.kept import Kept
 from sitl_mocks import scenario
 
@@ -87,7 +85,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     intruders: Annotated[float, Meta(ge=0, le=1)] = 0.0
     """Share of the aircraft that do not avoid; the first ones."""
     intruder: str = "blind"
-    """What they do, of `flight.INTRUDERS` and `flight.TWINS`."""
+    """What they do, of `vehicles.INTRUDERS` and `vehicles.TWINS`."""
     world: str = "calm"
     """Of `WORLDS`."""
     reserve: bool = True
@@ -96,7 +94,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def twins(self) -> bool:
         """Whether two fly with one identity."""
-        return self.intruder in flight.TWINS and self.intruders > 0.0
+        return self.intruder in vehicles.TWINS and self.intruders > 0.0
 
     @property
     def name(self) -> str:
@@ -117,7 +115,7 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     deviation_m: float
     """Largest distance of any aircraft from its timed point."""
     away_s: float
-    """Longest time for which any of them was more than `flight.AWAY_M` from it."""
+    """Longest time for which any of them was more than `outcome.AWAY_M` from it."""
     back_m: float
     """Largest distance from it at the end."""
     lost_s: float
@@ -164,7 +162,7 @@ class Look:
     points: NDArray[np.float64]
     """(A, K, 3), NED, m."""
     kinds: NDArray[np.float64]
-    """(A,): `flight.AVOIDS`, or what else an aircraft is."""
+    """(A,): `vehicles.AVOIDS`, or what else an aircraft is."""
     trace: NDArray[np.float64]
     """(steps, A, 3): true positions at the end of each step."""
     decided: NDArray[np.float64]
@@ -197,16 +195,16 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         times, points = draw(cell.generator, cell.aircraft, cell.speed_mps, seed)
     except ValueError as error:
         raise ConfigError(f"seed {seed}: {error}") from error
-    kinds = np.full(cell.aircraft, float(flight.AVOIDS))
-    kinds[: round(cell.intruders * cell.aircraft)] = (flight.INTRUDERS | flight.TWINS)[cell.intruder]
-    crewed = (kinds == flight.CREWED) | (kinds == flight.BAROMETRIC)
+    kinds = np.full(cell.aircraft, float(vehicles.AVOIDS))
+    kinds[: round(cell.intruders * cell.aircraft)] = (vehicles.INTRUDERS | vehicles.TWINS)[cell.intruder]
+    crewed = (kinds == vehicles.CREWED) | (kinds == vehicles.BAROMETRIC)
     if crewed.any():
         points[crewed] = _crewed_ways(times, points, crewed, seed)
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
     settings = np.array([settings_of(avoidance, *own) for own in zip(limits, paths, strict=True)])
     fence = _fence_beside(points) if cell.world == "fence" else np.zeros((0, kernels.WALL_COLUMNS))
-    settings[kinds != flight.AVOIDS, kernels.S_LAW] = kernels.NONE
+    settings[kinds != vehicles.AVOIDS, kernels.S_LAW] = kernels.NONE
     world = msgspec.structs.replace(
         WORLDS[cell.world],
         start_s=float(times.min()),
@@ -216,14 +214,14 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     )
     n, row = cell.aircraft, world.row(avoidance.period_s)
     steps = round((world.end_s - world.start_s) / world.step_s) if looked else 0
-    decisions = math.ceil(steps / row[flight.W_PERIOD])
+    decisions = math.ceil(steps / row[W_PERIOD])
     trace, decided = np.zeros((steps, n, 3)), np.zeros((decisions, n, flight.DECIDED_COLUMNS))
     seen = np.full((decisions, n, n, flight.SEEN_COLUMNS), math.nan)
-    pairs, result = np.zeros((n, n, flight.PAIR_ENTRIES)), np.zeros(flight.FLIGHT_ENTRIES)
+    pairs, result = np.zeros((n, n, outcome.PAIR_ENTRIES)), np.zeros(outcome.FLIGHT_ENTRIES)
     rng = np.random.default_rng([seed, 7])
     if cell.twins:
         laws = [
-            law.Law(avoidance if kind == flight.AVOIDS else LAWS["none"], own, path, fence)
+            law.Law(avoidance if kind == vehicles.AVOIDS else LAWS["none"], own, path, fence)
             for kind, own, path in zip(kinds.tolist(), limits, paths, strict=True)
         ]
         twin_flight.fly(rng, row, times, points, fence, settings, kinds, laws, pairs, result)
@@ -235,18 +233,18 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
 
 def _row(seed: int, result: NDArray[np.float64], pairs: NDArray[np.float64]) -> Row:
     values: list[Any] = [round(value, 4) for value in result.tolist()]
-    for entry in (flight.F_FIRST, flight.F_SECOND):
+    for entry in (outcome.F_FIRST, outcome.F_SECOND):
         values[entry] = int(result[entry])
-    for entry in (flight.F_RECOVERY, flight.F_CREWED):
+    for entry in (outcome.F_RECOVERY, outcome.F_CREWED):
         if math.isinf(result[entry]):
             values[entry] = None
-    lost, alerts = pairs[:, flight.P_SEPARATION] < SEPARATION_M, pairs[:, flight.P_ALERT] != 0.0
+    lost, alerts = pairs[:, outcome.P_SEPARATION] < SEPARATION_M, pairs[:, outcome.P_ALERT] != 0.0
     return Row(seed, *values, *(tuple(np.flatnonzero(which).tolist()) for which in (lost, alerts)))
 
 
 def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
     speed = cell.speed_mps
-    if kind in (flight.CREWED, flight.BAROMETRIC):
+    if kind in (vehicles.CREWED, vehicles.BAROMETRIC):
         speed = CREWED_MPS
     elif not cell.reserve:
         speed = path.max_speed()
@@ -314,11 +312,13 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
 
 def software(*, twins: bool = False) -> str:
     """The state of law, world and encounters that flights hang on; with twins that of the tracks, too."""
-    modules = [kernels, law, trajectory, config, flight, generators, scenario, adsb, right_of_way]
+    modules = [trajectory, config, flight, generators, scenario]
     if twins:
         modules += _TRACKS
-    files = [inspect.getsourcefile(module) or "" for module in modules] + [__file__]
-    return hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()[:12]
+    files = [Path(inspect.getsourcefile(module) or "") for module in modules]
+    return hashlib.sha256(
+        b"".join(file.read_bytes() for file in (*compiled.SOURCES, *files, Path(__file__)))
+    ).hexdigest()[:12]
 
 
 def baseline(cell: Cell) -> Cell:
@@ -347,7 +347,7 @@ def lost(rows: Sequence[Row]) -> int:
 
 def collided(rows: Sequence[Row]) -> int:
     """Flights in which a pair hit."""
-    return sum(row.separation_m < flight.COLLISION_M for row in rows)
+    return sum(row.separation_m < outcome.COLLISION_M for row in rows)
 
 
 def median(values: Sequence[float]) -> float:

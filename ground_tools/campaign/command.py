@@ -21,8 +21,8 @@ from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import run_folder, tables
 from ground_tools.campaign.cells import Cell, Row
-from ground_tools.campaign.flight import INTRUDERS, TWINS
 from ground_tools.campaign.generators import NAMES
+from ground_tools.campaign.vehicles import INTRUDERS, TWINS
 from ground_tools.channel import options
 from ground_tools.channel.progress import progress
 from ground_tools.cluster import on_ray

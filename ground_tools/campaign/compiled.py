@@ -13,18 +13,21 @@ from companion.avoidance import kernels, law
 from companion.traffic import adsb, right_of_way
 
 Function = TypeVar("Function")
-_LAW = hashlib.sha256(
-    b"".join(Path(str(m.__file__)).read_bytes() for m in (kernels, law, adsb, right_of_way))
-).hexdigest()[:12]
+SOURCES = (
+    *(Path(str(module.__file__)) for module in (kernels, law, adsb, right_of_way)),
+    *(Path(__file__).with_name(f"{name}.py") for name in ("world", "vehicles", "outcome")),
+)
+"""What is compiled into functions of other files."""
+_STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
 
 
 def compiled(**options: Any) -> Callable[[Function], Function]:
-    """With a cache for each state of the law: numba looks only at the file of the function that is called,
-    and what is compiled here holds the law and numbers from beside it, too."""
+    """With a cache for each state of the law and the world: numba looks only at the file of the function that
+    is called, and what is compiled here holds functions and numbers from beside it, too."""
 
     def decorate(function: Function) -> Function:
         held = vars(config)["CACHE_DIR"]
-        vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _LAW)
+        vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _STATE)
         try:
             return cast(Function, njit(cache=True, error_model="numpy", **options)(function))
         finally:

@@ -47,7 +47,7 @@ from companion.remote_id.messages import Location
 from companion.runtime.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.toml_input import without_none
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import flight
+from ground_tools.campaign import flight, vehicles
 from ground_tools.campaign.cells import Cell, Look
 from ground_tools.inspect.truth import HEADER, ORIGIN
 from sitl_mocks.lockstep import UTC_AT_START_S
@@ -97,7 +97,7 @@ def write(root: Path, cell: Cell, seed: int, utc_s: float) -> Path:
 
 def names(kinds: Array) -> list[str]:
     """Of the aircraft, in order; those that do not avoid say what they are."""
-    words = {float(kind): f"-{word}" for word, kind in flight.INTRUDERS.items()}
+    words = {float(kind): f"-{word}" for word, kind in vehicles.INTRUDERS.items()}
     return [f"uas-{number:03d}{words.get(kind, '')}" for number, kind in enumerate(kinds.tolist(), start=1)]
 
 
@@ -140,7 +140,7 @@ def _write_truth(path: Path, look: Look, i: int) -> None:
 def _config(look: Look, i: int, name: str) -> Config:
     """Of one aircraft, as a companion's."""
     avoidance, world = look.avoidance, look.world
-    if look.kinds[i] != flight.AVOIDS:
+    if look.kinds[i] != vehicles.AVOIDS:
         avoidance = msgspec.structs.replace(avoidance, law="none")
     floor, ceiling = (h if math.isfinite(h) else None for h in (world.floor_m, world.ceiling_m))
     times, places = look.times[i].tolist(), _geodetic(look.points[i])

@@ -10,8 +10,8 @@ import msgspec
 
 from companion.errors import ConfigError
 from ground_tools.campaign.cells import LAWS, WORLDS, Cell
-from ground_tools.campaign.flight import INTRUDERS, TWINS
 from ground_tools.campaign.generators import NAMES
+from ground_tools.campaign.vehicles import INTRUDERS, TWINS
 
 _NOTHING: Final = "-"
 FULL_MPS: Final = 26.6

@@ -1,6 +1,6 @@
 """Flights in which two send with one identity: the heart's own tracks, in the campaign's world.
 
-Vehicles, errors, messages and their delays are `flight`'s, draw for draw. Here each aircraft hears frames
+Vehicles, errors, messages and their delays are `vehicles`', draw for draw. Here each aircraft hears frames
 (Basic ID and Location, from a radio address) with the heart's `Traffic` and decides by its `Law`: who is
 whose twin is not known to either. Everybody hears the own frames, too, as a second receiver does. It takes
 some fifty times as long as the compiled flight.
@@ -14,14 +14,25 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.avoidance import kernels as k
-from companion.avoidance.law import Law, Situation
+from companion.avoidance.law import Law, LawResult, Situation
 from companion.config import TrafficConfig
-from companion.events import RemoteIdHeard
+from companion.events import RemoteIdHeard, Vec3
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.traffic.tracks import Traffic
-from ground_tools.campaign import flight
+from ground_tools.campaign import outcome, vehicles
+from ground_tools.campaign.world import (
+    W_CEILING,
+    W_DECLARED,
+    W_DELAY_LOW,
+    W_END,
+    W_FLOOR,
+    W_MESSAGE,
+    W_PERIOD,
+    W_SIGMA_VELOCITY,
+    W_START,
+    W_STEP,
+)
 from ground_tools.inspect.truth import ORIGIN
 
 Array = NDArray[np.float64]
@@ -47,34 +58,23 @@ def fly(
 
     Args:
         world: without a loss of GNSS.
-        kinds: shape (A,): `flight.AVOIDS`, `BLIND`, or of `flight.TWINS`.
+        kinds: shape (A,): `vehicles.AVOIDS`, `BLIND`, or of `vehicles.TWINS`.
         laws: of each aircraft; of one that does not avoid "none".
     """
     fleet = len(kinds)
-    craft = flight.on_the_ground(fleet, world)
+    craft, tally = vehicles.on_the_ground(fleet, world), outcome.nothing_yet(fleet, pairs, result)
     hearts = [Heart(i, law) for i, law in enumerate(laws)]
-    state = np.zeros((fleet, k.STATE_ENTRIES))
-    air = Air(kinds, world)
-    step = world[flight.W_STEP]
-    every, message_every = int(world[flight.W_PERIOD]), int(world[flight.W_MESSAGE])
-    steps = round((world[flight.W_END] - world[flight.W_START]) / step)
-    floor, ceiling = (
-        limit if math.isfinite(limit) else None
-        for limit in world[[flight.W_FLOOR, flight.W_CEILING]].tolist()
-    )
-    declared = float(world[flight.W_DECLARED])
-    manoeuvres = infeasible = decisions = 0
-    result[:] = 0.0
-    result[flight.F_SEPARATION] = result[flight.F_CREWED] = math.inf
-    pairs[:, :, flight.P_ALERT] = 0.0
-    flight.begin(rng, world, path_times, path_points, kinds, craft)
+    air, late = Air(kinds, world), np.zeros(fleet)
+    step = world[W_STEP]
+    every, message_every = int(world[W_PERIOD]), int(world[W_MESSAGE])
+    vehicles.begin(rng, world, path_times, path_points, kinds, craft)
     clocks, phases = craft.clock.tolist(), craft.phase.tolist()
 
-    for tick in range(steps):
-        now = float(world[flight.W_START] + tick * step)
+    for tick in range(round((world[W_END] - world[W_START]) / step)):
+        now = float(world[W_START] + tick * step)
         for i in range(fleet):
             if (tick + phases[i]) % message_every == 0:
-                slot = flight.send(rng, world, tick, i, kinds, craft)
+                slot = vehicles.send(rng, world, tick, i, kinds, craft)
                 air.take(i, slot, craft.sent[i, slot].tolist(), now)
         places = list(map(tuple, (craft.position + craft.error).tolist()))
         velocities = list(map(tuple, (craft.velocity + craft.own_error).tolist()))
@@ -82,41 +82,23 @@ def fly(
             heart.traffic.note_own(now, place, velocity)
         if tick % every == 0:
             for i, heart in enumerate(hearts):
-                if kinds[i] == flight.AVOIDS:
-                    for frame in air.heard(i, now, craft.arrival[i]):
-                        heart.traffic.hear(frame, now, clocks[i], FRAME, 0.0)
-                    heart.traffic.expire(now)
-                decided = heart.law.decide(
-                    Situation(
-                        now, now, places[i], velocities[i], declared,
-                        heart.traffic.neighbours(now), floor, ceiling,
-                    )
-                )  # fmt: skip
+                if kinds[i] == vehicles.AVOIDS:
+                    heart.hear(air.heard(i, now, craft.arrival[i]), now, clocks[i])
+                decided = heart.decide(world, now, places[i], velocities[i])
                 craft.command[i] = decided.chosen_ned_mps
-                state[i, k.L_DELAY] = heart.law.late_s
-                if kinds[i] != flight.AVOIDS:
-                    continue
-                decisions += 1
-                infeasible += not decided.feasible
-                manoeuvres += decided.conflict and not heart.in_conflict
-                heart.in_conflict = decided.conflict
-                if decided.conflict:
-                    craft.conflict_at[i], craft.recovery[i] = now, math.inf
-                    for track in decided.tracks:
+                late[i] = heart.law.late_s
+                if kinds[i] == vehicles.AVOIDS:
+                    outcome.count_decision(tally, now, i, decided.feasible, decided.conflict)
+                    for track in decided.tracks if decided.conflict else ():
                         if track.conflict:
                             j = air.sender(heart.traffic.tracks[track.track_id].content)
-                            pairs[max(i, j), min(i, j), flight.P_ALERT] = 1.0
-        flight.move(
-            rng, world, tick, tick == steps - 1, path_times, path_points, fence, settings, kinds, state,
-            craft, _NO_TRACE, result,
-        )  # fmt: skip
+                            pairs[max(i, j), min(i, j), outcome.P_ALERT] = 1.0
+        vehicles.move(rng, world, craft)
+        outcome.measure(
+            world, tick, path_times, path_points, late, fence, settings, kinds, craft, tally, result
+        )
 
-    flight.land(craft, pairs, result)
-    result[flight.F_MANOEUVRES] = manoeuvres
-    result[flight.F_INFEASIBLE] = infeasible / max(decisions, 1)
-
-
-_NO_TRACE = np.zeros((0, 0, 3))
+    outcome.land(kinds, late, tally, pairs, result)
 
 
 class Heart:
@@ -126,7 +108,24 @@ class Heart:
         self.law = law
         self.traffic = Traffic(TrafficConfig(), name(number))
         self.traffic.own_addresses = (address(number),)
-        self.in_conflict = False
+
+    def hear(self, frames: Sequence[RemoteIdHeard], now: float, clock_s: float) -> None:
+        """What came since the last decision, by a clock that leads by so much."""
+        for frame in frames:
+            self.traffic.hear(frame, now, clock_s, FRAME, 0.0)
+        self.traffic.expire(now)
+
+    def decide(self, world: Array, now: float, place_ned_m: Vec3, velocity_ned_mps: Vec3) -> LawResult:
+        """At a place and a velocity that it takes for its own."""
+        floor, ceiling = (
+            limit if math.isfinite(limit) else None for limit in world[[W_FLOOR, W_CEILING]].tolist()
+        )
+        return self.law.decide(
+            Situation(
+                now, now, place_ned_m, velocity_ned_mps, float(world[W_DECLARED]),
+                self.traffic.neighbours(now), floor, ceiling,
+            )
+        )  # fmt: skip
 
 
 class Air:
@@ -134,17 +133,15 @@ class Air:
 
     def __init__(self, kinds: Array, world: Array) -> None:
         self._kinds = kinds.tolist()
-        self._declared, self._sigma_mps = (
-            float(world[entry]) for entry in (flight.W_DECLARED, flight.W_SIGMA_VELOCITY)
-        )
-        self._echo_s = float(world[flight.W_DELAY_LOW])
+        self._declared, self._sigma_mps = (float(world[entry]) for entry in (W_DECLARED, W_SIGMA_VELOCITY))
+        self._echo_s = float(world[W_DELAY_LOW])
         self._locations: list[dict[int, Location]] = [{} for _ in kinds]
         """By sender and slot."""
         self._echoes: list[list[tuple[float, Location]]] = [[] for _ in kinds]
         self._senders: dict[tuple[float | None, float | None], int] = {}
 
     def take(self, sender: int, slot: int, message: list[float], now: float) -> None:
-        """A message of `flight.send`."""
+        """A message of `vehicles.send`."""
         at, north, east, down, *velocity = message
         lat, lon, alt = FRAME.to_geodetic(north, east, down)
         location = Location(
@@ -184,11 +181,11 @@ class Air:
     def _frame(self, sender: int, receiver: int, location: Location) -> RemoteIdHeard:
         who = where = sender
         kind = self._kinds[sender]
-        if kind in (flight.TWIN, flight.CLONE):
+        if kind in (vehicles.TWIN, vehicles.CLONE):
             who = VICTIM
-        elif kind in (flight.OWN_TWIN, flight.OWN_CLONE):
+        elif kind in (vehicles.OWN_TWIN, vehicles.OWN_CLONE):
             who = receiver
-        if kind in (flight.CLONE, flight.OWN_CLONE):
+        if kind in (vehicles.CLONE, vehicles.OWN_CLONE):
             where = who
         return RemoteIdHeard(
             transport="wifi",

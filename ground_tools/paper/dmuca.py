@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground_tools.campaign.cells import LAWS, SEPARATION_M, Law
-from ground_tools.campaign.flight import COLLISION_M
+from ground_tools.campaign.outcome import COLLISION_M
 from ground_tools.intervals import wilson
 from ground_tools.paper.dmuca_flights import (
     BOX_M,

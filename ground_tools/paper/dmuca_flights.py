@@ -20,9 +20,9 @@ from companion.avoidance.kernels import WALL_COLUMNS
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import LimitsConfig
-from ground_tools.campaign import flight
+from ground_tools.campaign import flight, outcome, vehicles
 from ground_tools.campaign.cells import LAWS, SEPARATION_M, WORLDS, Law
-from ground_tools.campaign.flight import World
+from ground_tools.campaign.world import World
 from sitl_mocks.scenario import DURATION_S, encounter
 
 Array = NDArray[np.float64]
@@ -84,12 +84,12 @@ def fly(case: Case, seed: int) -> tuple[Array, Array]:
         points,
         np.zeros((0, WALL_COLUMNS)),
         np.array([settings_of(avoidance, limits, path) for path in paths]),
-        np.full(AIRCRAFT, float(flight.AVOIDS)),
+        np.full(AIRCRAFT, float(vehicles.AVOIDS)),
         trace,
         np.zeros((0, AIRCRAFT, flight.DECIDED_COLUMNS)),
         np.zeros((0, AIRCRAFT, AIRCRAFT, flight.SEEN_COLUMNS)),
-        np.zeros((AIRCRAFT, AIRCRAFT, flight.PAIR_ENTRIES)),
-        np.zeros(flight.FLIGHT_ENTRIES),
+        np.zeros((AIRCRAFT, AIRCRAFT, outcome.PAIR_ENTRIES)),
+        np.zeros(outcome.FLIGHT_ENTRIES),
     )
     return world.step_s * np.arange(1.0, len(trace) + 1.0, dtype=np.float64), trace
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from ground_tools.campaign.cells import SEPARATION_M, Law
-from ground_tools.campaign.flight import COLLISION_M
+from ground_tools.campaign.outcome import COLLISION_M
 from ground_tools.figure import drawn
 from ground_tools.paper.dmuca import NAMES, PAIR_NAMES, PUBLISHED_BELOW, interval
 from ground_tools.paper.dmuca_flights import (

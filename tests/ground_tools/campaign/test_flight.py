@@ -12,9 +12,9 @@ from companion.avoidance import kernels as k
 from companion.avoidance.law import Law, Neighbour, Situation, settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
-from ground_tools.campaign import flight
-from ground_tools.campaign.flight import World
+from ground_tools.campaign import flight, outcome, vehicles
 from ground_tools.campaign.generators import APART_M, HEIGHT_M, MEETING_S, NAMES, draw
+from ground_tools.campaign.world import World
 
 EXACT = World(sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay_s=(0.0, 0.0))
 DMUCA, ALONE = AvoidanceConfig(), AvoidanceConfig(law="none")
@@ -27,12 +27,12 @@ def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, step
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
     settings = np.array([settings_of(avoidance, LimitsConfig(), path) for path in paths])
     kinds = np.zeros(len(paths)) if kinds is None else np.array(kinds, float)
-    settings[kinds != flight.AVOIDS, k.S_LAW] = k.NONE
-    trace, result = np.zeros((steps, len(paths), 3)), np.zeros(flight.FLIGHT_ENTRIES)
+    settings[kinds != vehicles.AVOIDS, k.S_LAW] = k.NONE
+    trace, result = np.zeros((steps, len(paths), 3)), np.zeros(outcome.FLIGHT_ENTRIES)
     decided = np.zeros((0, len(paths), flight.DECIDED_COLUMNS))
     seen = np.zeros((0, len(paths), len(paths), flight.SEEN_COLUMNS))
     rng = np.random.default_rng(seed)
-    pairs = np.zeros((len(paths), len(paths), flight.PAIR_ENTRIES))
+    pairs = np.zeros((len(paths), len(paths), outcome.PAIR_ENTRIES))
     function(
         rng,
         world.row(avoidance.period_s),
@@ -118,7 +118,7 @@ def test_every_command_is_the_one_that_the_heart_gives(law, monkeypatch):
     monkeypatch.setattr(k, "decide", heart)
     result, _ = fly(times, points, world, avoidance, function=flight.fly.py_func)
     assert heart.decisions == 3 * 300
-    assert result[flight.F_MANOEUVRES] > 0.0
+    assert result[outcome.F_MANOEUVRES] > 0.0
     assert result == pytest.approx(compiled, rel=1e-9)
     # A second between messages, one to two on the way, and up to 0.2 s until the next decision.
     assert 1.0 <= min(heart.ages) < 1.2
@@ -131,28 +131,28 @@ def test_every_command_is_the_one_that_the_heart_gives(law, monkeypatch):
 def test_a_fleet_that_does_not_avoid_flies_its_paths():
     times, points = straight((-100.0, 0.0, 100.0, 0.0), (0.0, -101.0, 0.0, 99.0))
     result, trace = fly(times, points, replace(EXACT, end_s=60.0), ALONE, steps=600)
-    assert result[flight.F_SEPARATION] == pytest.approx(1.0 / math.sqrt(2.0), abs=0.05)
-    assert result[flight.F_TIME] == pytest.approx(30.0, abs=0.5)
-    assert (result[flight.F_FIRST], result[flight.F_SECOND]) == (0.0, 1.0)
-    assert result[flight.F_DEVIATION] < 2.0  # it begins and ends at rest, rounded off
-    assert result[flight.F_AWAY] == 0.0
+    assert result[outcome.F_SEPARATION] == pytest.approx(1.0 / math.sqrt(2.0), abs=0.05)
+    assert result[outcome.F_TIME] == pytest.approx(30.0, abs=0.5)
+    assert (result[outcome.F_FIRST], result[outcome.F_SECOND]) == (0.0, 1.0)
+    assert result[outcome.F_DEVIATION] < 2.0  # it begins and ends at rest, rounded off
+    assert result[outcome.F_AWAY] == 0.0
     assert trace[299, 0] == pytest.approx((0.0, 0.0, -100.0), abs=1.5)
 
 
 def test_avoiding_costs_a_detour_that_is_measured():
     times, points = straight((-100.0, 0.0, 100.0, 0.0), (0.0, -101.0, 0.0, 99.0))
     result, _ = fly(times, points, replace(EXACT, end_s=60.0))
-    assert result[flight.F_SEPARATION] > 10.0
-    assert result[flight.F_MANOEUVRES] >= 2.0
-    assert result[flight.F_DEVIATION] > 5.0
+    assert result[outcome.F_SEPARATION] > 10.0
+    assert result[outcome.F_MANOEUVRES] >= 2.0
+    assert result[outcome.F_DEVIATION] > 5.0
 
 
 def test_who_hears_nobody_avoids_nobody():
     times, points = straight((-100.0, 0.0, 100.0, 0.0), (0.0, -101.0, 0.0, 99.0))
     deaf, _ = fly(times, points, replace(EXACT, end_s=60.0, loss=1.0))
     alone, _ = fly(times, points, replace(EXACT, end_s=60.0), ALONE)
-    assert deaf[flight.F_MANOEUVRES] == 0.0
-    assert deaf[flight.F_SEPARATION] == pytest.approx(alone[flight.F_SEPARATION], abs=1e-6)
+    assert deaf[outcome.F_MANOEUVRES] == 0.0
+    assert deaf[outcome.F_SEPARATION] == pytest.approx(alone[outcome.F_SEPARATION], abs=1e-6)
 
 
 def test_errors_are_as_large_and_as_slow_as_asked():
@@ -168,7 +168,7 @@ def test_errors_are_as_large_and_as_slow_as_asked():
 
 def test_messages_are_quantised():
     message = np.array([0.0, 3.217, -8.141, -100.31, 2.13, -1.07, 0.8])
-    flight._quantise(message)
+    vehicles._quantise(message)
     speed, course = math.hypot(message[4], message[5]), math.degrees(math.atan2(message[5], message[4]))
     assert (speed / 0.25) % 1.0 == pytest.approx(0.0, abs=1e-9)
     assert speed == pytest.approx(math.hypot(2.13, 1.07), abs=0.125)
@@ -182,7 +182,7 @@ def test_same_seed_same_flight_other_seed_another():
     world = World(start_s=200.0, end_s=300.0)
     first, again, other = (fly(times, points, world, seed=seed)[0] for seed in (5, 5, 6))
     np.testing.assert_array_equal(first, again)
-    assert first[flight.F_SEPARATION] != other[flight.F_SEPARATION]
+    assert first[outcome.F_SEPARATION] != other[outcome.F_SEPARATION]
 
 
 # ---------------------------------------------------------------- encounters
@@ -230,21 +230,21 @@ SHORT = replace(EXACT, end_s=60.0)
 
 
 def least(world=SHORT, kinds=None, seed=1):
-    return fly(*HEAD_ON, world, seed=seed, kinds=kinds)[0][flight.F_SEPARATION]
+    return fly(*HEAD_ON, world, seed=seed, kinds=kinds)[0][outcome.F_SEPARATION]
 
 
 def test_a_silent_one_is_heard_late_and_a_liar_elsewhere():
     assert least() > 10.0
-    silent = fly(*HEAD_ON, replace(SHORT, silent_m=15.0), kinds=[flight.AVOIDS, flight.SILENT])[0]
-    assert silent[flight.F_SEPARATION] < 10.0
-    assert least(kinds=[flight.AVOIDS, flight.LIAR]) < least(kinds=[flight.AVOIDS, flight.BLIND])
-    assert least(replace(SHORT, lie_m=0.0), kinds=[flight.AVOIDS, flight.LIAR]) > 10.0
+    silent = fly(*HEAD_ON, replace(SHORT, silent_m=15.0), kinds=[vehicles.AVOIDS, vehicles.SILENT])[0]
+    assert silent[outcome.F_SEPARATION] < 10.0
+    assert least(kinds=[vehicles.AVOIDS, vehicles.LIAR]) < least(kinds=[vehicles.AVOIDS, vehicles.BLIND])
+    assert least(replace(SHORT, lie_m=0.0), kinds=[vehicles.AVOIDS, vehicles.LIAR]) > 10.0
 
 
 def test_one_that_turns_leaves_its_way_and_one_that_is_frozen_tells_nobody():
     times, points = HEAD_ON
     _, straight_on = fly(times, points, SHORT, ALONE, steps=600)
-    _, turning = fly(times, points, SHORT, ALONE, steps=600, kinds=[flight.AVOIDS, flight.TURNING])
+    _, turning = fly(times, points, SHORT, ALONE, steps=600, kinds=[vehicles.AVOIDS, vehicles.TURNING])
     assert np.abs(turning[:, 0] - straight_on[:, 0]).max() == 0.0
     assert np.abs(turning[:, 1] - straight_on[:, 1]).max() > 3.0
     spans = turning[1:, 1] - turning[:-1, 1]

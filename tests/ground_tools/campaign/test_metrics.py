@@ -10,7 +10,7 @@ import pytest
 
 from companion.avoidance import kernels as k
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import flight
+from ground_tools.campaign import flight, vehicles
 from ground_tools.campaign.cells import Cell, Row
 
 AVOIDED = Cell(generator="crossing", aircraft=5, delay_s=(1.0, 2.0), intruders=0.2, intruder="liar")
@@ -51,11 +51,11 @@ def test_pairs_and_recovery_are_those_of_the_flight(cell):
         assert pairs[:4] == [(0, 1), (0, 2), (1, 2), (0, 3)][: len(pairs)]
         near = tuple(n for n, pair in enumerate(pairs) if least_distance(trace, *pair) < 10.0)
         conflict = look.seen[:, :, :, flight.SEEN_VIEW + k.V_CONFLICT] == 1.0
-        conflict[:, look.kinds != flight.AVOIDS] = False
+        conflict[:, look.kinds != vehicles.AVOIDS] = False
         ever = conflict.any(axis=0)
         assert look.row.lost == near
         assert look.row.alerts == tuple(n for n, (j, i) in enumerate(pairs) if ever[i, j] or ever[j, i])
-        found = [recovery(look, i) for i in np.flatnonzero(look.kinds == flight.AVOIDS)]
+        found = [recovery(look, i) for i in np.flatnonzero(look.kinds == vehicles.AVOIDS)]
         longest = None if None in found else max(found)
         assert look.row.recovery_s == (None if longest is None else pytest.approx(longest, abs=1e-3))
         assert bool(look.row.lost) == (look.row.severity > 0.0)

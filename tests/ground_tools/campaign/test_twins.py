@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from ground_tools import cli
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import flight
+from ground_tools.campaign import vehicles
 from ground_tools.campaign.cells import Cell
 
 THREE = Cell(generator="crossing", aircraft=3, delay_s=(1.0, 2.0), intruders=0.34)
@@ -28,12 +28,12 @@ def test_without_a_twin_it_is_the_compiled_flight(world, monkeypatch):
     cell = replace(THREE, world=world)
     compiled = campaign.fly(cell, [2])[0]
     assert compiled.manoeuvres > 0.0
-    monkeypatch.setitem(flight.TWINS, "blind", flight.BLIND)
+    monkeypatch.setitem(vehicles.TWINS, "blind", vehicles.BLIND)
     assert cell.twins
     same(campaign.fly(cell, [2])[0], compiled)
 
 
-@pytest.mark.parametrize("kind", flight.TWINS)
+@pytest.mark.parametrize("kind", vehicles.TWINS)
 def test_a_twin_is_avoided_as_one_with_a_name_of_its_own(kind):
     same(campaign.fly(replace(THREE, intruder=kind), [2])[0], campaign.fly(THREE, [2])[0])
 

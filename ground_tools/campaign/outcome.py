@@ -1,0 +1,216 @@
+"""What comes of a flight: least distances, conflicts and what they cost, in compiled code."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.avoidance import kernels as k
+from ground_tools.campaign.compiled import compiled
+from ground_tools.campaign.vehicles import AVOIDS, BAROMETRIC, CREWED, Fleet
+from ground_tools.campaign.world import W_START, W_STEP
+
+Array = NDArray[np.float64]
+
+COLLISION_M = 2.0
+AWAY_M = 15.0
+"""Farther than this from the timed point counts as away from the path."""
+# What comes of a flight.
+(
+    F_SEPARATION,  # least distance of any pair, m
+    F_TIME,  # when, s
+    F_FIRST,  # of which pair
+    F_SECOND,
+    F_DEVIATION,  # largest distance of any aircraft that avoids from its timed point, m
+    F_AWAY,  # longest time that any of them was away from it, s
+    F_BACK,  # largest distance at the end, m
+    F_LOST,  # largest delay of a path, s
+    F_PATH_RATIO,  # way flown by all over way planned for all
+    F_MANOEUVRES,  # times that a conflict began, of all
+    F_INFEASIBLE,  # share of decisions that could not keep every plane
+    F_RECOVERY,  # longest time from the last decision in conflict until back, s; infinite: not back
+    F_CREWED,  # least of the larger of horizontal and vertical distance from crewed traffic, in separations
+    F_FENCE,  # farthest beyond a fence, m
+    FLIGHT_ENTRIES,
+) = range(15)
+# What is counted of decisions: all, those that could not keep every plane, those that began a conflict.
+D_ALL, D_INFEASIBLE, D_MANOEUVRES, DECISION_ENTRIES = range(4)
+# What comes of a pair: least distance (m); 1 where one that avoids was in conflict with the other.
+P_SEPARATION, P_ALERT, PAIR_ENTRIES = range(3)
+
+
+class Tally(NamedTuple):
+    """What is gathered on the way, of A aircraft; m and s."""
+
+    conflict: Array
+    """(A,): 1 where the last decision saw one."""
+    conflict_at: Array
+    """(A,): when it was in conflict last."""
+    recovery: Array
+    """(A,): how long it took to come back; infinite: not back."""
+    gap: Array
+    """(A,): distance from the timed point, of those that avoid."""
+    away_since: Array
+    """(A,): infinite while it is not away."""
+    way: Array
+    """(2,): flown and planned, of all."""
+    least2: Array
+    """(A, A): squares of the least distances."""
+    decisions: Array
+    """(DECISION_ENTRIES,): of all that avoid."""
+
+
+_compiled = compiled()
+_inlined = compiled(inline="always")
+
+
+@_inlined
+def nothing_yet(fleet: int, pairs: Array, result: Array) -> Tally:
+    """Of a flight that has not begun; arguments as of `flight.fly`."""
+    pairs[:, :, P_ALERT] = 0.0
+    result[:] = 0.0
+    result[F_SEPARATION] = result[F_CREWED] = math.inf
+    return Tally(
+        conflict=np.zeros(fleet),
+        conflict_at=np.zeros(fleet),
+        recovery=np.zeros(fleet),
+        gap=np.zeros(fleet),
+        away_since=np.full(fleet, math.inf),
+        way=np.zeros(2),
+        least2=np.full((fleet, fleet), math.inf),
+        decisions=np.zeros(DECISION_ENTRIES),
+    )
+
+
+@_inlined
+def count_decision(tally: Tally, now: float, i: int, feasible: float, conflict: float) -> None:
+    """One decision of aircraft i, that avoids."""
+    tally.decisions[D_ALL] += 1.0
+    tally.decisions[D_INFEASIBLE] += 1.0 - feasible
+    if conflict > tally.conflict[i]:
+        tally.decisions[D_MANOEUVRES] += 1.0
+    tally.conflict[i] = conflict
+    if conflict != 0.0:
+        tally.conflict_at[i], tally.recovery[i] = now, math.inf
+
+
+@_compiled
+def _beyond(fence: Array, n: float, e: float) -> float:
+    """How far (m) a point is on the wrong side of the area that it is most wrong about; 0: of none."""
+    worst, first = 0.0, 0
+    while first < len(fence):
+        after, near = first, math.inf
+        while after < len(fence) and fence[after, k.W_AREA] == fence[first, k.W_AREA]:
+            room, _, _ = k.nearest_of_wall(fence[after], n, e)
+            near = min(near, room)
+            after += 1
+        kind = fence[first, k.W_KIND]
+        if k.inside(fence, first, after, n, e) != (kind in (k.IN_POLYGON, k.IN_CIRCLE)):
+            worst = max(worst, near)
+        first = after
+    return worst
+
+
+@_compiled
+def _least_distance2(position: Array, before: Array, i: int, j: int) -> float:
+    """Square of the least distance of two aircraft on their straight ways of one step."""
+    px, py, pz = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1], before[j, 2] - before[i, 2]
+    dx, dy, dz = (
+        position[j, 0] - position[i, 0] - px,
+        position[j, 1] - position[i, 1] - py,
+        position[j, 2] - position[i, 2] - pz,
+    )
+    d2 = dx * dx + dy * dy + dz * dz
+    if d2 > 0.0:
+        share = min(max(-(px * dx + py * dy + pz * dz) / d2, 0.0), 1.0)
+        px, py, pz = px + share * dx, py + share * dy, pz + share * dz
+    return float(px * px + py * py + pz * pz)
+
+
+@_inlined
+def measure(
+    world: Array,
+    tick: int,
+    path_times: Array,
+    path_points: Array,
+    late: Array,
+    fence: Array,
+    settings: Array,
+    kinds: Array,
+    craft: Fleet,
+    tally: Tally,
+    result: Array,
+) -> None:
+    """What one step did, when all have moved; arguments as of `flight.fly`.
+
+    Args:
+        late: shape (A,): each path's delay, s.
+    """
+    now = world[W_START] + tick * world[W_STEP]
+    position, before, way, gaps = craft.position, craft.before, tally.way, tally.gap
+    conflict_at, recovery, away_since = tally.conflict_at, tally.recovery, tally.away_since
+    for i in range(len(kinds)):
+        n, e, d = k.path_position(path_times[i], path_points[i], now + world[W_STEP] - late[i])
+        pn, pe, pd = k.path_position(path_times[i], path_points[i], now - late[i])
+        way[1] += math.sqrt((n - pn) ** 2 + (e - pe) ** 2 + (d - pd) ** 2)
+        way[0] += math.sqrt(
+            (position[i, 0] - before[i, 0]) ** 2
+            + (position[i, 1] - before[i, 1]) ** 2
+            + (position[i, 2] - before[i, 2]) ** 2
+        )
+        if kinds[i] != AVOIDS:
+            continue
+        gap = math.sqrt((n - position[i, 0]) ** 2 + (e - position[i, 1]) ** 2 + (d - position[i, 2]) ** 2)
+        gaps[i] = gap
+        result[F_DEVIATION] = max(result[F_DEVIATION], gap)
+        away_since[i] = min(away_since[i], now) if gap > AWAY_M else math.inf
+        result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
+        if recovery[i] == math.inf and gap <= settings[i, k.S_REGAINED]:
+            recovery[i] = now - conflict_at[i]
+        result[F_FENCE] = max(result[F_FENCE], _beyond(fence, position[i, 0], position[i, 1]))
+    _measure_crewed(settings, kinds, position, result)
+    _measure_pairs(now, position, before, tally.least2, result)
+
+
+@_inlined
+def _measure_crewed(settings: Array, kinds: Array, position: Array, result: Array) -> None:
+    """How far those that avoid are from crewed traffic."""
+    for j in range(len(kinds)):
+        if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
+            for i in range(len(kinds)):
+                if kinds[i] == AVOIDS:
+                    level = settings[i, k.S_CREWED] / math.sqrt(2.0)
+                    n, e = position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]
+                    aside = math.hypot(n, e) / level
+                    above = abs(position[i, 2] - position[j, 2]) * settings[i, k.S_CREWED_VERTICAL] / level
+                    result[F_CREWED] = min(result[F_CREWED], max(aside, above))
+
+
+@_inlined
+def _measure_pairs(now: float, position: Array, before: Array, least2: Array, result: Array) -> None:
+    for i in range(len(position)):
+        for j in range(i):
+            near2 = _least_distance2(position, before, i, j)
+            if near2 < least2[i, j]:
+                least2[i, j] = near2
+                if near2 < result[F_SEPARATION]:
+                    result[F_SEPARATION], result[F_TIME] = near2, now
+                    result[F_FIRST], result[F_SECOND] = j, i
+
+
+@_compiled
+def land(kinds: Array, late: Array, tally: Tally, pairs: Array, result: Array) -> None:
+    """What was gathered, into `pairs` and `result` of `flight.fly`; `late` as of `measure`."""
+    for i in range(len(kinds)):
+        if kinds[i] == AVOIDS:
+            result[F_BACK] = max(result[F_BACK], tally.gap[i])
+            result[F_LOST] = max(result[F_LOST], late[i])
+            result[F_RECOVERY] = max(result[F_RECOVERY], tally.recovery[i])
+    pairs[:, :, P_SEPARATION] = np.sqrt(tally.least2)
+    result[F_SEPARATION] = math.sqrt(result[F_SEPARATION])
+    result[F_PATH_RATIO] = tally.way[0] / tally.way[1] if tally.way[1] > 0.0 else 1.0
+    result[F_MANOEUVRES] = tally.decisions[D_MANOEUVRES]
+    result[F_INFEASIBLE] = tally.decisions[D_INFEASIBLE] / max(tally.decisions[D_ALL], 1.0)

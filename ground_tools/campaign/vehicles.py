@@ -1,0 +1,218 @@
+"""The vehicles of a flight, in compiled code: what they are, how they move, what they send.
+
+They answer a velocity command with a first-order lag and a limited acceleration. Every aircraft sends its
+state once a period, at its own phase; each of the others gets it after a delay of its own, or not at all.
+Positions carry a time-correlated GNSS error, the same in what is sent and what the aircraft flies by; sent
+velocities carry white noise, and messages are quantised as Remote ID does (ASTM F3411-22a).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.avoidance import kernels as k
+from ground_tools.campaign.compiled import compiled
+from ground_tools.campaign.world import (
+    W_ACCELERATION,
+    W_CLOCK,
+    W_DELAY_HIGH,
+    W_DELAY_LOW,
+    W_GUST,
+    W_GUST_MEMORY,
+    W_LAG,
+    W_LIE,
+    W_LOSS,
+    W_MESSAGE,
+    W_OWN_VELOCITY,
+    W_QUANTISED,
+    W_SIGMA,
+    W_SIGMA_MEMORY,
+    W_SIGMA_VELOCITY,
+    W_SILENT,
+    W_START,
+    W_STEP,
+)
+
+Array = NDArray[np.float64]
+
+# What an aircraft is: one that avoids; one that sends and flies its path (blind), or besides turns and climbs
+# at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), sends
+# a wrong position (liar); crewed traffic, heard by ADS-B, with a geometric altitude (crewed) or with one that
+# says nothing within 300 m (barometric); one that flies its path and sends with the identity of the second
+# aircraft (twin), and from its radio address, too (clone), or with that of whoever hears it (own twin, own
+# clone): those are flown by `twins.fly`.
+(
+    AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC, TWIN, CLONE, OWN_TWIN, OWN_CLONE,
+) = range(12)  # fmt: skip
+INTRUDERS = {
+    "blind": BLIND, "turning": TURNING, "silent": SILENT, "liar": LIAR, "frozen": FROZEN, "crewed": CREWED,
+    "barometric": BAROMETRIC,
+}  # fmt: skip
+TWINS = {"twin": TWIN, "clone": CLONE, "own-twin": OWN_TWIN, "own-clone": OWN_CLONE}
+# Columns of a message: its time (s), position, velocity.
+M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
+
+_compiled = compiled()
+_inlined = compiled(inline="always")
+"""For what every step calls: a call that hands over a fleet costs as much as the step."""
+
+
+class Fleet(NamedTuple):
+    """A fleet in the air, A aircraft. NED, m and s; by aircraft where nothing else is said."""
+
+    position: Array
+    """(A, 3)."""
+    before: Array
+    """(A, 3): a step ago."""
+    velocity: Array
+    """(A, 3)."""
+    command: Array
+    """(A, 3)."""
+    error: Array
+    """(A, 3), of the GNSS position."""
+    own_error: Array
+    """(A, 3), of the own velocity."""
+    gust: Array
+    """(A, 3), m/s^2."""
+    clock: Array
+    """(A,): how far it leads."""
+    phase: NDArray[np.int64]
+    """(A,): steps from a message to the flight's first step."""
+    frozen: Array
+    """(A, 3): the first velocity."""
+    lie: Array
+    """(A, 2): what is added to a sent position."""
+    sent: Array
+    """(A, slots, MESSAGE_COLUMNS): the last messages."""
+    arrival: Array
+    """(receiver, sender, slots): when those come; infinite: not, or they came."""
+
+
+@_inlined
+def on_the_ground(fleet: int, world: Array) -> Fleet:
+    """A fleet of which nothing is known yet."""
+    slots = int(world[W_DELAY_HIGH] / (world[W_MESSAGE] * world[W_STEP])) + 2
+    return Fleet(
+        position=np.zeros((fleet, 3)),
+        before=np.zeros((fleet, 3)),
+        velocity=np.zeros((fleet, 3)),
+        command=np.zeros((fleet, 3)),
+        error=np.zeros((fleet, 3)),
+        own_error=np.zeros((fleet, 3)),
+        gust=np.zeros((fleet, 3)),
+        clock=np.zeros(fleet),
+        phase=np.zeros(fleet, np.int64),
+        frozen=np.zeros((fleet, 3)),
+        lie=np.zeros((fleet, 2)),
+        sent=np.zeros((fleet, slots, MESSAGE_COLUMNS)),
+        arrival=np.full((fleet, fleet, slots), math.inf),
+    )
+
+
+@_compiled
+def begin(
+    rng: np.random.Generator, world: Array, path_times: Array, path_points: Array, kinds: Array, craft: Fleet
+) -> None:
+    """Every aircraft onto its path, with the errors that it has; arguments as of `flight.fly`."""
+    step, message_every = world[W_STEP], int(world[W_MESSAGE])
+    position, velocity = craft.position, craft.velocity
+    for i in range(len(kinds)):
+        n, e, d = k.path_position(path_times[i], path_points[i], world[W_START])
+        position[i, 0], position[i, 1], position[i, 2] = n, e, d
+        bn, be, bd = k.path_position(path_times[i], path_points[i], world[W_START] + step)
+        velocity[i, 0], velocity[i, 1], velocity[i, 2] = (bn - n) / step, (be - e) / step, (bd - d) / step
+        for c in range(3):
+            craft.command[i, c] = velocity[i, c]
+            craft.error[i, c] = rng.normal(0.0, world[W_SIGMA])
+            craft.frozen[i, c] = velocity[i, c]
+            craft.own_error[i, c] = rng.normal(0.0, world[W_OWN_VELOCITY])
+        craft.phase[i] = rng.integers(0, message_every)
+        craft.clock[i] = rng.uniform(-world[W_CLOCK], world[W_CLOCK])
+        bearing = rng.uniform(0.0, 2.0 * math.pi)
+        if kinds[i] == LIAR:
+            craft.lie[i, 0] = world[W_LIE] * math.cos(bearing)
+            craft.lie[i, 1] = world[W_LIE] * math.sin(bearing)
+
+
+@_compiled
+def _quantise(message: Array) -> None:
+    """Speed in 0.25 m/s, direction in degrees, vertical speed in 0.5 m/s, 1e-7 degrees, heights in 0.5 m."""
+    speed = round(math.hypot(message[4], message[5]) / 0.25) * 0.25
+    course = round(math.atan2(message[5], message[4]) * 180.0 / math.pi) * math.pi / 180.0
+    message[1], message[2] = round(message[1] / 0.0111) * 0.0111, round(message[2] / 0.0111) * 0.0111
+    message[3] = round(message[3] / 0.5) * 0.5
+    message[4], message[5] = speed * math.cos(course), speed * math.sin(course)
+    message[6] = round(message[6] / 0.5) * 0.5
+
+
+@_compiled
+def _distance(position: Array, i: int, j: int) -> float:
+    return math.sqrt(
+        (position[i, 0] - position[j, 0]) ** 2
+        + (position[i, 1] - position[j, 1]) ** 2
+        + (position[i, 2] - position[j, 2]) ** 2
+    )
+
+
+@_inlined
+def send(rng: np.random.Generator, world: Array, tick: int, i: int, kinds: Array, craft: Fleet) -> int:
+    """What aircraft i sends at a step of its phase, into `sent` and `arrival`; the slot."""
+    position, velocity, error, clock = craft.position, craft.velocity, craft.error, craft.clock
+    phase, frozen, lie, sent, arrival = craft.phase, craft.frozen, craft.lie, craft.sent, craft.arrival
+    now = world[W_START] + tick * world[W_STEP]
+    slot = int(((tick + phase[i]) // int(world[W_MESSAGE])) % sent.shape[1])
+    message = sent[i, slot]
+    message[M_TIME] = now + clock[i]
+    for c in range(3):
+        sent_velocity = frozen[i, c] if kinds[i] == FROZEN else velocity[i, c]
+        message[M_POSITION + c] = position[i, c] + error[i, c]
+        message[M_VELOCITY + c] = sent_velocity + rng.normal(0.0, world[W_SIGMA_VELOCITY])
+    message[M_POSITION] += lie[i, 0]
+    message[M_POSITION + 1] += lie[i, 1]
+    if world[W_QUANTISED] != 0.0:
+        _quantise(message)
+    for j in range(len(kinds)):
+        if j != i:
+            delay = rng.uniform(world[W_DELAY_LOW], world[W_DELAY_HIGH])
+            lost = world[W_LOSS] > 0.0 and rng.random() < world[W_LOSS]
+            if kinds[i] == SILENT and _distance(position, i, j) > world[W_SILENT]:
+                lost = True
+            arrival[j, i, slot] = math.inf if lost else now + delay
+    return slot
+
+
+@_inlined
+def move(rng: np.random.Generator, world: Array, craft: Fleet) -> None:
+    """One step of all vehicles, as they are commanded."""
+    step, lag, most = world[W_STEP], world[W_LAG], world[W_ACCELERATION]
+    keep = math.exp(-step / world[W_SIGMA_MEMORY])
+    fresh = math.sqrt(1.0 - keep * keep) * world[W_SIGMA]
+    gust_keep = math.exp(-step / world[W_GUST_MEMORY])
+    gust_fresh = math.sqrt(1.0 - gust_keep * gust_keep) * world[W_GUST]
+    own_fresh = math.sqrt(1.0 - keep * keep) * world[W_OWN_VELOCITY]
+    position, before, velocity, command = craft.position, craft.before, craft.velocity, craft.command
+    error, own_error, gust = craft.error, craft.own_error, craft.gust
+    for i in range(len(position)):
+        an, ae, ad = (
+            (command[i, 0] - velocity[i, 0]) / lag,
+            (command[i, 1] - velocity[i, 1]) / lag,
+            (command[i, 2] - velocity[i, 2]) / lag,
+        )
+        size = math.sqrt(an * an + ae * ae + ad * ad)
+        if size > most:
+            an, ae, ad = an * most / size, ae * most / size, ad * most / size
+        if world[W_GUST] > 0.0:
+            for c in range(3):
+                gust[i, c] = gust_keep * gust[i, c] + gust_fresh * rng.normal(0.0, 1.0)
+        for c, answer in enumerate((an, ae, ad)):
+            a = answer + gust[i, c]
+            before[i, c] = position[i, c]
+            position[i, c] += (velocity[i, c] + 0.5 * step * a) * step
+            velocity[i, c] += step * a
+            error[i, c] = keep * error[i, c] + fresh * rng.normal(0.0, 1.0)
+            if own_fresh > 0.0:
+                own_error[i, c] = keep * own_error[i, c] + own_fresh * rng.normal(0.0, 1.0)
