@@ -7,7 +7,6 @@ opened again, a full disk and a stopped terminal are done without, each of them 
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import faulthandler
 import gc
@@ -19,10 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
-import msgspec
-
 from companion import __version__
-from companion import config as configuration
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.tlog import TlogWriter
 from companion.avoidance.authority import HOLDING, State
@@ -40,17 +36,17 @@ from companion.events import (
 )
 from companion.onboard import Onboard
 from companion.radio.transport import Health
-from companion.record import Header, Step
-from companion.runtime.disk import RUN, DiskFloor
+from companion.record import Step
 from companion.runtime.kept_link import KeptLink
-from companion.runtime.lateness import Lateness
+from companion.runtime.lateness import Lateness, scheduling
 from companion.runtime.live import heart_status
 from companion.runtime.no_vehicle import no_vehicle
 from companion.runtime.notify import Notifier
-from companion.runtime.policy import RUN_FILE, read_policy
+from companion.runtime.policy import read_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
-from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
+from companion.runtime.refusals import Refusals
+from companion.runtime.run_record import RunRecord
 from companion.runtime.settings import KeptSettings, read_settings
 from companion.runtime.signing import KeptSigning
 from companion.runtime.status import Status, StatusServer
@@ -71,30 +67,6 @@ _DECIDED_S = 2.0
 _LINES_KEPT = 8
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Each of them ends the flight in order. A terminal that closes sends the last one."""
-_MAX_TEXTS = 20
-"""Different reasons of the radio to refuse a broadcast that are said."""
-
-
-class _Tape:
-    """What crosses the link, kept until there is a recorder: the first texts to the pilot are in the log."""
-
-    def __init__(self) -> None:
-        self._recorder: FlightRecorder | None = None
-        self._early: list[bytes] = []
-
-    def write(self, data: bytes) -> None:
-        """Take bytes."""
-        if self._recorder is None:
-            self._early.append(data)
-        else:
-            self._recorder.write(data)
-
-    def play(self, recorder: FlightRecorder) -> None:
-        """Hand on what was kept, and all that comes."""
-        self._recorder = recorder
-        # In one piece: a long wait on a busy link leaves more frames than the recorder's queue takes.
-        recorder.write(b"".join(self._early))
-        self._early.clear()
 
 
 class Flight:
@@ -105,8 +77,7 @@ class Flight:
         self._stop = False
         self._late = 0
         self._ticks = 0
-        self._refused = 0
-        self._refused_texts: set[str] = set()
+        self._refused = Refusals()
         self._lateness = Lateness()
         self._began_s = time.monotonic()
         self._dry_run = dry_run
@@ -118,7 +89,7 @@ class Flight:
         self._voice = Voice(say)
         self._notifier = Notifier(os.environ)
         self._say(f"compiling the avoidance kernels ... {warm_up():.1f} s")
-        self._say(f"scheduling: {_scheduling()}")
+        self._say(f"scheduling: {scheduling()}")
         if dry_run:
             self._say(
                 "dry run: nothing goes on the air and nothing is commanded; the autopilot is only asked for "
@@ -146,13 +117,13 @@ class Flight:
         settings = self._read_settings(config)
         self._kept_settings = KeptSettings(config, settings)
         guess = time.time() - time.monotonic()
-        self._tape = _Tape()
+        self._run = RunRecord(self._say)
         self.onboard = Onboard(
             config,
             self._record,
             policy=self._policy,
             commanding=not dry_run,
-            tlog=TlogWriter(self._tape),
+            tlog=TlogWriter(self._run.tape),
             utc_guess_s=guess,
             signing=self._signing.signing,
             settings=settings,
@@ -160,12 +131,9 @@ class Flight:
         chooser = self.onboard.heart.chooser
         if chooser is not None and chooser.trouble is not None:
             self._say(f"atmc: {chooser.trouble}: a fixed legal set of transports is used instead")
-        self.folder: Path | None = None
-        self._recorder: FlightRecorder | None = None
-        self._early: list[Step] = []
         self._status_s = time.monotonic()
         try:
-            self._server = StatusServer(f"companion-{self._aircraft}", os.environ)
+            self._server = StatusServer(f"companion-{config.identity.file_name}", os.environ)
         except ConfigError as error:
             self._say(f"status: {error}; the flight goes on without it")
         # What start-up has made, the compiler's objects above all, stays: no collection looks at it again.
@@ -177,9 +145,9 @@ class Flight:
         self._lines.append(line)
 
     @property
-    def _aircraft(self) -> str:
-        """The name as a file can take it."""
-        return self.config.identity.file_name
+    def folder(self) -> Path | None:
+        """Of the run; None before it is recorded."""
+        return self._run.folder
 
     def stop(self, _signal: int = 0, _frame: FrameType | None = None) -> None:
         """Ask `run` to end (also a signal handler)."""
@@ -201,7 +169,7 @@ class Flight:
             self._find_vehicle()
             if self._stop:
                 return
-            self._open_recorder()
+            self._run.open(self.config, self._policy, str(self.onboard.link.vehicle))
             self._loop()
             # Letting go takes as long as it takes the vehicle, up to its own limit.
             faulthandler.cancel_dump_traceback_later()
@@ -259,41 +227,6 @@ class Flight:
         while (left := deadline_s - time.monotonic()) > 0:
             self.link.wait(left)
             self._exchange(time.monotonic())
-
-    def _open_recorder(self) -> None:
-        utc_s = time.time()
-        config, aircraft = self.config, self._aircraft
-        vehicle = self.onboard.link.vehicle
-        self._make_room()
-        folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
-        public = configuration.public(config)
-        header = Header(aircraft=aircraft, software=__version__, config=public, policy=self._policy)
-        try:
-            if self._policy is not None:
-                (folder / RUN_FILE).write_bytes(self._policy)
-                config = msgspec.structs.replace(
-                    config, atmc=msgspec.structs.replace(config.atmc, policy=RUN_FILE)
-                )
-            (folder / "config.toml").write_bytes(configuration.dump(config))
-            write_manifest(folder, RUN, aircraft=[aircraft], started_utc_s=utc_s, vehicle=str(vehicle))
-            self._recorder = FlightRecorder(folder, header, config.record)
-        except OSError as error:
-            raise ConfigError(f"record.folder: {folder}: cannot be written: {error.strerror}") from error
-        self.folder = folder
-        # The record begins with the heart's first step, or a replay would not meet the same state.
-        for step in self._early:
-            self._recorder.step(step)
-        self._early.clear()
-        self._tape.play(self._recorder)
-        self._say(f"vehicle {vehicle}; recording to {folder}")
-
-    def _make_room(self) -> None:
-        """On the ground, before the first file: a disk that is full to the last byte takes no folder."""
-        floor = DiskFloor(self.config.record, Path(self.config.record.folder) / "to come")
-        with contextlib.suppress(OSError):  # the recorder will say what is wrong
-            floor.trouble()
-        if floor.deleted:
-            self._say(f"disk: deleted the oldest runs: {', '.join(floor.deleted)}")
 
     def _loop(self) -> None:
         period = 1.0 / self.config.flight.setpoint_rate_hz
@@ -358,11 +291,8 @@ class Flight:
             self.radio.broadcast(broadcast.transport, broadcast.messages, now_s)
         except ValueError as error:
             # Values that Remote ID cannot hold must not end the flight; the next broadcast may be sound.
-            self._refused += 1
-            text = str(error)
-            if text not in self._refused_texts and len(self._refused_texts) < _MAX_TEXTS:
-                self._refused_texts.add(text)
-                self._say(f"a Remote ID broadcast was not sent: {text}")
+            if self._refused.add(str(error)):
+                self._say(f"a Remote ID broadcast was not sent: {error}")
 
     def _exchange(self, now_s: float) -> None:
         data = self.link.receive(now_s)
@@ -394,21 +324,9 @@ class Flight:
         self._kept_settings.keep(self.onboard.settings)
         self._kept_settings.close()
         self._signing.close()
-        if self._recorder is not None and self.folder is not None:
-            answered = self._recorder.close()
-            if self._recorder.error is not None:
-                self._say(f"the record is not complete: {self._recorder.error}")
-            if answered:
-                self._write_summary(self.folder / "summary.json", health)
-            self._say(f"run folder {self.folder}")
+        self._run.close(lambda: self.summary(health))
         self._voice.close()
         self._notifier.close()
-
-    def _write_summary(self, path: Path, health: Health) -> None:
-        try:
-            write_json(path, self.summary(health))
-        except OSError as error:
-            self._say(f"{path}: cannot be written: {error.strerror}")
 
     # ------------------------------------------------------------ words
 
@@ -434,18 +352,18 @@ class Flight:
         broadcaster = self.onboard.heart.broadcaster
         if self.config.has_radio or self.config.region.transport_sets:
             text += "".join(f"; {words}" for words in (broadcaster.trouble, broadcaster.lacking) if words)
-        if self._refused:
-            text += f"; {self._refused} broadcasts refused"
+        if self._refused.count:
+            text += f"; {self._refused.count} broadcasts refused"
         text += "" if self.onboard.settings.enable else f"; {SWITCHED_OFF}"
         if self._kept_settings.error is not None:
             text += f"; settings not kept: {self._kept_settings.error}"
-        if self._recorder is not None and self._recorder.error is not None:
-            text += f"; not recording: {self._recorder.error}"
+        if self._run.error is not None:
+            text += f"; not recording: {self._run.error}"
         return text
 
     def summary(self, health: Health) -> dict[str, object]:
         """What stands in `summary.json`."""
-        recorder, trouble, signing = self._recorder, self.link.trouble, self._signing.signing
+        trouble, signing = self.link.trouble, self._signing.signing
         return {
             "ticks": self._ticks,
             "late_ticks": self._late,
@@ -458,23 +376,23 @@ class Flight:
             "frames_sent": health.frames_sent,
             "frames_heard": health.frames_heard,
             "bad_frames": health.bad_frames,
-            "broadcasts_refused": self._refused,
-            "broadcast_errors": sorted(self._refused_texts),
+            "broadcasts_refused": self._refused.count,
+            "broadcast_errors": sorted(self._refused.texts),
             "link_losses": trouble.losses,
             "link_errors": trouble.errors,
             "link_sends_dropped": trouble.dropped,
             "signing": None if signing is None else dataclasses.asdict(signing.counts),
             "lines_dropped": self._voice.dropped,
-            "records_dropped": 0 if recorder is None else recorder.dropped,
-            "recorder_error": None if recorder is None else recorder.error,
-            "runs_deleted": [] if recorder is None else recorder.floor.deleted,
+            "records_dropped": self._run.dropped,
+            "recorder_error": self._run.error,
+            "runs_deleted": self._run.deleted,
         }
 
     def live(self, now_s: float) -> Status:
         """What `companion status` shows."""
         heart, health, trouble = self.onboard.heart, self.radio.health(now_s), self.link.trouble
         flies = heart.state in HOLDING and now_s - self._decided_s <= _DECIDED_S
-        vehicle, recorder = self.onboard.link.vehicle, self._recorder
+        vehicle = self.onboard.link.vehicle
         return Status(
             aircraft=self.config.identity.name,
             software=__version__,
@@ -492,13 +410,13 @@ class Flight:
             frames_sent=health.frames_sent,
             frames_heard=health.frames_heard,
             bad_frames=health.bad_frames,
-            broadcasts_refused=self._refused,
+            broadcasts_refused=self._refused.count,
             ticks=self._ticks,
             late_ticks=self._late,
             worst_tick_ms=self._lateness.worst_s * 1e3,
             folder=None if self.folder is None else str(self.folder),
-            recorder_error=None if recorder is None else recorder.error,
-            records_dropped=0 if recorder is None else recorder.dropped,
+            recorder_error=self._run.error,
+            records_dropped=self._run.dropped,
             said=tuple(self._lines),
             **heart_status(heart, now_s, self._decision if flies else None),
         )
@@ -511,16 +429,4 @@ class Flight:
                 self._say(command.text)
             elif isinstance(command, Decision):
                 self._decision, self._decided_s = command, step.now_s
-        if self._recorder is not None:
-            self._recorder.step(step)
-        else:
-            self._early.append(step)
-
-
-def _scheduling() -> str:
-    """How this process is scheduled, in words."""
-    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
-    names = {os.SCHED_FIFO: "FIFO", os.SCHED_RR: "round robin"}
-    if policy in names:
-        return f"real-time, {names[policy]} {priority}"
-    return f"not real-time (nice {os.getpriority(os.PRIO_PROCESS, 0)}): a busy computer makes ticks late"
+        self._run.step(step)

@@ -1,6 +1,8 @@
-"""How late the loop's ticks come: a distribution in bounded memory."""
+"""How late the loop's ticks come: a distribution in bounded memory; and how the loop is scheduled."""
 
 from __future__ import annotations
+
+import os
 
 _BIN_S = 1e-4
 _BINS = 1000
@@ -28,3 +30,12 @@ class Lateness:
             if left <= 0.0:
                 return min((number + 1) * _BIN_S, self.worst_s)
         return self.worst_s
+
+
+def scheduling() -> str:
+    """How this process is scheduled, in words."""
+    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    names = {os.SCHED_FIFO: "FIFO", os.SCHED_RR: "round robin"}
+    if policy in names:
+        return f"real-time, {names[policy]} {priority}"
+    return f"not real-time (nice {os.getpriority(os.PRIO_PROCESS, 0)}): a busy computer makes ticks late"

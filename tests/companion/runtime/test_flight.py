@@ -322,14 +322,14 @@ def test_a_full_disk_is_said_and_the_radio_and_the_link_are_closed(
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("companion.runtime.flight.write_json", full)
+    monkeypatch.setattr("companion.runtime.run_record.write_json", full)
 
     def fill():
         flight.onboard.tlog = None
         disk = FullDisk()
         disk.answers = answers
         disk.step = lambda _step: None
-        flight._recorder = disk
+        flight._run._recorder = disk
 
     fly(
         flight,
@@ -352,7 +352,7 @@ def test_a_run_folder_that_cannot_be_written_is_bad_configuration(
         (tmp_path / name).mkdir()
         return tmp_path
 
-    monkeypatch.setattr("companion.runtime.flight.create_run_folder", in_the_way)
+    monkeypatch.setattr("companion.runtime.run_record.create_run_folder", in_the_way)
     with pytest.raises(ConfigError, match=r"record\.folder"):
         flight.run()
     assert flight.radio.closed

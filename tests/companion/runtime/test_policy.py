@@ -113,7 +113,7 @@ def test_run_starts_with_or_without_its_policy(load, tmp_path, monkeypatch, dama
     said = []
     flight = Flight(config, said.append, dry_run=True)
     try:
-        flight._open_recorder()
+        flight._run.open(flight.config, flight._policy, str(flight.onboard.link.vehicle))
     finally:
         flight._close()
     told = "a fixed legal set of transports is used instead"

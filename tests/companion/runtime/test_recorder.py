@@ -11,8 +11,8 @@ import pytest
 from companion import record
 from companion.config import RecordConfig
 from companion.record import Header, Step
-from companion.runtime.flight import _Tape
 from companion.runtime.recorder import FlightRecorder
+from companion.runtime.run_record import _Tape
 
 SLOW = RecordConfig(sync_period_s=60.0, keep_free_mb=0.0)
 
