@@ -1,0 +1,21 @@
+"""The campaign's compiled functions are compiled anew when any part of them changes."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from ground_tools.campaign import compiled, flight, outcome, vehicles
+
+PACKAGE = "ground_tools.campaign."
+
+
+@pytest.mark.parametrize("module", [flight, outcome, vehicles])
+def test_what_is_compiled_in_from_other_files_is_known(module):
+    tree = ast.parse(Path(module.__file__).read_text())
+    used = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    campaign = {name.removeprefix(PACKAGE) for name in used if name.startswith(PACKAGE)} - {"compiled"}
+    assert campaign
+    assert campaign <= {path.stem for path in compiled.SOURCES}
