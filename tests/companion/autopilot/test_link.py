@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.link import MAX_QUEUED_BYTES, AutopilotLink
+from companion.autopilot.link import AutopilotLink
+from companion.autopilot.outbox import MAX_QUEUED_BYTES
 from companion.autopilot.streams import FIRMWARE_OF, STREAM_RATES_HZ
 from companion.config import VehicleConfig
 from companion.events import (
