@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.link import LinkCounts
+from companion.autopilot.counts import LinkCounts
 from companion.autopilot.wire import message_id_of
 from companion.config import Config, IdentityConfig
 from companion.core import Companion

@@ -24,7 +24,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot import remote_id
 from companion.autopilot.dialect import AUTOPILOT_INVALID, FIRMWARES, FRAME_LOCAL_NED
 from companion.autopilot.encoders import AUTOPILOT_COMPONENT, MAX_SETPOINT_MPS
-from companion.autopilot.link import REBOOT_STEP_S
+from companion.autopilot.heard_vehicle import REBOOT_STEP_S
 from companion.autopilot.readers import READERS, Fields, heartbeat, unpack
 from companion.autopilot.remote_id import RemoteIdCounts, RemoteIdListener
 from companion.autopilot.statustext import TextAssembler

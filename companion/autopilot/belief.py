@@ -1,0 +1,46 @@
+"""Who is believed on a link with a key, and words for what the key keeps out."""
+
+from __future__ import annotations
+
+from .heard_vehicle import LOST_AFTER_S, HeardVehicle
+from .signing import Refusal, Signing
+from .wire import Frame
+
+_ALL_REFUSED = {
+    Refusal.UNSIGNED: "unsigned: signing is not set up on the autopilot",
+    Refusal.WRONG: "wrongly signed: the autopilot has another key",
+    Refusal.REPLAYED: "a replay: somebody sends old frames again, or the autopilot's timestamp went back",
+    Refusal.STALE: "dated more than a minute before ours: the autopilot does not hear us, or it is a replay",
+    Refusal.CROWDED: "of one sender too many on this link",
+}
+"""What to say where nothing of the vehicle is believed."""
+
+
+class Belief:
+    """Judges frames, and remembers how the vehicle's fared."""
+
+    def __init__(self, signing: Signing, heard: HeardVehicle) -> None:
+        self._signing = signing
+        self._heard = heard
+        self._believed_s: float | None = None
+        self._refused: tuple[Refusal, float] | None = None
+        """Why the vehicle's last refused frame was, and when."""
+
+    def believes(self, frame: Frame, now_s: float) -> bool:
+        """Whether a frame may get any further."""
+        refused = self._signing.refusal(frame)
+        if self._heard.may_be_ours(frame):
+            if refused is None:
+                self._believed_s = now_s
+            else:
+                self._refused = refused, now_s
+        return refused is None
+
+    def disbelief(self, now_s: float) -> str | None:
+        """What is kept out, in words; None when that is nothing."""
+        heard_s = self._believed_s
+        if self._refused is not None and (heard_s is None or now_s - heard_s > LOST_AFTER_S):
+            reason, refused_s = self._refused
+            if now_s - refused_s <= LOST_AFTER_S:
+                return f"every frame of the vehicle is {_ALL_REFUSED[reason]}"
+        return self._signing.counts.refused()

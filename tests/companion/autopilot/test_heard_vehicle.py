@@ -1,0 +1,130 @@
+"""Who is listened to."""
+
+from __future__ import annotations
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.config import VehicleConfig
+from companion.events import (
+    Firmware,
+    FlightMode,
+    Heartbeat,
+    TwoAutopilots,
+)
+
+from .conftest import Scripted
+
+GUIDED = 4
+
+
+def test_takes_the_first_autopilot_and_its_system_id() -> None:
+    scripted = Scripted()
+    events = scripted.heartbeat(GUIDED, system=42, base_mode=129)
+    assert events == [
+        Heartbeat(
+            system_id=42,
+            firmware=Firmware.ARDUPILOT,
+            vehicle_type=2,
+            custom_mode=GUIDED,
+            mode=FlightMode.EXTERNAL,
+            armed=True,
+        )
+    ]
+    assert scripted.link.vehicle is not None
+    assert scripted.link.vehicle.system_id == 42
+    scripted.after(0.0)
+    told = scripted.told()
+    assert {m.get_srcSystem() for m in told} == {42}
+    assert {m.target_system for m in told if m.get_type() == "COMMAND_LONG"} == {42}
+
+
+def test_ground_stations_companions_and_foreign_components_are_never_the_vehicle() -> None:
+    scripted = Scripted()
+    station = mavlink.MAVLink_heartbeat_message(6, 8, 81, 4, 4, 3)
+    onboard = mavlink.MAVLink_heartbeat_message(18, 8, 81, 4, 4, 3)
+    posing = mavlink.MAVLink_heartbeat_message(6, 3, 81, 4, 4, 3)
+    autopilot = mavlink.MAVLink_heartbeat_message(2, 3, 81, 4, 4, 3)
+    for message, system, component in [
+        (station, 255, 190),
+        (station, 255, 1),
+        (onboard, 1, 191),
+        (posing, 9, 1),
+        (autopilot, 1, 100),
+    ]:
+        assert scripted.says(message, system=system, component=component) == []
+    assert scripted.link.vehicle is None
+    assert scripted.link.counts.foreign == 5
+
+
+def test_autopilots_that_we_do_not_know_are_told_and_not_taken() -> None:
+    scripted = Scripted(autopilot=0)
+    assert scripted.heartbeat() == []
+    assert scripted.link.vehicle is None
+    assert scripted.link.last_bad is not None
+    assert "neither ArduPilot (3) nor PX4 (12)" in scripted.link.last_bad
+
+
+def test_a_configured_system_id_waits_for_that_vehicle() -> None:
+    scripted = Scripted(config=VehicleConfig(system_id=7))
+    assert scripted.heartbeat(system=3) == []
+    scripted.after(0.0)
+    assert scripted.told()[0].get_srcSystem() == 7
+    assert len(scripted.heartbeat(system=7)) == 1
+
+
+def test_a_forwarded_frame_that_comes_first_does_not_settle_whose_vehicle_it_is() -> None:
+    """One frame of a neighbour, forwarded by somebody; from then on only our own vehicle speaks."""
+    scripted = Scripted()
+    scripted.heartbeat(system=2)
+    assert scripted.link.unclear is None
+    events = []
+    for _ in range(100):
+        events += scripted.heartbeat(system=1) + scripted.after(1.0)
+    text = "two autopilots on this link (systems 1 and 2): set vehicle.system_id"
+    assert events == [TwoAutopilots(reason=text)], "told once"
+    assert scripted.link.unclear == text
+
+
+def test_which_of_two_autopilots_spoke_first_makes_no_difference(ardupilot: Scripted) -> None:
+    (event,) = ardupilot.heartbeat(system=2)
+    assert event == TwoAutopilots(
+        reason="two autopilots on this link (systems 1 and 2): set vehicle.system_id"
+    )
+    # What they tell is kept apart all the same.
+    assert ardupilot.says(ardupilot.position(1000), system=2) == []
+    assert len(ardupilot.says(ardupilot.position(1000))) == 1
+
+
+def test_a_configured_vehicle_is_clear_whoever_else_speaks() -> None:
+    scripted = Scripted(config=VehicleConfig(system_id=7))
+    for _ in range(3):
+        assert scripted.heartbeat(system=3) == []
+        assert len(scripted.heartbeat(system=7)) == 1
+    assert scripted.link.unclear is None
+
+
+@pytest.mark.parametrize(
+    ("vehicle_type", "autopilot", "system", "component"),
+    [(6, 8, 255, 190), (6, 8, 255, 1), (6, 3, 9, 1), (18, 8, 2, 191), (2, 3, 2, 100), (2, 3, 1, 2)],
+)
+def test_only_a_second_autopilot_makes_it_unclear(
+    ardupilot: Scripted, vehicle_type: int, autopilot: int, system: int, component: int
+) -> None:
+    message = mavlink.MAVLink_heartbeat_message(vehicle_type, autopilot, 81, 4, 4, 3)
+    assert ardupilot.says(message, system=system, component=component) == []
+    assert ardupilot.link.unclear is None
+
+
+def test_other_vehicles_and_components_are_ignored(ardupilot: Scripted) -> None:
+    position = ardupilot.position(1000)
+    assert ardupilot.says(position, system=2) == []
+    assert ardupilot.says(position, component=220) == []
+    assert ardupilot.says(position, system=255, component=190) == []
+    assert ardupilot.link.counts.foreign == 3
+    assert len(ardupilot.says(position)) == 1
+
+
+def test_nothing_is_believed_before_the_first_heartbeat() -> None:
+    scripted = Scripted()
+    assert scripted.says(scripted.position(1000)) == []
