@@ -121,7 +121,7 @@ def flown(run: Run) -> Flown:
     true, problem = _true_paths(run, line, own) if has_truth else ((), None)
     if not true and not own:
         raise ConfigError(f"{run.folder}: no aircraft recorded a position: {problem}")
-    problems = () if problem is None else (f"true positions not used: {problem}",)
+    problems: tuple[str, ...] = () if problem is None else (f"true positions not used: {problem}",)
     problems += _twice(own) if run.others else ()
     kind = TRUE if true else OWN
     return Flown(

@@ -129,9 +129,9 @@ def damage(figures: dict[str, Any]) -> list[str]:
 
 
 def sentences(row: dict[str, Any]) -> list[str]:
-    """A manoeuvre in words: why, what was done, what came of it; then each alternative."""
+    """A manoeuvre in words: why, what was done, what came of it; then each alternative at its start."""
     found = [row[key] for key in ("why", "done", "came") if row[key]]
-    return [*found, *(f"- {words}" for words in row["instead"])]
+    return [*found, *(f"- at its start, {words}" for words in row["instead"])]
 
 
 Rows = list[list[str]]
