@@ -334,7 +334,7 @@ def _records(path: Path, ended: list[int]) -> tuple[list[Path], list[str]]:
             if files:
                 return files, odd
         if time.monotonic() > give_up_s:
-            raise ConfigError(f"{path}: no event record (*.events) is written there")
+            raise ConfigError(f"{path}: {'; '.join(odd) or 'no event record (*.events) is written there'}")
         _tell([f"waiting up to {WAIT_S:g} s for an event record (*.events) in {path}"], told, sys.stdout)
         time.sleep(PERIOD_S)
     return [], []

@@ -4,6 +4,7 @@ import argparse
 import csv
 import dataclasses
 import json
+import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,6 +27,7 @@ from sitl_mocks.lockstep import fly
 from sitl_mocks.settings import PathSettings, Scenario, VehicleSettings
 from sitl_mocks.verdict import pairs_of
 from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
+from tests.ground_tools.inspect.test_inputs import write_tlog
 
 SEED = 3
 
@@ -107,6 +109,35 @@ def test_without_truth_it_is_what_the_aircrafts_own_positions_say(
     scenario = settings.load(file)
     assert scenario.avoidance.law == "none"
     assert max(point[3] for path in scenario.path for point in path.points) <= -incident.LOWEST_M
+
+
+def test_five_that_meet_come_as_close_again(tmp_path: Path) -> None:
+    """As in S2, all through one point; what counts is the closest of ten pairs."""
+    around = [(math.cos(2.0 * math.pi * k / 5), math.sin(2.0 * math.pi * k / 5)) for k in range(5)]
+    scenario = Scenario(
+        aircraft=5,
+        path=tuple(
+            PathSettings(points=((0.0, -60.0 * n, -60.0 * e, -60.0), (30.0, 60.0 * n, 60.0 * e, -60.0)))
+            for n, e in around
+        ),
+        air=AirSettings(delay_s=(0.0, 1.0)),
+    )
+    folder = tmp_path / "five"
+    folder.mkdir()
+    was_m = demo._fly_one(scenario, SEED, 0, avoided=True, folder=folder).min_separation_m
+    file = tmp_path / "incident.toml"
+    assert run_export(folder, "--scenario", file) == 0
+    assert len(settings.load(file).path) == 5
+    assert least_m(file) == pytest.approx(was_m, abs=0.5)
+
+
+def test_two_telemetry_logs_come_as_close_again(tmp_path: Path, made: SimpleNamespace) -> None:
+    """The clock of one station is 30 s wrong; the vehicles' UTC counts."""
+    one = write_tlog(tmp_path / "one.tlog", made, made.northbound)
+    two = write_tlog(tmp_path / "two.tlog", made, made.eastbound(6.0), late_s=30.0)
+    file = tmp_path / "incident.toml"
+    assert run_export(one, two, "--scenario", file) == 0
+    assert least_m(file) == pytest.approx(6.0 / 2**0.5, abs=0.5)
 
 
 def test_delays_are_measured_where_nobody_tells_them(simulated: Path, tmp_path: Path) -> None:
