@@ -76,6 +76,11 @@ class Reader:
         self._offset = 0
         self._torn = False
 
+    @property
+    def offset(self) -> int:
+        """Bytes of the file that were read as whole records, its magic among them."""
+        return self._offset
+
     def records(self) -> Iterator[Record]:
         """Yield what is whole and was not yielded before.
 

@@ -61,18 +61,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools inspect`. Returns 0; 2 when one of several inputs could not be read.
+    """`ground-tools inspect`. Returns 0; 2 when one of several inputs, or with --live one of several records,
+    could not be read.
 
     Raises:
         ConfigError: options that do not go together, nothing that can be read, a file that cannot be written,
             or rerun is not installed.
-        PeerDataError: with --live: a record that is damaged, or of another version.
+        PeerDataError: with --live: no record that is undamaged and of this version.
     """
     paths: list[Path] = args.run_folder
     _check(args, several=len(paths) > 1 and not (args.together or args.compare))
     if args.live:
-        live.follow(paths[0])
-        return 0
+        return live.follow(paths[0])
     runs = read_all(paths)
     if args.compare:
         _compare(runs, args)

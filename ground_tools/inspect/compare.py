@@ -17,25 +17,26 @@ from rich.console import Console
 from companion.config import public
 from companion.errors import ConfigError
 from ground_tools.inspect import align
-from ground_tools.inspect.flown import flown
+from ground_tools.inspect.flown import placed
 from ground_tools.inspect.read_run import Run
 from ground_tools.inspect.summary import describe
 from ground_tools.inspect.terminal import PIPED_WIDTH, Rows, line, number, show_table
 
 _WHOLE = frozenset({"path", "fence"})
 """Parts of a configuration that are told to differ, and not shown."""
+_OF_RECORDS = "configuration, manoeuvres, alerts, own Remote ID"
 
 
 def compare(runs: Sequence[Run]) -> dict[str, Any]:
     """Differences of runs, ready for JSON: every list of values has one for each run, in their order.
 
     Raises:
-        ConfigError: fewer than two runs, or one in which no aircraft recorded a position.
+        ConfigError: fewer than two runs.
     """
     if len(runs) < 2:
-        raise ConfigError("--compare: takes two runs or more")
+        raise ConfigError("--compare: takes two runs or more, of which each can be read")
     described = [describe(run) for run in runs]
-    ways = [flown(run) for run in runs]
+    ways = [placed(run) for run in runs]
     zeros, zero = align.zeros(runs, ways)
     return {
         "runs": align.names(runs),
@@ -49,9 +50,22 @@ def compare(runs: Sequence[Run]) -> dict[str, Any]:
         "problems": [
             {"run": name, "text": words}
             for name, figures in zip(align.names(runs), described, strict=True)
-            for words in figures["problems"]
+            for words in (*figures["problems"], *_missing(figures))
         ],
     }
+
+
+def _missing(figures: dict[str, Any]) -> list[str]:
+    """What of a run cannot be compared, in words."""
+    found = []
+    if figures["positions"] is None:
+        found.append("not compared for want of positions: separations, distances, speeds")
+    elif len(figures["aircraft"]) < 2:
+        found.append("not compared, with one aircraft alone: separations")
+    silent = [one["name"] for one in figures["aircraft"] if one["software"] is None]
+    if silent:
+        found.append(f"not compared for want of a companion's record of {', '.join(silent)}: {_OF_RECORDS}")
+    return found
 
 
 # ---------------------------------------------------------------- configuration

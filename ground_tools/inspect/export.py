@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from companion.errors import ConfigError
-from ground_tools.inspect import incident, kml, tables
+from ground_tools.inspect import incident, kml, manoeuvres, tables
 from ground_tools.inspect.command import read_all
 from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.timeline import together
@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "Write what was flown for other software. Several RUNs are put on one UTC time line."
     parser.epilog = EXAMPLE
     parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog")
-    parser.add_argument("--csv", type=Path, metavar="DIR", help="tracks.csv and encounters.csv")
+    parser.add_argument(
+        "--csv", type=Path, metavar="DIR", help="tracks, encounters, manoeuvres and alternatives as .csv"
+    )
     parser.add_argument("--parquet", type=Path, metavar="DIR", help="the same as .parquet")
     parser.add_argument("--kml", type=Path, metavar="FILE", help="for Google Earth")
     parser.add_argument(
@@ -60,6 +62,11 @@ def run(args: argparse.Namespace) -> int:
         (args.csv, "csv", tables.write_csv),
         (args.parquet, "parquet", tables.write_parquet),
     ]
+    done = (
+        {record.name: manoeuvres.find(record) for record in whole.aircraft}
+        if args.csv or args.parquet
+        else {}
+    )
     for folder, ending, write in formats:
         if folder is None:
             continue
@@ -67,6 +74,8 @@ def run(args: argparse.Namespace) -> int:
         for name, columns, blocks in (
             ("tracks", tables.TRACK_COLUMNS, tables.tracks(whole, ways)),
             ("encounters", tables.ENCOUNTER_COLUMNS, iter([tables.encounters(ways, pairs)])),
+            ("manoeuvres", tables.MANOEUVRE_COLUMNS, iter([tables.manoeuvres(ways, done)])),
+            ("alternatives", tables.ALTERNATIVE_COLUMNS, iter([tables.alternatives(ways, done)])),
         ):
             path = folder / f"{name}.{ending}"
             print(f"wrote {path}: {write(blocks, columns, path)} rows")

@@ -31,6 +31,8 @@ MAX_GAP_S = 2.0
 """Between two own positions farther apart than this the place in between is not known."""
 MAX_ERROR_M = 200.0
 """Truth farther than this from the aircraft's own positions belongs to another frame or flight."""
+SAME_M = 2.0
+"""Two recordings of one aircraft are nearer than this to each other, where clocks agree to some 0.1 s."""
 TRUE = "true positions"
 OWN = "own GNSS positions"
 _ZERO = np.zeros(0)
@@ -119,7 +121,8 @@ def flown(run: Run) -> Flown:
     true, problem = _true_paths(run, line, own) if has_truth else ((), None)
     if not true and not own:
         raise ConfigError(f"{run.folder}: no aircraft recorded a position: {problem}")
-    problems = () if problem is None else (f"true positions not used: {problem}",)
+    problems: tuple[str, ...] = () if problem is None else (f"true positions not used: {problem}",)
+    problems += _twice(own) if run.others else ()
     kind = TRUE if true else OWN
     return Flown(
         origin=origin,
@@ -134,12 +137,13 @@ def flown(run: Run) -> Flown:
     )
 
 
-def unplaced(run: Run, why: str) -> Flown:
-    """A run in which nobody's position is known: its clocks alone, in a frame of no meaning.
-
-    Args:
-        why: what to say of it.
-    """
+def placed(run: Run) -> Flown:
+    """Paths of all aircraft; of a run in which nobody recorded a position its clocks alone, in a frame of no
+    meaning."""
+    try:
+        return flown(run)
+    except ConfigError:
+        pass
     line = time_line(run)
     return Flown(
         origin=(0.0, 0.0, 0.0),
@@ -149,7 +153,7 @@ def unplaced(run: Run, why: str) -> Flown:
         offsets_s=line.offsets_s,
         clock=line.words,
         from_path=line.from_path,
-        problems=(why,),
+        problems=("No aircraft recorded a position: nothing is drawn in space.",),
         utc_at_zero_s=line.utc_at_zero_s,
     )
 
@@ -170,6 +174,16 @@ def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[
         if path.name in by_name and (away := _median_distance_m(path, by_name[path.name])) > MAX_ERROR_M:
             return (), f"those of {path.name} are {away:.0f} m from where it took itself to be"
     return tuple(paths), None
+
+
+def _twice(own: tuple[Path, ...]) -> tuple[str, ...]:
+    """What is one aircraft in two inputs, by all that positions tell."""
+    return tuple(
+        f"{one.name} and {other.name} were within {SAME_M:g} m of each other most of the time: if that is "
+        "one aircraft, recorded twice, their separation means nothing"
+        for one, other in itertools.combinations(own, 2)
+        if _median_distance_m(one, other) < SAME_M
+    )
 
 
 def _median_distance_m(first: Path, second: Path) -> float:

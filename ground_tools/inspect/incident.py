@@ -28,7 +28,7 @@ from companion.remote_id.messages import Location
 from companion.toml_input import without_none
 from ground_tools.inspect.flown import MAX_GAP_S, Array, Flown, Separation, at, separations
 from ground_tools.inspect.flown import Path as FlownPath
-from ground_tools.inspect.read_run import AircraftRecord, Run, read_json
+from ground_tools.inspect.read_run import AircraftRecord, Run, is_regular, read_json
 from sitl_mocks import settings
 from sitl_mocks.air_settings import AirSettings
 from sitl_mocks.channel.simple import MAX_DELAY_S
@@ -259,6 +259,8 @@ def _simulated(run: Run) -> tuple[Scenario, int | None] | None:
     """Scenario and seed that a simulated run's folder holds; its flight without avoidance lies in a folder
     inside."""
     for folder in (run.folder, run.folder.parent):
+        if not is_regular(folder / "config.toml"):
+            continue
         try:
             scenario = settings.load(folder / "config.toml")
         except ConfigError:

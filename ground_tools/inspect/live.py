@@ -7,21 +7,25 @@ it or to the viewer can reach the flight. What is seen is as old as the companio
 from __future__ import annotations
 
 import itertools
+import stat
+import sys
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 
 from companion import record
-from companion.errors import ConfigError
+from companion.errors import ConfigError, PeerDataError
 from companion.record import Header, Step
 from ground_tools.inspect.blueprint import blueprint
-from ground_tools.inspect.facts import Array, gather
+from ground_tools.inspect.facts import Array, Facts, Gatherer, gather
 from ground_tools.inspect.flown import Path as Flight
 from ground_tools.inspect.flown import to_ned
 from ground_tools.inspect.palette import colour
+from ground_tools.inspect.read_run import NOT_REGULAR, is_regular
 from ground_tools.inspect.scene import Aircraft, Scene
 from ground_tools.inspect.web import WebViewer
 from ground_tools.inspect.writer import Writer, rerun
@@ -31,6 +35,10 @@ PERIOD_S = 0.5
 """Between two looks at the files."""
 WAIT_S = 60.0
 """For the first record of a folder."""
+PATIENCE_S = 5.0
+"""For every aircraft to tell where it is and what time it has; then what there is is shown."""
+_CLOSE_S = 3.0
+_HEADER, _POSITION, _UTC = "its first record", "a position", "UTC"
 
 
 class Followed:
@@ -65,57 +73,122 @@ class Bridge:
     Args:
         files: event records.
         stream: a rerun recording stream.
+
+    Raises:
+        ConfigError: none of the files can be opened.
     """
 
     def __init__(self, files: Iterable[Path], stream: Any) -> None:
         self._stream = stream
-        self._followed = {one.name: one for one in map(Followed, files)}
+        self._followed: dict[str, Followed] = {}
+        self.problems: list[str] = []
+        """Why records are not followed, or no further, one line each."""
+        self.outgrown = False
+        """It began without something that was told since: another one would show more."""
+        for file in files:
+            try:
+                one = Followed(file)
+            except OSError as error:
+                self.problems.append(f"{file.name}: cannot be read: {error.strerror}")
+            else:
+                self._followed[one.name] = one
+        if not self._followed:
+            raise ConfigError("; ".join(self.problems))
         self._early: dict[str, list[Step]] = {name: [] for name in self._followed}
         """What came before the scene could be made."""
+        self._known = {name: Gatherer() for name in self._followed}
+        """What is known of each by then."""
+        self._lacking: dict[str, set[str]] = {}
+        """By aircraft, what the scene was made without."""
         self._last: dict[str, Array] = {}
         """By aircraft: its last position, where the next part of its path begins."""
         self._scene: Scene | None = None
         self._writer: Writer | None = None
 
-    def look(self) -> int:
+    @property
+    def waits_for(self) -> tuple[str, ...]:
+        """What has not been told and is waited for, a line for each aircraft; none once it has begun."""
+        return _in_words(self._lacks()) if self._writer is None else ()
+
+    @property
+    def without(self) -> tuple[str, ...]:
+        """What it has begun without, a line for each aircraft."""
+        return () if self._writer is None else _in_words(self._lacking)
+
+    def look(self, *, complete: bool = True) -> int:
         """Send what is new. Returns how many steps that were.
 
+        Args:
+            complete: begin only when every aircraft has told where it is and what time it has.
+
         Raises:
-            PeerDataError: a record is damaged, or of another version.
+            PeerDataError: no record is of this version and undamaged.
         """
         if self._writer is None:
-            for name, one in self._followed.items():
-                self._early[name] += one.steps()
-            self._scene = self._made()
-            if self._scene is None:
+            for name in list(self._early):
+                for step in self._new(name):
+                    self._early[name].append(step)
+                    self._known[name].step(step)
+                if name not in self._followed and not self._early[name]:
+                    del self._early[name], self._known[name]
+            if not self._early:
+                raise PeerDataError("; ".join(self.problems))
+            self._lacking = self._lacks()
+            if any(self._lacking.values()) and (complete or not any(self._early.values())):
                 return 0
-            self._stream.send_blueprint(blueprint(self._scene, (), None, live=True))
+            self._scene = self._made()
+            placed = any(len(one.fixes) for one in self._known.values())
+            self._stream.send_blueprint(blueprint(self._scene, (), None, live=True, placed=placed))
             self._writer = Writer(self._stream, self._scene)
+            if placed:
+                for lacks in self._lacking.values():
+                    lacks.discard(_POSITION)
             count = sum(self._send(name, steps) for name, steps in self._early.items())
             self._early.clear()
             return count
-        return sum(self._send(name, one.steps()) for name, one in self._followed.items())
+        return sum(self._send(name, self._new(name)) for name in list(self._followed))
 
-    def _made(self) -> Scene | None:
-        """The scene, once every aircraft has told where it is and what time it has."""
-        facts = {name: gather(steps) for name, steps in self._early.items()}
-        alone = len(facts) == 1
-        if not all(len(one.fixes) and (alone or one.utc_offset_s is not None) for one in facts.values()):
-            return None
-        to_utc = {name: 0.0 if alone else (one.utc_offset_s or 0.0) for name, one in facts.items()}
-        zero = 0.0 if alone else min(one.start_s + to_utc[name] for name, one in facts.items())
-        lat, lon, alt = next(iter(facts.values())).fixes[0, 1:4].tolist()
+    def _new(self, name: str) -> Iterator[Step]:
+        """What came since; a damaged record ends there."""
+        one = self._followed.get(name)
+        if one is None:
+            return
+        try:
+            yield from one.steps()
+        except PeerDataError as error:
+            self.problems.append(str(error) if one.header is None else f"{error}; shown up to there")
+            self._followed.pop(name).close()
+
+    def _lacks(self) -> dict[str, set[str]]:
+        """By aircraft, what the scene needs and it has not told."""
+        alone = len(self._known) == 1
+        found = {}
+        for name, one in self._known.items():
+            lacks = {_POSITION: not one.fixes, _UTC: not alone and not one.utc}
+            lacks[_HEADER] = name in self._followed and self._followed[name].header is None
+            found[name] = {what for what, it_does in lacks.items() if it_does}
+        return found
+
+    def _made(self) -> Scene:
+        """The scene by what is known. Without UTC of one all clocks are taken for the same; without any
+        position its frame has no meaning."""
+        facts: dict[str, Facts] = {name: one.facts() for name, one in self._known.items()}
+        granted = len(facts) == 1 or any(one.utc_offset_s is None for one in facts.values())
+        to_utc = {name: 0.0 if granted else (one.utc_offset_s or 0.0) for name, one in facts.items()}
+        zero = 0.0 if granted else min(one.start_s + to_utc[name] for name, one in facts.items())
+        first = next((one.fixes[0, 1:4].tolist() for one in facts.values() if len(one.fixes)), (0.0,) * 3)
+        headers = {name: one.header for name, one in self._followed.items()}
         aircraft = tuple(
             Aircraft(
                 name,
                 colour(index),
                 to_utc[name] - zero,
-                one.header.config if one.header else None,
+                header.config if (header := headers.get(name)) else None,
                 facts[name].undulation_m,
             )
-            for index, (name, one) in enumerate(self._followed.items())
+            for index, name in enumerate(facts)
         )
-        return Scene((lat, lon, alt), aircraft)
+        return Scene((first[0], first[1], first[2]), aircraft)
 
     def _send(self, name: str, steps: Iterable[Step]) -> int:
         assert self._scene is not None
@@ -131,13 +204,16 @@ class Bridge:
             count += len(found)
             self._writer.steps(name, found)
             self._writer.settle(found[-1].now_s + offset)
-            self._path(name, found, offset)
+            facts = gather(found)
+            self._path(name, facts.fixes, offset)
+            told = {_HEADER} | ({_POSITION} if len(facts.fixes) else set())
+            told |= set() if facts.utc_offset_s is None else {_UTC}
+            self.outgrown |= not told.isdisjoint(self._lacking[name])
         return count
 
-    def _path(self, name: str, steps: list[Step], offset_s: float) -> None:
+    def _path(self, name: str, fixes: Array, offset_s: float) -> None:
         assert self._scene is not None
         assert self._writer is not None
-        fixes = gather(steps).fixes
         if not len(fixes):
             return
         joined = np.vstack([self._last.get(name, fixes[:0]), fixes])
@@ -146,48 +222,119 @@ class Bridge:
         self._writer.flown(Flight(name, joined[:, 0] + offset_s, ned, 0.0), joined[:, 1:3])
 
     def close(self) -> None:
-        """Read no more."""
+        """Read no more, and send the rest; a viewer that hangs is not waited for."""
         for one in self._followed.values():
             one.close()
+        # Before the viewer goes: Rerun complains of one that went first. It waits for a viewer without end.
+        ending = threading.Thread(target=self._stream.disconnect, daemon=True)
+        ending.start()
+        ending.join(_CLOSE_S)
 
 
-def follow(folder: Path) -> None:
-    """Show a run while it is flown, until Ctrl-C or SIGTERM.
+def _in_words(lacking: dict[str, set[str]]) -> tuple[str, ...]:
+    return tuple(f"{name}: {' and '.join(sorted(lacks))}" for name, lacks in lacking.items() if lacks)
+
+
+def follow(path: Path) -> int:
+    """Show a run while it is flown, until Ctrl-C or SIGTERM. Returns 0; 2 when a record could not be read, or
+    not to its end.
+
+    Args:
+        path: a run folder, a folder of them (a swarm), or one event record.
 
     Raises:
         ConfigError: no record is written there, rerun is not installed, or its viewer ended by itself.
-        PeerDataError: a record is damaged, or of another version.
+        PeerDataError: no record is of this version and undamaged.
     """
     rr = rerun()
     with end_signals() as ended:
-        files = _records(folder, ended)
+        files, odd = _records(path, ended)
         if not files:
-            return
+            return 0
+        told: set[str] = set()
+        _tell(odd, told, sys.stderr)
         with WebViewer() as viewer:
-            stream = rr.RecordingStream("dmuca", recording_id=f"live {folder.resolve().name}")
-            stream.connect_grpc(viewer.data_url)
-            bridge = Bridge(files, stream)
-            names = ", ".join(file.name.removesuffix(".events") for file in files)
-            print(f"{names} live at {viewer.url}; on this machine only, until Ctrl-C", flush=True)
+            bridge = _begun(rr, viewer, path, files)
+            give_up_s = time.monotonic() + PATIENCE_S
             try:
+                bridge.look()
+                names = ", ".join(file.name.removesuffix(".events") for file in files)
+                print(f"{names} live at {viewer.url}; on this machine only, until Ctrl-C", flush=True)
                 while not ended:
                     viewer.check()
-                    bridge.look()
+                    waits = bridge.waits_for
+                    bridge.look(complete=time.monotonic() < give_up_s)
+                    _tell(_waiting(waits, bridge), told, sys.stdout)
+                    _tell(bridge.problems, told, sys.stderr)
+                    if bridge.outgrown:
+                        bridge.close()
+                        bridge = _begun(rr, viewer, path, files)
                     time.sleep(PERIOD_S)
             finally:
                 bridge.close()
+        return 2 if odd or bridge.problems else 0
 
 
-def _records(folder: Path, ended: list[int]) -> list[Path]:
-    """The records of the folder, or of the folders in it (a swarm); empty when it ended first."""
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such run folder")
-    give_up_s = time.monotonic() + WAIT_S
+def _begun(rr: Any, viewer: WebViewer, path: Path, files: Iterable[Path]) -> Bridge:
+    """A bridge to a recording of its own: the viewer turns to the newest."""
+    stream = rr.RecordingStream("dmuca", recording_id=f"live {path.resolve().name} {time.monotonic_ns()}")
+    stream.connect_grpc(viewer.data_url)
+    return Bridge(files, stream)
+
+
+def _waiting(waits: tuple[str, ...], bridge: Bridge) -> list[str]:
+    """What is waited for, and what is not waited for any longer.
+
+    Args:
+        waits: what the bridge waited for before it looked.
+    """
+    if bridge.waits_for:
+        return [f"waiting for {words}" for words in bridge.waits_for]
+    return [f"shown without {words}, until that comes" for words in bridge.without] if waits else []
+
+
+def _tell(lines: Iterable[str], told: set[str], stream: TextIO) -> None:
+    """Print each line once."""
+    for words in lines:
+        if words not in told:
+            told.add(words)
+            print(words, file=stream, flush=True)
+
+
+def _records(path: Path, ended: list[int]) -> tuple[list[Path], list[str]]:
+    """The records of a folder, or of the folders in it (a swarm), and what else is called so; none when it
+    ended first."""
+    try:
+        if not stat.S_ISDIR(path.stat().st_mode):
+            if not is_regular(path):
+                raise ConfigError(f"{path}: {NOT_REGULAR}")
+            return [path], []
+        next(path.iterdir(), None)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such run folder") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    give_up_s, told = time.monotonic() + WAIT_S, set[str]()
     while not ended:
-        files = sorted(folder.glob("*.events")) or sorted(folder.glob("*/*.events"))
-        if files and all(file.stat().st_size >= len(record.MAGIC) for file in files):
-            return files
+        odd = []
+        files = []
+        for file in sorted(path.glob("*.events")) or sorted(path.glob("*/*.events")):
+            try:
+                size = file.stat().st_size
+            except OSError as error:
+                odd.append(f"{file.name}: cannot be read: {error.strerror}")
+                continue
+            if not is_regular(file):
+                odd.append(f"{file.name}: {NOT_REGULAR}")
+            elif size >= len(record.MAGIC):
+                files.append(file)
+            else:
+                break
+        else:
+            if files:
+                return files, odd
         if time.monotonic() > give_up_s:
-            raise ConfigError(f"{folder}: no event record (*.events) is written there")
+            raise ConfigError(f"{path}: {'; '.join(odd) or 'no event record (*.events) is written there'}")
+        _tell([f"waiting up to {WAIT_S:g} s for an event record (*.events) in {path}"], told, sys.stdout)
         time.sleep(PERIOD_S)
-    return []
+    return [], []

@@ -80,12 +80,13 @@ class Manoeuvre:
     done: str
     came: str
     instead: tuple[str, ...]
-    """The alternatives, each with what it would have led to."""
+    """The alternatives at the start, each with what it would have led to. Where the law changed its mind
+    within the manoeuvre they are not judged again."""
 
     @property
     def text(self) -> str:
         """All of it in a few sentences."""
-        instead = f"Instead: {'; '.join(self.instead)}." if self.instead else ""
+        instead = f"Instead, at its start: {'; '.join(self.instead)}." if self.instead else ""
         return " ".join(words for words in (self.why, self.done, self.came, instead) if words)
 
 

@@ -12,7 +12,9 @@ from __future__ import annotations
 import functools
 import glob
 import json
-from collections.abc import Callable, Iterator
+import os
+import stat
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +41,10 @@ _OTHER_KINDS = {
 """First bytes of files that people have beside their logs."""
 TELLING_S = 0.05
 """A log's clock that was off by more is worth a note."""
+STAMPED = (
+    "no vehicle told UTC (SYSTEM_TIME): it is that of the log's own stamps, by the clock of whoever wrote it"
+)
+NOT_REGULAR = "not a regular file (a folder, a FIFO or a device)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +62,8 @@ class AircraftRecord:
     """(n, 4) of utc_s, north_m, east_m, down_m; None where its true positions are not known."""
     tlog: bool = False
     """Read from a telemetry log: `now_s` is the log's UTC."""
+    stamped: bool = False
+    """Of a telemetry log in which no vehicle told UTC: that of its stamps stands unchecked."""
     link_of: Callable[[], LinkHealth | None] = lambda: None
 
     @property
@@ -98,6 +106,17 @@ class Run:
         return self.folder / "inspect.rrd" if self.folder.is_dir() else self.folder.with_suffix(".rrd")
 
 
+def is_regular(path: Path) -> bool:
+    """Whether a path can be read as a file, and again from its beginning: a FIFO waits for a writer for ever.
+
+    True too for what cannot be looked at: opening it says why.
+    """
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError:
+        return True
+
+
 def read_unavoided(folder: Path) -> Run | None:
     """The run without avoidance that belongs to a run folder; None where there is none."""
     inner = folder / "unavoided"
@@ -110,8 +129,15 @@ def read_run(path: Path) -> Run:
     Raises:
         ConfigError: there is no such file or folder, or nothing of a flight could be read from it.
     """
-    if not path.is_dir():
-        return _file(path)
+    try:
+        if not stat.S_ISDIR(path.stat().st_mode):
+            return _file(path)
+        # A glob passes over what it may not list.
+        os.scandir(path).close()
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such run folder or file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     problems: list[str] = []
     notes: list[str] = []
     manifest, manifest_problem = read_json(path / "manifest.json")
@@ -132,13 +158,10 @@ def _file(path: Path) -> Run:
     """A run of one file."""
     problems: list[str] = []
     notes: list[str] = []
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(8)
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such run folder or file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if not is_regular(path):
+        raise ConfigError(f"{path}: {NOT_REGULAR}")
+    with path.open("rb") as stream:
+        head = stream.read(8)
     for magic, kind in _OTHER_KINDS.items():
         if head.startswith(magic):
             raise ConfigError(
@@ -162,8 +185,8 @@ def _flights(
     folder: Path, manifest: dict[str, Any] | None, problems: list[str]
 ) -> list[tuple[Path | None, Path | None]]:
     """Event record and telemetry log of every aircraft, one of them at least."""
-    events = {path.stem: path for path in sorted(folder.glob("*.events"))}
-    tlogs = {path.stem: path for path in sorted(folder.glob("*.tlog"))}
+    events = {path.stem: path for path in _regular(folder.glob("*.events"), problems)}
+    tlogs = {path.stem: path for path in _regular(folder.glob("*.tlog"), problems)}
     if manifest is not None:
         problems += [
             f"{name}: no event record: shown by its telemetry log" for name in sorted({*tlogs} - {*events})
@@ -171,6 +194,12 @@ def _flights(
     if events or tlogs:
         return [(events.get(name), tlogs.get(name)) for name in sorted({*events, *tlogs})]
     return _nested(folder, manifest, problems)
+
+
+def _regular(paths: Iterable[Path], problems: list[str]) -> list[Path]:
+    found = sorted(paths)
+    problems += [f"{path.name}: {NOT_REGULAR}" for path in found if not is_regular(path)]
+    return [path for path in found if is_regular(path)]
 
 
 def _nested(
@@ -182,8 +211,8 @@ def _nested(
     for name in names if isinstance(names, list) else []:
         # Names of run folders begin with their time: the last is the latest.
         inside = f"*-{glob.escape(str(name))}/{glob.escape(str(name))}"
-        events = sorted(folder.glob(f"{inside}.events"))
-        tlogs = sorted(folder.glob(f"{inside}.tlog"))
+        events = _regular(folder.glob(f"{inside}.events"), problems)
+        tlogs = _regular(folder.glob(f"{inside}.tlog"), problems)
         if not events:
             problems.append(f"{name}: no event record")
         elif len(events) > 1:
@@ -195,11 +224,15 @@ def _nested(
 
 def read_json(path: Path) -> tuple[dict[str, Any] | None, str | None]:
     """The JSON object in a file, or None and what is wrong with it; neither where there is no file."""
+    if not is_regular(path):
+        return None, f"{path.name}: {NOT_REGULAR}"
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError):
         return None, None
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        return None, f"{path.name}: cannot be read: {error.strerror}"
+    except (ValueError, RecursionError) as error:
         return None, f"{path.name}: {error}"
     if not isinstance(value, dict):
         return None, f"{path.name}: not a JSON object"
@@ -218,8 +251,11 @@ def _flight(
         return []
     try:
         log = read_tlog.read(tlog)
-    except (PeerDataError, OSError) as error:
+    except PeerDataError as error:
         problems.append(str(error))
+        return []
+    except OSError as error:
+        problems.append(f"{tlog.name}: cannot be read: {error.strerror}")
         return []
     problems += log.problems
     if events is not None:
@@ -241,9 +277,12 @@ def _flight(
                 vehicle.steps,
                 truth=_truth(folder, name, problems),
                 tlog=True,
+                stamped=not log.tells_utc,
                 link_of=functools.partial(_given, vehicle.link),
             )
         )
+    if found and not log.tells_utc:
+        notes.append(f"{tlog.name}: {STAMPED}")
     return found
 
 
@@ -282,8 +321,12 @@ def _aircraft(path: Path, tlog: Path | None, folder: Path, problems: list[str]) 
 
 
 def _truth(folder: Path, name: str, problems: list[str]) -> NDArray[np.float64] | None:
+    path = folder / f"{name}.truth.csv"
+    if not is_regular(path):
+        problems.append(f"{path.name}: {NOT_REGULAR}")
+        return None
     try:
-        return read_truth(folder / f"{name}.truth.csv")
+        return read_truth(path)
     except PeerDataError as error:
         problems.append(str(error))
         return None
@@ -293,11 +336,14 @@ def _steps(path: Path, headers: list[Header], problems: list[str]) -> Iterator[S
     """The steps of a file, its headers and what is damaged put aside."""
     try:
         with path.open("rb") as stream:
-            for entry in record.read(stream, path.name):
+            reader = record.Reader(stream, path.name)
+            for entry in reader.records():
                 if isinstance(entry, Header):
                     headers.append(entry)
                 else:
                     yield entry
+            if headers and (torn := stream.seek(0, os.SEEK_END) - reader.offset):
+                problems.append(f"{path.name}: torn: the last {torn} bytes are no whole record")
     except PeerDataError as error:
         problems.append(f"{error}; read up to there" if headers else str(error))
     except OSError as error:

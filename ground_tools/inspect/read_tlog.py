@@ -99,6 +99,8 @@ class Tlog:
     counts: TlogCounts
     problems: tuple[str, ...]
     """Damage, one line each."""
+    tells_utc: bool
+    """A vehicle told UTC: SYSTEM_TIME."""
 
 
 def read(path: Path) -> Tlog:
@@ -138,6 +140,7 @@ def read(path: Path) -> Tlog:
         ),
         counts,
         problems,
+        bool(told),
     )
 
 

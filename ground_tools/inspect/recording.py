@@ -27,10 +27,9 @@ from ground_tools.inspect.flown import (
     Path,
     Separation,
     crossing,
-    flown,
     from_frame,
+    placed,
     separations,
-    unplaced,
 )
 from ground_tools.inspect.link_health import LinkHealth
 from ground_tools.inspect.palette import Rgb, colour
@@ -78,10 +77,7 @@ def write(run: Run, path: File) -> None:
         ConfigError: rerun is not installed, or `path` cannot be written.
     """
     rerun()
-    try:
-        ways = flown(run)
-    except ConfigError:
-        ways = unplaced(run, "No aircraft recorded a position: nothing is drawn in space.")
+    ways = placed(run)
     pairs = _closest_pairs(ways.paths)
     encounter = first_encounter(_conflicts(run, ways.offsets_s), pairs[0] if pairs else None)
     colours = {record.name: colour(index) for index, record in enumerate(run.aircraft)}
@@ -98,19 +94,19 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
     """Write several runs into one recording, each under `/runs/<name>`, aligned at take-off.
 
     Time 0 is the start of the timed paths where every run has one, and the first take-off otherwise. A run
-    has one colour.
+    has one colour. One in which no aircraft recorded a position has lanes, plots and texts.
 
     Raises:
-        ConfigError: as `write`; fewer than two runs; one in which no aircraft recorded a position.
+        ConfigError: as `write`; fewer than two runs.
     """
     rerun()
     if len(runs) < 2:
         raise ConfigError("a comparison takes two runs or more")
     names = align.names(runs)
-    every = [flown(run) for run in runs]
+    every = [placed(run) for run in runs]
     zeros, zero_words = align.zeros(runs, every)
     every = [_moved(ways, -zero) for ways, zero in zip(every, zeros, strict=True)]
-    origin = every[0].origin
+    origin = next((ways.origin for ways in every if ways.paths), every[0].origin)
     every = [_in_frame(ways, origin) if _apart_m(ways.origin, origin) < NEAR_M else ways for ways in every]
     pairs = [_closest_pairs(ways.paths) for ways in every]
     encounter = _joined(

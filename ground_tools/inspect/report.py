@@ -170,7 +170,7 @@ def _manoeuvres(run: Run, figures: dict[str, Any]) -> list[str]:
 
 def _manoeuvre(name: str, one: Manoeuvre, row: dict[str, Any], drawing: str | None) -> str:
     words = "".join(f"<p>{escaped(row[key])}</p>" for key in ("why", "done", "came") if row[key])
-    head = ["", "instead", "nearest", "(m)", "in (s)", "verdict"]
+    head = ["", "instead, at its start", "nearest", "(m)", "in (s)", "verdict"]
     rows = [head] + [
         [
             "" if index == 0 else str(index),

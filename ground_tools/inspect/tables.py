@@ -1,4 +1,4 @@
-"""Tracks and encounters of a run as tables: what other software reads as CSV or Parquet.
+"""Tracks, encounters and manoeuvres of a run as tables: what other software reads as CSV or Parquet.
 
 Rows come in blocks of columns, so that a long run is never in memory at once.
 """
@@ -6,9 +6,10 @@ Rows come in blocks of columns, so that a long run is never in memory at once.
 from __future__ import annotations
 
 import csv
+import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from companion.errors import ConfigError
 from companion.events import AdsbVehicle, AnyEvent, RemoteIdHeard, Vec3
 from companion.remote_id.messages import Location
 from ground_tools.inspect.flown import TRUE, Array, Flown, Separation, fixes_of, to_ned
+from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.read_run import AircraftRecord, Run
 
 BLOCK = 20_000
@@ -52,6 +54,58 @@ ENCOUNTER_COLUMNS = (
 )
 """A row for every time that a pair was closer than required, from `start_s` to `end_s`, and the closest
 approach of a pair that never was."""
+_NED = ("north", "east", "down")
+MANOEUVRE_COLUMNS = (
+    "time_utc",
+    "name",
+    "time_s",
+    "end_s",
+    "regained_s",
+    "guarded",
+    "track",
+    "time_to_closest_s",
+    "closest_m",
+    *(f"wanted_{axis}_mps" for axis in _NED),
+    *(f"chosen_{axis}_mps" for axis in _NED),
+    *(f"most_wanted_{axis}_mps" for axis in _NED),
+    *(f"most_chosen_{axis}_mps" for axis in _NED),
+    "half_spaces",
+    "tracks",
+    "limits",
+    "feasible",
+    "nearest_track",
+    "nearest_m",
+    "nearest_s",
+    "deviation_m",
+    "why",
+    "done",
+    "came",
+)
+"""A row for every manoeuvre, `manoeuvres.Manoeuvre` says what they are; times are the run's time line.
+`wanted` and `chosen` are of its start, as are the `half_spaces` that were active then; `most` are of the
+decision that left the wanted velocity the farthest. `half_spaces`, `tracks` and `limits` are JSON lists."""
+ALTERNATIVE_COLUMNS = (
+    "time_utc",
+    "name",
+    "time_s",
+    "alternative",
+    *(f"velocity_{axis}_mps" for axis in _NED),
+    "closest_track",
+    "closest_m",
+    "closest_in_s",
+    "from_wanted_mps",
+    "enters",
+    "excluded_by",
+)
+"""What could have been flown when a manoeuvre began, a row each; `name` and `time_s` are the manoeuvre's.
+`enters` is a JSON list of tracks, `excluded_by` a JSON object of constraints and what they lack (m/s)."""
+_FLAGS = frozenset({"kept", "guarded", "feasible"})
+_WORDS = frozenset(
+    {
+        *("name", "source", "by", "first", "second", "track", "tracks", "limits", "half_spaces"),
+        *("nearest_track", "why", "done", "came", "alternative", "closest_track", "enters", "excluded_by"),
+    }
+)
 
 Rows = dict[str, list[Any]]
 
@@ -93,7 +147,86 @@ def encounters(ways: Flown, pairs: list[Separation]) -> Rows:
             kept = least_m >= pair.required_m
             utc = _utc(ways, at_s)
             found.append((utc, pair.first, pair.second, at_s, least_m, pair.required_m, kept, start_s, end_s))
-    return {name: [row[k] for row in found] for k, name in enumerate(ENCOUNTER_COLUMNS)}
+    return _rows(found, ENCOUNTER_COLUMNS)
+
+
+def manoeuvres(ways: Flown, done: Mapping[str, Sequence[Manoeuvre]]) -> Rows:
+    """MANOEUVRE_COLUMNS.
+
+    Args:
+        done: by aircraft.
+    """
+    found = []
+    for name, every in done.items():
+        offset = ways.offsets_s[name]
+        for one in every:
+            active = [
+                {"cause": space.cause, "normal_ned": space.normal_ned, "least_mps": space.least_mps}
+                for space in one.half_spaces
+                if space.active
+            ]
+            found.append(
+                (
+                    *_begun(ways, name, one),
+                    one.end_s + offset,
+                    None if one.regained_s is None else one.regained_s + offset,
+                    one.guarded,
+                    one.track,
+                    one.time_to_closest_s,
+                    one.closest_m,
+                    *one.decision.wanted_ned_mps,
+                    *one.decision.chosen_ned_mps,
+                    *one.strongest.wanted_ned_mps,
+                    *one.strongest.chosen_ned_mps,
+                    json.dumps(active),
+                    json.dumps(one.tracks),
+                    json.dumps(one.limits),
+                    one.feasible,
+                    one.nearest_track,
+                    one.nearest_m,
+                    None if one.nearest_s is None else one.nearest_s + offset,
+                    one.deviation_m,
+                    one.why,
+                    one.done,
+                    one.came,
+                )
+            )
+    return _rows(found, MANOEUVRE_COLUMNS)
+
+
+def alternatives(ways: Flown, done: Mapping[str, Sequence[Manoeuvre]]) -> Rows:
+    """ALTERNATIVE_COLUMNS.
+
+    Args:
+        done: by aircraft.
+    """
+    found = [
+        (
+            *_begun(ways, name, one),
+            other.name,
+            *other.velocity_ned_mps,
+            other.closest_track,
+            other.closest_m,
+            other.closest_in_s,
+            other.from_wanted_mps,
+            json.dumps(other.enters),
+            json.dumps(dict(other.excluded_by)),
+        )
+        for name, every in done.items()
+        for one in every
+        for other in one.alternatives
+    ]
+    return _rows(found, ALTERNATIVE_COLUMNS)
+
+
+def _begun(ways: Flown, name: str, one: Manoeuvre) -> tuple[float | None, str, float]:
+    """The first three columns."""
+    at_s = one.start_s + ways.offsets_s[name]
+    return _utc(ways, at_s), name, at_s
+
+
+def _rows(found: Sequence[tuple[Any, ...]], columns: tuple[str, ...]) -> Rows:
+    return {name: [row[k] for row in found] for k, name in enumerate(columns)}
 
 
 def write_csv(blocks: Iterator[Rows], columns: tuple[str, ...], path: Path) -> int:
@@ -127,9 +260,9 @@ def write_parquet(blocks: Iterator[Rows], columns: tuple[str, ...], path: Path) 
         import pyarrow.parquet as pq
     except ImportError as error:
         raise ConfigError("pyarrow is not installed; in the checkout: pip install -e '.[inspect]'") from error
-    kinds = {"time_utc": pa.timestamp("us", tz="UTC"), "kept": pa.bool_()}
-    words = {name: pa.string() for name in ("name", "source", "by", "first", "second")}
-    schema = pa.schema([(name, (kinds | words).get(name, pa.float64())) for name in columns])
+    kinds = {"time_utc": pa.timestamp("us", tz="UTC")}
+    kinds |= dict.fromkeys(_FLAGS, pa.bool_()) | dict.fromkeys(_WORDS, pa.string())
+    schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in columns])
     count = 0
     try:
         with pq.ParquetWriter(path, schema) as writer:

@@ -7,7 +7,7 @@ characters that steer a terminal are shown as their codes.
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rich import box
@@ -22,6 +22,7 @@ _NAME = 24
 """Characters of the first column that are not broken up."""
 _MOST_ROWS = 40
 """Of one table; what is left out is counted, and stands whole in --json."""
+_SHARES = ("median_s", "p95_s", "worst_s")
 
 
 def plain(text: object) -> str:
@@ -128,9 +129,9 @@ def damage(figures: dict[str, Any]) -> list[str]:
 
 
 def sentences(row: dict[str, Any]) -> list[str]:
-    """A manoeuvre in words: why, what was done, what came of it; then each alternative."""
+    """A manoeuvre in words: why, what was done, what came of it; then each alternative at its start."""
     found = [row[key] for key in ("why", "done", "came") if row[key]]
-    return [*found, *(f"- {words}" for words in row["instead"])]
+    return [*found, *(f"- at its start, {words}" for words in row["instead"])]
 
 
 Rows = list[list[str]]
@@ -224,52 +225,51 @@ def _decisions(aircraft: Sequence[dict[str, Any]]) -> Rows:
     ]
 
 
+def _each(
+    head: list[str],
+    aircraft: Sequence[dict[str, Any]],
+    rows: Callable[[dict[str, Any]], Sequence[dict[str, Any]]],
+    cells: Callable[[dict[str, Any]], list[str]],
+) -> Rows:
+    """A line for every row of every aircraft, which it begins with."""
+    return [["aircraft", *head], *([one["name"], *cells(row)] for one in aircraft for row in rows(one))]
+
+
 def _spans(aircraft: Sequence[dict[str, Any]], key: str, state: str, reason: str | None = None) -> Rows:
-    head = ["aircraft", "from (s)", "to (s)", state] + ([reason] if reason else [])
-    return [head] + [
-        [
-            one["name"],
-            number(row["from_s"]),
-            number(row["to_s"]),
-            row[state],
-            *([row[reason]] if reason else []),
-        ]
-        for one in aircraft
-        for row in one["flight"][key]
-    ]
+    words = [state, reason] if reason else [state]
+    return _each(
+        ["from (s)", "to (s)", *words],
+        aircraft,
+        lambda one: one["flight"][key],
+        lambda row: [number(row["from_s"]), number(row["to_s"]), *(row[word] for word in words)],
+    )
 
 
 def _link(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = ["aircraft", "component", "frames", "missing", "missing (%)", "silences", "longest (s)"]
-    return [head] + [
-        [
-            one["name"],
+    head = ["component", "frames", "missing", "missing (%)", "silences", "longest (s)"]
+    return _each(
+        head,
+        aircraft,
+        lambda one: one["link"],
+        lambda row: [
             row["component"],
             str(row["frames"]),
             str(row["missing"]),
             number(row["missing_percent"], 2),
             str(row["silences"]),
             number(row["longest_silence_s"]),
-        ]
-        for one in aircraft
-        for row in one["link"]
-    ]
+        ],
+    )
 
 
 def _manoeuvres(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = [
-        "aircraft",
-        "from (s)",
-        "to (s)",
-        "because of",
-        "would have come (m)",
-        "in (s)",
-        "nearest then (m)",
-    ]
-    head += ["off the path (m)", "other limits", "feasible"]
-    return [head] + [
-        [
-            one["name"],
+    head = ["from (s)", "to (s)", "because of", "would have come (m)", "in (s)"]
+    head += ["nearest then (m)", "off the path (m)", "other limits", "feasible"]
+    return _each(
+        head,
+        aircraft,
+        lambda one: one["manoeuvres"],
+        lambda row: [
             number(row["start_s"]),
             number(row["end_s"]),
             ", ".join(row["tracks"]) or ", ".join(row["limits"]),
@@ -279,24 +279,12 @@ def _manoeuvres(aircraft: Sequence[dict[str, Any]]) -> Rows:
             number(row["deviation_m"]),
             ", ".join(row["limits"]) or "-",
             "yes" if row["feasible"] else "NO",
-        ]
-        for one in aircraft
-        for row in one["manoeuvres"]
-    ]
+        ],
+    )
 
 
 def _sent(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = [
-        "aircraft",
-        "region",
-        "transport",
-        "message",
-        "sent",
-        "a second",
-        "longest gap (s)",
-        "legal (s)",
-        "",
-    ]
+    head = ["aircraft", "region", "transport", "message", "sent", "a second", "longest gap (s)", "legal (s)"]
     rows = [
         [
             one["name"],
@@ -318,54 +306,42 @@ def _sent(aircraft: Sequence[dict[str, Any]]) -> Rows:
             because = "; ".join(told["not_legal_because"])
             words = f"NOT legal for {told['not_legal_s']:.1f} s: {because}"
             rows.append([one["name"], told["region"] or "-", "", "", "", "", "", "", words])
-    return [head, *rows]
+    return [[*head, ""], *rows]
 
 
 def _heard(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = [
-        "aircraft",
-        "from",
-        "transport",
-        "frames",
-        "lost",
-        "silent (s)",
-        "latency: median",
-        "95 %",
-        "worst (s)",
-    ]
-    found = [head]
-    for one in aircraft:
-        for row in one["remote_id"]["heard"]:
-            late = row["latency"] or {}
-            lost = "not known" if row["lost"] is None else f"{row['lost']} of {row['lost_of']}"
-            found.append(
-                [
-                    one["name"],
-                    ", ".join(row["identities"]) or row["address"],
-                    row["transport"],
-                    str(row["frames"]),
-                    lost,
-                    number(row["longest_silence_s"], 2),
-                    *(number(late.get(key), 2) for key in ("median_s", "p95_s", "worst_s")),
-                ]
-            )
-    return found
+    head = ["from", "transport", "frames", "lost", "silent (s)", "latency: median", "95 %", "worst (s)"]
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        late = row["latency"] or {}
+        return [
+            ", ".join(row["identities"]) or row["address"],
+            row["transport"],
+            str(row["frames"]),
+            "not known" if row["lost"] is None else f"{row['lost']} of {row['lost_of']}",
+            number(row["longest_silence_s"], 2),
+            *(number(late.get(key), 2) for key in _SHARES),
+        ]
+
+    return _each(head, aircraft, lambda one: one["remote_id"]["heard"], cells)
 
 
 def _ages(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    return [["aircraft", "track", "median (s)", "95 % (s)", "worst (s)"]] + [
-        [one["name"], row["track"], *(number(row[key], 2) for key in ("median_s", "p95_s", "worst_s"))]
-        for one in aircraft
-        for row in one["remote_id"]["ages"]
-    ]
+    return _each(
+        ["track", "median (s)", "95 % (s)", "worst (s)"],
+        aircraft,
+        lambda one: one["remote_id"]["ages"],
+        lambda row: [row["track"], *(number(row[key], 2) for key in _SHARES)],
+    )
 
 
 def _faults(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    return [["aircraft", "at (s)", "what", "in words"]] + [
-        [one["name"], number(row["time_s"]), row["what"], row["text"]]
-        for one in aircraft
-        for row in one["faults"]
-    ]
+    return _each(
+        ["at (s)", "what", "in words"],
+        aircraft,
+        lambda one: one["faults"],
+        lambda row: [number(row["time_s"]), row["what"], row["text"]],
+    )
 
 
 def _air(rows: Sequence[dict[str, Any]]) -> Rows:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -46,7 +47,7 @@ def time_line(run: Run) -> TimeLine:
         return TimeLine(dict.fromkeys(to_utc, 0.0), None, words)
     values = list(known.values())
     if any(record.tlog for record in run.aircraft):
-        words = "UTC"
+        words = _utc_of_logs(run.aircraft)
         zero = _first_start(run.aircraft)
     elif max(values) - min(values) <= SHARED_CLOCK_S:
         zero = float(np.median(values))
@@ -61,6 +62,18 @@ def time_line(run: Run) -> TimeLine:
         zero, words = start, f"{words}; 0 is the start of the timed paths"
     offsets = {name: offset - zero for name, offset in known.items()}
     return TimeLine(offsets, zero, words, from_path=start is not None)
+
+
+def _utc_of_logs(aircraft: Sequence[AircraftRecord]) -> str:
+    """Where UTC comes from, some of it from telemetry logs."""
+    stamped = [record.name for record in aircraft if record.stamped]
+    told = "UTC that the vehicles told (SYSTEM_TIME)"
+    own = "the log's own stamps" if len(stamped) == 1 else "their logs' own stamps"
+    if not stamped:
+        return told
+    if len(stamped) == len(aircraft):
+        return f"UTC of {own}: no vehicle told it"
+    return f"{told}; of {', '.join(stamped)} that of {own}"
 
 
 def _first_start(aircraft: Sequence[AircraftRecord]) -> float:
@@ -84,11 +97,15 @@ def together(runs: Sequence[Run]) -> Run:
 
     Who does not know UTC cannot be laid on it: a run in which somebody does gives it to its others, whose
     clock is taken for the same; a run in which nobody does is left out, and `problems` says so, as they say
-    which runs have no time in common with any other.
+    which runs have no time in common with any other. A run that is given twice is one.
     """
+    given: dict[Path, Run] = {}
+    twice = [run for run in runs if given.setdefault(run.folder.resolve(), run) is not run]
+    runs = list(given.values())
     if len(runs) == 1:
-        return runs[0]
-    problems = [f"{run.name}: {problem}" for run in runs for problem in run.problems]
+        return replace(runs[0], problems=(*runs[0].problems, *map(_twice, twice)))
+    problems = [_twice(run) for run in twice]
+    problems += [f"{run.name}: {problem}" for run in runs for problem in run.problems]
     notes = [f"{run.name}: {note}" for run in runs for note in run.notes]
     placed: list[tuple[Run, list[AircraftRecord]]] = []
     for run in runs:
@@ -114,6 +131,10 @@ def together(runs: Sequence[Run]) -> Run:
         tuple(notes),
         len(runs) - 1,
     )
+
+
+def _twice(run: Run) -> str:
+    return f"{run.folder}: given more than once: shown once"
 
 
 def _with_utc(record: AircraftRecord, common_s: float, run: str, problems: list[str]) -> AircraftRecord:

@@ -31,7 +31,9 @@ def read_truth(path: Path) -> NDArray[np.float64] | None:
         whole, _, _ = path.read_text(encoding="ascii").rpartition("\n")
     except FileNotFoundError:
         return None
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise PeerDataError(f"{path.name}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
         raise PeerDataError(f"{path.name}: {error}") from error
     lines = whole.splitlines()
     if lines and lines[0] != HEADER:

@@ -60,6 +60,8 @@ class WebViewer:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            # Ctrl-C is ours: it must not end before what sends to it.
+            start_new_session=True,
         )
         try:
             for port in (data, page):

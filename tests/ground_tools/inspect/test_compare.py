@@ -9,8 +9,9 @@ import pytest
 
 from companion.config import AvoidanceConfig, Config, IdentityConfig, RemoteIdConfig
 from companion.errors import ConfigError
-from companion.events import Firmware, FlightMode, Heartbeat, Landed, LandedState
+from companion.events import Broadcast, Firmware, FlightMode, Heartbeat, Landed, LandedState
 from companion.record import Step
+from companion.remote_id.messages import Location
 from ground_tools.inspect import command
 from ground_tools.inspect.compare import compare, text
 from ground_tools.inspect.read_run import read_run
@@ -82,6 +83,28 @@ def test_times_count_from_the_first_take_off(tmp_path: Path, made: SimpleNamespa
     figures = compare([read_run(tmp_path / "a"), read_run(tmp_path / "b")])
     assert figures["zero"] == "the first take-off"
     assert figures["pairs"][0]["time_s"] == pytest.approx([30.2 - 10.5, 30.2 - 10.5], abs=0.01)
+
+
+def test_a_run_without_positions_is_compared_by_what_it_has(
+    run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare = tmp_path / "bare"
+    config = Config(identity=IdentityConfig(uas_id="DMUCA001"), avoidance=AvoidanceConfig(law="paper"))
+    sent = Broadcast(transport="wifi", messages=(Location(),))
+    write(bare, config, [Step(now_s=5.0 + k, events=(), commands=(sent,)) for k in range(4)])
+    figures = compare([read_run(run_folder), read_run(bare)])
+    assert figures["positions"] == ["own GNSS positions", None]
+    assert value(figures, "least separation") == [pytest.approx(14.142, abs=1e-3), None]
+    assert value(figures, "broadcasts sent") == [122, 4]
+    assert {row["key"]: row["values"][1] for row in figures["config"]}["avoidance.law"] == "paper"
+    told = [row["text"] for row in figures["problems"] if row["run"] == "bare"]
+    assert "not compared for want of positions: separations, distances, speeds" in told
+    assert "bare" in figures["zero"]
+    pytest.importorskip("rerun")
+    assert inspect("--compare", run_folder, bare, "--save", tmp_path / "c.rrd") == 0
+    assert "not compared for want of positions" in capsys.readouterr().out
+    assert (tmp_path / "c.rrd").stat().st_size > 10_000
+    assert inspect("--compare", bare, bare, "--save", tmp_path / "bare.rrd") == 0
 
 
 def test_a_pair_that_is_not_in_every_run_is_left_open(run_folder: Path) -> None:

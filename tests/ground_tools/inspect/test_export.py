@@ -4,6 +4,7 @@ import argparse
 import csv
 import dataclasses
 import json
+import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,18 +13,21 @@ import msgspec
 import pytest
 import tomli_w
 
-from companion.config import AvoidanceConfig
+from companion.config import AvoidanceConfig, Config, IdentityConfig
 from companion.errors import ConfigError
 from companion.toml_input import without_none
-from ground_tools.inspect import export, incident
+from ground_tools.inspect import export, incident, manoeuvres
 from ground_tools.inspect.flown import flown
 from ground_tools.inspect.kml import GX, KML
 from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.summary import describe
 from sitl_mocks import demo, settings
 from sitl_mocks.air_settings import AirSettings
 from sitl_mocks.lockstep import fly
 from sitl_mocks.settings import PathSettings, Scenario, VehicleSettings
 from sitl_mocks.verdict import pairs_of
+from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
+from tests.ground_tools.inspect.test_inputs import write_tlog
 
 SEED = 3
 
@@ -107,6 +111,35 @@ def test_without_truth_it_is_what_the_aircrafts_own_positions_say(
     assert max(point[3] for path in scenario.path for point in path.points) <= -incident.LOWEST_M
 
 
+def test_five_that_meet_come_as_close_again(tmp_path: Path) -> None:
+    """As in S2, all through one point; what counts is the closest of ten pairs."""
+    around = [(math.cos(2.0 * math.pi * k / 5), math.sin(2.0 * math.pi * k / 5)) for k in range(5)]
+    scenario = Scenario(
+        aircraft=5,
+        path=tuple(
+            PathSettings(points=((0.0, -60.0 * n, -60.0 * e, -60.0), (30.0, 60.0 * n, 60.0 * e, -60.0)))
+            for n, e in around
+        ),
+        air=AirSettings(delay_s=(0.0, 1.0)),
+    )
+    folder = tmp_path / "five"
+    folder.mkdir()
+    was_m = demo._fly_one(scenario, SEED, 0, avoided=True, folder=folder).min_separation_m
+    file = tmp_path / "incident.toml"
+    assert run_export(folder, "--scenario", file) == 0
+    assert len(settings.load(file).path) == 5
+    assert least_m(file) == pytest.approx(was_m, abs=0.5)
+
+
+def test_two_telemetry_logs_come_as_close_again(tmp_path: Path, made: SimpleNamespace) -> None:
+    """The clock of one station is 30 s wrong; the vehicles' UTC counts."""
+    one = write_tlog(tmp_path / "one.tlog", made, made.northbound)
+    two = write_tlog(tmp_path / "two.tlog", made, made.eastbound(6.0), late_s=30.0)
+    file = tmp_path / "incident.toml"
+    assert run_export(one, two, "--scenario", file) == 0
+    assert least_m(file) == pytest.approx(6.0 / 2**0.5, abs=0.5)
+
+
 def test_delays_are_measured_where_nobody_tells_them(simulated: Path, tmp_path: Path) -> None:
     """Location's time has a resolution of 0.1 s, and a tick is 0.05 s."""
     for path in simulated.glob("DMUCA*"):
@@ -166,6 +199,63 @@ def test_parquet_holds_the_same(run_folder: Path, tmp_path: Path) -> None:
     assert columns["kept"] == [True]
 
 
+def test_manoeuvres_hold_what_the_summary_tells(tmp_path: Path) -> None:
+    """A guarded mission that meets another one; its clock is not the run's."""
+    for config, steps in guarded():
+        write(tmp_path, config, steps)
+    run = read_run(tmp_path)
+    (told,) = describe(run)["aircraft"][0]["manoeuvres"]
+    assert run_export(tmp_path, "--csv", tmp_path, "--parquet", tmp_path) == 0
+    (row,) = rows(tmp_path / "manoeuvres.csv")
+    assert (row["name"], row["track"], row["guarded"]) == ("ONE", "TWO", "True")
+    for column, key in (("time_s", "start_s"), *((key, key) for key in ("end_s", "regained_s"))):
+        assert (row[column] == "") == (told[key] is None)
+        assert row[column] == "" or float(row[column]) == pytest.approx(told[key])
+    for key in ("time_to_closest_s", "closest_m"):
+        assert float(row[key]) == pytest.approx(told[key])
+    assert float(row["nearest_s"]) == pytest.approx(told["nearest"]["time_s"])
+    (found,) = manoeuvres.find(run.aircraft[0])
+    for what, velocity in (
+        ("wanted", found.decision.wanted_ned_mps),
+        ("most_chosen", found.strongest.chosen_ned_mps),
+    ):
+        axes = [float(row[f"{what}_{axis}_mps"]) for axis in ("north", "east", "down")]
+        assert axes == pytest.approx(list(velocity))
+    active = [space for space in told["half_spaces"] if space["active"]]
+    assert [space["cause"] for space in json.loads(row["half_spaces"])] == [s["cause"] for s in active]
+    assert json.loads(row["tracks"]) == ["TWO"]
+    assert [row[key] for key in ("why", "done", "came")] == [told[key] for key in ("why", "done", "came")]
+    others = rows(tmp_path / "alternatives.csv")
+    assert [one["alternative"] for one in others] == [one["name"] for one in told["alternatives"]]
+    assert {one["time_s"] for one in others} == {row["time_s"]}
+    assert [float(one["closest_m"]) for one in others] == pytest.approx(
+        [one["closest_m"] for one in told["alternatives"]]
+    )
+    pq = pytest.importorskip("pyarrow.parquet")
+    (same,) = pq.read_table(tmp_path / "manoeuvres.parquet").to_pylist()
+    assert list(same) == list(row)
+    assert (same["guarded"], same["feasible"], same["done"]) == (True, True, row["done"])
+    assert same["closest_m"] == pytest.approx(told["closest_m"])
+    assert pq.read_table(tmp_path / "alternatives.parquet").num_rows == len(others)
+
+
+def test_what_excludes_an_alternative_is_exported(tmp_path: Path) -> None:
+    head_on = track(position_ned_m=(100.0, 0.0, -50.0))
+    steps = [step(k / 5, decision(head_on, chosen=(4.0, 3.0, 0.0))) for k in range(20)]
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE")), steps)
+    (told,) = describe(read_run(tmp_path))["aircraft"][0]["manoeuvres"]
+    run_export(tmp_path, "--csv", tmp_path)
+    by = [json.loads(one["excluded_by"]) for one in rows(tmp_path / "alternatives.csv")]
+    assert by == [dict(map(tuple, one["excluded_by"])) for one in told["alternatives"]]
+    assert {"TWO"} in [set(one) for one in by]
+    (space,) = json.loads(rows(tmp_path / "manoeuvres.csv")[0]["half_spaces"])
+    assert space == {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in next(s for s in told["half_spaces"] if s["active"]).items()
+        if key in ("cause", "normal_ned", "least_mps")
+    }
+
+
 def test_kml_is_what_google_earth_reads(run_folder: Path, tmp_path: Path) -> None:
     """Elements in the order of the schema's sequences; longitude first."""
     run_export(run_folder, "--kml", tmp_path / "run.kml")
@@ -174,11 +264,11 @@ def test_kml_is_what_google_earth_reads(run_folder: Path, tmp_path: Path) -> Non
     assert root.tag == f"{k}kml"
     tracks = root.findall(f"{k}Document/{k}Folder/{k}Placemark/{gx}Track")
     assert len(tracks) == 2
-    for track in tracks:
-        tags = [child.tag for child in track]
-        count = len(track.findall(f"{k}when"))
+    for one in tracks:
+        tags = [child.tag for child in one]
+        count = len(one.findall(f"{k}when"))
         assert tags == [f"{k}altitudeMode", *[f"{k}when"] * count, *[f"{gx}coord"] * count]
-        assert track.findtext(f"{k}altitudeMode") == "absolute"
+        assert one.findtext(f"{k}altitudeMode") == "absolute"
         assert count == 301
     lon, lat, alt = map(float, (tracks[0].findtext(f"{gx}coord") or "").split())
     assert (lon, lat, alt) == (

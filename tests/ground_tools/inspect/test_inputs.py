@@ -1,8 +1,11 @@
 """Damaged and mixed inputs: everything that can be read is shown, and the rest is said in one line each."""
 
 import argparse
+import gzip
 import json
+import os
 import shutil
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +17,7 @@ from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
 from companion.events import GlobalPosition, Landed, LandedState
 from companion.record import MAGIC, Step
-from ground_tools.inspect import command
+from ground_tools.inspect import command, incident
 from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.read_run import read_run
 from ground_tools.inspect.timeline import time_line, together
@@ -108,11 +111,31 @@ def test_a_run_and_a_log_share_one_utc_line(run_folder: Path, tmp_path: Path, ma
 
 def test_names_that_several_have_become_distinct(run_folder: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(run_folder, tmp_path / "second"))
-    names = [one.name for one in together([read_run(run_folder), read_run(copy), read_run(copy)]).aircraft]
+    third = Path(shutil.copytree(run_folder, tmp_path / "other" / "second"))
+    names = [one.name for one in together([read_run(f) for f in (run_folder, copy, third)]).aircraft]
     assert names[0] == "DMUCA001 (20260101T000000Z-demo)"
     assert names[2] == "DMUCA001 (second)"
     assert names[4] == "DMUCA001 (second) 2"
     assert len(set(names)) == 6
+
+
+def test_a_run_that_is_given_twice_is_one(run_folder: Path, tmp_path: Path, made: SimpleNamespace) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(run_folder)
+    run = together([read_run(run_folder), read_run(link)])
+    assert [one.name for one in run.aircraft] == ["DMUCA001", "DMUCA002"]
+    assert run.problems == (f"{link}: given more than once: shown once",)
+    other = write_tlog(tmp_path / "other.tlog", made, made.eastbound(20.0))
+    run = together([read_run(run_folder), read_run(link), read_run(other)])
+    assert len(run.aircraft) == 3
+    assert f"{link}: given more than once: shown once" in run.problems
+
+
+def test_one_aircraft_in_two_files_is_said(run_folder: Path, tmp_path: Path, made: SimpleNamespace) -> None:
+    """The companion's record and a ground station's log, whose stamps are 0.2 s late."""
+    path = write_tlog(tmp_path / "station.tlog", made, made.northbound, late_s=0.2)
+    ways = flown(together([read_run(run_folder), read_run(path)]))
+    assert [problem.split(" were ")[0] for problem in ways.problems] == ["DMUCA001 and station"]
 
 
 def test_inputs_without_a_time_in_common_are_said(
@@ -180,6 +203,94 @@ def test_of_several_inputs_the_good_ones_are_shown(
     assert [line.split(":")[0] for line in err.splitlines()] == ["left out", "left out"]
     with pytest.raises(ConfigError, match="none of these can be read"):
         inspect(bad, tmp_path / "none", "--json")
+
+
+def unreadable(folder: Path, kind: str) -> tuple[Path, str]:
+    """A path that nothing can be read from, and what is said of it."""
+    path = folder / "x"
+    match kind:
+        case "fifo":
+            os.mkfifo(path)
+            return path, "not a regular file"
+        case "folder with a fifo":
+            path.mkdir()
+            os.mkfifo(path / "a.events")
+            return path, r"a\.events: not a regular file"
+        case "link to itself":
+            path.symlink_to(path)
+            return path, "x: cannot be read: Too many levels"
+        case "folder with a link to itself":
+            path.mkdir()
+            (path / "a.tlog").symlink_to(path / "a.tlog")
+            return path, r"a\.tlog: cannot be read: Too many levels"
+        case "device":
+            return Path("/dev/zero"), "not a regular file"
+        case "too long":
+            return folder / ("x" * 300), "cannot be read: File name too long"
+        case "empty folder":
+            path.mkdir()
+            return path, "no event record"
+        case "empty file":
+            path.write_bytes(b"")
+            return path, "it is empty"
+        case "gz":
+            path.write_bytes(gzip.compress(b"log"))
+            return path, "compressed: unpack it first"
+        case "ulg":
+            path.write_bytes(b"ULog\x01\x12\x35")
+            return path, "a PX4 log"
+        case _:
+            path.write_bytes(b"\xa3\x95\x80\x80")
+            return path, "an ArduPilot dataflash log"
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("fifo", "folder with a fifo", "link to itself", "folder with a link to itself", "device"),
+        *("too long", "empty folder", "empty file", "gz", "ulg", "bin"),
+    ],
+)
+def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path, kind: str) -> None:
+    path, words = unreadable(tmp_path, kind)
+    with pytest.raises(ConfigError, match=words) as error:
+        read_run(path)
+    assert "\n" not in str(error.value)
+    assert "Errno" not in str(error.value)
+
+
+def test_a_folder_that_may_not_be_listed_is_said() -> None:
+    """As another user than root, to whom everything is open."""
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) / "run"
+        folder.mkdir(mode=0)
+        Path(made).chmod(0o755)
+        if root := os.geteuid() == 0:
+            os.seteuid(65534)
+        try:
+            for path in (folder, folder / "inside", folder / "a.tlog"):
+                with pytest.raises(ConfigError, match=f"{path}: cannot be read: Permission denied"):
+                    read_run(path)
+        finally:
+            if root:
+                os.seteuid(0)
+
+
+def test_what_is_odd_in_a_folder_hides_nothing_of_the_rest(run_folder: Path) -> None:
+    for name in ("y.events", "z.tlog", "DMUCA001.truth.csv", "config.toml"):
+        os.mkfifo(run_folder / name)
+    (run_folder / "summary.json").write_text("[" * 100_000)
+    (run_folder / "manifest.json").unlink()
+    (run_folder / "manifest.json").mkdir()
+    (run_folder / "w.events").symlink_to(run_folder / "w.events")
+    run = read_run(run_folder)
+    assert [(one.name, one.facts.steps) for one in run.aircraft] == [("DMUCA001", 601), ("DMUCA002", 601)]
+    assert sorted(problem.split(":")[0] for problem in run.problems) == [
+        *("DMUCA001.truth.csv", "manifest.json", "summary.json"),
+        *("w.events", "y.events", "z.tlog"),
+    ]
+    assert "cannot be read: Too many levels" in next(p for p in run.problems if p.startswith("w.events"))
+    assert len(incident.flown_again(run, flown(run)).scenario.path) == 2
 
 
 def test_together_is_one_run(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,11 +20,11 @@ from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.manoeuvres import find
 from ground_tools.inspect.read_run import read_run
 from ground_tools.inspect.summary import describe
+from tests.browser import chromium
 from tests.ground_tools.inspect.flights import decision, guarded, read, step, track, write
 
 pytest.importorskip("matplotlib")
 EVIL = "<script>alert(1)</script>$x_{\\frac}$\"'&\x1b[2J"
-CHROMIUM = Path("/usr/bin/chromium")
 
 
 class Page(html.parser.HTMLParser):
@@ -211,26 +211,21 @@ def test_missing_matplotlib_is_one_line_of_advice(run_folder: Path, monkeypatch:
         inspect(run_folder, "--report", "x.html")
 
 
-@pytest.mark.skipif(not CHROMIUM.exists(), reason="no chromium")
+@pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
 def test_a_browser_shows_it_without_a_word_or_a_request(hostile: str, tmp_path: Path) -> None:
-    playwright = pytest.importorskip("playwright.sync_api")
     path = tmp_path / "r.html"
     path.write_text(hostile, encoding="utf-8")
     told: list[str] = []
-    asked: list[str] = []
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox"])
-        shown = browser.new_page(viewport={"width": 1000, "height": 800})
+    with chromium.opened(1000, 800) as browser:
+        shown = browser.page
         shown.on("console", lambda message: told.append(message.text))
         shown.on("pageerror", lambda error: told.append(str(error)))
         shown.on("dialog", lambda dialog: told.append(dialog.message))
-        shown.on("request", lambda request: asked.append(request.url))
         shown.goto(path.as_uri())
         sizes = shown.evaluate("[...document.querySelectorAll('svg')].map(s => s.getBBox().width)")
         wide = shown.evaluate("document.documentElement.scrollWidth")
-        browser.close()
     assert told == []
-    assert asked == [path.as_uri()]
+    assert browser.requests == [path.as_uri()]
     assert len(sizes) >= 7
     assert all(size > 100 for size in sizes)
     assert wide <= 1000
