@@ -97,7 +97,7 @@ def test_watching_needs_the_mission_mode_and_its_items(guarded):
 def test_one_look_at_a_conflict_is_not_enough(guarded):
     bench = guarded()
     bench.extra.append(intruder(bench, 60.0, 3.0))
-    bench.until(lambda: bench.heart._conflicts == 1)
+    bench.until(lambda: bench.heart._control._conflicts == 1)
     bench.heart.traffic.clear()
     bench.step(40)
     assert bench.heart.state is State.WATCHING
