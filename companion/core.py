@@ -151,8 +151,12 @@ class Companion:
                     commands += self.plan.download_refused(f"the vehicle's fence: {event.reason}")
                 case VehicleParameters():
                     commands += self.plan.take_parameters(event)
-                case ModeRefused() | TwoAutopilots() | RcChannels():
-                    commands += self._control.take(event)
+                case ModeRefused():
+                    commands += self._control.mode_refused(event)
+                case TwoAutopilots():
+                    commands += self._readiness.take(event)
+                case RcChannels():
+                    self._control.take_sticks(event)
                 case Settings():
                     commands += self._take_settings(event)
                 case _:

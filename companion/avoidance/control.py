@@ -23,7 +23,6 @@ from companion.events import (
     Say,
     SetMode,
     Severity,
-    TwoAutopilots,
 )
 from companion.ownship import Ownship
 from companion.settings import SWITCHED_OFF
@@ -107,19 +106,11 @@ class Control:
         """The vehicle flies what we command."""
         return self.state in HOLDING and self._mode_confirmed
 
-    def take(self, event: ModeRefused | TwoAutopilots | RcChannels) -> list[Command]:
-        """Something that tells who flies."""
-        match event:
-            case RcChannels():
-                self._sticks.take(event)
-                return []
-            case ModeRefused():
-                return self._mode_refused(event)
-            case TwoAutopilots():
-                self._readiness.unclear = event.reason
-                return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
+    def take_sticks(self, event: RcChannels) -> None:
+        """The pilot's sticks."""
+        self._sticks.take(event)
 
-    def _mode_refused(self, event: ModeRefused) -> list[Command]:
+    def mode_refused(self, event: ModeRefused) -> list[Command]:
         """What was asked for in order to fly is a fault; the rest is told. Where the vehicle has no mode for
         the sticks that move (PX4 without a calibrated radio), it is to hold before its failsafe acts."""
         if event.mode is FlightMode.EXTERNAL:

@@ -84,7 +84,7 @@ class HandBack:
         return commands, same is False or now_s - self._unread_s >= _UNREAD_S
 
     def interrupted(self) -> None:
-        """The vehicle is not ready to be given back any more."""
+        """The state has changed: a mission that cannot be read is waited for anew."""
         self._unread_s = math.inf
 
     def asked(self, now_s: float) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from companion.autopilot.dialect import DIALECTS
 from companion.config import Config
-from companion.events import Firmware, FlightMode, Landed
+from companion.events import Command, Firmware, FlightMode, Landed, Say, Severity, TwoAutopilots
 from companion.ownship import Ownship
 from companion.remote_id.broadcaster import Broadcaster
 from companion.settings import SWITCHED_OFF
@@ -36,6 +36,11 @@ class Readiness:
         self._seen_down = config.flight.take_in_flight
         self._found_s: float | None = None
         """When the vehicle was first heard."""
+
+    def take(self, event: TwoAutopilots) -> list[Command]:
+        """From now on it is not known which vehicle is ours."""
+        self.unclear = event.reason
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
 
     def look(self, now_s: float) -> None:
         """Note whether the vehicle is there, and was down."""
