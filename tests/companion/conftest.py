@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import msgspec
 import pytest
 
+from companion.avoidance.authority import State
 from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, VehicleConfig, Waypoint
 from companion.core import Companion
 from companion.events import (
@@ -21,6 +22,7 @@ from companion.events import (
     Heartbeat,
     Landed,
     LandedState,
+    MissionCurrent,
     MissionDownloaded,
     MissionItem,
     RadioState,
@@ -185,6 +187,22 @@ def on_mission() -> Bench:
         bench.north_m = north_m
         bench.step()
     return bench
+
+
+@pytest.fixture
+def guarded() -> Callable[..., Bench]:
+    """Build a bench that flies its mission, which is guarded, at 3 m/s due north, to 300 m."""
+
+    def build(items: tuple[MissionItem, ...] | None = None, **flight: object) -> Bench:
+        made = msgspec.structs.replace(config(use="guard", **flight), path=None)
+        items = items or mission(300.0, 900.0)
+        bench = Bench(Companion(made), mission=items, mode=FlightMode.MISSION)
+        bench.velocity_ned_mps = (3.0, 0.0, 0.0)
+        bench.extra.append(MissionCurrent(seq=0))
+        bench.until(lambda: bench.heart.state is State.WATCHING)
+        return bench
+
+    return build
 
 
 def mission(*norths_m: float) -> tuple[MissionItem, ...]:

@@ -143,6 +143,19 @@ def test_rearm_by_mode_needs_the_pilot_to_select_the_external_mode(make_bench):
     assert bench.heart.state in HOLDING
 
 
+@pytest.mark.parametrize("steps", [20, 21, 22, 23])
+def test_what_was_decided_before_the_pilot_flew_is_not_flown_after(make_bench, steps):
+    bench = make_bench(rearm="mode")
+    bench.until(lambda: bench.heart.in_control)
+    bench.step(steps)
+    assert bench.setpoints()[0].velocity_ned_mps[1] == pytest.approx(0.0, abs=1e-3)
+    bench.mode = FlightMode.OTHER
+    bench.step(20)
+    bench.mode, bench.east_m = FlightMode.EXTERNAL, 5.0
+    bench.until(lambda: bench.heart.state in HOLDING)
+    assert bench.setpoints()[0].velocity_ned_mps[1] < -0.01
+
+
 def test_rearm_never_survives_a_landing(make_bench):
     bench = make_bench(rearm="never")
     bench.until(lambda: bench.mode is FlightMode.EXTERNAL)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from companion.avoidance.authority import HOLDING
-from companion.core import Companion
+from companion.avoidance.control import Control
 from companion.events import Firmware
 from companion.ownship import Ownship
 from sitl_mocks import cli
@@ -38,7 +38,7 @@ def test_no_rule_is_broken(firmware, use):
 @pytest.mark.parametrize(
     ("where", "name", "broken", "words"),
     [
-        (Companion, "_pilot_took_over", lambda self, now_s: False, "after the pilot's mode was seen"),
+        (Control, "_pilot_took_over", lambda self, now_s: False, "after the pilot's mode was seen"),
         (Ownship, "unfit", lambda self, now_s, stale_after_s: None, "a setpoint on a position"),
     ],
 )
