@@ -40,6 +40,7 @@ from companion.errors import ConfigError, PeerDataError
 from companion.events import (
     ArmStatus,
     Command,
+    CurrentMode,
     DownloadFence,
     DownloadMission,
     Event,
@@ -77,7 +78,7 @@ from .dialect import (
 )
 from .fence import areas_from_items
 from .mission_download import FENCE, MISSION, MissionDownload
-from .mode_request import ModeRequest
+from .mode_request import ModeRequest, ModeTold
 from .own_parameters import OwnParameters
 from .parameters import ParameterReader
 from .readers import READERS, Fields, heartbeat, unpack
@@ -229,7 +230,7 @@ class AutopilotLink:
         self._vehicle: Vehicle | None = None
         self.unclear: str | None = None
         """Why it is not known which vehicle is ours, in words; None when it is."""
-        self._custom_mode = 0
+        self._told = ModeTold()
         self._boot_s: float | None = None
         self._boot_heard_s = 0.0
         self._heartbeat_heard_s: float | None = None
@@ -411,6 +412,9 @@ class AutopilotLink:
         if isinstance(event, GlobalPosition | LocalPosition | VehicleTime):
             self._on_boot_time(event.time_boot_s, now_s)
         self._events.append(event)
+        if isinstance(event, CurrentMode):
+            self._told.current_mode(event.custom_mode, now_s)
+            self._on_mode(now_s)
 
     def _on_boot_time(self, time_boot_s: float, now_s: float) -> None:
         """Follow the vehicle's clock; when it begins anew, so have its stream rates."""
@@ -455,10 +459,13 @@ class AutopilotLink:
                 self._parameters.restart(now_s)
         if new or dropped:
             self._ask_anew(now_s)
-        self._custom_mode = event.custom_mode
         self._events.append(event)
+        self._told.heartbeat(event.custom_mode, now_s, DIALECTS[event.firmware].mode_known_s)
+        self._on_mode(now_s)
+
+    def _on_mode(self, now_s: float) -> None:
         if self._mode is not None:
-            self._mode.on_heartbeat(event.custom_mode)
+            self._mode.on_mode(now_s)
             self._settle_mode()
 
     def _on_statustext(self, _frame: Frame, fields: Fields, now_s: float) -> None:
@@ -590,7 +597,7 @@ class AutopilotLink:
         asked, vehicle = self._speed, self._vehicle
         if asked is None or vehicle is None:
             return
-        if DIALECTS[vehicle.firmware].modes.get(self._custom_mode) is not FlightMode.MISSION:
+        if DIALECTS[vehicle.firmware].modes.get(self._told.custom_mode) is not FlightMode.MISSION:
             # It is the mission's speed: whoever flies now has another.
             self._speed = None
             return
@@ -684,10 +691,7 @@ class AutopilotLink:
                 # Its mode is no choice of the pilot's either.
                 before = self._cancelled
             self._cancelled = None
-            heard_s = -math.inf if self._heartbeat_heard_s is None else self._heartbeat_heard_s
-            self._mode = ModeRequest(
-                mode, dialect, vehicle.system_id, self._custom_mode, now_s, before, heard_s=heard_s
-            )
+            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._told, now_s, before)
             self._mode_speed_mps = command.speed_mps
             self._move_mode(now_s)
 
