@@ -1,4 +1,4 @@
-"""One flight mode being asked for: sent again until the vehicle shows it (in HEARTBEAT or CURRENT_MODE), given
+"""One flight mode being asked for: sent again until the vehicle shows it in HEARTBEAT or CURRENT_MODE, given
 up with a reason.
 
 An acknowledgement proves nothing (PX4 accepts modes that it then does not enter), so only `custom_mode`
