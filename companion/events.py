@@ -82,6 +82,13 @@ class Heartbeat(Event, frozen=True):
     armed: bool
 
 
+class CurrentMode(Event, frozen=True):
+    """CURRENT_MODE: the vehicle's mode, told between two heartbeats (PX4)."""
+
+    custom_mode: int
+    """As in the heartbeat."""
+
+
 class TwoAutopilots(Event, frozen=True):
     """A second autopilot was heard on a link whose vehicle was not configured: which is ours is not known."""
 
@@ -521,6 +528,7 @@ class Decision(Command, frozen=True):
 
 AnyEvent = (
     Heartbeat
+    | CurrentMode
     | TwoAutopilots
     | GlobalPosition
     | LocalPosition

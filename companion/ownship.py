@@ -12,8 +12,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from companion.autopilot.dialect import in_mode
 from companion.events import (
     ClockRead,
+    CurrentMode,
     EstimatorState,
     Event,
     FlightMode,
@@ -130,6 +132,7 @@ class Ownship:
     """Everything known of the own aircraft."""
 
     heartbeat: Heartbeat | None = None
+    """The last one, with the mode that was told since."""
     heartbeat_s: float = -math.inf
     position: GlobalPosition | None = None
     velocity_ned_mps: Vec3 = (0.0, 0.0, 0.0)
@@ -169,6 +172,10 @@ class Ownship:
         match event:
             case Heartbeat():
                 self.heartbeat, self.heartbeat_s = event, now_s
+            case CurrentMode():
+                # No sign of life: that is the heartbeat alone.
+                if self.heartbeat is not None:
+                    self.heartbeat = in_mode(self.heartbeat, event.custom_mode)
             case GlobalPosition():
                 self._take_position(event, now_s)
             case LocalPosition():
@@ -263,7 +270,7 @@ class Ownship:
 
     @property
     def mode(self) -> FlightMode | None:
-        """Mode in the last heartbeat."""
+        """Mode in the last heartbeat, or told since."""
         return None if self.heartbeat is None else self.heartbeat.mode
 
     @property

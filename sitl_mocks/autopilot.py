@@ -50,6 +50,8 @@ __all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
 
 COMPONENT = 1
 REBOOT_S = 2.4
+STATUS_S = 0.5
+"""PX4 publishes its status so often, and at each change: CURRENT_MODE follows."""
 KEPT_COLLISIONS = 100
 _ADSB = int(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE)
 _EPSILON_S = 1e-9
@@ -159,6 +161,7 @@ class MockVehicle:
         )
         self._shown_mode = self._flight.mode
         self._shown_armed = self._flight.armed
+        self._status_s = -math.inf
 
     # ------------------------------------------------------------ truth
 
@@ -314,6 +317,8 @@ class MockVehicle:
             result = self._desk.set_mode_late(command)
             command.link.send(mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *to))
         self._after_change()
+        if at_s - self._status_s >= STATUS_S - _EPSILON_S:
+            self._publish_status(at_s)
         builders = self._telemetry.builders
         for number, link in self._links.items():
             for message_id in link.due(at_s):
@@ -322,6 +327,9 @@ class MockVehicle:
                         link.send(report)
                 elif (built := builders[message_id](at_s)) is not None:
                     link.send(built)
+            if link.mode_is_news and link.tells_mode(at_s):
+                link.mode_is_news = False
+                link.send(self._telemetry.current_mode(at_s))
             if link.params_due:
                 index = link.params_due.popleft()
                 link.send(self._params.message(self._params.names[index], index))
@@ -336,11 +344,13 @@ class MockVehicle:
         """Tell what a step or a message has changed."""
         flight, runner = self._flight, self._flight.runner
         if flight.mode is not self._shown_mode:
+            self._tell_mode_left(self._shown_mode)
             self._shown_mode = flight.mode
             if self._manners.heartbeat_on_mode_change:
                 self._broadcast(self._telemetry.heartbeat(self.now_s))
         if flight.armed is not self._shown_armed:
             self._shown_armed = flight.armed
+            self._publish_status(self.now_s)
             if flight.armed:
                 self._broadcast(self._telemetry.home_position(self.now_s))
         relay = [] if self._remote_id is None else [self._remote_id.texts]
@@ -355,6 +365,21 @@ class MockVehicle:
                 self._send_text(int(mavlink.MAV_SEVERITY_INFO), text)
             runner.reached.clear()
             runner.texts.clear()
+
+    def _publish_status(self, now_s: float) -> None:
+        self._status_s = now_s
+        for link in self._links.values():
+            link.mode_is_news = self._manners.tells_current_mode
+
+    def _tell_mode_left(self, mode: VehicleMode) -> None:
+        """PX4 publishes its status as it takes a command, and again when it has changed the mode: where
+        CURRENT_MODE may be sent, it tells the old mode once more, and the new one an interval later."""
+        if not self._manners.tells_current_mode:
+            return
+        for link in self._links.values():
+            if link.tells_mode(self.now_s):
+                link.send(self._telemetry.mode_told(mode, mode))
+        self._publish_status(self.now_s)
 
     def _remote_id_refusal(self, now_s: float) -> str | None:
         if self._remote_id is None or not self.options.did_require:

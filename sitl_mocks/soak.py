@@ -21,8 +21,18 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.wire import MavlinkMessage, MavlinkReader, MavlinkWriter
+from companion.autopilot.dialect import ARMED
+from companion.autopilot.readers import unpack
+from companion.autopilot.wire import (
+    CURRENT_MODE,
+    Frame,
+    FrameScanner,
+    MavlinkMessage,
+    MavlinkReader,
+    MavlinkWriter,
+)
 from companion.avoidance.authority import HOLDING, State
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig, NullRadio
 from companion.errors import ConfigError
@@ -49,7 +59,7 @@ _SETTLED_S: Final = 30.0
 """After the last trouble, until the companion must be at work again."""
 _ON_GROUND_S: Final = 5.0
 _REACTION_S: Final = 0.1
-"""From a heartbeat with another mode to the last setpoint."""
+"""From HEARTBEAT or CURRENT_MODE with another mode to the last setpoint."""
 _STALE_S: Final = 1.5
 """Setpoints on an own position older than this."""
 _TROUBLES: Final = (
@@ -106,7 +116,7 @@ class Soak:
         self.now_s = 0.0
         self._writer = MavlinkWriter(255, 190)
         self._reader = MavlinkReader()  # of what the companion sends
-        self._heard = MavlinkReader()  # of what it is sent
+        self._heard = FrameScanner()  # of what it is sent
         self._linked = True
         self._heals: list[tuple[float, Callable[[], None]]] = []
         self._next_trouble_s = 60.0
@@ -121,7 +131,7 @@ class Soak:
         self._others: list[tuple[str, float, _Flat, _Flat]] = []
         self._state = State.STANDBY
         self._pilots_s: float | None = None
-        """When a heartbeat showed a mode that the pilot has chosen."""
+        """When a mode that the pilot has chosen was shown."""
         self._chosen: int | None = None
         self._position_s = -math.inf
         self._authority = True
@@ -159,8 +169,8 @@ class Soak:
         data = self.vehicle.drain()
         if data and self._linked:
             self.onboard.receive(data, now_s)
-            for message in self._heard.feed(data):
-                self._note(message)
+            for frame in self._heard.frames(data):
+                self._note(frame)
         self.onboard.tick(now_s)
         sent = self.onboard.drain(now_s)
         if self._linked:
@@ -169,16 +179,22 @@ class Soak:
 
     # ------------------------------------------------------------ rules
 
-    def _note(self, message: MavlinkMessage) -> None:
-        kind = message.get_type()
-        if kind == "GLOBAL_POSITION_INT":
+    def _note(self, frame: Frame) -> None:
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
             self._position_s = self.now_s
-        elif kind == "HEARTBEAT":
-            if not message.base_mode & 128:
+        elif frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            mode, _, _, base_mode, *_ = unpack(frame.message_id, frame.payload)
+            if base_mode & ARMED:
+                self._note_mode(mode)
+            else:
                 self._pilots_s = self._chosen = None
                 self._authority = True
-            elif message.custom_mode == self._chosen and self._pilots_s is None:
-                self._pilots_s = self.now_s
+        elif frame.message_id == CURRENT_MODE:
+            self._note_mode(unpack(frame.message_id, frame.payload)[0])
+
+    def _note_mode(self, mode: int) -> None:
+        if mode == self._chosen and self._pilots_s is None:
+            self._pilots_s = self.now_s
 
     def _judge(self, messages: list[MavlinkMessage]) -> None:
         setpoints = [m for m in messages if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
@@ -262,7 +278,7 @@ class Soak:
 
     def _select(self, mode: VehicleMode) -> None:
         before = self.vehicle.custom_mode
-        # The mode that is flown already, as while the vehicle is being taken, shows in no heartbeat.
+        # The mode that is flown already, as while the vehicle is being taken, shows in no message.
         if self.vehicle.pilot_selects(mode) and self.vehicle.custom_mode != before and self._state in HOLDING:
             self._chosen = self.vehicle.custom_mode
 

@@ -219,6 +219,11 @@ class Flight:
         self._enter(VehicleMode.HOLD)
         self.set_mode(self._intended, now_s)
 
+    @property
+    def intended(self) -> VehicleMode:
+        """The mode that was asked for, which a failsafe may have left."""
+        return self._intended if self.failsafe else self.mode
+
     def take_over(self) -> None:
         """The pilot flies."""
         self._enter(VehicleMode.MANUAL)

@@ -66,6 +66,10 @@ class Manners:
     has_did_params: bool
     """Can be told to relay Remote ID data (ArduPilot's DID_*)."""
     heartbeat_on_mode_change: bool
+    tells_current_mode: bool
+    """Knows CURRENT_MODE."""
+    standard_modes: Mapping[VehicleMode, int]
+    """MAV_STANDARD_MODE; 0 where it is not here."""
     refuses_interval_param3: bool
     unsupported_interval_result: int
     unsupported_request_result: int

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.signing import Signing
-from companion.autopilot.wire import Frame, FrameScanner, MavlinkMessage, MavlinkWriter
+from companion.autopilot.wire import CURRENT_MODE, Frame, FrameScanner, MavlinkMessage, MavlinkWriter
 
 _MAX_WAITING_BYTES = 1 << 18
 _EPSILON_S = 1e-9
@@ -71,6 +71,8 @@ class Link:
         self.bytes_dropped = 0
         self.cut = False
         """Nothing crosses, either way."""
+        self.mode_is_news = False
+        """CURRENT_MODE has something to tell that was not told on this link."""
         self.params_due: deque[int] = deque()
         """Indices of PARAM_VALUE still to send."""
         self._writer = MavlinkWriter(system_id, 1)
@@ -98,13 +100,16 @@ class Link:
             self._earliest_s = min(self._earliest_s, now_s)
 
     def due(self, now_s: float) -> list[int]:
-        """Ids of the messages due by now; each at most once, and a late one does not come twice."""
+        """Ids of the messages due by now; each at most once, and a late one does not come twice. CURRENT_MODE
+        is left to `tells_mode`."""
         limit = now_s + _EPSILON_S
         if self._earliest_s > limit:
             return []
         due = []
         earliest = math.inf
         for message_id, stream in self._streams.items():
+            if message_id == CURRENT_MODE:
+                continue
             interval, at = stream
             if at <= limit:
                 due.append(message_id)
@@ -116,6 +121,14 @@ class Link:
                 earliest = at
         self._earliest_s = earliest
         return due
+
+    def tells_mode(self, now_s: float) -> bool:
+        """Whether CURRENT_MODE may be sent now, its interval after the last one; if so, it must be."""
+        stream = self._streams.get(CURRENT_MODE)
+        if stream is None or stream[1] > now_s + _EPSILON_S:
+            return False
+        stream[1] = now_s + stream[0]
+        return True
 
     def feed(self, data: bytes) -> list[tuple[Frame, MavlinkMessage | SetpointMessage]]:
         """The messages completed by some bytes, with their frames; what cannot be read is left out."""

@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.wire import CURRENT_MODE
 from companion.events import Firmware
 from sitl_mocks.vehicle_kinds import Failsafe, Manners, VehicleMode, with_quirks
 from sitl_mocks.vehicle_param_tables import ardupilot_params, px4_params
@@ -62,6 +63,8 @@ ARDUPILOT = Manners(
     forwards=True,
     has_did_params=True,
     heartbeat_on_mode_change=True,
+    tells_current_mode=False,
+    standard_modes=MappingProxyType({}),
     refuses_interval_param3=True,
     unsupported_interval_result=mavlink.MAV_RESULT_DENIED,
     unsupported_request_result=mavlink.MAV_RESULT_FAILED,
@@ -235,12 +238,15 @@ PX4 = Manners(
             mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 1.0,
             mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION: 1.0,
             mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM: 1.0,
+            CURRENT_MODE: 2.0,
         }
     ),
     data_streams=False,
     forwards=False,
     has_did_params=False,
     heartbeat_on_mode_change=False,
+    tells_current_mode=True,
+    standard_modes=MappingProxyType({_M.MANUAL: 1, _M.RTL: 5, _M.MISSION: 6, _M.LAND: 7, _M.TAKEOFF: 8}),
     refuses_interval_param3=False,
     unsupported_interval_result=mavlink.MAV_RESULT_FAILED,
     unsupported_request_result=mavlink.MAV_RESULT_DENIED,

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.wire import MavlinkMessage
+from companion.autopilot.wire import CURRENT_MODE, MavlinkMessage
 from companion.events import Landed, Vec3
 from sitl_mocks.vehicle_flight import Flight
 from sitl_mocks.vehicle_links import Payload
@@ -31,6 +31,7 @@ _GLOBAL_POSITION = struct.Struct("<IiiiihhhH")
 _SIX_FLOATS = struct.Struct("<I6f")
 _POSITION_TARGET = struct.Struct("<I11fHB")
 _GPS_RAW = struct.Struct("<QiiiHHHHBBiIIII")
+_CURRENT_MODE = struct.Struct("<IIB")
 
 _LANDED = {
     Landed.ON_GROUND: mavlink.MAV_LANDED_STATE_ON_GROUND,
@@ -105,6 +106,8 @@ class Telemetry:
         if mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION in manners.fresh_streams:
             builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION] = self.remote_id_location
             builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM] = self._remote_id_system
+        if manners.tells_current_mode:
+            builders[CURRENT_MODE] = self.current_mode
         self.builders: Mapping[int, Builder] = builders
         self.known = frozenset((*builders, mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE))
 
@@ -136,6 +139,16 @@ class Telemetry:
         return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_QUADROTOR, manners.autopilot_id, base, mode, status, 3
         )
+
+    def current_mode(self, now_s: float) -> Payload:
+        """CURRENT_MODE."""
+        return self.mode_told(self._flight.mode, self._flight.intended)
+
+    def mode_told(self, mode: VehicleMode, intended: VehicleMode) -> Payload:
+        """CURRENT_MODE of any mode."""
+        manners = self._manners
+        numbers = manners.custom_modes[mode], manners.custom_modes[intended]
+        return Payload(CURRENT_MODE, _CURRENT_MODE.pack(*numbers, manners.standard_modes.get(mode, 0)))
 
     def home_position(self, now_s: float) -> MavlinkMessage:
         """HOME_POSITION: the origin of the local frame."""

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.config import FlightConfig
-from companion.events import Firmware, FlightMode
+from companion.events import Firmware, FlightMode, Heartbeat
 
 CUSTOM_MODE_ENABLED = 1
 """MAV_MODE_FLAG_CUSTOM_MODE_ENABLED: `custom_mode` means something; also param 1 of DO_SET_MODE."""
@@ -90,7 +91,8 @@ class Dialect:
     names: dict[int, str]
     mode_known_s: float
     """For how long the mode in a heartbeat is still the vehicle's: one that says each change at once is known
-    until a heartbeat is missing; of one that says it once a second only what it has just said."""
+    until a heartbeat is missing; of one that says it once a second only what it has just said (what
+    CURRENT_MODE adds to that, `mode_request.ModeTold` says)."""
     wanted: tuple[Wanted, ...]
     integers_bytewise: bool
     """PARAM_VALUE holds an integer's own bytes; False: every value is cast to float."""
@@ -261,6 +263,19 @@ def refusal(firmware: Firmware, vehicle_type: int) -> str | None:
         f"{firmware.value} {kind} (MAV_TYPE {vehicle_type}) is not supported; supported are multirotors and "
         "helicopters on ArduPilot Copter and multirotors on PX4"
     )
+
+
+def flight_mode(firmware: Firmware, vehicle_type: int, base_mode: int, custom_mode: int) -> FlightMode:
+    """What the companion makes of a vehicle's mode; OTHER where the vehicle cannot be commanded."""
+    if refusal(firmware, vehicle_type) is not None:
+        return FlightMode.OTHER
+    return DIALECTS[firmware].mode(base_mode, custom_mode)
+
+
+def in_mode(beat: Heartbeat, custom_mode: int) -> Heartbeat:
+    """A vehicle's last heartbeat with the mode that CURRENT_MODE has told since."""
+    mode = flight_mode(beat.firmware, beat.vehicle_type, CUSTOM_MODE_ENABLED, custom_mode)
+    return msgspec.structs.replace(beat, custom_mode=custom_mode, mode=mode)
 
 
 def impossible_rearm(firmware: Firmware, flight: FlightConfig) -> str | None:

@@ -39,6 +39,7 @@ from companion.errors import ConfigError, PeerDataError
 from companion.events import (
     ArmStatus,
     Command,
+    CurrentMode,
     DownloadFence,
     DownloadMission,
     Event,
@@ -239,6 +240,8 @@ class AutopilotLink:
         if isinstance(event, GlobalPosition | LocalPosition | VehicleTime):
             self._on_boot_time(event.time_boot_s, now_s)
         self._events.append(event)
+        if isinstance(event, CurrentMode):
+            self._mode_and_speed.on_current_mode(event, now_s)
 
     def _on_boot_time(self, time_boot_s: float, now_s: float) -> None:
         """When the vehicle's clock begins anew, so have its stream rates."""
@@ -254,7 +257,7 @@ class AutopilotLink:
         self._outbox.speak_as(event.system_id)
         self._polling.on_heartbeat(now_s, anew=anew)
         self._events.append(event)
-        self._mode_and_speed.on_heartbeat(event.custom_mode, now_s)
+        self._mode_and_speed.on_heartbeat(event, now_s)
 
     def _on_statustext(self, _frame: Frame, fields: Fields, now_s: float) -> None:
         for text in self._texts.feed(fields, now_s):

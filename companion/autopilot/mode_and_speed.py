@@ -6,16 +6,15 @@ vehicle has answered it (MAV_CMD_DO_CHANGE_SPEED), for as long as the mission is
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from companion.events import Event, FlightMode, ModeRefused, SetMode
+from companion.events import CurrentMode, Event, FlightMode, Heartbeat, ModeRefused, SetMode
 
 from .counts import LinkCounts
 from .dialect import CMD_DO_CHANGE_SPEED, CMD_DO_SET_MODE, DIALECTS
 from .encoders import Outgoing, command_long
 from .heard_vehicle import HeardVehicle
-from .mode_request import ModeRequest
+from .mode_request import ModeRequest, ModeTold
 from .outbox import Outbox
 
 _GROUND_SPEED, _THROTTLE_AS_IT_IS = 1.0, -1.0
@@ -40,9 +39,7 @@ class ModeAndSpeed:
         self._outbox = outbox
         self._events = events
         self._counts = counts
-        self._custom_mode = 0
-        self._custom_mode_s = -math.inf
-        """When it was heard."""
+        self._told = ModeTold()
         self._mode: ModeRequest | None = None
         self._cancelled: ModeRequest | None = None
         """The last one that was given up."""
@@ -68,15 +65,7 @@ class ModeAndSpeed:
                 # Its mode is no choice of the pilot's either.
                 before = self._cancelled
             self._cancelled = None
-            self._mode = ModeRequest(
-                mode,
-                dialect,
-                vehicle.system_id,
-                self._custom_mode,
-                now_s,
-                before,
-                heard_s=self._custom_mode_s,
-            )
+            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._told, now_s, before)
             self._mode_speed_mps = command.speed_mps
             self._move_mode(now_s)
 
@@ -88,11 +77,19 @@ class ModeAndSpeed:
         """Ask for nothing any more."""
         self._cancelled, self._mode, self._speed = self._mode or self._cancelled, None, None
 
-    def on_heartbeat(self, custom_mode: int, now_s: float) -> None:
+    def on_heartbeat(self, event: Heartbeat, now_s: float) -> None:
         """The vehicle says which mode it is in."""
-        self._custom_mode, self._custom_mode_s = custom_mode, now_s
+        self._told.heartbeat(event.custom_mode, now_s, DIALECTS[event.firmware].mode_known_s)
+        self._on_mode(now_s)
+
+    def on_current_mode(self, event: CurrentMode, now_s: float) -> None:
+        """The vehicle says it between two heartbeats."""
+        self._told.current_mode(event.custom_mode, now_s)
+        self._on_mode(now_s)
+
+    def _on_mode(self, now_s: float) -> None:
         if self._mode is not None:
-            self._mode.on_heartbeat(custom_mode)
+            self._mode.on_mode(now_s)
             self._settle_mode()
 
     def on_text(self, text: str) -> None:
@@ -137,7 +134,7 @@ class ModeAndSpeed:
         asked, vehicle = self._speed, self._heard.vehicle
         if asked is None or vehicle is None:
             return
-        if DIALECTS[vehicle.firmware].modes.get(self._custom_mode) is not FlightMode.MISSION:
+        if DIALECTS[vehicle.firmware].modes.get(self._told.custom_mode) is not FlightMode.MISSION:
             # It is the mission's speed: whoever flies now has another.
             self._speed = None
             return

@@ -1,15 +1,17 @@
-"""One flight mode being asked for: sent again until a heartbeat shows it, given up with a reason.
+"""One flight mode being asked for: sent again until the vehicle shows it in HEARTBEAT or CURRENT_MODE, given
+up with a reason.
 
 An acknowledgement proves nothing (PX4 accepts modes that it then does not enter), so only `custom_mode`
 confirms; acknowledgements and the vehicle's texts are kept for the reason. When the vehicle goes to a third
-mode meanwhile, the pilot or a failsafe has acted: the request ends there. Every try follows a heartbeat that
-shows that nobody has, the first one at once where the last heartbeat still does: it is never sent against a
-pilot whose choice is not heard yet. How long a heartbeat shows that is the dialect's (`mode_known_s`).
+mode meanwhile, the pilot or a failsafe has acted: the request ends there. Every try follows a message that
+shows that nobody has, the first one at once where the last message still does: it is never sent against a
+pilot whose choice is not heard yet. How long a message shows that, `ModeTold` says.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -21,7 +23,12 @@ from .encoders import Outgoing, command_long
 RETRY_S = 1.0
 MAX_TRIES = 5
 SILENCE_S = 3.0
-"""Without a heartbeat for this long after a try, the request is given up."""
+"""With nothing heard of the mode for this long after a try, the request is given up."""
+_PROMPT_S = 0.6
+"""CURRENT_MODE nearer together than this is told at each change too: PX4 sends it twice a second where it was
+asked for, else every 2 s."""
+_SETTLED_S = 0.1
+"""Twice the interval with which CURRENT_MODE is asked for."""
 
 _RESULTS: dict[int, str] = {
     number: entry.name.removeprefix("MAV_RESULT_").lower().replace("_", " ")
@@ -34,6 +41,32 @@ def result_words(result: int) -> str:
     return _RESULTS.get(result, f"result {result}")
 
 
+@dataclass(slots=True)
+class ModeTold:
+    """The mode as HEARTBEAT or CURRENT_MODE told it last, and for how long that is the vehicle's.
+
+    PX4 sends a CURRENT_MODE with the mode that it is still in as it takes a command, and the new one an
+    interval later: nothing is to be asked for in between.
+    """
+
+    custom_mode: int = 0
+    known_until_s: float = -math.inf
+    settled_s: float = -math.inf
+    _current_s: float = -math.inf
+
+    def heartbeat(self, custom_mode: int, now_s: float, known_s: float) -> None:
+        """HEARTBEAT; `known_s` is the dialect's `mode_known_s`."""
+        self.custom_mode, self.settled_s = custom_mode, now_s
+        self.known_until_s = max(self.known_until_s, now_s + known_s)
+
+    def current_mode(self, custom_mode: int, now_s: float) -> None:
+        """CURRENT_MODE."""
+        self.custom_mode, self.settled_s = custom_mode, now_s + _SETTLED_S
+        if now_s - self._current_s <= _PROMPT_S:
+            self.known_until_s = max(self.known_until_s, now_s + _PROMPT_S)
+        self._current_s = now_s
+
+
 class ModeRequest:
     """Asks for one mode until `confirmed` or `refused` (a reason)."""
 
@@ -42,18 +75,15 @@ class ModeRequest:
         mode: FlightMode,
         dialect: Dialect,
         system_id: int,
-        from_mode: int,
+        told: ModeTold,
         now_s: float,
         replaced: ModeRequest | None = None,
-        *,
-        heard_s: float = -math.inf,
     ) -> None:
         """A request that has not been sent.
 
         Args:
-            from_mode: the vehicle's custom mode in its last heartbeat.
+            told: what the vehicle says of its mode, also from now on.
             replaced: what was asked for until now.
-            heard_s: when that heartbeat came.
         """
         self.mode = mode
         self.confirmed = False
@@ -61,12 +91,13 @@ class ModeRequest:
         self._dialect = dialect
         self._command = dialect.command(mode)
         self._system_id = system_id
-        self._from_mode = from_mode
-        self._expected = frozenset({from_mode, self._command.custom_mode})
+        self._told = told
+        self._from_mode = told.custom_mode
+        self._expected = frozenset({told.custom_mode, self._command.custom_mode})
         if replaced is not None:
             # The vehicle may still be on its way to what was asked for before.
             self._expected |= replaced._expected
-        self._heard = now_s - heard_s <= dialect.mode_known_s
+        self._heard = now_s <= told.known_until_s
         self._tries = 0
         self._next_s = now_s + RETRY_S
         self._ack: int | None = None
@@ -83,7 +114,7 @@ class ModeRequest:
         if self._tries == MAX_TRIES or (not self._heard and now_s >= self._next_s - RETRY_S + SILENCE_S):
             self.refused = self._reason()
             return None
-        if not self._heard:
+        if not self._heard or now_s < self._told.settled_s:
             return None
         self._heard = False
         self._next_s = now_s + RETRY_S
@@ -92,9 +123,10 @@ class ModeRequest:
         params = (float(CUSTOM_MODE_ENABLED), command.param2, command.param3)
         return command_long(CMD_DO_SET_MODE, params, self._system_id, confirmation=self._tries - 1)
 
-    def on_heartbeat(self, custom_mode: int) -> None:
-        """The vehicle says which mode it is in."""
-        self._heard = True
+    def on_mode(self, now_s: float) -> None:
+        """The vehicle has told which mode it is in."""
+        custom_mode = self._told.custom_mode
+        self._heard = self._heard or now_s <= self._told.known_until_s
         if custom_mode == self._command.custom_mode:
             self.confirmed = True
         elif custom_mode not in self._expected:

@@ -17,9 +17,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.errors import PeerDataError
 from companion.events import (
     AdsbVehicle,
+    CurrentMode,
     EstimatorState,
     Event,
-    FlightMode,
     GlobalPosition,
     GnssFix,
     Heartbeat,
@@ -31,7 +31,8 @@ from companion.events import (
     VehicleTime,
 )
 
-from .dialect import ARMED, DIALECTS, FIRMWARES, refusal
+from .dialect import ARMED, FIRMWARES, flight_mode
+from .wire import CURRENT_MODE
 
 Fields = tuple[Any, ...]
 """A payload's fields in wire order."""
@@ -67,6 +68,7 @@ _ALTITUDE_TYPES = (0, 1)
 _UNPACKERS: dict[int, struct.Struct] = {i: m.unpacker for i, m in mavlink.mavlink_map.items()}
 # With the extension mission_id, which pymavlink's dialect ends before.
 _UNPACKERS[mavlink.MAVLINK_MSG_ID_MISSION_CURRENT] = struct.Struct("<HHBBI")
+_UNPACKERS[CURRENT_MODE] = struct.Struct("<IIB")
 
 
 def unpack(message_id: int, payload: bytes) -> Fields:
@@ -102,17 +104,19 @@ def heartbeat(system_id: int, fields: Fields) -> Heartbeat:
     firmware = FIRMWARES.get(autopilot)
     if firmware is None:
         raise PeerDataError(f"MAV_AUTOPILOT {autopilot} is neither ArduPilot (3) nor PX4 (12)")
-    mode = FlightMode.OTHER
-    if refusal(firmware, vehicle_type) is None:
-        mode = DIALECTS[firmware].mode(base_mode, custom_mode)
     return Heartbeat(
         system_id=system_id,
         firmware=firmware,
         vehicle_type=vehicle_type,
         custom_mode=custom_mode,
-        mode=mode,
+        mode=flight_mode(firmware, vehicle_type, base_mode, custom_mode),
         armed=bool(base_mode & ARMED),
     )
+
+
+def current_mode(fields: Fields) -> CurrentMode:
+    """CURRENT_MODE. The mode that was intended is another one only in a failsafe; the one flown counts."""
+    return CurrentMode(custom_mode=fields[0])
 
 
 def global_position(fields: Fields) -> GlobalPosition | None:
@@ -278,6 +282,7 @@ READERS: dict[int, Callable[[Fields], Event | None]] = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: rc_channels,
+    CURRENT_MODE: current_mode,
 }
 
 

@@ -8,6 +8,9 @@ ADSB_VEHICLE comes only while there is traffic, so its silence means nothing: it
 case requests are lost, and no more once it comes. ArduPilot sends one aircraft per interval and begins its
 list (25 long by default, ADSB_LIST_MAX) anew once a second, on Copter only when asked (MAVn_ADSB is 0); PX4
 sends each report as it comes, unasked.
+
+PX4 refuses HEARTBEAT at another rate than once a second; CURRENT_MODE (since 1.15) it sends twice a second at
+most, and as soon as the mode changes, but never nearer to the last one than the interval that was asked for.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.events import Firmware
+
+from .wire import CURRENT_MODE
 
 STREAM_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
@@ -29,21 +34,26 @@ STREAM_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 25.0,
+    CURRENT_MODE: 20.0,
 }
 """What is asked for; HEARTBEAT and STATUSTEXT come by themselves."""
 
 FIRMWARE_OF = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Firmware.ARDUPILOT,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Firmware.PX4,
+    CURRENT_MODE: Firmware.PX4,
 }
 """What only one firmware sends: the other says with a text each time that it does not."""
+
+COMES_HZ = {CURRENT_MODE: 2.0}
+"""Rate at which it comes while nothing changes, where that is not the one asked for."""
 
 SPORADIC = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE})
 """Comes when there is something to tell; the rate is a bound."""
 SPORADIC_REQUESTS = 3
 
 ENOUGH = 0.5
-"""Share of the asked rate below which a stream is asked for again."""
+"""Share of the rate below which a stream is asked for again."""
 FIRST_CHECK_S = 2.0
 LONGEST_CHECK_S = 30.0
 
@@ -51,6 +61,7 @@ LONGEST_CHECK_S = 30.0
 @dataclass(slots=True)
 class _Stream:
     rate_hz: float
+    comes_hz: float
     sporadic: bool
     received: int = 0
     since_s: float = 0.0
@@ -64,7 +75,8 @@ class Streams:
 
     def __init__(self) -> None:
         self._streams = {
-            message_id: _Stream(rate, message_id in SPORADIC) for message_id, rate in STREAM_RATES_HZ.items()
+            message_id: _Stream(rate, COMES_HZ.get(message_id, rate), message_id in SPORADIC)
+            for message_id, rate in STREAM_RATES_HZ.items()
         }
         self._firmware: Firmware | None = None
 
@@ -98,7 +110,7 @@ class Streams:
                 stream.requests = SPORADIC_REQUESTS
             short = stream.requests < SPORADIC_REQUESTS
         else:
-            short = not asked or stream.received < stream.rate_hz * (now_s - stream.since_s) * ENOUGH
+            short = not asked or stream.received < stream.comes_hz * (now_s - stream.since_s) * ENOUGH
         if not short:
             stream.wait_s = FIRST_CHECK_S
         elif asked:

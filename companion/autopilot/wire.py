@@ -36,7 +36,12 @@ _HEAD_V2 = struct.Struct("<BBBBBBBHB")
 # going in and of the result coming out turns one into the other, at C speed.
 _REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 _FLIPPED = bytes((_REVERSED[_SIGNED],))
-_CRC_EXTRA = {i: bytes([_REVERSED[m.crc_extra]]) for i, m in mavlink.mavlink_map.items()}
+CURRENT_MODE = 436
+"""Of standard.xml, not in pymavlink's ardupilotmega."""
+_CRC_EXTRA = {
+    **{i: bytes([_REVERSED[m.crc_extra]]) for i, m in mavlink.mavlink_map.items()},
+    CURRENT_MODE: bytes([_REVERSED[193]]),
+}
 COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA = 396, 397
 # Of common.xml, not in pymavlink's dialects nor in ArduPilot's: sent by us, unknown when they are heard.
 _SENT_EXTRA = {
@@ -234,6 +239,10 @@ class MavlinkReader:
         """Return the messages completed by `data`; corrupt and unknown ones are counted and left out."""
         messages: list[MavlinkMessage] = []
         for frame in self._scanner.frames(data):
+            if frame.message_id not in mavlink.mavlink_map:
+                self.counts.messages -= 1
+                self.counts.unknown += 1
+                continue
             try:
                 messages.append(self._decoder.decode(bytearray(frame.raw)))
             except (mavlink.MAVError, ValueError):

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.autopilot.dialect import in_mode
 from companion.events import (
     AlertChanged,
     AnyCommand,
@@ -22,6 +23,7 @@ from companion.events import (
     AuthorityChanged,
     Broadcast,
     BroadcastChanged,
+    CurrentMode,
     Decision,
     EstimatorState,
     FenceDownloaded,
@@ -176,6 +178,7 @@ class Gatherer:
         self.tracks: dict[str, _Track] = {}
         self.rare: list[tuple[float, AnyEvent | AnyCommand]] = []
         self.last: dict[object, object] = {}
+        self._beat: Heartbeat | None = None
 
     def step(self, step: Step) -> None:
         """The next one."""
@@ -205,7 +208,11 @@ class Gatherer:
                 if item.utc_s is not None:
                     self.utc.append(item.utc_s - now_s)
             case Heartbeat():
+                self._beat = item
                 self._change(now_s, item, (item.custom_mode, item.armed, item.firmware))
+            case CurrentMode():
+                if self._beat is not None:
+                    self._item(now_s, in_mode(self._beat, item.custom_mode))
             case LandedState() | EstimatorState():
                 self._change(now_s, item, item)
             case RemoteIdModule():

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from companion.autopilot.dialect import in_mode
 from companion.avoidance.alerts import Level
 from companion.events import (
     AdsbVehicle,
@@ -20,6 +21,7 @@ from companion.events import (
     AnyEvent,
     AuthorityChanged,
     BroadcastChanged,
+    CurrentMode,
     Decision,
     EstimatorState,
     FenceRefused,
@@ -152,6 +154,7 @@ class Watch:
         self._bound_s = -math.inf
         self._names: dict[str, str] = {}
         self._last: dict[object, object] = {}
+        self._beat: Heartbeat | None = None
         self._start_s: float | None = None
         self._levels: dict[str, int] = {}
         self._conflict_s: dict[str, float] = {}
@@ -190,8 +193,12 @@ class Watch:
                 row = (time - event.age_s, event.lat_deg, event.lon_deg, altitude, math.nan)
                 rows.heard.setdefault(f"adsb {event.icao:06X}", []).append(row)
             case Heartbeat():
+                self._beat = event
                 name = mode_name(event)
                 self._mode(time, name if event.armed else f"{name}, disarmed")
+            case CurrentMode():
+                if self._beat is not None:
+                    self._event(time, in_mode(self._beat, event.custom_mode), rows)
             case LandedState():
                 if self._changed(LandedState, event.landed):
                     self._note(time, "INFO", event.landed.value.replace("_", " "))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 
 from companion.events import (
     ClockRead,
+    CurrentMode,
     Firmware,
     FlightMode,
     GlobalPosition,
@@ -291,3 +293,25 @@ def test_no_answer_makes_a_position_younger_than_it_was_when_heard():
         behind = ClockRead(time_boot_s=now_s - BOOT_S - 0.9 * second, asked_s=now_s - 0.01, heard_s=now_s)
         own.take(behind, now_s)
         assert own.age_s(now_s) >= second - 1e-6
+
+
+def test_current_mode_counts_until_the_next_heartbeat_and_is_no_sign_of_life():
+    own = Ownship()
+    own.take(CurrentMode(custom_mode=0x05040000), 0.0)
+    assert own.mode is None
+    own = armed()
+    own.take(CurrentMode(custom_mode=0x05040000), 0.4)
+    assert (own.mode, own.heartbeat.custom_mode, own.armed) == (FlightMode.OTHER, 0x05040000, True)
+    assert "no heartbeat" not in own.unfit(2.4, 1.0)
+    own.take(CurrentMode(custom_mode=0x04040000), 2.5)
+    assert own.mode is FlightMode.MISSION
+    assert "no heartbeat" in own.unfit(2.6, 1.0)
+    own.take(armed().heartbeat, 2.7)
+    assert own.mode is FlightMode.EXTERNAL
+
+
+def test_current_mode_of_a_vehicle_that_cannot_be_commanded():
+    own = armed()
+    own.take(msgspec.structs.replace(own.heartbeat, vehicle_type=1), 0.1)
+    own.take(CurrentMode(custom_mode=0x00060000), 0.2)
+    assert own.mode is FlightMode.OTHER

@@ -13,7 +13,7 @@ from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.avoidance.authority import HOLDING, State
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
 from sitl_mocks.vehicle_manners import VehicleMode
-from tests.sitl_mocks.guarding import Guarded, head_on
+from tests.sitl_mocks.guarding import TICK_S, Guarded, head_on
 
 ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", Firmware)
@@ -30,6 +30,12 @@ def sent(aircraft, since):
     """Setpoints that left, from a tick on."""
     messages = MavlinkReader().feed(b"".join(aircraft.to_vehicle[since:]))
     return sum(m.get_type() == "SET_POSITION_TARGET_LOCAL_NED" for m in messages)
+
+
+def sent_at(aircraft, tick):
+    """Whether setpoints left in one tick."""
+    messages = MavlinkReader().feed(aircraft.to_vehicle[tick])
+    return any(m.get_type() == "SET_POSITION_TARGET_LOCAL_NED" for m in messages)
 
 
 def silent_from_now(sky, aircraft, seconds=20.0):
@@ -59,6 +65,23 @@ def test_a_mode_that_a_ground_station_commands(firmware):
     assert one.vehicle.mode is VehicleMode.RTL
     name = "RTL" if firmware is ARDUPILOT else "AUTO.RTL"
     assert f"DMUCA yielded: mode changed to {name}, not by us" in one.texts()
+
+
+@pytest.mark.parametrize(
+    ("firmware", "tells", "least_s", "most_s"),
+    [(ARDUPILOT, False, 0.0, 0.1), (PX4, True, 0.0, 0.15), (PX4, False, 0.8, 1.1)],
+)
+def test_how_soon_the_setpoints_end_after_the_pilots_choice(firmware, tells, least_s, most_s):
+    """Chosen just after a heartbeat, which ArduPilot sends at once again, and PX4 a second later."""
+    sky = held(firmware, quirks={"tells_current_mode": tells})
+    one = sky.aircraft[0]
+    sky.until(lambda: one.heart.own.heartbeat_s >= sky.now_s - TICK_S - 1e-6)
+    one.vehicle.pilot_selects(VehicleMode.RTL)
+    chosen_s, since = sky.now_s, len(one.to_vehicle)
+    sky.run(2.0)
+    last = max((tick for tick in range(since, len(one.to_vehicle)) if sent_at(one, tick)), default=since - 1)
+    assert least_s <= (last + 1 - since) * TICK_S <= most_s, chosen_s
+    assert one.state is State.YIELDED
 
 
 @BOTH

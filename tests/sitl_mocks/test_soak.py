@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from companion import ownship
 from companion.avoidance.authority import HOLDING
 from companion.avoidance.control import Control
 from companion.events import Firmware
@@ -40,6 +41,7 @@ def test_no_rule_is_broken(firmware, use):
     [
         (Control, "_pilot_took_over", lambda self, now_s: False, "after the pilot's mode was seen"),
         (Ownship, "unfit", lambda self, now_s, stale_after_s: None, "a setpoint on a position"),
+        (ownship, "in_mode", lambda beat, custom_mode: beat, "after the pilot's mode was seen"),
     ],
 )
 def test_a_companion_that_breaks_a_rule_is_found(monkeypatch, where, name, broken, words):

@@ -12,9 +12,11 @@ import numpy
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.wire import MavlinkReader, MavlinkWriter
+from companion.autopilot.readers import unpack
+from companion.autopilot.wire import CURRENT_MODE, FrameScanner, MavlinkReader, MavlinkWriter
 from companion.events import Firmware
 from companion.geometry import LocalFrame
+from sitl_mocks.vehicle_manners import PX4 as PX4_MANNERS
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_navigation import Globe
 from sitl_mocks.vehicle_param_tables import INT32
@@ -354,3 +356,56 @@ def test_mission_exchange_is_that_of_the_recorded_vehicle(bench, firmware, name)
             if isinstance(value, float) and math.isnan(value):
                 message[key] = None
     assert answers == real
+
+
+def modes_told(bench, seconds):
+    """(time, custom mode, intended, standard) of each CURRENT_MODE."""
+    scanner, found = FrameScanner(), []
+    for _ in range(round(seconds / 0.02)):
+        frames = [f for f in scanner.frames(bench.vehicle.drain()) if f.message_id == CURRENT_MODE]
+        found += [(bench.now_s, *unpack(CURRENT_MODE, frame.payload)) for frame in frames]
+        bench.now_s = round(bench.now_s + 0.02, 6)
+        bench.vehicle.advance(bench.now_s)
+    return found
+
+
+def test_px4_tells_its_mode_twice_a_second_at_most(bench):
+    b = bench(PX4)
+    assert len(modes_told(b, 10.0)) in (5, 6)
+    for hertz, rate in ((1.0, 1), (4.0, 2), (10.0, 2), (50.0, 2)):
+        b.interval(CURRENT_MODE, hertz)
+        assert len(modes_told(b, 10.0)) == pytest.approx(10 * rate, abs=1)
+
+
+def test_px4_tells_the_mode_that_it_leaves_and_the_new_one_an_interval_later(bench):
+    b = bench(PX4)
+    b.interval(CURRENT_MODE, 20.0)
+    modes_told(b, 2.2)
+    began = b.now_s
+    b.vehicle.receive(set_mode_bytes(VehicleMode.LAND), began)
+    (first, *left), (then, *entered) = modes_told(b, 0.2)
+    assert (first, left) == (began, [0x3040000, 0x3040000, 0])
+    assert (then - began, entered) == (pytest.approx(0.06, abs=0.03), [0x6040000, 0x6040000, 7])
+
+
+def test_px4_tells_which_mode_a_failsafe_left(bench):
+    b = bench(PX4, airborne=True, start_position_ned_m=(0.0, 0.0, -30.0)).in_external()
+    b.interval(CURRENT_MODE, 20.0)
+    told = modes_told(b, 3.0)
+    assert told[-1][1:] == (0x5040000, 0x60000, 5)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "quirks", "result"), [(AP, {}, 2), (PX4, {"tells_current_mode": False}, 4)]
+)
+def test_current_mode_where_it_is_not_known(bench, firmware, quirks, result):
+    b = bench(firmware, quirks=quirks)
+    assert b.interval(CURRENT_MODE, 20.0) == [result]
+    b.set_mode(VehicleMode.LAND)
+    assert modes_told(b, 5.0) == []
+
+
+def set_mode_bytes(mode):
+    number = PX4_MANNERS.custom_modes[mode]
+    params = (1.0, float(number >> 16 & 0xFF), float(number >> 24), 0, 0, 0, 0)
+    return MavlinkWriter(1, 191).pack(mavlink.MAVLink_command_long_message(1, 1, 176, 0, *params))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.link import AutopilotLink
-from companion.autopilot.wire import MavlinkReader, MavlinkWriter
+from companion.autopilot.wire import CURRENT_MODE, MavlinkReader, MavlinkWriter
 from companion.config import VehicleConfig
 from companion.events import Event
 
@@ -39,6 +40,13 @@ class Scripted:
     ) -> list[Event]:
         message = mavlink.MAVLink_heartbeat_message(vehicle_type, self.autopilot, base_mode, mode, 4, 3)
         return self.says(message, system=system)
+
+    def current_mode(
+        self, mode: int, system: int = 1, component: int = 1, damaged: bool = False
+    ) -> list[Event]:
+        writer = self._writers.setdefault((system, component), MavlinkWriter(system, component))
+        frame = writer.pack_payload(CURRENT_MODE, struct.pack("<IIB", mode, mode, 0))
+        return self.link.receive(frame[:-1] + bytes([frame[-1] ^ damaged]), self.now_s)
 
     def after(self, seconds: float) -> list[Event]:
         self.now_s += seconds

@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
 
+from companion.autopilot.readers import unpack
 from companion.autopilot.wire import (
+    CURRENT_MODE,
     MAX_FRAME_BYTES,
     FrameScanner,
     MavlinkReader,
@@ -154,3 +158,16 @@ def test_mutated_frames_never_raise_and_good_ones_behind_them_arrive(data: st.Da
 def test_scanner_keeps_unknown_frames_only_when_asked(keep: bool) -> None:
     found = FrameScanner(keep_unknown=keep).frames(UNKNOWN_V2 + frames()[0])
     assert [f.raw for f in found] == ([UNKNOWN_V2] if keep else []) + [frames()[0]]
+
+
+def test_current_mode_is_framed_as_the_dialect_that_has_it_frames_it() -> None:
+    theirs = development.MAVLink(None, srcSystem=1, srcComponent=1)
+    message = development.MAVLink_current_mode_message(0, 0x05040000, 0x00060000)
+    frame = message.pack(theirs)
+    payload = struct.pack("<IIB", 0x05040000, 0x00060000, 0)
+    assert MavlinkWriter(1, 1).pack_payload(CURRENT_MODE, payload) == frame
+    (found,) = FrameScanner().frames(frame)
+    assert unpack(found.message_id, found.payload) == (0x05040000, 0x00060000, 0)
+    reader = MavlinkReader()
+    assert reader.feed(frame) == []
+    assert (reader.counts.messages, reader.counts.unknown, reader.counts.corrupt) == (0, 1, 0)

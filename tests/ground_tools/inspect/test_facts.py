@@ -10,6 +10,7 @@ import pytest
 
 from companion.events import (
     AuthorityChanged,
+    CurrentMode,
     Firmware,
     FlightMode,
     Heartbeat,
@@ -21,6 +22,7 @@ from companion.events import (
 from companion.record import Step
 from companion.remote_id.messages import BasicId, IdType, UaType
 from ground_tools.inspect.facts import gather
+from ground_tools.inspect.modes import mode_name
 from ground_tools.inspect.read_run import read_run
 
 
@@ -105,3 +107,18 @@ def test_steps_are_read_anew_and_end_where_the_facts_do(run_folder: Path) -> Non
     assert "checksum" in run.problems[0]
     assert 0 < one.facts.steps < 601
     assert [len(list(one.steps())) for _ in range(2)] == [one.facts.steps] * 2
+
+
+def test_a_mode_counts_from_when_current_mode_told_it() -> None:
+    beat = Heartbeat(
+        system_id=1,
+        firmware=Firmware.PX4,
+        vehicle_type=2,
+        custom_mode=0x60000,
+        mode=FlightMode.EXTERNAL,
+        armed=True,
+    )
+    hold = CurrentMode(custom_mode=0x3040000)
+    events = [hold, beat, hold, hold]
+    facts = gather(Step(now_s=float(i), events=(event,), commands=()) for i, event in enumerate(events))
+    assert [(now, mode_name(what)) for now, what in facts.rare] == [(1.0, "OFFBOARD"), (2.0, "AUTO.LOITER")]
