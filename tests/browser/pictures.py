@@ -38,7 +38,7 @@ def _viewer(run: Run, picture: Path) -> None:
         path = Path(name) / "inspect.rrd"
         recording.write(run, path)
         with WebViewer(path) as web:
-            drawn = viewer.picture(web.url, picture, [*colours, LIMIT], *SIZE, _arranged)
+            drawn, _ = viewer.picture(web.url, picture, [*colours, LIMIT], *SIZE, _arranged)
     _shrink(picture)
     print(f"wrote {picture}: {drawn}")
 
