@@ -12,7 +12,7 @@ from ground_tools.inspect.read_run import read_run
 from ground_tools.inspect.web import WebViewer
 from tests.browser import chromium, viewer
 
-pytest.importorskip("rerun")
+rr = pytest.importorskip("rerun")
 pytestmark = pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
 
 
@@ -26,3 +26,14 @@ def test_the_web_viewer_draws_the_recording_and_nothing_leaves(tmp_path: Path, r
     own = web.url.partition("?")[0]
     assert {url.partition("?")[0] for url in asked if not url.startswith(own)} == set()
     assert own + "recording.rrd" in asked
+
+
+def test_what_is_sent_to_it_is_drawn_while_it_runs(tmp_path: Path) -> None:
+    sent = (230, 30, 200)
+    with WebViewer() as web:
+        stream = rr.RecordingStream("dmuca", recording_id="live")
+        stream.connect_grpc(web.data_url)
+        stream.log("here", rr.Points3D([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]], colors=[sent], radii=[-20.0]))
+        drawn, _ = viewer.picture(web.url, tmp_path / "x.png", [sent], 600, 400)
+        stream.disconnect()
+    assert set(drawn) == {sent}
