@@ -67,9 +67,9 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
     Raises:
         ConfigError: matplotlib is not installed, or `path` cannot be written.
     """
+    text = page(run, figures)
     try:
-        with path.open("w", encoding="utf-8") as file:
-            file.write(page(run, figures))
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"--report: {path}: cannot be written: {error.strerror}") from error
 
