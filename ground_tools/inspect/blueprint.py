@@ -2,7 +2,7 @@
 
 A viewer starts at the beginning of a time line, and nobody wants to watch minutes of straight flight. So
 there are two: `time` is all of the run, and `encounter` counts from the first conflict and holds only what
-lies around it. What is not needed at the first glance is behind a tab.
+lies around it. What answers at a glance is side by side, the rest behind a tab.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from ground_tools.inspect.flown import Array, Separation
 from ground_tools.inspect.scene import Scene
 from ground_tools.inspect.writer import ENCOUNTER, WHOLE
 
-LANES = {
-    "Authority": "authority",
-    "Alert level": "alert",
-    "Autopilot mode": "mode",
-    "On the air": "protocol",
-    "Transports chosen, and by whom": "choice",
-}
+AUTHORITY, ALERT, MODE = "Authority", "Alert level", "Autopilot mode"
+AIR, CHOICE = "On the air", "Chosen, and by whom"
+LANES = {AUTHORITY: "authority", ALERT: "alert", MODE: "mode", AIR: "protocol", CHOICE: "choice"}
 """Names of views, and what they show."""
-_EYE = (-0.9, -1.5, 1.25)
+AGE, RANGE = "Age of information (s)", "Distance to heard traffic (m)"
+SPEED, LINK = "Speed (m/s)", "Link (lost/s; dBm)"
+PLOT_SHARE, LANE_SHARE = 3, 4
+"""Of the height: the lanes of five aircraft are seen whole."""
+_EYE = (-0.75, -1.25, 1.05)
 """From what is looked at to the eye, in its radii: east, north, up."""
 _LASTING = ("flown", "path")
 """Of an aircraft: drawn whole at any time."""
@@ -50,28 +50,30 @@ def blueprint(
     """
     import rerun.blueprint as rrb
 
-    plots = []
-    if pairs:
-        required = max(pair.required_m for pair in pairs)
-        plots.append(_separation(rrb, scene, required, "/separation/**"))
-    if any(one.config is not None for one in scene.aircraft):
-        plots += [
-            _plot(rrb, scene, "Distance to heard traffic (m)", "/range/**", legend=not pairs),
-            _plot(rrb, scene, "Oldest information (s) of each pair", "/age/**"),
-        ]
-    plots += [
-        _plot(rrb, scene, "Speed (m/s)", "/speed/**"),
-        _plot(rrb, scene, "Link", "/link/**", legend=len(scene.aircraft) == 1),
-    ]
-    space = rrb.Tabs(_space(rrb, "In space", [scene], look), _map(rrb, [scene]), active_tab=0)
-    return _opened(
-        rrb,
-        [scene],
-        space if placed else None,
-        rrb.Tabs(*plots, active_tab=0),
-        rrb.Tabs(*(_lane(rrb, scene, name, f"/{lane}/**") for name, lane in LANES.items()), active_tab=0),
-        live=live,
+    has_law = any(one.config is not None for one in scene.aircraft)
+    near = (
+        [_separation(rrb, scene, max(pair.required_m for pair in pairs), "/separation/**")] if pairs else []
     )
+    plots = [
+        _plot(rrb, scene, SPEED, "/speed/**"),
+        _plot(rrb, scene, LINK, "/link/**", legend=len(scene.aircraft) == 1),
+    ]
+    lanes = {name: _lane(rrb, scene, name, f"/{lane}/**") for name, lane in LANES.items()}
+    below: list[Any] = [lanes[MODE]]
+    if has_law:
+        near.append(_plot(rrb, scene, RANGE, "/range/**", legend=not pairs))
+        plots.insert(0, _plot(rrb, scene, AGE, "/age/**"))
+        air = rrb.Tabs(lanes[AIR], lanes[CHOICE], active_tab=0)
+        below = [rrb.Tabs(lanes[AUTHORITY], lanes[MODE], active_tab=0), rrb.Horizontal(lanes[ALERT], air)]
+    above: list[Any] = [rrb.Tabs(*near, active_tab=0)] if near else []
+    above.append(rrb.Horizontal(*plots))
+    rows = rrb.Vertical(*above, *below, row_shares=[PLOT_SHARE] * len(above) + [LANE_SHARE] * len(below))
+    texts = _texts(rrb, [scene], "Events")
+    if not placed:
+        return _opened(rrb, [scene], rrb.Vertical(rows, texts, row_shares=[3, 1]), live=live)
+    space = rrb.Tabs(_space(rrb, "In space", [scene], look), _map(rrb, [scene]), active_tab=0)
+    left = rrb.Vertical(space, texts, row_shares=[5, 3])
+    return _opened(rrb, [scene], rrb.Horizontal(left, rows, column_shares=[1, 1]), live=live)
 
 
 def comparison(
@@ -95,62 +97,38 @@ def comparison(
     over = _space(rrb, "One over the other", every, looks[0])
     closest = [_path(scene, "separation", "closest two") for scene in every]
     limits = [] if required_m is None else [_path(one, "separation", f"required {required_m:g} m")]
-    return _opened(
-        rrb,
-        every,
-        rrb.Tabs(
-            rrb.Vertical(*beside, name="Beside each other"),
-            over,
-            _map(rrb, every),
-            active_tab=0,
-        ),
-        rrb.Tabs(
-            _separation(rrb, one, required_m, *closest, *limits, name="Closest two of each run"),
-            *(
-                _separation(rrb, scene, required_m, f"{scene.root}/separation/**", name=f"Pairs: {name}")
-                for name, scene in scenes.items()
-            ),
-            _plot(
-                rrb, one, "Oldest information (s) of each pair", *(f"{scene.root}/age/**" for scene in every)
-            ),
-            _plot(rrb, one, "Speed (m/s)", *(f"{scene.root}/speed/**" for scene in every)),
-            _plot(rrb, one, "Link", *(f"{scene.root}/link/**" for scene in every)),
-            active_tab=0,
-        ),
-        rrb.Tabs(
-            *(
-                _lane(rrb, one, name, *(f"{scene.root}/{lane}/**" for scene in every))
-                for name, lane in LANES.items()
-            ),
-            active_tab=0,
-        ),
-        f"Events; time 0 is {zero}",
+    space = rrb.Tabs(
+        rrb.Vertical(*beside, name="Beside each other"),
+        over,
+        _map(rrb, every),
+        active_tab=0,
     )
+    plots = rrb.Tabs(
+        _separation(rrb, one, required_m, *closest, *limits, name="Closest two of each run"),
+        *(
+            _separation(rrb, scene, required_m, f"{scene.root}/separation/**", name=f"Pairs: {name}")
+            for name, scene in scenes.items()
+        ),
+        _plot(rrb, one, AGE, *(f"{scene.root}/age/**" for scene in every)),
+        _plot(rrb, one, SPEED, *(f"{scene.root}/speed/**" for scene in every)),
+        _plot(rrb, one, LINK, *(f"{scene.root}/link/**" for scene in every)),
+        active_tab=0,
+    )
+    lanes = rrb.Tabs(
+        *(
+            _lane(rrb, one, name, *(f"{scene.root}/{lane}/**" for scene in every))
+            for name, lane in LANES.items()
+        ),
+        active_tab=0,
+    )
+    rest = rrb.Vertical(plots, lanes, _texts(rrb, every, f"Events; time 0 is {zero}"), row_shares=[4, 5, 4])
+    return _opened(rrb, every, rrb.Horizontal(space, rest, column_shares=[1, 1]))
 
 
-def _opened(
-    rrb: Any,
-    scenes: Sequence[Scene],
-    space: Any,
-    plots: Any,
-    lanes: Any,
-    events: str = "Events",
-    *,
-    live: bool = False,
-) -> Any:
-    """Space, where there is one, at the left, the rest beside it, playing the encounter."""
-    rest = rrb.Vertical(
-        plots,
-        lanes,
-        rrb.Tabs(
-            _events(rrb, scenes, events),
-            rrb.TextDocumentView(name="How to read this", origin=f"{scenes[0].root}/about"),
-            active_tab=0,
-        ),
-        row_shares=[4, 5, 4],
-    )
+def _opened(rrb: Any, scenes: Sequence[Scene], views: Any, *, live: bool = False) -> Any:
+    """Playing the encounter."""
     return rrb.Blueprint(
-        rest if space is None else rrb.Horizontal(space, rest, column_shares=[1, 1]),
+        views,
         rrb.TimePanel(
             timeline=WHOLE if scenes[0].encounter is None else ENCOUNTER,
             state="collapsed",
@@ -162,7 +140,14 @@ def _opened(
     )
 
 
+def _texts(rrb: Any, scenes: Sequence[Scene], name: str) -> Any:
+    about = rrb.TextDocumentView(name="How to read this", origin=f"{scenes[0].root}/about")
+    return rrb.Tabs(_events(rrb, scenes, name), about, active_tab=0)
+
+
 def _space(rrb: Any, name: str, scenes: Sequence[Scene], look: Look | None) -> Any:
+    from rerun import Ellipsoids3D
+
     eye = None
     if look is not None:
         north, east, down = (float(v) for v in look.centre_ned_m)
@@ -190,6 +175,8 @@ def _space(rrb: Any, name: str, scenes: Sequence[Scene], look: Look | None) -> A
         origin="/",
         contents=[f"{scene.root}/{part}/**" for scene in scenes for part in ("aircraft", "markers")],
         eye_controls=eye,
+        # A filled volume hides the arrows in it.
+        defaults=[Ellipsoids3D.from_fields(fill_mode="MajorWireframe")],
         overrides=_at_all_times(rrb, lasting),
     )
 

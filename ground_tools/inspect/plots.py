@@ -100,29 +100,35 @@ def paths(ways: Flown, pairs: list[Separation]) -> str:
     """Seen from above: all of it, and where the pairs come closest."""
 
     def draw(figure: Any) -> None:
-        whole, near = figure.subplots(1, 2)
-        centre = crossing(ways, pairs) if pairs else np.median(ways.paths[0].position_ned_m, axis=0)
+        whole, *near = np.atleast_1d(figure.subplots(1, 2 if pairs else 1))
         for index, path in enumerate(ways.paths):
             _, north, east = thin(path.time_s, path.position_ned_m[:, 0], path.position_ned_m[:, 1])
-            for axes in (whole, near):
+            for axes in (whole, *near):
                 axes.plot(east, north, color=shade(index), label=plain(path.name))
                 axes.plot(east[0], north[0], "o", color=shade(index), mfc="white", ms=5)
                 axes.plot(east[-1], north[-1], "s", color=shade(index), ms=4)
-        for pair in pairs[:MOST_LINES]:
-            if pair.minimum_m is not None and pair.minimum_m < pair.required_m:
-                _mark(near, ways, pair)
         whole.set(title="All of it (o start, ■ end)", aspect="equal", xlabel="east (m)", ylabel="north (m)")
         whole.set_adjustable("datalim")
-        near.set(
-            title="Around the closest approaches",
-            xlim=(centre[1] - _HALF_WIDTH_M, centre[1] + _HALF_WIDTH_M),
-            ylim=(centre[0] - _HALF_WIDTH_M, centre[0] + _HALF_WIDTH_M),
-            aspect="equal",
-            xlabel="east (m)",
-        )
+        for axes in near:
+            _around(axes, ways, pairs)
         _legend(figure, whole)
 
     return svg((9.4, 5.4), draw)
+
+
+def _around(axes: Any, ways: Flown, pairs: list[Separation]) -> None:
+    """Look at where the pairs come closest."""
+    for pair in pairs[:MOST_LINES]:
+        if pair.minimum_m is not None and pair.minimum_m < pair.required_m:
+            _mark(axes, ways, pair)
+    centre = crossing(ways, pairs)
+    axes.set(
+        title="Around the closest approaches",
+        xlim=(centre[1] - _HALF_WIDTH_M, centre[1] + _HALF_WIDTH_M),
+        ylim=(centre[0] - _HALF_WIDTH_M, centre[0] + _HALF_WIDTH_M),
+        aspect="equal",
+        xlabel="east (m)",
+    )
 
 
 def _mark(axes: Any, ways: Flown, pair: Separation) -> None:

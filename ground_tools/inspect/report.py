@@ -41,6 +41,7 @@ td { border-bottom: 1px solid #ddd; padding: .2rem .5rem .2rem 0; vertical-align
   font-variant-numeric: tabular-nums; }
 td.long { overflow-wrap: anywhere; }
 tr { break-inside: avoid; }
+tbody tr:nth-child(-n+4), tbody tr:nth-last-child(-n+4):not(:last-child) { break-after: avoid; }
 figure { margin: .6rem 0; break-inside: avoid; }
 figure svg { width: 100%; height: auto; }
 .manoeuvre figure svg { max-width: 34rem; }
@@ -66,9 +67,9 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
     Raises:
         ConfigError: matplotlib is not installed, or `path` cannot be written.
     """
+    text = page(run, figures)
     try:
-        with path.open("w", encoding="utf-8") as file:
-            file.write(page(run, figures))
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"--report: {path}: cannot be written: {error.strerror}") from error
 

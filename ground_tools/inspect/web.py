@@ -1,18 +1,27 @@
-"""Rerun's web viewer in a process of its own, bound to loopback.
+"""Rerun's web viewer on loopback, and a page that asks nobody else.
 
-The viewer comes with rerun: `rerun --serve-web` serves its page and the recording. By itself it listens on
-all interfaces; here it listens on 127.0.0.1 only.
+The viewer comes with rerun: `rerun --serve-web` serves its page and what is sent to it. By itself it listens
+on all interfaces, here on 127.0.0.1 only. Its page asks its makers for news, examples and a font and tells
+them of its use; so a browser gets it from a server in front, with a Content-Security-Policy (W3C CSP 3) that
+keeps it to this machine, and the recording as a file from there.
 """
 
 from __future__ import annotations
 
 import contextlib
+import http.client
 import importlib.util
+import os
+import re
+import shutil
 import socket
 import subprocess
+import threading
 import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 from urllib.parse import quote
 
 from companion.errors import ConfigError
@@ -22,6 +31,12 @@ _START_S = 20.0
 _STOP_S = 5.0
 _POLL_S = 0.05
 _LOOK_S = 0.2
+_ANSWER_S = 30.0
+MAP_TILES = "https://tile.openstreetmap.org"
+"""The one other place that the page may ask, and does once its map is opened."""
+_FILE = "/recording.rrd"
+_ELSEWHERE = re.compile(rb"<link[^>]*https:[^>]*>")
+"""A browser connects for these whatever the policy."""
 
 
 def serve(recording: Path) -> None:
@@ -51,10 +66,7 @@ class WebViewer:
         program = _program()
         page, data = _free_ports()
         self.data_url = f"rerun+http://127.0.0.1:{data}/proxy"
-        self.url = f"http://127.0.0.1:{page}/?url={quote(self.data_url, safe='')}"
-        """What a browser opens. A browser without WebGPU needs `&renderer=webgl` behind it."""
         words = ["--bind", "127.0.0.1", "--serve-web", "--port", str(data), "--web-viewer-port", str(page)]
-        words += [] if recording is None else [str(recording)]
         self._process = subprocess.Popen(
             [program, *words],
             stdin=subprocess.DEVNULL,
@@ -62,13 +74,21 @@ class WebViewer:
             stderr=subprocess.DEVNULL,
             # Ctrl-C is ours: it must not end before what sends to it.
             start_new_session=True,
+            # The process tells its makers of each page, too, but not where this is set.
+            env={**os.environ, "CI": "1"},
         )
+        self._front: _Front | None = None
         try:
             for port in (data, page):
                 self._wait_for(port)
+            self._front = _Front(page, data, recording)
         except BaseException:
             self.close()
             raise
+        own = f"http://127.0.0.1:{self._front.server_port}"
+        shown = self.data_url if recording is None else own + _FILE
+        self.url = f"{own}/?url={quote(shown, safe='')}"
+        """What a browser opens. A browser without WebGPU needs `&renderer=webgl` behind it."""
 
     def _wait_for(self, port: int) -> None:
         give_up_s = time.monotonic() + _START_S
@@ -91,6 +111,8 @@ class WebViewer:
 
     def close(self) -> None:
         """End it."""
+        if self._front is not None:
+            self._front.end()
         self._process.terminate()
         try:
             self._process.wait(_STOP_S)
@@ -108,6 +130,70 @@ class WebViewer:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+class _Front(ThreadingHTTPServer):
+    """Hands on the page that rerun serves, kept to this machine, and the recording.
+
+    Args:
+        page: port of rerun's page.
+        data: port of its data.
+        recording: file that is served beside the page.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, page: int, data: int, recording: Path | None) -> None:
+        self.page, self.recording = page, recording
+        self.policy = (
+            "default-src 'self' data: blob:; "
+            "script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+            f"connect-src 'self' data: blob: http://127.0.0.1:{data} {MAP_TILES}"
+        )
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": _POLL_S})
+        self._thread.start()
+
+    def end(self) -> None:
+        """Serve no more."""
+        self.shutdown()
+        self._thread.join()
+        self.server_close()
+
+    def handle_error(self, *_: Any) -> None:
+        """A browser that went away, or a viewer that ended: `WebViewer.check` tells of the latter."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Front
+
+    def do_GET(self) -> None:
+        """The recording, or what rerun has by that name."""
+        path = self.path.partition("?")[0]
+        if path == _FILE and self.server.recording is not None:
+            with self.server.recording.open("rb") as file:
+                self._head(200, "application/octet-stream", os.fstat(file.fileno()).st_size)
+                shutil.copyfileobj(file, self.wfile)
+            return
+        rerun = http.client.HTTPConnection("127.0.0.1", self.server.page, timeout=_ANSWER_S)
+        with contextlib.closing(rerun):
+            rerun.request("GET", path)
+            answer = rerun.getresponse()
+            kind, body = answer.getheader("Content-Type", ""), answer.read()
+        if kind == "text/html":
+            body = _ELSEWHERE.sub(b"", body)
+        self._head(answer.status, kind, len(body))
+        self.wfile.write(body)
+
+    def _head(self, status: int, kind: str, length: int) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(length))
+        self.send_header("Content-Security-Policy", self.server.policy)
+        self.end_headers()
+
+    def log_message(self, *_: object) -> None:
+        """A browser's requests are no news."""
 
 
 def _program() -> Path:

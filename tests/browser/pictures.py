@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import functools
-import http.server
 import sys
 import tempfile
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +37,8 @@ def _viewer(run: Run, picture: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "inspect.rrd"
         recording.write(run, path)
-        with WebViewer() as web, _served(path) as file:
-            url = f"{web.url.partition('?')[0]}?url={file}"
-            drawn = viewer.picture(url, picture, [*colours, LIMIT], *SIZE, _arranged)
+        with WebViewer(path) as web:
+            drawn, _ = viewer.picture(web.url, picture, [*colours, LIMIT], *SIZE, _arranged)
     _shrink(picture)
     print(f"wrote {picture}: {drawn}")
 
@@ -57,29 +51,6 @@ def _arranged(page: Any) -> None:
         page.wait_for_timeout(1e3 * SETTLE_S)
         page.mouse.click(*place)
     page.wait_for_timeout(1e3 * SETTLE_S)
-
-
-@contextlib.contextmanager
-def _served(path: Path) -> Iterator[str]:
-    """The file on loopback: a whole recording comes sooner so than through the viewer's own server."""
-
-    class Handler(http.server.SimpleHTTPRequestHandler):
-        def end_headers(self) -> None:
-            self.send_header("Access-Control-Allow-Origin", "*")
-            super().end_headers()
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    handler = functools.partial(Handler, directory=str(path.parent))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            yield f"http://127.0.0.1:{server.server_port}/{path.name}"
-        finally:
-            server.shutdown()
-            thread.join()
 
 
 def _report(run: Run, picture: Path) -> None:

@@ -1,4 +1,4 @@
-"""What people open, in a real browser: the web viewer draws the recording, the report stands alone."""
+"""What people open, in a real browser: the web viewer draws the recording, and asks this machine alone."""
 
 from __future__ import annotations
 
@@ -12,14 +12,28 @@ from ground_tools.inspect.read_run import read_run
 from ground_tools.inspect.web import WebViewer
 from tests.browser import chromium, viewer
 
-pytest.importorskip("rerun")
+rr = pytest.importorskip("rerun")
 pytestmark = pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))
 
 
-def test_the_web_viewer_draws_the_recording(tmp_path: Path, run_folder: Path) -> None:
+def test_the_web_viewer_draws_the_recording_and_nothing_leaves(tmp_path: Path, run_folder: Path) -> None:
     path = tmp_path / "x.rrd"
     recording.write(read_run(run_folder), path)
     colours = [colour(0), colour(1)]
     with WebViewer(path) as web:
-        drawn = viewer.picture(web.url, tmp_path / "x.png", colours, 1000, 700)
+        drawn, asked = viewer.picture(web.url, tmp_path / "x.png", colours, 1000, 700)
     assert set(drawn) == set(colours), f"of {colours}: {drawn}"
+    own = web.url.partition("?")[0]
+    assert {url.partition("?")[0] for url in asked if not url.startswith(own)} == set()
+    assert own + "recording.rrd" in asked
+
+
+def test_what_is_sent_to_it_is_drawn_while_it_runs(tmp_path: Path) -> None:
+    sent = (230, 30, 200)
+    with WebViewer() as web:
+        stream = rr.RecordingStream("dmuca", recording_id="live")
+        stream.connect_grpc(web.data_url)
+        stream.log("here", rr.Points3D([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]], colors=[sent], radii=[-20.0]))
+        drawn, _ = viewer.picture(web.url, tmp_path / "x.png", [sent], 600, 400)
+        stream.disconnect()
+    assert set(drawn) == {sent}

@@ -323,24 +323,34 @@ def test_what_the_law_took_the_distance_to_be_is_drawn(found: Read) -> None:
     assert rows[0.8] == [pytest.approx(math.dist((-146.0, 0.0), (20.0, -146.0)), abs=0.05)]
 
 
-def plots(plan: Any) -> list[str]:
-    """Names of the plots' tabs, in order."""
-    root = plan.root_container
-    rest = root.contents[-1] if type(root).__name__ == "Horizontal" else root
-    return [str(view.name) for view in rest.contents[0].contents]
+def views(container: Any) -> list[str]:
+    """Names of the views in it, in order."""
+    if type(container).__name__ not in ("Horizontal", "Vertical", "Tabs"):
+        return [str(container.name)]
+    return [name for part in container.contents for name in views(part)]
 
 
-def test_only_plots_with_something_to_show_are_there(built: Path) -> None:
+def test_only_views_with_something_to_show_are_there(built: Path) -> None:
     run = read_run(built)
     pair = separations(flown(run).paths)
     with_law = Aircraft("a", (1, 2, 3), config=Config(identity=IdentityConfig(uas_id="a")))
-    seen = ["Distance to heard traffic (m)", "Oldest information (s) of each pair"]
     scenes = Scene((0.0, 0.0, 0.0), (with_law,)), Scene((0.0, 0.0, 0.0), (Aircraft("a", (1, 2, 3)),))
-    assert plots(blueprint(scenes[0], pair, None))[1:] == [*seen, "Speed (m/s)", "Link"]
-    assert plots(blueprint(scenes[0], pair, None))[0].startswith("Separation")
-    assert plots(blueprint(scenes[0], (), None, live=True)) == [*seen, "Speed (m/s)", "Link"]
-    assert plots(blueprint(scenes[1], (), None)) == ["Speed (m/s)", "Link"]
-    assert plots(blueprint(scenes[1], (), None, placed=False)) == ["Speed (m/s)", "Link"]
+    space = ["In space", "Map (tiles come from the network)"]
+    texts = ["Events", "How to read this"]
+    seen = ["Distance to heard traffic (m)", "Age of information (s)"]
+    plots = ["Speed (m/s)", "Link (lost/s; dBm)"]
+    lanes = ["Authority", "Autopilot mode", "Alert level", "On the air", "Chosen, and by whom"]
+    limit = f"Separation (m); limit {pair[0].required_m:g} m"
+    assert views(blueprint(scenes[0], pair, None).root_container) == [
+        *(*space, *texts, limit),
+        *(*seen, *plots, *lanes),
+    ]
+    alone = blueprint(scenes[0], (), None, live=True)
+    assert views(alone.root_container) == [*space, *texts, *seen, *plots, *lanes]
+    foreign = blueprint(scenes[1], (), None)
+    assert views(foreign.root_container) == [*space, *texts, *plots, "Autopilot mode"]
+    bench = blueprint(scenes[1], (), None, placed=False)
+    assert views(bench.root_container) == [*plots, "Autopilot mode", *texts]
 
 
 def test_who_chose_the_transports_is_a_lane(tmp_path: Path, made: SimpleNamespace) -> None:

@@ -205,10 +205,13 @@ def test_a_report_that_cannot_be_written_is_said(run_folder: Path) -> None:
         inspect(run_folder, "--report", "no/such/x.html")
 
 
-def test_missing_matplotlib_is_one_line_of_advice(run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_matplotlib_is_one_line_of_advice_and_no_file(
+    run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ConfigError, match="matplotlib is not installed"):
-        inspect(run_folder, "--report", "x.html")
+        inspect(run_folder, "--report", str(tmp_path / "x.html"))
+    assert not (tmp_path / "x.html").exists()
 
 
 @pytest.mark.skipif(chromium.missing() is not None, reason=str(chromium.missing()))

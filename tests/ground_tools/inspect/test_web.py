@@ -1,0 +1,72 @@
+"""The web viewer's own server: what it hands on, and what a browser may do with it."""
+
+from __future__ import annotations
+
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.errors import ConfigError
+from ground_tools.inspect import web
+from ground_tools.inspect.web import MAP_TILES, WebViewer
+
+pytest.importorskip("rerun_cli")
+CONTENT = bytes(range(256)) * 500
+
+
+@pytest.fixture(scope="module")
+def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebViewer]:
+    path = tmp_path_factory.mktemp("web") / "x.rrd"
+    path.write_bytes(CONTENT)
+    with WebViewer(path) as shown:
+        yield shown
+
+
+def got(viewer: WebViewer, path: str) -> tuple[Any, bytes]:
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+    with opener.open(viewer.url.partition("/?")[0] + path, timeout=20.0) as answer:
+        return answer.headers, answer.read()
+
+
+def test_the_page_is_kept_to_this_machine(viewer: WebViewer) -> None:
+    headers, page = got(viewer, "/?url=x")
+    assert b"<canvas" in page
+    # What a policy does not hold back: connections that are made beforehand.
+    assert b"<link" in page
+    assert b"fonts.googleapis.com" not in page
+    rules = dict(rule.split(" ", 1) for rule in headers["Content-Security-Policy"].split("; "))
+    others = [w for rule in rules.values() for w in rule.split() if "//" in w and "//127.0.0.1:" not in w]
+    assert rules["default-src"] == "'self' data: blob:"
+    assert others == [MAP_TILES]
+    assert MAP_TILES in rules["connect-src"]
+
+
+def test_the_recording_and_the_program_are_served_whole(viewer: WebViewer) -> None:
+    assert got(viewer, "/recording.rrd")[1] == CONTENT
+    headers, program = got(viewer, "/re_viewer_bg.wasm")
+    assert headers["Content-Type"] == "application/wasm"
+    assert program[:4] == b"\0asm"
+    assert int(headers["Content-Length"]) == len(program)
+
+
+def test_nothing_else_of_the_folder_is_served(viewer: WebViewer) -> None:
+    for path in ("/x.rrd", "/../x.rrd", "/recording.rrd/"):
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            got(viewer, path)
+
+
+def test_a_viewer_that_ends_is_said_and_was_told_to_be_silent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "rerun"
+    program.write_text(f'#!/bin/sh\nprintf "$CI" > {tmp_path}/told\nexit 3\n')
+    program.chmod(0o755)
+    monkeypatch.delenv("CI", raising=False)
+    monkeypatch.setattr(web, "_program", lambda: program)
+    with pytest.raises(ConfigError, match="ended with exit code 3"):
+        WebViewer()
+    assert (tmp_path / "told").read_text() == "1"
