@@ -3,7 +3,8 @@
 MAV_CMD_REQUEST_MESSAGE for COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA or AUTOPILOT_VERSION is answered
 with COMMAND_ACK and the message, FILE_TRANSFER_PROTOCOL with the same. The first two may be asked of all.
 AUTOPILOT_VERSION asked of all is the autopilot's to tell: a ground station could take ours for it. Any other
-command to us alone is refused by COMMAND_ACK as MAVLink's command protocol wants it: who hears nothing repeats it.
+command to us alone is refused by COMMAND_ACK, as MAVLink's command protocol wants it: who is not answered
+repeats it.
 
 What is asked is kept, a few requests at most, and answered one at a time: a flood fills no slow link.
 """

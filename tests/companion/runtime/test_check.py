@@ -19,7 +19,14 @@ import pytest
 from companion.autopilot.wire import MavlinkWriter
 from companion.config import ArduRemoteIdRadio, Config, RecordConfig, VehicleConfig, WifiRadio
 from companion.errors import ConfigError
-from companion.events import Firmware, Parameter, VehicleParameters
+from companion.events import (
+    Firmware,
+    MissionDownloaded,
+    MissionItem,
+    MissionRefused,
+    Parameter,
+    VehicleParameters,
+)
 from companion.radio import wifi
 from companion.radio.arduremoteid import ArduRemoteIdTransport
 from companion.radio.frames_io import radio_address
@@ -29,7 +36,7 @@ from companion.radio.wifi import WifiTransport
 from companion.remote_id.region import Region
 from companion.runtime import check as check_module
 from companion.runtime import radios
-from companion.runtime.check import _judge_parameters, check
+from companion.runtime.check import _judge_mission, _judge_parameters, check
 from companion.runtime.flight import Flight
 from companion.runtime.preflight import Preflight
 from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
@@ -306,6 +313,34 @@ def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[.
     assert ready
     assert any("does not tell how fast it flies" in line for line in said)
     assert judge("fly", None) == (True, [])
+
+
+def test_the_mission_that_is_to_be_guarded(make_config: Callable[..., Config]) -> None:
+    told = VehicleParameters(firmware=Firmware.ARDUPILOT, speed_mps=Parameter(name="WP_SPD", value=9.6))
+    place = MissionItem(seq=2, command=16, frame=6, lat_deg=47.0, lon_deg=8.0, alt_m=30.0)
+    slow = MissionItem(seq=1, command=178, frame=2, params=(1.0, 4.0, -1.0, 0.0))
+
+    def judge(mission: MissionDownloaded | MissionRefused | None) -> list[tuple[str, str]]:
+        found = Preflight()
+        _judge_mission(make_config(use="guard"), told, mission, found)
+        assert found.ready
+        assert {f.what for f in found.findings} == {"mission"}
+        assert all(bool(f.do) is (f.light.value != "green") for f in found.findings)
+        return [(f.light.value, f.text) for f in found.findings]
+
+    fast = (
+        "yellow",
+        "WP_SPD 9.6 is above limits.max_speed_mps 5: taken for a conflict, the vehicle slows down to that "
+        "at once",
+    )
+    assert judge(MissionDownloaded(items=(slow, place))) == [("green", "2 items, read from the vehicle")]
+    assert judge(MissionDownloaded(items=(place,))) == [("green", "1 items, read from the vehicle"), fast]
+    assert judge(MissionDownloaded(items=())) == [("yellow", "the vehicle has none"), fast]
+    assert judge(MissionRefused(reason="item 3 of 5 did not come")) == [
+        ("yellow", "not read: item 3 of 5 did not come"),
+        fast,
+    ]
+    assert judge(None) == [("yellow", "not read: the vehicle did not finish to send it"), fast]
 
 
 def test_what_the_vehicle_hears_of_crewed_traffic_is_told(make_config: Callable[..., Config]) -> None:
