@@ -313,6 +313,9 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
         )
     else:
         found.green("link", f"{where}: up, no damaged frame")
+    if probe.link.trouble.left_out:
+        text = f"{where}: another one sends there too: {probe.link.trouble.left_out} datagrams were left out"
+        found.yellow("link", text, "have one sender for this port: the first one that speaks is believed")
     if vehicle.refusal is None:
         found.green("vehicle", str(vehicle))
     else:
