@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -46,6 +47,16 @@ def run_command(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> 
         # What is left in stdout cannot be written either, which Python would complain of.
         sys.stderr.close()
         return 1
+    return code
+
+
+def start(module: str) -> int:
+    """Import a command's module, which takes a second or more, and run its `main`. Returns the exit code;
+    Ctrl-C ends the one as quietly as the other."""
+    try:
+        code: int = importlib.import_module(module).main()
+    except KeyboardInterrupt:
+        return 130
     return code
 
 

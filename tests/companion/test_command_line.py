@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
+
+from companion.command_line import start
 
 PROGRAM = """
 import faulthandler, json, os, sys
@@ -48,3 +53,19 @@ def test_streams_that_are_closed_are_done_without(tmp_path, closed):
 def test_a_full_disk_is_said_in_one_line(tmp_path, unbuffered):
     _, complaint, _ = run(tmp_path, ">/dev/full", unbuffered=unbuffered)
     assert complaint == "program: output cannot be written: No space left on device\n"
+
+
+def test_ctrl_c_while_modules_are_imported_ends_quietly(tmp_path, monkeypatch):
+    (tmp_path / "slow_to_import.py").write_text("raise KeyboardInterrupt")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert start("slow_to_import") == 130
+
+
+def test_each_installed_command_is_there(monkeypatch, capsys):
+    scripts = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]["scripts"]
+    assert set(scripts) == {"companion", "ground-tools", "sitl-mocks"}
+    for name, where in scripts.items():
+        monkeypatch.setattr(sys, "argv", [name, "--help"])
+        with pytest.raises(SystemExit, match="0"):
+            EntryPoint(name, where, "console_scripts").load()()
+        assert f"usage: {name} " in capsys.readouterr().out
