@@ -250,6 +250,8 @@ class VehicleParameters(Event, frozen=True):
     firmware: Firmware
     speed_mps: Parameter | None = None
     """Horizontal."""
+    cruise_mps: Parameter | None = None
+    """PX4: of a mission that asks for no other; ArduPilot's is `speed_mps`."""
     climb_mps: Parameter | None = None
     descent_mps: Parameter | None = None
     acceleration_mps2: Parameter | None = None

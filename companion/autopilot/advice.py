@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from companion.avoidance.law import horizon_s
-from companion.avoidance.limits import lower_ones
-from companion.config import Config
-from companion.events import VehicleParameters
+from companion.avoidance.limits import effective, lower_ones
+from companion.config import Config, LimitsConfig
+from companion.events import Firmware, MissionItem, VehicleParameters
 
 from .dialect import DIALECTS
+from .mission import speed_changes
 
 LEAST_TIMEOUT_S = 0.5
 LEAST_SETPOINTS = 5
@@ -75,6 +78,27 @@ def restarting(vehicle: VehicleParameters) -> str | None:
         return None
     return (
         f"{restart.name} {restart.value:g}: a mission that is given back would begin anew: set 0 to guard it"
+    )
+
+
+def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[MissionItem]) -> str | None:
+    """That a guarded mission is flown faster than the companion may fly, in words; None when it is not."""
+    changes, own = speed_changes(items)
+    asked = [(speed_mps, f"mission item {seq}: {speed_mps:g} m/s") for seq, speed_mps in changes]
+    cruise = vehicle.cruise_mps or vehicle.speed_mps
+    if own and cruise is not None:
+        asked.append((cruise.value, f"{cruise.name} {cruise.value:g}"))
+    most_mps, who = max(asked, default=(0.0, ""))
+    if vehicle.firmware is Firmware.PX4 and vehicle.speed_mps is not None:
+        # ArduPilot flies what a mission asks for, whatever its own speed is.
+        most_mps = min(most_mps, vehicle.speed_mps.value)
+    limit_mps = effective(limits, vehicle).max_speed_mps
+    if most_mps <= limit_mps:
+        return None
+    lower = lower_ones(limits, vehicle).get("max_speed_mps")
+    name = "limits.max_speed_mps" if lower is None else lower.name
+    return (
+        f"{who} is above {name} {limit_mps:g}: taken for a conflict, the vehicle slows down to that at once"
     )
 
 

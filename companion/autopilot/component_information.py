@@ -2,7 +2,9 @@
 
 MAV_CMD_REQUEST_MESSAGE for COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA or AUTOPILOT_VERSION is answered
 with COMMAND_ACK and the message, FILE_TRANSFER_PROTOCOL with the same. The first two may be asked of all.
-AUTOPILOT_VERSION asked of all is the autopilot's to tell: a ground station could take ours for it.
+AUTOPILOT_VERSION asked of all is the autopilot's to tell: a ground station could take ours for it. Any other
+command to us alone is refused by COMMAND_ACK, as MAVLink's command protocol wants it: who is not answered
+repeats it.
 
 What is asked is kept, a few requests at most, and answered one at a time: a flood fills no slow link.
 """
@@ -67,8 +69,10 @@ class _Asker(NamedTuple):
 
     system_id: int
     component_id: int
+    command: int
+    """MAV_CMD; 0: FTP."""
     message_id: int
-    """_FTP, or the message that is wanted; -1: a number that no message has."""
+    """_FTP, or the message that is wanted; -1: a number that no message has; 0: of another command."""
     sequence: int
     """Of FTP."""
 
@@ -97,24 +101,23 @@ class ComponentInformation:
             payload = data[_FTP_TARGET.size :]
             if target != [system_id, component_id] or not ftp.is_request(payload):
                 return False
-            return self._keep(frame, _FTP, ftp.sequence(payload), payload)
+            return self._keep(frame, 0, _FTP, ftp.sequence(payload), payload)
         if frame.message_id not in _COMMANDS:
             return False
         # Of both commands the same fields stand in the same places.
         fields = unpack(frame.message_id, frame.payload)
         wanted, command, target_system, target_component = fields[0], *fields[7:10]
+        asked_of_us = (target_system, target_component) == (system_id, component_id)
         if command != CMD_REQUEST_MESSAGE:
-            return False
+            return asked_of_us and self._keep(frame, command, 0, 0, b"")
         asked_of_all = target_system in (0, system_id) and target_component in (0, component_id)
-        if (target_system, target_component) != (system_id, component_id) and not (
-            asked_of_all and wanted in _OF_ALL
-        ):
+        if not asked_of_us and not (asked_of_all and wanted in _OF_ALL):
             return False
         # NaN and infinity are no integers either.
-        return self._keep(frame, int(wanted) if float(wanted).is_integer() else -1, 0, b"")
+        return self._keep(frame, command, int(wanted) if float(wanted).is_integer() else -1, 0, b"")
 
-    def _keep(self, frame: Frame, message_id: int, sequence: int, payload: bytes) -> bool:
-        asker = _Asker(frame.system_id, frame.component_id, message_id, sequence)
+    def _keep(self, frame: Frame, command: int, message_id: int, sequence: int, payload: bytes) -> bool:
+        asker = _Asker(frame.system_id, frame.component_id, command, message_id, sequence)
         if asker not in self._asked and len(self._asked) >= MOST_WAITING:
             return False
         self._asked[asker] = payload
@@ -135,7 +138,7 @@ class ComponentInformation:
         result = _ACCEPTED
         if content is None:
             result = _DENIED if asker.message_id < 0 else _UNSUPPORTED
-        ack = _ACK_LAYOUT.pack(CMD_REQUEST_MESSAGE, result, 0, 0, *to)
+        ack = _ACK_LAYOUT.pack(asker.command, result, 0, 0, *to)
         messages = [(mavlink.MAVLINK_MSG_ID_COMMAND_ACK, ack)]
         if content is not None:
             messages.append((asker.message_id, content))

@@ -222,6 +222,7 @@ PX4 = Dialect(
     mode_known_s=0.1,
     wanted=(
         Wanted("speed_mps", (("MPC_XY_VEL_MAX", 1.0),), *_SPEED),
+        Wanted("cruise_mps", (("MPC_XY_CRUISE", 1.0),), *_SPEED),
         Wanted("climb_mps", (("MPC_Z_VEL_MAX_UP", 1.0),), *_SPEED),
         Wanted("descent_mps", (("MPC_Z_VEL_MAX_DN", 1.0),), *_SPEED),
         Wanted("acceleration_mps2", (("MPC_ACC_HOR", 1.0),), *_ACCELERATION),

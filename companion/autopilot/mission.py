@@ -107,7 +107,7 @@ def speeds_at(items: Sequence[MissionItem], seq: int) -> frozenset[float | None]
     It is one, but where the mission jumps: how often it has done so is not told, so any of its speeds may
     hold, and none where a jump passes the first of them or leads back before it.
     """
-    changes = [(i.seq, i.params[1]) for i in items if i.command == DO_CHANGE_SPEED and _is_speed(i)]
+    changes, _ = speed_changes(items)
     jumps = [i.seq for i in items if i.command in _JUMPS]
     if not jumps or not changes:
         return frozenset([None, *(speed for at, speed in changes if at <= seq)][-1:])
@@ -116,9 +116,18 @@ def speeds_at(items: Sequence[MissionItem], seq: int) -> frozenset[float | None]
     return frozenset(speed for _, speed in changes) | unset
 
 
-def _is_speed(item: MissionItem) -> bool:
-    kind, speed_mps = item.params[:2]
-    return kind in _SPEED_KINDS and speed_mps is not None and 0 < speed_mps <= MAX_SPEED_MPS
+def speed_changes(items: Sequence[MissionItem]) -> tuple[list[tuple[int, float]], bool]:
+    """Items that ask for a speed: number, m/s; and whether the vehicle's own may be flown too, as a place or
+    a jump stands before the first of them, or there is none."""
+    changes = []
+    for item in items:
+        kind, speed_mps = item.params[:2]
+        if item.command != DO_CHANGE_SPEED or kind not in _SPEED_KINDS or speed_mps is None:
+            continue
+        if 0 < speed_mps <= MAX_SPEED_MPS:
+            changes.append((item.seq, speed_mps))
+    own = not changes or any(i.seq < changes[0][0] for i in items if i.command in _PLACES | _JUMPS)
+    return changes, own
 
 
 def place_of(item: MissionItem, height_m: float, home_alt_msl_m: float) -> Vec3 | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from companion.autopilot.advice import restarting
+from companion.autopilot.advice import restarting, too_fast
 from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speeds_at
 from companion.avoidance.law import Law
 from companion.avoidance.plan import RETRY_S, Plan
@@ -18,7 +18,7 @@ from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of
 from companion.config import LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Command, MissionDownloaded, MissionItem, Vec3
+from companion.events import Command, MissionDownloaded, MissionItem, Say, Severity, Vec3
 from companion.ownship import Ownship
 
 _AHEAD_S = 60.0
@@ -49,6 +49,8 @@ class GuardPlan(Plan):
     """When it was last found to be the same."""
     _stale = False
     """What was fetched may not be what the vehicle flies: it is to be fetched anew."""
+    _judged: tuple[MissionItem, ...] | None = None
+    """The mission whose speed was last compared with the limit."""
     _seq = 0
     """Item that the vehicle was at."""
     _mark: tuple[int, int] | None = None
@@ -108,8 +110,9 @@ class GuardPlan(Plan):
         return []
 
     def watch(self, own: Ownship, now_s: float) -> list[Command]:
-        """The path is what the vehicle flies. Needs a law. Returns what is to be asked: an item number that
-        went back is that of another mission, or of a jump; what marks the mission tells of another one."""
+        """The path is what the vehicle flies. Needs a law. Returns what is to be said and asked: an item
+        number that went back is that of another mission, or of a jump; what marks the mission tells of
+        another one."""
         assert self.law is not None
         here, v = own.position_ned_m(now_s), own.velocity_ned_mps
         self.law.follow(
@@ -121,7 +124,18 @@ class GuardPlan(Plan):
         if back or (own.mission_mark != self._mark and self._mark is not None):
             self._renew()
         self._seq, self._mark = own.mission_seq or 0, own.mission_mark
-        return self._fetch(now_s)
+        return [*self._tell_fast(), *self._fetch(now_s)]
+
+    def _tell_fast(self) -> list[Command]:
+        """Once: it is slowed down as it is taken."""
+        if self._vehicle is None or self._judged is self._flown:
+            return []
+        self._judged = self._flown
+        text = too_fast(self._config.limits, self._vehicle, self._flown)
+        if text is None or text in self._remarked:
+            return []
+        self._remarked.add(text)
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: {text}")]
 
     def _renew(self) -> None:
         """The mission is to be fetched anew, at once, also where it is being fetched."""

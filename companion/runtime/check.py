@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.advice import after_silence, no_receiver, remarks
+from companion.autopilot.advice import after_silence, no_receiver, remarks, too_fast
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.streams import ENOUGH, STREAM_RATES_HZ
@@ -21,6 +21,7 @@ from companion.avoidance.path import check_path
 from companion.config import ArduRemoteIdRadio, Config
 from companion.errors import ConfigError
 from companion.events import (
+    DownloadMission,
     Event,
     GlobalPosition,
     GnssFix,
@@ -28,6 +29,8 @@ from companion.events import (
     LandedState,
     LocalPosition,
     MissionCurrent,
+    MissionDownloaded,
+    MissionRefused,
     Settings,
     VehicleParameters,
     VehicleTime,
@@ -52,6 +55,8 @@ _SETTLE_S = 2.0
 _MEASURE_S = 4.0
 _PARAMETERS_S = 8.0
 """At most, until those that exist have come and the others were asked for often enough."""
+_MISSION_S = 65.0
+"""At most: longer than a download may take."""
 _CLOCK_OFF_S = 2.0
 _TIGHT_MB = 500.0
 """Above the floor: some hours of recording."""
@@ -254,6 +259,9 @@ def _vehicle(config: Config, found: Preflight) -> None:
             probe.run(_SETTLE_S)
             probe.measure(_MEASURE_S)
             probe.run(_PARAMETERS_S, lambda: not probe.protocol.asking)
+        if config.flight.use == "guard" and probe.protocol.parameters is not None:
+            probe.protocol.send(DownloadMission(), time.monotonic())
+            probe.run(_MISSION_S, lambda: probe.mission is not None)
     finally:
         link.close()
         kept.close()
@@ -267,6 +275,7 @@ class _Probe:
         self.link, self.protocol = link, protocol
         self.own = Ownship()
         self.counts: Counter[type[Event]] = Counter()
+        self.mission: MissionDownloaded | MissionRefused | None = None
         self.measured_s = 0.0
         self.now_s = time.monotonic()
 
@@ -287,6 +296,8 @@ class _Probe:
             for event in [*self.protocol.receive(data, now), *self.protocol.advance(now)]:
                 self.counts[type(event)] += 1
                 self.own.take(event, now)
+                if isinstance(event, MissionDownloaded | MissionRefused):
+                    self.mission = event
             self.link.send(self.protocol.drain())
 
 
@@ -302,6 +313,9 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
         )
     else:
         found.green("link", f"{where}: up, no damaged frame")
+    if probe.link.trouble.left_out:
+        text = f"{where}: another one sends there too: {probe.link.trouble.left_out} datagrams were left out"
+        found.yellow("link", text, "have one sender for this port: the first one that speaks is believed")
     if vehicle.refusal is None:
         found.green("vehicle", str(vehicle))
     else:
@@ -315,6 +329,8 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
     if rearm is not None:
         found.red("authority", rearm, 'set flight.rearm to "disarm" or "never"')
     _judge_parameters(config, probe.protocol.parameters, found)
+    if config.flight.use == "guard" and probe.protocol.parameters is not None:
+        _judge_mission(config, probe.protocol.parameters, probe.mission, found)
     _judge_rates(probe, found)
     _judge_own(config, probe, found)
 
@@ -339,6 +355,27 @@ def _judge_parameters(config: Config, told: VehicleParameters | None, found: Pre
         check_path(config, "configuration", told)
     except ConfigError as error:
         found.red("path", str(error), "change the trajectory, or the vehicle's limits")
+
+
+def _judge_mission(
+    config: Config,
+    told: VehicleParameters,
+    mission: MissionDownloaded | MissionRefused | None,
+    found: Preflight,
+) -> None:
+    """The mission that is to be guarded: whether it can be read, and is not flown faster than we may fly."""
+    items = mission.items if isinstance(mission, MissionDownloaded) else ()
+    if items:
+        found.green("mission", f"{len(items)} items, read from the vehicle")
+    elif isinstance(mission, MissionDownloaded):
+        found.yellow("mission", "the vehicle has none", "upload the one that is to be guarded, check again")
+    else:
+        why = "the vehicle did not finish to send it" if mission is None else mission.reason
+        found.yellow("mission", f"not read: {why}", "see to the link: what cannot be read is not guarded")
+    fast = too_fast(config.limits, told, items)
+    if fast is not None:
+        do = "have the mission flown slower, or raise limits.max_speed_mps (and the vehicle's own limit)"
+        found.yellow("mission", fast, do)
 
 
 def _judge_rates(probe: _Probe, found: Preflight) -> None:

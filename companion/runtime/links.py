@@ -40,6 +40,12 @@ _NOT_OPENED = {
     errno.ENOENT: "there is no such device; see to the cable, or to the udev rule that names it",
     errno.EACCES: "this user may not open it; put the user into the device's group (dialout)",
     errno.EAGAIN: "another program has it open; a serial port has one reader",
+    errno.ENOTTY: "this is no serial port",
+}
+_NOT_REACHED = {
+    errno.ECONNREFUSED: "nobody accepts connections there; start the program at the other end first",
+    errno.EADDRNOTAVAIL: "this computer has no such address; 0.0.0.0 listens on all that it has",
+    errno.EACCES: "this user may not open it; ports from 1024 on are open to all",
 }
 
 
@@ -53,6 +59,8 @@ class LinkTrouble:
     """Refusals of the network that were passed over."""
     losses: int = 0
     """Times the link was lost."""
+    left_out: int = 0
+    """Datagrams of another sender than the peer, or that are no MAVLink."""
 
 
 class Link(Protocol):
@@ -116,7 +124,8 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
             raise ConfigError(
                 f"{key}: {name}: port {port} is in use by another program; close it or choose another"
             ) from error
-        raise ConfigError(f"{key}: {name}: {error.strerror or error}") from error
+        words = _NOT_REACHED.get(error.errno or 0, error.strerror or error)
+        raise ConfigError(f"{key}: {name}: {words}") from error
 
 
 def _is_number(text: str) -> bool:
@@ -175,6 +184,7 @@ class UdpLink:
             return True
         silent = now_s - self._heard_s > _PEER_SILENT_S
         if not (self._listen and silent and data and data[0] in _MAGICS):
+            self._trouble.left_out += 1
             return False
         self._peer = sender
         return True
@@ -287,7 +297,9 @@ class SerialLink(_Stream):
             self._port = serial.Serial(device, baud, timeout=0, exclusive=True)
         except (OSError, termios.error, ValueError) as error:
             # pyserial passes some of the kernel's refusals on as they are: a device that goes just now.
-            words = _NOT_OPENED.get(getattr(error, "errno", None) or 0, str(error))
+            # What it refuses itself it says without a number: the kernel's refusal lies behind that.
+            numbers = [getattr(error, "errno", None), *getattr(error.__context__, "args", ())]
+            words = next((_NOT_OPENED[n] for n in numbers if n in _NOT_OPENED), str(error))
             raise ConfigError(f"{key}: serial:{device}:{baud}: {words}") from error
         self._fd = int(self._port.fileno())
         self._queue_bytes = baud / _BITS_PER_BYTE * _SERIAL_QUEUE_S

@@ -15,19 +15,25 @@ def no_vehicle(
     disbelief = protocol.disbelief(now_s)
     if disbelief is not None:
         return "signing", f"{text}: {disbelief}", "docs/flying.md says how a key is set"
+    serial, others = config.link.startswith("serial:"), link.trouble.left_out
+    sender = "the wires (TX to RX)" if serial else "who sends to this address"
+    if not link.received_bytes and not others:
+        return "vehicle", f"{text}, not a byte", f"see to the autopilot's power, and to {sender}"
     if not link.received_bytes:
-        do = "see to the autopilot's power, to the wires (TX to RX), or to who sends to this address"
-        return "vehicle", f"{text}, not a byte", do
+        return "vehicle", f"{text}; {others} datagrams came, and no MAVLink in them", f"see to {sender}"
     wire = protocol.counts.wire
     # Of noise, a frame now and then has a right checksum; far more have a wrong one.
     if wire.messages > wire.corrupt:
-        return (
-            "vehicle",
-            f"{text}; MAVLink came ({wire.messages} frames), but no autopilot's HEARTBEAT",
-            "see to vehicle.system_id, and to what else speaks on this link",
-        )
-    if config.link.startswith("serial:"):
+        text += f"; MAVLink came ({wire.messages} frames), but no autopilot's HEARTBEAT"
+        do = "see to what else speaks on this link"
+        if config.system_id:
+            text += f" of system {config.system_id}"
+            do = "set vehicle.system_id to the autopilot's own number, or " + do
+        if others:
+            text += f"; {others} datagrams of another sender were left out"
+            do += "; have one sender for this port"
+        return "vehicle", text, do
+    do = "see to what sends to this address"
+    if serial:
         do = "see to the baud rate on both sides, to MAVLink on the autopilot's port, and to ground and wires"
-    else:
-        do = "see to what sends to this address"
     return "vehicle", f"{text}; {link.received_bytes} bytes came, and no MAVLink in them", do

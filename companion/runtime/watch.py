@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import time
@@ -21,6 +22,12 @@ PERIOD_S = 0.5
 _PATIENCE_S = 2.0
 _CHUNK = 65536
 _MOST = 4_000_000
+_NOBODY = "no companion answers there; without --socket the one that runs here is asked"
+_NOT_ASKED = {
+    errno.ENOENT: _NOBODY,
+    errno.ECONNREFUSED: _NOBODY,
+    errno.EACCES: "you may not ask it; root and the group of its folder may",
+}
 _STYLES = {"advisory": "cyan", "caution": "yellow", "warning": "bold red"}
 
 
@@ -60,7 +67,8 @@ def ask(path: Path) -> Status:
         except TimeoutError as error:
             raise ConfigError(f"{path}: no answer within {_PATIENCE_S:g} s: its loop hangs") from error
         except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror or error}") from error
+            words = _NOT_ASKED.get(error.errno or 0, error.strerror or error)
+            raise ConfigError(f"{path}: {words}") from error
     try:
         return msgspec.json.decode(data, type=Status)
     except msgspec.DecodeError as error:

@@ -160,6 +160,8 @@ def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[Missi
         return lambda _: read
     if args.scenario is None:
         return None
+    if not args.scenario.exists():
+        raise ConfigError(f"--scenario: {args.scenario}: no such file; some are in config/scenarios")
     scenario = settings.load(args.scenario)
     paths = len(paths_of(scenario, args.seed))
     if paths != count:

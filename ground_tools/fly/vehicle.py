@@ -38,6 +38,13 @@ _AUTOPILOT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 _CONFIRM_S = 5.0
 """For a mode to show in the heartbeat, which may come once a second."""
+_NOT_OPENED = {
+    "CONNECTION_URL_INVALID": "no address; allowed is one like udpout://127.0.0.1:14550, "
+    "udpin://0.0.0.0:14550, tcpout://127.0.0.1:5760 or serial:///dev/ttyACM0:57600",
+    "BIND_ERROR": "cannot be listened on: another program has the port, or this computer has no such address",
+    "CONNECTION_ERROR": "cannot be opened: see that it is there, is free, and that this user may",
+}
+"""MAVSDK's ConnectionResult in words."""
 _TEXT_S = 0.5
 """The reason of a refusal comes as text, around the time of its ACK."""
 _POLL_S = 0.05
@@ -151,17 +158,17 @@ class Vehicle:
         try:
             result = client.add_any_connection(address)
             if result != mavsdk.ConnectionResult.SUCCESS:
-                raise ConfigError(
-                    f"{name}: {address}: {result.name}; allowed is an address like udpout://127.0.0.1:14550, "
-                    "udpin://0.0.0.0:14550, tcpout://127.0.0.1:5760 or serial:///dev/ttyACM0:57600"
-                )
+                raise ConfigError(f"{name}: {address}: {_NOT_OPENED.get(result.name, result.name)}")
             # In slices, as no Ctrl-C is seen in between.
             end_s = time.monotonic() + patience_s
             system = client.first_autopilot(1.0)
             while system is None and time.monotonic() < end_s:
                 system = client.first_autopilot(1.0)
             if system is None:
-                raise VehicleError(f"{name}: no autopilot heard within {patience_s:g} s")
+                raise VehicleError(
+                    f"{name}: {address}: no autopilot heard within {patience_s:g} s: see to its power, "
+                    "to the address, and to who else listens there"
+                )
             return cls(name, client, system, patience_s)
         except BaseException:
             client.destroy()

@@ -120,7 +120,10 @@ def test_nobody_there(monkeypatch, capsys):
         address = f"udpout://127.0.0.1:{silent.getsockname()[1]}"
         assert cli.main(["fly", address, "--land", "--json"]) == 1
     out, err = capsys.readouterr()
-    assert json.loads(out)["error"] == "vehicle 1: no autopilot heard within 0.5 s"
+    assert json.loads(out)["error"] == (
+        f"vehicle 1: {address}: no autopilot heard within 0.5 s: see to its power, to the address, and to "
+        "who else listens there"
+    )
     assert "no autopilot heard" in err
 
 
@@ -148,7 +151,19 @@ def test_one_address_for_two(capsys):
 
 def test_no_address(capsys):
     assert cli.main(["fly", "127.0.0.1:9", "--land"]) == 2
-    assert "CONNECTION_URL_INVALID; allowed is an address like udpout://" in capsys.readouterr().err
+    assert "no address; allowed is one like udpout://" in capsys.readouterr().err
+
+
+def test_a_port_that_another_program_has(capsys):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        assert cli.main(["fly", f"udpin://127.0.0.1:{other.getsockname()[1]}", "--land"]) == 2
+    assert "another program has the port" in capsys.readouterr().err
+
+
+def test_a_scenario_that_is_not_there(capsys):
+    assert cli.main(["fly", "udpout://127.0.0.1:9", "--scenario", "head_on"]) == 2
+    assert "--scenario: head_on: no such file; some are in config/scenarios" in capsys.readouterr().err
 
 
 def test_without_mavsdk(monkeypatch, capsys):

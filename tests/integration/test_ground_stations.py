@@ -168,3 +168,19 @@ def test_pymavlinks_file_client_fetches_the_files(station, tmp_path: Path) -> No
         assert client.cmd_get([path, str(got)]).error_code == mavftp.FtpError.Success
         assert client.process_ftp_reply("OpenFileRO", timeout=PATIENCE_S).error_code == 0
         assert json.loads(got.read_text()) == json.loads(content)
+
+
+def test_pymavlink_is_told_that_a_command_is_not_supported(station) -> None:
+    def send(component: int, command: int) -> None:
+        station.mav.command_long_send(1, component, command, 0, 1, 0, 0, 0, 0, 0, 0)
+
+    # What is sent to the autopilot and to all stays theirs; the last one ends the wait.
+    for component in (1, 0, 191):
+        send(component, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+    send(191, mavlink.MAV_CMD_NAV_TAKEOFF)
+    told = [station.recv_match(type="COMMAND_ACK", blocking=True, timeout=PATIENCE_S) for _ in range(2)]
+    assert [(ack.get_srcComponent(), ack.command, ack.result) for ack in told] == [
+        (191, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_RESULT_UNSUPPORTED),
+        (191, mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_RESULT_UNSUPPORTED),
+    ]
+    assert all((ack.target_system, ack.target_component) == (255, 190) for ack in told)

@@ -55,6 +55,46 @@ def test_the_missions_own_speed_comes_with_the_mission():
     assert math.dist(one.places[-1], one.places[-21]) == pytest.approx(3.0, abs=0.2)
 
 
+def flown_at(speed_mps, *places):
+    """A mission of ArduPilot's: a take-off, a speed, places (north, east)."""
+    change = item(2, 0.0, 0.0, command=178, params=(1.0, speed_mps, -1.0, 0.0))
+    return (item(1, 0.0, 0.0, command=22), change, *(item(n, *at) for n, at in enumerate(places, 3)))
+
+
+def told_of_speed(aircraft):
+    return [text for text in aircraft.texts() if "limits.max_speed_mps" in text]
+
+
+def test_a_mission_that_is_faster_than_the_limit_is_told_of_once():
+    """And is slowed down to it."""
+    one = Guarded("ONE", Firmware.ARDUPILOT, [(0.0, 0.0, 50.0)], mission=flown_at(9.6, (900.0, 0.0)))
+    south = [(800.0, 1.0, 50.0), (0.0, 1.0, 50.0)]
+    sky = Sky(one, Guarded("TWO", Firmware.PX4, south, guarded=False, number=2))
+    sky.until(lambda: one.heart.in_control)
+    said = [
+        "DMUCA: mission item 2: 9.6 m/s is above limits.max_speed_mps 8: taken for a conflict, the vehicle "
+        "slows down to that at once"
+    ]
+    assert told_of_speed(one) == said
+    assert math.dist(one.places[-1], one.places[-21]) == pytest.approx(9.6, abs=0.1)
+    sky.run(4.0)
+    assert math.dist(one.places[-1], one.places[-21]) < 8.1
+    sky.until(lambda: one.state is State.WATCHING).run(5.0)
+    assert told_of_speed(one) == said
+
+
+def test_a_mission_that_replaces_a_slower_one_is_told_of_too():
+    """With another number of items, as ArduPilot says nothing of one with as many."""
+    slow, fast = flown_at(4.0, (900.0, 0.0)), flown_at(9.0, (900.0, 0.0), (900.0, 50.0))
+    one = Guarded("ONE", Firmware.ARDUPILOT, [(0.0, 0.0, 50.0)], mission=slow)
+    sky = Sky(one).run(10.0)
+    for uploaded, times in ((slow, 0), (fast, 1), (slow, 1), (fast, 1)):
+        one.upload(uploaded, sky.now_s)
+        sky.run(10.0)
+        assert one.state is State.WATCHING
+        assert len(told_of_speed(one)) == times
+
+
 def test_a_return_is_not_slowed_to_the_missions_own_speed():
     """ArduPilot returns home at its own speed, whatever the mission has asked for before."""
     slow = item(2, 0.0, 0.0, command=178, params=(1.0, 3.0, -1.0, 0.0))

@@ -83,9 +83,9 @@ def ids(heard):
     return [frame.message_id for _, frame in heard]
 
 
-def result(frame):
+def result(frame, of=512):
     command, code, _, _, system, component = struct.unpack("<HBBiBB", frame.payload.ljust(10, b"\0"))
-    assert command == 512
+    assert command == of
     return code, system, component
 
 
@@ -215,6 +215,31 @@ def test_what_there_is_not_is_refused_and_counted():
     assert station.link.counts.bad_values == 0
 
 
+@pytest.mark.parametrize("command", [0, 22, 176, 400, 519, 0xFFFF])
+@pytest.mark.parametrize("as_int", [False, True])
+def test_a_command_that_we_do_not_know_is_refused(command, as_int):
+    station = Station()
+    if as_int:
+        station.says(mavlink.MAVLink_command_int_message(1, 191, 0, command, 0, 0, 1, 0, 0, 0, 0, 0, 0))
+    else:
+        # Its first parameter names no message here.
+        station.request(VERSION, command=command)
+    ((_, ack),) = station.run()
+    assert ack.message_id == ACK
+    assert result(ack, command) == (UNSUPPORTED, 255, 190)
+    assert station.link.counts.information_refused == 1
+
+
+def test_each_command_that_waits_is_refused_once():
+    station = Station()
+    for command in (400, 22, 400, 22, 400):
+        station.request(1, command=command)
+    station.request(VERSION)
+    heard = station.run(1.0)
+    assert ids(heard) == [ACK, ACK, ACK, VERSION]
+    assert [result(heard[n][1], of)[0] for n, of in enumerate((400, 22))] == [UNSUPPORTED] * 2
+
+
 @pytest.mark.parametrize("message_id", [BASIC, METADATA])
 @pytest.mark.parametrize(("system", "component"), [(1, 0), (0, 0), (0, 191)])
 def test_what_we_are_may_be_asked_of_everybody(message_id, system, component):
@@ -231,14 +256,16 @@ def test_nobody_is_answered_for_another():
     station.request(METADATA, system=2)
     station.request(METADATA, system=2, component=0)
     station.request(1, component=0)
-    station.request(1, command=400)
+    # Arming is for whom it is sent to: for all, for the autopilot, for another aircraft.
+    for system, component in ((0, 0), (1, 0), (0, 191), (1, 1), (2, 191)):
+        station.request(1, system, component, command=400)
     station.ftp(4, b"general.json", component=1)
     station.ftp(4, b"general.json", component=0)
     station.ftp(4, b"general.json", system=2)
     # A reply that strayed here would be answered for ever.
     station.ftp(128, b"general.json")
     station.ftp(129, b"\x01")
-    assert station.link.counts.foreign == 12
+    assert station.link.counts.foreign == 16
     assert station.link.counts.information_requests == 0
     assert station.run() == []
 
@@ -289,6 +316,7 @@ def test_on_a_signed_link_unsigned_requests_are_dropped():
     station = Station(Signing(KEY, 1_000_000, 0.0))
     station.request(METADATA, signed=False)
     station.ftp(4, b"general.json", signed=False)
+    station.request(1, command=400, signed=False)
     assert station.run() == []
     assert station.link.counts.information_requests == 0
     station.request(METADATA)

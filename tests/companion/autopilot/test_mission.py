@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from companion.autopilot.mission import path_from_mission, place_of, speeds_at
+from companion.autopilot.mission import path_from_mission, place_of, speed_changes, speeds_at
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import check_speeds
 from companion.config import LimitsConfig, TrajectoryFile
@@ -85,6 +85,26 @@ def test_the_speed_that_a_mission_has_asked_for() -> None:
     items = (waypoint(1, 50.0), simple(2, 178, 1.0, 3.0), waypoint(3, 100.0), simple(4, 178, 0.0, -1.0))
     assert [speeds_at(items, seq) for seq in (1, 2, 3, 4)] == [{None}, {3.0}, {3.0}, {3.0}]
     assert speeds_at((*items, simple(5, 178, 2.0, 9.0)), 9) == {3.0}, "the climb's speed is another"
+
+
+@pytest.mark.parametrize(
+    ("items", "changes", "own"),
+    [
+        ([], [], True),
+        ([waypoint(1, 50.0)], [], True),
+        ([waypoint(1, 50.0), simple(2, 178, 1.0, 3.0), waypoint(3, 90.0)], [(2, 3.0)], True),
+        # A take-off is not guarded.
+        ([simple(1, 22), simple(2, 178, 0.0, 3.0), waypoint(3, 90.0)], [(2, 3.0)], False),
+        ([simple(1, 178, 1.0, 3.0), waypoint(2, 5.0), simple(3, 178, 1.0, 9.0)], [(1, 3.0), (3, 9.0)], False),
+        ([simple(1, 177, 3.0, 2.0), simple(2, 178, 1.0, 3.0), waypoint(3, 90.0)], [(2, 3.0)], True),
+        # No change, a climb's speed, one that nobody flies.
+        ([simple(1, 178, 1.0, -1.0), simple(2, 178, 2.0, 9.0), simple(3, 178, 1.0, 101.0)], [], True),
+    ],
+)
+def test_the_speeds_that_a_mission_is_flown_at(
+    items: list[MissionItem], changes: list[tuple[int, float]], own: bool
+) -> None:
+    assert speed_changes(items) == (changes, own)
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from companion.autopilot.advice import after_silence, remarks
+from companion.autopilot.advice import after_silence, remarks, too_fast
 from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.limits import effective
 from companion.avoidance.trajectory import Trajectory, check_speeds
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Firmware, Parameter, Say, Severity, VehicleParameters
+from companion.events import Firmware, MissionItem, Parameter, Say, Severity, VehicleParameters
 
 LIMITS = LimitsConfig()
 
@@ -29,6 +29,50 @@ def adsb(radius_m: float, receiver: float = 1) -> VehicleParameters:
 
 
 SLOW = told(speed_mps=("WPNAV_SPEED", 2.0))
+
+
+def mission(*speeds_mps: float) -> list[MissionItem]:
+    """A change of speed (0: none) before each waypoint; item 1 is the first of them."""
+    items = [
+        (
+            MissionItem(seq=2 * n + 1, command=178, frame=2, params=(1.0, speed_mps, -1.0, 0.0)),
+            MissionItem(seq=2 * n + 2, command=16, frame=6, lat_deg=47.0, lon_deg=8.0, alt_m=30.0),
+        )
+        for n, speed_mps in enumerate(speeds_mps)
+    ]
+    return [item for pair in items for item in pair if item.command != 178 or item.params[1]]
+
+
+PX4 = told(Firmware.PX4, speed_mps=("MPC_XY_VEL_MAX", 12.0), cruise_mps=("MPC_XY_CRUISE", 7.0))
+COPTER = told(speed_mps=("WP_SPD", 10.0))
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "items", "limit_mps", "words"),
+    [
+        (COPTER, mission(0.0), 10.0, None),
+        (COPTER, mission(0.0), 5.0, "WP_SPD 10 is above limits.max_speed_mps 5"),
+        (COPTER, [], 5.0, "WP_SPD 10 is above limits.max_speed_mps 5"),
+        (COPTER, mission(5.0), 5.0, None),
+        (COPTER, mission(5.0, 9.6), 5.0, "mission item 3: 9.6 m/s is above limits.max_speed_mps 5"),
+        (COPTER, mission(0.0, 5.0), 5.0, "WP_SPD 10 is above limits.max_speed_mps 5"),
+        # ArduPilot flies above its own speed where a mission asks for it; the companion does not.
+        (COPTER, mission(12.0), 15.0, "mission item 1: 12 m/s is above WP_SPD 10"),
+        (told(), mission(0.0), 5.0, None),
+        (told(), mission(6.0), 5.0, "mission item 1: 6 m/s is above limits.max_speed_mps 5"),
+        (PX4, mission(0.0), 7.0, None),
+        (PX4, mission(0.0), 5.0, "MPC_XY_CRUISE 7 is above limits.max_speed_mps 5"),
+        (PX4, mission(15.0), 8.0, "mission item 1: 15 m/s is above limits.max_speed_mps 8"),
+        # PX4 never flies above it.
+        (PX4, mission(15.0), 20.0, None),
+    ],
+)
+def test_a_mission_that_is_faster_than_the_limit(
+    vehicle: VehicleParameters, items: list[MissionItem], limit_mps: float, words: str | None
+) -> None:
+    text = too_fast(LimitsConfig(max_speed_mps=limit_mps), vehicle, items)
+    slows = ": taken for a conflict, the vehicle slows down to that at once"
+    assert text == (None if words is None else words + slows)
 
 
 def test_the_lower_of_each_counts() -> None:

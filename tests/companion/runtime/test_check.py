@@ -19,7 +19,14 @@ import pytest
 from companion.autopilot.wire import MavlinkWriter
 from companion.config import ArduRemoteIdRadio, Config, RecordConfig, VehicleConfig, WifiRadio
 from companion.errors import ConfigError
-from companion.events import Firmware, Parameter, VehicleParameters
+from companion.events import (
+    Firmware,
+    MissionDownloaded,
+    MissionItem,
+    MissionRefused,
+    Parameter,
+    VehicleParameters,
+)
 from companion.radio import wifi
 from companion.radio.arduremoteid import ArduRemoteIdTransport
 from companion.radio.frames_io import radio_address
@@ -29,7 +36,7 @@ from companion.radio.wifi import WifiTransport
 from companion.remote_id.region import Region
 from companion.runtime import check as check_module
 from companion.runtime import radios
-from companion.runtime.check import _judge_parameters, check
+from companion.runtime.check import _judge_mission, _judge_parameters, check
 from companion.runtime.flight import Flight
 from companion.runtime.preflight import Preflight
 from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
@@ -308,6 +315,34 @@ def test_a_path_that_the_vehicle_cannot_fly_is_not_ready(make_config: Callable[.
     assert judge("fly", None) == (True, [])
 
 
+def test_the_mission_that_is_to_be_guarded(make_config: Callable[..., Config]) -> None:
+    told = VehicleParameters(firmware=Firmware.ARDUPILOT, speed_mps=Parameter(name="WP_SPD", value=9.6))
+    place = MissionItem(seq=2, command=16, frame=6, lat_deg=47.0, lon_deg=8.0, alt_m=30.0)
+    slow = MissionItem(seq=1, command=178, frame=2, params=(1.0, 4.0, -1.0, 0.0))
+
+    def judge(mission: MissionDownloaded | MissionRefused | None) -> list[tuple[str, str]]:
+        found = Preflight()
+        _judge_mission(make_config(use="guard"), told, mission, found)
+        assert found.ready
+        assert {f.what for f in found.findings} == {"mission"}
+        assert all(bool(f.do) is (f.light.value != "green") for f in found.findings)
+        return [(f.light.value, f.text) for f in found.findings]
+
+    fast = (
+        "yellow",
+        "WP_SPD 9.6 is above limits.max_speed_mps 5: taken for a conflict, the vehicle slows down to that "
+        "at once",
+    )
+    assert judge(MissionDownloaded(items=(slow, place))) == [("green", "2 items, read from the vehicle")]
+    assert judge(MissionDownloaded(items=(place,))) == [("green", "1 items, read from the vehicle"), fast]
+    assert judge(MissionDownloaded(items=())) == [("yellow", "the vehicle has none"), fast]
+    assert judge(MissionRefused(reason="item 3 of 5 did not come")) == [
+        ("yellow", "not read: item 3 of 5 did not come"),
+        fast,
+    ]
+    assert judge(None) == [("yellow", "not read: the vehicle did not finish to send it"), fast]
+
+
 def test_what_the_vehicle_hears_of_crewed_traffic_is_told(make_config: Callable[..., Config]) -> None:
     def judge(use: str, receiver: float) -> list[str]:
         found = Preflight()
@@ -440,6 +475,80 @@ def test_bytes_that_are_no_vehicle_are_told_from_silence(
     assert "not a byte" in silent["vehicle"][0][1]
     absent = listed(1, vehicle=VehicleConfig(link="serial:/dev/nothing:57600", wait_s=0.1))
     assert absent["link"][0][0] == "red"
+    other = VehicleConfig(link=link, system_id=7, wait_s=0.5)
+    _, text, do = listed(1, vehicle=other)["vehicle"][0]
+    assert text.endswith("but no autopilot's HEARTBEAT of system 7")
+    assert do.startswith("set vehicle.system_id to the autopilot's own number")
+
+
+@pytest.mark.parametrize(
+    ("link", "words"),
+    [
+        ("serial:/dev/null:57600", "this is no serial port"),
+        ("tcp:127.0.0.1:1", "nobody accepts connections there; start the program at the other end first"),
+        ("udpin:192.0.2.1:14550", "this computer has no such address; 0.0.0.0 listens on all that it has"),
+    ],
+)
+def test_a_link_that_cannot_be_opened_says_why(listed: Callable[..., Any], link: str, words: str) -> None:
+    ((light, text, _),) = listed(1, vehicle=VehicleConfig(link=link, wait_s=0.1))["link"]
+    assert (light, text) == ("red", f"vehicle.link: {link}: {words}")
+
+
+class Sender:
+    """Datagrams to one port, as fast as a vehicle's, until it is closed."""
+
+    def __init__(self, port: int, *messages: bytes) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._send, args=(port, messages), daemon=True)
+        self._thread.start()
+
+    def _send(self, port: int, messages: tuple[bytes, ...]) -> None:
+        while not self._ended.wait(0.02):
+            for message in messages:
+                self._socket.sendto(message, ("127.0.0.1", port))
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._socket.close()
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        return int(taken.getsockname()[1])
+
+
+@pytest.mark.usefixtures("vehicle")
+def test_datagrams_that_are_no_mavlink_are_told_from_silence(listed: Callable[..., Any]) -> None:
+    port = free_port()
+    with contextlib.closing(Sender(port, b"$GPGGA,1*00")):
+        found = listed(1, vehicle=VehicleConfig(link=f"udpin:127.0.0.1:{port}", wait_s=0.5))
+    ((_, text, do),) = found["vehicle"]
+    assert re.search(r"; \d+ datagrams came, and no MAVLink in them$", text)
+    assert do == "see to who sends to this address"
+
+
+@pytest.mark.usefixtures("vehicle")
+def test_two_that_send_to_one_port_are_told_of(listed: Callable[..., Any]) -> None:
+    """The link believes the first sender alone, so that two autopilots are never seen."""
+    port = free_port()
+    beats = [
+        writer.pack(writer.encoder.heartbeat_encode(2, 3, 1, 5, 4))
+        for writer in (MavlinkWriter(1, 1), MavlinkWriter(2, 1))
+    ]
+    link = f"udpin:127.0.0.1:{port}"
+    with contextlib.closing(Sender(port, beats[0])), contextlib.closing(Sender(port, beats[1])):
+        both = listed(1, vehicle=VehicleConfig(link=link, wait_s=60.0))["link"]
+        neither = listed(1, vehicle=VehicleConfig(link=link, system_id=7, wait_s=0.5))["vehicle"]
+    light, text, do = both[1]
+    assert light == "yellow"
+    assert re.search(r"another one sends there too: \d+ datagrams were left out", text)
+    assert do.startswith("have one sender for this port")
+    assert re.search(r"of system 7; \d+ datagrams of another sender were left out", neither[0][1])
+    with contextlib.closing(Sender(port, beats[0])):
+        assert len(listed(1, vehicle=VehicleConfig(link=link, wait_s=60.0))["link"]) == 1
 
 
 @pytest.mark.parametrize(

@@ -143,6 +143,13 @@ def test_what_a_killed_process_left_is_replaced(tmp_path):
     assert not server.path.exists()
 
 
+def test_a_socket_that_nobody_serves_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "nothing.sock", tmp_path / "file", tmp_path):
+        with pytest.raises(ConfigError, match=f"{path}: no companion answers there"):
+            watch.ask(path)
+
+
 def test_what_is_no_socket_stays(tmp_path, monkeypatch):
     monkeypatch.setattr("companion.runtime.status.folders", lambda _environ: [tmp_path])
     (tmp_path / "companion-OWN.sock").write_text("mine")
