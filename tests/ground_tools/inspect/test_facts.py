@@ -36,7 +36,6 @@ def test_columns_of_a_record(made: SimpleNamespace) -> None:
     kinds = [type(what) for _, what in facts.rare]
     assert kinds == [AuthorityChanged, Say, VehicleText, ModeRefused]
     assert len(facts.decisions.now_s) == 301
-    assert facts.decisions.origin.max() == 0
     assert facts.decisions.conflict.any()
     assert facts.decisions.feasible.all()
 
