@@ -17,7 +17,7 @@ import numpy as np
 import pymap3d
 
 from companion.errors import ConfigError
-from companion.events import Vec3
+from companion.events import Decision, Vec3
 from companion.record import Step
 from ground_tools.inspect import align, manoeuvres
 from ground_tools.inspect.blueprint import Look, blueprint, comparison
@@ -43,6 +43,8 @@ from ground_tools.inspect.writer import Writer, rerun
 
 MAX_PAIRS_DRAWN = 45
 """Closest pairs with a line of their own: ten aircraft in full."""
+MOST_TAKEN = 40_000
+"""Steps, and tracks of their decisions, that are written at once: 600 s among ten aircraft."""
 LOOK_M = (60.0, 600.0)
 """Radius of what a view turns to, at least and at most."""
 NEAR_M = 10_000.0
@@ -209,12 +211,17 @@ def _time_of(note: Note) -> float:
     return note.time_s
 
 
-def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[list[Step]]:
-    def piece(step: Step) -> tuple[int, bool]:
-        return scene.piece(step.now_s + offset_s)
+def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[Iterator[Step]]:
+    """The steps of each piece of the time line, in parts where there are many."""
+    taken = 0
+
+    def piece(step: Step) -> tuple[int, bool, int]:
+        nonlocal taken
+        taken += 1 + sum(len(one.tracks) for one in step.commands if isinstance(one, Decision))
+        return *scene.piece(step.now_s + offset_s), taken // MOST_TAKEN
 
     for _, steps in itertools.groupby(record.steps(), key=piece):
-        yield list(steps)
+        yield steps
 
 
 def _write_distances(writer: Writer, shown: _Shown) -> None:

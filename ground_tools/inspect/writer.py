@@ -11,7 +11,7 @@ Two time lines: `time` is the run's, `encounter` holds what a viewer opens on, f
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -123,7 +123,7 @@ class Writer:
         """A line about the whole run."""
         self.notes("run", [Note(time_s, "INFO", text)])
 
-    def steps(self, name: str, steps: Sequence[Step]) -> None:
+    def steps(self, name: str, steps: Iterable[Step]) -> None:
         """The next steps of one aircraft; all of them in one piece of the time line (`Scene.piece`)."""
         one, piece = self._aircraft[name], self._watches[name].take(steps)
         self._own(one, piece)
