@@ -1,5 +1,4 @@
-"""A run as a recording, as figures and as a report: CPU time, size and memory, of a demonstration flight and
-of a ten times longer one.
+"""A run as recording, figures and report: CPU time, size and memory, and those of a ten times longer run.
 
 Targets: 500 s of 5 aircraft, read, written and verified, in under 10 s and 50 MB; memory flat for ten times
 as long.

@@ -121,6 +121,8 @@ class Facts:
     end_s: float
     fixes: Array
     """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising."""
+    max_height_m: float | None
+    """Above home; None without fixes."""
     decided: Array
     """The same by the decisions, where there are no fixes at all; else none."""
     decisions: Decisions
@@ -157,6 +159,7 @@ class Gatherer:
         self.steps = 0
         self.start_s = self.end_s = 0.0
         self.fixes = array("d")
+        self.max_height_m: float | None = None
         self.decided = array("d")
         self.decisions = array("d")
         self.speeds = array("f")
@@ -183,6 +186,9 @@ class Gatherer:
                 del self.decided[:]
                 if len(self.fixes) >= 7 and self.fixes[-7] >= now_s:
                     del self.fixes[-7:]  # of several in one step the last counts
+                height_m = item.height_above_home_m
+                if self.max_height_m is None or height_m > self.max_height_m:
+                    self.max_height_m = height_m
                 place = (item.lat_deg, item.lon_deg, item.alt_msl_m)
                 self.fixes.extend((now_s, *place, *item.velocity_ned_mps))
             case RemoteIdHeard():
@@ -249,6 +255,7 @@ class Gatherer:
             start_s=self.start_s,
             end_s=self.end_s,
             fixes=np.asarray(self.fixes).reshape(-1, 7),
+            max_height_m=self.max_height_m,
             decided=np.asarray(self.decided).reshape(-1, 7),
             decisions=Decisions(
                 now_s=np.asarray(self.decisions),

@@ -213,6 +213,11 @@ def separations(paths: tuple[Path, ...]) -> list[Separation]:
     return _of_pairs(paths, lambda time, distance: (time, distance))
 
 
+def thinned(paths: tuple[Path, ...], every_s: float) -> list[Separation]:
+    """As `separations`, of each line the least of every so many seconds."""
+    return _of_pairs(paths, lambda time, distance: least_in_bins(time, distance, every_s))
+
+
 def closest(paths: tuple[Path, ...]) -> list[Separation]:
     """As `separations`, without the lines: of a flight of any length only a part is in memory at once."""
     return _of_pairs(paths, None)
@@ -249,6 +254,16 @@ def least_of(pairs: Sequence[Separation]) -> tuple[Array, Array]:
     least = rows.min(axis=0)
     known = np.isfinite(least)
     return time[known], least[known]
+
+
+def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Array]:
+    """Of the rows of each `bin_s` the one with the least value: no minimum is lost."""
+    if not len(time_s):
+        return time_s, values
+    bins = np.floor(time_s / bin_s)
+    order = np.lexsort((values, bins))
+    rows = order[np.append(True, np.diff(bins[order]) > 0.0)]
+    return time_s[rows], values[rows]
 
 
 def to_ned(geodetic: Array, origin: Vec3) -> Array:

@@ -25,7 +25,7 @@ from ground_tools.inspect.terminal import plain
 
 MOST_LINES = 12
 """Pairs or tracks drawn one by one in one plot; beyond, the closest ones."""
-_MOST_POINTS = 1200
+MOST_POINTS = 1200
 """Of one line: more cannot be told apart on paper."""
 _OVER = 5
 """Broadcasts that a rate is taken over."""
@@ -78,14 +78,14 @@ def shade(index: int) -> str:
 
 
 def thin(time: Array, *rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """Every so many samples of a line, so that `_MOST_POINTS` are left."""
-    step = max(len(time) // _MOST_POINTS, 1)
+    """Every so many samples of a line, so that `MOST_POINTS` are left."""
+    step = max(len(time) // MOST_POINTS, 1)
     return tuple(row[::step] for row in (time, *rows))
 
 
 def lowest(time: Array, values: Array) -> tuple[Array, Array]:
     """A line thinned to the least of every so many samples: no minimum is lost."""
-    step = max(len(time) // _MOST_POINTS, 1)
+    step = max(len(time) // MOST_POINTS, 1)
     if step == 1:
         return time, values
     whole = len(time) // step * step

@@ -21,7 +21,7 @@ from companion.avoidance.law import VERTICAL_SCALE, separation_m
 from companion.errors import ConfigError
 from companion.events import TrackView
 from companion.record import Step
-from ground_tools.inspect.flown import Array, Path, Separation, least_of
+from ground_tools.inspect.flown import Array, Path, Separation, least_in_bins, least_of
 from ground_tools.inspect.palette import (
     ALERTS,
     AUTHORITY,
@@ -453,16 +453,6 @@ def until_stale(time_s: Array, lengths: NDArray[np.int64]) -> tuple[Array, NDArr
     counts = np.concatenate([lengths, np.zeros(last.sum(), dtype=np.int64)])
     order = np.argsort(times, kind="stable")
     return times[order], counts[order]
-
-
-def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Array]:
-    """Of the rows of each `bin_s` the one with the least value: no minimum is lost."""
-    if not len(time_s):
-        return time_s, values
-    bins = np.floor(time_s / bin_s)
-    order = np.lexsort((values, bins))
-    rows = order[np.append(True, np.diff(bins[order]) > 0.0)]
-    return time_s[rows], values[rows]
 
 
 def square(position_ned_m: Array, velocity_ned_mps: Array, space: HalfSpace) -> Array:

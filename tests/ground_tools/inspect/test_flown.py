@@ -64,6 +64,11 @@ def test_distances_are_the_same_taken_part_by_part(run_folder: Path, monkeypatch
     assert len(least.time_s) == len(least.distance_m) == 0
     assert (np.diff(parted.time_s) > 0.0).all()
     assert np.interp(whole.time_s, parted.time_s, parted.distance_m) == pytest.approx(whole.distance_m)
+    (thin,) = flown_module.thinned(ways.paths, 5.0)
+    assert thin.minimum_m == least.minimum_m
+    assert thin.distance_m.min() == parted.distance_m.min()
+    # Where parts meet, one of the two has to be in two parts.
+    assert 13 <= len(thin.time_s) <= 13 + 8
     # 20 Hz, and the samples of two aircraft at 10 Hz at most.
     assert max(len(time) for time, _ in flown_module._relative(*ways.paths)) <= 7 * 40 + 3
 
