@@ -1,4 +1,4 @@
-"""A run as a recording: CPU time, size and memory, of a demonstration flight and of a ten times longer one.
+"""A run as recording, figures and report: CPU time, size and memory, and those of a ten times longer run.
 
 Targets: 500 s of 5 aircraft, read, written and verified, in under 10 s and 50 MB; memory flat for ten times
 as long.
@@ -23,13 +23,20 @@ from sitl_mocks import settings
 from sitl_mocks.lockstep import fly
 
 LONGER = 10
+KINDS = ("recording", "summary", "report")
 _CONVERT = """
 import resource, sys
 from pathlib import Path
+from ground_tools.inspect import recording, report, summary
 from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.recording import write
-write(read_run(Path(sys.argv[1])), Path(sys.argv[2]))
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+kind, path = sys.argv[1], Path(sys.argv[3])
+run = read_run(Path(sys.argv[2]))
+figures = None if kind == "recording" else summary.describe(run)
+if kind == "recording":
+    recording.write(run, path)
+elif kind == "report":
+    report.write(run, figures, path)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6)
 """
 
 
@@ -92,22 +99,25 @@ def main() -> None:
         once, longer = Path(scratch) / "once", Path(scratch) / "longer"
         length_s = flown(once)
         repeated(once, longer, length_s + 0.05)
-        print(
-            f"{'s flown':>8}{'records (MB)':>14}{'CPU s':>8}{'verify':>8}{'.rrd (MB)':>11}{'peak (MB)':>11}"
-        )
-        peaks = []
+        print(f"{'':9}{'s flown':>8}{'records (MB)':>14}{'CPU s':>8}{'written (MB)':>14}{'peak (MB)':>11}")
+        peaks: dict[str, list[float]] = {kind: [] for kind in KINDS}
         for folder, times in ((once, 1), (longer, LONGER)):
-            path = folder / "inspect.rrd"
-            took, printed = cpu_s(sys.executable, "-c", _CONVERT, folder, path)
-            check, _ = cpu_s(Path(sys.executable).with_name("rerun"), "rrd", "verify", path)
             records = sum(file.stat().st_size for file in folder.glob("*.events"))
-            size = path.stat().st_size
-            peaks.append(float(printed))
-            print(
-                f"{times * length_s:8.0f}{records / 1e6:14.1f}{took:8.1f}{check:8.1f}"
-                f"{size / 1e6:11.1f}{peaks[-1]:11.0f}"
-            )
-        print(f"\npeak memory, {LONGER} times as long: {peaks[1] / peaks[0]:.2f} times")
+            for kind, found in peaks.items():
+                path = folder / f"inspect.{'html' if kind == 'report' else 'rrd'}"
+                path.unlink(missing_ok=True)
+                took, printed = cpu_s(sys.executable, "-c", _CONVERT, kind, folder, path)
+                found.append(float(printed))
+                size = path.stat().st_size if path.exists() else 0
+                print(
+                    f"{kind:9}{times * length_s:8.0f}{records / 1e6:14.1f}{took:8.1f}{size / 1e6:14.1f}"
+                    f"{found[-1]:11.0f}"
+                )
+                if kind == "recording":
+                    check, _ = cpu_s(Path(sys.executable).with_name("rerun"), "rrd", "verify", path)
+                    print(f"{'  verified':31}{check:8.1f}")
+        for kind, (first, other) in peaks.items():
+            print(f"peak memory of the {kind}, {LONGER} times as long: {other / first:.2f} times")
 
 
 if __name__ == "__main__":

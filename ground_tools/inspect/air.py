@@ -160,11 +160,13 @@ class _Gatherer:
 
 
 def gather(record: AircraftRecord) -> dict[str, Any]:
-    """Figures of one aircraft's Remote ID, in one pass over its steps, ready for JSON; times are its own
-    `now_s`."""
+    """Figures of one aircraft's Remote ID, in one pass over its steps at most, ready for JSON; times are its
+    own `now_s`."""
     config = None if record.header is None else record.header.config
     found = _Gatherer(config, record.facts.utc_offset_s)
-    for step in record.steps():
+    # A telemetry log may be gigabytes, and of all this tells at most what was heard.
+    nothing = record.tlog and not record.facts.heard
+    for step in () if nothing else record.steps():
         for event in step.events:
             found.take(step.now_s, event)
         for command in step.commands:

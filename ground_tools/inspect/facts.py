@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+import pymap3d
 from numpy.typing import NDArray
 
 from companion.autopilot.dialect import in_mode
@@ -43,7 +44,6 @@ from companion.events import (
     Settings,
     TrackFlagged,
     TransportsChosen,
-    Vec3,
     VehicleParameters,
     VehicleText,
     VehicleTime,
@@ -105,20 +105,8 @@ class Decisions:
 
     now_s: Array
     """(n,)"""
-    origin: NDArray[np.int64]
-    """(n,) which of `origins` the row's frame has."""
-    origins: tuple[Vec3, ...]
-    """lat_deg, lon_deg, alt_msl_m."""
-    position_ned_m: Array
-    """(n, 3)"""
-    velocity_ned_mps: Array
-    """(n, 3) flown."""
-    wanted_ned_mps: Array
-    """(n, 3)"""
-    chosen_ned_mps: Array
-    """(n, 3)"""
-    late_s: Array
-    """(n,)"""
+    speeds_mps: NDArray[np.float32]
+    """(n, 3) flown, wanted, chosen."""
     feasible: NDArray[np.bool_]
     """(n,)"""
     conflict: NDArray[np.bool_]
@@ -135,6 +123,10 @@ class Facts:
     end_s: float
     fixes: Array
     """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising."""
+    max_height_m: float | None
+    """Above home; None without fixes."""
+    decided: Array
+    """The same by the decisions, where there are no fixes at all; else none."""
     decisions: Decisions
     utc_offset_s: float | None
     """What to add to `now_s` for UTC; None where the aircraft never knew it."""
@@ -169,8 +161,11 @@ class Gatherer:
         self.steps = 0
         self.start_s = self.end_s = 0.0
         self.fixes = array("d")
+        self.max_height_m: float | None = None
+        self.decided = array("d")
         self.decisions = array("d")
-        self.origins: dict[Vec3, int] = {}
+        self.speeds = array("f")
+        self.feasible, self.conflict = bytearray(), bytearray()
         self.utc = array("d")
         self.undulation = array("d")
         self.sent: dict[str, array[float]] = {}
@@ -191,8 +186,12 @@ class Gatherer:
     def _item(self, now_s: float, item: AnyEvent | AnyCommand) -> None:
         match item:
             case GlobalPosition():
+                del self.decided[:]
                 if len(self.fixes) >= 7 and self.fixes[-7] >= now_s:
                     del self.fixes[-7:]  # of several in one step the last counts
+                height_m = item.height_above_home_m
+                if self.max_height_m is None or height_m > self.max_height_m:
+                    self.max_height_m = height_m
                 place = (item.lat_deg, item.lon_deg, item.alt_msl_m)
                 self.fixes.extend((now_s, *place, *item.velocity_ned_mps))
             case RemoteIdHeard():
@@ -232,7 +231,6 @@ class Gatherer:
         names.update(m.uas_id for m in event.messages if isinstance(m, BasicId) and m.uas_id)
 
     def _decide(self, now_s: float, one: Decision) -> None:
-        origin = self.origins.setdefault(one.origin, len(self.origins))
         conflict = False
         for track in one.tracks:
             conflict |= track.conflict
@@ -246,45 +244,37 @@ class Gatherer:
             if distance < rows[-3]:
                 rows[-4], rows[-3] = now_s, distance
             rows[-2], rows[-1] = max(rows[-2], track.age_s), max(rows[-1], track.conflict)
-        self.decisions.extend(
-            (
-                now_s,
-                *one.position_ned_m,
-                *one.velocity_ned_mps,
-                *one.wanted_ned_mps,
-                *one.chosen_ned_mps,
-                one.late_s,
-                one.feasible,
-                conflict,
-                origin,
-            )
-        )
+        self.decisions.append(now_s)
+        velocities = one.velocity_ned_mps, one.wanted_ned_mps, one.chosen_ned_mps
+        self.speeds.extend(math.hypot(*velocity) for velocity in velocities)
+        self.feasible.append(one.feasible)
+        self.conflict.append(conflict)
+        if not self.fixes:
+            if len(self.decided) >= 7 and self.decided[-7] >= now_s:
+                del self.decided[-7:]
+            place = pymap3d.ned2geodetic(*one.position_ned_m, *one.origin)
+            self.decided.extend((now_s, *place, *one.velocity_ned_mps))
 
     def facts(self) -> Facts:
-        """Everything taken so far."""
-        d = np.array(self.decisions).reshape(-1, 17)
+        """Everything taken. They are the same numbers, not a copy: no step can be taken any more."""
         return Facts(
             steps=self.steps,
             start_s=self.start_s,
             end_s=self.end_s,
-            fixes=np.array(self.fixes).reshape(-1, 7),
+            fixes=np.asarray(self.fixes).reshape(-1, 7),
+            max_height_m=self.max_height_m,
+            decided=np.asarray(self.decided).reshape(-1, 7),
             decisions=Decisions(
-                now_s=d[:, 0],
-                origin=d[:, 16].astype(np.int64),
-                origins=tuple(self.origins),
-                position_ned_m=d[:, 1:4],
-                velocity_ned_mps=d[:, 4:7],
-                wanted_ned_mps=d[:, 7:10],
-                chosen_ned_mps=d[:, 10:13],
-                late_s=d[:, 13],
-                feasible=d[:, 14] > 0,
-                conflict=d[:, 15] > 0,
+                now_s=np.asarray(self.decisions),
+                speeds_mps=np.asarray(self.speeds).reshape(-1, 3),
+                feasible=np.frombuffer(self.feasible, dtype=np.bool_),
+                conflict=np.frombuffer(self.conflict, dtype=np.bool_),
             ),
             utc_offset_s=float(np.median(self.utc)) if self.utc else None,
             undulation_m=float(np.median(self.undulation)) if self.undulation else 0.0,
-            sent={name: np.array(times) for name, times in self.sent.items()},
+            sent={name: np.asarray(times) for name, times in self.sent.items()},
             heard={
-                address: Heard(np.array(times), tuple(sorted(transports)), tuple(sorted(names)))
+                address: Heard(np.asarray(times), tuple(sorted(transports)), tuple(sorted(names)))
                 for address, (times, transports, names) in self.heard.items()
             },
             tracks={name: _track_facts(found) for name, found in self.tracks.items()},
@@ -293,7 +283,7 @@ class Gatherer:
 
 
 def _track_facts(found: _Track) -> TrackFacts:
-    rows = np.array(found.rows).reshape(-1, 4)
+    rows = np.asarray(found.rows).reshape(-1, 4)
     return TrackFacts(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] > 0, found.adsb)
 
 

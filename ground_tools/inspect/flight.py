@@ -14,7 +14,6 @@ from companion.events import (
     BroadcastChanged,
     EstimatorState,
     FenceRefused,
-    GlobalPosition,
     Heartbeat,
     MissionRefused,
     ModeRefused,
@@ -35,18 +34,12 @@ _ENDED = frozenset({"fault", "yielded"})
 def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
     """Figures of a flight, ready for JSON; times are the aircraft's plus `offset_s`, unknown is None."""
     fixes = record.facts.fixes
-    speed, distance, height = None, None, None
+    speed, distance = None, None
     if len(fixes):
         speed = float(np.hypot(fixes[:, 4], fixes[:, 5]).max())
         places = to_ned(fixes[:, 1:4], (fixes[0, 1], fixes[0, 2], fixes[0, 3]))
         steps, passed = np.linalg.norm(np.diff(places, axis=0), axis=1), np.diff(fixes[:, 0])
         distance = float(steps[passed <= MAX_GAP_S].sum())
-        height = max(
-            event.height_above_home_m
-            for step in record.steps()
-            for event in step.events
-            if isinstance(event, GlobalPosition)
-        )
     beats = [(now_s, what) for now_s, what in record.facts.rare if isinstance(what, Heartbeat)]
     armed = _spans(beats, record.facts.end_s, lambda beat: beat.armed)
     armed = [(a, b, words) for a, b, words in armed if words]
@@ -57,7 +50,7 @@ def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
         "armed": [{"from_s": a + offset_s, "to_s": b + offset_s} for a, b, _ in armed],
         "distance_m": distance,
         "max_speed_mps": speed,
-        "max_height_m": height,
+        "max_height_m": record.facts.max_height_m,
         "modes": [
             {"from_s": a + offset_s, "to_s": b + offset_s, "mode": mode}
             for a, b, mode in _spans(beats, record.facts.end_s, mode_name)

@@ -9,8 +9,8 @@ GNSS error. `Flown.positions` says which.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pymap3d
@@ -24,9 +24,13 @@ from ground_tools.inspect.timeline import TimeLine, time_line
 from ground_tools.inspect.truth import ORIGIN
 
 Array = NDArray[np.float64]
+Line = Callable[[Array, Array], tuple[Array, Array]]
+"""What is kept of (n,) times and distances."""
 
 GRID_S = 0.05
 """Step of the time line on which separations are taken."""
+PART_S = 600.0
+"""So much of a pair's time is looked at at once."""
 MAX_GAP_S = 2.0
 """Between two own positions farther apart than this the place in between is not known."""
 MAX_ERROR_M = 200.0
@@ -220,7 +224,21 @@ def _on_ground(record: AircraftRecord) -> Array:
 
 def separations(paths: tuple[Path, ...]) -> list[Separation]:
     """Separation of every pair, the closest pair first; pairs never known at once come last."""
-    found = [_separation(a, b) for a, b in itertools.combinations(paths, 2)]
+    return _of_pairs(paths, lambda time, distance: (time, distance))
+
+
+def thinned(paths: tuple[Path, ...], every_s: float) -> list[Separation]:
+    """As `separations`, of each line the least of every so many seconds."""
+    return _of_pairs(paths, lambda time, distance: least_in_bins(time, distance, every_s))
+
+
+def closest(paths: tuple[Path, ...]) -> list[Separation]:
+    """As `separations`, without the lines: of a flight of any length only a part is in memory at once."""
+    return _of_pairs(paths, None)
+
+
+def _of_pairs(paths: tuple[Path, ...], line: Line | None) -> list[Separation]:
+    found = [_separation(a, b, line) for a, b in itertools.combinations(paths, 2)]
     return sorted(found, key=lambda s: np.inf if s.minimum_m is None else s.minimum_m)
 
 
@@ -252,6 +270,16 @@ def least_of(pairs: Sequence[Separation]) -> tuple[Array, Array]:
     return time[known], least[known]
 
 
+def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Array]:
+    """Of the rows of each `bin_s` the one with the least value: no minimum is lost."""
+    if not len(time_s):
+        return time_s, values
+    bins = np.floor(time_s / bin_s)
+    order = np.lexsort((values, bins))
+    rows = order[np.append(True, np.diff(bins[order]) > 0.0)]
+    return time_s[rows], values[rows]
+
+
 def to_ned(geodetic: Array, origin: Vec3) -> Array:
     """(n, 3) of lat_deg, lon_deg, alt_m to (n, 3) north, east, down (m) from `origin`."""
     if not len(geodetic):
@@ -271,36 +299,50 @@ def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array
 def fixes_of(record: AircraftRecord) -> Array:
     """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising."""
     facts = record.facts
-    if len(facts.fixes):
-        return facts.fixes
-    made = facts.decisions
-    table = np.column_stack([made.now_s, np.zeros((len(made.now_s), 3)), made.velocity_ned_mps])
-    for index, origin in enumerate(made.origins):
-        rows = made.origin == index
-        table[rows, 1:4] = np.column_stack(pymap3d.ned2geodetic(*made.position_ned_m[rows].T, *origin))
-    # Of several in one step the last counts.
-    last: Array = table[np.append(np.diff(table[:, 0]) > 0, True)] if len(table) else table
-    return last
+    return facts.fixes if len(facts.fixes) else facts.decided
 
 
-def _separation(first: Path, second: Path) -> Separation:
+def _separation(first: Path, second: Path, line: Line | None) -> Separation:
     required = first.radius_m + second.radius_m
+    least: tuple[float, float] | None = None
+    lines = [(_ZERO, _ZERO)]
+    for time, relative in _relative(first, second):
+        distance = np.linalg.norm(relative, axis=1)
+        if line is not None:
+            # What begins a part ended the one before.
+            joint = int(len(lines) > 1)
+            lines.append(line(time[joint:], distance[joint:]))
+        if not np.isnan(distance).all():
+            found = _closest(time, relative)
+            least = found if least is None else min(least, found)
+    time, distance = (np.concatenate(rows) for rows in zip(*lines, strict=True))
+    least_m, least_s = least or (None, None)
+    return Separation(first.name, second.name, time, distance, least_m, least_s, required)
+
+
+def _relative(first: Path, second: Path) -> Iterator[tuple[Array, Array]]:
+    """(n,) times and (n, 3) of the first from the second, NaN where either is not known or stands on the
+    ground; part by part of the time that both were recorded."""
     start = max(first.time_s[0], second.time_s[0])
     end = min(first.time_s[-1], second.time_s[-1])
-    if start > end:
-        return Separation(first.name, second.name, _ZERO, _ZERO, None, None, required)
-    # The samples themselves belong to the line: the closest approach must not fall between its points.
-    grid = np.arange(start, end, GRID_S)
-    samples = np.concatenate([first.time_s, second.time_s, [end]])
-    time = np.union1d(grid, samples[(samples >= start) & (samples <= end)])
-    relative = at(first, time) - at(second, time)
-    for start_s, end_s in np.concatenate([first.on_ground_s, second.on_ground_s]):
-        relative[(time >= start_s) & (time <= end_s)] = np.nan
-    distance = np.linalg.norm(relative, axis=1)
-    if np.isnan(distance).all():
-        return Separation(first.name, second.name, time, distance, None, None, required)
-    least, least_s = _closest(time, relative)
-    return Separation(first.name, second.name, time, distance, least, least_s, required)
+    ground = np.concatenate([first.on_ground_s, second.on_ground_s])
+    for begin in np.arange(start, max(end, np.nextafter(start, np.inf)), PART_S) if start <= end else ():
+        stop = min(begin + PART_S, end)
+        near = between(first, begin, stop), between(second, begin, stop)
+        # The samples themselves belong to the line: the closest approach must not fall between its points.
+        samples = np.concatenate([*(path.time_s for path in near), [stop]])
+        time = np.union1d(np.arange(begin, stop, GRID_S), samples[(samples >= begin) & (samples <= stop)])
+        relative = at(near[0], time) - at(near[1], time)
+        for start_s, end_s in ground[(ground[:, 0] <= stop) & (ground[:, 1] >= begin)]:
+            relative[(time >= start_s) & (time <= end_s)] = np.nan
+        yield time, relative
+
+
+def between(path: Path, start_s: float, end_s: float) -> Path:
+    """The part of a path from the last sample at or before a time to the first at or after another one."""
+    first = max(int(np.searchsorted(path.time_s, start_s, "right")) - 1, 0)
+    last = int(np.searchsorted(path.time_s, end_s, "left")) + 1
+    return replace(path, time_s=path.time_s[first:last], position_ned_m=path.position_ned_m[first:last])
 
 
 def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.avoidance.alerts import Level
 from companion.events import AlertChanged
@@ -24,7 +25,7 @@ from ground_tools.inspect.terminal import plain
 
 MOST_LINES = 12
 """Pairs or tracks drawn one by one in one plot; beyond, the closest ones."""
-_MOST_POINTS = 1200
+MOST_POINTS = 1200
 """Of one line: more cannot be told apart on paper."""
 _OVER = 5
 """Broadcasts that a rate is taken over."""
@@ -76,15 +77,15 @@ def shade(index: int) -> str:
     return hexadecimal(colour(index))
 
 
-def thin(time: Array, *rows: Array) -> tuple[Array, ...]:
-    """Every so many samples of a line, so that `_MOST_POINTS` are left."""
-    step = max(len(time) // _MOST_POINTS, 1)
+def thin(time: Array, *rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Every so many samples of a line, so that `MOST_POINTS` are left."""
+    step = max(len(time) // MOST_POINTS, 1)
     return tuple(row[::step] for row in (time, *rows))
 
 
 def lowest(time: Array, values: Array) -> tuple[Array, Array]:
     """A line thinned to the least of every so many samples: no minimum is lost."""
-    step = max(len(time) // _MOST_POINTS, 1)
+    step = max(len(time) // MOST_POINTS, 1)
     if step == 1:
         return time, values
     whole = len(time) // step * step
@@ -191,13 +192,11 @@ def speeds(run: Run, ways: Flown) -> str | None:
         rows = figure.subplots(len(deciding), 1, sharex=True, squeeze=False)[:, 0]
         for axes, record in zip(rows, deciding, strict=True):
             found, offset = record.facts.decisions, ways.offsets_s[record.name]
-            for values, words, tint, width in (
-                (found.velocity_ned_mps, "flown", "#9a9a9a", 1.6),
-                (found.wanted_ned_mps, "wanted", "#0072b2", 1.1),
-                (found.chosen_ned_mps, "commanded", _LIMIT, 1.1),
+            time, speeds = thin(found.now_s + offset, found.speeds_mps)
+            for column, (words, tint, width) in enumerate(
+                (("flown", "#9a9a9a", 1.6), ("wanted", "#0072b2", 1.1), ("commanded", _LIMIT, 1.1))
             ):
-                time, speed = thin(found.now_s + offset, np.linalg.norm(values, axis=1))
-                axes.plot(time, speed, color=tint, lw=width, label=words)
+                axes.plot(time, speeds[:, column], color=tint, lw=width, label=words)
             axes.set_title(plain(record.name), fontsize=_WORDS)
             axes.set(ylim=(0.0, None), ylabel="m/s")
         rows[-1].set_xlabel("time (s)")

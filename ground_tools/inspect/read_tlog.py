@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -29,13 +29,11 @@ from companion.autopilot.readers import READERS, Fields, heartbeat, unpack
 from companion.autopilot.remote_id import RemoteIdCounts, RemoteIdListener
 from companion.autopilot.statustext import TextAssembler
 from companion.autopilot.tlog import TlogCounts, read_tlog
-from companion.autopilot.wire import MAGIC_V1, Frame, checked_frame, is_known, message_id_of
+from companion.autopilot.wire import MAGIC_V1, Frame, cut, is_known, message_id_of
 from companion.errors import PeerDataError
 from companion.events import (
     AdsbVehicle,
-    AnyCommand,
     AnyEvent,
-    Command,
     GlobalPosition,
     GnssFix,
     LocalPosition,
@@ -118,7 +116,8 @@ def read(path: Path) -> Tlog:
             vehicles[frame.system_id] = _Vehicle(frame.system_id)
             gatherers[frame.system_id] = Gatherer()
         for system_id, vehicle in _concerned(frame, vehicles):
-            for step in vehicle.steps(now_s, frame):
+            step = vehicle.step(now_s, frame)
+            if step is not None:
                 gatherers[system_id].step(step)
     known = {system: one for system, one in sorted(vehicles.items()) if one.is_vehicle}
     facts = {system: gatherers[system].facts() for system in known}
@@ -161,7 +160,9 @@ def _steps(path: Path, system_id: int) -> Iterator[Step]:
     vehicles = {system_id: _Vehicle(system_id)}
     for now_s, frame in _frames(path, TlogCounts(), _Clock(), None):
         for _, vehicle in _concerned(frame, vehicles):
-            yield from vehicle.steps(now_s, frame)
+            step = vehicle.step(now_s, frame)
+            if step is not None:
+                yield step
 
 
 def _frames(
@@ -180,14 +181,11 @@ def _frames(
                 number, system, component = raw[2:5] if raw[0] == MAGIC_V1 else raw[4:7]
                 tally.frame(now_s, system, component, number)
                 tally.unknown += not is_known(message_id)
+            # Of messages that are known, which all of these are, the log's reader has seen the checksum.
             if message_id in wanted:
-                frame = checked_frame(raw)
-                if frame is not None:
-                    yield now_s, frame
+                yield now_s, cut(raw)
             elif message_id == _RADIO and tally is not None:
-                frame = checked_frame(raw)
-                if frame is not None:
-                    tally.radio(now_s, unpack(message_id, frame.payload))
+                tally.radio(now_s, unpack(message_id, cut(raw).payload))
 
 
 def _concerned(frame: Frame, vehicles: dict[int, _Vehicle]) -> Iterable[tuple[int, _Vehicle]]:
@@ -240,28 +238,26 @@ class _Vehicle:
         default_factory=lambda: RemoteIdListener(RemoteIdCounts(), frozenset({AUTOPILOT_COMPONENT}), None)
     )
 
-    def steps(self, now_s: float, frame: Frame) -> Iterator[Step]:
-        """What the frame told: one step or none."""
+    def step(self, now_s: float, frame: Frame) -> Step | None:
+        """What the frame told, if anything."""
         try:
-            items = self._items(now_s, frame)
+            commands = self._setpoint(frame) if frame.message_id in _SETPOINTS else ()
+            events = () if frame.message_id in _SETPOINTS else tuple(self._events(now_s, frame))
         except PeerDataError:
             self.bad_values += 1
-            return
-        if not items:
-            return
-        self.seen.update(map(type, items))
-        events = tuple(item for item in items if not isinstance(item, Command))
-        yield Step(now_s=now_s, events=events, commands=tuple(i for i in items if isinstance(i, Command)))
+            return None
+        if not events and not commands:
+            return None
+        self.seen.update(map(type, events), map(type, commands))
+        return Step(now_s=now_s, events=events, commands=commands)
 
     def about(self) -> str:
         """Kind of vehicle and modes flown."""
         modes = f"; modes {', '.join(self.modes)}" if self.modes else ""
         return f"{' then '.join(self.kinds)}{modes}"
 
-    def _items(self, now_s: float, frame: Frame) -> list[AnyEvent | AnyCommand]:
+    def _events(self, now_s: float, frame: Frame) -> Sequence[AnyEvent]:
         message_id = frame.message_id
-        if message_id in _SETPOINTS:
-            return self._setpoint(frame.message_id, unpack(message_id, frame.payload))
         if message_id in remote_id.MESSAGE_IDS:
             return self._remote_id(now_s, frame)
         fields = unpack(message_id, frame.payload)
@@ -282,7 +278,7 @@ class _Vehicle:
             self.has_fix |= event.fix_type >= _FIX_3D
         return [event]  # type: ignore[list-item]
 
-    def _beat(self, fields: Fields) -> list[AnyEvent | AnyCommand]:
+    def _beat(self, fields: Fields) -> Sequence[AnyEvent]:
         _mode, vehicle_type, autopilot, *_ = fields
         if vehicle_type == mavlink.MAV_TYPE_GCS or autopilot == AUTOPILOT_INVALID:
             return []
@@ -294,7 +290,7 @@ class _Vehicle:
         self.modes[mode_name(beat)] = None
         return [beat]
 
-    def _text(self, now_s: float, component_id: int, fields: Fields) -> list[AnyEvent | AnyCommand]:
+    def _text(self, now_s: float, component_id: int, fields: Fields) -> Sequence[AnyEvent]:
         if component_id == AUTOPILOT_COMPONENT:
             return [*self._texts.feed(fields, now_s)]
         # Components send chunks of their own; theirs are rare, and shown as they come.
@@ -304,19 +300,20 @@ class _Vehicle:
             for text in TextAssembler().feed(chunk, now_s)
         ]
 
-    def _setpoint(self, message_id: int, fields: Fields) -> list[AnyEvent | AnyCommand]:
+    def _setpoint(self, frame: Frame) -> tuple[VelocitySetpoint, ...]:
+        fields = unpack(frame.message_id, frame.payload)
         velocity = fields[4:7]
-        mask, target_system, target_component, frame = fields[12:16]
+        mask, target_system, target_component, axes = fields[12:16]
         if target_system not in (0, self.system_id) or target_component not in (0, AUTOPILOT_COMPONENT):
-            return []
+            return ()
         # NaN fails the comparison, infinity exceeds it.
         sane = math.hypot(*velocity) <= MAX_SETPOINT_MPS
-        if mask & _VELOCITY_IGNORED or frame not in _SETPOINTS[message_id] or not sane:
+        if mask & _VELOCITY_IGNORED or axes not in _SETPOINTS[frame.message_id] or not sane:
             self.turned_setpoints += 1
-            return []
-        return [VelocitySetpoint(velocity_ned_mps=velocity)]
+            return ()
+        return (VelocitySetpoint(velocity_ned_mps=velocity),)
 
-    def _remote_id(self, now_s: float, frame: Frame) -> list[AnyEvent | AnyCommand]:
+    def _remote_id(self, now_s: float, frame: Frame) -> Sequence[AnyEvent]:
         if frame.system_id != self.system_id and frame.system_id < _STATION_FROM_ID:
             return []
         self._listener.begin()

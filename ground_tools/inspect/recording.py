@@ -17,7 +17,7 @@ import numpy as np
 import pymap3d
 
 from companion.errors import ConfigError
-from companion.events import Vec3
+from companion.events import Decision, Vec3
 from companion.record import Step
 from ground_tools.inspect import align, manoeuvres
 from ground_tools.inspect.blueprint import Look, blueprint, comparison
@@ -26,6 +26,8 @@ from ground_tools.inspect.flown import (
     Flown,
     Path,
     Separation,
+    between,
+    closest,
     crossing,
     from_frame,
     placed,
@@ -40,6 +42,8 @@ from ground_tools.inspect.writer import Writer, rerun
 
 MAX_PAIRS_DRAWN = 45
 """Closest pairs with a line of their own: ten aircraft in full."""
+MOST_TAKEN = 40_000
+"""Steps, and tracks of their decisions, that are written at once: 600 s among ten aircraft."""
 LOOK_M = (60.0, 600.0)
 """Radius of what a view turns to, at least and at most."""
 NEAR_M = 10_000.0
@@ -203,12 +207,17 @@ def _time_of(note: Note) -> float:
     return note.time_s
 
 
-def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[list[Step]]:
-    def piece(step: Step) -> tuple[int, bool]:
-        return scene.piece(step.now_s + offset_s)
+def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[Iterator[Step]]:
+    """The steps of each piece of the time line, in parts where there are many."""
+    taken = 0
+
+    def piece(step: Step) -> tuple[int, bool, int]:
+        nonlocal taken
+        taken += 1 + sum(len(one.tracks) for one in step.commands if isinstance(one, Decision))
+        return *scene.piece(step.now_s + offset_s), taken // MOST_TAKEN
 
     for _, steps in itertools.groupby(record.steps(), key=piece):
-        yield list(steps)
+        yield steps
 
 
 def _write_distances(writer: Writer, shown: _Shown) -> None:
@@ -222,7 +231,7 @@ def _write_distances(writer: Writer, shown: _Shown) -> None:
     for piece in shown.scene.pieces(edges):
         start = edges[piece.start]
         end = edges[piece.stop] if piece.stop < len(edges) else times[-1]
-        near = [part for path in paths if (part := _between(path, start, end)) is not None]
+        near = [between(p, start, end) for p in paths if p.time_s[0] <= end and p.time_s[-1] >= start]
         found = [pair for pair in separations(tuple(near)) if (pair.first, pair.second) in drawn]
         writer.distances([pair for pair in found if pair.minimum_m is not None], required)
     by_name = {path.name: path for path in paths}
@@ -230,15 +239,6 @@ def _write_distances(writer: Writer, shown: _Shown) -> None:
         ends = (by_name[pair.first], by_name[pair.second])
         middle = np.mean([_at(path, pair.minimum_time_s or 0.0) for path in ends], axis=0)
         writer.closest(pair, middle)
-
-
-def _between(path: Path, start_s: float, end_s: float) -> Path | None:
-    """The part of a path from the last sample at or before a time to the first at or after another one."""
-    first = max(int(np.searchsorted(path.time_s, start_s, "right")) - 1, 0)
-    last = int(np.searchsorted(path.time_s, end_s, "left")) + 1
-    if path.time_s[0] > end_s or path.time_s[-1] < start_s:
-        return None
-    return replace(path, time_s=path.time_s[first:last], position_ned_m=path.position_ned_m[first:last])
 
 
 def _pieces(path: Path, scene: Scene) -> list[Path]:
@@ -252,13 +252,7 @@ def _at(path: Path, time_s: float) -> Array:
 
 
 def _closest_pairs(paths: tuple[Path, ...]) -> tuple[Separation, ...]:
-    """The closest pairs, each with its least distance alone: one pair's line at a time is in memory."""
-    found = []
-    for two in itertools.combinations(paths, 2):
-        (pair,) = separations(two)
-        if pair.minimum_m is not None:
-            found.append(replace(pair, time_s=np.zeros(0), distance_m=np.zeros(0)))
-    return tuple(sorted(found, key=lambda pair: pair.minimum_m or 0.0)[:MAX_PAIRS_DRAWN])
+    return tuple(pair for pair in closest(paths) if pair.minimum_m is not None)[:MAX_PAIRS_DRAWN]
 
 
 def _conflicts(run: Run, offsets_s: dict[str, float]) -> Array:

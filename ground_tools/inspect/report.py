@@ -13,7 +13,7 @@ from typing import Any
 from companion.config import LimitsConfig
 from companion.errors import ConfigError
 from ground_tools.inspect import manoeuvres, plots, terminal
-from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.flown import GRID_S, flown, thinned
 from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.read_run import Run
 from ground_tools.inspect.terminal import Rows, number, plain
@@ -129,7 +129,9 @@ def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
         ways = flown(run)
     except ConfigError:  # told among the problems
         return []
-    pairs = [pair for pair in separations(ways.paths) if pair.minimum_m is not None]
+    ends = [time for path in ways.paths for time in path.time_s[[0, -1]]]
+    every_s = max((max(ends) - min(ends)) / plots.MOST_POINTS, GRID_S)
+    pairs = [pair for pair in thinned(ways.paths, every_s) if pair.minimum_m is not None]
     found: list[tuple[str, str, str | None]] = [
         ("Paths from above", f"By {ways.positions}.", plots.paths(ways, pairs)),
         (

@@ -15,9 +15,9 @@ from companion.config import AvoidanceConfig, Config
 from companion.events import Vec3
 from ground_tools.inspect.flown import Array, Separation
 
-PIECE_S = 120.0
+PIECE_S = 600.0
 """A recording is written in pieces of at most so much of the time line. A whole piece is in memory at once;
-until the file is closed its index is: a few kB for every column of every piece."""
+until the file is closed its index is, some 6 kB for every entity of every piece: shorter pieces take more."""
 BEFORE_S, AFTER_S = 10.0, 20.0
 """What belongs to an encounter besides its conflicts."""
 CALM_S = 20.0

@@ -11,7 +11,7 @@ from companion.avoidance.alerts import Level
 from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged
 from ground_tools.inspect import air, flight, manoeuvres
-from ground_tools.inspect.flown import Separation, flown, separations
+from ground_tools.inspect.flown import Separation, closest, flown
 from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.terminal import text as text
@@ -32,7 +32,7 @@ def describe(run: Run) -> dict[str, Any]:
     unknown: tuple[str, ...] = ()
     try:
         ways = flown(run)
-        pairs, unknown = separations(ways.paths), ways.problems
+        pairs, unknown = closest(ways.paths), ways.problems
     except ConfigError as error:
         unknown = (str(error),)
     line = time_line(run)

@@ -11,7 +11,7 @@ Two time lines: `time` is the run's, `encounter` holds what a viewer opens on, f
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from companion.avoidance.law import VERTICAL_SCALE, separation_m
 from companion.errors import ConfigError
 from companion.events import TrackView
 from companion.record import Step
-from ground_tools.inspect.flown import Array, Path, Separation, least_of
+from ground_tools.inspect.flown import Array, Path, Separation, least_in_bins, least_of
 from ground_tools.inspect.palette import (
     ALERTS,
     AUTHORITY,
@@ -123,7 +123,7 @@ class Writer:
         """A line about the whole run."""
         self.notes("run", [Note(time_s, "INFO", text)])
 
-    def steps(self, name: str, steps: Sequence[Step]) -> None:
+    def steps(self, name: str, steps: Iterable[Step]) -> None:
         """The next steps of one aircraft; all of them in one piece of the time line (`Scene.piece`)."""
         one, piece = self._aircraft[name], self._watches[name].take(steps)
         self._own(one, piece)
@@ -453,16 +453,6 @@ def until_stale(time_s: Array, lengths: NDArray[np.int64]) -> tuple[Array, NDArr
     counts = np.concatenate([lengths, np.zeros(last.sum(), dtype=np.int64)])
     order = np.argsort(times, kind="stable")
     return times[order], counts[order]
-
-
-def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Array]:
-    """Of the rows of each `bin_s` the one with the least value: no minimum is lost."""
-    if not len(time_s):
-        return time_s, values
-    bins = np.floor(time_s / bin_s)
-    order = np.lexsort((values, bins))
-    rows = order[np.append(True, np.diff(bins[order]) > 0.0)]
-    return time_s[rows], values[rows]
 
 
 def square(position_ned_m: Array, velocity_ned_mps: Array, space: HalfSpace) -> Array:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.tlog import TlogCounts, TlogWriter, read_tlog
+from companion.autopilot.tlog import TlogCounts, TlogWriter, _Reader, read_tlog
 from companion.autopilot.wire import MavlinkWriter, is_known, message_id_of
 from companion.errors import PeerDataError
 
@@ -49,6 +49,26 @@ def test_the_writer_keeps_messages_that_the_dialect_does_not_know() -> None:
 def test_both_versions_of_mavlink() -> None:
     data = record(1) + record(2, v1=True) + record(3)
     assert [raw for _, raw in read(data)] == [frame(1), frame(2, v1=True), frame(3)]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_quick_way_reads_what_the_careful_one_does(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a log longer than what is kept in the buffer, with frames that lost their time among the damage."""
+    chance = random.Random(seed)
+    data = b"".join(
+        chance.randbytes(chance.randrange(1, 400)) + frame(number)
+        if chance.random() < 0.02
+        else record(number, v1=chance.random() < 0.3)
+        for number in range(2500)
+    )
+    data = bytes(byte ^ 0x10 if chance.random() < 1e-3 else byte for byte in data)
+    quick, careful = TlogCounts(), TlogCounts()
+    found = read(data, quick)
+    monkeypatch.setattr(_Reader, "plain", lambda _: iter(()))
+    assert found == read(data, careful)
+    assert quick == careful
+    assert quick.records > 2000
+    assert quick.corrupt_spans > 50
 
 
 @pytest.mark.parametrize("damage", [1, 7, 8, 9, 40, 300, 5000])

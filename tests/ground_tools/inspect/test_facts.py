@@ -13,6 +13,7 @@ from companion.events import (
     CurrentMode,
     Firmware,
     FlightMode,
+    GlobalPosition,
     Heartbeat,
     ModeRefused,
     RemoteIdHeard,
@@ -38,7 +39,6 @@ def test_columns_of_a_record(made: SimpleNamespace) -> None:
     kinds = [type(what) for _, what in facts.rare]
     assert kinds == [AuthorityChanged, Say, VehicleText, ModeRefused]
     assert len(facts.decisions.now_s) == 301
-    assert facts.decisions.origin.max() == 0
     assert facts.decisions.conflict.any()
     assert facts.decisions.feasible.all()
 
@@ -90,6 +90,28 @@ def test_who_was_heard_from_an_address() -> None:
         for i, name in enumerate(names)
     ]
     assert gather(steps).heard["aa"].uas_ids == ("A", "B")
+
+
+def test_decisions_tell_where_it_was_only_without_fixes(made: SimpleNamespace) -> None:
+    steps = made.steps(made.northbound, made.eastbound(20.0))
+    blind = [
+        Step(
+            now_s=step.now_s,
+            events=tuple(event for event in step.events if not isinstance(event, GlobalPosition)),
+            commands=step.commands,
+        )
+        for step in steps
+    ]
+    whole, decided = gather([*blind[:9], *steps[9:]]), gather(blind)
+    assert (len(whole.decided), decided.fixes.shape, decided.decided.shape) == (0, (0, 7), (301, 7))
+    fixes = gather(steps).fixes
+    same = np.isin(fixes[:, 0], decided.decided[:, 0])
+    assert decided.decided[:, 1:4] == pytest.approx(fixes[same][:, 1:4], abs=1e-3)
+    # What is kept of a decision has its time, three speeds and two flags.
+    kept = whole.decisions
+    assert (
+        sum(rows.nbytes for rows in (kept.now_s, kept.speeds_mps, kept.feasible, kept.conflict)) == 301 * 22
+    )
 
 
 def test_no_steps() -> None:

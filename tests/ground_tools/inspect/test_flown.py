@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
+from ground_tools.inspect import flown as flown_module
 from ground_tools.inspect.flown import Flown, Separation, flown, from_frame, separations
 from ground_tools.inspect.read_run import read_run, read_unavoided
 from ground_tools.inspect.summary import describe, text
@@ -50,6 +51,27 @@ def test_damage_in_the_middle_is_said_and_what_stands_before_is_read(run_folder:
     assert [problem.split(":")[0] for problem in run.problems] == ["manifest.json", "DMUCA002.events"]
     assert "read up to there" in run.problems[1]
     assert "problem: DMUCA002.events" in text(describe(run))
+
+
+def test_distances_are_the_same_taken_part_by_part(run_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A part at a time is in memory, so that a long flight takes no more of it."""
+    ways = flown(read_run(run_folder))
+    (whole,) = separations(ways.paths)
+    monkeypatch.setattr(flown_module, "PART_S", 7.0)
+    (parted,) = separations(ways.paths)
+    (least,) = flown_module.closest(ways.paths)
+    assert (parted.minimum_m, parted.minimum_time_s) == pytest.approx((whole.minimum_m, whole.minimum_time_s))
+    assert (least.minimum_m, least.minimum_time_s) == (parted.minimum_m, parted.minimum_time_s)
+    assert len(least.time_s) == len(least.distance_m) == 0
+    assert (np.diff(parted.time_s) > 0.0).all()
+    assert np.interp(whole.time_s, parted.time_s, parted.distance_m) == pytest.approx(whole.distance_m)
+    (thin,) = flown_module.thinned(ways.paths, 5.0)
+    assert thin.minimum_m == least.minimum_m
+    assert thin.distance_m.min() == parted.distance_m.min()
+    # Where parts meet, one of the two has to be in two parts.
+    assert 13 <= len(thin.time_s) <= 13 + 8
+    # 20 Hz, and the samples of two aircraft at 10 Hz at most.
+    assert max(len(time) for time, _ in flown_module._relative(*ways.paths)) <= 7 * 40 + 3
 
 
 @pytest.mark.parametrize("content", [None, b"", b"not a record"])

@@ -5,6 +5,7 @@ import itertools
 import math
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -256,7 +257,7 @@ def test_without_a_conflict_it_is_the_closest_approach(built: Path) -> None:
 def test_pieces_end_at_the_encounters_ends() -> None:
     """A piece is in the encounter or not, whole."""
     one = Scene((0.0, 0.0, 0.0), (), first_encounter(np.array([40.0]), None))
-    time = np.arange(0.0, 150.0, 0.5)
+    time = np.arange(0.0, PIECE_S + 30.0, 0.5)
     parts = one.pieces(time)
     assert [time[part][0] for part in parts] == [0.0, 30.0, 60.5, PIECE_S]
     assert [one.piece(time[part][0])[1] for part in parts] == [False, True, False, False]
@@ -280,6 +281,30 @@ def test_a_silence_across_pieces_is_blank(
     rows = dict(Read(tmp_path / "a.rrd").column("/aircraft/a/own", "positions"))
     blank = [time for time, points in rows.items() if not points]
     assert blank == [pytest.approx(28.0), pytest.approx(63.0)]
+
+
+def test_what_is_written_at_once_is_bounded_and_nothing_is_lost(
+    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long or full of tracks a piece of the time line is: 601 steps, and a track at 5 Hz."""
+    monkeypatch.setattr(recording, "MOST_TAKEN", 100)
+    made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(500.0)))
+    run = read_run(tmp_path)
+    lengths: list[int] = []
+    write = writer.Writer.steps
+
+    def counted(self: writer.Writer, name: str, steps: Iterable[Step]) -> None:
+        several = list(steps)
+        lengths.append(len(several))
+        write(self, name, several)
+
+    monkeypatch.setattr(writer.Writer, "steps", counted)
+    recording.write(run, tmp_path / "a.rrd")
+    assert sum(lengths) == 601
+    assert max(lengths) <= 100
+    assert len(lengths) >= 9
+    rows = Read(tmp_path / "a.rrd").column("/aircraft/a/own", "positions")
+    assert len([time for time, points in rows if points]) == 601
 
 
 def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, made: SimpleNamespace) -> None:
