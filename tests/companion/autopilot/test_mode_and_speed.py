@@ -6,7 +6,6 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.events import (
-    CurrentMode,
     FlightMode,
     Heartbeat,
     ModeRefused,
@@ -17,7 +16,7 @@ from companion.events import (
 from .conftest import Scripted
 
 GUIDED, LOITER, BRAKE, RTL = 4, 5, 17, 6
-OFFBOARD, HOLD, RETURN = 0x00060000, 0x03040000, 0x05040000
+OFFBOARD = 0x00060000
 EXTERNAL = SetMode(mode=FlightMode.EXTERNAL)
 
 
@@ -25,10 +24,6 @@ def ack(
     result: int, command: int = 176, system: int = 0, component: int = 0
 ) -> mavlink.MAVLink_command_ack_message:
     return mavlink.MAVLink_command_ack_message(command, result, 0, 0, system, component)
-
-
-def asked(scripted: Scripted) -> list[int]:
-    return [int(m.param1) for m in scripted.told("COMMAND_LONG") if m.command == 511]
 
 
 def mode_requests(scripted: Scripted) -> list[mavlink.MAVLink_command_long_message]:
@@ -131,77 +126,6 @@ def test_no_try_without_a_heartbeat_that_shows_nobody_else_has_chosen(
     (refused,) = scripted.after(0.2)
     assert isinstance(refused, ModeRefused)
     assert "no heartbeat" in refused.reason
-
-
-def fresh(scripted: Scripted, gap_s: float = 0.5) -> Scripted:
-    """CURRENT_MODE has come twice, the last one just now."""
-    scripted.after(1.0)
-    scripted.current_mode(HOLD)
-    scripted.after(gap_s)
-    scripted.current_mode(HOLD)
-    scripted.told()
-    return scripted
-
-
-@pytest.mark.parametrize(
-    ("gap_s", "old_s", "at_once"), [(0.5, 0.5, True), (0.5, 0.7, False), (2.0, 0.5, False)]
-)
-def test_the_first_try_goes_out_at_once_where_px4_tells_each_change(
-    px4: Scripted, gap_s: float, old_s: float, at_once: bool
-) -> None:
-    """Every 2 s is how it comes unasked: then a change is not told at once."""
-    fresh(px4, gap_s).after(old_s)
-    px4.link.send(EXTERNAL, px4.now_s)
-    assert len(mode_requests(px4)) == at_once
-
-
-def test_a_try_waits_for_the_mode_that_may_follow_the_one_just_told(px4: Scripted) -> None:
-    """PX4 tells the old mode once more as it takes the pilot's command, the new one an interval later."""
-    fresh(px4)
-    px4.link.send(EXTERNAL, px4.now_s)
-    px4.after(0.05)
-    assert mode_requests(px4) == []
-    _, refused = px4.current_mode(RETURN)
-    assert isinstance(refused, ModeRefused)
-    assert "AUTO.LOITER to AUTO.RTL" in refused.reason
-    px4.after(1.0)
-    assert mode_requests(px4) == []
-    fresh(px4)
-    px4.link.send(EXTERNAL, px4.now_s)
-    px4.after(0.11)
-    assert len(mode_requests(px4)) == 1
-
-
-def test_current_mode_confirms_like_a_heartbeat(px4: Scripted) -> None:
-    px4.link.send(EXTERNAL, px4.now_s)
-    assert len(mode_requests(px4)) == 1
-    px4.current_mode(HOLD)
-    px4.after(0.05)
-    assert px4.current_mode(OFFBOARD) == [CurrentMode(custom_mode=OFFBOARD)]
-    assert px4.after(2.0) == []
-    assert mode_requests(px4) == []
-
-
-def test_current_mode_is_the_vehicles_own_or_nothing(px4: Scripted) -> None:
-    assert Scripted(autopilot=12).current_mode(RETURN) == []
-    assert px4.current_mode(RETURN, system=2) == []
-    assert px4.current_mode(RETURN, component=191) == []
-    assert px4.current_mode(RETURN, damaged=True) == []
-    px4.link.send(EXTERNAL, px4.now_s)
-    assert len(mode_requests(px4)) == 1
-
-
-def test_current_mode_keeps_no_link_alive(px4: Scripted) -> None:
-    for _ in range(40):
-        px4.after(0.1)
-        px4.current_mode(HOLD)
-    px4.told()
-    for _ in range(100):
-        px4.after(0.1)
-        px4.current_mode(HOLD)
-    assert asked(px4) == []
-    px4.heartbeat(HOLD)
-    assert px4.link.counts.drops == 1
 
 
 def test_the_pilots_choice_ends_a_request_at_once(ardupilot: Scripted) -> None:

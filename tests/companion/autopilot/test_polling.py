@@ -8,15 +8,12 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.streams import FIRMWARE_OF, STREAM_RATES_HZ
-from companion.autopilot.wire import CURRENT_MODE
 from companion.events import (
     AdsbVehicle,
     Firmware,
 )
 
 from .conftest import Scripted
-
-HOLD = 0x03040000
 
 ARDUPILOT_RATES_HZ = {
     number: rate for number, rate in STREAM_RATES_HZ.items() if FIRMWARE_OF.get(number) is not Firmware.PX4
@@ -93,39 +90,6 @@ def test_a_dropped_link_is_not_talked_at_and_asked_again_when_it_returns(ardupil
     ardupilot.after(0.1)
     assert set(asked(ardupilot)) == set(ARDUPILOT_RATES_HZ)
     assert ardupilot.link.counts.drops == 1
-
-
-def asked_for_mode(scripted: Scripted, period_s: float) -> list[float]:
-    """When CURRENT_MODE is asked for within half a minute, where it comes once in a period."""
-    asked_at = []
-    for step in range(1, 301):
-        if step % 10 == 0:
-            scripted.heartbeat(HOLD)
-        if step % round(period_s * 10) == 0:
-            scripted.current_mode(HOLD)
-        scripted.after(0.1)
-        if CURRENT_MODE in asked(scripted):
-            asked_at.append(step / 10)
-    return asked_at
-
-
-def test_px4_is_asked_for_its_mode_in_twentieths_of_a_second() -> None:
-    scripted = Scripted(autopilot=12)
-    scripted.heartbeat(HOLD)
-    scripted.after(0.0)
-    requests = [m for m in scripted.told("COMMAND_LONG") if m.command == 511 and m.param1 == CURRENT_MODE]
-    assert [m.param2 for m in requests] == [50_000.0]
-
-
-def test_a_mode_that_comes_twice_a_second_is_not_asked_for_again(px4: Scripted) -> None:
-    assert asked_for_mode(px4, 0.5) == []
-
-
-@pytest.mark.parametrize("period_s", [2.0, 1e3])
-def test_a_mode_that_comes_as_unasked_or_never_is_asked_for_ever_more_rarely(
-    px4: Scripted, period_s: float
-) -> None:
-    assert asked_for_mode(px4, period_s) == pytest.approx([2.0, 6.0, 14.0], abs=0.4)
 
 
 ADSB = mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE

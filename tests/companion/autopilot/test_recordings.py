@@ -22,6 +22,7 @@ from companion.autopilot.tlog import TlogCounts, TlogWriter, read_tlog
 from companion.autopilot.wire import FrameScanner
 from companion.config import VehicleConfig
 from companion.events import (
+    CurrentMode,
     DownloadMission,
     Event,
     FlightMode,
@@ -226,3 +227,13 @@ def test_vehicles_that_are_not_flown_say_so(name: str, word: str) -> None:
     assert link.vehicle is not None
     assert word in str(link.vehicle.refusal)
     assert {e.mode for e in events if isinstance(e, Heartbeat)} == {FlightMode.OTHER}
+
+
+def test_px4s_current_mode_is_that_of_its_heartbeats(tmp_path: Path) -> None:
+    """Every 2 s, as nobody asked for it: it agrees with the heartbeat before it, or the next one."""
+    _, events, _ = through_link(unpacked("px4_sih_offboard", tmp_path))
+    told = [e for e in events if isinstance(e, CurrentMode | Heartbeat)]
+    found = [k for k, e in enumerate(told) if isinstance(e, CurrentMode)]
+    assert len(found) > 50
+    for k in found:
+        assert told[k].custom_mode in {told[k - 1].custom_mode, told[min(k + 1, len(told) - 1)].custom_mode}
