@@ -267,7 +267,7 @@ def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ..
             for one in near
         )
         return f"{record.name} {ways}"
-    return f"{record.name} {_why_nothing(record, track)}"
+    return f"{record.name} {_why_nothing(record, track, at_s)}"
 
 
 def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: float) -> str:
@@ -282,7 +282,7 @@ def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: fl
     return f" (it took the distance to be {seen_m:.1f} m then)"
 
 
-def _why_nothing(record: AircraftRecord, track: str) -> str:
+def _why_nothing(record: AircraftRecord, track: str, at_s: float) -> str:
     if record.header is None:
         return "has no companion in its log"
     config = record.header.config
@@ -292,5 +292,6 @@ def _why_nothing(record: AircraftRecord, track: str) -> str:
         return 'did nothing: law "none"'
     facts = record.facts.tracks.get(track)
     if facts is None:
-        return "did nothing: not seen by its law"
+        decided = abs(record.facts.decisions.now_s - at_s).min(initial=np.inf) <= _SAME_TIME_S
+        return "did nothing: not seen by its law" if decided else "did nothing: its law did not decide then"
     return "did nothing about it" if facts.conflict.any() else "did nothing: no conflict for its law"

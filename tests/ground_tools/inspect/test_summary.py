@@ -138,6 +138,7 @@ def test_after_a_pilot_took_over_the_closest_is_as_heard(tmp_path: Path) -> None
     assert one["done"][0].endswith("; yielded then: mode changed to LOITER, not by us")
     assert (two["pair"][1], two["by"]) == ("NEXT", "Remote ID, as heard")
     assert two["minimum_m"] == pytest.approx(31.0, abs=0.1)
+    assert two["done"][0].startswith("ONE did nothing: ")
 
 
 def test_a_distance_that_the_law_took_wrongly_is_said(tmp_path: Path, made: SimpleNamespace) -> None:
@@ -155,7 +156,7 @@ def test_a_distance_that_the_law_took_wrongly_is_said(tmp_path: Path, made: Simp
     assert row["done"][0] == (
         "ONE did nothing: no conflict for its law (it took the distance to be 60.0 m then)"
     )
-    assert row["done"][1] == "TWO did nothing: not seen by its law"
+    assert row["done"][1] == "TWO did nothing: its law did not decide then"
     assert "Separation LOST by 1 of 1 pairs; ONE - TWO: closest 1.41 m" in told(tmp_path)
 
 
