@@ -11,6 +11,7 @@ import numpy as np
 from companion.avoidance.alerts import Level
 from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged
+from companion.runtime.disk import RUN
 from ground_tools.inspect import air, flight, manoeuvres
 from ground_tools.inspect.flown import Separation, flown, separations
 from ground_tools.inspect.manoeuvres import Manoeuvre
@@ -59,8 +60,19 @@ def describe(run: Run) -> dict[str, Any]:
         ],
         "air": air_rows,
         "notes": list(run.notes),
-        "problems": [*run.problems, *unknown, *air_problems],
+        "problems": [*run.problems, *_cut_off(run, offsets), *unknown, *air_problems],
     }
+
+
+def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
+    """That a companion's run has no summary, which it writes as it ends."""
+    if run.summary is not None or (run.manifest or {}).get("what") != RUN:
+        return []
+    return [
+        f"{record.name}: the companion did not end by itself (killed, hung, power lost), or still runs: "
+        f"nothing is known after {record.facts.end_s + offsets[record.name]:.1f} s"
+        for record in run.aircraft
+    ]
 
 
 def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str]]:

@@ -214,6 +214,15 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     assert "missing: ONE: no companion in this log" in told(tmp_path)
 
 
+def test_a_companion_that_was_killed_is_said(tmp_path: Path) -> None:
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE")), [step(1.0), step(2.0)])
+    (tmp_path / "manifest.json").write_text('{"what": "companion run", "aircraft": ["ONE"]}')
+    words = "ONE: the companion did not end by itself (killed, hung, power lost), or still runs: nothing is"
+    assert words in told(tmp_path)
+    (tmp_path / "summary.json").write_text('{"ticks": 2}')
+    assert "did not end by itself" not in told(tmp_path)
+
+
 def test_what_logs_say_steers_no_terminal(tmp_path: Path) -> None:
     evil = "[bold red]\x1b[2J\x1b]0;x\x07 \u202egnp\x9b [/nothing]"
     steps = [step(k / 5, decision(track(evil), chosen=(4, 3, 0))) for k in range(20)]
