@@ -48,10 +48,17 @@ from companion.events import (
     VehicleText,
     VehicleTime,
 )
+from companion.geometry import LocalFrame
 from companion.record import Step
-from companion.remote_id.messages import BasicId
+from companion.remote_id.messages import BasicId, Location
+from companion.traffic.fix import make_fix
 
 Array = NDArray[np.float64]
+
+_OWN_AGE_S = 2.0
+"""A distance is taken from an own position of at most this age."""
+_CLOCK_OFF_S = 5.0
+"""A sender's timestamp farther than this from reception is not believed."""
 
 _RARE = (
     AlertChanged,
@@ -82,6 +89,9 @@ class Heard:
     transports: tuple[str, ...]
     uas_ids: tuple[str, ...]
     """Identities that were sent from there."""
+    near: Array
+    """(m, 2) of now_s and the slant distance (m) to the aircraft's own position: a row a second, the least of
+    it. By the reported position, moved on to reception; horizontal where a height is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +179,8 @@ class Gatherer:
         self.utc = array("d")
         self.undulation = array("d")
         self.sent: dict[str, array[float]] = {}
-        self.heard: dict[str, tuple[array[float], set[str], set[str]]] = {}
+        self.heard: dict[str, tuple[array[float], set[str], set[str], array[float]]] = {}
+        self.frame: LocalFrame | None = None
         self.tracks: dict[str, _Track] = {}
         self.rare: list[tuple[float, AnyEvent | AnyCommand]] = []
         self.last: dict[object, object] = {}
@@ -225,10 +236,35 @@ class Gatherer:
             self.rare.append((now_s, item))
 
     def _hear(self, now_s: float, event: RemoteIdHeard) -> None:
-        times, transports, names = self.heard.setdefault(event.address, (array("d"), set(), set()))
+        times, transports, names, near = self.heard.setdefault(
+            event.address, (array("d"), set(), set(), array("d"))
+        )
         times.append(now_s)
         transports.add(event.transport)
         names.update(m.uas_id for m in event.messages if isinstance(m, BasicId) and m.uas_id)
+        for message in event.messages:
+            if isinstance(message, Location) and (distance := self._distance_m(now_s, message)) is not None:
+                if not near or now_s - math.floor(near[-2]) >= 1.0:
+                    near.extend((now_s, distance))
+                elif distance < near[-1]:
+                    near[-2], near[-1] = now_s, distance
+
+    def _distance_m(self, now_s: float, message: Location) -> float | None:
+        """From the own position to a reported one, moved on to now."""
+        if len(self.fixes) < 7 or now_s - self.fixes[-7] > _OWN_AGE_S:
+            return None
+        lat, lon, alt = self.fixes[-6], self.fixes[-5], self.fixes[-4]
+        self.frame = self.frame or LocalFrame(lat, lon, alt)
+        utc = self.utc[-1] if self.utc else None
+        undulation = self.undulation[-1] if self.undulation else None
+        fix = make_fix(message, now_s, utc, self.frame, undulation, _CLOCK_OFF_S)
+        if fix is None:
+            return None
+        age = 0.0 if fix.stamp_s is None else max(now_s - fix.stamp_s, 0.0)
+        velocity = fix.velocity or (0.0, 0.0, 0.0)
+        own = self.frame.to_ned(lat, lon, alt)
+        away = [p + v * age - o for p, v, o in zip(fix.position, velocity, own, strict=True)]
+        return math.hypot(*(away if fix.vertical_known else away[:2]))
 
     def _decide(self, now_s: float, one: Decision) -> None:
         conflict = False
@@ -274,8 +310,13 @@ class Gatherer:
             undulation_m=float(np.median(self.undulation)) if self.undulation else 0.0,
             sent={name: np.asarray(times) for name, times in self.sent.items()},
             heard={
-                address: Heard(np.asarray(times), tuple(sorted(transports)), tuple(sorted(names)))
-                for address, (times, transports, names) in self.heard.items()
+                address: Heard(
+                    np.asarray(times),
+                    tuple(sorted(transports)),
+                    tuple(sorted(names)),
+                    np.asarray(near).reshape(-1, 2),
+                )
+                for address, (times, transports, names, near) in self.heard.items()
             },
             tracks={name: _track_facts(found) for name, found in self.tracks.items()},
             rare=tuple(self.rare),

@@ -35,6 +35,8 @@ GAP_S = 5.0
 _FENCE = frozenset({"fence", "outside the fence"})
 _HOLDING = frozenset(state.value for state in HOLDING)
 _LEAST_TURN_DEG, _LEAST_CHANGE_MPS, _LEAST_LEVEL_MPS = 3.0, 0.2, 0.3
+_TOO_FAST_MPS = 1.0
+"""That a vehicle was taken at so much more than the wanted speed is said."""
 _MOST_NAMED = 3
 
 
@@ -316,7 +318,10 @@ def change(wanted: Vec3, chosen: Vec3) -> str:
 def _done(one: _Open) -> str:
     most = change(one.strongest.wanted_ned_mps, one.strongest.chosen_ned_mps)
     taken = "Taken out of its mission for" if one.guarded else "Left the wanted velocity for"
-    words = f"{taken} {one.end_s - one.start_s:.1f} s; at its most the command was {most}"
+    flown, wanted = (math.hypot(*v[:2]) for v in (one.decision.velocity_ned_mps, one.decision.wanted_ned_mps))
+    fast = one.guarded and flown - wanted >= _TOO_FAST_MPS
+    slowed = f", at {flown:.1f} m/s where {wanted:.1f} m/s were wanted" if fast else ""
+    words = f"{taken} {one.end_s - one.start_s:.1f} s{slowed}; at its most the command was {most}"
     bounds = [*one.tracks, *one.limits]
     words += f"; bounded by {', '.join(bounds)}" if bounds else ""
     return f"{words}." if one.feasible else f"{words}. Not every half-space could be kept."

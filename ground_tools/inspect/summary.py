@@ -6,10 +6,12 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from companion.avoidance.alerts import Level
 from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged
+from companion.runtime.disk import RUN
 from ground_tools.inspect import air, flight, manoeuvres
 from ground_tools.inspect.flown import Separation, closest, flown
 from ground_tools.inspect.manoeuvres import Manoeuvre
@@ -20,6 +22,7 @@ from ground_tools.inspect.timeline import time_line
 NEAR = 3.0
 """Pairs that stayed farther apart than so many times their limit, and never conflicted, are no conflict."""
 _SAME_TIME_S, _FAR_OFF_M = 1.5, 5.0
+_HEARD = "Remote ID, as heard"
 _BEFORE_S = 60.0
 """A manoeuvre that ended longer before the closest approach has nothing to do with it."""
 
@@ -57,8 +60,19 @@ def describe(run: Run) -> dict[str, Any]:
         ],
         "air": air_rows,
         "notes": list(run.notes),
-        "problems": [*run.problems, *unknown, *air_problems],
+        "problems": [*run.problems, *_cut_off(run, offsets), *unknown, *air_problems],
     }
+
+
+def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
+    """That a companion's run has no summary, which it writes as it ends."""
+    if run.summary is not None or (run.manifest or {}).get("what") != RUN:
+        return []
+    return [
+        f"{record.name}: the companion did not end by itself (killed, hung, power lost), or still runs: "
+        f"nothing is known after {record.facts.end_s + offsets[record.name]:.1f} s"
+        for record in run.aircraft
+    ]
 
 
 def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str]]:
@@ -178,11 +192,13 @@ def _conflicts(
         )
     own = {_identity(record) for record in run.aircraft}
     for record in run.aircraft:
-        for track, facts in sorted(record.facts.tracks.items()):
-            if track in own or not facts.conflict.any():
+        for track in sorted((record.facts.tracks.keys() | _warned_of(record)) - own):
+            if not _in_conflict(record, track) and track not in _warned_of(record):
                 continue
-            row = int(facts.distance_m.argmin())
-            least, at_s = float(facts.distance_m[row]), float(facts.now_s[row])
+            closest = _closest_of(record, track)
+            if closest is None:
+                continue
+            least, at_s, by = closest
             rows.append(
                 {
                     "pair": [record.name, track],
@@ -190,11 +206,52 @@ def _conflicts(
                     "minimum_m": least,
                     "required_m": None,
                     "kept": None,
-                    "by": "ADS-B, as predicted aboard" if facts.adsb else "Remote ID, as predicted aboard",
-                    "done": [_what_was_done(record, track, done[record.name], at_s)],
+                    "by": by,
+                    "done": [
+                        _what_was_done(record, track, done[record.name], at_s)
+                        + (_who_flew(record, at_s) if by == _HEARD else "")
+                    ],
                 }
             )
     return sorted(rows, key=lambda row: (row["minimum_m"], row["pair"]))
+
+
+def _warned_of(record: AircraftRecord) -> set[str]:
+    """Tracks that a caution or warning was given for."""
+    return {
+        what.track_id
+        for _, what in record.facts.rare
+        if isinstance(what, AlertChanged) and what.level >= Level.CAUTION
+    }
+
+
+def _closest_of(record: AircraftRecord, track: str) -> tuple[float, float, str] | None:
+    """Least distance to a track, when and by what: as predicted while the law decided, and as heard while it
+    did not, as after a pilot took over."""
+    found = []
+    facts = record.facts.tracks.get(track)
+    if facts is not None:
+        row = int(facts.distance_m.argmin())
+        by = "ADS-B, as predicted aboard" if facts.adsb else "Remote ID, as predicted aboard"
+        found.append((float(facts.distance_m[row]), float(facts.now_s[row]), by))
+    decided_s = record.facts.decisions.now_s
+    for heard in record.facts.heard.values():
+        if track in heard.uas_ids:
+            # A decision stands for the time before and after it.
+            first = np.searchsorted(decided_s, heard.near[:, 0] - _SAME_TIME_S)
+            last = np.searchsorted(decided_s, heard.near[:, 0] + _SAME_TIME_S)
+            alone = heard.near[first == last]
+            found.extend((float(distance), float(now_s), _HEARD) for now_s, distance in alone)
+    return min(found, default=None)
+
+
+def _who_flew(record: AircraftRecord, at_s: float) -> str:
+    """The state then, and why."""
+    last = None
+    for now_s, what in record.facts.rare:
+        if isinstance(what, AuthorityChanged) and now_s <= at_s:
+            last = what
+    return "" if last is None else f"; {last.state} then: {last.reason}"
 
 
 def _identity(record: AircraftRecord) -> str:
@@ -222,7 +279,7 @@ def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ..
             for one in near
         )
         return f"{record.name} {ways}"
-    return f"{record.name} {_why_nothing(record, track)}"
+    return f"{record.name} {_why_nothing(record, track, at_s)}"
 
 
 def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: float) -> str:
@@ -237,7 +294,7 @@ def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: fl
     return f" (it took the distance to be {seen_m:.1f} m then)"
 
 
-def _why_nothing(record: AircraftRecord, track: str) -> str:
+def _why_nothing(record: AircraftRecord, track: str, at_s: float) -> str:
     if record.header is None:
         return "has no companion in its log"
     config = record.header.config
@@ -247,5 +304,6 @@ def _why_nothing(record: AircraftRecord, track: str) -> str:
         return 'did nothing: law "none"'
     facts = record.facts.tracks.get(track)
     if facts is None:
-        return "did nothing: not seen by its law"
+        decided = abs(record.facts.decisions.now_s - at_s).min(initial=np.inf) <= _SAME_TIME_S
+        return "did nothing: not seen by its law" if decided else "did nothing: its law did not decide then"
     return "did nothing about it" if facts.conflict.any() else "did nothing: no conflict for its law"

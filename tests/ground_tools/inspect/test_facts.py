@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,14 +16,17 @@ from companion.events import (
     Firmware,
     FlightMode,
     GlobalPosition,
+    GnssFix,
     Heartbeat,
     ModeRefused,
     RemoteIdHeard,
     Say,
     VehicleText,
+    VehicleTime,
 )
+from companion.geometry import LocalFrame
 from companion.record import Step
-from companion.remote_id.messages import BasicId, IdType, UaType
+from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from ground_tools.inspect.facts import gather
 from ground_tools.inspect.modes import mode_name
 from ground_tools.inspect.read_run import read_run
@@ -112,6 +117,43 @@ def test_decisions_tell_where_it_was_only_without_fixes(made: SimpleNamespace) -
     assert (
         sum(rows.nbytes for rows in (kept.now_s, kept.speeds_mps, kept.feasible, kept.conflict)) == 301 * 22
     )
+
+
+def test_how_near_a_sender_was_counts_from_where_it_is_by_now() -> None:
+    """Heard 1 s late from 30 m ahead, coming at 4 m/s, 10 m higher where its height can be compared; not with
+    an own position of 3 s before."""
+
+    def at(now_s: float, *, gnss: bool) -> Step:
+        place = LocalFrame(47.0, 8.0, 400.0).to_geodetic(30.0, 0.0, -10.0)
+        own = GlobalPosition(
+            time_boot_s=now_s,
+            lat_deg=47.0,
+            lon_deg=8.0,
+            alt_msl_m=400.0,
+            height_above_home_m=50.0,
+            velocity_ned_mps=(0.0, 0.0, 0.0),
+        )
+        fix = GnssFix(
+            fix_type=3, lat_deg=47.0, lon_deg=8.0, alt_msl_m=400.0, alt_ellipsoid_m=447.0, satellites=9
+        )
+        report = Location(
+            lat_deg=place[0],
+            lon_deg=place[1],
+            alt_geodetic_m=place[2] + 47.0,
+            speed_mps=4.0,
+            direction_deg=180.0,
+            timestamp_s=now_s - 1.0,
+        )
+        heard = RemoteIdHeard(transport="wifi", address="aa", messages=(report,))
+        utc = VehicleTime(time_boot_s=now_s, utc_s=3600.0 + now_s)
+        return Step(now_s=now_s, events=(own, utc, *((fix,) if gnss else ()), heard), commands=())
+
+    late = at(13.0, gnss=True)
+    late = msgspec.structs.replace(late, events=late.events[-1:])
+    near = gather([at(10.0, gnss=False), at(10.2, gnss=True), at(11.0, gnss=True)]).heard["aa"].near
+    assert near[:, 0].tolist() == [10.0, 11.0]
+    assert near[:, 1] == pytest.approx([26.0, math.hypot(26.0, 10.0)], abs=0.05)
+    assert len(gather([at(10.0, gnss=True), late]).heard["aa"].near) == 1
 
 
 def test_no_steps() -> None:

@@ -57,6 +57,11 @@ def test_what_the_law_saw_while_the_autopilot_flew_is_none(tmp_path: Path) -> No
     steps += [step(10.0, moved("watching", "avoiding")), *(step(10.0 + k / 5, left) for k in range(1, 5))]
     (one,) = find(read(tmp_path / "taken", CONFIG, steps))
     assert (one.start_s, one.guarded) == (10.2, True)
+    assert "wanted;" not in one.done
+    fast = msgspec.structs.replace(left, velocity_ned_mps=(9.4, 0.0, 0.0))
+    steps[51] = step(10.2, fast)
+    (one,) = find(read(tmp_path / "fast", CONFIG, steps))
+    assert one.done.startswith("Taken out of its mission for 0.6 s, at 9.4 m/s where 5.0 m/s were wanted; ")
 
 
 def test_short_gaps_belong_to_it_and_long_ones_part_it(tmp_path: Path) -> None:

@@ -10,15 +10,19 @@ import pytest
 
 from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig
 from companion.events import (
+    AlertChanged,
     AuthorityChanged,
     Broadcast,
     BroadcastChanged,
+    GlobalPosition,
     RadioState,
+    RemoteIdHeard,
     Say,
     Severity,
     VehicleText,
 )
-from companion.remote_id.messages import Location
+from companion.geometry import LocalFrame
+from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.remote_id.region import Region
 from ground_tools.inspect import terminal
 from ground_tools.inspect.read_run import read_run
@@ -95,6 +99,48 @@ def test_an_aircraft_that_was_only_heard_is_a_conflict_by_prediction(tmp_path: P
     assert "Separation: not known with one aircraft alone" in told(tmp_path)
 
 
+def test_after_a_pilot_took_over_the_closest_is_as_heard(tmp_path: Path) -> None:
+    """The law decides for 2 s and sees INTRUDER 60 m away; it comes on, and another one, of which a warning
+    alone tells. A third one is heard, and is no conflict."""
+
+    def heard(name: str, now_s: float, north_m: float) -> RemoteIdHeard:
+        own = step(now_s).events[0]
+        assert isinstance(own, GlobalPosition)
+        place = LocalFrame(own.lat_deg, own.lon_deg, 450.0).to_geodetic(north_m, 0.0, 0.0)
+        identity = BasicId(uas_id=name, id_type=IdType.SERIAL_NUMBER, ua_type=UaType.NONE)
+        report = Location(lat_deg=place[0], lon_deg=place[1])
+        return RemoteIdHeard(transport="wifi", address=name, messages=(identity, report))
+
+    steps = []
+    for k in range(60):
+        t = k / 5
+        came = abs(t - 8.0)
+        events = (heard("INTRUDER", t, 12.0 + 6.0 * came), heard("NEXT", t, 31.0), heard("FAR", t, 90.0))
+        made = (decision(track("INTRUDER", position_ned_m=(60.0, 0.0, -50.0))),) if t <= 2.0 else ()
+        steps.append(step(t, *made, events=events))
+    took = AuthorityChanged(
+        previous="avoiding", state="yielded", trigger="mode taken", reason="mode changed to LOITER, not by us"
+    )
+    warned = AlertChanged(
+        track_id="NEXT",
+        level=2,
+        reason="closest 1 m aside",
+        time_to_closest_s=9.0,
+        horizontal_m=1.0,
+        vertical_m=0.0,
+        acting=False,
+    )
+    steps[11] = msgspec.structs.replace(steps[11], commands=(took, warned))
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE"), flight=FLYING), steps)
+    one, two = describe(read_run(tmp_path))["conflicts"]
+    assert (one["pair"][1], one["time_s"], one["by"]) == ("INTRUDER", 8.0, "Remote ID, as heard")
+    assert one["minimum_m"] == pytest.approx(12.0, abs=0.1)
+    assert one["done"][0].endswith("; yielded then: mode changed to LOITER, not by us")
+    assert (two["pair"][1], two["by"]) == ("NEXT", "Remote ID, as heard")
+    assert two["minimum_m"] == pytest.approx(31.0, abs=0.1)
+    assert two["done"][0].startswith("ONE did nothing: ")
+
+
 def test_a_distance_that_the_law_took_wrongly_is_said(tmp_path: Path, made: SimpleNamespace) -> None:
     """A liar: ONE takes it to be 60 m away while it is 1.4 m away."""
     for name, me in (("ONE", made.northbound), ("TWO", made.eastbound(2.0))):
@@ -110,7 +156,7 @@ def test_a_distance_that_the_law_took_wrongly_is_said(tmp_path: Path, made: Simp
     assert row["done"][0] == (
         "ONE did nothing: no conflict for its law (it took the distance to be 60.0 m then)"
     )
-    assert row["done"][1] == "TWO did nothing: not seen by its law"
+    assert row["done"][1] == "TWO did nothing: its law did not decide then"
     assert "Separation LOST by 1 of 1 pairs; ONE - TWO: closest 1.41 m" in told(tmp_path)
 
 
@@ -166,6 +212,15 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[:8] + data[16 + int.from_bytes(data[8:12], "little") :])
     assert "missing: ONE: no companion in this log" in told(tmp_path)
+
+
+def test_a_companion_that_was_killed_is_said(tmp_path: Path) -> None:
+    write(tmp_path, Config(identity=IdentityConfig(uas_id="ONE")), [step(1.0), step(2.0)])
+    (tmp_path / "manifest.json").write_text('{"what": "companion run", "aircraft": ["ONE"]}')
+    words = "ONE: the companion did not end by itself (killed, hung, power lost), or still runs: nothing is"
+    assert words in told(tmp_path)
+    (tmp_path / "summary.json").write_text('{"ticks": 2}')
+    assert "did not end by itself" not in told(tmp_path)
 
 
 def test_what_logs_say_steers_no_terminal(tmp_path: Path) -> None:
