@@ -73,7 +73,7 @@ def head(figures: dict[str, Any]) -> str:
     zero = figures["utc_at_zero_s"]
     return (
         f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
-        f"{f'0 s is {utc_words(zero)}; ' if zero is not None else ''}"
+        f"{f'at 0 s: {utc_words(zero)}; ' if zero is not None else ''}"
         f"distances by {figures['positions'] or 'no positions'}"
     )
 

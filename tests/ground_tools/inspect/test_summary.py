@@ -188,4 +188,4 @@ def test_times_count_from_the_first_step_and_the_utc_of_that_is_told(tmp_path: P
     flight = figures["aircraft"][0]["flight"]
     assert (flight["start_s"], flight["end_s"]) == (0.0, 10.0)
     assert figures["utc_at_zero_s"] == 1_767_225_600.0
-    assert "0 s is 2026-01-01 00:00:00Z" in terminal.head(figures)
+    assert "at 0 s: 2026-01-01 00:00:00Z" in terminal.head(figures)
