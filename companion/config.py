@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 import tomli_w
@@ -23,6 +24,8 @@ from companion.remote_id.identity import check_identity, public_operator_id
 from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
 from companion.toml_input import SECRET, decode_toml, without_none
+
+T = TypeVar("T")
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
 Interface = Annotated[str, Meta(min_length=1, max_length=15)]
@@ -299,10 +302,12 @@ def load(path: Path) -> Config:
     if config.path is not None:
         _check_times(config.path, f"{path}: path")
     elif trajectory is not None and trajectory != "mission":
-        config = msgspec.structs.replace(config, path=load_trajectory(path.parent / trajectory))
+        config = msgspec.structs.replace(
+            config, path=_beside(path, "flight.trajectory", trajectory, load_trajectory)
+        )
     fence = config.limits.fence
     if fence is not None and fence != "vehicle" and not config.fence:
-        config = msgspec.structs.replace(config, fence=load_fence(path.parent / fence))
+        config = msgspec.structs.replace(config, fence=_beside(path, "limits.fence", fence, load_fence))
     if config.remote_id.region is not None:
         try:
             region = decode_toml(path.parent / config.remote_id.region, Region)
@@ -355,6 +360,14 @@ def _public_key(text: str, identity: str, path: Path) -> str:
         return public_key_hex(text, path.parent)
     except ConfigError as error:
         raise ConfigError(f'{path}: traffic.keys."{identity}": {error}') from error
+
+
+def _beside(path: Path, key: str, file: str, read: Callable[[Path], T]) -> T:
+    """What a key of the configuration at `path` names; an error tells the key too."""
+    try:
+        return read(path.parent / file)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {key}: {error}") from error
 
 
 def load_trajectory(path: Path) -> TrajectoryFile:

@@ -116,9 +116,10 @@ def pair_rows(verdict: Verdict) -> list[dict[str, object]]:
 def show(verdict: Verdict, folder: Path, console: Console) -> None:
     """One seed, for people."""
     limit = verdict.limit_m
+    avoids = verdict.scenario.avoidance.law != "none"
     table = Table(title=f"Least separation of each pair (must stay above {limit:g} m)")
     table.add_column("pair")
-    for name in ("without avoidance", "with avoidance", "at"):
+    for name in ("without avoidance", *(["with avoidance"] if avoids else []), "at"):
         table.add_column(name, justify="right")
     for row in pair_rows(verdict):
         before, after = float(str(row["unavoided_min_separation_m"])), float(str(row["min_separation_m"]))
@@ -126,7 +127,7 @@ def show(verdict: Verdict, folder: Path, console: Console) -> None:
         table.add_row(
             " - ".join(verdict_name for verdict_name in row["pair"]),  # type: ignore[attr-defined]
             f"[{'red' if before <= limit else 'default'}]{before:.2f} m[/]",
-            f"[{mark}]{after:.2f} m[/]",
+            *([f"[{mark}]{after:.2f} m[/]"] if avoids else []),
             f"{row['at_s']} s",
         )
     console.print(table)
@@ -149,11 +150,11 @@ def show(verdict: Verdict, folder: Path, console: Console) -> None:
     if verdict.scenario.atmc.policy is not None:
         console.print(choices_in_words(list(a.chosen.values())), highlight=False)
     word = "[bold green]OK[/]" if verdict.ok else "[bold red]FAILED[/]"
-    console.print(
-        f"{word}: least separation {a.min_separation_m:.2f} m with avoidance, "
-        f"{verdict.unavoided.min_separation_m:.2f} m without; limit {limit:g} m",
-        soft_wrap=True,
-    )
+    least = f"least separation {a.min_separation_m:.2f} m with avoidance, "
+    least += f"{verdict.unavoided.min_separation_m:.2f} m without"
+    if not avoids:
+        least = f'least separation {a.min_separation_m:.2f} m without avoidance (law "none")'
+    console.print(f"{word}: {least}; limit {limit:g} m", soft_wrap=True)
     for reason in verdict.reasons():
         console.print(f"  {reason}", soft_wrap=True)
     console.print(f"run folder: {folder}", soft_wrap=True)

@@ -191,4 +191,6 @@ def show(report: dict[str, object], console: Console) -> None:
     for name in report["ended_badly"]:  # type: ignore[attr-defined]
         console.print(f"[red]did not end well:[/] {name}")
     word = "[bold green]OK[/]" if report["ok"] else "[bold red]FAILED[/]"
-    console.print(f"{word}: least separation {report['min_separation_m']} m")
+    console.print(
+        f"{word}: least separation {report['min_separation_m']} m from the start of the timed paths"
+    )

@@ -103,9 +103,11 @@ def render(status: Status) -> Group:
     facts = Table.grid(padding=(0, 2))
     for name, text, style in _facts(status):
         facts.add_row(Text(name, "dim"), Text(_shown(text), style))
-    tracks = Table(box=None, padding=(0, 2), title_justify="left")
+    # Nothing of it is cut: what does not fit into the terminal's width goes on in the next line.
+    tracks = Table(box=None, padding=(0, 1))
     for name in ("track", "by", "distance", "above", "speed", "age", "alert", "doubts"):
-        tracks.add_column(name, justify="right" if name in ("distance", "above", "speed", "age") else "left")
+        figure = name in ("distance", "above", "speed", "age")
+        tracks.add_column(name, justify="right" if figure else "left", no_wrap=figure, overflow="fold")
     for t in status.tracks:
         alert = f"{t.alert}{', conflict' if t.conflict else ''}"
         cells = (

@@ -29,6 +29,7 @@ from ground_tools.inspect.modes import mode_name
 from ground_tools.inspect.read_run import AircraftRecord
 
 _ENDED = frozenset({"fault", "yielded"})
+_REBOOT = "its clock began anew: it restarted"
 
 
 def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
@@ -102,12 +103,12 @@ def alerts(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
 
 
 def faults(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
-    """What went wrong, in order: authority lost, requests refused, doubted tracks, warnings."""
-    return [
-        {"time_s": now_s + offset_s, "what": words[0], "text": words[1]}
-        for now_s, what in record.facts.rare
-        if (words := _fault(what)) is not None
-    ]
+    """What went wrong, in order: authority lost, requests refused, doubted tracks, reboots, warnings."""
+    found = [(now_s, words) for now_s, what in record.facts.rare if (words := _fault(what)) is not None]
+    if record.link is not None:
+        found += [(now_s, ("vehicle", _REBOOT)) for now_s in record.link.reboots_s.tolist()]
+    found.sort(key=lambda row: row[0])
+    return [{"time_s": now_s + offset_s, "what": what, "text": text} for now_s, (what, text) in found]
 
 
 def _fault(what: object) -> tuple[str, str] | None:

@@ -45,6 +45,7 @@ def describe(run: Run) -> dict[str, Any]:
     return {
         "run": run.name,
         "clock": line.words,
+        "utc_at_zero_s": line.utc_at_zero_s,
         "positions": ways.positions if ways else None,
         "conflicts": _conflicts(run, pairs, done, offsets),
         "aircraft": [_aircraft(record, done[record.name], offsets[record.name]) for record in run.aircraft],

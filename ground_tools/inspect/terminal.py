@@ -16,6 +16,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from ground_tools.inspect.timeline import utc_words
+
 PIPED_WIDTH = 120
 """Characters a line where there is no terminal."""
 _NAME = 24
@@ -68,8 +70,10 @@ def show(figures: dict[str, Any], console: Console) -> None:
 
 def head(figures: dict[str, Any]) -> str:
     """Which run it is, and by what its times and distances are."""
+    zero = figures["utc_at_zero_s"]
     return (
         f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
+        f"{f'at 0 s: {utc_words(zero)}; ' if zero is not None else ''}"
         f"distances by {figures['positions'] or 'no positions'}"
     )
 
@@ -93,8 +97,8 @@ def verdicts(figures: dict[str, Any]) -> list[str]:
     else:
         found.append("Separation: not known with one aircraft alone")
     found += _verdicts_on_remote_id(figures["aircraft"])
-    for words, key in (("manoeuvres", "manoeuvres"), ("faults and warnings", "faults")):
-        found.append(f"{sum(len(one[key]) for one in figures['aircraft'])} {words}")
+    for words, key in (("Manoeuvres", "manoeuvres"), ("Faults and warnings", "faults")):
+        found.append(f"{words}: {sum(len(one[key]) for one in figures['aircraft'])}")
     return found
 
 
@@ -144,6 +148,7 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
     found = [
         ("Conflicts", _conflicts(figures["conflicts"])),
         ("Other pairs", _separations(figures)),
+        ("Faults and warnings", _faults(aircraft)),
         ("Flights", _flights(aircraft)),
         ("Decisions and alerts", _decisions(aircraft)),
         ("Modes", _spans(aircraft, "modes", "mode")),
@@ -154,7 +159,6 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
         ("Age of information when the law decided", _ages(aircraft)),
         ("The simulated air, by the run's own summary", _air(figures["air"])),
         ("Telemetry link (missing by their numbers: lost, or never logged)", _link(aircraft)),
-        ("Faults and warnings", _faults(aircraft)),
     ]
     return [(title, rows) for title, rows in found if len(rows) > 1]
 

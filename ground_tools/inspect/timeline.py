@@ -46,16 +46,16 @@ def time_line(run: Run) -> TimeLine:
             words = f"one clock taken for granted: no UTC from {silent}"
         return TimeLine(dict.fromkeys(to_utc, 0.0), None, words)
     values = list(known.values())
+    # Small numbers plot better: the line counts from the first step of all.
     if any(record.tlog for record in run.aircraft):
         words = _utc_of_logs(run.aircraft)
         zero = _first_start(run.aircraft)
     elif max(values) - min(values) <= SHARED_CLOCK_S:
-        zero = float(np.median(values))
-        known = dict.fromkeys(known, zero)
+        known = dict.fromkeys(known, float(np.median(values)))
+        zero = min(record.facts.start_s for record in run.aircraft) + float(np.median(values))
         words = "one clock shared by all aircraft" if len(known) > 1 else "the companion's own clock"
     else:
         words = "UTC of the autopilots"
-        # Small numbers plot better: the line counts from the start of the first aircraft.
         zero = _first_start(run.aircraft)
     start = _start_of_paths(run)
     if start is not None:
@@ -121,7 +121,9 @@ def together(runs: Sequence[Run]) -> Run:
     for name, start, end in spans:
         others = [one for one in spans if one[0] != name]
         if others and all(end < other[1] or other[2] < start for other in others):
-            problems.append(f"{name}: no time in common with the others ({_hours(start)} to {_hours(end)})")
+            problems.append(
+                f"{name}: no time in common with the others ({utc_words(start)} to {utc_words(end)})"
+            )
     return Run(
         runs[0].folder,
         None,
@@ -150,7 +152,8 @@ def _span(aircraft: Sequence[AircraftRecord]) -> tuple[float, float]:
     return _first_start(aircraft), max(ends)
 
 
-def _hours(utc_s: float) -> str:
+def utc_words(utc_s: float) -> str:
+    """A moment (Unix seconds), to the second."""
     return time.strftime("%Y-%m-%d %H:%M:%SZ", time.gmtime(utc_s))
 
 

@@ -374,6 +374,19 @@ def test_a_fence_inside_the_configuration_is_checked_as_one_in_a_file(tmp_path):
         configuration.check(msgspec.structs.replace(loaded, fence=areas), "run")
 
 
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ('[flight]\ntrajectory = "none.toml"\n', "flight.trajectory"),
+        ('[limits]\nfence = "none.toml"\n', "limits.fence"),
+    ],
+)
+def test_a_file_that_is_not_there_is_told_with_the_key_that_names_it(tmp_path, text, key):
+    path = write(tmp_path, IDENTITY + text)
+    with pytest.raises(ConfigError, match=re.escape(f"{path}: {key}: {tmp_path}/none.toml: cannot be read")):
+        configuration.load(path)
+
+
 def test_the_vehicles_own_fence_needs_no_file(tmp_path):
     loaded = configuration.load(write(tmp_path, IDENTITY + '[limits]\nfence = "vehicle"\n'))
     assert (loaded.limits.fence, loaded.fence) == ("vehicle", ())

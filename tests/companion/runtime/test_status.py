@@ -194,3 +194,16 @@ def test_what_a_terminal_shows():
         "[bold]?]0;evil?",
     ):  # fmt: skip
         assert words in shown, words
+
+
+def test_a_narrow_terminal_cuts_nothing_of_a_track():
+    warned = msgspec.structs.replace(
+        STATUS.tracks[0], track_id="1596B0000DMUCA000001", distance_m=1234.0, speed_mps=12.0, alert="warning"
+    )
+    console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console.print(watch.render(msgspec.structs.replace(STATUS, tracks=(warned,))))
+    shown = console.export_text()
+    console.file.close()
+    assert "\u2026" not in shown
+    for words in ("distance", "1234 m", "12.0 m/s", "warning", "conflict", "clock"):
+        assert words in shown, words

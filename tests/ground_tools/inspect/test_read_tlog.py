@@ -136,7 +136,10 @@ def test_a_flight_over_a_radio_tells_how_the_link_was(unpacked: Path) -> None:
     autopilot = next(c for c in link.components if (c.system_id, c.component_id) == (1, 1))
     # Its clock began anew behind a silence.
     assert any(start <= link.reboots_s[0] <= start + 30.0 for start, _ in autopilot.gaps_s)
-    rows = {row["component"]: row for row in describe(run)["aircraft"][0]["link"]}
+    figures = describe(run)
+    (reboot,) = (fault for fault in figures["aircraft"][0]["faults"] if "restarted" in fault["text"])
+    assert reboot["time_s"] + figures["utc_at_zero_s"] == pytest.approx(link.reboots_s[0])
+    rows = {row["component"]: row for row in figures["aircraft"][0]["link"]}
     assert len(rows) == len(link.components)
     row = rows["1/1"]
     assert (row["frames"], row["missing"]) == (autopilot.frames, autopilot.missing)

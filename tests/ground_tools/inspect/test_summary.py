@@ -20,6 +20,7 @@ from companion.events import (
     Say,
     Severity,
     VehicleText,
+    VehicleTime,
 )
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
@@ -232,3 +233,14 @@ def test_what_logs_say_steers_no_terminal(tmp_path: Path) -> None:
     assert "[bold red]" in text
     assert "\\x1b[2J" in text
     assert all(c.isprintable() or c == "\n" for c in text)
+
+
+def test_times_count_from_the_first_step_and_the_utc_of_that_is_told(tmp_path: Path) -> None:
+    config = Config(identity=IdentityConfig(uas_id="ONE"), flight=FLYING)
+    told_utc = VehicleTime(time_boot_s=0.0, utc_s=1_767_225_605.0)
+    write(tmp_path, config, [step(62_000.0), step(62_005.0, events=(told_utc,)), step(62_010.0)])
+    figures = describe(read_run(tmp_path))
+    flight = figures["aircraft"][0]["flight"]
+    assert (flight["start_s"], flight["end_s"]) == (0.0, 10.0)
+    assert figures["utc_at_zero_s"] == 1_767_225_600.0
+    assert "at 0 s: 2026-01-01 00:00:00Z" in terminal.head(figures)
