@@ -50,6 +50,8 @@ __all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
 
 COMPONENT = 1
 REBOOT_S = 2.4
+_LINKS_OWN = frozenset({mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE})
+"""Commands that the link carries out by itself."""
 STATUS_S = 0.5
 """PX4 publishes its status so often, and at each change: CURRENT_MODE follows."""
 KEPT_COLLISIONS = 100
@@ -458,6 +460,9 @@ class MockVehicle:
     def _take_command(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         to = (message.get_srcSystem(), message.get_srcComponent())
         command = read_command(message, endpoint, now_s)
+        if command.number not in _LINKS_OWN:
+            # PX4's Commander publishes its status with every command, whatever it makes of it.
+            self._publish_status(now_s)
         for result in self._desk.execute(command):
             if result is None:
                 self._late_acks.append((command, to))

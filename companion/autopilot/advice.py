@@ -17,6 +17,8 @@ LEAST_SETPOINTS = 5
 """The vehicle's setpoint timeout should outlast a hitch of the loop and some lost frames."""
 CREWED_MPS = 80.0
 """Crewed aircraft in low airspace are seldom faster."""
+_SINGLE = 1.0 + 1e-6
+"""What is told as 5.3 is 5.3000002: missions and parameters have single precision."""
 
 
 def remarks(config: Config, vehicle: VehicleParameters) -> list[str]:
@@ -93,7 +95,7 @@ def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[M
         # ArduPilot flies what a mission asks for, whatever its own speed is.
         most_mps = min(most_mps, vehicle.speed_mps.value)
     limit_mps = effective(limits, vehicle).max_speed_mps
-    if most_mps <= limit_mps:
+    if most_mps <= limit_mps * _SINGLE:
         return None
     lower = lower_ones(limits, vehicle).get("max_speed_mps")
     name = "limits.max_speed_mps" if lower is None else lower.name

@@ -29,6 +29,9 @@ _PROMPT_S = 0.6
 asked for, else every 2 s."""
 _SETTLED_S = 0.1
 """Twice the interval with which CURRENT_MODE is asked for."""
+_LONGEST_S = 2 * _SETTLED_S
+"""No try is held back for longer: PX4 tells its mode with every command that it takes, so one that turns its
+gimbal tells it without end."""
 
 _RESULTS: dict[int, str] = {
     number: entry.name.removeprefix("MAV_RESULT_").lower().replace("_", " ")
@@ -97,7 +100,10 @@ class ModeRequest:
         if replaced is not None:
             # The vehicle may still be on its way to what was asked for before.
             self._expected |= replaced._expected
+        self._replaces = replaced is not None
         self._heard = now_s <= told.known_until_s
+        self._held_s: float | None = None
+        """Since when a try is held back by a mode that may not be settled."""
         self._tries = 0
         self._next_s = now_s + RETRY_S
         self._ack: int | None = None
@@ -114,9 +120,12 @@ class ModeRequest:
         if self._tries == MAX_TRIES or (not self._heard and now_s >= self._next_s - RETRY_S + SILENCE_S):
             self.refused = self._reason()
             return None
-        if not self._heard or now_s < self._told.settled_s:
+        if not self._heard:
             return None
-        self._heard = False
+        self._held_s = now_s if self._held_s is None else self._held_s
+        if now_s < min(self._told.settled_s, self._held_s + _LONGEST_S):
+            return None
+        self._heard, self._held_s = False, None
         self._next_s = now_s + RETRY_S
         self._tries += 1
         command = self._command
@@ -128,7 +137,8 @@ class ModeRequest:
         custom_mode = self._told.custom_mode
         self._heard = self._heard or now_s <= self._told.known_until_s
         if custom_mode == self._command.custom_mode:
-            self.confirmed = True
+            # Before the first try it may be left for what was asked for before.
+            self.confirmed = self._tries > 0 or not self._replaces
         elif custom_mode not in self._expected:
             name = self._dialect.name
             self.refused = (

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.avoidance.authority import HOLDING, State
@@ -82,6 +83,30 @@ def test_how_soon_the_setpoints_end_after_the_pilots_choice(firmware, tells, lea
     last = max((tick for tick in range(since, len(one.to_vehicle)) if sent_at(one, tick)), default=since - 1)
     assert least_s <= (last + 1 - since) * TICK_S <= most_s, chosen_s
     assert one.state is State.YIELDED
+
+
+@BOTH
+def test_a_gimbal_that_is_turned_all_the_time_keeps_nobody_from_flying(firmware):
+    """To PX4 each of its commands is a reason to tell the mode anew, which it may be about to change."""
+    sky = head_on(firmware)
+    one = sky.aircraft[0]
+    turning = mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW
+
+    def turn():
+        station(sky, one, lambda e: e.command_long_encode(1, 1, turning, 0, 5.0, 5.0, 0, 0, 0, 0, 0))
+        sky.run(TICK_S)
+
+    while one.state not in HOLDING:
+        turn()
+    taken_s = sky.now_s
+    while not one.heart.in_control:
+        turn()
+        assert sky.now_s - taken_s < 1.0
+    one.vehicle.troubles.sticks = (0.0, 0.5, 0.0, 0.0)
+    moved_s = sky.now_s
+    while one.heart.own.mode is not FlightMode.STICKS:
+        turn()
+        assert sky.now_s - moved_s < 1.0
 
 
 @BOTH

@@ -11,7 +11,7 @@ from companion.events import CurrentMode, FlightMode, ModeRefused, SetMode
 
 from .conftest import Scripted
 
-OFFBOARD, HOLD, RETURN = 0x00060000, 0x03040000, 0x05040000
+OFFBOARD, HOLD, MISSION, RETURN = 0x00060000, 0x03040000, 0x04040000, 0x05040000
 EXTERNAL = SetMode(mode=FlightMode.EXTERNAL)
 
 
@@ -93,6 +93,54 @@ def test_a_try_waits_for_the_mode_that_may_follow_the_one_just_told(px4: Scripte
     px4.link.send(EXTERNAL, px4.now_s)
     px4.after(0.11)
     assert len(mode_requests(px4)) == 1
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 0.02, 0.05])
+def test_current_mode_without_end_holds_no_try_back(px4: Scripted, ahead_s: float) -> None:
+    """PX4 tells its mode with every command that it takes, as of a gimbal that is turned all the time."""
+    fresh(px4)
+    for _ in range(10):
+        px4.after(0.05)
+        px4.current_mode(HOLD)
+    px4.after(ahead_s)
+    px4.link.send(EXTERNAL, px4.now_s)
+    for _ in range(5):
+        px4.after(0.05 - ahead_s)
+        px4.current_mode(HOLD)
+        px4.after(ahead_s)
+    assert len(mode_requests(px4)) == 1
+
+
+def test_current_mode_without_end_hides_no_choice_of_the_pilot(px4: Scripted) -> None:
+    """The old mode is told as his command is taken, the new one an interval later."""
+    fresh(px4)
+    for _ in range(3):
+        px4.after(0.05)
+        px4.current_mode(HOLD)
+    px4.link.send(EXTERNAL, px4.now_s)
+    px4.after(0.09)
+    px4.current_mode(HOLD)
+    px4.after(0.06)
+    assert mode_requests(px4) == []
+    assert isinstance(px4.current_mode(RETURN)[1], ModeRefused)
+    px4.after(1.0)
+    assert mode_requests(px4) == []
+
+
+def test_a_mode_that_takes_anothers_place_is_asked_for_though_it_shows(px4: Scripted) -> None:
+    """The mission was asked for and is not entered yet, as another aircraft comes: OFFBOARD shows, and would
+    be left."""
+    px4.heartbeat(OFFBOARD)
+    px4.link.send(SetMode(mode=FlightMode.MISSION), px4.now_s)
+    px4.after(0.03)
+    px4.current_mode(OFFBOARD)
+    assert [m.param3 for m in mode_requests(px4)] == [4]
+    px4.link.send(EXTERNAL, px4.now_s)
+    px4.after(0.05)
+    px4.current_mode(OFFBOARD)
+    px4.current_mode(MISSION)
+    px4.after(0.2)
+    assert [m.param2 for m in mode_requests(px4)] == [6]
 
 
 def test_current_mode_confirms_like_a_heartbeat(px4: Scripted) -> None:

@@ -63,6 +63,10 @@ COPTER = told(speed_mps=("WP_SPD", 10.0))
         (PX4, mission(0.0), 7.0, None),
         (PX4, mission(0.0), 5.0, "MPC_XY_CRUISE 7 is above limits.max_speed_mps 5"),
         (PX4, mission(15.0), 8.0, "mission item 1: 15 m/s is above limits.max_speed_mps 8"),
+        # In single precision, as both are told.
+        (told(cruise_mps=("MPC_XY_CRUISE", 5.300000190734863)), mission(0.0), 5.3, None),
+        (told(), mission(5.300000190734863), 5.3, None),
+        (told(), mission(5.31), 5.3, "mission item 1: 5.31 m/s is above limits.max_speed_mps 5.3"),
         # PX4 never flies above it.
         (PX4, mission(15.0), 20.0, None),
     ],
