@@ -23,7 +23,7 @@ AGE, RANGE = "Age of information (s)", "Distance to heard traffic (m)"
 SPEED, LINK = "Speed (m/s)", "Link (lost/s; dBm)"
 PLOT_SHARE, LANE_SHARE = 3, 4
 """Of the height: the lanes of five aircraft are seen whole."""
-_EYE = (-0.75, -1.25, 1.05)
+_EYE = (-0.9, -1.5, 1.8)
 """From what is looked at to the eye, in its radii: east, north, up."""
 _LASTING = ("flown", "path")
 """Of an aircraft: drawn whole at any time."""
@@ -244,11 +244,12 @@ def _events(rrb: Any, scenes: Sequence[Scene], name: str) -> Any:
 
 
 def _axis(rrb: Any, scene: Scene) -> Any:
+    """What plots and lanes show first: the encounter, otherwise the whole run; without an end, what comes."""
     one = scene.encounter
-    if one is None:
+    span = scene.span_s if one is None else (one.start_s - one.zero_s, one.end_s - one.zero_s)
+    if span is None:
         return None
-    absolute = rrb.TimeRangeBoundary.absolute
-    start, end = absolute(seconds=one.start_s - one.zero_s), absolute(seconds=one.end_s - one.zero_s)
+    start, end = (rrb.TimeRangeBoundary.absolute(seconds=time) for time in span)
     return rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
 
 

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.avoidance.alerts import Level
-from companion.events import AlertChanged
+from companion.events import AlertChanged, BroadcastChanged, TransportsChosen
 from ground_tools.figure import styled
 from ground_tools.inspect.flown import Array, Flown, Separation, crossing, least_of
 from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.palette import LIMIT, colour, hexadecimal
-from ground_tools.inspect.read_run import Run
+from ground_tools.inspect.pieces import HELD_S
+from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.terminal import plain
 
 MOST_LINES = 12
@@ -55,6 +56,14 @@ _STATES = {
     "fault": "#b00020",
 }
 _LEVELS = {Level.ADVISORY: "#f0e442", Level.CAUTION: "#e69f00", Level.WARNING: "#b00020"}
+_MARKS = {
+    "on the air switched": ("|", "#0072b2", 9.0),
+    "transports chosen": ("|", "#8a8a8a", 6.0),
+    "conflict begins": ("^", "#e69f00", 5.0),
+    "manoeuvre begins": ("D", "#009e73", 3.5),
+    "fault or warning": ("x", "#b00020", 5.0),
+}
+"""Shape, colour and size."""
 _MODES = ("#bcd7ee", "#d8c9e8", "#cfe8c9", "#f0d9b8", "#e0e0e0")
 
 
@@ -258,8 +267,11 @@ def rates(run: Run, ways: Flown) -> str | None:
 
 
 def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
-    """Who flew, in which mode, and the highest alert, over time; None where nothing is known of them."""
+    """Who flew, in which mode, what happened, and the highest alert, over time; None where nothing is known of
+    them."""
     rows: list[tuple[str, list[tuple[float, float, str]]]] = []
+    marks: dict[int, dict[str, list[float]]] = {}
+    """By row."""
     used: dict[str, str] = {}
     modes = list(dict.fromkeys(span["mode"] for one in aircraft for span in one["flight"]["modes"]))
     for one, record in zip(aircraft, run.aircraft, strict=True):
@@ -275,6 +287,10 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
             if spans:
                 rows.append((f"{one['name']} {'who flew' if key == 'authority' else 'mode'}", spans))
         alarms = _alarms(record.facts.rare, ways.offsets_s[record.name], one["flight"]["end_s"])
+        told = _happened(record, one, ways.offsets_s[record.name])
+        if told:
+            marks[len(rows)] = told
+            rows.append((f"{one['name']} events", []))
         if alarms:
             rows.append((f"{one['name']} alert", [(a, b - a, _LEVELS[level]) for a, b, level in alarms]))
             used |= {f"alert {level.name.lower()}": _LEVELS[level] for _, _, level in alarms}
@@ -289,6 +305,10 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
                 (index - 0.4, 0.8),
                 facecolors=[c for _, _, c in spans],
             )
+        for kind, (shape, tint, size) in _MARKS.items():
+            points = [(time, row) for row, told in marks.items() for time in told.get(kind, ())]
+            if points:
+                axes.plot(*zip(*points, strict=True), shape, color=tint, ms=size, label=kind)
         axes.set_yticks(range(len(rows)), [plain(name) for name, _ in rows], fontsize=7.0)
         axes.set(xlabel="time (s)", ylim=(len(rows) - 0.4, -0.6))
         for name, tint in used.items():
@@ -296,6 +316,22 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
         _legend(figure, axes)
 
     return svg((9.4, 1.1 + 0.24 * len(rows)), draw)
+
+
+def _happened(record: AircraftRecord, figures: dict[str, Any], offset_s: float) -> dict[str, list[float]]:
+    """Times of what happened at one moment, by the kinds of `_MARKS` that there were."""
+    conflict = record.facts.decisions.now_s[record.facts.decisions.conflict] + offset_s
+    rare = record.facts.rare
+    found = {
+        "conflict begins": conflict[np.diff(conflict, prepend=-np.inf) > HELD_S].tolist(),
+        "manoeuvre begins": [one["start_s"] for one in figures["manoeuvres"]],
+        "on the air switched": [
+            now_s + offset_s for now_s, what in rare if isinstance(what, BroadcastChanged)
+        ],
+        "transports chosen": [now_s + offset_s for now_s, what in rare if isinstance(what, TransportsChosen)],
+        "fault or warning": [one["time_s"] for one in figures["faults"]],
+    }
+    return {kind: times for kind, times in found.items() if times}
 
 
 def _alarms(
