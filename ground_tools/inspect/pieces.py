@@ -289,9 +289,8 @@ class Watch:
         silent_s = time - self._beat_s
         if any(isinstance(event, Heartbeat) for event in step.events):
             if self._lost:
-                self._note(
-                    time, "INFO", f"link to the autopilot returned after {silent_s:.1f} s", marked=True
-                )
+                words = f"link to the autopilot returned after {silent_s:.1f} s"
+                self._note(time, "INFO", words, marked=True)
             self._beat_s, self._lost = time, False
         elif silent_s > LOST_S and not self._lost:
             self._lost = True

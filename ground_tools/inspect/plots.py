@@ -267,8 +267,7 @@ def rates(run: Run, ways: Flown) -> str | None:
 
 
 def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
-    """Who flew, in which mode, what happened, and the highest alert, over time; None where nothing is known of
-    them."""
+    """Who flew, the mode, what happened, and the highest alert, over time; None where nothing is known."""
     rows: list[tuple[str, list[tuple[float, float, str]]]] = []
     marks: dict[int, dict[str, list[float]]] = {}
     """By row."""
@@ -321,14 +320,12 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
 def _happened(record: AircraftRecord, figures: dict[str, Any], offset_s: float) -> dict[str, list[float]]:
     """Times of what happened at one moment, by the kinds of `_MARKS` that there were."""
     conflict = record.facts.decisions.now_s[record.facts.decisions.conflict] + offset_s
-    rare = record.facts.rare
+    rare = [(now_s + offset_s, what) for now_s, what in record.facts.rare]
     found = {
         "conflict begins": conflict[np.diff(conflict, prepend=-np.inf) > HELD_S].tolist(),
         "manoeuvre begins": [one["start_s"] for one in figures["manoeuvres"]],
-        "on the air switched": [
-            now_s + offset_s for now_s, what in rare if isinstance(what, BroadcastChanged)
-        ],
-        "transports chosen": [now_s + offset_s for now_s, what in rare if isinstance(what, TransportsChosen)],
+        "on the air switched": [time for time, what in rare if isinstance(what, BroadcastChanged)],
+        "transports chosen": [time for time, what in rare if isinstance(what, TransportsChosen)],
         "fault or warning": [one["time_s"] for one in figures["faults"]],
     }
     return {kind: times for kind, times in found.items() if times}
