@@ -177,6 +177,8 @@ class Watch:
             time = step.now_s + self._aircraft.offset_s
             if self._start_s is None:
                 self._start_s = time
+                if self._aircraft.config is not None:  # a lane of its own, also where nothing comes
+                    self._state(time, "alert", UNKNOWN)
             self._link(time, step)
             for event in step.events:
                 self._event(time, event, rows)

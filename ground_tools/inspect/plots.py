@@ -132,10 +132,12 @@ def _around(axes: Any, ways: Flown, pairs: list[Separation]) -> None:
         if pair.minimum_m is not None and pair.minimum_m < pair.required_m:
             _mark(axes, ways, pair)
     centre = crossing(ways, pairs)
+    least_m = min((pair.minimum_m for pair in pairs if pair.minimum_m is not None), default=0.0)
+    half_m = max(_HALF_WIDTH_M, 0.75 * least_m)
     axes.set(
         title="Around the closest approaches",
-        xlim=(centre[1] - _HALF_WIDTH_M, centre[1] + _HALF_WIDTH_M),
-        ylim=(centre[0] - _HALF_WIDTH_M, centre[0] + _HALF_WIDTH_M),
+        xlim=(centre[1] - half_m, centre[1] + half_m),
+        ylim=(centre[0] - half_m, centre[0] + half_m),
         aspect="equal",
         xlabel="east (m)",
     )

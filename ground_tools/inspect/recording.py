@@ -21,7 +21,7 @@ from companion.errors import ConfigError
 from companion.events import Decision, Heartbeat, Vec3
 from companion.record import Step
 from ground_tools.inspect import align, manoeuvres
-from ground_tools.inspect.blueprint import Look, blueprint, comparison
+from ground_tools.inspect.blueprint import Look, blueprint, comparison, nearest_m
 from ground_tools.inspect.flown import (
     Array,
     Flown,
@@ -138,7 +138,11 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
     looks = [_look(one.ways, one.pairs, encounter) for one in shown]
     required_m = max((pair.required_m for found in pairs for pair in found), default=None)
     plan = comparison(
-        dict(zip(names, (one.scene for one in shown), strict=True)), looks, required_m, zero_words
+        dict(zip(names, (one.scene for one in shown), strict=True)),
+        looks,
+        required_m,
+        nearest_m([pair for found in pairs for pair in found]),
+        zero_words,
     )
     stream = _stream(" and ".join(names), path, plan)
     for one in shown:
