@@ -265,7 +265,10 @@ def _events(rrb: Any, scenes: Sequence[Scene], name: str) -> Any:
 def _axis(rrb: Any, scene: Scene) -> Any:
     """What plots and lanes show first: the encounter, otherwise the whole run; without an end, what comes."""
     one = scene.encounter
-    span = scene.span_s if one is None else (one.start_s - one.zero_s, one.end_s - one.zero_s)
+    span = scene.span_s
+    if one is not None:
+        least, most = span or (one.start_s, one.end_s)
+        span = max(one.start_s, least) - one.zero_s, min(one.end_s, most) - one.zero_s
     if span is None:
         return None
     start, end = (rrb.TimeRangeBoundary.absolute(seconds=time) for time in span)

@@ -51,7 +51,7 @@ DRAWN_S = 0.2
 """Distances are drawn as the least of each such time."""
 RANGE_S = 1.0
 """The same of the distances to tracks, as the law saw them."""
-MARK_PX = 3.5, 2.0
+MARK_PX = 3.5, 2.5
 """Radius of markers, at any distance: of what is a warning or worse, and of others, such as switches."""
 AGE_S = 5.0
 """Ages of information are drawn as the greatest of each such time: a loss stands out of their saw teeth."""
