@@ -23,7 +23,7 @@ AGE, RANGE = "Age of information (s)", "Distance to heard traffic (m)"
 SPEED, LINK = "Speed (m/s)", "Link (lost/s; dBm)"
 PLOT_SHARE, LANE_SHARE = 3, 4
 """Of the height: the lanes of five aircraft are seen whole."""
-_EYE = (-0.9, -1.5, 1.8)
+_EYE = (-0.75, -1.25, 1.5)
 """From what is looked at to the eye, in its radii: east, north, up."""
 _LASTING = ("flown", "path")
 """Of an aircraft: drawn whole at any time."""
