@@ -75,7 +75,7 @@ In space, in each aircraft's colour:
 - pale ellipsoid around a track: the volume that the law cleared, while that track is in its way
 - line to a track: pale while in conflict; strong while that track bounds the chosen velocity
 - square at the tip of a chosen arrow: the half-space of a track that bounds it, its tick to what is allowed
-- points of constant size: what happened there; point at one to read it
+- points of constant size, small where nothing is wrong: what happened there; point at one to read it
 
 Speed: thick flown, pale chosen, grey wanted. Distance to heard traffic: as the law saw it, the least of each
 {RANGE_S:g} s. Ages: the greatest of each {AGE_S:g} s. Link: frames that are missing of each component
