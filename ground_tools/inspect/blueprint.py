@@ -23,7 +23,7 @@ AGE, RANGE = "Age of information (s)", "Distance to heard traffic (m)"
 SPEED, LINK = "Speed (m/s)", "Link (lost/s; dBm)"
 PLOT_SHARE, LANE_SHARE = 3, 4
 """Of the height: the lanes of five aircraft are seen whole."""
-_EYE = (-0.75, -1.25, 1.05)
+_EYE = (-0.75, -1.25, 1.5)
 """From what is looked at to the eye, in its radii: east, north, up."""
 _LASTING = ("flown", "path")
 """Of an aircraft: drawn whole at any time."""
@@ -52,7 +52,9 @@ def blueprint(
 
     has_law = any(one.config is not None for one in scene.aircraft)
     near = (
-        [_separation(rrb, scene, max(pair.required_m for pair in pairs), "/separation/**")] if pairs else []
+        [_separation(rrb, scene, max(pair.required_m for pair in pairs), nearest_m(pairs), "/separation/**")]
+        if pairs
+        else []
     )
     plots = [
         _plot(rrb, scene, SPEED, "/speed/**"),
@@ -77,7 +79,11 @@ def blueprint(
 
 
 def comparison(
-    scenes: Mapping[str, Scene], looks: Sequence[Look | None], required_m: float | None, zero: str
+    scenes: Mapping[str, Scene],
+    looks: Sequence[Look | None],
+    required_m: float | None,
+    closest_m: float,
+    zero: str,
 ) -> Any:
     """The views of several runs: beside each other, and one over the other.
 
@@ -85,6 +91,7 @@ def comparison(
         scenes: by the run's name.
         looks: what to turn to in each.
         required_m: separation that was to be kept; None without any pair.
+        closest_m: as near as any pair came; 0 without any.
         zero: what time 0 is, in words.
     """
     import rerun.blueprint as rrb
@@ -104,9 +111,11 @@ def comparison(
         active_tab=0,
     )
     plots = rrb.Tabs(
-        _separation(rrb, one, required_m, *closest, *limits, name="Closest two of each run"),
+        _separation(rrb, one, required_m, closest_m, *closest, *limits, name="Closest two of each run"),
         *(
-            _separation(rrb, scene, required_m, f"{scene.root}/separation/**", name=f"Pairs: {name}")
+            _separation(
+                rrb, scene, required_m, closest_m, f"{scene.root}/separation/**", name=f"Pairs: {name}"
+            )
             for name, scene in scenes.items()
         ),
         _plot(rrb, one, AGE, *(f"{scene.root}/age/**" for scene in every)),
@@ -200,8 +209,18 @@ def _at_all_times(rrb: Any, entities: Sequence[str]) -> dict[str, Any]:
     return dict.fromkeys(entities, ranges)
 
 
+def nearest_m(pairs: Sequence[Separation]) -> float:
+    """As near as any of the pairs came; 0 without any."""
+    return min((pair.minimum_m for pair in pairs if pair.minimum_m is not None), default=0.0)
+
+
 def _separation(
-    rrb: Any, scene: Scene, required_m: float | None, *contents: str, name: str | None = None
+    rrb: Any,
+    scene: Scene,
+    required_m: float | None,
+    closest_m: float,
+    *contents: str,
+    name: str | None = None,
 ) -> Any:
     if name is None:
         name = "Separation (m)" + (f"; limit {required_m:g} m" if required_m is not None else "")
@@ -210,7 +229,7 @@ def _separation(
         origin="/",
         contents=list(contents),
         axis_x=_axis(rrb, scene),
-        axis_y=rrb.ScalarAxis(range=(0.0, 6.0 * (required_m or 10.0)), zoom_lock=False),
+        axis_y=rrb.ScalarAxis(range=(0.0, max(6.0 * (required_m or 10.0), 1.5 * closest_m)), zoom_lock=False),
         plot_legend=rrb.PlotLegend(visible=len(contents) > 1),
     )
 
@@ -244,11 +263,15 @@ def _events(rrb: Any, scenes: Sequence[Scene], name: str) -> Any:
 
 
 def _axis(rrb: Any, scene: Scene) -> Any:
+    """What plots and lanes show first: the encounter, otherwise the whole run; without an end, what comes."""
     one = scene.encounter
-    if one is None:
+    span = scene.span_s
+    if one is not None:
+        least, most = span or (one.start_s, one.end_s)
+        span = max(one.start_s, least) - one.zero_s, min(one.end_s, most) - one.zero_s
+    if span is None:
         return None
-    absolute = rrb.TimeRangeBoundary.absolute
-    start, end = absolute(seconds=one.start_s - one.zero_s), absolute(seconds=one.end_s - one.zero_s)
+    start, end = (rrb.TimeRangeBoundary.absolute(seconds=time) for time in span)
     return rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
 
 

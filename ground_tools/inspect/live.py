@@ -23,8 +23,10 @@ from companion.record import Header, Step
 from ground_tools.inspect.blueprint import blueprint
 from ground_tools.inspect.facts import Array, Facts, Gatherer, gather
 from ground_tools.inspect.flown import Path as Flight
-from ground_tools.inspect.flown import to_ned
+from ground_tools.inspect.flown import from_frame, to_ned
+from ground_tools.inspect.manoeuvres import Starts
 from ground_tools.inspect.palette import colour
+from ground_tools.inspect.pieces import Note
 from ground_tools.inspect.read_run import NOT_REGULAR, is_regular
 from ground_tools.inspect.scene import Aircraft, Scene
 from ground_tools.inspect.web import WebViewer
@@ -37,7 +39,7 @@ WAIT_S = 60.0
 """For the first record of a folder."""
 PATIENCE_S = 5.0
 """For every aircraft to tell where it is and what time it has; then what there is is shown."""
-_CLOSE_S = 3.0
+_CLOSE_S = 2.0
 _HEADER, _POSITION, _UTC = "its first record", "a position", "UTC"
 
 
@@ -102,6 +104,7 @@ class Bridge:
         """By aircraft, what the scene was made without."""
         self._last: dict[str, Array] = {}
         """By aircraft: its last position, where the next part of its path begins."""
+        self._begins: dict[str, Starts] = {}
         self._scene: Scene | None = None
         self._writer: Writer | None = None
 
@@ -203,6 +206,7 @@ class Bridge:
             found = list(part)
             count += len(found)
             self._writer.steps(name, found)
+            self._starts(name, found, offset)
             self._writer.settle(found[-1].now_s + offset)
             facts = gather(found)
             self._path(name, facts.fixes, offset)
@@ -210,6 +214,22 @@ class Bridge:
             told |= set() if facts.utc_offset_s is None else {_UTC}
             self.outgrown |= not told.isdisjoint(self._lacking[name])
         return count
+
+    def _starts(self, name: str, steps: Iterable[Step], offset_s: float) -> None:
+        """Tell and mark where manoeuvres begin."""
+        assert self._scene is not None
+        assert self._writer is not None
+        config = next(one.config for one in self._scene.aircraft if one.name == name)
+        if config is None:
+            return
+        starts = self._begins.setdefault(name, Starts(config))
+        for step in steps:
+            begun = starts.step(step)
+            if begun is not None:
+                words, decision = begun
+                where = from_frame(np.array([decision.position_ned_m]), decision.origin, self._scene.origin)
+                note = Note(step.now_s + offset_s, "WARN", f"manoeuvre begins: {words}", True)
+                self._writer.tell(name, note, where[0])
 
     def _path(self, name: str, fixes: Array, offset_s: float) -> None:
         assert self._scene is not None

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import msgspec
 
 from companion.avoidance.authority import HOLDING, State
+from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import (
     AuthorityChanged,
@@ -138,9 +139,8 @@ def _left(decision: Decision) -> float:
 
 
 class _Finder:
-    def __init__(self, record: AircraftRecord) -> None:
-        assert record.header is not None
-        self._configured = self._config = record.header.config
+    def __init__(self, config: Config) -> None:
+        self._configured = self._config = config
         self._vehicle: VehicleParameters | None = None
         self._areas = self._config.fence
         self.own = Ownship()
@@ -233,12 +233,32 @@ def find(record: AircraftRecord) -> tuple[Manoeuvre, ...]:
     law "none"."""
     if record.header is None or record.header.config.avoidance.law == "none":
         return ()
-    finder = _Finder(record)
+    finder = _Finder(record.header.config)
     found: list[_Open] = []
     for step in record.steps():
         found += finder.step(step)
     found += finder.rest()
     return tuple(_finished(one) for one in found)
+
+
+class Starts:
+    """The manoeuvres of one aircraft as they begin, of a record that grows."""
+
+    def __init__(self, config: Config) -> None:
+        self._finder = None if config.avoidance.law == "none" else _Finder(config)
+        self._told: _Open | None = None
+
+    def step(self, step: Step) -> tuple[str, Decision] | None:
+        """Why a manoeuvre began with the next step, in words, and by which decision; None where none did."""
+        if self._finder is None:
+            return None
+        for _over in self._finder.step(step):
+            pass
+        one = self._finder.open
+        if one is None or one is self._told:
+            return None
+        self._told = one
+        return _why(one), one.decision
 
 
 def _finished(one: _Open) -> Manoeuvre:

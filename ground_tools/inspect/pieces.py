@@ -39,6 +39,7 @@ from companion.events import (
     TrackFlagged,
     TrackView,
     TransportsChosen,
+    TwoAutopilots,
     Vec3,
     VehicleText,
     VelocitySetpoint,
@@ -52,6 +53,8 @@ from ground_tools.inspect.why import Explainer, HalfSpace
 
 HELD_S = 5.0
 """A conflict that comes back within this time is the same one."""
+LOST_S = 3.0
+"""Without a heartbeat of the autopilot: three are missing."""
 BOUNDS_S = 1.0
 """Between two looks at the half-spaces: each is a decision of the law made anew."""
 UNKNOWN = ""
@@ -155,11 +158,14 @@ class Watch:
         self._names: dict[str, str] = {}
         self._last: dict[object, object] = {}
         self._beat: Heartbeat | None = None
+        self._beat_s = math.inf
+        """When it came; only a companion's record tells of a link that is lost."""
+        self._lost = False
         self._start_s: float | None = None
         self._levels: dict[str, int] = {}
         self._conflict_s: dict[str, float] = {}
         """When each track was in conflict last."""
-        self._infeasible_s = -math.inf
+        self._infeasible_s = self._doubt_s = -math.inf
         self._notes: list[Note] = []
         self._states: dict[str, list[tuple[float, str]]] = {}
 
@@ -171,6 +177,9 @@ class Watch:
             time = step.now_s + self._aircraft.offset_s
             if self._start_s is None:
                 self._start_s = time
+                if self._aircraft.config is not None:  # a lane of its own, also where nothing comes
+                    self._state(time, "alert", UNKNOWN)
+            self._link(time, step)
             for event in step.events:
                 self._event(time, event, rows)
             for command in step.commands:
@@ -203,12 +212,19 @@ class Watch:
                 if self._changed(LandedState, event.landed):
                     self._note(time, "INFO", event.landed.value.replace("_", " "))
             case EstimatorState():
-                if self._changed(EstimatorState, event.usable) and not event.usable:
-                    self._note(time, "ERROR", "the autopilot's estimator is not usable", marked=True)
+                known = EstimatorState in self._last
+                if self._changed(EstimatorState, event.usable) and (known or not event.usable):
+                    words = f"the autopilot's estimator is {'usable again' if event.usable else 'not usable'}"
+                    self._note(time, "INFO" if event.usable else "ERROR", words, marked=True)
             case RemoteIdModule():
-                if self._changed((RemoteIdModule, event.component_id), event) and not event.ready:
-                    words = f"Remote ID module {event.component_id} is not ready: {event.text}"
-                    self._note(time, "WARN", words)
+                key = RemoteIdModule, event.component_id
+                known = key in self._last
+                if self._changed(key, (event.ready, event.text)) and (known or not event.ready):
+                    words = f"Remote ID module {event.component_id} is " + ("" if event.ready else "not ")
+                    words += "ready" + (f": {event.text}" if event.text else "")
+                    self._note(time, "INFO" if event.ready else "WARN", words, marked=True)
+            case TwoAutopilots():
+                self._note(time, "ERROR", event.reason, marked=True)
             case ModeRefused():
                 self._note(time, "ERROR", f"mode {event.mode.value} refused: {event.reason}", marked=True)
             case MissionRefused() | FenceRefused():
@@ -219,8 +235,7 @@ class Watch:
                     self._note(time, "WARN", f"radio: {event.text}", marked=True)
             case VehicleText():
                 level = _level(event.severity)
-                marked = level in ("ERROR", "CRITICAL")
-                self._note(time, level, f"autopilot: {event.text}", marked=marked)
+                self._note(time, level, f"autopilot: {event.text}", marked=level != "INFO")
             case Settings():
                 self._note(time, "INFO", "set from the ground: " + _settings(event), marked=True)
             case _:
@@ -251,18 +266,38 @@ class Watch:
                 sent = rates_text(command.rates) or "silent"
                 self._state(time, "protocol", sent)
                 words = f"on the air: {sent}" + (f" ({command.reason})" if command.reason else "")
-                self._note(time, "INFO" if command.legal else "WARN", words, marked=not command.legal)
+                self._note(time, "INFO" if command.legal else "WARN", words, marked=True)
             case TransportsChosen():
                 self._state(time, "choice", f"{command.by}: {rates_text(command.rates) or 'none'}")
                 by = "" if command.by == "fixed" else f" by {command.by}"
                 words = f"transports chosen{by}: {rates_text(command.rates)} ({command.reason})"
-                self._note(time, "WARN" if command.by == "fallback" else "INFO", words)
+                self._note(time, "WARN" if command.by == "fallback" else "INFO", words, marked=True)
             case TrackFlagged():
-                self._note(time, "WARN", f"{command.track_id} doubted, {command.flag}: {command.text}")
+                words = f"{command.track_id} doubted, {command.flag}: {command.text}"
+                # Of false traffic many are doubted at once.
+                marked = time - self._doubt_s > HELD_S
+                self._note(time, "WARN", words, marked=marked)
+                self._doubt_s = time if marked else self._doubt_s
             case Say():
-                self._note(time, _level(command.severity), f"says: {command.text}")
+                level = _level(command.severity)
+                self._note(time, level, f"says: {command.text}", marked=level != "INFO")
             case _:
                 pass
+
+    def _link(self, time: float, step: Step) -> None:
+        """Say when the autopilot fell silent, and when it is heard again."""
+        if self._aircraft.config is None:
+            return
+        silent_s = time - self._beat_s
+        if any(isinstance(event, Heartbeat) for event in step.events):
+            if self._lost:
+                words = f"link to the autopilot returned after {silent_s:.1f} s"
+                self._note(time, "INFO", words, marked=True)
+            self._beat_s, self._lost = time, False
+        elif silent_s > LOST_S and not self._lost:
+            self._lost = True
+            words = f"link to the autopilot lost: no heartbeat for {silent_s:.1f} s"
+            self._note(time, "WARN", words, marked=True)
 
     def _hear(self, time: float, event: RemoteIdHeard, rows: _Rows) -> None:
         rssi = math.nan if event.rssi_dbm is None else event.rssi_dbm

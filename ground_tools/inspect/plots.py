@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.avoidance.alerts import Level
-from companion.events import AlertChanged
+from companion.events import AlertChanged, BroadcastChanged, TransportsChosen
 from ground_tools.figure import styled
 from ground_tools.inspect.flown import Array, Flown, Separation, crossing, least_of
 from ground_tools.inspect.manoeuvres import Manoeuvre
 from ground_tools.inspect.palette import LIMIT, colour, hexadecimal
-from ground_tools.inspect.read_run import Run
+from ground_tools.inspect.pieces import HELD_S
+from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.terminal import plain
 
 MOST_LINES = 12
@@ -55,6 +56,14 @@ _STATES = {
     "fault": "#b00020",
 }
 _LEVELS = {Level.ADVISORY: "#f0e442", Level.CAUTION: "#e69f00", Level.WARNING: "#b00020"}
+_MARKS = {
+    "on the air switched": ("|", "#0072b2", 9.0),
+    "transports chosen": ("|", "#8a8a8a", 6.0),
+    "conflict begins": ("^", "#e69f00", 5.0),
+    "manoeuvre begins": ("D", "#009e73", 3.5),
+    "fault or warning": ("x", "#b00020", 5.0),
+}
+"""Shape, colour and size."""
 _MODES = ("#bcd7ee", "#d8c9e8", "#cfe8c9", "#f0d9b8", "#e0e0e0")
 
 
@@ -123,10 +132,12 @@ def _around(axes: Any, ways: Flown, pairs: list[Separation]) -> None:
         if pair.minimum_m is not None and pair.minimum_m < pair.required_m:
             _mark(axes, ways, pair)
     centre = crossing(ways, pairs)
+    least_m = min((pair.minimum_m for pair in pairs if pair.minimum_m is not None), default=0.0)
+    half_m = max(_HALF_WIDTH_M, 0.75 * least_m)
     axes.set(
         title="Around the closest approaches",
-        xlim=(centre[1] - _HALF_WIDTH_M, centre[1] + _HALF_WIDTH_M),
-        ylim=(centre[0] - _HALF_WIDTH_M, centre[0] + _HALF_WIDTH_M),
+        xlim=(centre[1] - half_m, centre[1] + half_m),
+        ylim=(centre[0] - half_m, centre[0] + half_m),
         aspect="equal",
         xlabel="east (m)",
     )
@@ -258,8 +269,10 @@ def rates(run: Run, ways: Flown) -> str | None:
 
 
 def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
-    """Who flew, in which mode, and the highest alert, over time; None where nothing is known of them."""
+    """Who flew, the mode, what happened, and the highest alert, over time; None where nothing is known."""
     rows: list[tuple[str, list[tuple[float, float, str]]]] = []
+    marks: dict[int, dict[str, list[float]]] = {}
+    """By row."""
     used: dict[str, str] = {}
     modes = list(dict.fromkeys(span["mode"] for one in aircraft for span in one["flight"]["modes"]))
     for one, record in zip(aircraft, run.aircraft, strict=True):
@@ -275,6 +288,10 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
             if spans:
                 rows.append((f"{one['name']} {'who flew' if key == 'authority' else 'mode'}", spans))
         alarms = _alarms(record.facts.rare, ways.offsets_s[record.name], one["flight"]["end_s"])
+        told = _happened(record, one, ways.offsets_s[record.name])
+        if told:
+            marks[len(rows)] = told
+            rows.append((f"{one['name']} events", []))
         if alarms:
             rows.append((f"{one['name']} alert", [(a, b - a, _LEVELS[level]) for a, b, level in alarms]))
             used |= {f"alert {level.name.lower()}": _LEVELS[level] for _, _, level in alarms}
@@ -289,6 +306,10 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
                 (index - 0.4, 0.8),
                 facecolors=[c for _, _, c in spans],
             )
+        for kind, (shape, tint, size) in _MARKS.items():
+            points = [(time, row) for row, told in marks.items() for time in told.get(kind, ())]
+            if points:
+                axes.plot(*zip(*points, strict=True), shape, color=tint, ms=size, label=kind)
         axes.set_yticks(range(len(rows)), [plain(name) for name, _ in rows], fontsize=7.0)
         axes.set(xlabel="time (s)", ylim=(len(rows) - 0.4, -0.6))
         for name, tint in used.items():
@@ -296,6 +317,20 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
         _legend(figure, axes)
 
     return svg((9.4, 1.1 + 0.24 * len(rows)), draw)
+
+
+def _happened(record: AircraftRecord, figures: dict[str, Any], offset_s: float) -> dict[str, list[float]]:
+    """Times of what happened at one moment, by the kinds of `_MARKS` that there were."""
+    conflict = record.facts.decisions.now_s[record.facts.decisions.conflict] + offset_s
+    rare = [(now_s + offset_s, what) for now_s, what in record.facts.rare]
+    found = {
+        "conflict begins": conflict[np.diff(conflict, prepend=-np.inf) > HELD_S].tolist(),
+        "manoeuvre begins": [one["start_s"] for one in figures["manoeuvres"]],
+        "on the air switched": [time for time, what in rare if isinstance(what, BroadcastChanged)],
+        "transports chosen": [time for time, what in rare if isinstance(what, TransportsChosen)],
+        "fault or warning": [one["time_s"] for one in figures["faults"]],
+    }
+    return {kind: times for kind, times in found.items() if times}
 
 
 def _alarms(

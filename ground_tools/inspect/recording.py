@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 import pymap3d
 
+from companion.autopilot.encoders import AUTOPILOT_COMPONENT
 from companion.errors import ConfigError
-from companion.events import Decision, Vec3
+from companion.events import Decision, Heartbeat, Vec3
 from companion.record import Step
 from ground_tools.inspect import align, manoeuvres
-from ground_tools.inspect.blueprint import Look, blueprint, comparison
+from ground_tools.inspect.blueprint import Look, blueprint, comparison, nearest_m
 from ground_tools.inspect.flown import (
     Array,
     Flown,
@@ -137,7 +138,11 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
     looks = [_look(one.ways, one.pairs, encounter) for one in shown]
     required_m = max((pair.required_m for found in pairs for pair in found), default=None)
     plan = comparison(
-        dict(zip(names, (one.scene for one in shown), strict=True)), looks, required_m, zero_words
+        dict(zip(names, (one.scene for one in shown), strict=True)),
+        looks,
+        required_m,
+        nearest_m([pair for found in pairs for pair in found]),
+        zero_words,
     )
     stream = _stream(" and ".join(names), path, plan)
     for one in shown:
@@ -174,7 +179,8 @@ def _write_run(stream: Any, shown: _Shown) -> None:
             here = np.array([one.decision.position_ned_m])
             writer.tell(record.name, note, from_frame(here, one.decision.origin, scene.origin)[0])
         if record.link is not None:
-            _write_link(writer, scene, record.name, record.link.moved(ways.offsets_s[record.name]))
+            own = next((path for path in ways.own if path.name == record.name), None)
+            _write_link(writer, scene, record, record.link.moved(ways.offsets_s[record.name]), own)
     for path in ways.paths:
         for part in _pieces(path, scene):
             n, e, d = part.position_ned_m.T
@@ -184,7 +190,10 @@ def _write_run(stream: Any, shown: _Shown) -> None:
     writer.settle()
 
 
-def _write_link(writer: Writer, scene: Scene, name: str, link: LinkHealth) -> None:
+def _write_link(
+    writer: Writer, scene: Scene, record: AircraftRecord, link: LinkHealth, own: Path | None
+) -> None:
+    name = record.name
     lines = [
         (f"{one.system_id}/{one.component_id} missing frames", one.seconds[:, 0], one.seconds[:, 2])
         for one in link.components
@@ -193,14 +202,21 @@ def _write_link(writer: Writer, scene: Scene, name: str, link: LinkHealth) -> No
     for what, time, values in lines:
         for piece in scene.pieces(time):
             writer.link(name, what, time[piece], values[piece])
-    notes = [
-        Note(begin, "WARN", f"link: nothing from {one.system_id}/{one.component_id} for {long:.1f} s")
-        for one in link.components
-        for begin, long in one.gaps_s
-    ]
-    notes += [Note(time, "WARN", "link: the vehicle's clock began anew") for time in link.reboots_s]
+    vehicle = next((beat.system_id for _, beat in record.facts.rare if isinstance(beat, Heartbeat)), None)
+    notes = [Note(time, "WARN", "link: the vehicle's clock began anew", True) for time in link.reboots_s]
+    for one in link.components:
+        who = f"{one.system_id}/{one.component_id}"
+        autopilot = (one.system_id, one.component_id) == (vehicle, AUTOPILOT_COMPONENT)
+        for begin, long in one.gaps_s:
+            notes.append(Note(begin, "WARN", f"link: nothing from {who} for {long:.1f} s", autopilot))
+            if autopilot and one.seconds[-1, 0] > begin:
+                notes.append(Note(begin + long, "INFO", f"link: {who} again after {long:.1f} s", True))
     for _, some in itertools.groupby(sorted(notes, key=_time_of), key=lambda note: scene.piece(note.time_s)):
-        writer.notes(name, list(some))
+        found = list(some)
+        writer.notes(name, found)
+        marked = [note for note in found if note.marked]
+        if own is not None and marked:
+            writer.mark(name, marked, np.array([_at(own, note.time_s) for note in marked]))
 
 
 def _time_of(note: Note) -> float:
@@ -278,15 +294,22 @@ def _scene(
         )
         for record in run.aircraft
     )
-    return Scene(ways.origin, aircraft, encounter, root, name)
+    starts = [record.facts.start_s + ways.offsets_s[record.name] for record in run.aircraft]
+    ends = [record.facts.end_s + ways.offsets_s[record.name] for record in run.aircraft]
+    return Scene(ways.origin, aircraft, encounter, root, name, (min(starts), max(ends)))
 
 
 def _look(ways: Flown, pairs: Sequence[Separation], encounter: Encounter | None) -> Look | None:
-    """Where the pairs come closest, and as far around as the aircraft are when the encounter begins."""
-    if not pairs or encounter is None:
+    """Where the pairs come closest, and as far around as the aircraft are when the encounter begins; without
+    an encounter, all that was flown."""
+    if not ways.paths:
         return None
+    if not pairs or encounter is None:
+        flown = np.vstack([path.position_ned_m for path in ways.paths])
+        least, most = flown.min(axis=0), flown.max(axis=0)
+        return Look((least + most) / 2.0, max(float(np.linalg.norm(most - least)) / 2.0, LOOK_M[0]))
     centre = crossing(ways, pairs)
-    away = [np.linalg.norm(_at(path, encounter.zero_s) - centre) for path in ways.paths]
+    away = [np.linalg.norm(_at(path, encounter.start_s) - centre) for path in ways.paths]
     return Look(centre, float(np.clip(max(away), *LOOK_M)))
 
 

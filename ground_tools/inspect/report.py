@@ -139,7 +139,7 @@ def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
             f"The closest {min(len(pairs), plots.MOST_LINES)} of {len(pairs)} pairs, while any is near.",
             plots.separation(pairs) if pairs else None,
         ),
-        ("Who flew, modes and alerts", "", plots.lanes(run, ways, figures["aircraft"])),
+        ("Who flew, modes, events and alerts", "", plots.lanes(run, ways, figures["aircraft"])),
         ("Height", "", plots.heights(ways)),
         ("Speeds", "Of every decision of the law.", plots.speeds(run, ways)),
         ("Age of information", "The oldest of every second, as the law decided.", plots.ages(run, ways)),

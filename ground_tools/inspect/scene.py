@@ -77,6 +77,8 @@ class Scene:
     """Entity path that the run's entities stand under."""
     name: str = ""
     """Of the run, where it is one of several: its lines' names begin with it."""
+    span_s: tuple[float, float] | None = None
+    """Its first and last time; None while it goes on."""
 
     def piece(self, time_s: float) -> tuple[int, bool]:
         """Which piece of the time line a time belongs to: a number, and whether it is in the encounter."""

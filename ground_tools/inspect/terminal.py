@@ -147,7 +147,7 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
     aircraft = figures["aircraft"]
     found = [
         ("Conflicts", _conflicts(figures["conflicts"])),
-        ("Other pairs", _separations(figures)),
+        ("Other pairs" if figures["conflicts"] else "Pairs", _separations(figures)),
         ("Faults and warnings", _faults(aircraft)),
         ("Flights", _flights(aircraft)),
         ("Decisions and alerts", _decisions(aircraft)),

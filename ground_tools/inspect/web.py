@@ -9,15 +9,19 @@ keeps it to this machine, and the recording as a file from there.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import http.client
 import importlib.util
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import TracebackType
@@ -28,8 +32,10 @@ from companion.errors import ConfigError
 from sitl_mocks.signals import end_signals
 
 _START_S = 20.0
-_STOP_S = 5.0
+_STOP_S = 2.0
+"""For a viewer to end when it is asked to; one that hangs is killed then."""
 _POLL_S = 0.05
+_PR_SET_PDEATHSIG = 1
 _LOOK_S = 0.2
 _ANSWER_S = 30.0
 MAP_TILES = "https://tile.openstreetmap.org"
@@ -74,6 +80,7 @@ class WebViewer:
             stderr=subprocess.DEVNULL,
             # Ctrl-C is ours: it must not end before what sends to it.
             start_new_session=True,
+            preexec_fn=_end_with(os.getpid()),
             # The process tells its makers of each page, too, but not where this is set.
             env={**os.environ, "CI": "1"},
         )
@@ -202,6 +209,20 @@ def _program() -> Path:
     if found is None or found.origin is None:
         raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'")
     return Path(found.origin).with_name("rerun")
+
+
+def _end_with(parent: int) -> Callable[[], None] | None:
+    """What a child does first so that it ends when its parent does, however that ends (Linux, prctl(2))."""
+    if not sys.platform.startswith("linux"):
+        return None
+    prctl = ctypes.CDLL(None).prctl
+
+    def bind() -> None:
+        prctl(_PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGKILL))
+        if os.getppid() != parent:  # it ended before
+            os._exit(1)
+
+    return bind
 
 
 def _free_ports() -> tuple[int, int]:

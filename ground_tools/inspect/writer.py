@@ -51,6 +51,8 @@ DRAWN_S = 0.2
 """Distances are drawn as the least of each such time."""
 RANGE_S = 1.0
 """The same of the distances to tracks, as the law saw them."""
+MARK_PX = 3.5, 2.5
+"""Radius of markers, at any distance: of what is a warning or worse, and of others, such as switches."""
 AGE_S = 5.0
 """Ages of information are drawn as the greatest of each such time: a loss stands out of their saw teeth."""
 
@@ -73,7 +75,7 @@ In space, in each aircraft's colour:
 - pale ellipsoid around a track: the volume that the law cleared, while that track is in its way
 - line to a track: pale while in conflict; strong while that track bounds the chosen velocity
 - square at the tip of a chosen arrow: the half-space of a track that bounds it, its tick to what is allowed
-- points of constant size: what happened there; point at one to read it
+- points of constant size, small where nothing is wrong: what happened there; point at one to read it
 
 Speed: thick flown, pale chosen, grey wanted. Distance to heard traffic: as the law saw it, the least of each
 {RANGE_S:g} s. Ages: the greatest of each {AGE_S:g} s. Link: frames that are missing of each component
@@ -140,7 +142,7 @@ class Writer:
     def tell(self, name: str, note: Note, where_ned_m: Array) -> None:
         """Something that happened to an aircraft, and where, found in more than its steps."""
         self.notes(name, [note])
-        self._mark(name, [note], where_ned_m.reshape(1, 3))
+        self.mark(name, [note], where_ned_m.reshape(1, 3))
 
     def flown(self, path: Path, latitudes: Array) -> None:
         """The next part of the path that an aircraft flew.
@@ -183,7 +185,7 @@ class Writer:
         words += f", {pair.required_m:g} m were to be kept" if lost else f" ({pair.required_m:g} m kept)"
         note = Note(pair.minimum_time_s, "CRITICAL" if lost else "INFO", words, marked=True)
         self.notes("pairs", [note])
-        self._mark("closest", [note], where_ned_m.reshape(1, 3))
+        self.mark("closest", [note], where_ned_m.reshape(1, 3))
 
     def link(self, name: str, what: str, time_s: Array, values: Array) -> None:
         """A figure of a link's health."""
@@ -349,15 +351,17 @@ class Writer:
         if not len(path_s):
             path_s, path = np.zeros(1), last.reshape(1, 3)
         where = np.column_stack([np.interp(times, path_s, axis) for axis in path.T])
-        self._mark(one.name, marked, where)
+        self.mark(one.name, marked, where)
 
-    def _mark(self, name: str, notes: Sequence[Note], where_ned_m: Array) -> None:
+    def mark(self, name: str, notes: Sequence[Note], where_ned_m: Array) -> None:
+        """Points at (n, 3) where each of the notes happened, in order; all of one piece of the time line."""
         rr = self._rr
         entity = self._entity("markers", name)
-        self._style(entity, rr.Points3D.from_fields(radii=[-3.5], show_labels=False))
+        self._style(entity, rr.Points3D.from_fields(show_labels=False))
         columns = rr.Points3D.columns(
             positions=enu(where_ned_m),
             colors=[LEVELS[note.level] for note in notes],
+            radii=[-MARK_PX[note.level == "INFO"] for note in notes],
             labels=[note.text for note in notes],
         )
         self._send(entity, np.array([note.time_s for note in notes]), columns)

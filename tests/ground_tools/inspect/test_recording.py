@@ -31,12 +31,12 @@ from companion.events import (
 from companion.record import Step
 from companion.remote_id.messages import Location
 from ground_tools.inspect import recording, scene, writer
-from ground_tools.inspect.blueprint import blueprint
-from ground_tools.inspect.flown import flown, separations
+from ground_tools.inspect.blueprint import _axis, _separation, blueprint, nearest_m
+from ground_tools.inspect.flown import flown, placed, separations
 from ground_tools.inspect.link_health import ComponentHealth, LinkHealth
 from ground_tools.inspect.palette import AUTHORITY, LEVELS, LIMIT
 from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.scene import PIECE_S, Aircraft, Scene, first_encounter
+from ground_tools.inspect.scene import PIECE_S, Aircraft, Encounter, Scene, first_encounter
 from ground_tools.inspect.why import HalfSpace
 
 pytest.importorskip("rerun")
@@ -566,3 +566,53 @@ def test_a_half_spaces_square_lies_on_its_plane_and_points_to_what_is_allowed() 
     assert line[1:] @ np.array(space.normal_ned) == pytest.approx(2.0)
     assert line[0] @ np.array(space.normal_ned) > 2.0
     assert line[1] == pytest.approx(velocity + (2.0 - 2.6) * np.array(space.normal_ned))
+
+
+def test_what_a_run_opens_on_is_seen_whole(tmp_path: Path, built: Path, made: SimpleNamespace) -> None:
+    """One aircraft alone: all of its path. Several: from where they are when the encounter begins."""
+    made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(20.0)))
+    ways = placed(read_run(tmp_path))
+    look = recording._look(ways, (), None)
+    assert look is not None
+    away = np.linalg.norm(ways.paths[0].position_ned_m - look.centre_ned_m, axis=1)
+    assert away.max() <= look.radius_m + 1e-6 < 1.01 * away.max()
+
+    ways = placed(read_run(built))
+    pairs = tuple(separations(ways.paths))
+    encounter = Encounter(5.0, 30.0, 50.0, "the first conflict")
+    look = recording._look(ways, pairs, encounter)
+    assert look is not None
+    begin = [[np.interp(5.0, path.time_s, axis) for axis in path.position_ned_m.T] for path in ways.paths]
+    assert max(np.linalg.norm(np.array(begin) - look.centre_ned_m, axis=1)) <= look.radius_m + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("encounter", "seconds"),
+    [
+        (None, (25, 60)),
+        (Encounter(20.0, 30.0, 50.0, ""), (-5, 20)),
+        (Encounter(30.0, 40.0, 80.0, ""), (-10, 20)),
+    ],
+)
+def test_plots_show_the_encounter_as_far_as_there_is_a_run(
+    encounter: Encounter | None, seconds: tuple[int, int]
+) -> None:
+    import rerun.blueprint as rrb
+
+    axis = _axis(rrb, Scene((0.0, 0.0, 0.0), (), encounter, span_s=(25.0, 60.0)))
+    ((shown,),) = [axis.view_range.as_arrow_array().to_pylist()]
+    assert (shown["start"], shown["end"]) == tuple(1_000_000_000 * value for value in seconds)
+    assert _axis(rrb, Scene((0.0, 0.0, 0.0), ())) is None
+
+
+def test_a_plot_reaches_to_pairs_that_stay_far_apart(built: Path) -> None:
+    """Limit 10 m: to 60 m, or to half as far again as the closest pair came."""
+    import rerun.blueprint as rrb
+
+    bare = Scene((0.0, 0.0, 0.0), ())
+    for closest_m, top in ((14.0, 60.0), (200.0, 300.0)):
+        axis = _separation(rrb, bare, 10.0, closest_m, "/separation/**").properties["ScalarAxis"]
+        assert axis.range.as_arrow_array().to_pylist() == [[0.0, top]]
+    pairs = separations(flown(read_run(built)).paths)
+    assert nearest_m(pairs) == pytest.approx(20.0 / math.sqrt(2.0), abs=0.01)
+    assert nearest_m(()) == 0.0

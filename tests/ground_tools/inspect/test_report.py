@@ -125,8 +125,16 @@ def test_nothing_is_fetched(hostile: str) -> None:
 def test_every_plot_and_manoeuvre_is_there(guard: SimpleNamespace) -> None:
     text = guard.page
     found = Page(text)
-    titles = ["Conflicts", "Paths from above", "Separation", "Who flew, modes and alerts", "Height", "Speeds"]
-    titles += ["Age of information", "Broadcasts", "Flights", "Manoeuvres", "Every manoeuvre"]
+    titles = ["Conflicts", "Paths from above", "Separation", "Who flew, modes, events and alerts"]
+    titles += [
+        "Height",
+        "Speeds",
+        "Age of information",
+        "Broadcasts",
+        "Flights",
+        "Manoeuvres",
+        "Every manoeuvre",
+    ]
     assert [t for t in titles if f"<h2>{t}</h2>" not in text] == []
     assert found.tags.count("svg") == 8  # seven plots and one velocity space
     words = "".join(found.words)

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -70,3 +76,55 @@ def test_a_viewer_that_ends_is_said_and_was_told_to_be_silent(
     with pytest.raises(ConfigError, match="ended with exit code 3"):
         WebViewer()
     assert (tmp_path / "told").read_text() == "1"
+
+
+def children(pid: int) -> list[int]:
+    """Processes that one has started and that run."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, parent = stat.read_text().rpartition(")")[2].split()[:2]
+            found += [int(stat.parent.name)] if int(parent) == pid and state != "Z" else []
+    return found
+
+
+def runs(pid: int) -> bool:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="prctl(2), /proc")
+@pytest.mark.parametrize(
+    ("sent", "code"),
+    [(signal.SIGTERM, 0), (signal.SIGHUP, 0), (signal.SIGKILL, -signal.SIGKILL)],
+    ids=lambda value: getattr(value, "name", None),
+)
+def test_however_it_ends_no_viewer_is_left(tmp_path: Path, sent: signal.Signals, code: int) -> None:
+    """SIGHUP: the terminal was closed."""
+    path = tmp_path / "x.rrd"
+    path.write_bytes(CONTENT)
+    words = (
+        "import sys, pathlib; from ground_tools.inspect.web import serve; serve(pathlib.Path(sys.argv[1]))"
+    )
+    with subprocess.Popen([sys.executable, "-c", words, path], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert "127.0.0.1" in process.stdout.readline()
+        (viewer,) = children(process.pid)
+        process.send_signal(sent)
+        assert process.wait(60.0) == code
+    give_up_s = time.monotonic() + 30.0
+    while runs(viewer) and time.monotonic() < give_up_s:
+        time.sleep(0.05)
+    left = runs(viewer)
+    if left:
+        os.kill(viewer, signal.SIGKILL)
+    assert not left
+
+
+def test_a_viewer_that_hangs_is_killed(tmp_path: Path) -> None:
+    path = tmp_path / "x.rrd"
+    path.write_bytes(CONTENT)
+    with WebViewer(path) as shown:
+        os.kill(shown.pid, signal.SIGSTOP)
+    assert not runs(shown.pid)
