@@ -168,6 +168,14 @@ def _write_run(stream: Any, shown: _Shown) -> None:
     writer.say(start, words)
     for problem in (*shown.run.problems, *ways.problems):
         writer.say(start, problem)
+    # First what takes the most memory at once: the steps' pieces find it free again.
+    for path in ways.paths:
+        for part in _pieces(path, scene):
+            n, e, d = part.position_ned_m.T
+            geodetic = pymap3d.ned2geodetic(n, e, d, *scene.origin)
+            writer.flown(part, np.column_stack(geodetic[:2]))
+            release(path.position_ned_m)
+    _write_distances(writer, shown)
     for record in shown.run.aircraft:
         for steps in _in_pieces(record, scene, ways.offsets_s[record.name]):
             writer.steps(record.name, steps)
@@ -177,13 +185,6 @@ def _write_run(stream: Any, shown: _Shown) -> None:
             writer.tell(record.name, note, from_frame(here, one.decision.origin, scene.origin)[0])
         if record.link is not None:
             _write_link(writer, scene, record.name, record.link.moved(ways.offsets_s[record.name]))
-    for path in ways.paths:
-        for part in _pieces(path, scene):
-            n, e, d = part.position_ned_m.T
-            geodetic = pymap3d.ned2geodetic(n, e, d, *scene.origin)
-            writer.flown(part, np.column_stack(geodetic[:2]))
-            release(path.position_ned_m)
-    _write_distances(writer, shown)
     writer.settle()
 
 

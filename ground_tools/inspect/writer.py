@@ -93,9 +93,12 @@ def rerun() -> Any:
         ConfigError: it is not installed.
     """
     try:
+        import pyarrow
         import rerun as module
     except ImportError as error:
         raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'") from error
+    # Arrow's own allocator keeps what is freed between pieces.
+    pyarrow.set_memory_pool(pyarrow.system_memory_pool())
     return module
 
 
