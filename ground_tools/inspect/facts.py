@@ -52,6 +52,7 @@ from companion.geometry import LocalFrame
 from companion.record import Step
 from companion.remote_id.messages import BasicId, Location
 from companion.traffic.fix import make_fix
+from ground_tools.inspect.spill import BLOCK, Spill
 
 Array = NDArray[np.float64]
 
@@ -132,7 +133,8 @@ class Facts:
     """`now_s` of the first step; 0 without any."""
     end_s: float
     fixes: Array
-    """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising."""
+    """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising.
+    Many of them lie in a temporary file (`spill`)."""
     max_height_m: float | None
     """Above home; None without fixes."""
     decided: Array
@@ -171,6 +173,8 @@ class Gatherer:
         self.steps = 0
         self.start_s = self.end_s = 0.0
         self.fixes = array("d")
+        """The last ones; those before are in `_spill`."""
+        self._spill = Spill(7)
         self.max_height_m: float | None = None
         self.decided = array("d")
         self.decisions = array("d")
@@ -204,6 +208,10 @@ class Gatherer:
                 if self.max_height_m is None or height_m > self.max_height_m:
                     self.max_height_m = height_m
                 place = (item.lat_deg, item.lon_deg, item.alt_msl_m)
+                if len(self.fixes) >= 7 * BLOCK:
+                    # The last one may yet be replaced.
+                    self._spill.write(memoryview(self.fixes)[:-7])
+                    del self.fixes[:-7]
                 self.fixes.extend((now_s, *place, *item.velocity_ned_mps))
             case RemoteIdHeard():
                 self._hear(now_s, item)
@@ -297,7 +305,7 @@ class Gatherer:
             steps=self.steps,
             start_s=self.start_s,
             end_s=self.end_s,
-            fixes=np.asarray(self.fixes).reshape(-1, 7),
+            fixes=self._all_fixes(),
             max_height_m=self.max_height_m,
             decided=np.asarray(self.decided).reshape(-1, 7),
             decisions=Decisions(
@@ -321,6 +329,12 @@ class Gatherer:
             tracks={name: _track_facts(found) for name, found in self.tracks.items()},
             rare=tuple(self.rare),
         )
+
+    def _all_fixes(self) -> Array:
+        if self._spill:
+            self._spill.write(memoryview(self.fixes))
+            return self._spill.rows()
+        return np.asarray(self.fixes).reshape(-1, 7)
 
 
 def _track_facts(found: _Track) -> TrackFacts:

@@ -27,6 +27,7 @@ from companion.events import (
 from ground_tools.inspect.flown import MAX_GAP_S, to_ned
 from ground_tools.inspect.modes import mode_name
 from ground_tools.inspect.read_run import AircraftRecord
+from ground_tools.inspect.spill import BLOCK, release
 
 _ENDED = frozenset({"fault", "yielded"})
 _REBOOT = "its clock began anew: it restarted"
@@ -35,12 +36,17 @@ _REBOOT = "its clock began anew: it restarted"
 def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
     """Figures of a flight, ready for JSON; times are the aircraft's plus `offset_s`, unknown is None."""
     fixes = record.facts.fixes
-    speed, distance = None, None
+    speed: float | None = None
+    distance: float | None = None
     if len(fixes):
-        speed = float(np.hypot(fixes[:, 4], fixes[:, 5]).max())
-        places = to_ned(fixes[:, 1:4], (fixes[0, 1], fixes[0, 2], fixes[0, 3]))
-        steps, passed = np.linalg.norm(np.diff(places, axis=0), axis=1), np.diff(fixes[:, 0])
-        distance = float(steps[passed <= MAX_GAP_S].sum())
+        speed = distance = 0.0
+        for at in range(0, len(fixes), BLOCK):
+            rows = fixes[at : at + BLOCK + 1]
+            speed = max(speed, float(np.hypot(rows[:, 4], rows[:, 5]).max()))
+            places = to_ned(rows[:, 1:4], (fixes[0, 1], fixes[0, 2], fixes[0, 3]))
+            steps, passed = np.linalg.norm(np.diff(places, axis=0), axis=1), np.diff(rows[:, 0])
+            distance += float(steps[passed <= MAX_GAP_S].sum())
+            release(fixes)
     beats = [(now_s, what) for now_s, what in record.facts.rare if isinstance(what, Heartbeat)]
     armed = _spans(beats, record.facts.end_s, lambda beat: beat.armed)
     armed = [(a, b, words) for a, b, words in armed if words]

@@ -20,6 +20,7 @@ from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
 from companion.events import Heartbeat, Landed, LandedState, Vec3
 from ground_tools.inspect.read_run import AircraftRecord, Run
+from ground_tools.inspect.spill import BLOCK, release, spilled
 from ground_tools.inspect.timeline import TimeLine, time_line
 from ground_tools.inspect.truth import ORIGIN
 
@@ -115,7 +116,7 @@ def flown(run: Run) -> Flown:
         Path(
             record.name,
             fixes[record.name][:, 0] + line.offsets_s[record.name],
-            to_ned(fixes[record.name][:, 1:4], origin),
+            _positions(fixes[record.name], origin),
             _radius_m(record),
             _on_ground(record) + line.offsets_s[record.name],
         )
@@ -250,9 +251,9 @@ def crossing(ways: Flown, pairs: Sequence[Separation]) -> Array:
     by_name = {path.name: path for path in ways.paths}
     near = [pair for pair in pairs if (pair.minimum_m or 0.0) <= 5.0 * pair.required_m] or pairs[:1]
     middles = [
-        [np.interp(pair.minimum_time_s or 0.0, path.time_s, axis) for axis in path.position_ned_m.T]
+        place(by_name[name], pair.minimum_time_s or 0.0)
         for pair in near
-        for path in (by_name[pair.first], by_name[pair.second])
+        for name in (pair.first, pair.second)
     ]
     return np.asarray(np.mean(middles, axis=0), dtype=np.float64)
 
@@ -288,6 +289,15 @@ def to_ned(geodetic: Array, origin: Vec3) -> Array:
     return np.column_stack([n, e, d])
 
 
+def _positions(fixes: Array, origin: Vec3) -> Array:
+    """(n, 3) of fixes, as many in a temporary file as they are."""
+    found = spilled(
+        (to_ned(fixes[at : at + BLOCK, 1:4], origin) for at in range(0, len(fixes), BLOCK)), columns=3
+    )
+    release(fixes)
+    return found
+
+
 def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array:
     """(n, 3) NED positions (m) of one local frame in another one."""
     if frame_origin == origin or not len(position_ned_m):
@@ -315,6 +325,8 @@ def _separation(first: Path, second: Path, line: Line | None) -> Separation:
         if not np.isnan(distance).all():
             found = _closest(time, relative)
             least = found if least is None else min(least, found)
+        release(first.position_ned_m)
+        release(second.position_ned_m)
     time, distance = (np.concatenate(rows) for rows in zip(*lines, strict=True))
     least_m, least_s = least or (None, None)
     return Separation(first.name, second.name, time, distance, least_m, least_s, required)
@@ -343,6 +355,12 @@ def between(path: Path, start_s: float, end_s: float) -> Path:
     first = max(int(np.searchsorted(path.time_s, start_s, "right")) - 1, 0)
     last = int(np.searchsorted(path.time_s, end_s, "left")) + 1
     return replace(path, time_s=path.time_s[first:last], position_ned_m=path.position_ned_m[first:last])
+
+
+def place(path: Path, time_s: float) -> Array:
+    """(3,) position at a time, that of the nearest end outside the path's."""
+    near = between(path, time_s, time_s)
+    return np.array([np.interp(time_s, near.time_s, axis) for axis in near.position_ned_m.T])
 
 
 def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:

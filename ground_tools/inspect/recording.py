@@ -31,6 +31,7 @@ from ground_tools.inspect.flown import (
     closest,
     crossing,
     from_frame,
+    place,
     placed,
     separations,
 )
@@ -39,6 +40,7 @@ from ground_tools.inspect.palette import Rgb, colour
 from ground_tools.inspect.pieces import Note
 from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.scene import Aircraft, Encounter, Scene, first_encounter
+from ground_tools.inspect.spill import release
 from ground_tools.inspect.writer import Writer, rerun
 
 MAX_PAIRS_DRAWN = 45
@@ -171,6 +173,14 @@ def _write_run(stream: Any, shown: _Shown) -> None:
     writer.say(start, words)
     for problem in (*shown.run.problems, *ways.problems):
         writer.say(start, problem)
+    # First what takes the most memory at once: the steps' pieces find it free again.
+    for path in ways.paths:
+        for part in _pieces(path, scene):
+            n, e, d = part.position_ned_m.T
+            geodetic = pymap3d.ned2geodetic(n, e, d, *scene.origin)
+            writer.flown(part, np.column_stack(geodetic[:2]))
+            release(path.position_ned_m)
+    _write_distances(writer, shown)
     for record in shown.run.aircraft:
         for steps in _in_pieces(record, scene, ways.offsets_s[record.name]):
             writer.steps(record.name, steps)
@@ -181,12 +191,6 @@ def _write_run(stream: Any, shown: _Shown) -> None:
         if record.link is not None:
             own = next((path for path in ways.own if path.name == record.name), None)
             _write_link(writer, scene, record, record.link.moved(ways.offsets_s[record.name]), own)
-    for path in ways.paths:
-        for part in _pieces(path, scene):
-            n, e, d = part.position_ned_m.T
-            geodetic = pymap3d.ned2geodetic(n, e, d, *scene.origin)
-            writer.flown(part, np.column_stack(geodetic[:2]))
-    _write_distances(writer, shown)
     writer.settle()
 
 
@@ -216,7 +220,7 @@ def _write_link(
         writer.notes(name, found)
         marked = [note for note in found if note.marked]
         if own is not None and marked:
-            writer.mark(name, marked, np.array([_at(own, note.time_s) for note in marked]))
+            writer.mark(name, marked, np.array([place(own, note.time_s) for note in marked]))
 
 
 def _time_of(note: Note) -> float:
@@ -225,12 +229,14 @@ def _time_of(note: Note) -> float:
 
 def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[Iterator[Step]]:
     """The steps of each piece of the time line, in parts where there are many."""
-    taken = 0
+    current, taken = (0, False), 0
 
     def piece(step: Step) -> tuple[int, bool, int]:
-        nonlocal taken
+        nonlocal current, taken
+        if (its := scene.piece(step.now_s + offset_s)) != current:
+            current, taken = its, 0
         taken += 1 + sum(len(one.tracks) for one in step.commands if isinstance(one, Decision))
-        return *scene.piece(step.now_s + offset_s), taken // MOST_TAKEN
+        return *its, taken // MOST_TAKEN
 
     for _, steps in itertools.groupby(record.steps(), key=piece):
         yield steps
@@ -253,7 +259,7 @@ def _write_distances(writer: Writer, shown: _Shown) -> None:
     by_name = {path.name: path for path in paths}
     for pair in shown.pairs:
         ends = (by_name[pair.first], by_name[pair.second])
-        middle = np.mean([_at(path, pair.minimum_time_s or 0.0) for path in ends], axis=0)
+        middle = np.mean([place(path, pair.minimum_time_s or 0.0) for path in ends], axis=0)
         writer.closest(pair, middle)
 
 
@@ -261,10 +267,6 @@ def _pieces(path: Path, scene: Scene) -> list[Path]:
     """Parts that join: each ends with the first sample of the next one."""
     rows = [slice(one.start, one.stop + 1) for one in scene.pieces(path.time_s)]
     return [replace(path, time_s=path.time_s[r], position_ned_m=path.position_ned_m[r]) for r in rows]
-
-
-def _at(path: Path, time_s: float) -> Array:
-    return np.array([np.interp(time_s, path.time_s, axis) for axis in path.position_ned_m.T])
 
 
 def _closest_pairs(paths: tuple[Path, ...]) -> tuple[Separation, ...]:
@@ -305,11 +307,13 @@ def _look(ways: Flown, pairs: Sequence[Separation], encounter: Encounter | None)
     if not ways.paths:
         return None
     if not pairs or encounter is None:
-        flown = np.vstack([path.position_ned_m for path in ways.paths])
-        least, most = flown.min(axis=0), flown.max(axis=0)
+        least = np.min([path.position_ned_m.min(axis=0) for path in ways.paths], axis=0)
+        most = np.max([path.position_ned_m.max(axis=0) for path in ways.paths], axis=0)
+        for path in ways.paths:
+            release(path.position_ned_m)
         return Look((least + most) / 2.0, max(float(np.linalg.norm(most - least)) / 2.0, LOOK_M[0]))
     centre = crossing(ways, pairs)
-    away = [np.linalg.norm(_at(path, encounter.start_s) - centre) for path in ways.paths]
+    away = [np.linalg.norm(place(path, encounter.start_s) - centre) for path in ways.paths]
     return Look(centre, float(np.clip(max(away), *LOOK_M)))
 
 

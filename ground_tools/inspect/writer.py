@@ -56,6 +56,9 @@ MARK_PX = 3.5, 2.5
 AGE_S = 5.0
 """Ages of information are drawn as the greatest of each such time: a loss stands out of their saw teeth."""
 
+HELD_ROWS = 2000
+"""Parts of a line are sent together until they are so many rows: each costs memory until the end."""
+
 _SHAPES = {
     "Arrows3D": "vectors",
     "Ellipsoids3D": "half_sizes",
@@ -92,9 +95,12 @@ def rerun() -> Any:
         ConfigError: it is not installed.
     """
     try:
+        import pyarrow
         import rerun as module
     except ImportError as error:
         raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'") from error
+    # Arrow's own allocator keeps what is freed between pieces.
+    pyarrow.set_memory_pool(pyarrow.system_memory_pool())
     return module
 
 
@@ -109,6 +115,8 @@ class Writer:
         self._watches = {one.name: Watch(one, scene.origin) for one in scene.aircraft}
         self._known: set[str] = set()
         self._last_ned_m: dict[str, Array] = {}
+        self._held: dict[str, list[tuple[Array, Array]]] = {}
+        """By entity: times and values of a line that are yet to be sent."""
         self._due: dict[str, tuple[str, float]] = {}
         """By entity: its archetype, and the time of its last row, which is to go when it is stale."""
         stream.log("/", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -116,7 +124,9 @@ class Writer:
         stream.log(self._entity("about"), about, static=True)
 
     def settle(self, now_s: float = math.inf) -> None:
-        """Take away what was drawn last and is stale now; at the end of a run, everything."""
+        """Send what is held, and take away what was drawn last and is stale now; at the end of a run, all."""
+        for entity in list(self._held):
+            self._send_held(entity)
         for entity, due in list(self._due.items()):
             if now_s - due[1] > SHOWN_S:
                 self._blank(entity, *self._due.pop(entity))
@@ -382,7 +392,17 @@ class Writer:
         named = [self._scene.name] if self._scene.name else []
         style = self._rr.SeriesLines(colors=[rgb], widths=[width], names=[" ".join([*named, *parts[1:]])])
         self._style(entity, style)
-        self._send(entity, time_s, self._rr.Scalars.columns(scalars=values))
+        held = self._held.setdefault(entity, [])
+        if held and self._scene.piece(held[-1][0][-1])[1] != self._scene.piece(time_s[0])[1]:
+            self._send_held(entity)
+            held = self._held.setdefault(entity, [])
+        held.append((time_s, values))
+        if sum(len(times) for times, _ in held) >= HELD_ROWS:
+            self._send_held(entity)
+
+    def _send_held(self, entity: str) -> None:
+        times, values = (np.concatenate(rows) for rows in zip(*self._held.pop(entity), strict=True))
+        self._send(entity, times, self._rr.Scalars.columns(scalars=values))
 
     def _points(
         self,

@@ -307,6 +307,29 @@ def test_what_is_written_at_once_is_bounded_and_nothing_is_lost(
     assert len([time for time, points in rows if points]) == 601
 
 
+def test_parts_of_a_line_are_sent_together_but_for_the_encounter(
+    tmp_path: Path, made: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The encounter is a part of its own; before and after it there are several pieces each."""
+    made.write_events(tmp_path, "a", made.steps(made.northbound, made.eastbound(500.0)))
+    run = read_run(tmp_path)
+    one = scene.Encounter(25.0, 30.0, 40.0, "the closest approach")
+    monkeypatch.setattr(recording, "first_encounter", lambda *_: one)
+    recording.write(run, tmp_path / "whole.rrd")
+    monkeypatch.setattr(scene, "PIECE_S", 4.0)
+    recording.write(run, tmp_path / "pieces.rrd")
+    monkeypatch.setattr(writer, "HELD_ROWS", 1)
+    recording.write(run, tmp_path / "at_once.rrd")
+    whole, pieces, at_once = (Read(tmp_path / f"{name}.rrd") for name in ("whole", "pieces", "at_once"))
+    entity = "/speed/a/flown"
+    assert len(at_once.batches[entity]) > 15
+    assert len(pieces.batches[entity]) == 3
+    for line in (WHOLE, ENCOUNTER):
+        rows = pieces.column(entity, "scalars", line)
+        assert len(rows) > 50
+        assert rows == whole.column(entity, "scalars", line) == at_once.column(entity, "scalars", line)
+
+
 def test_a_run_with_one_aircraft_and_an_odd_name_is_drawn_too(tmp_path: Path, made: SimpleNamespace) -> None:
     made.write_events(tmp_path, "Åse's 1: x", made.steps(made.northbound, made.eastbound(20.0)))
     recording.write(read_run(tmp_path), tmp_path / "one.rrd")
