@@ -393,7 +393,7 @@ class Writer:
         style = self._rr.SeriesLines(colors=[rgb], widths=[width], names=[" ".join([*named, *parts[1:]])])
         self._style(entity, style)
         held = self._held.setdefault(entity, [])
-        if held and self._scene.piece(held[-1][0][-1])[1] != self._scene.piece(time_s[0])[1]:
+        if held and self._scene.piece(held[-1][0][0])[1] != self._scene.piece(time_s[0])[1]:
             self._send_held(entity)
             held = self._held.setdefault(entity, [])
         held.append((time_s, values))

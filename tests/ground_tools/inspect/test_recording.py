@@ -231,6 +231,21 @@ def test_the_encounter_counts_from_the_first_conflict_and_holds_what_lies_around
     assert [(time, state) for time, (state,) in states] == [(-10.0, "watching"), (-10.0, "flying")]
 
 
+def test_every_line_stands_in_the_encounter_too(built: Path, tmp_path: Path) -> None:
+    """Which begins later than the run: distances are told up to where the next part begins."""
+    run = read_run(built)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording, "first_encounter", lambda *_: Encounter(25.3, 30.0, 40.0, "the closest"))
+        recording.write(run, tmp_path / "one.rrd")
+    found = Read(tmp_path / "one.rrd")
+    lines = [entity for entity in found.batches if entity.startswith(("/separation/", "/speed/"))]
+    assert sum(entity.startswith("/separation/") for entity in lines) == 3
+    for entity in lines:
+        times = [time for time, _ in found.column(entity, "scalars", ENCOUNTER)]
+        assert times[0] < -3.5, entity
+        assert times[-1] > 9.0, entity
+
+
 @pytest.mark.parametrize(
     ("conflicts", "bounds"),
     [
