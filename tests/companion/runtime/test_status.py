@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import socket
 import stat
@@ -184,10 +185,9 @@ def test_one_companion_is_found_and_of_several_one_must_be_named(tmp_path, monke
 
 def test_what_a_terminal_shows():
     odd = msgspec.structs.replace(STATUS.tracks[0], track_id="[bold]\x1b]0;evil\x07")
-    console = Console(width=150, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console = Console(width=150, record=True, file=io.StringIO())
     console.print(watch.render(msgspec.structs.replace(STATUS, tracks=(odd,), track_count=60)))
     shown = console.export_text()
-    console.file.close()
     for words in (
         "avoiding", "px4, system 1", "heartbeat 0.40 s, position 0.05 s", "81 m", "-4 m", "caution, conflict",
         "on the air: wifi 2/s", "240 ticks, 1 missed", "2026-01-01 00:00:00 UTC", "59 farther ones not shown",
@@ -200,10 +200,9 @@ def test_a_narrow_terminal_cuts_nothing_of_a_track():
     warned = msgspec.structs.replace(
         STATUS.tracks[0], track_id="1596B0000DMUCA000001", distance_m=1234.0, speed_mps=12.0, alert="warning"
     )
-    console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console = Console(width=80, record=True, file=io.StringIO())
     console.print(watch.render(msgspec.structs.replace(STATUS, tracks=(warned,))))
     shown = console.export_text()
-    console.file.close()
     assert "\u2026" not in shown
     for words in ("distance", "1234 m", "12.0 m/s", "warning", "conflict", "clock"):
         assert words in shown, words

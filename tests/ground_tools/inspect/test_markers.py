@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -220,9 +221,9 @@ def test_the_reports_time_line_has_them(run: Run, monkeypatch: pytest.MonkeyPatc
     drawn: dict[str, list[float]] = {}
     plot = Axes.plot
 
-    def seen(self: Axes, *values: object, **look: object) -> object:
-        drawn[str(look.get("label"))] = list(values[0])  # type: ignore[call-overload]
-        return plot(self, *values, **look)  # type: ignore[arg-type]
+    def seen(self: Axes, *values: Any, **look: Any) -> object:
+        drawn[str(look.get("label"))] = list(values[0])
+        return plot(self, *values, **look)
 
     monkeypatch.setattr(Axes, "plot", seen)
     figures = summary.describe(run)
