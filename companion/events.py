@@ -296,6 +296,27 @@ class VehicleText(Event, frozen=True):
     text: str
 
 
+# ---------------------------------------------------------------- from the shell and the gate
+
+
+class InputBehind(Event, frozen=True):
+    """The autopilot's input was not read to its end since `since_s` (our monotonic time). What is told in this
+    step may be as old as that, and the vehicle's mode is not known before a later step shows it.
+    """
+
+    since_s: float
+
+
+class GateRefused(Event, frozen=True):
+    """The gate let a command of ours not leave (`companion.gate`)."""
+
+    rule: int
+    """Number of the rule (`gate.rules`)."""
+    text: str
+    fault: bool
+    """It ends authority as a fault does; False: it only came too late, or authority had ended."""
+
+
 # ---------------------------------------------------------------- from the radio
 
 
@@ -549,6 +570,8 @@ AnyEvent = (
     | VehicleParameters
     | AdsbVehicle
     | VehicleText
+    | InputBehind
+    | GateRefused
     | RemoteIdHeard
     | RadioState
     | OperatorData

@@ -27,15 +27,18 @@ from companion.events import (
     DownloadMission,
     Event,
     FlightMode,
+    InputBehind,
     RadioState,
     RemoteIdHeard,
     Say,
     SetMode,
     SetSpeed,
     Settings,
+    Severity,
     Threat,
     VelocitySetpoint,
 )
+from companion.gate.gate import STALL_S, Gate
 from companion.record import Step
 from companion.remote_id.own import basic_id_of
 
@@ -73,6 +76,7 @@ class Onboard:
         self.tlog = tlog
         self._utc_guess_s = utc_guess_s
         self.heart = Companion(config, policy)
+        self.gate = Gate(config)
         self._own_parameters = OwnParameters(config, settings or Settings())
         self.link = AutopilotLink(
             config.vehicle,
@@ -87,27 +91,63 @@ class Onboard:
         self._record = record
         # By way of the record: a replay begins with the same settings.
         self._events: list[Event] = [] if self.settings == Settings() else [self.settings]
+        self._told_gate(self._events, 0.0)
+        self._emptied_s: float | None = None
+        """When the link's input was last read until it was empty."""
+        self._behind_since_s: float | None = None
+        """Since when it was not, as of this step."""
 
     @property
     def settings(self) -> Settings:
         """What ground stations have set."""
         return self._own_parameters.settings
 
-    def receive(self, data: bytes, now_s: float) -> None:
-        """Bytes from the autopilot's link."""
+    def receive(self, data: bytes, now_s: float, *, emptied: bool = True) -> None:
+        """Bytes from the autopilot's link.
+
+        Args:
+            emptied: nothing was left to be read behind them.
+        """
         if self.tlog is not None:
             self.tlog.received(self._utc_s(now_s), data)
-        self._events += self.link.receive(data, now_s)
+        self._note_pause(now_s)
+        events = self.link.receive(data, now_s)
+        self._told_gate(events, now_s)
+        self._events += events
+        if emptied:
+            self._emptied(now_s)
+
+    def _note_pause(self, now_s: float) -> None:
+        """What comes after a pause in reading may be as old as the pause is long."""
+        if self._emptied_s is not None and now_s - self._emptied_s > STALL_S:
+            self._fall_behind()
+
+    def _fall_behind(self) -> None:
+        if self._behind_since_s is None and self._emptied_s is not None:
+            self._behind_since_s = self._emptied_s
+
+    def _emptied(self, now_s: float) -> None:
+        self._note_pause(now_s)
+        self._emptied_s = now_s
+        self.gate.emptied(now_s)
+
+    def _told_gate(self, events: list[Event], now_s: float) -> None:
+        for event in events:
+            self.gate.hear(event, now_s)
 
     def hear(self, event: RemoteIdHeard | RadioState) -> None:
         """A frame from the radio, or its state."""
         self._events.append(event)
 
-    def tick(self, now_s: float) -> list[Broadcast]:
+    def tick(self, now_s: float, *, emptied: bool = True) -> list[Broadcast]:
         """One step of the heart on all that arrived. Returns what the radio must send; bytes for the
-        autopilot wait in `drain`."""
-        self._events += self.link.advance(now_s)
-        events, self._events = self._events, []
+        autopilot wait in `drain`.
+
+        Args:
+            emptied: all that had arrived on the autopilot's link has been taken in.
+        """
+        events = self._step_events(now_s, emptied)
+        self.gate.decided(now_s)
         commands = self.heart.step(now_s, events)
         for command in commands:
             if isinstance(command, DownloadMission | DownloadFence) or (
@@ -127,9 +167,28 @@ class Onboard:
             )
         return [c for c in commands if isinstance(c, Broadcast)]
 
+    def _step_events(self, now_s: float, emptied: bool) -> list[Event]:
+        """All that happened since the last step; what the gate and the shell have to say of it comes first."""
+        if emptied:
+            self._emptied(now_s)
+        else:
+            self._fall_behind()
+            self.gate.behind()
+        since_s, self._behind_since_s = self._behind_since_s, None
+        self.link.begin_step(now_s, behind=since_s is not None)
+        advanced = self.link.advance(now_s)
+        self._told_gate(advanced, now_s)
+        told: list[Event] = [] if since_s is None else [InputBehind(since_s=since_s)]
+        for refused in self.gate.broken():
+            told.append(refused)
+            if refused.fault and self.commanding:
+                self.link.send(Say(severity=Severity.WARNING, text=f"DMUCA: {refused.text}"), now_s)
+        events, self._events = told + self._events + advanced, []
+        return events
+
     def drain(self, now_s: float) -> bytes:
-        """Bytes to send to the autopilot now."""
-        data = self.link.drain()
+        """Bytes to send to the autopilot now: what the gate lets leave."""
+        data = self.gate.release(self.link.drain(), now_s)
         if self.tlog is not None and data:
             self.tlog.sent(self._utc_s(now_s), data)
         return data
@@ -144,8 +203,8 @@ class Onboard:
         if self._remote_id_component:
             self.link.send(ArmStatus(ready=False, text="companion is stopping"), now_s)
 
-    def idle(self, now_s: float) -> None:
-        """Keep the link alive, and the own state current, without stepping the heart."""
-        for event in [*self._events, *self.link.advance(now_s)]:
+    def idle(self, now_s: float, *, emptied: bool = True) -> None:
+        """Keep the link alive, and the own state current, without stepping the heart; `emptied` as of
+        `tick`."""
+        for event in self._step_events(now_s, emptied):
             self.heart.own.take(event, now_s)
-        self._events = []

@@ -22,6 +22,7 @@ from companion import __version__
 from companion.config import Config
 
 from . import ftp
+from .dialect import CMD_REQUEST_MESSAGE
 from .encoders import Outgoing
 from .ftp import FileServer
 from .metadata import GENERAL, MODEL, VENDOR, metadata_files, uri
@@ -31,7 +32,6 @@ from .wire import COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA, Frame
 PERIOD_S = 0.1
 """From one answer to the next: 3 kB/s at most."""
 MOST_WAITING = 8
-CMD_REQUEST_MESSAGE = 512
 _FTP = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
 _VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION

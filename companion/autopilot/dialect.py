@@ -25,6 +25,7 @@ ARMED = 128
 CMD_DO_SET_MODE = 176
 CMD_DO_CHANGE_SPEED = 178
 CMD_SET_MESSAGE_INTERVAL = 511
+CMD_REQUEST_MESSAGE = 512
 
 VELOCITY_YAW_MASK = 0x9C7
 """POSITION_TARGET_TYPEMASK: the three velocity axes and the yaw count. ArduPilot drops a vector with any axis

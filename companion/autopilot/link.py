@@ -3,6 +3,7 @@
 A pure state machine: time is an argument, nothing here reads a clock or a socket. The caller's cycle is
 
     events = link.receive(data, now_s)      # as often as bytes come
+    link.begin_step(now_s, behind=False)    # every cycle
     events = link.advance(now_s)            # every cycle: heartbeat, retries, timeouts
     link.send(command, now_s)               # what the heart decided
     socket.send(link.drain())               # whole frames; what leaves is what was drained
@@ -275,6 +276,17 @@ class AutopilotLink:
         self._mode_and_speed.on_ack(command, result)
 
     # ------------------------------------------------------------ time
+
+    def begin_step(self, now_s: float, *, behind: bool) -> None:
+        """A new decision is about to be made: a setpoint that has not left by now is dropped.
+
+        Args:
+            behind: what was received since the last step was a backlog, or not all of it: no mode is asked
+                for before the vehicle shows its own anew, which it is asked to do.
+        """
+        self._outbox.drop_setpoint()
+        if behind:
+            self._mode_and_speed.forget(now_s)
 
     def advance(self, now_s: float) -> list[Event]:
         """Do what time makes due: our heartbeat, requests for streams, retries; return what came of it."""

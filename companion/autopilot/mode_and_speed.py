@@ -6,12 +6,15 @@ vehicle has answered it (MAV_CMD_DO_CHANGE_SPEED), for as long as the mission is
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.events import CurrentMode, Event, FlightMode, Heartbeat, ModeRefused, SetMode
 
 from .counts import LinkCounts
-from .dialect import CMD_DO_CHANGE_SPEED, CMD_DO_SET_MODE, DIALECTS
+from .dialect import CMD_DO_CHANGE_SPEED, CMD_DO_SET_MODE, CMD_REQUEST_MESSAGE, DIALECTS
 from .encoders import Outgoing, command_long
 from .heard_vehicle import HeardVehicle
 from .mode_request import ModeRequest, ModeTold
@@ -19,6 +22,8 @@ from .outbox import Outbox
 
 _GROUND_SPEED, _THROTTLE_AS_IT_IS = 1.0, -1.0
 _SPEED_RETRY_S, _SPEED_TRIES = 1.0, 5
+_WANTED_AGAIN_S = 0.2
+_HEARTBEAT = float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 
 
 @dataclass(slots=True)
@@ -45,6 +50,8 @@ class ModeAndSpeed:
         """The last one that was given up."""
         self._mode_speed_mps: float | None = None
         self._speed: _SpeedRequest | None = None
+        self._mode_wanted_s = -math.inf
+        """When a HEARTBEAT was last asked for."""
 
     def ask_mode(self, command: SetMode, now_s: float) -> None:
         """Ask for a mode, in place of what was asked for before.
@@ -76,6 +83,16 @@ class ModeAndSpeed:
     def cancel(self) -> None:
         """Ask for nothing any more."""
         self._cancelled, self._mode, self._speed = self._mode or self._cancelled, None, None
+
+    def forget(self, now_s: float) -> None:
+        """The input was a backlog: what it told of the mode may be old. The vehicle is asked to tell it."""
+        self._told.forget()
+        if self._mode is not None:
+            self._mode.forget()
+        vehicle = self._heard.vehicle
+        if vehicle is not None and now_s - self._mode_wanted_s >= _WANTED_AGAIN_S:
+            self._mode_wanted_s = now_s
+            self._outbox.queue(command_long(CMD_REQUEST_MESSAGE, (_HEARTBEAT,), vehicle.system_id))
 
     def on_heartbeat(self, event: Heartbeat, now_s: float) -> None:
         """The vehicle says which mode it is in."""

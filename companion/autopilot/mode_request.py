@@ -69,6 +69,10 @@ class ModeTold:
             self.known_until_s = max(self.known_until_s, now_s + _PROMPT_S)
         self._current_s = now_s
 
+    def forget(self) -> None:
+        """What was told may be old: the next message that shows the mode counts."""
+        self.known_until_s = self._current_s = -math.inf
+
 
 class ModeRequest:
     """Asks for one mode until `confirmed` or `refused` (a reason)."""
@@ -145,6 +149,10 @@ class ModeRequest:
                 f"the vehicle went from {name(self._from_mode)} to {name(custom_mode)} while "
                 f"{name(self._command.custom_mode)} was asked for"
             )
+
+    def forget(self) -> None:
+        """What was told of the mode may be old: no try before it is told again."""
+        self._heard = False
 
     def on_ack(self, result: int) -> None:
         """COMMAND_ACK of DO_SET_MODE."""

@@ -60,6 +60,12 @@ class Outbox:
             self._counts.setpoints_dropped += 1
         self._setpoint = setpoint
 
+    def drop_setpoint(self) -> None:
+        """One that has not left by now is too old."""
+        if self._setpoint is not None:
+            self._setpoint = None
+            self._counts.setpoints_dropped += 1
+
     def drain(self) -> bytes:
         """All of it. The setpoint is numbered and signed only now."""
         if self._setpoint is not None:

@@ -1,0 +1,249 @@
+"""The gate: hears what the vehicle says, and lets pass what may leave for it. See `rules`.
+
+    gate.hear(event, now_s)     # every event of the link, in order of arrival
+    gate.emptied(now_s)         # the input was read until it was empty
+    gate.decided(now_s)         # what is commanded from now on was decided now
+    gate.release(data, now_s)   # whole frames in; out comes what may leave
+
+A frame that breaks a rule does not leave, and `broken` tells of it. After a fault of the program above,
+nothing but a request to hold leaves for three seconds.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import Counter
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.dialect import (
+    CMD_DO_CHANGE_SPEED,
+    CMD_DO_SET_MODE,
+    CMD_REQUEST_MESSAGE,
+    CMD_SET_MESSAGE_INTERVAL,
+    FRAME_LOCAL_NED,
+    VELOCITY_YAW_MASK,
+    VELOCITY_YAW_RATE_MASK,
+)
+from companion.autopilot.wire import (
+    COMPONENT_INFORMATION_BASIC,
+    COMPONENT_METADATA,
+    MAGIC_V2,
+    frame_length,
+    message_id_of,
+)
+from companion.config import Config
+from companion.events import (
+    CurrentMode,
+    Event,
+    FenceDownloaded,
+    FlightMode,
+    GateRefused,
+    GlobalPosition,
+    Heartbeat,
+    LandedState,
+    MissionCurrent,
+    Settings,
+    TwoAutopilots,
+    VehicleParameters,
+)
+
+from .bounds import Bounds
+from .mandate import Mandate
+from .rules import Broken, Rule
+
+STALL_S = 0.25
+"""A pause in reading the input that is longer than this is a stall: what is read then may be old."""
+_FRESH_S = 0.25
+_SHUT_S = 3.0
+_AGAIN_S = 5.0
+"""The same rule is told of once in so long."""
+_AUTOPILOT = 1
+_SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+_COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
+_FREE = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+        mavlink.MAVLINK_MSG_ID_TIMESYNC,
+        mavlink.MAVLINK_MSG_ID_COLLISION,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
+        mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+        mavlink.MAVLINK_MSG_ID_MISSION_REQUEST,
+        mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+        mavlink.MAVLINK_MSG_ID_MISSION_ACK,
+        mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+        mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
+        COMPONENT_INFORMATION_BASIC,
+        COMPONENT_METADATA,
+        mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_BASIC_ID,
+        mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_ARM_STATUS,
+    }
+)
+"""Messages that command nothing."""
+_FREE_COMMANDS = frozenset({CMD_SET_MESSAGE_INTERVAL, CMD_REQUEST_MESSAGE})
+_MASKS = (VELOCITY_YAW_MASK, VELOCITY_YAW_RATE_MASK)
+_SETPOINT_LAYOUT = struct.Struct("<I11fHBBB")
+_COMMAND_LAYOUT = struct.Struct("<7fHBBB")
+
+
+class Gate:
+    """For one vehicle. Times are monotonic seconds that never go back."""
+
+    def __init__(self, config: Config) -> None:
+        """Closed, until the input was read and the vehicle was heard."""
+        self.counts: Counter[str] = Counter()
+        """Frames that did not leave, by the name of the rule."""
+        self._mandate = Mandate(config)
+        self._bounds = Bounds(config)
+        self._emptied_s = self._decided_s = -math.inf
+        self._fresh = False
+        """A message has shown the vehicle's mode since the input was last found behind."""
+        self._shut_s = -math.inf
+        self._broken: list[GateRefused] = []
+        self._told: dict[Rule, float] = {}
+
+    @property
+    def lost(self) -> str | None:
+        """Why there is no authority over the vehicle, in words; None: nothing is known against it."""
+        return self._mandate.lost
+
+    def current(self, now_s: float) -> bool:
+        """What is known of the vehicle's mode is no backlog."""
+        return self._fresh and now_s - self._emptied_s <= STALL_S
+
+    # ------------------------------------------------------------ in
+
+    def hear(self, event: Event, now_s: float) -> None:
+        """One event of the link; those that are none of its business are passed over."""
+        match event:
+            case GlobalPosition():
+                self._bounds.hear_position(event, now_s)
+            case Heartbeat():
+                self._fresh = self._fresh or now_s - self._emptied_s <= STALL_S
+                self._mandate.hear_heartbeat(event, now_s)
+            case CurrentMode():
+                self._fresh = self._fresh or now_s - self._emptied_s <= STALL_S
+                self._mandate.hear_current_mode(event.custom_mode, now_s)
+            case LandedState():
+                self._mandate.hear_landed(event.landed, now_s)
+            case MissionCurrent() if event.complete:
+                self._mandate.mission_ended()
+            case VehicleParameters():
+                self._bounds.hear_parameters(event)
+            case FenceDownloaded():
+                self._bounds.hear_fence(event.areas)
+            case Settings():
+                self._mandate.enabled = event.enable
+            case TwoAutopilots():
+                self._mandate.two_autopilots = True
+
+    def emptied(self, now_s: float) -> None:
+        """The input was read until nothing was left in it."""
+        if now_s - self._emptied_s > STALL_S:
+            self._fresh = False
+        self._emptied_s = now_s
+
+    def behind(self) -> None:
+        """There is more in the input than could be read now."""
+        self._fresh, self._emptied_s = False, -math.inf
+
+    def decided(self, now_s: float) -> None:
+        """The commands that leave from now on were decided on what is known at `now_s`."""
+        self._decided_s = now_s
+
+    def broken(self) -> list[GateRefused]:
+        """Rules that were broken since the last call: each of them once in a while."""
+        broken, self._broken = self._broken, []
+        return broken
+
+    # ------------------------------------------------------------ out
+
+    def release(self, data: bytes, now_s: float) -> bytes:
+        """What of some whole frames may leave now, in their order."""
+        if not data:
+            return data
+        kept: list[bytes] = []
+        at = 0
+        while at < len(data):
+            length = frame_length(data, at) if data[at] == MAGIC_V2 else -1
+            if length <= 0 or at + length > len(data):
+                self._refuse(Broken(Rule.WHOLE, f"byte {at} of {len(data)} begins no whole frame"), now_s)
+                break
+            frame = data[at : at + length]
+            at += length
+            message_id = message_id_of(frame)
+            try:
+                if message_id == _SETPOINT:
+                    self._setpoint(frame[10 : 10 + frame[1]], now_s)
+                elif message_id == _COMMAND:
+                    self._command(frame[10 : 10 + frame[1]], now_s)
+                elif message_id not in _FREE:
+                    raise Broken(Rule.KIND, f"message {message_id}")
+            except Broken as broken:
+                self._refuse(broken, now_s)
+            else:
+                kept.append(frame)
+        return b"".join(kept)
+
+    def _setpoint(self, payload: bytes, now_s: float) -> None:
+        _, *numbers, mask, system, component, frame = _SETPOINT_LAYOUT.unpack(
+            payload.ljust(_SETPOINT_LAYOUT.size, b"\0")
+        )
+        velocity = numbers[3], numbers[4], numbers[5]
+        standing = velocity == (0.0, 0.0, 0.0)
+        self._commands(system, component, now_s)
+        self._mandate.check_setpoint(standing)
+        if not -_FRESH_S <= now_s - self._decided_s <= _FRESH_S:
+            raise Broken(Rule.AGE, f"decided {now_s - self._decided_s:.2f} s ago")
+        if frame != FRAME_LOCAL_NED or mask not in _MASKS or not all(map(math.isfinite, numbers)):
+            raise Broken(Rule.FORM, f"frame {frame}, mask {mask:#x}, velocity {velocity}")
+        self._bounds.check(velocity, now_s)
+        if now_s < self._shut_s:
+            raise Broken(Rule.AGE, "after a fault")
+        self._mandate.setpoint_left()
+        self._bounds.left(velocity, now_s)
+
+    def _command(self, payload: bytes, now_s: float) -> None:
+        *params, command, system, component, _ = _COMMAND_LAYOUT.unpack(
+            payload.ljust(_COMMAND_LAYOUT.size, b"\0")
+        )
+        if command in _FREE_COMMANDS:
+            return
+        if command not in (CMD_DO_SET_MODE, CMD_DO_CHANGE_SPEED):
+            raise Broken(Rule.KIND, f"command {command}")
+        self._commands(system, component, now_s)
+        if command == CMD_DO_CHANGE_SPEED:
+            self._mandate.check_speed()
+            if not 0.0 < params[1] <= 100.0:
+                raise Broken(Rule.SPEED, f"a mission's speed of {params[1]:g} m/s")
+            return
+        asked = self._mandate.custom_of(params[1], params[2])
+        if asked is None or params[0] != 1.0:
+            raise Broken(Rule.MODE, f"mode {params[:3]} is not to be asked for")
+        custom, mode = asked
+        self._mandate.check_request(mode, now_s)
+        if now_s < self._shut_s and mode is not FlightMode.HOLD:
+            raise Broken(Rule.AGE, "after a fault")
+        self._mandate.request_left(custom, now_s)
+
+    def _commands(self, system: int, component: int, now_s: float) -> None:
+        """Rules 3 to 6, for whatever commands the vehicle."""
+        heartbeat = self._mandate.heartbeat
+        if heartbeat is None or (system, component) != (heartbeat.system_id, _AUTOPILOT):
+            raise Broken(Rule.TARGET, f"system {system}, component {component} is not the vehicle")
+        if not self.current(now_s):
+            raise Broken(Rule.CURRENT, "the input was not read to its end, or the mode not seen since")
+        self._mandate.check(now_s)
+
+    def _refuse(self, broken: Broken, now_s: float) -> None:
+        rule = broken.rule
+        self.counts[rule.value.name] += 1
+        if rule.faults:
+            self._shut_s = now_s + _SHUT_S
+        if now_s - self._told.get(rule, -math.inf) >= _AGAIN_S:
+            self._told[rule] = now_s
+            self._broken.append(GateRefused(rule=rule.number, text=str(broken), fault=rule.faults))

@@ -1,0 +1,197 @@
+"""Who has authority over the vehicle, by what its messages say and by what left for it. Rules 3 to 7."""
+
+from __future__ import annotations
+
+import math
+
+from companion.autopilot.dialect import DIALECTS, flight_mode
+from companion.config import Config
+from companion.events import Firmware, FlightMode, Heartbeat, Landed
+
+from .rules import Broken, Rule
+
+MODE_OLD_S = 3.0
+_ASKED_S = 10.0
+"""A mode that was asked for may still be entered for so long."""
+_DOWN_S, _GROUNDED_S = 1.5, 12.0
+"""A vehicle that says for so long without a break that it is on the ground was down; is on the ground."""
+_STORM, _STORM_S = 5, 2.0
+_ASKABLE = frozenset({FlightMode.EXTERNAL, FlightMode.HOLD, FlightMode.STICKS, FlightMode.MISSION})
+
+
+class Mandate:
+    """Knows nothing until the first heartbeat. Times are monotonic seconds that never go back."""
+
+    def __init__(self, config: Config) -> None:
+        self.heartbeat: Heartbeat | None = None
+        self.lost: str | None = None
+        """Why there is no authority, in words."""
+        self.engaged = False
+        """The vehicle is held, or was asked for, since authority was last free."""
+        self.enabled = True
+        self.two_autopilots = False
+        self._flight = config.flight
+        self._any_vehicle = config.vehicle.system_id == 0
+        self._guards = config.flight.use == "guard"
+        self._mode: FlightMode | None = None
+        self._mode_s = -math.inf
+        self._custom = -1
+        self._ours: dict[int, float] = {}
+        """custom_mode that we asked for -> until when it may be entered; without end once it was."""
+        self._base: int | None = None
+        """custom_mode that the vehicle is being taken from, until the one that was asked for shows."""
+        self._left = False
+        self._grounded_s: float | None = None
+        self._seen_down = config.flight.take_in_flight
+        self._requests: list[float] = []
+
+    # ------------------------------------------------------------ what the vehicle says
+
+    def hear_heartbeat(self, event: Heartbeat, now_s: float) -> None:
+        """HEARTBEAT."""
+        self.heartbeat = event
+        if not event.armed:
+            self._seen_down = True
+            if self._flight.rearm != "never" or not self.lost:
+                self._free()
+        self.hear_mode(event.custom_mode, event.mode, now_s)
+
+    def hear_current_mode(self, custom_mode: int, now_s: float) -> None:
+        """CURRENT_MODE: the mode between two heartbeats. It is no sign of life before the first of them."""
+        if self.heartbeat is not None:
+            h = self.heartbeat
+            self.hear_mode(custom_mode, flight_mode(h.firmware, h.vehicle_type, 1, custom_mode), now_s)
+
+    def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
+        """One mode, in the order in which the vehicle told them."""
+        before, self._mode, self._custom, self._mode_s = self._mode, mode, custom, now_s
+        given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
+        if self.lost:
+            if given and self._left and self._flight.rearm == "mode":
+                self._free()
+            self._left = self._left or not given
+        elif not self.engaged or custom == self._base:
+            pass
+        elif now_s <= self._ours.get(custom, -math.inf) or (given and not self._guards):
+            self._ours[custom], self._base = math.inf, None
+            if mode is FlightMode.MISSION:
+                self._free()  # handed back
+        else:
+            self._left = not given or before is not FlightMode.EXTERNAL
+            self.lost = f"the pilot selected {self.name(custom)}"
+            if given and self._left and self._flight.rearm == "mode":
+                self._free()
+
+    def hear_landed(self, landed: Landed, now_s: float) -> None:
+        """EXTENDED_SYS_STATE."""
+        if landed is not Landed.ON_GROUND:
+            self._grounded_s = None
+            return
+        self._grounded_s = now_s if self._grounded_s is None else self._grounded_s
+        self._seen_down = self._seen_down or now_s - self._grounded_s >= _DOWN_S
+        if self._grounded(now_s) and not self.lost:
+            self._free()
+
+    def mission_ended(self) -> None:
+        """The last item is done: PX4 holds by itself then, when the mission was given back to it."""
+        mission = any(self._kind(custom) is FlightMode.MISSION for custom in self._ours)
+        if mission and self.lost and self._mode is FlightMode.HOLD:
+            self._free()
+
+    # ------------------------------------------------------------ what may leave
+
+    def check(self, now_s: float) -> None:
+        """Rules 4 to 6, for whatever commands the vehicle."""
+        heartbeat = self.heartbeat
+        if self._flight.use == "watch":
+            raise Broken(Rule.USE, 'flight.use is "watch"')
+        if heartbeat is None or now_s - self._mode_s > MODE_OLD_S:
+            raise Broken(Rule.CURRENT, "the vehicle's mode is not known")
+        if not heartbeat.armed or self._grounded(now_s):
+            raise Broken(Rule.USE, "the vehicle is disarmed or on the ground")
+        if self.lost:
+            raise Broken(Rule.AUTHORITY, self.lost)
+        if not self._seen_down:
+            raise Broken(Rule.AUTHORITY, "the vehicle was flying when this started")
+        if self.two_autopilots and self._any_vehicle and not self.engaged:
+            raise Broken(Rule.TARGET, "two autopilots are heard")
+
+    def check_setpoint(self, standing: bool) -> None:
+        """Rules 4 and 6: the vehicle flies setpoints, or may be asked to."""
+        if not self.enabled and not standing:
+            raise Broken(Rule.USE, "DMUCA_ENABLE is 0")
+        if not (self._is_ours or self._may_take):
+            raise Broken(Rule.AUTHORITY, f"the vehicle is in {self.name(self._custom)}")
+
+    def check_request(self, mode: FlightMode, now_s: float) -> None:
+        """Rules 4 and 7."""
+        if mode not in _ASKABLE or (mode is FlightMode.MISSION and not self._guards):
+            raise Broken(Rule.MODE, f"{mode.value} is not to be asked for")
+        if not self.enabled and mode is FlightMode.EXTERNAL:
+            raise Broken(Rule.USE, "DMUCA_ENABLE is 0")
+        if not (self._is_ours or (mode is FlightMode.EXTERNAL and self._may_take)):
+            raise Broken(Rule.MODE, f"{mode.value} is not to be asked for in {self.name(self._custom)}")
+        self._requests = [at_s for at_s in self._requests if now_s - at_s < _STORM_S]
+        if len(self._requests) >= _STORM:
+            raise Broken(Rule.MODE, f"{_STORM} requests within {_STORM_S:g} s")
+
+    def check_speed(self) -> None:
+        """Rule 7: the mission's speed is asked for with the mission alone."""
+        asked = any(self._kind(custom) is FlightMode.MISSION for custom in self._ours)
+        if not self._guards or not (asked or self._mode is FlightMode.MISSION):
+            raise Broken(Rule.MODE, f"a mission's speed is not to be asked for in {self.name(self._custom)}")
+
+    # ------------------------------------------------------------ what left
+
+    def setpoint_left(self) -> None:
+        """A setpoint has left."""
+        if not self.engaged:
+            self.engaged, self._base = True, self._custom
+
+    def request_left(self, custom: int, now_s: float) -> None:
+        """A mode request has left."""
+        if not self.engaged or self._custom not in self._ours:
+            self.engaged, self._base = True, self._custom
+        self._requests.append(now_s)
+        self._ours[custom] = max(self._ours.get(custom, 0.0), now_s + _ASKED_S)
+
+    # ------------------------------------------------------------
+
+    def name(self, custom: int) -> str:
+        """A mode in the autopilot's own words."""
+        firmware = Firmware.ARDUPILOT if self.heartbeat is None else self.heartbeat.firmware
+        return DIALECTS[firmware].name(custom)
+
+    def custom_of(self, param2: float, param3: float) -> tuple[int, FlightMode] | None:
+        """The mode that the parameters of DO_SET_MODE ask for."""
+        assert self.heartbeat is not None
+        for mode, command in DIALECTS[self.heartbeat.firmware].commands.items():
+            if (command.param2, command.param3) == (param2, param3):
+                return command.custom_mode, mode
+        return None
+
+    def _kind(self, custom: int) -> FlightMode:
+        assert self.heartbeat is not None
+        return DIALECTS[self.heartbeat.firmware].modes.get(custom, FlightMode.OTHER)
+
+    @property
+    def _is_ours(self) -> bool:
+        """The vehicle is in a mode that we asked for, or take it from; with "fly", also in GUIDED (OFFBOARD)
+        that its pilot has chosen."""
+        chosen = self._mode is FlightMode.EXTERNAL and not self._guards
+        return chosen or (self.engaged and (self._custom in self._ours or self._custom == self._base))
+
+    @property
+    def _may_take(self) -> bool:
+        """The vehicle may be taken from the mode that it is in."""
+        assert self.heartbeat is not None
+        if self._mode is FlightMode.HOLD and not self._guards:
+            return self.heartbeat.firmware is Firmware.PX4
+        return self._mode is FlightMode.MISSION
+
+    def _grounded(self, now_s: float) -> bool:
+        return self._grounded_s is not None and now_s - self._grounded_s >= _GROUNDED_S
+
+    def _free(self) -> None:
+        self.lost, self.engaged, self._left, self._base = None, False, False, None
+        self._ours.clear()

@@ -1,0 +1,122 @@
+"""The gate's rules, once and in the order in which they are judged. `docs/gate.md` prints this table."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class _Text:
+    number: int
+    name: str
+    says: str
+    faults: bool = True
+    """Breaking it is a fault of the program above. Otherwise it is only too early or too late."""
+
+
+class Rule(enum.Enum):
+    """What must hold for a frame to leave."""
+
+    WHOLE = _Text(1, "whole", "Only whole MAVLink 2 frames leave.")
+    KIND = _Text(
+        2,
+        "kind",
+        "Of all messages and commands only those leave that the companion needs: no arming, no parameters of "
+        "the vehicle, no positions, no attitudes, no other commands.",
+    )
+    TARGET = _Text(
+        3,
+        "target",
+        "A setpoint, a mode request and a speed go to the autopilot that is heard, and to nobody else; none "
+        "leaves where two autopilots are heard and none was configured, unless the vehicle is already held.",
+    )
+    USE = _Text(
+        4,
+        "use",
+        'With flight.use "watch" nothing is commanded; with DMUCA_ENABLE 0 nothing but a standstill and a '
+        "hold. Nothing is commanded to a vehicle that is disarmed or on the ground.",
+    )
+    CURRENT = _Text(
+        5,
+        "current",
+        "The input was read until it was empty within the last 0.25 s. After a longer pause, at the start "
+        "and after a backlog, a message that shows the vehicle's mode must have been read since. The last "
+        "one is no older than 3 s.",
+        faults=False,
+    )
+    AUTHORITY = _Text(
+        6,
+        "authority",
+        "A mode that was not asked for by us, seen once while the vehicle is held or taken, ends authority. "
+        "Only what flight.rearm names gives it back. A vehicle that was flying when the companion started is "
+        "not taken before it was down (flight.take_in_flight).",
+        faults=False,
+    )
+    MODE = _Text(
+        7,
+        "mode",
+        "Only the four modes of docs/authority.md are asked for. The vehicle is taken only from a mode that "
+        "may be ended. The other three are asked for only while it is in a mode that we asked for or are "
+        "taking it from. At most five requests leave in two seconds.",
+    )
+    AGE = _Text(
+        8,
+        "age",
+        "A setpoint leaves within 0.25 s of its decision, on an own position no older than "
+        "vehicle.stale_after_s and half a second.",
+        faults=False,
+    )
+    FORM = _Text(9, "form", "A setpoint is a finite velocity in the local NED frame, with one of two masks.")
+    SPEED = _Text(
+        10,
+        "speed",
+        "Speed, climb and descent are within [limits] and within what the vehicle says of itself.",
+    )
+    CHANGE = _Text(
+        11,
+        "change",
+        "Horizontally a setpoint differs from the last one, or from the velocity that is flown, by no more "
+        "than limits.max_acceleration_mps2 allows in the time passed, a second's worth at most. A standstill "
+        "may be commanded at any time.",
+    )
+    HEIGHT = _Text(
+        12,
+        "height",
+        "Towards the configured floor or ceiling a setpoint is no faster than can be stopped before it, "
+        "unless the vehicle is being slowed down; beyond it, no further.",
+    )
+    FENCE = _Text(
+        13,
+        "fence",
+        "The same towards each wall of the fence, with the room to stop before it.",
+    )
+
+    @property
+    def number(self) -> int:
+        """As documents and messages name it."""
+        return self.value.number
+
+    @property
+    def faults(self) -> bool:
+        """Breaking it is a fault of the program above."""
+        return self.value.faults
+
+    def __str__(self) -> str:
+        """For messages."""
+        return f"gate rule {self.value.number} ({self.value.name})"
+
+
+def table() -> str:
+    """The rules as a Markdown table."""
+    rows = [f"| {rule.number} | {rule.value.name} | {rule.value.says} |" for rule in Rule]
+    return "\n".join(["| rule | name | what must hold |", "|---|---|---|", *rows])
+
+
+class Broken(Exception):  # noqa: N818 - it is no error of this program
+    """A frame breaks a rule."""
+
+    def __init__(self, rule: Rule, why: str) -> None:
+        super().__init__(f"{rule}: {why}")
+        self.rule = rule
+        self.why = why
