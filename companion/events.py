@@ -300,8 +300,8 @@ class VehicleText(Event, frozen=True):
 
 
 class InputBehind(Event, frozen=True):
-    """The autopilot's input was not read to its end since `since_s` (our monotonic time). What is told in this
-    step may be as old as that, and the vehicle's mode is not known before a later step shows it.
+    """The autopilot's input was not read to its end since `since_s` (our monotonic time). What is told in
+    this step may be as old as that, and the vehicle's mode is not known before a later step shows it.
     """
 
     since_s: float

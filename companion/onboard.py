@@ -113,6 +113,8 @@ class Onboard:
         self._note_pause(now_s)
         events = self.link.receive(data, now_s)
         self._told_gate(events, now_s)
+        if self.link.answered_s is not None:
+            self.gate.answered(self.link.answered_s, now_s)
         self._events += events
         if emptied:
             self._emptied(now_s)
@@ -168,7 +170,7 @@ class Onboard:
         return [c for c in commands if isinstance(c, Broadcast)]
 
     def _step_events(self, now_s: float, emptied: bool) -> list[Event]:
-        """All that happened since the last step; what the gate and the shell have to say of it comes first."""
+        """All that happened since the last step; what gate and shell have to say of it comes first."""
         if emptied:
             self._emptied(now_s)
         else:
@@ -188,7 +190,10 @@ class Onboard:
 
     def drain(self, now_s: float) -> bytes:
         """Bytes to send to the autopilot now: what the gate lets leave."""
-        data = self.gate.release(self.link.drain(), now_s)
+        if self.link.holds:
+            self.link.ask_for_answer(now_s)
+        commanding = self.gate.answers(now_s, waiting=self.link.holds)
+        data = self.gate.release(self.link.drain(commanding=commanding), now_s)
         if self.tlog is not None and data:
             self.tlog.sent(self._utc_s(now_s), data)
         return data

@@ -278,13 +278,13 @@ class AutopilotLink:
     # ------------------------------------------------------------ time
 
     def begin_step(self, now_s: float, *, behind: bool) -> None:
-        """A new decision is about to be made: a setpoint that has not left by now is dropped.
+        """A new decision is about to be made: what commands the vehicle and is too old by now is dropped.
 
         Args:
             behind: what was received since the last step was a backlog, or not all of it: no mode is asked
                 for before the vehicle shows its own anew, which it is asked to do.
         """
-        self._outbox.drop_setpoint()
+        self._outbox.drop_old(now_s)
         if behind:
             self._mode_and_speed.forget(now_s)
 
@@ -352,9 +352,27 @@ class AutopilotLink:
         """Ask for no mode and no speed any more: who asked has given up the vehicle."""
         self._mode_and_speed.cancel()
 
-    def drain(self) -> bytes:
-        """What must be sent now: whole frames, the newest setpoint last."""
-        return self._outbox.drain()
+    def drain(self, *, commanding: bool = True) -> bytes:
+        """What must be sent now: whole frames, the newest setpoint last.
+
+        Args:
+            commanding: False: setpoint, mode and speed wait.
+        """
+        return self._outbox.drain(commanding=commanding)
+
+    def ask_for_answer(self, now_s: float) -> None:
+        """Ask the vehicle for its clock: its answer (`answered_s`) shows that it reads what it is sent."""
+        self._polling.ask_for_answer(now_s)
+
+    @property
+    def holds(self) -> bool:
+        """A setpoint, a mode or a speed waits to leave."""
+        return self._outbox.holds
+
+    @property
+    def answered_s(self) -> float | None:
+        """When the latest question was asked that the vehicle has answered; None: it never has."""
+        return self._polling.answered_s
 
     def _send_setpoint(self, command: VelocitySetpoint, now_s: float) -> None:
         encoders.check_velocity(command.velocity_ned_mps)

@@ -133,10 +133,10 @@ class ModeAndSpeed:
         outgoing = self._mode.due(now_s)
         if outgoing is not None:
             self._counts.mode_requests += 1
-            self._outbox.queue(outgoing)
+            self._outbox.command(outgoing, now_s)
             if self._mode_speed_mps is not None:
                 # Right behind it: ArduPilot forgets the speed when the mode begins.
-                self._outbox.queue(_speed_command(self._mode_speed_mps, vehicle.system_id))
+                self._outbox.command(_speed_command(self._mode_speed_mps, vehicle.system_id), now_s)
         self._settle_mode()
 
     def _settle_mode(self) -> None:
@@ -157,7 +157,7 @@ class ModeAndSpeed:
             return
         if now_s < asked.next_s:
             return
-        self._outbox.queue(_speed_command(asked.speed_mps, vehicle.system_id, asked.tries))
+        self._outbox.command(_speed_command(asked.speed_mps, vehicle.system_id, asked.tries), now_s)
         asked.tries, asked.next_s = asked.tries + 1, now_s + _SPEED_RETRY_S
         if asked.tries == _SPEED_TRIES:
             self._speed = None

@@ -16,13 +16,16 @@ from .encoders import Outgoing
 from .signing import Signing
 from .wire import MavlinkWriter
 
+COMMAND_FRESH_S = 0.25
+"""A command that could not leave for so long does not leave any more."""
 MAX_QUEUED_BYTES = 65536
 """What waits to be drained; a caller that never drains loses it rather than the memory."""
 _DEFAULT_SYSTEM_ID = 1
 
 
 class Outbox:
-    """Frames in the order in which they were queued, and behind them the newest setpoint."""
+    """Frames in the order in which they were queued, behind them commands to the vehicle, then the newest
+    setpoint. The last two may be held back (`drain`)."""
 
     def __init__(self, config: VehicleConfig, counts: LinkCounts, signing: Signing | None) -> None:
         """Empty. `signing` signs what leaves; None: nobody does."""
@@ -30,6 +33,8 @@ class Outbox:
         self._signing = signing
         self._writer = MavlinkWriter(config.system_id or _DEFAULT_SYSTEM_ID, config.component_id)
         self._out = bytearray()
+        self._commands: list[tuple[float, Outgoing]] = []
+        """With when they were queued."""
         self._setpoint: Outgoing | None = None
         self._text_id = 0
 
@@ -60,18 +65,37 @@ class Outbox:
             self._counts.setpoints_dropped += 1
         self._setpoint = setpoint
 
-    def drop_setpoint(self) -> None:
-        """One that has not left by now is too old."""
+    def command(self, outgoing: Outgoing, now_s: float) -> None:
+        """A command to the vehicle that must not be carried out late."""
+        self._commands.append((now_s, outgoing))
+
+    def drop_old(self, now_s: float) -> None:
+        """A new step begins: the setpoint that has not left by now is too old; so is a command after a
+        while."""
         if self._setpoint is not None:
             self._setpoint = None
             self._counts.setpoints_dropped += 1
+        self._commands = [c for c in self._commands if now_s - c[0] <= COMMAND_FRESH_S]
 
-    def drain(self) -> bytes:
-        """All of it. The setpoint is numbered and signed only now."""
-        if self._setpoint is not None:
-            self._out += self._signed(self._writer.pack_payload(*self._setpoint))
-            self._setpoint = None
-            self._counts.setpoints += 1
+    @property
+    def holds(self) -> bool:
+        """A command or a setpoint has not left."""
+        return self._setpoint is not None or bool(self._commands)
+
+    def drain(self, *, commanding: bool = True) -> bytes:
+        """What leaves now. Commands and setpoint are numbered and signed only as they leave.
+
+        Args:
+            commanding: False: commands and setpoint stay.
+        """
+        if commanding:
+            for _, outgoing in self._commands:
+                self.queue(outgoing)
+            self._commands.clear()
+            if self._setpoint is not None:
+                self.queue(self._setpoint)
+                self._setpoint = None
+                self._counts.setpoints += 1
         out = bytes(self._out)
         self._out.clear()
         return out

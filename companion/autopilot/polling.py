@@ -105,6 +105,19 @@ class Polling:
         for name in () if self._parameters is None else self._parameters.due(now_s):
             self._counts.parameter_requests += 1
             self._outbox.queue(param_request_read(name, vehicle.system_id))
-        asked_ns = self._timesync.due(now_s)
+        self._ask_clock(self._timesync.due(now_s), vehicle.system_id)
+
+    def ask_for_answer(self, now_s: float) -> None:
+        """Ask the vehicle for its clock now, to know that it reads what it is sent."""
+        vehicle = self._heard.vehicle
+        if vehicle is not None:
+            self._ask_clock(self._timesync.ask(now_s), vehicle.system_id)
+
+    @property
+    def answered_s(self) -> float | None:
+        """When the latest question that the vehicle has answered was asked; None: it has answered none."""
+        return self._timesync.answered_s
+
+    def _ask_clock(self, asked_ns: int | None, system_id: int) -> None:
         if asked_ns is not None:
-            self._outbox.queue(timesync(0, asked_ns, vehicle.system_id, AUTOPILOT_COMPONENT))
+            self._outbox.queue(timesync(0, asked_ns, system_id, AUTOPILOT_COMPONENT))

@@ -11,6 +11,7 @@ without having set them.
 
 from __future__ import annotations
 
+import math
 import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -43,32 +44,49 @@ def nanoseconds(now_s: float) -> int:
 
 
 class TimeSync:
-    """Asks once a second and takes the answer to what it asked last."""
+    """Asks once a second, and whenever it is to be known that the vehicle reads what it is sent."""
 
     def __init__(self) -> None:
-        self._asked_s: float | None = None
-        self._open = False
+        self._open: dict[int, float] = {}
+        """Questions that may still be answered: ts1 (ns) -> when they were asked."""
+        self._asked_s = self._told_s = -math.inf
+        self.answered_s: float | None = None
+        """When the latest question that was answered had been asked."""
         self.round_trip_s: float | None = None
         """Of the last answer."""
 
     def restart(self) -> None:
         """The vehicle is new or has restarted: what it was asked before is void; ask at once."""
-        self._asked_s, self._open = None, False
+        self._asked_s = self._told_s = -math.inf
+        self._open.clear()
 
     def due(self, now_s: float) -> int | None:
         """The `ts1` to ask with, when it is time to."""
-        if self._asked_s is not None and now_s - self._asked_s < PERIOD_S - _EPSILON_S:
+        return self.ask(now_s) if now_s - self._asked_s >= PERIOD_S - _EPSILON_S else None
+
+    def ask(self, now_s: float) -> int | None:
+        """The `ts1` to ask with now; None: this was asked just now."""
+        ts1 = nanoseconds(now_s)
+        if ts1 in self._open:
             return None
-        self._asked_s, self._open = now_s, True
-        return nanoseconds(now_s)
+        for asked, asked_s in list(self._open.items()):
+            if now_s - asked_s > LONGEST_ROUND_TRIP_S:
+                del self._open[asked]
+        self._open[ts1] = self._asked_s = now_s
+        return ts1
 
     def answered(self, tc1: int, ts1: int, now_s: float) -> ClockRead | None:
-        """What an answer tells; None when it answers nothing that we asked, or came too late."""
-        asked_s = self._asked_s
-        if asked_s is None or not self._open or ts1 != nanoseconds(asked_s) or tc1 < 0:
+        """What an answer tells of the vehicle's clock, once in a period; None when it answers nothing that
+        was asked, or came too late."""
+        asked_s = self._open.get(ts1)
+        if asked_s is None or tc1 < 0:
             return None
-        self._open = False
+        del self._open[ts1]
         self.round_trip_s = now_s - asked_s
         if not 0.0 <= self.round_trip_s <= LONGEST_ROUND_TRIP_S:
             return None
+        self.answered_s = asked_s if self.answered_s is None else max(asked_s, self.answered_s)
+        if now_s - self._told_s < PERIOD_S - LONGEST_ROUND_TRIP_S:
+            return None
+        self._told_s = now_s
         return ClockRead(time_boot_s=tc1 / 1e9, asked_s=asked_s, heard_s=now_s)

@@ -1,4 +1,4 @@
-"""Where the vehicle is and how fast it may be asked to fly. Rules 8 and 10 to 13.
+"""Where the vehicle is and how fast it may be asked to fly: the rules age and speed to fence.
 
 All of it is written anew and more simply than in the law, with what a whole braking can do for a bound: the
 law keeps margins inside of it, so that a command of the law reaches none of these.
@@ -98,7 +98,7 @@ class Bounds:
     # ------------------------------------------------------------ what may leave
 
     def check(self, velocity: Vec3, now_s: float) -> None:
-        """Rules 8 and 10 to 13, for a finite velocity."""
+        """The rules age and speed to fence, for a finite velocity."""
         position = self._position
         if position is None or now_s - position.time_boot_s - self._offset_s > self._stale_s:
             raise Broken(Rule.AGE, "the own position is not known or too old")

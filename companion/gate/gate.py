@@ -2,6 +2,7 @@
 
     gate.hear(event, now_s)     # every event of the link, in order of arrival
     gate.emptied(now_s)         # the input was read until it was empty
+    gate.answered(asked_s, now_s)   # the vehicle has answered what it was asked then
     gate.decided(now_s)         # what is commanded from now on was decided now
     gate.release(data, now_s)   # whole frames in; out comes what may leave
 
@@ -56,6 +57,9 @@ from .rules import Broken, Rule
 STALL_S = 0.25
 """A pause in reading the input that is longer than this is a stall: what is read then may be old."""
 _FRESH_S = 0.25
+_ANSWER_S = 0.1
+"""For so long an answer shows that the vehicle reads what it is sent."""
+_DEAF_S = 1.0
 _SHUT_S = 3.0
 _AGAIN_S = 5.0
 """The same rule is told of once in so long."""
@@ -102,6 +106,11 @@ class Gate:
         self._emptied_s = self._decided_s = -math.inf
         self._fresh = False
         """A message has shown the vehicle's mode since the input was last found behind."""
+        self._asked_s: float | None = None
+        """When the latest question was asked that the vehicle has answered; None: it has answered none."""
+        self._answer_s = -math.inf
+        """When that answer came, if it has let nothing leave yet."""
+        self._waits_s: float | None = None
         self._shut_s = -math.inf
         self._broken: list[GateRefused] = []
         self._told: dict[Rule, float] = {}
@@ -155,6 +164,27 @@ class Gate:
         """The commands that leave from now on were decided on what is known at `now_s`."""
         self._decided_s = now_s
 
+    def answered(self, asked_s: float, now_s: float) -> None:
+        """The vehicle has answered a question that it was asked at `asked_s`."""
+        if self._asked_s is None or asked_s > self._asked_s:
+            self._asked_s = asked_s
+            if now_s - asked_s <= _FRESH_S:
+                self._answer_s = now_s
+
+    def answers(self, now_s: float, *, waiting: bool) -> bool:
+        """The vehicle has just shown that it reads what it is sent, or never does: what waits may leave."""
+        if self._asked_s is None or now_s - self._answer_s <= _ANSWER_S:
+            self._waits_s = None
+            return True
+        if not waiting:
+            self._waits_s = None
+        elif self._waits_s is None:
+            self._waits_s = now_s
+        elif now_s - self._waits_s > _DEAF_S:
+            self._waits_s = now_s
+            self._refuse(Broken(Rule.ANSWER, f"no answer for {_DEAF_S:g} s"), now_s)
+        return False
+
     def broken(self) -> list[GateRefused]:
         """Rules that were broken since the last call: each of them once in a while."""
         broken, self._broken = self._broken, []
@@ -167,7 +197,7 @@ class Gate:
         if not data:
             return data
         kept: list[bytes] = []
-        at = 0
+        at, commanded = 0, False
         while at < len(data):
             length = frame_length(data, at) if data[at] == MAGIC_V2 else -1
             if length <= 0 or at + length > len(data):
@@ -175,19 +205,26 @@ class Gate:
                 break
             frame = data[at : at + length]
             at += length
-            message_id = message_id_of(frame)
             try:
-                if message_id == _SETPOINT:
-                    self._setpoint(frame[10 : 10 + frame[1]], now_s)
-                elif message_id == _COMMAND:
-                    self._command(frame[10 : 10 + frame[1]], now_s)
-                elif message_id not in _FREE:
-                    raise Broken(Rule.KIND, f"message {message_id}")
+                commanded = self._judge(message_id_of(frame), frame[10 : 10 + frame[1]], now_s) or commanded
             except Broken as broken:
                 self._refuse(broken, now_s)
             else:
                 kept.append(frame)
+        if commanded:
+            self._answer_s = -math.inf  # The next command waits for the next answer.
         return b"".join(kept)
+
+    def _judge(self, message_id: int, payload: bytes, now_s: float) -> bool:
+        """Whether a frame that may leave commands the vehicle. Raises Broken where it may not leave."""
+        if message_id == _SETPOINT:
+            self._setpoint(payload, now_s)
+            return True
+        if message_id == _COMMAND:
+            return self._command(payload, now_s)
+        if message_id not in _FREE:
+            raise Broken(Rule.KIND, f"message {message_id}")
+        return False
 
     def _setpoint(self, payload: bytes, now_s: float) -> None:
         _, *numbers, mask, system, component, frame = _SETPOINT_LAYOUT.unpack(
@@ -207,12 +244,12 @@ class Gate:
         self._mandate.setpoint_left()
         self._bounds.left(velocity, now_s)
 
-    def _command(self, payload: bytes, now_s: float) -> None:
+    def _command(self, payload: bytes, now_s: float) -> bool:
         *params, command, system, component, _ = _COMMAND_LAYOUT.unpack(
             payload.ljust(_COMMAND_LAYOUT.size, b"\0")
         )
         if command in _FREE_COMMANDS:
-            return
+            return False
         if command not in (CMD_DO_SET_MODE, CMD_DO_CHANGE_SPEED):
             raise Broken(Rule.KIND, f"command {command}")
         self._commands(system, component, now_s)
@@ -220,7 +257,7 @@ class Gate:
             self._mandate.check_speed()
             if not 0.0 < params[1] <= 100.0:
                 raise Broken(Rule.SPEED, f"a mission's speed of {params[1]:g} m/s")
-            return
+            return True
         asked = self._mandate.custom_of(params[1], params[2])
         if asked is None or params[0] != 1.0:
             raise Broken(Rule.MODE, f"mode {params[:3]} is not to be asked for")
@@ -229,15 +266,18 @@ class Gate:
         if now_s < self._shut_s and mode is not FlightMode.HOLD:
             raise Broken(Rule.AGE, "after a fault")
         self._mandate.request_left(custom, now_s)
+        return True
 
     def _commands(self, system: int, component: int, now_s: float) -> None:
-        """Rules 3 to 6, for whatever commands the vehicle."""
+        """The rules target to authority, for whatever commands the vehicle."""
         heartbeat = self._mandate.heartbeat
         if heartbeat is None or (system, component) != (heartbeat.system_id, _AUTOPILOT):
             raise Broken(Rule.TARGET, f"system {system}, component {component} is not the vehicle")
         if not self.current(now_s):
             raise Broken(Rule.CURRENT, "the input was not read to its end, or the mode not seen since")
         self._mandate.check(now_s)
+        if self._asked_s is not None and now_s - self._answer_s > _ANSWER_S:
+            raise Broken(Rule.ANSWER, "no answer since the last command")
 
     def _refuse(self, broken: Broken, now_s: float) -> None:
         rule = broken.rule

@@ -1,4 +1,5 @@
-"""Who has authority over the vehicle, by what its messages say and by what left for it. Rules 3 to 7."""
+"""Who has authority over the vehicle, by what its messages say and by what has left for it: the rules target,
+use, authority and mode."""
 
 from __future__ import annotations
 
@@ -101,7 +102,7 @@ class Mandate:
     # ------------------------------------------------------------ what may leave
 
     def check(self, now_s: float) -> None:
-        """Rules 4 to 6, for whatever commands the vehicle."""
+        """What holds for whatever commands the vehicle."""
         heartbeat = self.heartbeat
         if self._flight.use == "watch":
             raise Broken(Rule.USE, 'flight.use is "watch"')
@@ -117,14 +118,14 @@ class Mandate:
             raise Broken(Rule.TARGET, "two autopilots are heard")
 
     def check_setpoint(self, standing: bool) -> None:
-        """Rules 4 and 6: the vehicle flies setpoints, or may be asked to."""
+        """The vehicle flies setpoints, or may be asked to."""
         if not self.enabled and not standing:
             raise Broken(Rule.USE, "DMUCA_ENABLE is 0")
         if not (self._is_ours or self._may_take):
             raise Broken(Rule.AUTHORITY, f"the vehicle is in {self.name(self._custom)}")
 
     def check_request(self, mode: FlightMode, now_s: float) -> None:
-        """Rules 4 and 7."""
+        """A mode may be asked for."""
         if mode not in _ASKABLE or (mode is FlightMode.MISSION and not self._guards):
             raise Broken(Rule.MODE, f"{mode.value} is not to be asked for")
         if not self.enabled and mode is FlightMode.EXTERNAL:
@@ -136,7 +137,7 @@ class Mandate:
             raise Broken(Rule.MODE, f"{_STORM} requests within {_STORM_S:g} s")
 
     def check_speed(self) -> None:
-        """Rule 7: the mission's speed is asked for with the mission alone."""
+        """The mission's speed is asked for with the mission alone."""
         asked = any(self._kind(custom) is FlightMode.MISSION for custom in self._ours)
         if not self._guards or not (asked or self._mode is FlightMode.MISSION):
             raise Broken(Rule.MODE, f"a mission's speed is not to be asked for in {self.name(self._custom)}")
