@@ -11,13 +11,13 @@ import math
 from collections.abc import Sequence
 
 from companion.atmc.chooser import chooser_of
+from companion.authority.control import Control
+from companion.authority.guard import GuardPlan
+from companion.authority.plan import Plan
+from companion.authority.readiness import Readiness
+from companion.authority.table import HOLDING, State
 from companion.avoidance.alerts import Alerts
-from companion.avoidance.authority import HOLDING, State
-from companion.avoidance.control import Control
-from companion.avoidance.guard import GuardPlan
 from companion.avoidance.law import LawResult, Neighbour, Situation
-from companion.avoidance.plan import Plan
-from companion.avoidance.readiness import Readiness
 from companion.config import Config
 from companion.events import (
     AdsbVehicle,

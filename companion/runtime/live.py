@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from companion.authority.table import State
 from companion.avoidance.alerts import Level
-from companion.avoidance.authority import State
 from companion.avoidance.law import Neighbour
 from companion.core import Companion
 from companion.events import Decision, Vec3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from companion.authority.table import HOLDING, State
 from companion.avoidance.alerts import Level
-from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.law import horizon_s
 from companion.avoidance.path import check_path
 from companion.config import (

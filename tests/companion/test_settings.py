@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from companion import record, replay
-from companion.avoidance.authority import State
+from companion.authority.table import State
 from companion.config import AvoidanceConfig, Config, EtherRadio, FlightConfig, IdentityConfig, LimitsConfig
 from companion.core import Companion
 from companion.errors import ConfigError

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from companion import ownship
-from companion.avoidance.authority import HOLDING
-from companion.avoidance.control import Control
+from companion.authority.control import Control
+from companion.authority.table import HOLDING
 from companion.events import Firmware
 from companion.ownship import Ownship
 from sitl_mocks import cli

@@ -1,16 +1,16 @@
-"""Takes the vehicle, keeps it, lets it go: what moves the table of `authority`, and what each move does."""
+"""Takes the vehicle, keeps it, lets it go: what moves the authority table, and what each move does."""
 
 from __future__ import annotations
 
 import math
 
-from companion.avoidance.authority import HOLDING, State, Trigger, next_state
-from companion.avoidance.guard import GuardPlan
-from companion.avoidance.handback import HandBack
+from companion.authority.guard import GuardPlan
+from companion.authority.handback import HandBack
+from companion.authority.plan import Plan
+from companion.authority.readiness import Readiness, mode_name
+from companion.authority.sticks import Sticks
+from companion.authority.table import HOLDING, State, Trigger, next_state
 from companion.avoidance.law import LawResult
-from companion.avoidance.plan import Plan
-from companion.avoidance.readiness import Readiness, mode_name
-from companion.avoidance.sticks import Sticks
 from companion.config import Config
 from companion.events import (
     AuthorityChanged,

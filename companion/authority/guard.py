@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
+from companion.authority.plan import RETRY_S, Plan
 from companion.autopilot.advice import restarting, too_fast
 from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speeds_at
 from companion.avoidance.law import Law
-from companion.avoidance.plan import RETRY_S, Plan
 from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of
 from companion.config import LimitsConfig

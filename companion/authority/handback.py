@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from companion.authority.guard import GuardPlan
 from companion.autopilot.dialect import DIALECTS
-from companion.avoidance.guard import GuardPlan
 from companion.events import Command, Firmware, FlightMode, Say, SetMode, SetSpeed, Severity
 from companion.ownship import Ownship
 
