@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from companion.atmc.chooser import chooser_of
 from companion.authority.control import Control
 from companion.authority.guard import GuardPlan
-from companion.authority.plan import Plan
+from companion.authority.plan import Plan, plan_of
 from companion.authority.readiness import Readiness
 from companion.authority.table import HOLDING, State
 from companion.avoidance.alerts import Alerts
@@ -74,8 +74,9 @@ class Companion:
         self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
         self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
         self.alerts = Alerts(config.avoidance)
-        self._guard = GuardPlan(config) if config.flight.use == "guard" else None
-        self.plan: Plan = self._guard or Plan(config)
+        plan = plan_of(config)
+        self._guard = plan if isinstance(plan, GuardPlan) else None
+        self.plan: Plan = plan
         self.broadcaster = Broadcaster(config)
         self._readiness = Readiness(config, self.own, self.broadcaster)
         self._control = Control(config, self.own, self.plan, self._readiness)
@@ -144,13 +145,13 @@ class Companion:
                 case MissionDownloaded():
                     self.plan.take_mission(event, now_s)
                 case MissionRefused():
-                    commands += self.plan.download_refused(event.reason)
+                    commands += self.plan.downloads.refused(event.reason)
                 case FenceDownloaded():
-                    self.plan.take_fence(event, now_s)
+                    self.plan.downloads.take_fence(event, now_s)
                 case FenceRefused():
-                    commands += self.plan.download_refused(f"the vehicle's fence: {event.reason}")
+                    commands += self.plan.downloads.refused(f"the vehicle's fence: {event.reason}")
                 case VehicleParameters():
-                    commands += self.plan.take_parameters(event)
+                    commands += self.plan.terms.take_parameters(event)
                 case ModeRefused():
                     commands += self._control.mode_refused(event)
                 case TwoAutopilots():
@@ -186,7 +187,7 @@ class Companion:
         """Off counts at once; numbers as soon as no law flies by the old ones."""
         later = (
             ""
-            if self.plan.law is None or event.enable != self._settings.enable
+            if self.plan.course.law is None or event.enable != self._settings.enable
             else "; from the next path on"
         )
         told = differences(self._configured, self._settings, event)
@@ -219,17 +220,17 @@ class Companion:
         if self._guard is not None and standby and not readiness.mode_is_ours_to_end(self._control.ours):
             # What the pilot selects next may be another mission.
             self.plan.drop()
-        if self.plan.law is None and self._wanted is not self.config:
+        if self.plan.course.law is None and self._wanted is not self.config:
             self.config = self._wanted
-            self.plan.configure(self.config)
+            self.plan.terms.config = self.config
             self.alerts.configure(self.config.avoidance)
         if standby and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
             if self.plan.ready and not self.plan.near(own, now_s) and not self.plan.remake(own):
                 limit = self.config.flight.start_within_m
-                commands += self.plan.refuse(f"vehicle is not within {limit:g} m of the path's point")
-        if self.plan.law is not None:
-            self.plan.law.note_velocity(now_s, own.velocity_ned_mps)
+                commands += self.plan.terms.refuse(f"vehicle is not within {limit:g} m of the path's point")
+        if self.plan.course.law is not None:
+            self.plan.course.law.note_velocity(now_s, own.velocity_ned_mps)
 
     # ------------------------------------------------------------ decide
 
@@ -256,7 +257,7 @@ class Companion:
     def _fly(self, now_s: float, due: bool, commands: list[Command]) -> None:
         """The vehicle is held: it is commanded what the law decides, and has decided last."""
         if self._told_late_s is None:
-            self._told_late_s = self.plan.late_s
+            self._told_late_s = self.plan.course.late_s
         commands += self._control.give_back(now_s)
         if self._control.state not in HOLDING:
             return
@@ -267,7 +268,7 @@ class Companion:
 
     def _steer(self, now_s: float, commands: list[Command]) -> LawResult:
         """The law decides."""
-        law = self.plan.law
+        law = self.plan.course.law
         assert law is not None
         self._decided_s = now_s
         if self._guard is not None:
@@ -282,7 +283,7 @@ class Companion:
 
     def _watch(self, now_s: float, commands: list[Command]) -> None:
         """The autopilot flies its mission: the law looks on."""
-        guard, law = self._guard, self.plan.law
+        guard, law = self._guard, self.plan.course.law
         assert guard is not None
         assert law is not None
         self._decided_s = now_s
@@ -309,16 +310,16 @@ class Companion:
         return VelocitySetpoint(velocity_ned_mps=velocity)
 
     def _situation(self, now_s: float) -> Situation:
-        own, limits, plan = self.own, self.config.limits, self.plan
+        own, limits, course = self.own, self.config.limits, self.plan.course
         return Situation(
             now_s=now_s,
-            path_time_s=plan.path_time_s(now_s),
+            path_time_s=course.path_time_s(now_s),
             position_ned_m=own.position_ned_m(now_s),
             velocity_ned_mps=own.velocity_ned_mps,
             sigma_m=own.sigma_m,
             neighbours=self._neighbours(now_s),
-            floor_down_m=plan.boundary_down_m(plan.floor_height_m, own, now_s),
-            ceiling_down_m=plan.boundary_down_m(limits.ceiling_height_m, own, now_s),
+            floor_down_m=course.boundary_down_m(course.floor_height_m(limits), own, now_s),
+            ceiling_down_m=course.boundary_down_m(limits.ceiling_height_m, own, now_s),
         )
 
     def _neighbours(self, now_s: float) -> list[Neighbour]:
@@ -338,7 +339,7 @@ class Companion:
     def _tell_late(self, result: LawResult, commands: list[Command]) -> None:
         """An aircraft that stands before a fence, or is kept off its path for long, is no longer where it is
         expected."""
-        late_s = self.plan.late_s
+        late_s = self.plan.course.late_s
         assert self._told_late_s is not None
         if late_s - self._told_late_s < _LATE_STEP_S:
             return
@@ -361,8 +362,8 @@ class Companion:
                 wanted_ned_mps=result.wanted_ned_mps,
                 chosen_ned_mps=result.chosen_ned_mps,
                 feasible=result.feasible,
-                path_ned_m=self.plan.point(now_s),
-                late_s=self.plan.late_s,
+                path_ned_m=self.plan.course.point(now_s),
+                late_s=self.plan.course.late_s,
                 limits=result.limits,
                 tracks=result.tracks,
             )

@@ -271,7 +271,7 @@ class Control:
         clear_s = now_s - self._conflict_s
         if clear_s < self._clear_after_s:
             return frozenset()
-        distance, regained = self._plan.distance_m(self._own, now_s), self._config.avoidance.regained_m
+        distance, regained = self._plan.course.distance_m(self._own, now_s), self._config.avoidance.regained_m
         kept_off = self._handback is not None and clear_s >= _KEPT_OFF_S
         if distance <= regained or kept_off:
             return frozenset({Trigger.CLEAR, Trigger.REGAINED})

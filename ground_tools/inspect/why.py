@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.authority.plan import LEAST_HEIGHT_M, LEAST_LAYER_M
+from companion.authority.course import LEAST_HEIGHT_M, LEAST_LAYER_M
 from companion.avoidance import kernels as k
 from companion.avoidance.law import (
     LEAST_MARGIN_M,
