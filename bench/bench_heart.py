@@ -11,8 +11,8 @@ import time
 
 import numpy as np
 
+from companion.authority.table import HOLDING
 from companion.avoidance import kernels
-from companion.avoidance.authority import HOLDING
 from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, Waypoint
 from companion.core import Companion
 from companion.events import (

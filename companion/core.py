@@ -11,18 +11,15 @@ import math
 from collections.abc import Sequence
 
 from companion.atmc.chooser import chooser_of
-from companion.avoidance.alerts import Alerts
-from companion.avoidance.authority import HOLDING, State
-from companion.avoidance.control import Control
-from companion.avoidance.guard import GuardPlan
-from companion.avoidance.law import LawResult, Neighbour, Situation
-from companion.avoidance.plan import Plan
-from companion.avoidance.readiness import Readiness
+from companion.authority.control import Control
+from companion.authority.plan import Plan, plan_of
+from companion.authority.readiness import Readiness
+from companion.authority.table import HOLDING, State
 from companion.config import Config
+from companion.decider import Decider
 from companion.events import (
     AdsbVehicle,
     Command,
-    Decision,
     Event,
     FenceDownloaded,
     FenceRefused,
@@ -50,13 +47,6 @@ from companion.settings import applied, differences
 from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.tracks import Traffic
 
-_LATE_S = 0.25
-"""A step that comes this much after the last (or 2.5 periods) commands nothing: the loop was late."""
-_LATE_STEP_S = 30.0
-"""The pilot is told each time that the path has waited for this long again."""
-_QUIET_LOG_S = 1.0
-"""Decisions are logged at least this often; while avoiding or recovering each one is."""
-
 
 class Companion:
     """One aircraft's mind. Build it, then call `step` with rising times.
@@ -73,21 +63,15 @@ class Companion:
         self.own = Ownship()
         self.traffic = Traffic(config.traffic, config.identity.uas_id, config.identity.ua_type)
         self.adsb = AdsbTraffic(None if config.identity.icao is None else int(config.identity.icao, 16))
-        self.alerts = Alerts(config.avoidance)
-        self._guard = GuardPlan(config) if config.flight.use == "guard" else None
-        self.plan: Plan = self._guard or Plan(config)
+        self.plan: Plan = plan_of(config)
+        self._decider = Decider(config, self.own, self.plan.course, self.traffic, self.adsb)
+        self.alerts = self._decider.alerts
         self.broadcaster = Broadcaster(config)
         self._readiness = Readiness(config, self.own, self.broadcaster)
         self._control = Control(config, self.own, self.plan, self._readiness)
         self.chooser = chooser_of(config, policy)
-        self._late_s = max(_LATE_S, 2.5 / config.flight.setpoint_rate_hz)
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
-        self._decided_s = self._logged_s = -math.inf
-        self._result: LawResult | None = None
-        """The law's last, while the vehicle is held."""
-        self._told_late_s: float | None = None
-        """By how much the path was late when that was last told, or when the vehicle was taken."""
 
     @property
     def state(self) -> State:
@@ -101,7 +85,7 @@ class Companion:
 
     def waits_for(self, now_s: float) -> str | None:
         """Why the vehicle cannot be taken now, in words; None when it can."""
-        return self._readiness.waits_for(now_s, self._control.ours)
+        return self._readiness.waits_for(now_s, self._control.left_in)
 
     def step(self, now_s: float, events: Sequence[Event]) -> list[Command]:
         """Take in what happened since the last step; return what to do now.
@@ -144,13 +128,13 @@ class Companion:
                 case MissionDownloaded():
                     self.plan.take_mission(event, now_s)
                 case MissionRefused():
-                    commands += self.plan.download_refused(event.reason)
+                    commands += self.plan.downloads.refused(event.reason)
                 case FenceDownloaded():
-                    self.plan.take_fence(event, now_s)
+                    self.plan.downloads.take_fence(event, now_s)
                 case FenceRefused():
-                    commands += self.plan.download_refused(f"the vehicle's fence: {event.reason}")
+                    commands += self.plan.downloads.refused(f"the vehicle's fence: {event.reason}")
                 case VehicleParameters():
-                    commands += self.plan.take_parameters(event)
+                    commands += self.plan.terms.take_parameters(event)
                 case ModeRefused():
                     commands += self._control.mode_refused(event)
                 case TwoAutopilots():
@@ -186,7 +170,7 @@ class Companion:
         """Off counts at once; numbers as soon as no law flies by the old ones."""
         later = (
             ""
-            if self.plan.law is None or event.enable != self._settings.enable
+            if self.plan.course.law is None or event.enable != self._settings.enable
             else "; from the next path on"
         )
         told = differences(self._configured, self._settings, event)
@@ -216,82 +200,34 @@ class Companion:
             commands += self.plan.check(own, now_s)
             self.plan.drop()
         standby = self.state is State.STANDBY
-        if self._guard is not None and standby and not readiness.mode_is_ours_to_end(self._control.ours):
+        guards = self.config.flight.use == "guard"
+        if guards and standby and not readiness.mode_is_ours_to_end(self._control.left_in):
             # What the pilot selects next may be another mission.
             self.plan.drop()
-        if self.plan.law is None and self._wanted is not self.config:
+        if self.plan.course.law is None and self._wanted is not self.config:
             self.config = self._wanted
-            self.plan.configure(self.config)
-            self.alerts.configure(self.config.avoidance)
+            self.plan.terms.config = self.config
+            self._decider.configure(self.config)
         if standby and self.waits_for(now_s) is None:
             commands += self.plan.prepare(own, now_s)
             if self.plan.ready and not self.plan.near(own, now_s) and not self.plan.remake(own):
                 limit = self.config.flight.start_within_m
-                commands += self.plan.refuse(f"vehicle is not within {limit:g} m of the path's point")
-        if self.plan.law is not None:
-            self.plan.law.note_velocity(now_s, own.velocity_ned_mps)
+                commands += self.plan.terms.refuse(f"vehicle is not within {limit:g} m of the path's point")
+        if self.plan.course.law is not None:
+            self.plan.course.law.note_velocity(now_s, own.velocity_ned_mps)
 
     # ------------------------------------------------------------ decide
 
     def _decide(self, now_s: float, gap_s: float, commands: list[Command]) -> None:
         """Who flies, and with what velocity."""
-        control = self._control
-        unfit = control.unfit(now_s, gap_s)
-        commands += control.judge(now_s, unfit)
-        if control.state not in HOLDING:
-            self._result = self._told_late_s = None
-        due = now_s - self._decided_s >= self.config.avoidance.period_s - 1e-6
-        in_time = gap_s <= self._late_s
-        if control.state in HOLDING and in_time:
-            self._fly(now_s, due, commands)
-        elif control.state is State.WATCHING and due and in_time:
-            self._watch(now_s, commands)
-        else:
-            if due and unfit is None and self.own.landed(now_s) is Landed.IN_AIR:
-                self._decided_s = now_s
-                self._alert(now_s, self._neighbours(now_s), None, commands)
-            if control.stands(now_s) and unfit is None:
-                commands.append(self._setpoint((0.0, 0.0, 0.0)))
-
-    def _fly(self, now_s: float, due: bool, commands: list[Command]) -> None:
-        """The vehicle is held: it is commanded what the law decides, and has decided last."""
-        if self._told_late_s is None:
-            self._told_late_s = self.plan.late_s
-        commands += self._control.give_back(now_s)
-        if self._control.state not in HOLDING:
-            return
-        if self._result is None or due:
-            self._result = self._steer(now_s, commands)
-        commands += self._control.keep(now_s)
-        commands.append(self._setpoint(self._result.chosen_ned_mps))
-
-    def _steer(self, now_s: float, commands: list[Command]) -> LawResult:
-        """The law decides."""
-        law = self.plan.law
-        assert law is not None
-        self._decided_s = now_s
-        if self._guard is not None:
-            commands += self._guard.lead(self.own, now_s)
-        situation = self._situation(now_s)
-        result = law.decide(situation)
-        commands += self._control.decided(now_s, result)
-        self._alert(now_s, situation.neighbours, result, commands)
-        self._tell_late(result, commands)
-        self._log(now_s, result, commands)
-        return result
-
-    def _watch(self, now_s: float, commands: list[Command]) -> None:
-        """The autopilot flies its mission: the law looks on."""
-        guard, law = self._guard, self.plan.law
-        assert guard is not None
-        assert law is not None
-        self._decided_s = now_s
-        commands += guard.watch(self.own, now_s)
-        situation = self._situation(now_s)
-        self._result = law.decide(situation)
-        self._alert(now_s, situation.neighbours, None, commands)
-        self._log(now_s, self._result, commands)
-        commands += self._control.watched(now_s, self._result)
+        step = self._control.step(now_s, gap_s, self._decider)
+        commands += step.commands
+        if self.state not in HOLDING:
+            self._decider.let_go()
+        if step.alerts_only and self._decider.due(now_s) and self.own.landed(now_s) is Landed.IN_AIR:
+            commands += self._decider.look(now_s)
+        if step.velocity_ned_mps is not None:
+            commands.append(self._setpoint(step.velocity_ned_mps))
 
     def _setpoint(self, velocity: Vec3) -> VelocitySetpoint:
         """The last gate: nothing outside the limits leaves, whatever the law says.
@@ -307,63 +243,3 @@ class Companion:
         ):
             raise RuntimeError(f"velocity {velocity} m/s is outside the limits {limits}")
         return VelocitySetpoint(velocity_ned_mps=velocity)
-
-    def _situation(self, now_s: float) -> Situation:
-        own, limits, plan = self.own, self.config.limits, self.plan
-        return Situation(
-            now_s=now_s,
-            path_time_s=plan.path_time_s(now_s),
-            position_ned_m=own.position_ned_m(now_s),
-            velocity_ned_mps=own.velocity_ned_mps,
-            sigma_m=own.sigma_m,
-            neighbours=self._neighbours(now_s),
-            floor_down_m=plan.boundary_down_m(plan.floor_height_m, own, now_s),
-            ceiling_down_m=plan.boundary_down_m(limits.ceiling_height_m, own, now_s),
-        )
-
-    def _neighbours(self, now_s: float) -> list[Neighbour]:
-        down_m = self.own.position_ned_m(now_s)[2]
-        return self.traffic.neighbours(now_s) + self.adsb.neighbours(now_s, down_m)
-
-    def _alert(
-        self,
-        now_s: float,
-        neighbours: Sequence[Neighbour],
-        result: LawResult | None,
-        commands: list[Command],
-    ) -> None:
-        position, velocity = self.own.position_ned_m(now_s), self.own.velocity_ned_mps
-        commands += self.alerts.look(now_s, position, velocity, neighbours, result)
-
-    def _tell_late(self, result: LawResult, commands: list[Command]) -> None:
-        """An aircraft that stands before a fence, or is kept off its path for long, is no longer where it is
-        expected."""
-        late_s = self.plan.late_s
-        assert self._told_late_s is not None
-        if late_s - self._told_late_s < _LATE_STEP_S:
-            return
-        self._told_late_s = late_s
-        bounds = f"; bounded by {', '.join(result.limits)}" if result.limits else ""
-        commands.append(Say(severity=Severity.NOTICE, text=f"DMUCA: path {late_s:.0f} s late{bounds}"))
-
-    def _log(self, now_s: float, result: LawResult, commands: list[Command]) -> None:
-        quiet = self.state in (State.GUARDING, State.WATCHING)
-        if quiet and now_s - self._logged_s < _QUIET_LOG_S - 1e-6:
-            return
-        self._logged_s = now_s
-        frame = self.own.frame
-        assert frame is not None
-        commands.append(
-            Decision(
-                origin=(frame.lat_deg, frame.lon_deg, frame.alt_m),
-                position_ned_m=self.own.position_ned_m(now_s),
-                velocity_ned_mps=self.own.velocity_ned_mps,
-                wanted_ned_mps=result.wanted_ned_mps,
-                chosen_ned_mps=result.chosen_ned_mps,
-                feasible=result.feasible,
-                path_ned_m=self.plan.point(now_s),
-                late_s=self.plan.late_s,
-                limits=result.limits,
-                tracks=result.tracks,
-            )
-        )

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
+from companion.authority.table import HOLDING
 from companion.autopilot.component_information import ComponentInformation
 from companion.autopilot.link import AutopilotLink
 from companion.autopilot.own_parameters import OwnParameters
 from companion.autopilot.signing import Signing
 from companion.autopilot.tlog import TlogWriter
-from companion.avoidance.authority import HOLDING
 from companion.config import Config
 from companion.core import Companion
 from companion.events import (

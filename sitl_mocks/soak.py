@@ -23,6 +23,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.authority.table import HOLDING, State
 from companion.autopilot.dialect import ARMED
 from companion.autopilot.readers import unpack
 from companion.autopilot.wire import (
@@ -33,7 +34,6 @@ from companion.autopilot.wire import (
     MavlinkReader,
     MavlinkWriter,
 )
-from companion.avoidance.authority import HOLDING, State
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig, NullRadio
 from companion.errors import ConfigError
 from companion.events import Firmware, Landed, MissionItem, RadioState, RemoteIdHeard

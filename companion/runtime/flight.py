@@ -19,9 +19,9 @@ from pathlib import Path
 from types import FrameType
 
 from companion import __version__
+from companion.authority.table import HOLDING, State
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.tlog import TlogWriter
-from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.errors import ConfigError

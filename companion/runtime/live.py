@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from companion.authority.table import State
 from companion.avoidance.alerts import Level
-from companion.avoidance.authority import State
 from companion.avoidance.law import Neighbour
 from companion.core import Companion
 from companion.events import Decision, Vec3
@@ -43,7 +43,7 @@ def heart_status(heart: Companion, now_s: float, decision: Decision | None) -> d
         "gnss_fix_type": None if fix is None else fix.fix_type,
         "sigma_m": own.sigma_m,
         "remote_id_trouble": heart.broadcaster.trouble or heart.broadcaster.lacking,
-        "path_late_s": 0.0 if heart.plan.law is None else heart.plan.late_s,
+        "path_late_s": 0.0 if heart.plan.course.law is None else heart.plan.course.late_s,
         "track_count": len(tracks),
         "tracks": tuple(sorted(tracks, key=lambda t: t.distance_m)[:MOST_TRACKS]),
     }

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from companion.avoidance.authority import State
+from companion.authority.table import State
 from companion.config import AvoidanceConfig, LimitsConfig, TrajectoryFile
 from companion.errors import ConfigError
 from companion.events import AuthorityChanged, GlobalPosition, RemoteIdHeard

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from companion.avoidance.authority import HOLDING, State
+from companion.authority.table import HOLDING, State
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import (

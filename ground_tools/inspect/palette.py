@@ -35,7 +35,7 @@ AUTHORITY: dict[str, Rgb] = {
     "yielded": (204, 121, 167),
     "fault": (180, 0, 30),
 }
-"""Of `companion.avoidance.authority.State`."""
+"""Of `companion.authority.table.State`."""
 ALERTS: dict[str, Rgb] = {"advisory": (86, 180, 233), "caution": (230, 159, 0), "warning": LIMIT}
 """Of `companion.avoidance.alerts.Level`."""
 

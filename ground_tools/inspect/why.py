@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.authority.course import LEAST_HEIGHT_M, LEAST_LAYER_M
 from companion.avoidance import kernels as k
 from companion.avoidance.law import (
     LEAST_MARGIN_M,
@@ -37,7 +38,6 @@ from companion.avoidance.law import (
     settings_of,
 )
 from companion.avoidance.limits import effective
-from companion.avoidance.plan import LEAST_HEIGHT_M, LEAST_LAYER_M
 from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of
 from companion.config import AvoidanceConfig, Config

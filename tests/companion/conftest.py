@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import msgspec
 import pytest
 
-from companion.avoidance.authority import State
+from companion.authority.table import State
 from companion.config import Config, FlightConfig, IdentityConfig, TrajectoryFile, VehicleConfig, Waypoint
 from companion.core import Companion
 from companion.events import (

@@ -33,7 +33,7 @@ def over(bench):
 def on_path(bench, steps=1):
     """The vehicle is on the path's point, wherever that is."""
     for _ in range(steps):
-        point = bench.heart.plan.point(bench.now_s)
+        point = bench.heart.plan.course.point(bench.now_s)
         bench.north_m, bench.east_m = point[0], point[1]
         bench.step()
 

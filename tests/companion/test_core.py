@@ -7,7 +7,7 @@ import math
 import msgspec
 import pytest
 
-from companion.avoidance.authority import HOLDING, TRANSITIONS, State, Trigger, next_state
+from companion.authority.table import HOLDING, State
 from companion.core import Companion
 from companion.events import (
     AuthorityChanged,
@@ -258,10 +258,10 @@ def test_the_path_clock_waits_for_the_vehicle_to_obey(make_bench):
     bench.obeys = False
     bench.step(60)
     assert bench.heart.state in HOLDING
-    assert bench.heart.plan.path_time_s(bench.now_s) == 0.0
+    assert bench.heart.plan.course.path_time_s(bench.now_s) == 0.0
     bench.mode = FlightMode.EXTERNAL
     bench.step(21)
-    assert bench.heart.plan.path_time_s(bench.now_s) == pytest.approx(1.0, abs=0.1)
+    assert bench.heart.plan.course.path_time_s(bench.now_s) == pytest.approx(1.0, abs=0.1)
 
 
 def test_given_back_in_flight_the_path_goes_on_from_its_nearest_point(make_bench):
@@ -276,7 +276,7 @@ def test_given_back_in_flight_the_path_goes_on_from_its_nearest_point(make_bench
     bench.mode = FlightMode.EXTERNAL
     bench.step(3)
     assert bench.heart.state in HOLDING
-    assert bench.heart.plan.path_time_s(bench.now_s) == pytest.approx(99.0, abs=1.0)
+    assert bench.heart.plan.course.path_time_s(bench.now_s) == pytest.approx(99.0, abs=1.0)
 
 
 def test_the_path_clock_starts_anew_with_each_flight(flying):
@@ -285,19 +285,19 @@ def test_the_path_clock_starts_anew_with_each_flight(flying):
     flying.step(20)
     flying.landed, flying.armed = Landed.IN_AIR, True
     flying.until(lambda: flying.heart.state is State.GUARDING)
-    assert flying.heart.plan.path_time_s(flying.now_s) == pytest.approx(0.0, abs=0.1)
+    assert flying.heart.plan.course.path_time_s(flying.now_s) == pytest.approx(0.0, abs=0.1)
 
 
 def test_a_corrected_utc_moves_neither_age_nor_path_time(make_bench):
     start = UTC_AT_ZERO_S - 10.0
     bench = make_bench(start="utc", start_utc_s=start)
     bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
-    before = bench.heart.plan.path_time_s(bench.now_s)
+    before = bench.heart.plan.course.path_time_s(bench.now_s)
     assert before == pytest.approx(10.0 + bench.now_s, abs=0.1)
     bench.utc_error_s = -18.0
     bench.step(20)
     assert bench.heart.state in HOLDING
-    assert bench.heart.plan.path_time_s(bench.now_s) == pytest.approx(before + 1.0, abs=0.05)
+    assert bench.heart.plan.course.path_time_s(bench.now_s) == pytest.approx(before + 1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("what", ["jump", "reboot"])
@@ -364,14 +364,14 @@ def test_a_vehicle_that_disarms_is_released_at_once(flying):
 def test_a_false_landing_in_flight_ends_nothing(flying, seconds, speed_mps):
     flying.height_m = 0.0 if seconds == 1.0 else 50.0
     flying.velocity_ned_mps = (speed_mps, 0.0, 0.0)
-    law = flying.heart.plan.law
+    law = flying.heart.plan.course.law
     flying.landed = Landed.ON_GROUND
     count = round(seconds / 0.05)
     assert len(flying.setpoints(flying.step(count))) == count
     flying.landed = Landed.IN_AIR
     flying.step(20)
     assert flying.heart.state in HOLDING
-    assert flying.heart.plan.law is law
+    assert flying.heart.plan.course.law is law
     assert flying.heart.own.takeoff is None
 
 
@@ -496,43 +496,6 @@ def test_time_running_backwards_is_our_bug(flying):
         flying.heart.step(flying.now_s - 1.0, [])
 
 
-# ---------------------------------------------------------------- the authority table
-
-
-@pytest.mark.parametrize("state", State)
-@pytest.mark.parametrize("trigger", Trigger)
-def test_every_pair_of_state_and_trigger(state, trigger):
-    """What the table says is done; what it does not know changes nothing."""
-    expected = TRANSITIONS.get((state, trigger))
-    moved = next_state(state, frozenset({trigger}))
-    assert moved == (None if expected is None else (expected, trigger))
-
-
-def test_rules_of_the_table():
-    for state in HOLDING:
-        assert TRANSITIONS[state, Trigger.PILOT] is State.YIELDED
-        assert TRANSITIONS[state, Trigger.UNFIT] is State.FAULT
-        assert TRANSITIONS[state, Trigger.RELEASE] is State.STANDBY
-    assert {t for s, t in TRANSITIONS if s is State.YIELDED} == {Trigger.REARM}
-    assert {s for (s, _), to in TRANSITIONS.items() if to is State.GUARDING} == {
-        State.STANDBY,
-        State.RECOVERING,
-    }
-    assert all(
-        s in {State.GUARDING, State.RECOVERING, State.WATCHING}
-        for (s, _), to in TRANSITIONS.items()
-        if to is State.AVOIDING
-    )
-    # Who only looks on is nobody the pilot has to take the vehicle from.
-    assert (State.WATCHING, Trigger.PILOT) not in TRANSITIONS
-
-
-def test_the_pilot_is_judged_before_everything_else():
-    everything = frozenset(Trigger)
-    for state in HOLDING | {State.FAULT}:
-        assert next_state(state, everything) == (State.YIELDED, Trigger.PILOT)
-
-
 # ---------------------------------------------------------------- the vehicle's mission, given back
 
 
@@ -541,7 +504,7 @@ def test_a_mission_that_is_still_the_same_is_flown_on(on_mission):
     on_mission.mode = FlightMode.EXTERNAL
     on_mission.step(5)
     assert on_mission.heart.state in HOLDING
-    assert on_mission.heart.plan.path_time_s(on_mission.now_s) == pytest.approx(199.0 / 3.0, abs=1.0)
+    assert on_mission.heart.plan.course.path_time_s(on_mission.now_s) == pytest.approx(199.0 / 3.0, abs=1.0)
 
 
 def test_a_mission_that_the_pilot_changed_is_not_resumed(on_mission):
@@ -554,7 +517,7 @@ def test_a_mission_that_the_pilot_changed_is_not_resumed(on_mission):
     on_mission.mode = FlightMode.MISSION
     on_mission.extra = [MissionCurrent(seq=0)]
     on_mission.until(lambda: on_mission.heart.state in HOLDING)
-    end = on_mission.heart.plan.law.trajectory.points_ned_m[-1]
+    end = on_mission.heart.plan.course.law.trajectory.points_ned_m[-1]
     assert end[0] == pytest.approx(300.0, abs=1.0)
 
 
@@ -574,12 +537,12 @@ def test_a_path_that_waits_for_long_is_told_of(flying):
     assert not any("late" in text for _, text in said)
     flying.log.clear()
     flying.step(round(120.0 / 0.05))
-    late = flying.heart.plan.late_s
+    late = flying.heart.plan.course.late_s
     assert late > 60.0
     told = [c.text for _, c in flying.log if isinstance(c, Say) and "late" in c.text]
     assert len(told) == int(late / 30.0)
     assert told[0].startswith("DMUCA: path 30 s late")
-    assert flying.heart.plan.path_time_s(flying.now_s) - late < 60.0
+    assert flying.heart.plan.course.path_time_s(flying.now_s) - late < 60.0
 
 
 def test_a_ceiling_below_the_default_floor_takes_the_floor_with_it(make_bench, make_config):
@@ -591,7 +554,7 @@ def test_a_ceiling_below_the_default_floor_takes_the_floor_with_it(make_bench, m
     bench.extra = [intruder(bench, 120.0, 3.0)]
     bench.step(200)
     assert bench.heart.state in HOLDING
-    assert bench.heart.plan.floor_height_m == 5.0
+    assert bench.heart.plan.course.floor_height_m(bench.heart.config.limits) == 5.0
 
 
 def test_a_mission_that_the_vehicle_flew_on_meanwhile_is_planned_anew():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from companion.avoidance.authority import HOLDING, State
+from companion.authority.table import HOLDING, State
 from companion.core import Companion
 from companion.events import (
     AuthorityChanged,
@@ -188,12 +188,12 @@ def test_a_mission_selected_again_is_fetched_again(guarded, unfit):
     bench.step(20)
     assert bench.heart.state is State.WATCHING
     meet(bench)
-    way = bench.heart.plan.law.trajectory
+    way = bench.heart.plan.course.law.trajectory
     assert way.points_ned_m[-1][0] == pytest.approx(-300.0, abs=1.0)
 
 
 def way_end_m(bench):
-    return bench.heart.plan.law.trajectory.points_ned_m[-1][0]
+    return bench.heart.plan.course.law.trajectory.points_ned_m[-1][0]
 
 
 @pytest.mark.parametrize("told", [{"total": 3}, {"mission_id": 9}])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from companion.avoidance.authority import HOLDING, State
+from companion.authority.table import HOLDING, State
 from companion.events import (
     AuthorityChanged,
     DownloadMission,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.avoidance.authority import State
+from companion.authority.table import State
 from companion.events import AuthorityChanged, Firmware, FlightMode, ModeRefused, RcChannels
 from tests.companion.guarding import meet, modes, taken
 

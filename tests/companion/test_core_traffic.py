@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from companion.authority.table import HOLDING, State
 from companion.avoidance.alerts import Level
-from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.law import horizon_s
 from companion.avoidance.path import check_path
 from companion.config import (
@@ -263,7 +263,7 @@ def test_without_a_floor_it_goes_no_lower_than_15_m_or_its_path(make_bench, floo
     )
     bench = rebuilt(make_bench(), limits=LimitsConfig(floor_height_m=floor_m), path=path)
     bench.until(lambda: bench.heart.state in HOLDING)
-    assert bench.heart.plan.floor_height_m == pytest.approx(lowest_m)
+    assert bench.heart.plan.course.floor_height_m(bench.heart.config.limits) == pytest.approx(lowest_m)
 
 
 # ------------------------------------------------------------ ADS-B and alerts

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from companion import record, replay
-from companion.avoidance.authority import State
+from companion.authority.table import State
 from companion.config import AvoidanceConfig, Config, EtherRadio, FlightConfig, IdentityConfig, LimitsConfig
 from companion.core import Companion
 from companion.errors import ConfigError
@@ -162,17 +162,17 @@ def test_off_watches_no_mission():
 
 def test_a_law_keeps_its_numbers_until_the_flight_is_over(make_bench):
     bench = flying(make_bench)
-    law = bench.heart.plan.law
+    law = bench.heart.plan.course.law
     bench.extra.append(Settings(max_speed_mps=3.5, conflict_radius_m=9.0))
     commands = bench.step(100)
     assert "DMUCA: DMUCA_RADIUS 9, was 5; from the next path on" in said(commands)
     assert bench.heart.in_control
-    assert bench.heart.plan.law is law
+    assert bench.heart.plan.course.law is law
     assert bench.heart.config.limits.max_speed_mps == 5.0
     bench.landed, bench.armed = Landed.ON_GROUND, False
     bench.step(2)
     assert bench.heart.config.limits.max_speed_mps == 3.5
-    assert bench.heart.plan.limits.max_speed_mps == 3.5
+    assert bench.heart.plan.terms.limits.max_speed_mps == 3.5
     assert bench.heart.config.avoidance.conflict_radius_m == 9.0
 
 

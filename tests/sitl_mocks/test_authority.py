@@ -10,8 +10,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.authority.table import HOLDING, State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
-from companion.avoidance.authority import HOLDING, State
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
 from sitl_mocks.vehicle_manners import VehicleMode
 from tests.sitl_mocks.guarding import TICK_S, Guarded, head_on

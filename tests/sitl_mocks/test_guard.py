@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from companion.authority.table import State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
-from companion.avoidance.authority import State
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode, SetSpeed
 from sitl_mocks.vehicle_manners import VehicleMode
 from tests.sitl_mocks.guarding import Guarded, Sky, head_on, item, mission

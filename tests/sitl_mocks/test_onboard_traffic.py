@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from companion import record, replay
+from companion.authority.table import HOLDING, State
 from companion.autopilot.wire import MavlinkReader
 from companion.avoidance.alerts import Level
-from companion.avoidance.authority import HOLDING, State
 from companion.config import (
     AvoidanceConfig,
     Config,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.authority.table import HOLDING, State
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.wire import MavlinkWriter
-from companion.avoidance.authority import HOLDING, State
 from companion.config import (
     AvoidanceConfig,
     Config,

@@ -7,8 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavparm import MAVParmDict
 
+from companion.authority.table import State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
-from companion.avoidance.authority import State
 from companion.config import EtherRadio
 from companion.events import Firmware, Settings, VelocitySetpoint
 from companion.onboard import Onboard

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from companion import ownship
-from companion.avoidance.authority import HOLDING
-from companion.avoidance.control import Control
+from companion.authority.modes import OurModes
+from companion.authority.table import HOLDING
 from companion.events import Firmware
 from companion.ownship import Ownship
 from sitl_mocks import cli
@@ -38,7 +38,7 @@ def test_no_rule_is_broken(firmware, use):
 @pytest.mark.parametrize(
     ("where", "name", "broken", "seed", "words"),
     [
-        (Control, "_pilot_took_over", lambda self, now_s: False, 3, "after the pilot's mode was seen"),
+        (OurModes, "not_ours", lambda self, now_s: False, 3, "after the pilot's mode was seen"),
         (Ownship, "unfit", lambda self, now_s, stale_after_s: None, 12, "a setpoint on a position"),
         (ownship, "in_mode", lambda beat, custom_mode: beat, 11, "after the pilot's mode was seen"),
     ],

@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from companion.authority.table import HOLDING, State
 from companion.autopilot.advice import after_silence, remarks, too_fast
-from companion.avoidance.authority import HOLDING, State
 from companion.avoidance.limits import effective
 from companion.avoidance.trajectory import Trajectory, check_speeds
 from companion.config import AvoidanceConfig, LimitsConfig

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from companion import record
-from companion.avoidance.authority import State
+from companion.authority.table import State
 from companion.config import Config
 from companion.events import AnyCommand, AnyEvent, Decision, Firmware, GlobalPosition, TrackView, Vec3
 from companion.record import Header, Step

@@ -31,13 +31,13 @@ def test_the_half_spaces_are_those_of_the_heart():
             own.take(event, step.now_s)
         explainer.note(step.now_s, own.velocity_ned_mps)
         for one in (c for c in commands if isinstance(c, Decision) and c.tracks):
-            if heart.plan.law is None or not any(t.active for t in one.tracks):
+            if heart.plan.course.law is None or not any(t.active for t in one.tracks):
                 continue
             look = explainer.look(step.now_s, one, own.position.height_above_home_m, own.sigma_m)
-            planes = heart.plan.law._view[: len(one.tracks), k.V_PLANE : k.V_STANDING]
+            planes = heart.plan.course.law._view[: len(one.tracks), k.V_PLANE : k.V_STANDING]
             mine = [(*s.normal_ned, s.least_mps) for s in look.half_spaces if s.track]
             np.testing.assert_allclose(mine, planes, atol=1e-9)
-            solved = heart.plan.law._out[k.R_SOLVED : k.R_SOLVED + 3]
+            solved = heart.plan.course.law._out[k.R_SOLVED : k.R_SOLVED + 3]
             np.testing.assert_allclose(look.alternatives[0].velocity_ned_mps, solved, atol=1e-6)
             compared += 1
     assert compared > 50

@@ -1,16 +1,20 @@
-"""Takes the vehicle, keeps it, lets it go: what moves the table of `authority`, and what each move does."""
+"""Takes the vehicle, keeps it, lets it go: what moves the authority table, and what each move does."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Protocol
 
-from companion.avoidance.authority import HOLDING, State, Trigger, next_state
-from companion.avoidance.guard import GuardPlan
-from companion.avoidance.handback import HandBack
+from companion.authority.guard import GuardPlan
+from companion.authority.handback import HandBack
+from companion.authority.modes import OurModes
+from companion.authority.plan import Plan
+from companion.authority.readiness import Readiness, mode_name
+from companion.authority.standstill import Standstill
+from companion.authority.sticks import Sticks
+from companion.authority.table import HOLDING, State, Trigger, next_state
 from companion.avoidance.law import LawResult
-from companion.avoidance.plan import Plan
-from companion.avoidance.readiness import Readiness, mode_name
-from companion.avoidance.sticks import Sticks
 from companion.config import Config
 from companion.events import (
     AuthorityChanged,
@@ -23,6 +27,7 @@ from companion.events import (
     Say,
     SetMode,
     Severity,
+    Vec3,
 )
 from companion.ownship import Ownship
 from companion.settings import SWITCHED_OFF
@@ -35,8 +40,6 @@ _HEALTHY_AFTER_S = 3.0
 come again are a wish to go on."""
 _REFUSED_PAUSE_S = 8.0
 """After a refused mode change, before the vehicle is asked again."""
-_STREAM_FIRST_S = 0.5
-"""PX4 enters OFFBOARD only while setpoints already stream."""
 _SURE = 3
 """Decisions in a row that must see a conflict before a guarded vehicle is taken."""
 _KEPT_OFF_S = 60.0
@@ -56,19 +59,36 @@ _REASONS = {
     Trigger.REGAINED: "back on the timed path",
 }
 """Of the moves that have but one."""
-_BRAKING_S = 3.0
-"""Who switches off wants the vehicle to stop, not to meet what an autopilot does when setpoints end: for so
-long at most it is commanded to stand, until it holds by itself."""
-_STICKS_S = 10.0
-"""The same for a mode that takes sticks: longer than it is asked for, so that where the vehicle refuses it a
-hold can be asked for instead."""
+_LATE_S = 0.25
+"""A step that comes this much after the last (or 2.5 periods) commands nothing: the loop was late."""
+
+
+class Cycle(Protocol):
+    """The law and who tells of it, as `Control` asks them: only in the states that need them."""
+
+    def due(self, now_s: float) -> bool:
+        """The law's period since it was asked last is over."""
+
+    def decide(self, now_s: float, state: State) -> LawResult:
+        """What the law would fly now. Needs a law."""
+
+    def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
+        """What is to be told of what was just decided."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one step brought."""
+
+    commands: list[Command]
+    velocity_ned_mps: Vec3 | None = None
+    """To be commanded, after them (m/s); None: nothing is."""
+    alerts_only: bool = False
+    """The law was not asked, and the own state is fit: others may be judged for alerts alone."""
 
 
 class Control:
-    """Who flies one aircraft.
-
-    At every step `judge`, and then, by the state: `watched`; or `give_back`, `decided` where the law decides
-    anew, and `keep`; or `stands`.
+    """Who flies one aircraft. The caller knows one entry, `step`, besides what it hands in as it comes.
 
     Args:
         config: only what no ground station may set is used.
@@ -76,35 +96,38 @@ class Control:
 
     def __init__(self, config: Config, own: Ownship, plan: Plan, readiness: Readiness) -> None:
         self.state = State.STANDBY
-        self.ours: frozenset[FlightMode] = frozenset()
-        """Modes that the vehicle may be in by our own doing, after a fault ended our flight."""
         self._config = config
         self._own = own
         self._plan = plan
         self._readiness = readiness
         self._clear_after_s = config.avoidance.n_noncollide * config.avoidance.period_s
-        self._handback = HandBack(plan, own, self._clear_after_s) if isinstance(plan, GuardPlan) else None
+        self._late_s = max(_LATE_S, 2.5 / config.flight.setpoint_rate_hz)
+        self._guard = plan if isinstance(plan, GuardPlan) else None
+        self._handback = None if self._guard is None else HandBack(self._guard, own, self._clear_after_s)
         """Of a mission that is guarded; None: none is."""
+        self._modes = OurModes(own, self._handback)
         self._sticks = Sticks()
+        self._standstill = Standstill()
+        self._result: LawResult | None = None
+        """The law's last, while the vehicle is held."""
         self._conflict_s = self._commanded_s = -math.inf
         self._conflicts = 0
         """Decisions in a row, while a mission is guarded, that saw one."""
-        self._mode_confirmed = False
-        self._stream_s: float | None = None
-        self._custom_before: int | None = None
         self._refused: str | None = None
         self._healthy_s = -math.inf
         """From when on a fault may end."""
         self._left = False
         """The pilot has left the mode by which he gives authority."""
-        self._stand_until_s = -math.inf
-        self._stood_in: FlightMode | None = None
-        """Mode that the vehicle was last seen in while it is commanded to stand."""
 
     @property
     def in_control(self) -> bool:
         """The vehicle flies what we command."""
-        return self.state in HOLDING and self._mode_confirmed
+        return self.state in HOLDING and self._modes.confirmed
+
+    @property
+    def left_in(self) -> frozenset[FlightMode]:
+        """Modes that the vehicle may be in by our own doing, after a fault ended our flight."""
+        return self._modes.left_in
 
     def take_sticks(self, event: RcChannels) -> None:
         """The pilot's sticks."""
@@ -121,81 +144,94 @@ class Control:
             told.append(SetMode(mode=FlightMode.HOLD))
         return told
 
-    def unfit(self, now_s: float, gap_s: float) -> str | None:
-        """Why nothing is to be commanded, in words; None when nothing is against it.
+    def step(self, now_s: float, gap_s: float, cycle: Cycle) -> Step:
+        """Who flies now, and what is commanded.
 
         Args:
             gap_s: since the last step.
         """
+        unfit = self._unfit(now_s, gap_s)
+        commands = self._judge(now_s, unfit)
+        if self.state not in HOLDING:
+            self._result = None
+        in_time = gap_s <= self._late_s
+        if self.state in HOLDING and in_time:
+            velocity = self._fly(now_s, cycle, commands)
+            return Step(commands, velocity)
+        if self.state is State.WATCHING and in_time and cycle.due(now_s):
+            self._watch(now_s, cycle, commands)
+            return Step(commands)
+        stands = unfit is None and self._standstill.lasts(now_s, self._own.mode)
+        return Step(commands, (0.0, 0.0, 0.0) if stands else None, alerts_only=unfit is None)
+
+    # ------------------------------------------------------------ the parts of a step
+
+    def _unfit(self, now_s: float, gap_s: float) -> str | None:
+        """Why nothing is to be commanded, in words; None when nothing is against it."""
         if gap_s > _HUNG_S or (self.state in HOLDING and now_s - self._commanded_s > _HUNG_S):
             return f"the loop is late: nothing commanded for {_HUNG_S:g} s"
         return self._own.unfit(now_s, self._config.vehicle.stale_after_s)
 
-    def judge(self, now_s: float, unfit: str | None) -> list[Command]:
-        """What the vehicle's state says about who flies.
-
-        Args:
-            unfit: as `unfit` says.
-        """
+    def _judge(self, now_s: float, unfit: str | None) -> list[Command]:
+        """What the vehicle's state says about who flies."""
         ended = unfit if self._readiness.enabled else SWITCHED_OFF
         if ended is not None:
             self._healthy_s = now_s + _HEALTHY_AFTER_S
         elif self._refused is not None:
             self._healthy_s = now_s + _REFUSED_PAUSE_S
+        self._modes.look()
+        self._standstill.see(self._own.mode)
         commands = self._move(now_s, self._triggers(now_s, ended), unfit=ended)
         self._refused = None
         return commands
 
-    def watched(self, now_s: float, result: LawResult) -> list[Command]:
+    def _watch(self, now_s: float, cycle: Cycle, commands: list[Command]) -> None:
         """The autopilot flies its mission: would the law fly something else?"""
+        assert self._guard is not None
+        commands += self._guard.watch(self._own, now_s)
+        self._result = result = cycle.decide(now_s, self.state)
+        commands += cycle.note(now_s, result, self.state)
         guarded = self._own.landed(now_s) not in _NOT_GUARDED
         self._conflicts = self._conflicts + 1 if result.conflict and guarded else 0
-        if self._conflicts < _SURE:
-            return []
-        commands = self._move(now_s, frozenset({Trigger.CONFLICT}), result=result)
-        # The way to the item may end short of what the mission flies into: it counts all the same.
-        self._conflict_s = now_s
-        return commands
-
-    def decided(self, now_s: float, result: LawResult) -> list[Command]:
-        """What the law flies now. Needs a law."""
-        if self._handback is not None:
-            self._handback.note_way(now_s)
-        if result.conflict:
+        if self._conflicts >= _SURE:
+            commands += self._move(now_s, frozenset({Trigger.CONFLICT}), result=result)
+            # The way to the item may end short of what the mission flies into: it counts all the same.
             self._conflict_s = now_s
-        return self._move(now_s, self._law_triggers(now_s, result), result=result)
 
-    def give_back(self, now_s: float) -> list[Command]:
+    def _fly(self, now_s: float, cycle: Cycle, commands: list[Command]) -> Vec3 | None:
+        """The vehicle is held: it is commanded what the law decides, and has decided last; once that streams,
+        it is got to take it. None: its mission is not resumed, and it was let go."""
+        commands += self._give_back(now_s)
+        if self.state not in HOLDING:
+            return None
+        result = self._result
+        if result is None or cycle.due(now_s):
+            self._result = result = self._steer(now_s, cycle, commands)
+        self._commanded_s = now_s
+        commands += self._modes.keep(now_s)
+        if self._modes.confirmed:
+            self._plan.engage(now_s)
+        return result.chosen_ned_mps
+
+    def _give_back(self, now_s: float) -> list[Command]:
         """A guarded vehicle on its way goes back to its mission."""
-        if self._handback is None or self.state is not State.GUARDING or not self._mode_confirmed:
+        if self._handback is None or self.state is not State.GUARDING or not self._modes.confirmed:
             return []
         commands, over = self._handback.ask(now_s, now_s - self._conflict_s)
         return commands + self._move(now_s, frozenset({Trigger.CHANGED})) if over else commands
 
-    def keep(self, now_s: float) -> list[Command]:
-        """The vehicle is commanded now: get it to take setpoints, once they stream."""
-        self._commanded_s = now_s
-        if self._own.mode is FlightMode.EXTERNAL:
-            if not self._mode_confirmed:
-                self._plan.engage(now_s)
-            self._mode_confirmed = True
-        elif self._mode_confirmed:
-            # The mission that was asked for is entered after all, and there is a conflict again.
-            self._seek_mode(now_s)
-        elif self._stream_s is not None and now_s - self._stream_s >= _STREAM_FIRST_S:
-            self._stream_s = None
-            return [SetMode(mode=FlightMode.EXTERNAL)]
-        return []
-
-    def stands(self, now_s: float) -> bool:
-        """The vehicle that was let go is still to be commanded to stand: until the mode that was asked for
-        shows, or any other, and then never again."""
-        mode = self._own.mode
-        if mode is FlightMode.EXTERNAL:
-            self._stood_in = mode
-        elif mode is not self._stood_in:
-            self._stand_until_s = -math.inf
-        return now_s < self._stand_until_s and mode is FlightMode.EXTERNAL
+    def _steer(self, now_s: float, cycle: Cycle, commands: list[Command]) -> LawResult:
+        """The law decides anew."""
+        if self._guard is not None:
+            commands += self._guard.lead(self._own, now_s)
+        result = cycle.decide(now_s, self.state)
+        if self._handback is not None:
+            self._handback.note_way(now_s)
+        if result.conflict:
+            self._conflict_s = now_s
+        commands += self._move(now_s, self._law_triggers(now_s, result), result=result)
+        commands += cycle.note(now_s, result, self.state)
+        return result
 
     # ------------------------------------------------------------ what moves it
 
@@ -203,9 +239,7 @@ class Control:
         """What the vehicle's state says about authority."""
         own, handback, rearm = self._own, self._handback, self._config.flight.rearm
         found = set()
-        if own.mode not in self.ours:
-            self.ours = frozenset()
-        if self._pilot_took_over(now_s) or self._sticks.moved:
+        if self._modes.not_ours(now_s) or self._sticks.moved:
             found.add(Trigger.PILOT)
         if unfit is not None or self._refused is not None:
             found.add(Trigger.UNFIT)
@@ -220,7 +254,7 @@ class Control:
         if (rearm == "disarm" and disarmed) or (rearm == "mode" and given and self._left):
             found.add(Trigger.REARM)
         standing_by = self.state is State.STANDBY and self._plan.ready
-        ready = standing_by and self._readiness.waits_for(now_s, self.ours) is None
+        ready = standing_by and self._readiness.waits_for(now_s, self._modes.left_in) is None
         if ready and self._plan.near(own, now_s):
             found.add(Trigger.WATCH if handback is not None and on_mission else Trigger.READY)
         if handback is not None and handback.ended(now_s):
@@ -234,23 +268,6 @@ class Control:
             found.add(Trigger.LEFT)
         return frozenset(found)
 
-    def _pilot_took_over(self, now_s: float) -> bool:
-        """A mode that we did not command: any but the one we asked for and, until that is confirmed, the one
-        we took the vehicle from."""
-        mode = self._own.mode
-        if mode is None or mode in self.ours | {FlightMode.EXTERNAL}:
-            return False
-        if self._handback is not None and self._handback.obeyed(now_s):
-            return False
-        return not self._being_taken
-
-    @property
-    def _being_taken(self) -> bool:
-        """The vehicle is still in the mode that we are taking it from."""
-        heartbeat = self._own.heartbeat
-        assert heartbeat is not None
-        return not self._mode_confirmed and heartbeat.custom_mode == self._custom_before
-
     @property
     def _asks_sticks(self) -> bool:
         """The pilot moves the sticks and has chosen no mode: the vehicle is in ours, in the hold that our
@@ -260,9 +277,9 @@ class Control:
             return False
         if mode is FlightMode.EXTERNAL:
             return True
-        if self.ours:
-            return mode is FlightMode.HOLD and mode in self.ours
-        return self._being_taken
+        if self._modes.left_in:
+            return mode is FlightMode.HOLD and mode in self._modes.left_in
+        return self._modes.being_taken
 
     def _law_triggers(self, now_s: float, result: LawResult) -> frozenset[Trigger]:
         """What the law says about authority."""
@@ -271,7 +288,7 @@ class Control:
         clear_s = now_s - self._conflict_s
         if clear_s < self._clear_after_s:
             return frozenset()
-        distance, regained = self._plan.distance_m(self._own, now_s), self._config.avoidance.regained_m
+        distance, regained = self._plan.course.distance_m(self._own, now_s), self._config.avoidance.regained_m
         kept_off = self._handback is not None and clear_s >= _KEPT_OFF_S
         if distance <= regained or kept_off:
             return frozenset({Trigger.CLEAR, Trigger.REGAINED})
@@ -316,17 +333,11 @@ class Control:
         """The vehicle is taken."""
         commands = [] if self._handback is None else self._handback.begin(now_s)
         self._sticks.begin()
-        self.ours = frozenset()
+        self._modes.left_in = frozenset()
         self._conflict_s = -math.inf
         self._commanded_s = now_s
-        self._seek_mode(now_s)
+        self._modes.seek(now_s)
         return commands
-
-    def _seek_mode(self, now_s: float) -> None:
-        """Our mode is to be entered, from the one that the vehicle is in."""
-        heartbeat = self._own.heartbeat
-        self._mode_confirmed, self._stream_s = False, now_s
-        self._custom_before = None if heartbeat is None else heartbeat.custom_mode
 
     def _end(self, now_s: float, trigger: Trigger, held: bool) -> list[Command]:
         """Nothing is commanded: not any more, where the vehicle was held."""
@@ -343,35 +354,25 @@ class Control:
         holds = trigger is Trigger.CHANGED or (trigger is Trigger.UNFIT and not self._readiness.enabled)
         if held and (holds or sticks):
             # Waited for standing: PX4's own failsafe is quicker than the next heartbeat.
-            self._stand_until_s = now_s + (_STICKS_S if sticks else _BRAKING_S)
-            self._stood_in = self._own.mode
+            self._standstill.begin(now_s, self._own.mode, sticks=sticks)
         elif not sticks:
-            self._stand_until_s = -math.inf
+            self._standstill.end()
         if self.state is State.WATCHING:
-            self.ours = frozenset()
+            self._modes.left_in = frozenset()
         self._left, self._conflicts = False, 0
         return commands
 
     def _let_go(self, trigger: Trigger) -> list[Command]:
         """PX4 notices at once that nothing is commanded any more; ArduPilot would fly on for seconds as it
         was commanded last, so it is asked to stop."""
-        heartbeat, mode = self._own.heartbeat, self._own.mode
-        external = mode is FlightMode.EXTERNAL
-        self.ours = frozenset()
+        heartbeat = self._own.heartbeat
+        self._modes.left_in = frozenset()
         if trigger is Trigger.CHANGED:
             return [SetMode(mode=FlightMode.HOLD)]
         if trigger is not Trigger.UNFIT:
             return []
-        if mode is not None and not external and not self._mode_confirmed:
-            # Our mode may be entered unseen.
-            self.ours = frozenset({mode, FlightMode.EXTERNAL})
-        elif external:
-            self.ours = frozenset({FlightMode.EXTERNAL})
-            ardupilot = heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
-            if ardupilot or not self._readiness.enabled:
-                self.ours |= {FlightMode.HOLD}
-                return [SetMode(mode=FlightMode.HOLD)]
-        return []
+        ardupilot = heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
+        return self._modes.let_go(asks_hold=ardupilot or not self._readiness.enabled)
 
     # ------------------------------------------------------------ in words
 
@@ -397,7 +398,7 @@ class Control:
         return _REASONS[trigger]
 
     def _what_the_pilot_did(self, now_s: float) -> str:
-        if not self._pilot_took_over(now_s):
+        if not self._modes.not_ours(now_s):
             return "the pilot moves the sticks"
         changed = f"mode changed to {mode_name(self._own)}"
         if self._handback is not None and self._handback.ends_in_hold(now_s):

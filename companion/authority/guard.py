@@ -10,15 +10,18 @@ from __future__ import annotations
 
 import math
 
+from companion.authority.course import Course
+from companion.authority.downloads import RETRY_S, Downloads
+from companion.authority.terms import Terms
 from companion.autopilot.advice import restarting, too_fast
 from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speeds_at
 from companion.avoidance.law import Law
-from companion.avoidance.plan import RETRY_S, Plan
 from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of
-from companion.config import LimitsConfig
+from companion.config import Config, LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Command, MissionDownloaded, MissionItem, Say, Severity, Vec3
+from companion.events import Command, MissionDownloaded, MissionItem, Vec3
+from companion.geometry import LocalFrame
 from companion.ownship import Ownship
 
 _AHEAD_S = 60.0
@@ -32,7 +35,7 @@ _HERE_M = 0.5
 _STAY_S = 1.0
 
 
-class GuardPlan(Plan):
+class GuardPlan:
     """Path, law and path clock of a guarded mission.
 
     The mission is fetched when the vehicle begins to fly it, and again when its item number goes back or
@@ -41,85 +44,95 @@ class GuardPlan(Plan):
     given back: one that was changed in between is not resumed.
     """
 
-    _fetched = False
-    _comparing = False
-    changed = False
-    """The mission is another than when the vehicle was taken."""
-    _compared_s = -math.inf
-    """When it was last found to be the same."""
-    _stale = False
-    """What was fetched may not be what the vehicle flies: it is to be fetched anew."""
-    _judged: tuple[MissionItem, ...] | None = None
-    """The mission whose speed was last compared with the limit."""
-    _seq = 0
-    """Item that the vehicle was at."""
-    _mark: tuple[int, int] | None = None
-    """What it told of its mission (`Ownship.mission_mark`)."""
-    _led: tuple[tuple[MissionItem, ...], int | None] = (), None
-    """The mission and the item that the path leads to."""
-    _speed_mps = 0.0
-    """Flown when the vehicle was taken."""
-    ended = False
-    """The mission was complete when the vehicle was taken."""
+    def __init__(self, config: Config) -> None:
+        self.terms = Terms(config)
+        self.downloads = Downloads(self.terms)
+        self.course = Course()
+        self.changed = False
+        """The mission is another than when the vehicle was taken."""
+        self.ended = False
+        """The mission was complete when the vehicle was taken."""
+        self._flown: tuple[MissionItem, ...] = ()
+        """The mission that the vehicle flies."""
+        self._fetched = self._comparing = False
+        self._compared_s = -math.inf
+        """When it was last found to be the same."""
+        self._stale = False
+        """What was fetched may not be what the vehicle flies: it is to be fetched anew."""
+        self._judged: tuple[MissionItem, ...] | None = None
+        """The mission whose speed was last compared with the limit."""
+        self._seq = 0
+        """Item that the vehicle was at."""
+        self._mark: tuple[int, int] | None = None
+        """What it told of its mission (`Ownship.mission_mark`)."""
+        self._led: tuple[tuple[MissionItem, ...], int | None] = (), None
+        """The mission and the item that the path leads to."""
+        self._speed_mps = 0.0
+        """Flown when the vehicle was taken."""
 
     @property
     def ready(self) -> bool:
         """There is a law, and what the mission is is known."""
-        return self.law is not None and self._fetched
+        return self.course.law is not None and self._fetched
 
     def drop(self) -> None:
         """The flight is over, or another mission is to be flown."""
-        super().drop()
+        self.course.end()
+        self.downloads.forget()
         self._fetched = self._comparing = self.changed = self._stale = False
         self._mark, self._compared_s = None, -math.inf
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
         """What the vehicle flies, or whether it is still that."""
-        super().take_mission(event, now_s)
+        self.downloads.take_mission(event, now_s)
         if self._comparing:
-            self.changed, self._compared_s = self._items != self._flown, now_s
+            self.changed, self._compared_s = event.items != self._flown, now_s
         else:
-            self._flown, self._stale = self._items, False
+            self._flown, self._stale = event.items, False
         self._fetched, self._comparing = True, False
+
+    def check(self, own: Ownship, now_s: float) -> list[Command]:
+        """Whatever the mission is, it can be guarded."""
+        return []
 
     def prepare(self, own: Ownship, now_s: float) -> list[Command]:
         """Make a law for a vehicle that could be watched now; a refused one is tried again later."""
-        if self.law is not None and self._fetched:
+        if self.course.law is not None and self._fetched:
             return []
-        if now_s - self._tried_s < RETRY_S:
+        if not self.downloads.may_try(now_s):
             return []
-        self._tried_s = now_s
-        restart = None if self._vehicle is None else restarting(self._vehicle)
+        restart = None if self.terms.vehicle is None else restarting(self.terms.vehicle)
         if restart is not None:
-            return self.refuse(restart)
-        asked = self._ask_fence(now_s)
+            return self.terms.refuse(restart)
+        asked = self.downloads.ask_fence(now_s)
         if asked is not None:
             return asked
         if not self._fetched:
-            return self._ask_mission(now_s)
+            return self.downloads.ask_mission(now_s)
         try:
-            walls = walls_of(self._checked_areas(), self._frame(own), None, own.sigma_m)
+            walls = walls_of(self.downloads.areas(), self._frame(own), None, own.sigma_m)
         except ConfigError as error:
-            return self.refuse(str(error))
+            return self.terms.refuse(str(error))
         home = own.home_alt_msl_m
         if home is None:
             return []
         here = own.position_ned_m(now_s)
-        self.law = Law(self._config.avoidance, self.limits, _standing(here), walls)
-        self.home_alt_msl_m, self._start_s, self._said = home, now_s, None
+        law = Law(self.terms.config.avoidance, self.terms.limits, _standing(here), walls)
+        self.course.begin(law, home, now_s)
+        self.terms.accept()
         return []
 
     def watch(self, own: Ownship, now_s: float) -> list[Command]:
         """The path is what the vehicle flies. Needs a law. Returns what is to be said and asked: an item
         number that went back is that of another mission, or of a jump; what marks the mission tells of
         another one."""
-        assert self.law is not None
+        assert self.course.law is not None
         here, v = own.position_ned_m(now_s), own.velocity_ned_mps
-        self.law.follow(
+        self.course.law.follow(
             Trajectory([-_BEFORE_S, _AHEAD_S], [_moved(here, v, -_BEFORE_S), _moved(here, v, _AHEAD_S)])
         )
-        self._start_s = now_s
-        self.lowest_height_m = self._height_m(own)
+        self.course.start_s = now_s
+        self.course.lowest_height_m = self._height_m(own)
         back = own.mission_seq is not None and own.mission_seq < self._seq
         if back or (own.mission_mark != self._mark and self._mark is not None):
             self._renew()
@@ -128,25 +141,21 @@ class GuardPlan(Plan):
 
     def _tell_fast(self) -> list[Command]:
         """Once: it is slowed down as it is taken."""
-        if self._vehicle is None or self._judged is self._flown:
+        if self.terms.vehicle is None or self._judged is self._flown:
             return []
         self._judged = self._flown
-        text = too_fast(self._config.limits, self._vehicle, self._flown)
-        if text is None or text in self._remarked:
-            return []
-        self._remarked.add(text)
-        return [Say(severity=Severity.WARNING, text=f"DMUCA: {text}")]
+        text = too_fast(self.terms.config.limits, self.terms.vehicle, self._flown)
+        return [] if text is None else self.terms.warn([text])
 
     def _renew(self) -> None:
         """The mission is to be fetched anew, at once, also where it is being fetched."""
         self._stale = True
-        self._asked_s = self._tried_s = -math.inf
+        self.downloads.hurry()
 
     def _fetch(self, now_s: float) -> list[Command]:
-        if not self._stale or now_s - self._tried_s < RETRY_S:
+        if not self._stale or not self.downloads.may_try(now_s):
             return []
-        self._tried_s = now_s
-        return self._ask_mission(now_s)
+        return self.downloads.ask_mission(now_s)
 
     def leave(self, own: Ownship, now_s: float) -> None:
         """The vehicle is taken: its path is the way to its mission's item; of a mission that is not known, to
@@ -165,22 +174,26 @@ class GuardPlan(Plan):
         return self._fetch(now_s)
 
     def _follow(self, own: Ownship, now_s: float) -> None:
-        assert self.law is not None
+        assert self.course.law is not None
         here, item = own.position_ned_m(now_s), None if self._stale else self._item(own)
         path, lowest_m = _standing(here), self._height_m(own)
-        place = None if item is None else place_of(item, self._height_m(own), self.home_alt_msl_m)
+        place = None if item is None else place_of(item, self._height_m(own), self.course.home_alt_msl_m)
         if place is not None:
             lat_deg, lon_deg, height_m = place
-            there = self._frame(own).to_ned(lat_deg, lon_deg, self.home_alt_msl_m + height_m)
-            path = _way(here, own.velocity_ned_mps, there, self._speed_mps, self.limits)
+            there = self._frame(own).to_ned(lat_deg, lon_deg, self.course.home_alt_msl_m + height_m)
+            path = _way(here, own.velocity_ned_mps, there, self._speed_mps, self.terms.limits)
             lowest_m = min(lowest_m, height_m)
-        self.law.follow(path)
-        self._start_s, self.lowest_height_m = now_s, lowest_m
+        self.course.law.follow(path)
+        self.course.start_s, self.course.lowest_height_m = now_s, lowest_m
         self._led = ((), None) if self._stale else (self._flown, own.mission_seq)
 
     def near(self, own: Ownship, now_s: float) -> bool:
         """The way begins where the vehicle is."""
         return True
+
+    def remake(self, own: Ownship) -> bool:
+        """It is never too far away."""
+        return False
 
     def engage(self, now_s: float) -> None:
         """The clock runs since the vehicle was taken: it is flying."""
@@ -197,10 +210,10 @@ class GuardPlan(Plan):
             return False, []
         if now_s - self._compared_s <= RETRY_S:
             return True, []
-        if self._stale or now_s - self._tried_s < RETRY_S:
+        if self._stale or not self.downloads.may_try(now_s):
             return None, []
-        self._comparing, self._tried_s = True, now_s
-        return None, self._ask_mission(now_s)
+        self._comparing = True
+        return None, self.downloads.ask_mission(now_s)
 
     @property
     def why_not(self) -> str | None:
@@ -210,7 +223,7 @@ class GuardPlan(Plan):
             return "the mission had come to its end"
         if self.changed:
             return "the mission was changed meanwhile"
-        return None if self._vehicle is None else restarting(self._vehicle)
+        return None if self.terms.vehicle is None else restarting(self.terms.vehicle)
 
     def mission_speed_mps(self, own: Ownship) -> float | None:
         """What the mission has asked for; None: the vehicle's own speed, or it is not known which."""
@@ -230,6 +243,10 @@ class GuardPlan(Plan):
 
     def _item(self, own: Ownship) -> MissionItem | None:
         return next((item for item in self._flown if item.seq == own.mission_seq), None)
+
+    def _frame(self, own: Ownship) -> LocalFrame:
+        assert own.frame is not None
+        return own.frame
 
     def _height_m(self, own: Ownship) -> float:
         return math.inf if own.position is None else own.position.height_above_home_m

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from companion.authority.guard import GuardPlan
 from companion.autopilot.dialect import DIALECTS
-from companion.avoidance.guard import GuardPlan
 from companion.events import Command, Firmware, FlightMode, Say, SetMode, SetSpeed, Severity
 from companion.ownship import Ownship
 
@@ -59,9 +59,9 @@ class HandBack:
 
     def note_way(self, now_s: float) -> None:
         """The vehicle is flown: how far off its way it is. Needs a law."""
-        assert self._guard.law is not None
+        assert self._guard.course.law is not None
         here = self._own.position_ned_m(now_s)
-        _, nearest = self._guard.law.trajectory.nearest(here)
+        _, nearest = self._guard.course.law.trajectory.nearest(here)
         self._off_m = max(self._off_m, math.dist(nearest, here))
 
     def ask(self, now_s: float, clear_s: float) -> tuple[list[Command], bool]:

@@ -1,0 +1,208 @@
+"""The path that is flown: where it comes from, when its clock starts, what it is anchored to.
+
+A plan is made when the vehicle is otherwise ready to be taken, in the air: home, UTC and the place where a
+mission begins are those of that moment and stay for the flight, whatever the autopilot corrects later.
+Landing ends it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.authority.course import Course
+from companion.authority.downloads import RETRY_S, Downloads
+from companion.authority.terms import Terms
+from companion.autopilot.mission import path_from_mission
+from companion.avoidance.law import Law
+from companion.avoidance.path import local_path
+from companion.avoidance.trajectory import Trajectory, check_speeds
+from companion.avoidance.walls import walls_of
+from companion.config import Config, TrajectoryFile
+from companion.errors import ConfigError
+from companion.events import Command, FlightMode, MissionDownloaded, MissionItem
+from companion.ownship import Ownship
+
+_CHANGED = (
+    "the mission was changed while the pilot flew: it is flown from AUTO or MISSION, or after a landing"
+)
+
+
+class FlownPlan:
+    """The path that the companion flies: a trajectory file, or the vehicle's mission as one."""
+
+    def __init__(self, config: Config) -> None:
+        self.terms = Terms(config)
+        self.downloads = Downloads(self.terms)
+        self.course = Course()
+        self._flown: tuple[MissionItem, ...] = ()
+        """The mission that the path was made of."""
+        self._given_back = False
+        """The pilot gave the vehicle back: the mission is to be compared before it is flown on."""
+        self._changed: tuple[MissionItem, ...] = ()
+        """A mission that the pilot changed in flight: not to be begun from GUIDED or HOLD."""
+        self._checked: bool | None = None
+        """Whether it was armed when its mission was last checked on the ground."""
+        self._check_s = -math.inf
+        """When it was last asked for to be checked."""
+
+    @property
+    def ready(self) -> bool:
+        """There is a path, and nothing is to be asked about it."""
+        return self.course.law is not None and not self._given_back
+
+    def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
+        """Keep the downloaded mission for the plan that is made at once."""
+        self.downloads.take_mission(event, now_s)
+
+    def drop(self) -> None:
+        """The flight is over: the next one begins with a new plan."""
+        self.course.end()
+        self.downloads.forget()
+        self._given_back, self._changed = False, ()
+
+    def check(self, own: Ownship, now_s: float) -> list[Command]:
+        """On the ground: say what of the vehicle's mission cannot be flown, once it is found and once more
+        when it is armed. The flight itself fetches it anew."""
+        flight = self.terms.config.flight
+        if flight.use != "fly" or flight.trajectory != "mission" or self._checked == own.armed:
+            return []
+        if not self.downloads.mission_is_fresh(now_s):
+            if own.frame is None or now_s - self._check_s < RETRY_S:
+                return []
+            self._check_s = now_s
+            return self.downloads.ask_mission(now_s)
+        speed, position, home = flight.mission_speed_mps, own.position, own.home_alt_msl_m
+        if own.frame is None or position is None or home is None or speed is None:
+            return []
+        self._checked = own.armed
+        start = position.lat_deg, position.lon_deg, position.height_above_home_m
+        try:
+            path = path_from_mission(
+                self.downloads.items,
+                speed_mps=speed,
+                max_climb_mps=self.terms.limits.max_climb_mps,
+                max_descent_mps=self.terms.limits.max_descent_mps,
+                start=start,
+                home_alt_msl_m=home,
+            )
+            whole = local_path(path, own.frame, home)
+            if len(whole.times_s) > 2:
+                # The first leg begins where the vehicle is taken, which is not here.
+                flown = Trajectory(whole.times_s[1:], whole.points_ned_m[1:])
+                check_speeds(flown, self.terms.config.limits, vehicle=self.terms.vehicle)
+                walls_of(self.downloads.areas(), own.frame, flown, own.sigma_m)
+        except ConfigError as error:
+            return self.terms.refuse(str(error))
+        return []
+
+    def prepare(self, own: Ownship, now_s: float) -> list[Command]:
+        """Make the plan for a vehicle that could be taken now; a refused one is tried again later."""
+        if self.course.law is not None:
+            return self._compare(own, now_s) if self._given_back else []
+        if not self.downloads.may_try(now_s):
+            return []
+        asked = self.downloads.ask_fence(now_s)
+        if asked is not None:
+            return asked
+        try:
+            path = self.terms.config.path
+            if path is None:
+                if not self.downloads.mission_is_fresh(now_s):
+                    return self.downloads.ask_mission(now_s)
+                path = self._from_mission(own)
+            return [] if path is None else self._make(path, own, now_s)
+        except ConfigError as error:
+            return self.terms.refuse(str(error))
+
+    def _compare(self, own: Ownship, now_s: float) -> list[Command]:
+        """Fly the mission on if it is still the same; a changed one is not resumed."""
+        if not self.downloads.mission_is_fresh(now_s):
+            return self.downloads.ask_mission(now_s) if self.downloads.may_try(now_s) else []
+        items = self.downloads.items
+        if items == self._flown:
+            self._go_on(own, now_s)
+            return []
+        self.drop()
+        self._changed = items
+        return self.terms.refuse(_CHANGED)
+
+    def _from_mission(self, own: Ownship) -> TrajectoryFile | None:
+        """The downloaded mission from where the vehicle is; None while it is not known where that is in it.
+
+        Raises:
+            ConfigError: the mission cannot be flown.
+        """
+        speed, position, home = self.terms.config.flight.mission_speed_mps, own.position, own.home_alt_msl_m
+        flying = own.mode is FlightMode.MISSION
+        if self.downloads.items == self._changed != () and not flying:
+            raise ConfigError(_CHANGED)
+        if speed is None or position is None or (flying and own.mission_seq is None):
+            return None
+        return path_from_mission(
+            self.downloads.items,
+            speed_mps=speed,
+            max_climb_mps=self.terms.limits.max_climb_mps,
+            max_descent_mps=self.terms.limits.max_descent_mps,
+            start=(position.lat_deg, position.lon_deg, position.height_above_home_m),
+            home_alt_msl_m=home,
+            # A mission that is being flown goes on; one that is not begins at its beginning.
+            first_seq=own.mission_seq if flying else None,
+        )
+
+    def _make(self, path: TrajectoryFile, own: Ownship, now_s: float) -> list[Command]:
+        flight, limits = self.terms.config.flight, self.terms.config.limits
+        home, separation = own.home_alt_msl_m, own.separation_m
+        if own.frame is None or home is None:
+            return []
+        datum = {"msl": 0.0, "home": home, "geodetic": None if separation is None else -separation}
+        above_msl = datum[path.altitude]
+        if above_msl is None:
+            return self.terms.refuse(
+                "its altitudes are geodetic and the GNSS gives no height above the ellipsoid"
+            )
+        trajectory = local_path(path, own.frame, above_msl)
+        check_speeds(trajectory, limits, vehicle=self.terms.vehicle)
+        start_s = None
+        if flight.start == "utc" and flight.start_utc_s is not None:
+            if own.utc_offset_s is None:
+                return self.terms.refuse("it starts at a UTC and the vehicle does not know UTC yet")
+            start_s = flight.start_utc_s - own.utc_offset_s
+        walls = walls_of(self.downloads.areas(), own.frame, trajectory, own.sigma_m)
+        self._flown = self.downloads.items
+        law = Law(self.terms.config.avoidance, self.terms.limits, trajectory, walls)
+        self.course.begin(law, home, start_s)
+        self.course.lowest_height_m = min(w.alt_m + above_msl - home for w in path.waypoint)
+        self.terms.accept()
+        return []
+
+    def engage(self, now_s: float) -> None:
+        """The vehicle flies what we command: the path's clock starts, unless it runs already."""
+        self.course.engage(now_s)
+
+    def resume(self, own: Ownship, now_s: float) -> None:
+        """The pilot gives the vehicle back in flight: go on from the nearest point of the path; of the
+        vehicle's mission only when that is still the same."""
+        if self.course.law is None:
+            return
+        if self.terms.config.path is None:
+            self._given_back = True
+            self.downloads.outdate_mission()
+        else:
+            self._go_on(own, now_s)
+
+    def _go_on(self, own: Ownship, now_s: float) -> None:
+        self._given_back = False
+        if self.course.law is not None and self.terms.config.flight.start == "engage":
+            nearest_s, _ = self.course.law.trajectory.nearest(own.position_ned_m(now_s))
+            self.course.start_s = now_s - nearest_s
+
+    def near(self, own: Ownship, now_s: float) -> bool:
+        """Near enough to that point to be taken. Needs a law."""
+        return self.course.distance_m(own, now_s) <= self.terms.config.flight.start_within_m
+
+    def remake(self, own: Ownship) -> bool:
+        """A mission that the vehicle itself has flown on meanwhile is planned anew from where it is."""
+        if self.terms.config.path is not None or own.mode is not FlightMode.MISSION:
+            return False
+        self.drop()
+        return True

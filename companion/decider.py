@@ -1,0 +1,132 @@
+"""One cycle of the law: what it is asked, and what is told of its answer (alerts, the log, a late path)."""
+
+from __future__ import annotations
+
+import math
+
+from companion.authority.course import Course
+from companion.authority.table import HOLDING, State
+from companion.avoidance.alerts import Alerts
+from companion.avoidance.law import LawResult, Neighbour, Situation
+from companion.config import Config
+from companion.events import Command, Decision, Say, Severity
+from companion.ownship import Ownship
+from companion.traffic.adsb import AdsbTraffic
+from companion.traffic.tracks import Traffic
+
+_LATE_STEP_S = 30.0
+"""The pilot is told each time that the path has waited for this long again."""
+_QUIET_LOG_S = 1.0
+"""Decisions are logged at least this often; while avoiding or recovering each one is."""
+
+
+class Decider:
+    """Asks the law of one aircraft.
+
+    Args:
+        config: what counts now; `configure` replaces it.
+    """
+
+    def __init__(
+        self, config: Config, own: Ownship, course: Course, traffic: Traffic, adsb: AdsbTraffic
+    ) -> None:
+        self.alerts = Alerts(config.avoidance)
+        self._config = config
+        self._own = own
+        self._course = course
+        self._traffic = traffic
+        self._adsb = adsb
+        self._neighbours: list[Neighbour] = []
+        """As the law was told of them."""
+        self._decided_s = self._logged_s = -math.inf
+        self._told_late_s: float | None = None
+        """By how much the path was late when that was last told, or when the vehicle was taken."""
+
+    def configure(self, config: Config) -> None:
+        """Other numbers count from now on."""
+        self._config = config
+        self.alerts.configure(config.avoidance)
+
+    def due(self, now_s: float) -> bool:
+        """The period since the last cycle is over."""
+        return now_s - self._decided_s >= self._config.avoidance.period_s - 1e-6
+
+    def decide(self, now_s: float, state: State) -> LawResult:
+        """What the law would fly now. Needs a law."""
+        law = self._course.law
+        assert law is not None
+        self._decided_s = now_s
+        if state in HOLDING and self._told_late_s is None:
+            self._told_late_s = self._course.late_s
+        self._neighbours = self._heard(now_s)
+        return law.decide(self._situation(now_s))
+
+    def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
+        """What is to be told of what was just decided."""
+        if state not in HOLDING:
+            return self._alert(now_s, None) + self._log(now_s, result, state)
+        return self._alert(now_s, result) + self._tell_late(result) + self._log(now_s, result, state)
+
+    def look(self, now_s: float) -> list[Command]:
+        """Nobody is flown around: a cycle of alerts alone."""
+        self._decided_s = now_s
+        self._neighbours = self._heard(now_s)
+        return self._alert(now_s, None)
+
+    def let_go(self) -> None:
+        """The vehicle is not held: how late a path is, is told anew of the next flight."""
+        self._told_late_s = None
+
+    def _heard(self, now_s: float) -> list[Neighbour]:
+        down_m = self._own.position_ned_m(now_s)[2]
+        return self._traffic.neighbours(now_s) + self._adsb.neighbours(now_s, down_m)
+
+    def _situation(self, now_s: float) -> Situation:
+        own, limits, course = self._own, self._config.limits, self._course
+        return Situation(
+            now_s=now_s,
+            path_time_s=course.path_time_s(now_s),
+            position_ned_m=own.position_ned_m(now_s),
+            velocity_ned_mps=own.velocity_ned_mps,
+            sigma_m=own.sigma_m,
+            neighbours=self._neighbours,
+            floor_down_m=course.boundary_down_m(course.floor_height_m(limits), own, now_s),
+            ceiling_down_m=course.boundary_down_m(limits.ceiling_height_m, own, now_s),
+        )
+
+    def _alert(self, now_s: float, result: LawResult | None) -> list[Command]:
+        position, velocity = self._own.position_ned_m(now_s), self._own.velocity_ned_mps
+        return self.alerts.look(now_s, position, velocity, self._neighbours, result)
+
+    def _tell_late(self, result: LawResult) -> list[Command]:
+        """An aircraft that stands before a fence, or is kept off its path for long, is no longer where it is
+        expected."""
+        late_s = self._course.late_s
+        assert self._told_late_s is not None
+        if late_s - self._told_late_s < _LATE_STEP_S:
+            return []
+        self._told_late_s = late_s
+        bounds = f"; bounded by {', '.join(result.limits)}" if result.limits else ""
+        return [Say(severity=Severity.NOTICE, text=f"DMUCA: path {late_s:.0f} s late{bounds}")]
+
+    def _log(self, now_s: float, result: LawResult, state: State) -> list[Command]:
+        quiet = state in (State.GUARDING, State.WATCHING)
+        if quiet and now_s - self._logged_s < _QUIET_LOG_S - 1e-6:
+            return []
+        self._logged_s = now_s
+        frame = self._own.frame
+        assert frame is not None
+        return [
+            Decision(
+                origin=(frame.lat_deg, frame.lon_deg, frame.alt_m),
+                position_ned_m=self._own.position_ned_m(now_s),
+                velocity_ned_mps=self._own.velocity_ned_mps,
+                wanted_ned_mps=result.wanted_ned_mps,
+                chosen_ned_mps=result.chosen_ned_mps,
+                feasible=result.feasible,
+                path_ned_m=self._course.point(now_s),
+                late_s=self._course.late_s,
+                limits=result.limits,
+                tracks=result.tracks,
+            )
+        ]

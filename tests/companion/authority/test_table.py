@@ -1,0 +1,41 @@
+"""The table of who flies: every pair of state and trigger, and the rules that it keeps."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.authority.table import HOLDING, TRANSITIONS, State, Trigger, next_state
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("trigger", Trigger)
+def test_every_pair_of_state_and_trigger(state, trigger):
+    """What the table says is done; what it does not know changes nothing."""
+    expected = TRANSITIONS.get((state, trigger))
+    moved = next_state(state, frozenset({trigger}))
+    assert moved == (None if expected is None else (expected, trigger))
+
+
+def test_rules_of_the_table():
+    for state in HOLDING:
+        assert TRANSITIONS[state, Trigger.PILOT] is State.YIELDED
+        assert TRANSITIONS[state, Trigger.UNFIT] is State.FAULT
+        assert TRANSITIONS[state, Trigger.RELEASE] is State.STANDBY
+    assert {t for s, t in TRANSITIONS if s is State.YIELDED} == {Trigger.REARM}
+    assert {s for (s, _), to in TRANSITIONS.items() if to is State.GUARDING} == {
+        State.STANDBY,
+        State.RECOVERING,
+    }
+    assert all(
+        s in {State.GUARDING, State.RECOVERING, State.WATCHING}
+        for (s, _), to in TRANSITIONS.items()
+        if to is State.AVOIDING
+    )
+    # Who only looks on is nobody the pilot has to take the vehicle from.
+    assert (State.WATCHING, Trigger.PILOT) not in TRANSITIONS
+
+
+def test_the_pilot_is_judged_before_everything_else():
+    everything = frozenset(Trigger)
+    for state in HOLDING | {State.FAULT}:
+        assert next_state(state, everything) == (State.YIELDED, Trigger.PILOT)
