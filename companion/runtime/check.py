@@ -292,7 +292,7 @@ class _Probe:
         while (now := time.monotonic()) < end and not done():
             self.now_s = now
             self.link.wait(0.05)
-            data = self.link.receive(now)
+            data = self.link.receive(now).data
             for event in [*self.protocol.receive(data, now), *self.protocol.advance(now)]:
                 self.counts[type(event)] += 1
                 self.own.take(event, now)

@@ -295,7 +295,7 @@ class Flight:
                 self._say(f"a Remote ID broadcast was not sent: {error}")
 
     def _exchange(self, now_s: float) -> None:
-        data = self.link.receive(now_s)
+        data = self.link.receive(now_s).data
         if data:
             self.onboard.receive(data, now_s)
             # An answer to TIMESYNC that waited for the next tick would tell a wrong time.

@@ -29,6 +29,18 @@ from companion.runtime.kept_link import KeptLink
 from companion.runtime.links import open_link
 
 
+class _ModuleLink:
+    """A kept link as the driver of a module wants it: bytes alone."""
+
+    def __init__(self, link: KeptLink) -> None:
+        self.wait, self.send, self.close = link.wait, link.send, link.close
+        self._link = link
+
+    def receive(self, now_s: float) -> bytes:
+        """What has arrived."""
+        return self._link.receive(now_s).data
+
+
 def open_radio(entry: RadioConfig, name: str) -> Transport:
     """One radio, open.
 
@@ -51,7 +63,7 @@ def open_radio(entry: RadioConfig, name: str) -> Transport:
         case ArduRemoteIdRadio():
             # What is lost and found again shows in the radio's own state: the module falls silent.
             link = KeptLink(entry.link, lambda text: None, partial(open_link, key="link"))
-            return ArduRemoteIdTransport(link, entry.system_id, time.monotonic, entry.link)
+            return ArduRemoteIdTransport(_ModuleLink(link), entry.system_id, time.monotonic, entry.link)
 
 
 class Radios:

@@ -27,9 +27,9 @@ from companion.radio.transport import Health
 from companion.remote_id.messages import Location, Status
 from companion.remote_id.region import Region
 from companion.runtime import radios, watch
+from companion.runtime.byte_link import LinkTrouble, Received
 from companion.runtime.disk import DiskFloor
 from companion.runtime.flight import Flight
-from companion.runtime.links import LinkTrouble
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions
@@ -250,7 +250,7 @@ def test_what_a_tick_decided_leaves_in_time_or_not_at_all(flight, monkeypatch, h
     now, sent = [1000.0], []
     clock = SimpleNamespace(monotonic=lambda: now[0], time=time.time)
     monkeypatch.setattr("companion.runtime.flight.time", clock)
-    monkeypatch.setattr(flight.link, "receive", lambda _: b"")
+    monkeypatch.setattr(flight.link, "receive", lambda _: Received())
     monkeypatch.setattr(flight.link, "send", sent.append)
 
     def held_up(_now_s):
@@ -640,7 +640,7 @@ class Joined:
 
     def receive(self, now_s):
         self.vehicle.advance(now_s)
-        return self.vehicle.drain()
+        return Received(self.vehicle.drain())
 
     def send(self, data):
         self.left += self._reader.feed(data)
