@@ -1,9 +1,9 @@
 """The run folder: configuration, manifest, tlog and event record, written beside the flight.
 
-All of it happens in a thread of its own, from making the folder to closing the files, because a memory card can
-stall a writer for seconds and a setpoint cannot wait. What the thread cannot take is dropped and counted, and
-the count stands in the summary. The same thread looks after the room on the disk. An error ends the thread, and
-with it the record of this flight: nobody tries again.
+All of it happens in a thread of its own, from making the folder to closing the files, because a memory card
+can stall a writer for seconds and a setpoint cannot wait. What the thread cannot take is dropped and counted,
+and the count stands in the summary. The same thread looks after the room on the disk. An error ends the thread
+and with it the record of this flight: nobody tries again.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def _git_commit() -> str | None:
     return next((line.split()[0] for line in packed if line.endswith(head[5:])), None)
 
 
-class _NoRoom(Exception):
+class _StoppedError(Exception):
     """Nothing more may be written; the words say why."""
 
 
@@ -233,7 +233,7 @@ class FlightRecorder:
         except OSError as error:
             where = "" if error.filename is None else f"{error.filename}: "
             self._keep(f"{where}{error.strerror or error}")
-        except (_NoRoom, ConfigError) as error:
+        except (_StoppedError, ConfigError) as error:
             self._keep(str(error))
         except Exception as error:
             # A bug of ours, but one beside the flight: it must not end unseen.
@@ -257,7 +257,7 @@ class FlightRecorder:
         write_all(events, record.MAGIC + record.encode(header))
 
     def _write(self, floor: DiskFloor) -> None:
-        """Until there is no more. Raises OSError and _NoRoom where the disk takes no more."""
+        """Until there is no more. Raises OSError and _StoppedError where the disk takes no more."""
         self.deleted = floor.deleted
         looked, synced = -math.inf, clock.now_s()
         running = True
@@ -298,11 +298,11 @@ class FlightRecorder:
         the files are gone, as what is written to them is lost."""
         trouble = floor.trouble()
         if trouble is not None:
-            raise _NoRoom(trouble)
+            raise _StoppedError(trouble)
         for path, file in self._files:
             there, ours = path.stat(), os.fstat(file)
             if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
-                raise _NoRoom(f"{path}: is another file now")
+                raise _StoppedError(f"{path}: is another file now")
 
     def _sync(self) -> None:
         self._flush()

@@ -1,8 +1,8 @@
 """The record of one flight: its run folder, from the first step of the heart to the summary.
 
 Steps and link bytes from before there is a folder are kept until then. A record folder that cannot be written
-ends no flight and keeps none from beginning: after a restart in the air an aircraft without a record still has
-to be heard and to avoid.
+ends no flight and keeps none from beginning: after a restart in the air the aircraft must be heard and must
+avoid others, with a record or without.
 """
 
 from __future__ import annotations

@@ -102,7 +102,8 @@ class KeptSigning:
         self.signing = Signing(key, start, clock.now_s())
         self._thread = threading.Thread(target=self._keep, args=(self.signing,), name="signing", daemon=True)
         self._thread.start()
-        # A process that is killed at once must not leave an older one behind. A disk that hangs is not awaited.
+        # A process that is killed at once must not leave an older one behind. A disk that hangs is not waited
+        # for.
         if not self._written.wait(_PATIENCE_S):
             self.error = f"{self._path}: the disk does not answer"
 

@@ -26,8 +26,11 @@ _DUMP_S = 2
 
 
 class Watchdog:
-    """Counts from `start` to `stop`; without a `report` in `wake_ups` of its wake-ups it writes a traceback of
-    all threads to stderr and ends the process with exit code 1."""
+    """Counts from `start` to `stop`.
+
+    Without a `report` in `wake_ups` of its wake-ups, which are `period_s` apart, it writes a traceback of all
+    threads to stderr and ends the process with exit code 1.
+    """
 
     def __init__(self, wake_ups: int = WAKE_UPS, period_s: float = PERIOD_S) -> None:
         self._wake_ups = wake_ups
