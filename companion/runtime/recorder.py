@@ -2,8 +2,8 @@
 
 All of it happens in a thread of its own, from making the folder to closing the files, because a memory card
 can stall a writer for seconds and a setpoint cannot wait. What the thread cannot take is dropped and counted,
-and the count stands in the summary. The same thread looks after the room on the disk. An error ends the thread
-and with it the record of this flight: nobody tries again.
+and the count stands in the summary. The same thread looks after the room on the disk. An error ends it, and
+with it the record of this flight.
 """
 
 from __future__ import annotations
@@ -257,11 +257,12 @@ class FlightRecorder:
         write_all(events, record.MAGIC + record.encode(header))
 
     def _write(self, floor: DiskFloor) -> None:
-        """Until there is no more. Raises OSError and _StoppedError where the disk takes no more."""
+        """Until there is no more, or `close` has given up. Raises OSError and _StoppedError where the disk
+        takes no more."""
         self.deleted = floor.deleted
         looked, synced = -math.inf, clock.now_s()
         running = True
-        while running:
+        while running and self._error is None:
             now_s = self._busy_s = clock.now_s()
             if now_s - looked >= _LOOK_S:
                 looked = now_s

@@ -86,4 +86,4 @@ class KeptSettings:
                 replace_file(self._path, msgspec.json.encode(self._latest) + b"\n")
                 self.error = None
             except OSError as error:
-                self.error = f"{self._path}: cannot be written: {error.strerror}"
+                self.error = f"{error.filename or self._path}: cannot be written: {error.strerror}"

@@ -127,7 +127,7 @@ class KeptSigning:
             replace_file(self._path, f"{signing.timestamp}\n".encode())
             self.error = None
         except OSError as error:
-            self.error = f"{self._path}: cannot be written: {error.strerror}"
+            self.error = f"{error.filename or self._path}: cannot be written: {error.strerror}"
 
     def _stored(self) -> int:
         """The first timestamp that was not used before; 0 where none is known."""

@@ -21,7 +21,7 @@ PERIOD_S = 0.25
 WAKE_UPS = 20
 """With the period: five seconds of a process that runs."""
 _STDERR = 2
-_DUMP_S = 2
+_DUMP_S = 1
 """A terminal that was stopped takes no traceback: the alarm signal then ends the process."""
 
 
