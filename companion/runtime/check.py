@@ -37,6 +37,7 @@ from companion.events import (
 )
 from companion.ownship import Ownship
 from companion.remote_id.identity import check_identity
+from companion.runtime import clock
 from companion.runtime.disk import finished_runs, free_mb
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.no_vehicle import no_vehicle
@@ -186,10 +187,10 @@ def _radios(config: Config, found: Preflight) -> None:
     failed: list[str] = []
     radios = Radios(config, sending=False, failed=failed.append)
     try:
-        end = time.monotonic() + _RADIO_S
+        end = clock.now_s() + _RADIO_S
         waits = config.has_radio and bool(radios.radios)
-        while waits and time.monotonic() < end and not radios.health(time.monotonic()).ok:
-            radios.events(time.monotonic())
+        while waits and clock.now_s() < end and not radios.health(clock.now_s()).ok:
+            radios.events(clock.now_s())
             time.sleep(0.05)
         _judge_radios(config, radios, failed, found)
     finally:
@@ -197,10 +198,10 @@ def _radios(config: Config, found: Preflight) -> None:
 
 
 def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: Preflight) -> None:
-    health = radios.health(time.monotonic())
+    health = radios.health(clock.now_s())
     # To watch without a radio is a choice. To fly without one takes law = "none", and is never ready.
     chosen = not config.has_radio and config.flight.use == "watch"
-    for line in (*radios.lines(time.monotonic()), *failed) or (f"radio: {health.text}",):
+    for line in (*radios.lines(clock.now_s()), *failed) or (f"radio: {health.text}",):
         what, _, text = line.partition(": ")
         if line in failed:
             found.red(what, text, "docs/radios.md says what this backend needs")
@@ -243,6 +244,9 @@ def _vehicle(config: Config, found: Preflight) -> None:
     except ConfigError as error:
         found.red("signing", str(error), "see to the key file, or to vehicle.signing_key")
         return
+    for trouble in (kept.unread, kept.error):
+        if trouble is not None:
+            found.red("signing", trouble, "look after the disk, or set record.folder")
     try:
         link = KeptLink(
             config.vehicle.link,
@@ -260,7 +264,7 @@ def _vehicle(config: Config, found: Preflight) -> None:
             probe.measure(_MEASURE_S)
             probe.run(_PARAMETERS_S, lambda: not probe.protocol.asking)
         if config.flight.use == "guard" and probe.protocol.parameters is not None:
-            probe.protocol.send(DownloadMission(), time.monotonic())
+            probe.protocol.send(DownloadMission(), clock.now_s())
             probe.run(_MISSION_S, lambda: probe.mission is not None)
     finally:
         link.close()
@@ -277,19 +281,19 @@ class _Probe:
         self.counts: Counter[type[Event]] = Counter()
         self.mission: MissionDownloaded | MissionRefused | None = None
         self.measured_s = 0.0
-        self.now_s = time.monotonic()
+        self.now_s = clock.now_s()
 
     def measure(self, seconds: float) -> None:
         """Count anew, for so long."""
         self.counts.clear()
-        began_s = time.monotonic()
+        began_s = clock.now_s()
         self.run(seconds)
-        self.measured_s = time.monotonic() - began_s
+        self.measured_s = clock.now_s() - began_s
 
     def run(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
         """Exchange bytes for so long, or until done."""
-        end = time.monotonic() + seconds
-        while (now := time.monotonic()) < end and not done():
+        end = clock.now_s() + seconds
+        while (now := clock.now_s()) < end and not done():
             self.now_s = now
             self.link.wait(0.05)
             data = self.link.receive(now).data
@@ -410,7 +414,7 @@ def _judge_own(config: Config, probe: _Probe, found: Preflight) -> None:
     if own.utc_offset_s is None:
         found.red("clock", "the vehicle does not know UTC", "wait for its GNSS receiver; a minute, mostly")
         return
-    off_s = time.time() - (time.monotonic() + own.utc_offset_s)
+    off_s = time.time() - (clock.now_s() + own.utc_offset_s)
     text = f"UTC known; this computer's clock is {off_s:+.1f} s off the vehicle's"
     if abs(off_s) <= _CLOCK_OFF_S:
         found.green("clock", text)

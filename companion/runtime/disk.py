@@ -14,7 +14,6 @@ import os
 import re
 import shutil
 from pathlib import Path
-from typing import BinaryIO
 
 from companion.config import RecordConfig
 
@@ -36,13 +35,49 @@ def free_mb(folder: Path) -> float:
     return shutil.disk_usage(folder).free / _MB
 
 
-def lock(file: BinaryIO) -> None:
-    """Mark a file as being written, until it is closed or its process ends, however.
+def lock(file: int) -> None:
+    """Mark an open file (its descriptor) as being written, until it is closed or its process ends, however.
 
     Raises:
         OSError: the file system has no locks.
     """
     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def write_all(file: int, data: bytes | bytearray) -> None:
+    """Write all of `data` to an open file (its descriptor).
+
+    Python's own file objects are not used for what a hung disk may hold up: one that a thread is inside of
+    makes the end of the process a crash.
+
+    Raises:
+        OSError: the disk does not take it; some of it may have been written.
+    """
+    left = memoryview(data)
+    while left:
+        left = left[os.write(file, left) :]
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a small file that is there whole or as it was before.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    new = path.with_suffix(".new")
+    file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+    try:
+        write_all(file, data)
+        os.fsync(file)
+    finally:
+        os.close(file)
+    new.replace(path)
+    # The new name is on disk only when the folder is.
+    folder = os.open(path.parent, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
 
 
 def finished_runs(root: Path) -> list[Path]:

@@ -1,14 +1,13 @@
-"""The flight loop: one thread, one rate, sockets in and out; a watchdog that ends a hung process.
+"""The flight loop: one thread, one rate, sockets in and out; a watchdog that ends a hung loop.
 
 What the loop cannot do in time it does not do late: a missed deadline is skipped and counted, and the heart,
 which sees the gap, commands nothing until it is fit again. Nothing beside the flight ends it: a lost link is
-opened again, a full disk and a stopped terminal are done without, each of them is counted.
+opened again, a disk that takes no record and a stopped terminal are done without, each of them is told.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import faulthandler
 import gc
 import os
 import signal
@@ -37,6 +36,7 @@ from companion.events import (
 from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Step
+from companion.runtime import clock
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.lateness import Lateness, scheduling
 from companion.runtime.live import heart_status
@@ -50,12 +50,12 @@ from companion.runtime.run_record import RunRecord
 from companion.runtime.settings import KeptSettings, read_settings
 from companion.runtime.signing import KeptSigning
 from companion.runtime.status import Status, StatusServer
+from companion.runtime.troubles import Trouble, Troubles
 from companion.runtime.voice import Voice
 from companion.runtime.warm import warm_up
+from companion.runtime.watchdog import Watchdog
 from companion.settings import SWITCHED_OFF, differences
 
-_WATCHDOG_S = 5.0
-"""A loop that hangs sends nothing anyway; after this the process ends, so that it can be started anew."""
 _STATUS_S = 5.0
 _FRESH_S = 0.25
 """What a tick has decided leaves within this time of the state that it was decided on, or not at all."""
@@ -79,7 +79,7 @@ class Flight:
         self._ticks = 0
         self._refused = Refusals()
         self._lateness = Lateness()
-        self._began_s = time.monotonic()
+        self._began_s = clock.now_s()
         self._dry_run = dry_run
         self._decision: Decision | None = None
         self._decided_s = 0.0
@@ -87,6 +87,8 @@ class Flight:
         self._server: StatusServer | None = None
         check_path(config, "configuration")
         self._voice = Voice(say)
+        self._troubles = Troubles(self._say)
+        self._watchdog = Watchdog()
         self._notifier = Notifier(os.environ)
         self._say(f"compiling the avoidance kernels ... {warm_up():.1f} s")
         self._say(f"scheduling: {scheduling()}")
@@ -116,7 +118,7 @@ class Flight:
         self._policy = self._read_policy(config)
         settings = self._read_settings(config)
         self._kept_settings = KeptSettings(config, settings)
-        guess = time.time() - time.monotonic()
+        guess = time.time() - clock.now_s()
         self._run = RunRecord(self._say)
         self.onboard = Onboard(
             config,
@@ -131,7 +133,7 @@ class Flight:
         chooser = self.onboard.heart.chooser
         if chooser is not None and chooser.trouble is not None:
             self._say(f"atmc: {chooser.trouble}: a fixed legal set of transports is used instead")
-        self._status_s = time.monotonic()
+        self._status_s = clock.now_s()
         try:
             self._server = StatusServer(f"companion-{config.identity.file_name}", os.environ)
         except ConfigError as error:
@@ -157,26 +159,25 @@ class Flight:
         """Find the vehicle, then fly until stopped.
 
         Raises:
-            ConfigError: no vehicle within `vehicle.wait_s`, one that cannot be flown, or a run folder that
-                cannot be written.
+            ConfigError: no vehicle within `vehicle.wait_s`, or one that cannot be flown.
         """
         for number in _SIGNALS:
             # Under nohup the terminal may close, and the flight goes on.
             if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self.stop)
-        self._signing.start()
         try:
             self._find_vehicle()
             if self._stop:
                 return
+            self._say(f"vehicle {self.onboard.link.vehicle}")
             self._run.open(self.config, self._policy, str(self.onboard.link.vehicle))
             self._loop()
             # Letting go takes as long as it takes the vehicle, up to its own limit.
-            faulthandler.cancel_dump_traceback_later()
+            self._watchdog.stop()
             self._notifier.stopping()
             self._let_go()
         finally:
-            faulthandler.cancel_dump_traceback_later()
+            self._watchdog.stop()
             self._close()
 
     def _read_policy(self, config: Config) -> bytes | None:
@@ -191,7 +192,8 @@ class Flight:
         try:
             settings = read_settings(config)
         except ConfigError as error:
-            self._say(f"settings: {error}; not used, the configuration's values count")
+            text = f"settings: {error}; not used, the configuration's values count"
+            self._troubles.note(Trouble.SETTINGS_UNREAD, text)
             return Settings()
         for text in differences(config, Settings(), settings):
             self._say(f"settings: {text}")
@@ -207,14 +209,14 @@ class Flight:
     def _find_vehicle(self) -> None:
         wait_s = self.config.vehicle.wait_s
         self._say(f"waiting for a vehicle on {self.config.vehicle.link} ...")
-        give_up = time.monotonic() + wait_s
+        give_up = clock.now_s() + wait_s
         while self.onboard.link.vehicle is None and not self._stop:
-            now = time.monotonic()
+            now = clock.now_s()
             if now > give_up:
                 _, why, do = no_vehicle(self.config.vehicle, self.link, self.onboard.link, now)
                 raise ConfigError(f"{why}: {do}")
             self._wait(now + 1.0 / self.config.flight.setpoint_rate_hz)
-            self._tick(time.monotonic())
+            self._tick(clock.now_s())
         vehicle = self.onboard.link.vehicle
         if vehicle is not None and vehicle.refusal is not None and self.config.flight.use != "watch":
             raise ConfigError(f"{self.config.vehicle.link}: {vehicle.refusal}")
@@ -224,27 +226,23 @@ class Flight:
 
     def _wait(self, deadline_s: float) -> None:
         """Take in the autopilot's bytes until the deadline."""
-        while (left := deadline_s - time.monotonic()) > 0:
+        while (left := deadline_s - clock.now_s()) > 0:
             self.link.wait(left)
-            self._exchange(time.monotonic())
+            self._exchange(clock.now_s())
 
     def _loop(self) -> None:
         period = 1.0 / self.config.flight.setpoint_rate_hz
-        deadline = time.monotonic() + period
-        armed_at = 0.0
+        deadline = clock.now_s() + period
+        self._watchdog.start()
         self._notifier.ready()
-        self._notifier.status(self.status(time.monotonic()))
+        self._notifier.status(self.status(clock.now_s()))
         # A collection that comes when it likes may come before a setpoint; one after a tick has time.
         gc.disable()
         collected_s = deadline
         while not self._stop:
-            now = time.monotonic()
-            if now - armed_at > 0.25:
-                armed_at = now
-                # Runs in a thread of C code: it ends the process even when this loop never comes back.
-                faulthandler.dump_traceback_later(_WATCHDOG_S, exit=True)
+            self._watchdog.report()
             self._wait(deadline)
-            now = time.monotonic()
+            now = clock.now_s()
             missed = int((now - deadline) / period)
             self._lateness.add(now - deadline)
             self._late += missed
@@ -264,7 +262,7 @@ class Flight:
         self._kept_settings.keep(self.onboard.settings)
         data = self.onboard.drain(now_s)
         # Held up meanwhile, it would send an old setpoint. Requests are made again; texts are lost with it.
-        if time.monotonic() - now_s <= _FRESH_S:
+        if clock.now_s() - now_s <= _FRESH_S:
             self.link.send(data)
         for broadcast in broadcasts:
             self._broadcast(broadcast, now_s)
@@ -306,19 +304,19 @@ class Flight:
         if not (self.onboard.heart.in_control and self.onboard.commanding):
             return
         self._say("stopping: asking the vehicle to hold")
-        end = time.monotonic() + _LET_GO_S
-        self.onboard.let_go(time.monotonic())
-        while (now := time.monotonic()) < end and self.onboard.heart.own.mode is not FlightMode.HOLD:
+        end = clock.now_s() + _LET_GO_S
+        self.onboard.let_go(clock.now_s())
+        while (now := clock.now_s()) < end and self.onboard.heart.own.mode is not FlightMode.HOLD:
             self._wait(now + 0.05)
-            self.onboard.idle(time.monotonic())
-            self.link.send(self.onboard.drain(time.monotonic()))
+            self.onboard.idle(clock.now_s())
+            self.link.send(self.onboard.drain(clock.now_s()))
 
     def _close(self) -> None:
         gc.enable()
         gc.unfreeze()
         if self._server is not None:
             self._server.close()
-        health = self.radio.health(time.monotonic())
+        health = self.radio.health(clock.now_s())
         self.radio.close()
         self.link.close()
         self._kept_settings.keep(self.onboard.settings)
@@ -355,11 +353,7 @@ class Flight:
         if self._refused.count:
             text += f"; {self._refused.count} broadcasts refused"
         text += "" if self.onboard.settings.enable else f"; {SWITCHED_OFF}"
-        if self._kept_settings.error is not None:
-            text += f"; settings not kept: {self._kept_settings.error}"
-        if self._run.error is not None:
-            text += f"; not recording: {self._run.error}"
-        return text
+        return text + "".join(f"; {trouble}" for trouble in self._troubles.texts)
 
     def summary(self, health: Health) -> dict[str, object]:
         """What stands in `summary.json`."""
@@ -417,6 +411,7 @@ class Flight:
             folder=None if self.folder is None else str(self.folder),
             recorder_error=self._run.error,
             records_dropped=self._run.dropped,
+            troubles=self._troubles.texts,
             said=tuple(self._lines),
             **heart_status(heart, now_s, self._decision if flies else None),
         )
@@ -430,3 +425,22 @@ class Flight:
             elif isinstance(command, Decision):
                 self._decision, self._decided_s = command, step.now_s
         self._run.step(step)
+        self._look_after(step.now_s)
+
+    def _look_after(self, now_s: float) -> None:
+        """Tell of what goes wrong beside the flight. A dry run tells the pilot nothing."""
+        troubles = self._troubles
+        if self._signing.unread is not None:
+            text = f"signing: {self._signing.unread}; begun at this computer's clock"
+            troubles.note(Trouble.SIGNING_UNREAD, text)
+        kept = {
+            Trouble.NOT_RECORDED: ("not recording", self._run.error),
+            Trouble.SLOW_DISK: ("recording", None if self._run.error else self._run.slow(now_s)),
+            Trouble.SETTINGS_NOT_KEPT: ("settings not kept", self._kept_settings.error),
+            Trouble.SIGNING_NOT_KEPT: ("signing time not kept", self._signing.error),
+        }
+        for kind, (what, why) in kept.items():
+            troubles.note(kind, None if why is None else f"{what}: {why}")
+        if self.onboard.commanding and self.onboard.link.vehicle is not None:
+            for said in troubles.take():
+                self.onboard.link.send(said, now_s)

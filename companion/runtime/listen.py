@@ -28,6 +28,7 @@ from companion.config import Config, EtherRadio, HciRadio, IdentityConfig, Radio
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
 from companion.radio.transport import Health
+from companion.runtime import clock
 from companion.runtime.heard import COLUMNS, HeardTable, cells, health_words, json_line
 from companion.runtime.radios import Radios
 
@@ -105,11 +106,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def listen(radios: Radios, view: View, stopped: Callable[[], bool], seconds: float | None) -> None:
     """Hear and show until told to stop, or for `seconds`."""
-    began_s = time.monotonic()
+    began_s = clock.now_s()
     heard = HeardTable()
     with view:
         while not stopped():
-            now_s = time.monotonic()
+            now_s = clock.now_s()
             for event in radios.events(now_s):
                 if isinstance(event, RemoteIdHeard):
                     heard.take(event, now_s)

@@ -11,6 +11,8 @@ import os
 import socket
 from collections.abc import Mapping
 
+_PING_S = 1.0
+
 
 def notify_address(environ: Mapping[str, str]) -> str | None:
     """Address of the service manager's socket, "@" standing for the zero byte of an abstract one; None where
@@ -22,12 +24,15 @@ def notify_address(environ: Mapping[str, str]) -> str | None:
 
 
 def ping_period_s(environ: Mapping[str, str], pid: int) -> float | None:
-    """How often the watchdog wants to hear of us: half of its limit (sd_watchdog_enabled(3)); None where
-    there is none, or it is meant for another process."""
+    """How often the watchdog is to hear of us; None where there is none, or it is meant for another process.
+
+    At least twice within its limit (sd_watchdog_enabled(3)), and once a second: a stall then has nearly the
+    whole limit before it is taken for a hang, wherever between two pings it begins.
+    """
     limit_us, whose = environ.get("WATCHDOG_USEC", ""), environ.get("WATCHDOG_PID", str(pid))
     if not (limit_us.isascii() and limit_us.isdigit() and int(limit_us) > 0) or whose != str(pid):
         return None
-    return int(limit_us) / 2e6
+    return min(int(limit_us) / 2e6, _PING_S)
 
 
 class Notifier:

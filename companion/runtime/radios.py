@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 
@@ -25,6 +24,7 @@ from companion.radio.null import NullTransport
 from companion.radio.transport import WIFI_BEACON, Health, Transport
 from companion.radio.wifi import WifiTransport
 from companion.remote_id.messages import Message
+from companion.runtime import clock
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.links import open_link
 
@@ -63,7 +63,7 @@ def open_radio(entry: RadioConfig, name: str) -> Transport:
         case ArduRemoteIdRadio():
             # What is lost and found again shows in the radio's own state: the module falls silent.
             link = KeptLink(entry.link, lambda text: None, partial(open_link, key="link"))
-            return ArduRemoteIdTransport(_ModuleLink(link), entry.system_id, time.monotonic, entry.link)
+            return ArduRemoteIdTransport(_ModuleLink(link), entry.system_id, clock.now_s, entry.link)
 
 
 class Radios:

@@ -1,11 +1,14 @@
 """The record of one flight: its run folder, from the first step of the heart to the summary.
 
-Steps and link bytes from before there is a folder are kept until then.
+Steps and link bytes from before there is a folder are kept until then. A record folder that cannot be written
+ends no flight and keeps none from beginning: after a restart in the air the aircraft must be heard and must
+avoid others, with a record or without.
 """
 
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,11 +18,13 @@ import msgspec
 from companion import __version__
 from companion import config as configuration
 from companion.config import Config
-from companion.errors import ConfigError
 from companion.record import Header, Step
-from companion.runtime.disk import RUN, DiskFloor
+from companion.runtime.disk import RUN, DiskFloor, replace_file
 from companion.runtime.policy import RUN_FILE
 from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
+
+_SUMMARY_S = 5.0
+"""How long the end of a flight waits for its summary."""
 
 
 class _Tape:
@@ -36,28 +41,41 @@ class _Tape:
         else:
             self._recorder.write(data)
 
-    def play(self, recorder: FlightRecorder) -> None:
-        """Hand on what was kept, and all that comes."""
-        self._recorder = recorder
-        # In one piece: a long wait on a busy link leaves more frames than the recorder's queue takes.
-        recorder.write(b"".join(self._early))
+    def early(self) -> bytes:
+        """What was kept; it is kept no longer."""
+        data = b"".join(self._early)
         self._early.clear()
+        return data
+
+    def play(self, recorder: FlightRecorder) -> None:
+        """Hand on all that comes."""
+        self._recorder = recorder
 
 
 class RunRecord:
     """Takes every step; writes none before `open`."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
-        self.folder: Path | None = None
         self.tape = _Tape()
         self._say = say
         self._recorder: FlightRecorder | None = None
         self._early: list[Step] = []
+        self._made_room: list[str] = []
+        self._announced = False
+
+    @property
+    def folder(self) -> Path | None:
+        """Of the run; None before it is made."""
+        return None if self._recorder is None else self._recorder.folder
 
     @property
     def error(self) -> str | None:
-        """Why nothing is recorded any more."""
+        """Why nothing is recorded, for the rest of this flight."""
         return None if self._recorder is None else self._recorder.error
+
+    def slow(self, now_s: float) -> str | None:
+        """What is wrong with a disk that takes the record all the same; None where nothing is."""
+        return None if self._recorder is None else self._recorder.slow(now_s)
 
     @property
     def dropped(self) -> int:
@@ -67,44 +85,44 @@ class RunRecord:
     @property
     def deleted(self) -> list[str]:
         """Older runs that had to make room in flight."""
-        return [] if self._recorder is None else self._recorder.floor.deleted
+        return [] if self._recorder is None else self._recorder.deleted
 
     def open(self, config: Config, policy: bytes | None, vehicle: str) -> None:
-        """Make the run folder and record from now on, and all that was kept.
+        """Make the run folder and record from now on, and all that was kept. Waits for no disk: whether there
+        is a folder is said with a later step, and what is wrong with it is told by `error`."""
+        utc_s = time.time()
+        header = Header(
+            aircraft=config.identity.file_name,
+            software=__version__,
+            config=configuration.public(config),
+            policy=policy,
+        )
 
-        Raises:
-            ConfigError: the folder cannot be written.
-        """
-        utc_s, aircraft = time.time(), config.identity.file_name
-        self._make_room(config)
-        folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
-        public = configuration.public(config)
-        header = Header(aircraft=aircraft, software=__version__, config=public, policy=policy)
-        try:
-            if policy is not None:
-                (folder / RUN_FILE).write_bytes(policy)
-                config = msgspec.structs.replace(
-                    config, atmc=msgspec.structs.replace(config.atmc, policy=RUN_FILE)
-                )
-            (folder / "config.toml").write_bytes(configuration.dump(config))
-            write_manifest(folder, RUN, aircraft=[aircraft], started_utc_s=utc_s, vehicle=vehicle)
-            self._recorder = FlightRecorder(folder, header, config.record)
-        except OSError as error:
-            raise ConfigError(f"record.folder: {folder}: cannot be written: {error.strerror}") from error
-        self.folder = folder
+        def make() -> Path:
+            self._make_room(config)
+            folder = create_run_folder(Path(config.record.folder), config.record.name, utc_s)
+            _write_configuration(folder, config, policy)
+            write_manifest(folder, RUN, aircraft=[header.aircraft], started_utc_s=utc_s, vehicle=vehicle)
+            return folder
+
         # The record begins with the heart's first step, or a replay would not meet the same state.
-        for step in self._early:
-            self._recorder.step(step)
-        self._early.clear()
+        early, self._early = self._early, []
+        self._recorder = FlightRecorder(make, header, config.record, early, self.tape.early())
         self.tape.play(self._recorder)
-        self._say(f"vehicle {vehicle}; recording to {folder}")
 
     def step(self, step: Step) -> None:
         """One step of the heart."""
-        if self._recorder is not None:
-            self._recorder.step(step)
-        else:
+        recorder = self._recorder
+        if recorder is None:
             self._early.append(step)
+            return
+        recorder.step(step)
+        # Here, as the recorder's thread must not say anything itself.
+        if recorder.recording and not self._announced:
+            self._announced = True
+            if self._made_room:
+                self._say(f"disk: deleted the oldest runs: {', '.join(self._made_room)}")
+            self._say(f"recording to {recorder.folder}")
 
     def close(self, summary: Callable[[], dict[str, object]]) -> None:
         """Write what is left, then the summary.
@@ -112,23 +130,44 @@ class RunRecord:
         Args:
             summary: builds it, of the record as it is then.
         """
-        if self._recorder is None or self.folder is None:
+        recorder = self._recorder
+        if recorder is None:
             return
-        answered = self._recorder.close()
-        if self._recorder.error is not None:
-            self._say(f"the record is not complete: {self._recorder.error}")
+        answered = recorder.close()
+        if recorder.error is not None:
+            self._say(f"the record is not complete: {recorder.error}")
+        if recorder.folder is None:
+            return
         if answered:
-            path = self.folder / "summary.json"
-            try:
-                write_json(path, summary())
-            except OSError as error:
-                self._say(f"{path}: cannot be written: {error.strerror}")
-        self._say(f"run folder {self.folder}")
+            path = recorder.folder / "summary.json"
+            # A thread: the disk may begin to hang now. What a summary is built of does not change any more.
+            writer = threading.Thread(target=self._summarize, args=(path, summary), daemon=True)
+            writer.start()
+            writer.join(_SUMMARY_S)
+        self._say(f"run folder {recorder.folder}")
+
+    def _summarize(self, path: Path, summary: Callable[[], dict[str, object]]) -> None:
+        try:
+            write_json(path, summary())
+        except OSError as error:
+            self._say(f"{path}: cannot be written: {error.strerror}")
 
     def _make_room(self, config: Config) -> None:
         """On the ground, before the first file: a disk that is full to the last byte takes no folder."""
         floor = DiskFloor(config.record, Path(config.record.folder) / "to come")
         with contextlib.suppress(OSError):  # the recorder will say what is wrong
             floor.trouble()
-        if floor.deleted:
-            self._say(f"disk: deleted the oldest runs: {', '.join(floor.deleted)}")
+        self._made_room = floor.deleted
+
+
+def _write_configuration(folder: Path, config: Config, policy: bytes | None) -> None:
+    """The configuration as it flies, with the policy beside it: it runs again as it stands.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    if policy is not None:
+        replace_file(folder / RUN_FILE, policy)
+        atmc = msgspec.structs.replace(config.atmc, policy=RUN_FILE)
+        config = msgspec.structs.replace(config, atmc=atmc)
+    replace_file(folder / "config.toml", configuration.dump(config))

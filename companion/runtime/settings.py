@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import msgspec
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import Settings
+from companion.runtime.disk import replace_file
 from companion.settings import checked
 
 _MOST_BYTES = 4096
@@ -82,22 +82,8 @@ class KeptSettings:
             # Read before writing: what was taken before `close` is written.
             last = self._stop
             try:
-                self._write(self._latest)
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                replace_file(self._path, msgspec.json.encode(self._latest) + b"\n")
                 self.error = None
             except OSError as error:
-                self.error = f"{self._path}: cannot be written: {error.strerror}"
-
-    def _write(self, settings: Settings) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        new = self._path.with_suffix(".new")
-        with new.open("wb") as file:
-            file.write(msgspec.json.encode(settings) + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(self._path)
-        # The new name is on disk only when the folder is.
-        folder = os.open(self._path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+                self.error = f"{error.filename or self._path}: cannot be written: {error.strerror}"

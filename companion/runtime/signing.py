@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import stat
 import threading
@@ -13,11 +12,15 @@ from pathlib import Path
 from companion.autopilot.signing import KEY_BYTES, TICKS_PER_S, Signing, timestamp_at
 from companion.config import Config
 from companion.errors import ConfigError
+from companion.runtime import clock
+from companion.runtime.disk import replace_file
 
 TIMESTAMP_FILE = "signing-timestamp"
 """In record.folder: the last timestamp used, in decimal digits."""
 PERIOD_S = 5.0
 """Between two writes of it. A process that is killed loses no more: the next one begins this much later."""
+_PATIENCE_S = 2.0
+"""What the first write of it may take before the flight goes on without it."""
 _HEX = frozenset("0123456789abcdefABCDEF")
 _MOST_BYTES = 1024
 _FORMS = f"{KEY_BYTES} raw bytes, {2 * KEY_BYTES} hexadecimal digits, or one line with a passphrase"
@@ -74,65 +77,70 @@ def _private_bytes(path: Path) -> bytes:
 class KeptSigning:
     """`signing` for the link to the vehicle, None without a key. Its timestamp outlives the process.
 
+    It is written by a thread, from now to `close`. A disk that does not take it ends nothing: a later process
+    then begins at its clock or at what was stored before, whichever is later, and follows the vehicle's
+    timestamp, which is not behind any of ours that the vehicle has taken, from its first signed frame on.
+
     Raises:
-        ConfigError: as `read_key`, or record.folder cannot be written.
+        ConfigError: as `read_key`.
     """
 
     def __init__(self, config: Config) -> None:
         self.signing: Signing | None = None
+        self.error: str | None = None
+        """Why the latest timestamp is not on disk."""
+        self.unread: str | None = None
+        """Why the one that was stored before is not known."""
         self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._written = threading.Event()
         self._path = Path(config.record.folder) / TIMESTAMP_FILE
         if config.vehicle.signing_key is None:
             return
         key = read_key(Path(config.vehicle.signing_key))
         # The clock may be wrong (a small computer has no battery for it): what was used before counts, too.
         start = max(timestamp_at(time.time()), self._stored())
-        self.signing = Signing(key, start, time.monotonic())
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._write(self.signing)
-        except OSError as error:
-            raise ConfigError(f"record.folder: {self._path}: cannot be written: {error.strerror}") from error
-
-    def start(self) -> None:
-        """Keep the timestamp on disk from now on, in a thread: a card can take its time."""
-        if self.signing is not None:
-            self._thread = threading.Thread(
-                target=self._keep, args=(self.signing,), name="signing", daemon=True
-            )
-            self._thread.start()
+        self.signing = Signing(key, start, clock.now_s())
+        self._thread = threading.Thread(target=self._keep, args=(self.signing,), name="signing", daemon=True)
+        self._thread.start()
+        # A process that is killed at once must not leave an older one behind. A disk that hangs is not waited
+        # for.
+        if not self._written.wait(_PATIENCE_S):
+            self.error = f"{self._path}: the disk does not answer"
 
     def close(self) -> None:
         """Write it once more."""
         self._stop.set()
-        if self._thread is not None:
+        if self.signing is not None:
             self._thread.join(PERIOD_S)
-        elif self.signing is not None:
-            self._try_write(self.signing)
 
     def _keep(self, signing: Signing) -> None:
-        while not self._stop.wait(PERIOD_S):
-            self._try_write(signing)
-        self._try_write(signing)
-
-    def _try_write(self, signing: Signing) -> None:
-        # A full disk is told by the recorder; flying on needs no file.
-        with contextlib.suppress(OSError):
+        last = False
+        while not last:
             self._write(signing)
+            self._written.set()
+            last = self._stop.wait(PERIOD_S)
+        self._write(signing)
 
     def _write(self, signing: Signing) -> None:
-        new = self._path.with_suffix(".new")
-        with new.open("w") as file:
-            file.write(f"{signing.timestamp}\n")
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(self._path)
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            replace_file(self._path, f"{signing.timestamp}\n".encode())
+            self.error = None
+        except OSError as error:
+            self.error = f"{error.filename or self._path}: cannot be written: {error.strerror}"
 
     def _stored(self) -> int:
-        """The first timestamp that was not used before."""
+        """The first timestamp that was not used before; 0 where none is known."""
         try:
             text = self._path.read_text("ascii")
-        except (OSError, UnicodeDecodeError):
+        except FileNotFoundError:
             return 0
-        return int(text) + int(PERIOD_S * TICKS_PER_S) if text.strip().isdigit() and len(text) < 20 else 0
+        except OSError as error:
+            self.unread = f"{self._path}: cannot be read: {error.strerror}"
+            return 0
+        except UnicodeDecodeError:
+            text = ""
+        if not text.strip().isdigit() or len(text) >= 20:
+            self.unread = f"{self._path}: damaged"
+            return 0
+        return int(text) + int(PERIOD_S * TICKS_PER_S)

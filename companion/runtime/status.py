@@ -100,6 +100,8 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     folder: str | None
     recorder_error: str | None
     records_dropped: int
+    troubles: tuple[str, ...] = ()
+    """What goes wrong beside the flight now: the disk, above all."""
     said: tuple[str, ...]
     """Last lines, the newest at the end."""
 

@@ -137,7 +137,8 @@ def _facts(s: Status) -> list[tuple[str, str, str]]:
     north, east, down = s.velocity_ned_mps
     record = s.folder or "not yet"
     if s.recorder_error is not None:
-        record = f"STOPPED: {s.recorder_error}; {s.records_dropped} records are missing"
+        record = f"NONE until the companion is started again: {s.recorder_error}; "
+        record += f"{s.records_dropped} records are missing"
     link = f"{s.link}: {'up' if s.link_up else 'DOWN'}"
     link += f"; lost {s.link_losses} times, {s.link_dropped} sends dropped, {s.link_errors} errors"
     on_air = f"{s.radio}; on the air: {rates}; sent {s.frames_sent}, heard {s.frames_heard}, "
@@ -158,6 +159,7 @@ def _facts(s: Status) -> list[tuple[str, str, str]]:
         ("Remote ID", trouble or "as the region and the configuration ask", "red" if trouble else "green"),
         ("loop", f"{s.ticks} ticks, {s.late_ticks} missed, worst {s.worst_tick_ms:.1f} ms late", ""),
         ("record", record, "red" if s.recorder_error else ""),
+        *(("trouble", text, "red") for text in s.troubles),
     ]
 
 

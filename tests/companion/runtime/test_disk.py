@@ -139,9 +139,10 @@ def test_what_is_not_surely_a_finished_run_of_ours_is_left_alone(runs, change):
     assert [path.name for path in finished_runs(runs)] == [*DAYS[1:], OWN]
 
 
-def test_a_run_that_is_being_written_is_not_finished(runs, make_config):
+def test_a_run_that_is_being_written_is_not_finished(runs, make_config, until):
     header = Header(aircraft="A", software="0", config=make_config())
-    recorder = FlightRecorder(runs / DAYS[0], header, RecordConfig(keep_free_mb=0.0))
+    recorder = FlightRecorder(lambda: runs / DAYS[0], header, RecordConfig(keep_free_mb=0.0))
+    until(lambda: recorder.recording)
     assert [path.name for path in finished_runs(runs)] == [*DAYS[1:], OWN]
     recorder.close()
     assert [path.name for path in finished_runs(runs)] == [*DAYS, OWN]

@@ -10,8 +10,6 @@ import signal
 import socket
 import threading
 import time
-from pathlib import Path
-from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -26,9 +24,8 @@ from companion.radio.null import NullTransport
 from companion.radio.transport import Health
 from companion.remote_id.messages import Location, Status
 from companion.remote_id.region import Region
-from companion.runtime import radios, watch
+from companion.runtime import clock, radios, watch
 from companion.runtime.byte_link import LinkTrouble, Received
-from companion.runtime.disk import DiskFloor
 from companion.runtime.flight import Flight
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_manners import VehicleMode
@@ -127,9 +124,18 @@ def kept_signals():
 def watchdog(monkeypatch):
     """What is done with the watchdog; the real one would end the tests on a slow machine."""
     calls = []
-    name = "companion.runtime.flight.faulthandler"
-    monkeypatch.setattr(f"{name}.dump_traceback_later", lambda *_, **__: calls.append("armed"))
-    monkeypatch.setattr(f"{name}.cancel_dump_traceback_later", lambda: calls.append("cancelled"))
+
+    class Recorded:
+        def start(self):
+            calls.append("start")
+
+        def report(self):
+            calls.append("report")
+
+        def stop(self):
+            calls.append("stop")
+
+    monkeypatch.setattr("companion.runtime.flight.Watchdog", Recorded)
     return calls
 
 
@@ -248,8 +254,7 @@ def test_under_nohup_a_closed_terminal_ends_nothing(flight, said, until):
 @pytest.mark.parametrize(("held_up_s", "leaves"), [(0.2, True), (0.3, False)])
 def test_what_a_tick_decided_leaves_in_time_or_not_at_all(flight, monkeypatch, held_up_s, leaves):
     now, sent = [1000.0], []
-    clock = SimpleNamespace(monotonic=lambda: now[0], time=time.time)
-    monkeypatch.setattr("companion.runtime.flight.time", clock)
+    monkeypatch.setattr(clock, "now_s", lambda: now[0])
     monkeypatch.setattr(flight.link, "receive", lambda _: Received())
     monkeypatch.setattr(flight.link, "send", sent.append)
 
@@ -300,7 +305,9 @@ def test_lets_go_of_what_it_controls_and_of_nothing_else(
     fly(flight, lambda: until(heard_of(said, "recording to")), lambda: until(lambda: watchdog))
     assert heard_of(said, "asking the vehicle to hold")() is in_control
     # Letting go may last; the watchdog must not end it.
-    assert [calls[-1] for calls in asked] == (["cancelled"] if in_control else [])
+    assert [calls[-1] for calls in asked] == (["stop"] if in_control else [])
+    assert watchdog[0] == "start"
+    assert "report" in watchdog
 
 
 class FullDisk:
@@ -308,8 +315,12 @@ class FullDisk:
 
     error = "No space left on device"
     dropped = 7
+    deleted = ()
+    recording = True
     answers = True
-    floor = DiskFloor(RecordConfig(), Path("."))
+
+    def __init__(self, folder):
+        self.folder = folder
 
     def close(self):
         return self.answers
@@ -326,7 +337,7 @@ def test_a_full_disk_is_said_and_the_radio_and_the_link_are_closed(
 
     def fill():
         flight.onboard.tlog = None
-        disk = FullDisk()
+        disk = FullDisk(flight.folder)
         disk.answers = answers
         disk.step = lambda _step: None
         flight._run._recorder = disk
@@ -340,22 +351,6 @@ def test_a_full_disk_is_said_and_the_radio_and_the_link_are_closed(
     assert flight.radio.closed
     assert not flight.link.up
     assert heard_of(said, "summary.json: cannot be written")() is answers
-
-
-@pytest.mark.parametrize("name", ["config.toml", "OWN.events"])
-def test_a_run_folder_that_cannot_be_written_is_bad_configuration(
-    flight, autopilot, monkeypatch, tmp_path, name
-):
-    """A folder of the file's name stands where the file must go: nothing, not even root, can write it."""
-
-    def in_the_way(_root, _name, _utc_s):
-        (tmp_path / name).mkdir()
-        return tmp_path
-
-    monkeypatch.setattr("companion.runtime.run_record.create_run_folder", in_the_way)
-    with pytest.raises(ConfigError, match=r"record\.folder"):
-        flight.run()
-    assert flight.radio.closed
 
 
 def test_a_link_that_cannot_be_opened_lets_out_what_was_said(make_config, tmp_path):
@@ -629,9 +624,9 @@ class Joined:
             airborne=True,
             start_position_ned_m=(0.0, 0.0, -50.0),
             start_mode=VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD,
-            utc_at_zero_s=time.time() - time.monotonic(),
+            utc_at_zero_s=time.time() - clock.now_s(),
         )
-        self.vehicle = MockVehicle(options, np.random.default_rng(1), time.monotonic())
+        self.vehicle = MockVehicle(options, np.random.default_rng(1), clock.now_s())
         self.left = []
         self._reader = MavlinkReader()
 
@@ -644,7 +639,7 @@ class Joined:
 
     def send(self, data):
         self.left += self._reader.feed(data)
-        self.vehicle.receive(data, time.monotonic())
+        self.vehicle.receive(data, clock.now_s())
 
     def close(self):
         """Nothing to release."""
@@ -720,7 +715,7 @@ def test_a_dry_run_computes_and_transmits_nothing(
         assert commands == {511}
         assert link.vehicle.custom_mode == mode
         assert (air.sent, air.changed) == (0, 0)
-        assert not made.live(time.monotonic()).rates
+        assert not made.live(clock.now_s()).rates
     else:
         assert kinds >= {"SET_POSITION_TARGET_LOCAL_NED", "STATUSTEXT", "COLLISION"}
         assert air.sent > 0

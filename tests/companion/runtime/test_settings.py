@@ -12,7 +12,6 @@ from companion.autopilot.wire import MavlinkWriter
 from companion.config import Config, IdentityConfig, LimitsConfig, RecordConfig
 from companion.errors import ConfigError
 from companion.events import Settings
-from companion.runtime import settings as module
 from companion.runtime.check import _settings
 from companion.runtime.flight import Flight
 from companion.runtime.preflight import Preflight
@@ -57,7 +56,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_says_so(config, monkeypatch)
     def full(_file):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module.os, "fsync", full)
+    monkeypatch.setattr("companion.runtime.disk.os.fsync", full)
     kept = KeptSettings(config, SET)
     kept.keep(Settings(horizon_s=9.0))
     kept.close()

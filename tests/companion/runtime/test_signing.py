@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
+import threading
 
+import msgspec
 import pytest
 
 from companion import config as configuration
 from companion.autopilot.signing import TICKS_PER_S, timestamp_at
 from companion.config import Config, IdentityConfig, RecordConfig, VehicleConfig
 from companion.errors import ConfigError
-from companion.runtime import signing
+from companion.runtime import disk, signing
+from companion.runtime.check import _vehicle
+from companion.runtime.preflight import Preflight
 from companion.runtime.signing import PERIOD_S, TIMESTAMP_FILE, KeptSigning, read_key
 
 RAW = bytes(range(100, 132))
@@ -139,7 +144,7 @@ def clock(monkeypatch):
         utc_s = 1_767_225_600.0
 
     monkeypatch.setattr(signing.time, "time", lambda: Clock.utc_s)
-    monkeypatch.setattr(signing.time, "monotonic", lambda: 1000.0)
+    monkeypatch.setattr(signing.clock, "now_s", lambda: 1000.0)
     return Clock
 
 
@@ -152,7 +157,6 @@ def used(kept, frames=5):
 def test_without_a_key_there_is_no_signing(tmp_path):
     folder = tmp_path / "runs"
     kept = KeptSigning(Config(identity=IdentityConfig(uas_id="KEY"), record=RecordConfig(folder=str(folder))))
-    kept.start()
     kept.close()
     assert kept.signing is None
     assert not folder.exists()
@@ -193,22 +197,82 @@ def test_a_peer_that_is_ahead_is_followed_over_the_restart(config, clock):
 
 
 @pytest.mark.parametrize("text", ["", "abc", "-5", "9" * 30, "\xff"])
-def test_a_damaged_file_is_begun_anew(config, clock, tmp_path, text):
+def test_a_damaged_file_is_begun_anew_and_told(config, clock, tmp_path, text):
     (tmp_path / "runs").mkdir()
-    (tmp_path / "runs" / TIMESTAMP_FILE).write_text(text)
-    assert used(KeptSigning(config))[0] == timestamp_at(clock.utc_s) + 1
+    path = tmp_path / "runs" / TIMESTAMP_FILE
+    path.write_text(text)
+    kept = KeptSigning(config)
+    assert used(kept)[0] == timestamp_at(clock.utc_s) + 1
+    assert kept.unread == f"{path}: damaged"
 
 
 def test_it_is_kept_while_flying(config, monkeypatch, until, tmp_path):
     monkeypatch.setattr(signing, "PERIOD_S", 0.01)
     kept = KeptSigning(config)
-    kept.start()
+    assert kept.unread is None
     last = used(kept, 1000)[-1]
     until(lambda: int((tmp_path / "runs" / TIMESTAMP_FILE).read_text()) >= last)
     kept.close()
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_flight(config, tmp_path):
+def test_a_folder_that_cannot_be_written_is_told_and_signs_all_the_same(config, clock, tmp_path):
     (tmp_path / "runs").write_text("a file")
-    with pytest.raises(ConfigError, match=r"record\.folder: .*cannot be written"):
-        KeptSigning(config)
+    kept = KeptSigning(config)
+    assert used(kept)[0] == timestamp_at(clock.utc_s) + 1
+    path = tmp_path / "runs" / TIMESTAMP_FILE
+    assert kept.unread == f"{path}: cannot be read: Not a directory"
+    assert kept.error == f"{tmp_path / 'runs'}: cannot be written: File exists"
+    kept.close()
+    found = Preflight()
+    _vehicle(msgspec.structs.replace(config, vehicle=unreachable(config.vehicle)), found)
+    told = [finding.line() for finding in found.findings]
+    assert any(line.startswith("red") and "signing" in line and "cannot be written" in line for line in told)
+
+
+def unreachable(vehicle):
+    return msgspec.structs.replace(vehicle, link="tcp:127.0.0.1:1")
+
+
+def test_a_disk_that_fills_in_flight_is_told_and_no_more_once_it_takes_it_again(
+    config, monkeypatch, until, tmp_path
+):
+    monkeypatch.setattr(signing, "PERIOD_S", 0.01)
+    full = threading.Event()
+
+    def replace_file(path, data):
+        if full.is_set():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        disk.replace_file(path, data)
+
+    monkeypatch.setattr(signing, "replace_file", replace_file)
+    kept = KeptSigning(config)
+    assert kept.error is None
+    full.set()
+    until(lambda: kept.error is not None)
+    assert kept.error == f"{tmp_path / 'runs' / TIMESTAMP_FILE}: cannot be written: No space left on device"
+    full.clear()
+    until(lambda: kept.error is None)
+    kept.close()
+
+
+def test_a_disk_that_hangs_holds_up_neither_start_nor_end(config, monkeypatch):
+    monkeypatch.setattr(signing, "PERIOD_S", 0.01)
+    monkeypatch.setattr(signing, "_PATIENCE_S", 0.01)
+    goes_on = threading.Event()
+    monkeypatch.setattr(signing, "replace_file", lambda *_: goes_on.wait())
+    kept = KeptSigning(config)
+    assert "does not answer" in kept.error
+    assert used(kept)
+    kept.close()
+    goes_on.set()
+
+
+def test_a_wall_clock_that_jumps_in_flight_changes_no_timestamp(config, clock):
+    """It is read once, at the start."""
+    kept = KeptSigning(config)
+    first = used(kept, 1)[0]
+    for utc_s in (0.0, 4e9):
+        clock.utc_s = utc_s
+        kept.signing.advance(1000.0)
+        (last,) = used(kept, 1)
+        assert 0 < last - first < 10

@@ -1,0 +1,83 @@
+"""The watchdog, on processes of its own: what hangs ends, what was only stopped goes on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+PROGRAM = """
+import sys, threading, time
+from companion.runtime.watchdog import Watchdog
+watchdog = Watchdog(wake_ups=50, period_s=0.01)
+watchdog.start()
+def hangs():
+    print("hangs", flush=True)
+    while True:
+        time.sleep(0.01)
+def reports():
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.readline(), ended.set()), daemon=True).start()
+    print("goes round", flush=True)
+    while not ended.is_set():
+        watchdog.report()
+        time.sleep(0.005)
+    watchdog.stop()
+    time.sleep(1.0)
+    print("ended in order", flush=True)
+"""
+
+
+@pytest.fixture
+def start():
+    running = []
+
+    def run(what, **streams):
+        program = f"{PROGRAM}\n{what}()\n"
+        streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams}
+        running.append(subprocess.Popen([sys.executable, "-c", program], text=True, **streams))
+        assert running[-1].stdout.readline()
+        return running[-1]
+
+    yield run
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def test_a_loop_that_hangs_ends_the_process_with_a_traceback_of_all_threads(start):
+    process = start("hangs")
+    _, errors = process.communicate(timeout=60.0)
+    assert process.returncode == 1
+    assert errors.startswith("watchdog: the loop has hung for 0.5 s; the process ends\n")
+    assert "in hangs" in errors
+    assert "in _watch" in errors
+
+
+def test_a_process_that_was_stopped_for_longer_goes_on(start):
+    """And what ended its watchdog is not ended by it."""
+    process = start("reports")
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(1.5)  # three times what a hang may last
+    process.send_signal(signal.SIGCONT)
+    time.sleep(0.3)
+    output, errors = process.communicate("\n", timeout=60.0)
+    assert (process.returncode, errors) == (0, "")
+    assert output == "ended in order\n"
+
+
+def test_a_terminal_that_takes_no_traceback_does_not_keep_a_hung_process_alive(start):
+    end, stopped = os.pipe()
+    os.set_blocking(stopped, False)
+    with pytest.raises(BlockingIOError):
+        while True:
+            os.write(stopped, 65536 * b"x")
+    os.set_blocking(stopped, True)
+    process = start("hangs", stderr=stopped)
+    assert process.wait(60.0) == -signal.SIGALRM
+    os.close(end)
+    os.close(stopped)
