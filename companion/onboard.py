@@ -103,12 +103,13 @@ class Onboard:
         return self._own_parameters.settings
 
     def receive(self, data: bytes, now_s: float, *, emptied: bool = True) -> None:
-        """Bytes from the autopilot's link.
+        """Bytes from the autopilot's link, or none.
 
         Args:
+            now_s: before they were read.
             emptied: nothing was left to be read behind them.
         """
-        if self.tlog is not None:
+        if self.tlog is not None and data:
             self.tlog.received(self._utc_s(now_s), data)
         self._note_pause(now_s)
         events = self.link.receive(data, now_s)
@@ -120,13 +121,13 @@ class Onboard:
             self._emptied(now_s)
 
     def _note_pause(self, now_s: float) -> None:
-        """What comes after a pause in reading may be as old as the pause is long."""
-        if self._emptied_s is not None and now_s - self._emptied_s > STALL_S:
-            self._fall_behind()
+        """What comes after a pause in reading may be as old as the pause is long; what comes first, older."""
+        if self._emptied_s is None or now_s - self._emptied_s > STALL_S:
+            self._fall_behind(now_s)
 
-    def _fall_behind(self) -> None:
-        if self._behind_since_s is None and self._emptied_s is not None:
-            self._behind_since_s = self._emptied_s
+    def _fall_behind(self, now_s: float) -> None:
+        if self._behind_since_s is None:
+            self._behind_since_s = now_s if self._emptied_s is None else self._emptied_s
 
     def _emptied(self, now_s: float) -> None:
         self._note_pause(now_s)
@@ -141,14 +142,14 @@ class Onboard:
         """A frame from the radio, or its state."""
         self._events.append(event)
 
-    def tick(self, now_s: float, *, emptied: bool = True) -> list[Broadcast]:
+    def tick(self, now_s: float, *, read_s: float | None = None) -> list[Broadcast]:
         """One step of the heart on all that arrived. Returns what the radio must send; bytes for the
         autopilot wait in `drain`.
 
         Args:
-            emptied: all that had arrived on the autopilot's link has been taken in.
+            read_s: when reading the link's input began that found its end; None: just now.
         """
-        events = self._step_events(now_s, emptied)
+        events = self._step_events(now_s, read_s)
         self.gate.decided(now_s)
         commands = self.heart.step(now_s, events)
         for command in commands:
@@ -169,13 +170,14 @@ class Onboard:
             )
         return [c for c in commands if isinstance(c, Broadcast)]
 
-    def _step_events(self, now_s: float, emptied: bool) -> list[Event]:
+    def _step_events(self, now_s: float, read_s: float | None) -> list[Event]:
         """All that happened since the last step; what gate and shell have to say of it comes first."""
-        if emptied:
-            self._emptied(now_s)
-        else:
-            self._fall_behind()
+        read_s = now_s if read_s is None else read_s
+        if now_s - read_s > STALL_S:
+            self._fall_behind(now_s)
             self.gate.behind()
+        else:
+            self._emptied(read_s)
         since_s, self._behind_since_s = self._behind_since_s, None
         self.link.begin_step(now_s, behind=since_s is not None)
         advanced = self.link.advance(now_s)
@@ -208,8 +210,8 @@ class Onboard:
         if self._remote_id_component:
             self.link.send(ArmStatus(ready=False, text="companion is stopping"), now_s)
 
-    def idle(self, now_s: float, *, emptied: bool = True) -> None:
-        """Keep the link alive, and the own state current, without stepping the heart; `emptied` as of
+    def idle(self, now_s: float, *, read_s: float | None = None) -> None:
+        """Keep the link alive, and the own state current, without stepping the heart; `read_s` as of
         `tick`."""
-        for event in self._step_events(now_s, emptied):
+        for event in self._step_events(now_s, read_s):
             self.heart.own.take(event, now_s)

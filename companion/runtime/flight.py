@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import math
 import os
 import signal
 import time
@@ -29,10 +30,12 @@ from companion.events import (
     Broadcast,
     Decision,
     FlightMode,
+    RemoteIdHeard,
     Say,
     Settings,
     Severity,
 )
+from companion.gate.gate import STALL_S
 from companion.onboard import Onboard
 from companion.radio.transport import Health
 from companion.record import Step
@@ -57,8 +60,9 @@ from companion.runtime.watchdog import Watchdog
 from companion.settings import SWITCHED_OFF, differences
 
 _STATUS_S = 5.0
-_FRESH_S = 0.25
-"""What a tick has decided leaves within this time of the state that it was decided on, or not at all."""
+_READ_S = 0.5
+"""The autopilot's input is read for so long at once. What the kernel keeps of a stall takes less; a flood that
+never ends is no reason to stand still."""
 _LET_GO_S = 2.0
 _COLLECT_S = 1.0
 """Reference cycles are looked for this often, right after a tick."""
@@ -77,6 +81,9 @@ class Flight:
         self._stop = False
         self._late = 0
         self._ticks = 0
+        self._stalls = 0
+        self._read_s: float | None = None
+        """When reading the autopilot's input began that found its end; None: it did not."""
         self._refused = Refusals()
         self._lateness = Lateness()
         self._began_s = clock.now_s()
@@ -216,7 +223,7 @@ class Flight:
                 _, why, do = no_vehicle(self.config.vehicle, self.link, self.onboard.link, now)
                 raise ConfigError(f"{why}: {do}")
             self._wait(now + 1.0 / self.config.flight.setpoint_rate_hz)
-            self._tick(clock.now_s())
+            self._tick()
         vehicle = self.onboard.link.vehicle
         if vehicle is not None and vehicle.refusal is not None and self.config.flight.use != "watch":
             raise ConfigError(f"{self.config.vehicle.link}: {vehicle.refusal}")
@@ -228,7 +235,38 @@ class Flight:
         """Take in the autopilot's bytes until the deadline."""
         while (left := deadline_s - clock.now_s()) > 0:
             self.link.wait(left)
-            self._exchange(clock.now_s())
+            if self._take_in():
+                # An answer to TIMESYNC that waited for the next tick would tell a wrong time; and a setpoint
+                # waits for one.
+                self._send()
+
+    def _take_in(self) -> bool:
+        """Read the autopilot's input until it is empty, for `_READ_S` at most; whether there was any."""
+        end_s, anything = clock.now_s() + _READ_S, False
+        while True:
+            now_s = clock.now_s()
+            if self._read_s is not None and now_s - self._read_s > STALL_S:
+                self._note_stall(now_s - self._read_s)
+            received = self.link.receive(now_s)
+            emptied = received.emptied and self.link.up
+            self.onboard.receive(received.data, now_s, emptied=emptied)
+            anything = anything or bool(received.data)
+            if emptied:
+                self._read_s = now_s
+                return anything
+            if not self.link.up or now_s > end_s:
+                self._read_s = None
+                return anything
+
+    def _note_stall(self, lasted_s: float) -> None:
+        """This process, or its computer, stood still: what was sent before and has not left is old."""
+        self._read_s = None
+        self.link.discard()
+        self._stalls += 1
+        self._say(f"stood still for {lasted_s:.1f} s: what waited to be sent is thrown away")
+
+    def _send(self) -> None:
+        self.link.send(self.onboard.drain(clock.now_s()))
 
     def _loop(self) -> None:
         period = 1.0 / self.config.flight.setpoint_rate_hz
@@ -247,23 +285,26 @@ class Flight:
             self._lateness.add(now - deadline)
             self._late += missed
             deadline += (missed + 1) * period
-            self._tick(now)
+            now = self._tick()
             self._notifier.ping(now)
             if now - collected_s >= _COLLECT_S:
                 collected_s = now
                 gc.collect()
 
-    def _tick(self, now_s: float) -> None:
+    def _tick(self) -> float:
+        """One step of everything; returns its time."""
         self._ticks += 1
-        self._exchange(now_s)
+        self._take_in()
+        now_s = clock.now_s()
+        read_s = -math.inf if self._read_s is None else self._read_s
+        behind = now_s - read_s > STALL_S
         for event in self.radio.events(now_s):
-            self.onboard.hear(event)
-        broadcasts = self.onboard.tick(now_s)
+            # Nobody knows how old a frame is that waited meanwhile; the next one comes soon.
+            if not (behind and isinstance(event, RemoteIdHeard)):
+                self.onboard.hear(event)
+        broadcasts = self.onboard.tick(now_s, read_s=read_s)
         self._kept_settings.keep(self.onboard.settings)
-        data = self.onboard.drain(now_s)
-        # Held up meanwhile, it would send an old setpoint. Requests are made again; texts are lost with it.
-        if clock.now_s() - now_s <= _FRESH_S:
-            self.link.send(data)
+        self._send()
         for broadcast in broadcasts:
             self._broadcast(broadcast, now_s)
         self._serve_status(now_s)
@@ -272,6 +313,7 @@ class Flight:
             line = self.status(now_s)
             self._voice.say(line)
             self._notifier.status(line)
+        return now_s
 
     def _serve_status(self, now_s: float) -> None:
         if self._server is None:
@@ -292,13 +334,6 @@ class Flight:
             if self._refused.add(str(error)):
                 self._say(f"a Remote ID broadcast was not sent: {error}")
 
-    def _exchange(self, now_s: float) -> None:
-        data = self.link.receive(now_s).data
-        if data:
-            self.onboard.receive(data, now_s)
-            # An answer to TIMESYNC that waited for the next tick would tell a wrong time.
-            self.link.send(self.onboard.drain(now_s))
-
     def _let_go(self) -> None:
         """Leave the vehicle standing still, not drifting into its setpoint timeout."""
         if not (self.onboard.heart.in_control and self.onboard.commanding):
@@ -308,8 +343,8 @@ class Flight:
         self.onboard.let_go(clock.now_s())
         while (now := clock.now_s()) < end and self.onboard.heart.own.mode is not FlightMode.HOLD:
             self._wait(now + 0.05)
-            self.onboard.idle(clock.now_s())
-            self.link.send(self.onboard.drain(clock.now_s()))
+            self.onboard.idle(clock.now_s(), read_s=-math.inf if self._read_s is None else self._read_s)
+            self._send()
 
     def _close(self) -> None:
         gc.enable()
@@ -361,6 +396,7 @@ class Flight:
         return {
             "ticks": self._ticks,
             "late_ticks": self._late,
+            "stalls": self._stalls,
             "tick_lateness_ms": {
                 "median": self._lateness.percentile_s(50.0) * 1e3,
                 "p99": self._lateness.percentile_s(99.0) * 1e3,
