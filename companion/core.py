@@ -20,9 +20,11 @@ from companion.decider import Decider
 from companion.events import (
     AdsbVehicle,
     Command,
+    CurrentMode,
     Event,
     FenceDownloaded,
     FenceRefused,
+    Heartbeat,
     Landed,
     MissionDownloaded,
     MissionRefused,
@@ -102,16 +104,18 @@ class Companion:
             raise ValueError(f"step at {now_s} s after one at {self._last_step_s} s")
         self._last_step_s = now_s
         commands: list[Command] = []
-        self._observe(now_s, events, commands)
-        self._orient(now_s, commands)
-        self._decide(now_s, gap_s, commands)
+        shown = self._observe(now_s, events, commands)
+        self._orient(now_s, shown, commands)
+        self._decide(now_s, gap_s, shown, commands)
         return commands
 
     # ------------------------------------------------------------ observe
 
-    def _observe(self, now_s: float, events: Sequence[Event], commands: list[Command]) -> None:
-        """Own state and heard messages come in; others are told about ourselves."""
+    def _observe(self, now_s: float, events: Sequence[Event], commands: list[Command]) -> Sequence[Heartbeat]:
+        """Own state and heard messages come in; others are told about ourselves. Returns what the vehicle has
+        shown of its mode, as `Control.step` takes it."""
         own = self.own
+        shown: list[Heartbeat] = []
         heard: list[RemoteIdHeard] = []
         seen: list[AdsbVehicle] = []
         for event in events:
@@ -143,6 +147,10 @@ class Companion:
                     self._control.take_sticks(event)
                 case Settings():
                     commands += self._take_settings(event)
+                case Heartbeat() | CurrentMode():
+                    own.take(event, now_s)
+                    if own.heartbeat is not None:
+                        shown.append(own.heartbeat)
                 case _:
                     own.take(event, now_s)
         if own.frame is not self._frame:
@@ -153,6 +161,7 @@ class Companion:
         self._hear(now_s, heard, seen)
         self._choose_transports(now_s, commands)
         commands += self.broadcaster.step(own, now_s)
+        return shown or ([] if own.heartbeat is None else [own.heartbeat])
 
     def _hear(self, now_s: float, heard: Sequence[RemoteIdHeard], seen: Sequence[AdsbVehicle]) -> None:
         """Others are placed relative to ourselves."""
@@ -190,18 +199,19 @@ class Companion:
 
     # ------------------------------------------------------------ orient
 
-    def _orient(self, now_s: float, commands: list[Command]) -> None:
+    def _orient(self, now_s: float, shown: Sequence[Heartbeat], commands: list[Command]) -> None:
         """Tracks that still live; a plan, once the vehicle could be taken."""
         self.traffic.expire(now_s)
         commands += self.traffic.flagged(now_s)
         own, readiness = self.own, self._readiness
-        readiness.look(now_s)
-        if readiness.down(now_s):
+        readiness.look(now_s, shown)
+        if readiness.down(now_s, shown):
             commands += self.plan.check(own, now_s)
             self.plan.drop()
         standby = self.state is State.STANDBY
+        left_in = self._control.left_in
         guards = self.config.flight.use == "guard"
-        if guards and standby and not readiness.mode_is_ours_to_end(self._control.left_in):
+        if guards and standby and not all(readiness.mode_is_ours_to_end(h, left_in) for h in shown):
             # What the pilot selects next may be another mission.
             self.plan.drop()
         if self.plan.course.law is None and self._wanted is not self.config:
@@ -218,9 +228,11 @@ class Companion:
 
     # ------------------------------------------------------------ decide
 
-    def _decide(self, now_s: float, gap_s: float, commands: list[Command]) -> None:
+    def _decide(
+        self, now_s: float, gap_s: float, shown: Sequence[Heartbeat], commands: list[Command]
+    ) -> None:
         """Who flies, and with what velocity."""
-        step = self._control.step(now_s, gap_s, self._decider)
+        step = self._control.step(now_s, gap_s, shown, self._decider)
         commands += step.commands
         if self.state not in HOLDING:
             self._decider.let_go()

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
 
 from companion.authority.guard import GuardPlan
 from companion.authority.handback import HandBack
 from companion.authority.modes import OurModes
 from companion.authority.plan import Plan
-from companion.authority.readiness import Readiness, mode_name
+from companion.authority.readiness import Readiness, mode_name, was_disarmed
 from companion.authority.standstill import Standstill
+from companion.authority.step import Cycle, Step
 from companion.authority.sticks import Sticks
-from companion.authority.table import HOLDING, State, Trigger, next_state
+from companion.authority.table import HOLDING, Found, State, Trigger, next_state
 from companion.avoidance.law import LawResult
 from companion.config import Config
 from companion.events import (
@@ -21,6 +21,7 @@ from companion.events import (
     Command,
     Firmware,
     FlightMode,
+    Heartbeat,
     Landed,
     ModeRefused,
     RcChannels,
@@ -61,30 +62,6 @@ _REASONS = {
 """Of the moves that have but one."""
 _LATE_S = 0.25
 """A step that comes this much after the last (or 2.5 periods) commands nothing: the loop was late."""
-
-
-class Cycle(Protocol):
-    """The law and who tells of it, as `Control` asks them: only in the states that need them."""
-
-    def due(self, now_s: float) -> bool:
-        """The law's period since it was asked last is over."""
-
-    def decide(self, now_s: float, state: State) -> LawResult:
-        """What the law would fly now. Needs a law."""
-
-    def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
-        """What is to be told of what was just decided."""
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What one step brought."""
-
-    commands: list[Command]
-    velocity_ned_mps: Vec3 | None = None
-    """To be commanded, after them (m/s); None: nothing is."""
-    alerts_only: bool = False
-    """The law was not asked, and the own state is fit: others may be judged for alerts alone."""
 
 
 class Control:
@@ -144,14 +121,16 @@ class Control:
             told.append(SetMode(mode=FlightMode.HOLD))
         return told
 
-    def step(self, now_s: float, gap_s: float, cycle: Cycle) -> Step:
+    def step(self, now_s: float, gap_s: float, shown: Sequence[Heartbeat], cycle: Cycle) -> Step:
         """Who flies now, and what is commanded.
 
         Args:
             gap_s: since the last step.
+            shown: what the vehicle told of its mode, and whether it is armed, since the last step, in the
+                order of arrival; where it told nothing new, what it told last. Empty: it was never heard.
         """
         unfit = self._unfit(now_s, gap_s)
-        commands = self._judge(now_s, unfit)
+        commands = self._judge(now_s, shown, unfit)
         if self.state not in HOLDING:
             self._result = None
         in_time = gap_s <= self._late_s
@@ -172,16 +151,16 @@ class Control:
             return f"the loop is late: nothing commanded for {_HUNG_S:g} s"
         return self._own.unfit(now_s, self._config.vehicle.stale_after_s)
 
-    def _judge(self, now_s: float, unfit: str | None) -> list[Command]:
+    def _judge(self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None) -> list[Command]:
         """What the vehicle's state says about who flies."""
         ended = unfit if self._readiness.enabled else SWITCHED_OFF
         if ended is not None:
             self._healthy_s = now_s + _HEALTHY_AFTER_S
         elif self._refused is not None:
             self._healthy_s = now_s + _REFUSED_PAUSE_S
-        self._modes.look()
-        self._standstill.see(self._own.mode)
-        commands = self._move(now_s, self._triggers(now_s, ended), unfit=ended)
+        for heartbeat in shown:
+            self._standstill.see(heartbeat.mode)
+        commands = self._move(now_s, self._triggers(now_s, shown, ended), unfit=ended)
         self._refused = None
         return commands
 
@@ -194,7 +173,7 @@ class Control:
         guarded = self._own.landed(now_s) not in _NOT_GUARDED
         self._conflicts = self._conflicts + 1 if result.conflict and guarded else 0
         if self._conflicts >= _SURE:
-            commands += self._move(now_s, frozenset({Trigger.CONFLICT}), result=result)
+            commands += self._move(now_s, {Trigger.CONFLICT: None}, result=result)
             # The way to the item may end short of what the mission flies into: it counts all the same.
             self._conflict_s = now_s
 
@@ -218,7 +197,7 @@ class Control:
         if self._handback is None or self.state is not State.GUARDING or not self._modes.confirmed:
             return []
         commands, over = self._handback.ask(now_s, now_s - self._conflict_s)
-        return commands + self._move(now_s, frozenset({Trigger.CHANGED})) if over else commands
+        return commands + self._move(now_s, {Trigger.CHANGED: None}) if over else commands
 
     def _steer(self, now_s: float, cycle: Cycle, commands: list[Command]) -> LawResult:
         """The law decides anew."""
@@ -229,57 +208,60 @@ class Control:
             self._handback.note_way(now_s)
         if result.conflict:
             self._conflict_s = now_s
-        commands += self._move(now_s, self._law_triggers(now_s, result), result=result)
+        commands += self._move(now_s, dict.fromkeys(self._law_triggers(now_s, result)), result=result)
         commands += cycle.note(now_s, result, self.state)
         return result
 
     # ------------------------------------------------------------ what moves it
 
-    def _triggers(self, now_s: float, unfit: str | None) -> frozenset[Trigger]:
+    def _triggers(self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None) -> Found:
         """What the vehicle's state says about authority."""
-        own, handback, rearm = self._own, self._handback, self._config.flight.rearm
-        found = set()
-        if self._modes.not_ours(now_s) or self._sticks.moved:
-            found.add(Trigger.PILOT)
+        own = self._own
+        found: Found = {}
+        foreign = self._modes.judge(shown, now_s, self.state in HOLDING)
+        if foreign is not None or self._sticks.moved:
+            found[Trigger.PILOT] = foreign
         if unfit is not None or self._refused is not None:
-            found.add(Trigger.UNFIT)
-        if self._readiness.down(now_s):
-            found.add(Trigger.RELEASE)
+            found[Trigger.UNFIT] = None
+        if self._readiness.down(now_s, shown):
+            found[Trigger.RELEASE] = None
         if now_s >= self._healthy_s:
-            found.add(Trigger.HEALTHY)
-        on_mission = own.mode is FlightMode.MISSION
-        given = own.mode is FlightMode.EXTERNAL if handback is None else on_mission
-        self._left = self._left or not given
-        disarmed = own.heartbeat is not None and not own.armed
-        if (rearm == "disarm" and disarmed) or (rearm == "mode" and given and self._left):
-            found.add(Trigger.REARM)
+            found[Trigger.HEALTHY] = None
+        if self._given_anew(shown):
+            found[Trigger.REARM] = None
         standing_by = self.state is State.STANDBY and self._plan.ready
         ready = standing_by and self._readiness.waits_for(now_s, self._modes.left_in) is None
         if ready and self._plan.near(own, now_s):
-            found.add(Trigger.WATCH if handback is not None and on_mission else Trigger.READY)
-        if handback is not None and handback.ended(now_s):
-            found.add(Trigger.ENDED)
-        if handback is not None and not on_mission:
-            found.add(Trigger.LEFT)
-        elif handback is not None and handback.asked(now_s):
-            # Not before it was asked for: the vehicle may be in our mode already, and not have said so.
-            found.add(Trigger.RESUMED)
+            watch = self._handback is not None and own.mode is FlightMode.MISSION
+            found[Trigger.WATCH if watch else Trigger.READY] = None
+        if self._handback is not None:
+            found |= self._handback.triggers(shown, now_s)
         if self.state is State.WATCHING and self._readiness.unclear is not None:
-            found.add(Trigger.LEFT)
-        return frozenset(found)
+            found[Trigger.LEFT] = None
+        return found
+
+    def _given_anew(self, shown: Sequence[Heartbeat]) -> bool:
+        """The pilot gives authority anew: he disarms, or he has left the mode that gives it and selects it
+        again, and it is the last that he selected."""
+        rearm = self._config.flight.rearm
+        gives = FlightMode.EXTERNAL if self._handback is None else FlightMode.MISSION
+        self._left = self._left or any(heartbeat.mode is not gives for heartbeat in shown)
+        if rearm == "disarm":
+            return was_disarmed(shown)
+        return rearm == "mode" and self._left and self._own.mode is gives
 
     @property
     def _asks_sticks(self) -> bool:
         """The pilot moves the sticks and has chosen no mode: the vehicle is in ours, in the hold that our
         fault asked for, or still in the one that we are taking it from. He gets one that takes the sticks."""
-        mode = self._own.mode
-        if mode is None or not self._sticks.moved:
+        heartbeat, mode = self._own.heartbeat, self._own.mode
+        if not self._sticks.moved:
             return False
         if mode is FlightMode.EXTERNAL:
             return True
         if self._modes.left_in:
             return mode is FlightMode.HOLD and mode in self._modes.left_in
-        return self._modes.being_taken
+        return heartbeat is not None and self._modes.being_taken(heartbeat)
 
     def _law_triggers(self, now_s: float, result: LawResult) -> frozenset[Trigger]:
         """What the law says about authority."""
@@ -299,16 +281,17 @@ class Control:
     def _move(
         self,
         now_s: float,
-        triggers: frozenset[Trigger],
+        found: Found,
         *,
         unfit: str | None = None,
         result: LawResult | None = None,
     ) -> list[Command]:
-        moved = next_state(self.state, triggers)
+        moved = next_state(self.state, found)
         if moved is None:
             return []
         previous, (self.state, trigger) = self.state, moved
-        reason = self._reason(now_s, trigger, unfit, result)
+        seen = found[trigger]
+        reason = self._reason(now_s, trigger, seen, unfit, result)
         commands: list[Command] = [
             AuthorityChanged(
                 previous=previous.value, state=self.state.value, trigger=trigger.value, reason=reason
@@ -319,14 +302,16 @@ class Control:
             handback.interrupted()
         if self.state in HOLDING and not held:
             commands += self._begin(now_s)
-        elif trigger is Trigger.CONFLICT and handback is not None and handback.asked(now_s):
-            # The mission may still be entered: what was asked for last counts.
-            commands.append(SetMode(mode=FlightMode.EXTERNAL))
+        elif trigger is Trigger.CONFLICT and handback is not None:
+            commands += handback.recall(now_s)
         if trigger in _TOLD or previous is State.WATCHING:
             severity = Severity.WARNING if trigger in _TOLD_LOUDLY else Severity.INFO
             commands.append(Say(severity=severity, text=f"DMUCA {self.state.value}: {reason}"))
         if self.state not in HOLDING:
-            commands += self._end(now_s, trigger, held)
+            commands += self._end(now_s, trigger, seen, held)
+        if previous is State.WATCHING and found.get(Trigger.LEFT) is not None:
+            # What the pilot selects next may be another mission.
+            self._plan.drop()
         return commands
 
     def _begin(self, now_s: float) -> list[Command]:
@@ -339,14 +324,18 @@ class Control:
         self._modes.seek(now_s)
         return commands
 
-    def _end(self, now_s: float, trigger: Trigger, held: bool) -> list[Command]:
-        """Nothing is commanded: not any more, where the vehicle was held."""
+    def _end(self, now_s: float, trigger: Trigger, seen: Heartbeat | None, held: bool) -> list[Command]:
+        """Nothing is commanded: not any more, where the vehicle was held.
+
+        Args:
+            seen: what the vehicle showed with the trigger.
+        """
         commands: list[Command] = []
         if trigger is Trigger.RESUMED and self._handback is not None:
             commands += self._handback.resumed(now_s)
         if trigger is Trigger.REARM and self._own.position is not None:
             self._plan.resume(self._own, now_s)
-        sticks = trigger is Trigger.PILOT and self._asks_sticks
+        sticks = trigger is Trigger.PILOT and seen is None and self._asks_sticks
         if sticks:
             commands.append(SetMode(mode=FlightMode.STICKS))
         if held:
@@ -376,31 +365,38 @@ class Control:
 
     # ------------------------------------------------------------ in words
 
-    def _reason(self, now_s: float, trigger: Trigger, unfit: str | None, result: LawResult | None) -> str:
+    def _reason(
+        self,
+        now_s: float,
+        trigger: Trigger,
+        seen: Heartbeat | None,
+        unfit: str | None,
+        result: LawResult | None,
+    ) -> str:
         handback = self._handback
         match trigger:
             case Trigger.PILOT:
-                return self._what_the_pilot_did(now_s)
+                return self._what_the_pilot_did(now_s, seen)
             case Trigger.UNFIT:
                 return unfit or f"mode not entered: {self._refused}"
             case Trigger.READY:
-                return f"taking the vehicle from mode {mode_name(self._own)}"
-            case Trigger.LEFT if self._readiness.unclear is None:
-                return f"the mission was left for mode {mode_name(self._own)}"
+                return f"taking the vehicle from mode {mode_name(self._own.heartbeat)}"
+            case Trigger.LEFT if seen is not None:
+                return f"the mission was left for mode {mode_name(seen)}"
             case Trigger.RESUMED if handback is not None:
                 return handback.how(now_s)
             case Trigger.ENDED:
-                return f"the mission came to its end as it was given back, in mode {mode_name(self._own)}"
+                return f"the mission came to its end as it was given back, in mode {mode_name(seen)}"
             case Trigger.CHANGED if handback is not None:
                 return handback.why_not
             case Trigger.CONFLICT if result is not None:
                 return "conflict with " + ", ".join(t.track_id for t in result.tracks if t.conflict)
         return _REASONS[trigger]
 
-    def _what_the_pilot_did(self, now_s: float) -> str:
-        if not self._modes.not_ours(now_s):
+    def _what_the_pilot_did(self, now_s: float, seen: Heartbeat | None) -> str:
+        if seen is None:
             return "the pilot moves the sticks"
-        changed = f"mode changed to {mode_name(self._own)}"
-        if self._handback is not None and self._handback.ends_in_hold(now_s):
+        changed = f"mode changed to {mode_name(seen)}"
+        if self._handback is not None and self._handback.ends_in_hold(seen, now_s):
             return f"{changed} as the mission was given back: by its end, or by the pilot"
         return f"{changed}, not by us"

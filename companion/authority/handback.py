@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from companion.authority.guard import GuardPlan
+from companion.authority.table import Found, Trigger
 from companion.autopilot.dialect import DIALECTS
-from companion.events import Command, Firmware, FlightMode, Say, SetMode, SetSpeed, Severity
+from companion.events import Command, Firmware, FlightMode, Heartbeat, Say, SetMode, SetSpeed, Severity
 from companion.ownship import Ownship
 
 _OBEYS_S = 8.0
@@ -34,6 +36,8 @@ class HandBack:
         self._clear_after_s = clear_after_s
         self._asked_s = -math.inf
         """When the vehicle was last asked to fly its mission on."""
+        self._recalled = False
+        """Since then it was asked for our mode again, as somebody came."""
         self._resumed_s = -math.inf
         """When it last did."""
         self._patience_s = 0.0
@@ -77,11 +81,26 @@ class HandBack:
             return [], False
         same, commands = self._guard.give_back(self._own, now_s)
         if same:
-            self._asked_s, self._unread_s = now_s, math.inf
+            self._asked_s, self._recalled, self._unread_s = now_s, False, math.inf
             mission = SetMode(mode=FlightMode.MISSION, speed_mps=self._forgotten_speed_mps())
             return [*commands, mission], False
         self._unread_s = min(self._unread_s, now_s)
         return commands, same is False or now_s - self._unread_s >= _UNREAD_S
+
+    def triggers(self, shown: Sequence[Heartbeat], now_s: float) -> Found:
+        """What the modes that the vehicle showed, in the order of arrival, say about its mission."""
+        if not shown:
+            return {}
+        found: Found = {}
+        elsewhere = [heartbeat for heartbeat in shown if heartbeat.mode is not FlightMode.MISSION]
+        if elsewhere:
+            found[Trigger.LEFT] = elsewhere[0]
+        if self.ended(shown[-1], now_s):
+            found[Trigger.ENDED] = shown[-1]
+        elif shown[-1].mode is FlightMode.MISSION and self.asked(now_s):
+            # Not before it was asked for: the vehicle may be in our mode already, and not have said so.
+            found[Trigger.RESUMED] = None
+        return found
 
     def interrupted(self) -> None:
         """The state has changed: a mission that cannot be read is waited for anew."""
@@ -91,21 +110,32 @@ class HandBack:
         """The vehicle was asked to fly its mission on, and may still obey."""
         return now_s - self._asked_s < _OBEYS_S
 
-    def obeyed(self, now_s: float) -> bool:
-        """The mode that the vehicle is in is what was asked for, or the mission's end."""
-        return (self._own.mode is FlightMode.MISSION and self.asked(now_s)) or self.ended(now_s)
+    def recall(self, now_s: float) -> list[Command]:
+        """There is a conflict again. The mission may still be entered: what was asked for last counts.
+        Returns what is to be asked."""
+        if not self.asked(now_s):
+            return []
+        self._recalled = True
+        return [SetMode(mode=FlightMode.EXTERNAL)]
 
-    def ended(self, now_s: float) -> bool:
+    def obeyed(self, heartbeat: Heartbeat, now_s: float) -> bool:
+        """The mode that the vehicle shows is what was asked for, or the mission's end."""
+        on_mission = heartbeat.mode is FlightMode.MISSION
+        return (on_mission and self.asked(now_s)) or self.ended(heartbeat, now_s)
+
+    def done(self, heartbeat: Heartbeat, now_s: float) -> bool:
+        """The same, where nothing else was asked for since: the vehicle is its mission's again."""
+        return not self._recalled and self.obeyed(heartbeat, now_s)
+
+    def ended(self, heartbeat: Heartbeat, now_s: float) -> bool:
         """The mission came to its end as it was given back."""
-        return self.ends_in_hold(now_s) and self._own.mission_complete
+        return self.ends_in_hold(heartbeat, now_s) and self._own.mission_complete
 
-    def ends_in_hold(self, now_s: float) -> bool:
+    def ends_in_hold(self, heartbeat: Heartbeat, now_s: float) -> bool:
         """The vehicle holds, as PX4 does after a mission's last item, and its mission was just given back.
         Whether that was done is told by MISSION_CURRENT, which may come later."""
-        heartbeat = self._own.heartbeat
-        if heartbeat is None or heartbeat.firmware is not Firmware.PX4:
-            return False
-        return heartbeat.mode is FlightMode.HOLD and self.asked(now_s)
+        holds = heartbeat.firmware is Firmware.PX4 and heartbeat.mode is FlightMode.HOLD
+        return holds and self.asked(now_s)
 
     def resumed(self, now_s: float) -> list[Command]:
         """The vehicle flies its mission on: at which speed."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from companion.autopilot.dialect import DIALECTS
 from companion.config import Config
-from companion.events import Command, Firmware, FlightMode, Landed, Say, Severity, TwoAutopilots
+from companion.events import Command, Firmware, FlightMode, Heartbeat, Landed, Say, Severity, TwoAutopilots
 from companion.ownship import Ownship
 from companion.remote_id.broadcaster import Broadcaster
 from companion.settings import SWITCHED_OFF
@@ -42,26 +44,30 @@ class Readiness:
         self.unclear = event.reason
         return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
 
-    def look(self, now_s: float) -> None:
-        """Note whether the vehicle is there, and was down."""
-        if self._found_s is None and self._own.heartbeat is not None:
+    def look(self, now_s: float, shown: Sequence[Heartbeat]) -> None:
+        """Note whether the vehicle is there, and was down.
+
+        Args:
+            shown: as of `Control.step`.
+        """
+        if self._found_s is None and shown:
             self._found_s = now_s
-        self._seen_down = self._seen_down or self.down(now_s)
+        self._seen_down = self._seen_down or self.down(now_s, shown)
 
-    def down(self, now_s: float) -> bool:
-        """The vehicle is there, and disarmed or on the ground."""
-        own = self._own
-        return own.heartbeat is not None and (not own.armed or own.landed(now_s) is Landed.ON_GROUND)
+    def down(self, now_s: float, shown: Sequence[Heartbeat]) -> bool:
+        """The vehicle is there, and on the ground or disarmed, if only for a moment.
 
-    def mode_is_ours_to_end(self, ours: frozenset[FlightMode]) -> bool:
-        """The vehicle may be taken from the mode that it is in.
+        Args:
+            shown: as of `Control.step`.
+        """
+        return was_disarmed(shown) or (bool(shown) and self._own.landed(now_s) is Landed.ON_GROUND)
+
+    def mode_is_ours_to_end(self, heartbeat: Heartbeat, ours: frozenset[FlightMode]) -> bool:
+        """The vehicle may be taken from the mode that this shows.
 
         Args:
             ours: modes that it may be in by our own doing.
         """
-        heartbeat = self._own.heartbeat
-        if heartbeat is None:
-            return False
         return heartbeat.mode in ours | (_GUARDED if self._guards else _TAKE_FROM[heartbeat.firmware])
 
     def waits_for(self, now_s: float, ours: frozenset[FlightMode]) -> str | None:
@@ -86,17 +92,21 @@ class Readiness:
             return "a landing: the vehicle was flying when this started (flight.take_in_flight)"
         if own.landed(now_s) is not Landed.IN_AIR:
             return f"vehicle to be in the air (landed state: {own.landed(now_s).value})"
-        if not self.mode_is_ours_to_end(ours):
+        if not self.mode_is_ours_to_end(own.heartbeat, ours):
             modes = "GUIDED or AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "HOLD or MISSION"
             if self._guards:
                 modes = "AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "MISSION"
-            return f"mode {modes} (now {mode_name(own)})"
+            return f"mode {modes} (now {mode_name(own.heartbeat)})"
         if config.region.transport_sets and self._broadcaster.trouble is not None:
             return self._broadcaster.trouble
         return own.unfit(now_s, config.vehicle.stale_after_s)
 
 
-def mode_name(own: Ownship) -> str:
+def was_disarmed(shown: Sequence[Heartbeat]) -> bool:
+    """The vehicle was disarmed, if only for a moment."""
+    return any(not heartbeat.armed for heartbeat in shown)
+
+
+def mode_name(heartbeat: Heartbeat | None) -> str:
     """The vehicle's mode in the autopilot's own words."""
-    heartbeat = own.heartbeat
     return "unknown" if heartbeat is None else DIALECTS[heartbeat.firmware].name(heartbeat.custom_mode)

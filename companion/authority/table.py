@@ -2,8 +2,8 @@
 
 Rules, in the order they are judged at every step (the first trigger that the table knows is taken):
 
-1. The pilot wins. A mode that we did not command, seen while we hold the vehicle, ends our authority at
-   once, and nothing but `REARM` brings it back.
+1. The pilot wins. A mode that we did not command, seen once while we hold the vehicle, ends our authority at
+   once, whatever mode follows it, and nothing but `REARM` brings it back.
 2. Without a fit own state, or after a late loop, nothing is commanded (`FAULT`). The fault ends when the
    cause has been gone for a while, and then in standby, never straight back in control.
 3. A vehicle that is disarmed or on the ground is released.
@@ -17,6 +17,9 @@ Rules, in the order they are judged at every step (the first trigger that the ta
 from __future__ import annotations
 
 import enum
+from collections.abc import Container
+
+from companion.events import Heartbeat
 
 
 class State(enum.Enum):
@@ -94,7 +97,11 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
 }
 
 
-def next_state(state: State, triggers: frozenset[Trigger]) -> tuple[State, Trigger] | None:
+Found = dict[Trigger, Heartbeat | None]
+"""Triggers that were found, each with what the vehicle showed of it, where that is a mode."""
+
+
+def next_state(state: State, triggers: Container[Trigger]) -> tuple[State, Trigger] | None:
     """The move that `triggers` cause in `state`, or None."""
     for trigger, following in _MOVES[state]:
         if trigger in triggers:

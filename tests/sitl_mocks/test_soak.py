@@ -38,7 +38,7 @@ def test_no_rule_is_broken(firmware, use):
 @pytest.mark.parametrize(
     ("where", "name", "broken", "seed", "words"),
     [
-        (OurModes, "not_ours", lambda self, now_s: False, 3, "after the pilot's mode was seen"),
+        (OurModes, "judge", lambda self, shown, now_s, held: None, 3, "after the pilot's mode was seen"),
         (Ownship, "unfit", lambda self, now_s, stale_after_s: None, 12, "a setpoint on a position"),
         (ownship, "in_mode", lambda beat, custom_mode: beat, 11, "after the pilot's mode was seen"),
     ],
