@@ -7,7 +7,6 @@ bit for bit.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from companion.atmc.chooser import chooser_of
@@ -24,7 +23,9 @@ from companion.events import (
     Event,
     FenceDownloaded,
     FenceRefused,
+    GateRefused,
     Heartbeat,
+    InputBehind,
     Landed,
     MissionDownloaded,
     MissionRefused,
@@ -38,7 +39,6 @@ from companion.events import (
     Settings,
     Severity,
     TwoAutopilots,
-    Vec3,
     VehicleParameters,
     VelocitySetpoint,
 )
@@ -74,6 +74,8 @@ class Companion:
         self.chooser = chooser_of(config, policy)
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
+        self._mode_known = True
+        """What the vehicle has shown of its mode is no backlog."""
 
     @property
     def state(self) -> State:
@@ -115,6 +117,8 @@ class Companion:
         """Own state and heard messages come in; others are told about ourselves. Returns what the vehicle has
         shown of its mode, as `Control.step` takes it."""
         own = self.own
+        behind_s = next((e.since_s for e in events if isinstance(e, InputBehind)), None)
+        sent_s = now_s if behind_s is None else min(behind_s, now_s)
         shown: list[Heartbeat] = []
         heard: list[RemoteIdHeard] = []
         seen: list[AdsbVehicle] = []
@@ -139,6 +143,9 @@ class Companion:
                     commands += self.plan.downloads.refused(f"the vehicle's fence: {event.reason}")
                 case VehicleParameters():
                     commands += self.plan.terms.take_parameters(event)
+                    if self.plan.course.law is not None:
+                        # They are told one after the other, and may be lowered in flight.
+                        self.plan.course.law.restrict(self.plan.terms.limits)
                 case ModeRefused():
                     commands += self._control.mode_refused(event)
                 case TwoAutopilots():
@@ -147,12 +154,18 @@ class Companion:
                     self._control.take_sticks(event)
                 case Settings():
                     commands += self._take_settings(event)
+                case GateRefused():
+                    self._control.take_refusal(event)
                 case Heartbeat() | CurrentMode():
-                    own.take(event, now_s)
+                    own.take(event, now_s, sent_s)
                     if own.heartbeat is not None:
                         shown.append(own.heartbeat)
                 case _:
-                    own.take(event, now_s)
+                    own.take(event, now_s, sent_s)
+        if behind_s is not None:
+            self._mode_known = False
+        elif shown:
+            self._mode_known = True
         if own.frame is not self._frame:
             self._frame = own.frame
             self.traffic.clear()
@@ -232,26 +245,11 @@ class Companion:
         self, now_s: float, gap_s: float, shown: Sequence[Heartbeat], commands: list[Command]
     ) -> None:
         """Who flies, and with what velocity."""
-        step = self._control.step(now_s, gap_s, shown, self._decider)
+        step = self._control.step(now_s, gap_s, shown, self._decider, mode_known=self._mode_known)
         commands += step.commands
         if self.state not in HOLDING:
             self._decider.let_go()
         if step.alerts_only and self._decider.due(now_s) and self.own.landed(now_s) is Landed.IN_AIR:
             commands += self._decider.look(now_s)
         if step.velocity_ned_mps is not None:
-            commands.append(self._setpoint(step.velocity_ned_mps))
-
-    def _setpoint(self, velocity: Vec3) -> VelocitySetpoint:
-        """The last gate: nothing outside the limits leaves, whatever the law says.
-
-        Raises:
-            RuntimeError: our bug; the process must not go on commanding.
-        """
-        limits, (north, east, down) = self.config.limits, velocity
-        slack = 1e-6
-        if not (
-            math.hypot(north, east, down) <= limits.max_speed_mps + slack
-            and -limits.max_climb_mps - slack <= down <= limits.max_descent_mps + slack
-        ):
-            raise RuntimeError(f"velocity {velocity} m/s is outside the limits {limits}")
-        return VelocitySetpoint(velocity_ned_mps=velocity)
+            commands.append(VelocitySetpoint(velocity_ned_mps=step.velocity_ned_mps))

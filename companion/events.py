@@ -313,8 +313,8 @@ class GateRefused(Event, frozen=True):
     rule: int
     """Number of the rule (`gate.rules`)."""
     text: str
-    fault: bool
-    """It ends authority as a fault does; False: it only came too late, or authority had ended."""
+    ends: Literal["nothing", "fault", "authority"] = "nothing"
+    """What it ends: authority, as a fault does, or for good, as the pilot does. Nothing: it came too late."""
 
 
 # ---------------------------------------------------------------- from the radio

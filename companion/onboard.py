@@ -185,7 +185,7 @@ class Onboard:
         told: list[Event] = [] if since_s is None else [InputBehind(since_s=since_s)]
         for refused in self.gate.broken():
             told.append(refused)
-            if refused.fault and self.commanding:
+            if refused.ends != "nothing" and self.commanding:
                 self.link.send(Say(severity=Severity.WARNING, text=f"DMUCA: {refused.text}"), now_s)
         events, self._events = told + self._events + advanced, []
         return events

@@ -167,11 +167,17 @@ class Ownship:
     _upset_s: float = -math.inf
     _upset: str = ""
 
-    def take(self, event: Event, now_s: float) -> None:
-        """Take in one event that concerns the own aircraft; others are left alone."""
+    def take(self, event: Event, now_s: float, sent_s: float | None = None) -> None:
+        """Take in one event that concerns the own aircraft; others are left alone.
+
+        Args:
+            sent_s: the earliest that it can have been sent, which dates a message without a time of its own;
+                None: now.
+        """
+        sent_s = now_s if sent_s is None else sent_s
         match event:
             case Heartbeat():
-                self.heartbeat, self.heartbeat_s = event, now_s
+                self.heartbeat, self.heartbeat_s = event, sent_s
             case CurrentMode():
                 # No sign of life: that is the heartbeat alone.
                 if self.heartbeat is not None:
@@ -183,7 +189,7 @@ class Ownship:
                 if event.time_boot_s <= self._clock.boot_s + _REBOOT_S:
                     self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
             case GnssFix():
-                self.gnss, self._gnss_s = event, now_s
+                self.gnss, self._gnss_s = event, sent_s
                 if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
                     separation_m = event.alt_ellipsoid_m - event.alt_msl_m
                     # A wrong one would put every other aircraft far above or below us.
@@ -191,7 +197,7 @@ class Ownship:
             case ClockRead():
                 self._clock.read(event)
             case LandedState():
-                self._take_landed(event.landed, now_s)
+                self._take_landed(event.landed, sent_s)
             case EstimatorState():
                 self._estimator_lost_s = -math.inf if event.usable else now_s
             case MissionCurrent():

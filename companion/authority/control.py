@@ -21,6 +21,7 @@ from companion.events import (
     Command,
     Firmware,
     FlightMode,
+    GateRefused,
     Heartbeat,
     Landed,
     ModeRefused,
@@ -91,6 +92,9 @@ class Control:
         self._conflicts = 0
         """Decisions in a row, while a mission is guarded, that saw one."""
         self._refused: str | None = None
+        self._gate_fault: str | None = None
+        self._gate_lost: str | None = None
+        """What the gate refused, as a fault of ours, or because there is no authority."""
         self._healthy_s = -math.inf
         """From when on a fault may end."""
         self._left = False
@@ -121,19 +125,29 @@ class Control:
             told.append(SetMode(mode=FlightMode.HOLD))
         return told
 
-    def step(self, now_s: float, gap_s: float, shown: Sequence[Heartbeat], cycle: Cycle) -> Step:
+    def take_refusal(self, event: GateRefused) -> None:
+        """The gate let a command not leave."""
+        if event.ends == "fault":
+            self._gate_fault = event.text
+        elif event.ends == "authority":
+            self._gate_lost = event.text
+
+    def step(
+        self, now_s: float, gap_s: float, shown: Sequence[Heartbeat], cycle: Cycle, *, mode_known: bool = True
+    ) -> Step:
         """Who flies now, and what is commanded.
 
         Args:
             gap_s: since the last step.
+            mode_known: False: what the vehicle told of its mode may be old, and nothing is commanded.
             shown: what the vehicle told of its mode, and whether it is armed, since the last step, in the
                 order of arrival; where it told nothing new, what it told last. Empty: it was never heard.
         """
         unfit = self._unfit(now_s, gap_s)
-        commands = self._judge(now_s, shown, unfit)
+        in_time = gap_s <= self._late_s and mode_known
+        commands = self._judge(now_s, shown, unfit, in_time)
         if self.state not in HOLDING:
             self._result = None
-        in_time = gap_s <= self._late_s
         if self.state in HOLDING and in_time:
             velocity = self._fly(now_s, cycle, commands)
             return Step(commands, velocity)
@@ -149,9 +163,13 @@ class Control:
         """Why nothing is to be commanded, in words; None when nothing is against it."""
         if gap_s > _HUNG_S or (self.state in HOLDING and now_s - self._commanded_s > _HUNG_S):
             return f"the loop is late: nothing commanded for {_HUNG_S:g} s"
+        if self._gate_fault is not None:
+            return self._gate_fault
         return self._own.unfit(now_s, self._config.vehicle.stale_after_s)
 
-    def _judge(self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None) -> list[Command]:
+    def _judge(
+        self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None, in_time: bool
+    ) -> list[Command]:
         """What the vehicle's state says about who flies."""
         ended = unfit if self._readiness.enabled else SWITCHED_OFF
         if ended is not None:
@@ -160,8 +178,8 @@ class Control:
             self._healthy_s = now_s + _REFUSED_PAUSE_S
         for heartbeat in shown:
             self._standstill.see(heartbeat.mode)
-        commands = self._move(now_s, self._triggers(now_s, shown, ended), unfit=ended)
-        self._refused = None
+        commands = self._move(now_s, self._triggers(now_s, shown, ended, in_time), unfit=ended)
+        self._refused = self._gate_fault = self._gate_lost = None
         return commands
 
     def _watch(self, now_s: float, cycle: Cycle, commands: list[Command]) -> None:
@@ -214,12 +232,12 @@ class Control:
 
     # ------------------------------------------------------------ what moves it
 
-    def _triggers(self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None) -> Found:
+    def _triggers(self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None, in_time: bool) -> Found:
         """What the vehicle's state says about authority."""
         own = self._own
         found: Found = {}
         foreign = self._modes.judge(shown, now_s, self.state in HOLDING)
-        if foreign is not None or self._sticks.moved:
+        if foreign is not None or self._sticks.moved or self._gate_lost is not None:
             found[Trigger.PILOT] = foreign
         if unfit is not None or self._refused is not None:
             found[Trigger.UNFIT] = None
@@ -229,7 +247,7 @@ class Control:
             found[Trigger.HEALTHY] = None
         if self._given_anew(shown):
             found[Trigger.REARM] = None
-        standing_by = self.state is State.STANDBY and self._plan.ready
+        standing_by = self.state is State.STANDBY and self._plan.ready and in_time
         ready = standing_by and self._readiness.waits_for(now_s, self._modes.left_in) is None
         if ready and self._plan.near(own, now_s):
             watch = self._handback is not None and own.mode is FlightMode.MISSION
@@ -395,7 +413,7 @@ class Control:
 
     def _what_the_pilot_did(self, now_s: float, seen: Heartbeat | None) -> str:
         if seen is None:
-            return "the pilot moves the sticks"
+            return self._gate_lost or "the pilot moves the sticks"
         changed = f"mode changed to {mode_name(seen)}"
         if self._handback is not None and self._handback.ends_in_hold(seen, now_s):
             return f"{changed} as the mission was given back: by its end, or by the pilot"

@@ -163,6 +163,11 @@ class Law:
             self._trajectory = self._planned.delayed(delay_s)
         return self._trajectory
 
+    def restrict(self, limits: LimitsConfig) -> None:
+        """Other limits from the next decision on."""
+        self._configured = self._configured[0], limits
+        self._settings = settings_of(*self._configured, self._planned)
+
     def follow(self, trajectory: Trajectory) -> None:
         """Another path from now on, without delay. What is known of the own velocity stays; the next command
         begins at it, as the first one does."""

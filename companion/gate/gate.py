@@ -282,8 +282,8 @@ class Gate:
     def _refuse(self, broken: Broken, now_s: float) -> None:
         rule = broken.rule
         self.counts[rule.value.name] += 1
-        if rule.faults:
+        if rule.ends == "fault":
             self._shut_s = now_s + _SHUT_S
         if now_s - self._told.get(rule, -math.inf) >= _AGAIN_S:
             self._told[rule] = now_s
-            self._broken.append(GateRefused(rule=rule.number, text=str(broken), fault=rule.faults))
+            self._broken.append(GateRefused(rule=rule.number, text=str(broken), ends=rule.ends))

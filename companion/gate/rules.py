@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -11,8 +12,8 @@ class _Text:
     number: int
     name: str
     says: str
-    faults: bool = True
-    """Breaking it is a fault of the program above. Otherwise it is only too early or too late."""
+    ends: Literal["nothing", "fault", "authority"] = "fault"
+    """As of `GateRefused`."""
 
 
 class Rule(enum.Enum):
@@ -43,15 +44,15 @@ class Rule(enum.Enum):
         "The input was read until it was empty within the last 0.25 s. After a longer pause, at the start "
         "and after a backlog, a message that shows the vehicle's mode must have been read since. The last "
         "one is no older than 3 s.",
-        faults=False,
+        ends="nothing",
     )
     ANSWER = _Text(
         6,
         "answer",
-        "A setpoint, a mode request or a speed leaves only right behind an answer of the vehicle (TIMESYNC) to "
-        "a question that is no older than 0.25 s, one step's commands for each answer: nothing waits in a "
-        "stream that nobody reads. A vehicle that has never answered is not asked for it. Where commands wait "
-        "for a second, authority ends.",
+        "A setpoint, a mode request or a speed leaves only right behind an answer of the vehicle (TIMESYNC) "
+        "to a question that is no older than 0.25 s, one step's commands for each answer: nothing waits in "
+        "a stream that nobody reads. The rule does not hold for a vehicle that has never answered. Where "
+        "commands wait for a second, authority ends.",
     )
     AUTHORITY = _Text(
         7,
@@ -59,7 +60,7 @@ class Rule(enum.Enum):
         "A mode that was not asked for by us, seen once while the vehicle is held or taken, ends authority. "
         "Only what flight.rearm names gives it back. A vehicle that was flying when the companion started is "
         "not taken before it was down (flight.take_in_flight).",
-        faults=False,
+        ends="authority",
     )
     MODE = _Text(
         8,
@@ -73,7 +74,7 @@ class Rule(enum.Enum):
         "age",
         "A setpoint leaves within 0.25 s of its decision, on an own position no older than "
         "vehicle.stale_after_s and half a second.",
-        faults=False,
+        ends="nothing",
     )
     FORM = _Text(10, "form", "A setpoint is a finite velocity in the local NED frame, with one of two masks.")
     SPEED = _Text(
@@ -106,9 +107,9 @@ class Rule(enum.Enum):
         return self.value.number
 
     @property
-    def faults(self) -> bool:
-        """Breaking it is a fault of the program above."""
-        return self.value.faults
+    def ends(self) -> Literal["nothing", "fault", "authority"]:
+        """What breaking it ends, as of `GateRefused`."""
+        return self.value.ends
 
     def __str__(self) -> str:
         """For messages."""
