@@ -46,6 +46,39 @@ def test_direction_of_import(package):
     assert not wrong
 
 
+@pytest.mark.parametrize(
+    ("room", "closed"),
+    [
+        (
+            "companion/avoidance",
+            ["companion.authority", "companion.core", "companion.runtime", "companion.radio"],
+        ),
+        ("companion/authority", ["companion.core", "companion.runtime", "companion.radio"]),
+    ],
+)
+def test_rooms_of_the_heart(room, closed):
+    """Who flies knows the law; the law knows nothing of who flies, and neither of them the machine."""
+    files = list((ROOT / room).rglob("*.py"))
+    assert files
+    for path in files:
+        names = modules(path)
+        wrong = [name for name in names for bad in closed if name == bad or name.startswith(f"{bad}.")]
+        assert not wrong, path
+
+
+def modules(path: Path) -> set[str]:
+    """Full names of all that a file imports; of `from a import b` both a and a.b."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, path
+            assert node.module
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
 def test_the_heart_is_pure():
     wrong = {}
     for path in (ROOT / "companion").rglob("*.py"):

@@ -31,7 +31,7 @@ from companion.runtime.disk import MANIFEST, DiskFloor, lock, replace_file, writ
 _QUEUE = 20_000
 _LOOK_S = 5.0
 """How often the free space is looked at: a flight writes some 0.2 MB in this time."""
-_CLOSE_S = 5.0
+CLOSE_S = 5.0
 """How long the end of a flight waits for a slow disk."""
 _HANGS_S = 5.0
 """A disk that has not answered for so long is told of."""
@@ -184,7 +184,7 @@ class FlightRecorder:
             return f"the disk has not answered for {_HANGS_S:g} s"
         return "the disk was too slow: records are missing" if self._overflowed else None
 
-    def close(self, timeout_s: float = _CLOSE_S) -> bool:
+    def close(self, timeout_s: float = CLOSE_S) -> bool:
         """Write out what waits, sync, close. What fails is kept in `error`.
 
         Returns:

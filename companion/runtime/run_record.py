@@ -21,10 +21,13 @@ from companion.config import Config
 from companion.record import Header, Step
 from companion.runtime.disk import RUN, DiskFloor, replace_file
 from companion.runtime.policy import RUN_FILE
-from companion.runtime.recorder import FlightRecorder, create_run_folder, write_json, write_manifest
-
-_SUMMARY_S = 5.0
-"""How long the end of a flight waits for its summary."""
+from companion.runtime.recorder import (
+    CLOSE_S,
+    FlightRecorder,
+    create_run_folder,
+    write_json,
+    write_manifest,
+)
 
 
 class _Tape:
@@ -133,7 +136,7 @@ class RunRecord:
         recorder = self._recorder
         if recorder is None:
             return
-        answered = recorder.close()
+        answered = recorder.close(CLOSE_S)
         if recorder.error is not None:
             self._say(f"the record is not complete: {recorder.error}")
         if recorder.folder is None:
@@ -143,7 +146,7 @@ class RunRecord:
             # A thread: the disk may begin to hang now. What a summary is built of does not change any more.
             writer = threading.Thread(target=self._summarize, args=(path, summary), daemon=True)
             writer.start()
-            writer.join(_SUMMARY_S)
+            writer.join(CLOSE_S)
         self._say(f"run folder {recorder.folder}")
 
     def _summarize(self, path: Path, summary: Callable[[], dict[str, object]]) -> None:

@@ -24,7 +24,7 @@ def test_the_time_of_a_suspend_counts(monkeypatch):
 
 
 def test_the_flight_has_no_other_clock():
-    """Two that differ by the time of a suspend, compared with each other, would wait for ever or not at all."""
+    """Two clocks that differ by the time of a suspend would wait for ever, or not at all."""
     others = re.compile(r"\bmonotonic(_ns)?\(|\.monotonic\b|import monotonic|clock_gettime")
     using = {path.name for path in RUNTIME.glob("*.py") if others.search(path.read_text())}
     assert using == {"clock.py"}

@@ -322,7 +322,7 @@ class FullDisk:
     def __init__(self, folder):
         self.folder = folder
 
-    def close(self):
+    def close(self, timeout_s):
         return self.answers
 
 
