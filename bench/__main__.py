@@ -7,6 +7,7 @@ from bench import (
     bench_channel,
     bench_heart,
     bench_inspect,
+    bench_links,
     bench_lockstep,
     bench_remote_id,
 )
@@ -20,6 +21,7 @@ for module in (
     bench_channel,
     bench_atmc,
     bench_inspect,
+    bench_links,
 ):
     print(f"\n== {(module.__doc__ or '').splitlines()[0]}\n", flush=True)
     module.main()

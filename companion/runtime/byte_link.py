@@ -1,7 +1,7 @@
 """What every link to an autopilot offers, whatever it goes through, and how old its bytes may become.
 
-A link loses data rather than deliver it late. What it is given leaves at once, or is dropped and counted; what
-does not leave in time although the kernel had taken it is thrown away.
+A link loses data rather than deliver it late. What it is given leaves at once, or is dropped and counted;
+what does not leave in time although the kernel had taken it is thrown away.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ READ_BYTES: Final = 16 * 1024
 """One call of `receive` takes no more than this and a single datagram. Reading it costs well under a
 millisecond; the parser then works 2.5 ms on a desktop computer, some 10 ms on a small one (`bench_links`)."""
 HELD_S: Final = 0.1
-"""While bytes older than this are still here, nothing newer is put behind them."""
+"""What waits here for longer than this is given nothing newer behind it."""
 LATE_S: Final = 0.2
-"""Bytes that are here for longer than this are thrown away. With two ticks at 20 Hz, as seldom as a link may be
-looked at, none of them leaves older than 0.25 s."""
+"""Bytes that are here for longer than this are thrown away. A link is looked at in every tick: at 20 Hz none
+of them leaves older than 0.25 s."""
 
 
 @dataclass(frozen=True, slots=True)

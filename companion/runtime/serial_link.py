@@ -1,7 +1,7 @@
 """A serial port as a link, and a pseudo-terminal in its place.
 
-While nobody reads, the kernel keeps 4 kB and a buffer of up to 64 kB, at 57600 baud some ten seconds of a full
-line, at 921600 baud less than one. What comes then is lost: the newest.
+While nobody reads, the kernel keeps 4 kB and a buffer of up to 64 kB, at 57600 baud some ten seconds of a
+full line, at 921600 baud less than one. What comes then is lost: the newest.
 
 A pseudo-terminal says that nothing waits in it, whatever does. Its reader's side holds 4 kB that nobody can
 recall; what lies behind that can be flushed.
@@ -25,7 +25,7 @@ from companion.runtime.stream_link import StreamLink
 
 _BITS_PER_BYTE = 10
 _OVERDUE_S = 0.1
-"""A line that has not carried bytes so long after its baud rate says that it should have does not carry them."""
+"""Bytes that are still here so long after the baud rate would have carried them are thrown away."""
 _SETTLED_S = 0.02
 """What was written this long ago a pseudo-terminal has handed over, unless nobody reads."""
 _PTY_MAJORS = range(136, 144)

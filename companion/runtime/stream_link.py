@@ -12,8 +12,10 @@ _READS = 64
 """A writer that delivers byte by byte must not hold a call."""
 _CLOSING_LOOK_S = 0.005
 _UNHEARD_BYTES = 1024
-"""What goes to a far end without a byte coming back, where a stopped program would find it later: 15 setpoints.
-A vehicle that is flown is heard several times a second, which is far more often than this needs."""
+"""What goes to a far end without a byte coming back, where a stopped program would find it later: 15
+setpoints. A vehicle that is flown is heard several times a second, far more often than this needs."""
+_UNHEARD_S = 5.0
+"""After that one more send goes out, and so on: a far end may wait until it is spoken to."""
 
 
 class StreamLink(ABC):
@@ -29,6 +31,7 @@ class StreamLink(ABC):
         self._trouble = trouble
         self._keeps = keeps
         self._unheard = 0
+        self._given_s = float("-inf")
         self._unsent = b""
         self._waiting = Waiting()
 
@@ -70,7 +73,7 @@ class StreamLink(ABC):
         self._push()
         if not data:
             return
-        if self._unsent or self._unanswered(len(data)) or not self._takes_more(now):
+        if self._unsent or self._unanswered(len(data), now) or not self._takes_more(now):
             self._trouble.dropped += 1
             return
         taken = self._try_write(data)
@@ -79,6 +82,7 @@ class StreamLink(ABC):
             return
         self._unsent = data[taken:]
         self._unheard += len(data)
+        self._given_s = now
         self._waiting.add(len(data), self._counts_from(len(data), now))
 
     def close(self) -> None:
@@ -90,8 +94,9 @@ class StreamLink(ABC):
                 time.sleep(_CLOSING_LOOK_S)
         self._release()
 
-    def _unanswered(self, count: int) -> bool:
-        return self._keeps and self._unheard > 0 and self._unheard + count > _UNHEARD_BYTES
+    def _unanswered(self, count: int, now_s: float) -> bool:
+        too_much = self._unheard > 0 and self._unheard + count > _UNHEARD_BYTES
+        return self._keeps and too_much and now_s - self._given_s < _UNHEARD_S
 
     def _here(self) -> int:
         """Bytes that were sent and have not left."""

@@ -1,11 +1,11 @@
 """TCP as a link.
 
-While nobody reads, the receive buffer grows up to `net.ipv4.tcp_rmem` (6 MB and more); then the peer's kernel
-holds what comes next, and nothing is dropped.
+While nobody reads, the receive buffer grows up to `net.ipv4.tcp_rmem` (6 MB and more); then the peer's
+kernel holds what comes next, and nothing is dropped.
 
-Our kernel goes on sending again what the peer's kernel has not acknowledged. It cannot be told to forget that:
-only aborting the connection does. What was acknowledged is out of reach: a Linux reader that was stopped finds
-it after our reset too, and only then the error.
+Our kernel goes on sending again what the peer's kernel has not acknowledged. It cannot be told to forget
+that: only aborting the connection does. What was acknowledged is out of reach: a Linux reader that was
+stopped finds it after our reset too, and only then the error.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import struct
 import sys
 import termios
 
-from companion.runtime.byte_link import HELD_S, LATE_S, LinkTrouble
+from companion.runtime.byte_link import LATE_S, LinkTrouble
 from companion.runtime.stream_link import StreamLink
 
 _CONNECT_S = 3.0
@@ -89,9 +89,8 @@ class TcpLink(StreamLink):
         return int(struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, b"\0" * 4))[0])
 
     def _takes_more(self, now_s: float) -> bool:
-        oldest = self._oldest_s()
-        if oldest is not None and now_s - oldest > HELD_S + self._round_trip_s():
-            return False
+        # What was sent and is not acknowledged yet does not hold the next one up: by its acknowledgement the
+        # kernel notices a lost segment before the limit.
         return bool(select.select([], [self._socket], [], 0.0)[1])
 
     def _late_after_s(self) -> float:

@@ -1,8 +1,12 @@
 """UDP as a link.
 
-While nobody reads, the kernel keeps the oldest datagrams and drops the newest once its receive buffer is full.
-It grants what was asked for up to `net.core.rmem_max`, and counts some 770 bytes for a small datagram: 425 kB,
-as many systems grant it, hold 550 of them, 2 MB hold 2,700.
+While nobody reads, the kernel keeps the oldest datagrams and drops the newest once its receive buffer is
+full. It grants what was asked for up to `net.core.rmem_max`, and counts some 770 bytes for a small datagram:
+425 kB, as many systems grant it, hold 550 of them, 2 MB hold 2,700.
+
+Datagrams to a neighbour whose address is not known yet wait in the kernel for up to three seconds, and
+nothing recalls them: two leave late when the neighbour answers, and what comes after them is dropped until
+then.
 """
 
 from __future__ import annotations
@@ -63,7 +67,7 @@ class UdpLink:
 
     @property
     def receive_buffer(self) -> int:
-        """Bytes that the kernel granted; Linux says twice of what was asked for and counts its own overhead."""
+        """Bytes that the kernel granted; Linux doubles what was asked for and counts its own overhead."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     def fileno(self) -> int:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
+import time
+import tty
+from types import SimpleNamespace
 
 import pytest
 
 from companion.errors import ConfigError
+from companion.runtime.byte_link import Received
 from companion.runtime.kept_link import KeptLink
 from companion.runtime.links import open_link
 
@@ -19,6 +24,8 @@ class Pipe:
         self.ends = socket.socketpair()
         self.gone = False
         self.closed = False
+        self.full = False
+        self.discards = 0
 
     def fileno(self):
         return self.ends[0].fileno()
@@ -26,15 +33,22 @@ class Pipe:
     def receive(self, now_s):
         if self.gone:
             raise OSError(5, "Input/output error")
-        return b"data"
+        return Received(b"data")
 
     def send(self, data):
         self.receive(0.0)
+
+    def discard(self):
+        self.discards += 1
+        if self.full:
+            raise ConnectionAbortedError("full")
 
     def close(self):
         self.closed = True
         for end in self.ends:
             end.close()
+
+    abort = close
 
 
 class Opener:
@@ -68,7 +82,8 @@ def said():
 
 @pytest.fixture
 def kept(opener, said, monkeypatch):
-    monkeypatch.setattr("companion.runtime.kept_link._PAUSE_S", 0.01)
+    for pause in ("_FIRST_PAUSE_S", "_PAUSE_S"):
+        monkeypatch.setattr(f"companion.runtime.kept_link.{pause}", 0.01)
     link = KeptLink("tcp:there", said.append, opener)
     yield link
     opener.may_open.set()
@@ -80,20 +95,20 @@ def kept(opener, said, monkeypatch):
     [("receive", ConfigError("x")), ("send", ConfigError("x")), ("receive", RuntimeError("unforeseen"))],
 )
 def test_lost_and_found_again_each_said_once(kept, opener, said, until, found_by, absent):
-    assert kept.receive(0.0) == b"data"
+    assert kept.receive(0.0).data == b"data"
     opener.absent = absent
     opener.made[0].gone = True
     if found_by == "receive":
-        assert kept.receive(0.0) == b""
+        assert kept.receive(0.0).data == b""
     else:
         kept.send(b"x")
     assert opener.made[0].closed
     until(lambda: opener.attempts > 3)
     assert not kept.up
-    assert kept.receive(0.0) == b""
+    assert kept.receive(0.0).data == b""
     assert said == ["link tcp:there: lost: Input/output error; opening it again"]
     opener.absent = None
-    until(lambda: kept.receive(0.0) == b"data")
+    until(lambda: kept.receive(0.0).data == b"data")
     assert said[1:] == ["link tcp:there: back"]
     assert kept.up
     assert kept.trouble.losses == 1
@@ -107,7 +122,7 @@ def test_nothing_waits_for_a_link_that_takes_long_to_open(kept, opener, until):
     # The attempt hangs until it is let go below; if any of these waited for it, the test would hang.
     for _ in range(3):
         kept.wait(0.001)
-        assert kept.receive(0.0) == b""
+        assert kept.receive(0.0).data == b""
         kept.send(b"x")
     assert kept.trouble.dropped == 3
     assert not kept.up
@@ -127,7 +142,8 @@ def test_a_closed_link_is_not_opened_again(kept, opener):
 
 
 def test_a_tcp_server_that_restarts(said, until, monkeypatch):
-    monkeypatch.setattr("companion.runtime.kept_link._PAUSE_S", 0.01)
+    for pause in ("_FIRST_PAUSE_S", "_PAUSE_S"):
+        monkeypatch.setattr(f"companion.runtime.kept_link.{pause}", 0.01)
 
     def serve(port):
         server = socket.socket()
@@ -142,12 +158,113 @@ def test_a_tcp_server_that_restarts(said, until, monkeypatch):
     first = server.accept()[0]
     server.close()
     first.close()
-    until(lambda: kept.receive(0.0) == b"" and not kept.up)
+    until(lambda: kept.receive(0.0).data == b"" and not kept.up)
     server = serve(port)
-    until(lambda: kept.receive(0.0) == b"" and kept.up)
+    until(lambda: kept.receive(0.0).data == b"" and kept.up)
     second = server.accept()[0]
     second.sendall(b"again")
-    until(lambda: kept.receive(0.0) == b"again")
+    until(lambda: kept.receive(0.0).data == b"again")
     for end in (second, server, kept):
         end.close()
     assert [line.split(": ")[1] for line in said] == ["lost", "back"]
+
+
+def test_a_link_that_is_down_says_that_nothing_waits(kept, opener):
+    opener.absent = ConfigError("x")
+    opener.made[0].gone = True
+    assert kept.receive(0.0) == Received(b"", emptied=True)
+    assert not kept.up
+    assert kept.receive(0.0) == Received(b"", emptied=True)
+    kept.discard()
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_discarding_costs_a_link_only_where_nothing_else_helps(kept, opener, said, until, full):
+    opener.made[0].full = full
+    kept.discard()
+    assert opener.made[0].discards == 1
+    assert kept.up is not full
+    assert kept.trouble.losses == full
+    until(lambda: kept.receive(0.0).data == b"data")
+    assert [line.split(": ")[1] for line in said] == ["lost", "back"] * full
+
+
+def test_what_is_thrown_away_on_a_link_that_stays_up_is_said_once_in_a_while(kept, said, monkeypatch):
+    now = 1000.0
+    clock = SimpleNamespace(monotonic=lambda: now)
+    monkeypatch.setattr("companion.runtime.kept_link.time", clock)
+    for _ in range(5):
+        kept.trouble.discarded += 1
+        kept.receive(0.0)
+        kept.send(b"x")
+    assert said == ["link tcp:there: does not carry what is sent; what waited too long was thrown away"]
+    now += 11.0
+    kept.receive(0.0)
+    assert len(said) == 1
+    kept.trouble.discarded += 1
+    kept.send(b"x")
+    assert len(said) == 2
+
+
+class Far:
+    """The far end of a stream: what it reads of numbered frames, with the tick at which it reads them."""
+
+    def __init__(self, kind):
+        self.got = []
+        self._rest = b""
+        if kind == "pty":
+            self._master, self._slave = os.openpty()
+            tty.setraw(self._slave)
+            os.set_blocking(self._master, False)
+            self.link = f"serial:{os.ttyname(self._slave)}:57600"
+        else:
+            self._server = socket.create_server(("127.0.0.1", 0))
+            self.link = f"tcp:127.0.0.1:{self._server.getsockname()[1]}"
+        self._kind = kind
+
+    def accept(self):
+        if self._kind == "tcp":
+            self._peer = self._server.accept()[0]
+            self._master = self._peer.fileno()
+            self._peer.setblocking(False)
+
+    def talk(self):
+        os.write(self._master, b".")
+
+    def read(self, tick):
+        try:
+            self._rest += os.read(self._master, 65536)
+        except BlockingIOError:
+            return
+        *frames, self._rest = self._rest.split(b"\n")
+        self.got += [(int(frame), tick) for frame in frames if len(frame) == 64]
+
+    def close(self):
+        if self._kind == "pty":
+            os.close(self._master)
+            os.close(self._slave)
+        else:
+            self._peer.close()
+            self._server.close()
+
+
+@pytest.mark.parametrize("kind", ["tcp", "pty"])
+def test_a_far_end_that_is_stopped_for_a_while_reads_few_old_frames_and_then_new_ones(kind, said):
+    far = Far(kind)
+    kept = KeptLink(far.link, said.append)
+    far.accept()
+    for tick in range(120):
+        stopped = 20 <= tick < 90
+        if not stopped:
+            far.read(tick)
+            far.talk()
+        time.sleep(0.01)
+        kept.receive(time.monotonic())
+        kept.send(b"%64d\n" % tick)
+    kept.close()
+    far.close()
+    old = [frame for frame, read in far.got if read - frame > 5]
+    assert 0 < len(old) <= 15
+    assert max(old) < 20 + 15, "the oldest were taken, nothing after them"
+    assert {frame for frame, _ in far.got} >= {*range(20), *range(92, 118)}
+    assert said == []

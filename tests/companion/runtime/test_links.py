@@ -1,24 +1,21 @@
-"""Links lose data rather than deliver it late, wait for it, or end the flight."""
+"""Links lose data rather than deliver it late, wait for it, or end the flight: UDP, and names of links."""
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
-import pty
 import socket
-import struct
 import sys
-import tty
+from types import SimpleNamespace
 
 import pytest
 
 from companion.errors import ConfigError
-from companion.runtime.links import LinkTrouble, SerialLink, TcpLink, UdpLink, open_link
+from companion.runtime.byte_link import READ_BYTES, LinkTrouble, Received
+from companion.runtime.links import open_link
+from companion.runtime.udp_link import UdpLink
 
 MAVLINK = b"\xfd and the rest"
-SIOCOUTQNSD = 0x894B
-"""Linux: bytes of a TCP socket that were not sent even once."""
 
 
 @pytest.fixture
@@ -52,9 +49,9 @@ def sender(listening):
 def test_udpin_adopts_only_who_begins_like_mavlink(listening, sender):
     stray, vehicle = sender(), sender()
     stray.send(b"hello")
-    assert listening.receive(0.0) == b""
+    assert listening.receive(0.0).data == b""
     vehicle.send(MAVLINK)
-    assert listening.receive(0.1) == MAVLINK
+    assert listening.receive(0.1).data == MAVLINK
     listening.send(b"answer")
     assert vehicle.recv(100) == b"answer"
 
@@ -64,11 +61,11 @@ def test_udpin_follows_a_vehicle_to_its_new_port(listening, sender, magic):
     before, after = sender(), sender()
     frame = bytes([magic, 1, 2])
     before.send(frame)
-    assert listening.receive(0.0) == frame
+    assert listening.receive(0.0).data == frame
     after.send(frame)
-    assert listening.receive(2.9) == b"", "the present peer is not silent yet"
+    assert listening.receive(2.9).data == b"", "the present peer is not silent yet"
     after.send(frame)
-    assert listening.receive(3.1) == frame
+    assert listening.receive(3.1).data == frame
     listening.send(b"answer")
     assert after.recv(100) == b"answer"
 
@@ -78,34 +75,108 @@ def test_udpin_keeps_a_peer_that_speaks(listening, sender):
     for second in range(10):
         vehicle.send(MAVLINK)
         stray.send(b"\xfd stray")
-        assert listening.receive(float(second)) == MAVLINK
+        assert listening.receive(float(second)).data == MAVLINK
 
 
 def test_udpout_hears_its_peer_only(sender, listening, trouble):
     link = UdpLink(("127.0.0.1", listening.port), trouble, listen=False)
     link.send(MAVLINK)
-    assert listening.receive(0.0) == MAVLINK
+    assert listening.receive(0.0).data == MAVLINK
     stray = sender()
     stray.sendto(MAVLINK, ("127.0.0.1", link.port))
-    assert link.receive(100.0) == b""
+    assert link.receive(100.0).data == b""
     listening.send(b"answer")
-    assert link.receive(100.0) == b"answer"
+    assert link.receive(100.0).data == b"answer"
     link.close()
 
 
-def test_udp_takes_a_flood_in_portions(listening, sender):
-    vehicle = sender()
-    for _ in range(100):
+def test_udp_takes_a_flood_in_portions_that_strangers_count_in(listening, sender):
+    vehicle, stranger = sender(), sender()
+    for _ in range(150):
         vehicle.send(MAVLINK)
-    assert len(listening.receive(0.0)) == 64 * len(MAVLINK)
-    assert len(listening.receive(0.0)) == 36 * len(MAVLINK)
+        stranger.send(MAVLINK)
+    assert listening.receive(0.0) == Received(128 * MAVLINK, emptied=False)
+    assert listening.receive(0.0) == Received(22 * MAVLINK, emptied=True)
+    assert listening.receive(0.0) == Received(b"", emptied=True)
+
+
+def test_udp_takes_no_more_bytes_than_the_parser_can_do_with(listening, sender):
+    vehicle = sender()
+    large = b"\xfd" * 1400
+    for _ in range(20):
+        vehicle.send(large)
+    portion = -(-READ_BYTES // len(large))
+    assert listening.receive(0.0) == Received(portion * large, emptied=False)
+    assert listening.receive(0.0) == Received((20 - portion) * large, emptied=True)
+
+
+class Flood:
+    """A socket that is never empty, of two senders in turn."""
+
+    def __init__(self):
+        self.reads = 0
+
+    def recvfrom(self, _):
+        self.reads += 1
+        return MAVLINK, ("127.0.0.1", self.reads % 2)
+
+
+def test_a_flood_that_never_ends_does_not_hold_a_call(listening, trouble, monkeypatch):
+    flood = Flood()
+    with monkeypatch.context() as patched:
+        patched.setattr(listening, "_socket", flood)
+        assert listening.receive(0.0) == Received(128 * MAVLINK, emptied=False)
+    assert flood.reads == 256
+    assert trouble.left_out == 128
+
+
+def test_after_a_stall_all_that_waited_is_had_by_reading_until_empty(listening, sender):
+    vehicle = sender()
+    for number in range(500):
+        vehicle.send(MAVLINK + b"%d\n" % number)
+    data, received = b"", Received(emptied=False)
+    while not received.emptied:
+        received = listening.receive(0.0)
+        data += received.data
+    assert data.split(b"\n")[-2] == MAVLINK + b"499"
+
+
+def test_udp_has_more_room_for_a_stall_than_is_usual(listening):
+    with socket.socket(type=socket.SOCK_DGRAM) as usual:
+        assert listening.receive_buffer > usual.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+
+
+def test_udp_sends_nothing_behind_what_has_not_left(listening, sender, trouble, monkeypatch):
+    vehicle, queued, now = sender(), 0, 1000.0
+    vehicle.send(MAVLINK)
+    listening.receive(0.0)
+    monkeypatch.setattr(UdpLink, "_queued", lambda _: queued)
+    monkeypatch.setattr("companion.runtime.udp_link.time", SimpleNamespace(monotonic=lambda: now))
+    listening.send(b"1")
+    queued, now = 768, 1000.05
+    listening.send(b"2")  # the first is on its way, for all we know
+    now = 1000.15
+    listening.send(b"3")
+    assert trouble.dropped == 1
+    queued = 0
+    listening.send(b"4")
+    assert [vehicle.recv(100) for _ in range(3)] == [b"1", b"2", b"4"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="told by Linux only")
+def test_udp_asks_the_kernel_what_has_not_left(listening, sender):
+    sender().send(MAVLINK)
+    listening.receive(0.0)
+    listening.send(b"x")
+    assert listening._queued() == 0, "the loopback takes all at once"
 
 
 class Refusing:
     """A socket whose network refuses everything."""
 
-    def __init__(self, number):
+    def __init__(self, number, descriptor):
         self.number = number
+        self.fileno = lambda: descriptor
 
     def sendto(self, *_):
         raise OSError(self.number, os.strerror(self.number))
@@ -118,135 +189,20 @@ def test_udp_passes_over_what_the_network_refuses(listening, sender, trouble, mo
     sender().send(MAVLINK)
     listening.receive(0.0)
     with monkeypatch.context() as patched:
-        patched.setattr(listening, "_socket", Refusing(number))
+        patched.setattr(listening, "_socket", Refusing(number, listening.fileno()))
         listening.send(b"x")
         assert trouble.errors == 1
-        assert listening.receive(0.0) == b""
+        assert listening.receive(0.0) == Received(b"", emptied=False)
     assert trouble.errors > 1
 
 
-@pytest.fixture
-def tcp(trouble):
-    """A link and the peer's end, which takes little."""
-    with socket.socket() as server:
-        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-        server.bind(("127.0.0.1", 0))
-        server.listen()
-        link = TcpLink(server.getsockname(), trouble)
-        peer = server.accept()[0]
-    peer.settimeout(30.0)
-    yield link, peer
-    link.close()
-    peer.close()
-
-
-def frames_sent(send, count):
-    """Numbered frames of 100 bytes."""
-    for number in range(count):
-        send(b"%99d\n" % number)
-
-
-def test_tcp_keeps_frames_whole_and_holds_nothing_old(tcp, trouble, until):
-    link, peer = tcp
-    frames_sent(link.send, 5_000)
-    assert trouble.dropped > 1_000, "most of it had no room"
-    taken = b""
-    peer.setblocking(False)
-
-    def marker_came():
-        nonlocal taken
-        link.send(b"%99s\n" % b"marker")
-        try:
-            taken += peer.recv(65536)
-        except BlockingIOError:
-            return False
-        return b"marker" in taken
-
-    until(marker_came)
-    lines = taken.split(b"\n")[:-1]
-    assert all(len(line) == 99 for line in lines)
-    numbers = [int(line) for line in lines if b"marker" not in line]
-    assert numbers == sorted(set(numbers))
-    assert len(numbers) + trouble.dropped >= 5_000
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="what the kernel holds unsent is told by Linux only")
-def test_tcp_gives_the_kernel_nothing_more_while_it_holds_what_is_unsent(tcp, trouble):
-    link, _ = tcp
-    frames_sent(link.send, 5_000)
-    assert trouble.dropped > 1_000
-    unsent = struct.unpack("i", fcntl.ioctl(link.fileno(), SIOCOUTQNSD, struct.pack("i", 0)))[0]
-    assert unsent <= 100, "more than one frame of those to come would be old"
-
-
-def test_tcp_says_that_the_peer_is_gone(tcp):
-    link, peer = tcp
-    peer.sendall(b"last")
-    peer.close()
-    while (got := link.receive(0.0)) == b"":
-        pass
-    assert got == b"last"
-    with pytest.raises(ConnectionError):
-        link.receive(0.0)
-
-
-@pytest.fixture
-def serial_line(trouble):
-    """A link on a pseudo-terminal, and the master's end."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    link = SerialLink(os.ttyname(slave), 57600, trouble)
-    os.close(slave)
-    ends = [master]
-    yield link, ends
-    link.close()
-    for end in ends:
-        os.close(end)
-
-
-def test_serial_does_not_wait_for_a_port_that_takes_nothing(serial_line, trouble):
-    link, (master,) = serial_line
-    frames_sent(link.send, 5_000)
-    assert trouble.dropped > 100
-    taken = b""
-    os.set_blocking(master, False)
-    before = trouble.dropped
-    while b"marker" not in taken:
-        link.send(b"%99s\n" % b"marker")
-        try:
-            taken += os.read(master, 65536)
-        except BlockingIOError:
-            continue
-        assert trouble.dropped < before + 100_000
-    assert all(len(line) == 99 for line in taken.split(b"\n")[:-1])
-
-
-def test_serial_drops_what_the_driver_could_send_only_late(serial_line, trouble, monkeypatch):
-    link, (master,) = serial_line
-    waiting = 57600 // 10
-    monkeypatch.setattr(type(link._port), "out_waiting", property(lambda _: waiting))
-    link.send(b"late")
-    assert trouble.dropped == 1
-    waiting = 0
-    link.send(b"soon")
-    assert os.read(master, 100) == b"soon"
-
-
-def test_serial_reads_what_is_there_and_says_when_the_device_is_gone(serial_line, until):
-    link, ends = serial_line
-    assert link.receive(0.0) == b""
-    os.write(ends[0], b"abc")
-    got = b""
-
-    def arrived():
-        nonlocal got
-        got += link.receive(0.0)
-        return got == b"abc"
-
-    until(arrived)
-    os.close(ends.pop())
-    with pytest.raises(OSError):
-        link.receive(0.0)
+def test_udp_drops_what_a_full_socket_does_not_take(listening, sender, trouble, monkeypatch):
+    sender().send(MAVLINK)
+    listening.receive(0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(listening, "_socket", Refusing(errno.EAGAIN, listening.fileno()))
+        listening.send(b"x")
+    assert (trouble.dropped, trouble.errors) == (1, 0)
 
 
 @pytest.mark.parametrize(
@@ -274,7 +230,7 @@ def test_a_device_that_goes_while_it_is_opened_is_bad_configuration(monkeypatch)
     def gone(*_, **__):
         raise OSError(5, "Input/output error")  # not a SerialException
 
-    monkeypatch.setattr("companion.runtime.links.serial.Serial", gone)
+    monkeypatch.setattr("companion.runtime.serial_link.serial.Serial", gone)
     with pytest.raises(ConfigError, match=r"serial:/dev/x:57600: .*Input/output error"):
         open_link("serial:/dev/x:57600")
 
