@@ -185,6 +185,10 @@ class Gate:
             self._refuse(Broken(Rule.ANSWER, f"no answer for {_DEAF_S:g} s"), now_s)
         return False
 
+    def in_time(self, now_s: float) -> bool:
+        """What was decided last may still leave, as far as its age goes."""
+        return 0.0 <= now_s - self._decided_s <= _FRESH_S
+
     def broken(self) -> list[GateRefused]:
         """Rules that were broken since the last call: each of them once in a while."""
         broken, self._broken = self._broken, []
@@ -234,7 +238,7 @@ class Gate:
         standing = velocity == (0.0, 0.0, 0.0)
         self._commands(system, component, now_s)
         self._mandate.check_setpoint(standing)
-        if not -_FRESH_S <= now_s - self._decided_s <= _FRESH_S:
+        if not self.in_time(now_s):
             raise Broken(Rule.AGE, f"decided {now_s - self._decided_s:.2f} s ago")
         if frame != FRAME_LOCAL_NED or mask not in _MASKS or not all(map(math.isfinite, numbers)):
             raise Broken(Rule.FORM, f"frame {frame}, mask {mask:#x}, velocity {velocity}")

@@ -61,8 +61,8 @@ from companion.settings import SWITCHED_OFF, differences
 
 _STATUS_S = 5.0
 _READ_S = 0.5
-"""The autopilot's input is read for so long at once. What the kernel keeps of a stall takes less; a flood that
-never ends is no reason to stand still."""
+"""The autopilot's input is read for so long at once. What the kernel keeps of a stall takes less; a flood
+that never ends is no reason to stand still."""
 _LET_GO_S = 2.0
 _COLLECT_S = 1.0
 """Reference cycles are looked for this often, right after a tick."""

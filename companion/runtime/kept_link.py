@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from companion.runtime import clock
 from companion.runtime.byte_link import Link, LinkTrouble, Received
 from companion.runtime.links import open_link
 
@@ -124,7 +125,7 @@ class KeptLink:
         if self.trouble.discarded == self._discarded:
             return
         self._discarded = self.trouble.discarded
-        now = time.monotonic()
+        now = clock.now_s()
         if now - self._said_s > _SAY_AGAIN_S:
             self._said_s = now
             self._say(f"link {self._name}: does not carry what is sent; what waited too long was thrown away")

@@ -15,11 +15,11 @@ import os
 import sys
 import termios
 import threading
-import time
 
 import serial
 
 from companion.errors import ConfigError
+from companion.runtime import clock
 from companion.runtime.byte_link import HELD_S, LinkTrouble
 from companion.runtime.stream_link import StreamLink
 
@@ -78,7 +78,7 @@ class SerialLink(StreamLink):
         self._due_s = float("-inf")
         oldest = self._oldest_s()
         # A transfer to a USB adapter that is under way is no fault; one that does not end is.
-        if oldest is not None and time.monotonic() - oldest > 2.0 * _OVERDUE_S:
+        if oldest is not None and clock.now_s() - oldest > 2.0 * _OVERDUE_S:
             raise OSError("the serial driver neither sends what it holds nor throws it away")
 
     def abort(self) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 
+from companion.runtime import clock
 from companion.runtime.byte_link import LATE_S, READ_BYTES, LinkTrouble, Received, Waiting
 
 _READS = 64
@@ -41,7 +42,7 @@ class StreamLink(ABC):
         Raises:
             OSError: the link is lost.
         """
-        self._look(time.monotonic())
+        self._look(clock.now_s())
         parts: list[bytes] = []
         room, emptied = READ_BYTES, False
         for _ in range(_READS):
@@ -68,7 +69,7 @@ class StreamLink(ABC):
         Raises:
             OSError: the link is lost.
         """
-        now = time.monotonic()
+        now = clock.now_s()
         self._look(now)
         self._push()
         if not data:
@@ -87,9 +88,9 @@ class StreamLink(ABC):
 
     def close(self) -> None:
         """Let what was sent leave, for `LATE_S` at most, and release the link."""
-        end = time.monotonic() + LATE_S
+        end = clock.now_s() + LATE_S
         with contextlib.suppress(OSError):
-            while self._here() and time.monotonic() < end:
+            while self._here() and clock.now_s() < end:
                 self._push()
                 time.sleep(_CLOSING_LOOK_S)
         self._release()

@@ -16,9 +16,9 @@ import socket
 import struct
 import sys
 import termios
-import time
 from typing import Any
 
+from companion.runtime import clock
 from companion.runtime.byte_link import HELD_S, READ_BYTES, LinkTrouble, Received
 
 _DATAGRAM = 65536
@@ -109,7 +109,7 @@ class UdpLink:
         """One datagram; nothing while the peer is unknown, or while older datagrams have not left."""
         if self._peer is None or not data:
             return
-        now = time.monotonic()
+        now = clock.now_s()
         if not self._queued():
             self._waits_since_s = None
         elif self._waits_since_s is not None and now - self._waits_since_s > HELD_S:

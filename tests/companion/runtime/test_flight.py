@@ -253,19 +253,21 @@ def test_under_nohup_a_closed_terminal_ends_nothing(flight, said, until):
 
 @pytest.mark.parametrize(("held_up_s", "leaves"), [(0.2, True), (0.3, False)])
 def test_what_a_tick_decided_leaves_in_time_or_not_at_all(flight, monkeypatch, held_up_s, leaves):
-    now, sent = [1000.0], []
+    """The gate is asked as the bytes leave, not as they were decided."""
+    now, asked = [1000.0], []
     monkeypatch.setattr(clock, "now_s", lambda: now[0])
     monkeypatch.setattr(flight.link, "receive", lambda _: Received())
-    monkeypatch.setattr(flight.link, "send", sent.append)
 
-    def held_up(_now_s):
+    def held_up(now_s, **_):
+        flight.onboard.gate.decided(now_s)
         now[0] += held_up_s
         return []
 
     monkeypatch.setattr(flight.onboard, "tick", held_up)
-    monkeypatch.setattr(flight.onboard, "drain", lambda _: b"setpoint")
-    flight._tick(now[0])
-    assert sent == ([b"setpoint"] if leaves else [])
+    monkeypatch.setattr(flight.onboard, "drain", lambda now_s: asked.append(now_s) or b"")
+    flight._tick()
+    assert asked == [1000.0 + held_up_s]
+    assert flight.onboard.gate.in_time(asked[0]) is leaves
     flight._close()
 
 
@@ -533,11 +535,11 @@ def test_the_service_manager_is_told_from_the_loop_alone(manager, flight, said, 
     hang, hanging = threading.Event(), threading.Event()
     tick, told = flight.onboard.tick, []
 
-    def stuck(now_s):
+    def stuck(now_s, **read):
         if hang.is_set():
             hanging.set()
             until(lambda: not hang.is_set())
-        return tick(now_s)
+        return tick(now_s, **read)
 
     flight.onboard.tick = stuck
 
@@ -641,6 +643,9 @@ class Joined:
         self.left += self._reader.feed(data)
         self.vehicle.receive(data, clock.now_s())
 
+    def discard(self):
+        """Nothing waits."""
+
     def close(self):
         """Nothing to release."""
 
@@ -712,7 +717,7 @@ def test_a_dry_run_computes_and_transmits_nothing(
     commands = {m.command for m in link.left if m.get_type() == "COMMAND_LONG"}
     if dry_run:
         assert kinds <= ASKS | {"COMMAND_LONG"}
-        assert commands == {511}
+        assert commands == {511, 512}
         assert link.vehicle.custom_mode == mode
         assert (air.sent, air.changed) == (0, 0)
         assert not made.live(clock.now_s()).rates

@@ -7,7 +7,6 @@ import socket
 import threading
 import time
 import tty
-from types import SimpleNamespace
 
 import pytest
 
@@ -191,8 +190,7 @@ def test_discarding_costs_a_link_only_where_nothing_else_helps(kept, opener, sai
 
 def test_what_is_thrown_away_on_a_link_that_stays_up_is_said_once_in_a_while(kept, said, monkeypatch):
     now = 1000.0
-    clock = SimpleNamespace(monotonic=lambda: now)
-    monkeypatch.setattr("companion.runtime.kept_link.time", clock)
+    monkeypatch.setattr("companion.runtime.clock.now_s", lambda: now)
     for _ in range(5):
         kept.trouble.discarded += 1
         kept.receive(0.0)

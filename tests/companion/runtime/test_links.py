@@ -6,7 +6,6 @@ import errno
 import os
 import socket
 import sys
-from types import SimpleNamespace
 
 import pytest
 
@@ -151,7 +150,7 @@ def test_udp_sends_nothing_behind_what_has_not_left(listening, sender, trouble, 
     vehicle.send(MAVLINK)
     listening.receive(0.0)
     monkeypatch.setattr(UdpLink, "_queued", lambda _: queued)
-    monkeypatch.setattr("companion.runtime.udp_link.time", SimpleNamespace(monotonic=lambda: now))
+    monkeypatch.setattr("companion.runtime.clock.now_s", lambda: now)
     listening.send(b"1")
     queued, now = 768, 1000.05
     listening.send(b"2")  # the first is on its way, for all we know

@@ -39,9 +39,8 @@ def clock(monkeypatch):
     def sleep(seconds):
         now.s += seconds
 
-    stands = SimpleNamespace(monotonic=lambda: now.s, sleep=sleep)
-    for module in ("stream", "serial"):
-        monkeypatch.setattr(f"companion.runtime.{module}_link.time", stands)
+    monkeypatch.setattr("companion.runtime.clock.now_s", lambda: now.s)
+    monkeypatch.setattr("companion.runtime.stream_link.time", SimpleNamespace(sleep=sleep))
     return now
 
 
