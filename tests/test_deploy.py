@@ -41,6 +41,11 @@ def test_the_process_ends_itself_before_the_watchdog_does():
     assert limit_s - period_s > 20.0
 
 
+def test_short_of_memory_the_kernel_ends_others_first():
+    assert float(values("OOMScoreAdjust")[0]) < 0
+    assert values("MemorySwapMax") == ["0"]
+
+
 def test_a_refused_system_call_does_not_end_the_flight():
     assert values("SystemCallErrorNumber") == ["EPERM"]
 

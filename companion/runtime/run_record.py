@@ -138,7 +138,8 @@ class RunRecord:
             return
         answered = recorder.close(CLOSE_S)
         if recorder.error is not None:
-            self._say(f"the record is not complete: {recorder.error}")
+            which = "there is no record" if recorder.folder is None else "the record is not complete"
+            self._say(f"{which}: {recorder.error}")
         if recorder.folder is None:
             return
         if answered:

@@ -5,8 +5,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Callable, Iterable
 from typing import Any
+
+from numba.core.caching import NullCache
 
 from companion.avoidance import kernels
 
@@ -14,8 +18,32 @@ from companion.avoidance import kernels
 def warm_up() -> float:
     """Compile the kernels, or load them from the cache; seconds taken."""
     began = time.perf_counter()
-    kernels.warm_up()
+    past_the_cache(kernels.warm_up, vars(kernels).values())
     return time.perf_counter() - began
+
+
+def past_the_cache(compile_all: Callable[[], None], functions: Iterable[object]) -> None:
+    """Compile, without a cache that cannot be used: a disk is full, or a power cut has left half a file.
+
+    numba raises whatever it meets there, and a companion that does not start avoids nobody.
+
+    Args:
+        compile_all: calls what is to be compiled.
+        functions: among them all that it calls.
+
+    Raises:
+        Exception: what `compile_all` raises without a cache.
+    """
+    try:
+        compile_all()
+    except Exception:
+        for function in functions:
+            cache = getattr(function, "_cache", None)
+            if cache is not None:
+                with contextlib.suppress(Exception):
+                    cache.flush()  # so that the next process begins with a sound one
+                vars(function)["_cache"] = NullCache()
+        compile_all()
 
 
 def was_compiled() -> bool:

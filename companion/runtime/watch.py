@@ -159,7 +159,7 @@ def _facts(s: Status) -> list[tuple[str, str, str]]:
         ("Remote ID", trouble or "as the region and the configuration ask", "red" if trouble else "green"),
         ("loop", f"{s.ticks} ticks, {s.late_ticks} missed, worst {s.worst_tick_ms:.1f} ms late", ""),
         ("record", record, "red" if s.recorder_error else ""),
-        *(("trouble", text, "red") for text in s.troubles),
+        *(("trouble", t, "red") for t in s.troubles if s.recorder_error is None or s.recorder_error not in t),
     ]
 
 

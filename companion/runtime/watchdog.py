@@ -5,8 +5,9 @@ a report of its loop: a thread counts its own wake-ups. A process that is stoppe
 its computer or starved of processor time has no wake-ups either, so that such a stall, however long, does not
 end it; the heart, which sees the gap, faults and goes on.
 
-What it cannot see: C code that holds the interpreter's lock for ever stops this thread, too. systemd's
-watchdog sees that (`WatchdogSec` of deploy/dmuca-companion.service).
+What it cannot see: C code that holds the interpreter's lock for ever stops this thread, too; systemd's
+watchdog sees that (`WatchdogSec` of deploy/dmuca-companion.service). What it cannot tell apart: a loop that
+waits five seconds for its memory to be read back, while this thread has its own, is taken for one that hangs.
 """
 
 from __future__ import annotations

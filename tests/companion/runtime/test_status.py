@@ -196,6 +196,23 @@ def test_what_a_terminal_shows():
         assert words in shown, words
 
 
+def test_what_goes_wrong_with_the_disk_is_shown_once_each():
+    status = msgspec.structs.replace(
+        STATUS,
+        recorder_error="No space left on device",
+        records_dropped=7,
+        troubles=("not recording: No space left on device", "settings not kept: /x: Read-only file system"),
+    )
+    console = Console(width=150, record=True, file=io.StringIO())
+    console.print(watch.render(status))
+    shown = console.export_text()
+    assert (
+        "NONE until the companion is started again: No space left on device; 7 records are missing" in shown
+    )
+    assert shown.count("No space left") == 1
+    assert "settings not kept: /x: Read-only file system" in shown
+
+
 def test_a_narrow_terminal_cuts_nothing_of_a_track():
     warned = msgspec.structs.replace(
         STATUS.tracks[0], track_id="1596B0000DMUCA000001", distance_m=1234.0, speed_mps=12.0, alert="warning"

@@ -125,6 +125,7 @@ def test_a_record_folder_that_cannot_be_made_ends_no_flight(
         lambda: until(lambda: flight.radio.broadcasts > 1),
     )
     assert said.count(f"{told}; the flight goes on") == 1
+    assert said.count(f"there is no record: {told.removeprefix('not recording: ')}") == 1
     assert pilot.texts.count(NOT_RECORDED) == (0 if dry_run else 1)
     assert states[0].recorder_error == told.removeprefix("not recording: ")
     assert told in states[0].troubles
@@ -199,7 +200,7 @@ def test_a_disk_that_hangs_at_the_start_holds_up_no_tick_and_no_end(
         goes_on(flight, until),
     )
     assert heard_of(said, "recording: the disk has not answered for 0.1 s; the flight goes on")()
-    assert heard_of(said, "the record is not complete: the disk took nothing for 0.1 s at the end")()
+    assert heard_of(said, "there is no record: the disk took nothing for 0.1 s at the end")()
     comes_back.set()
 
 
