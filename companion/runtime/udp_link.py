@@ -1,8 +1,8 @@
 """UDP as a link.
 
 While nobody reads, the kernel keeps the oldest datagrams and drops the newest once its receive buffer is
-full. It grants what was asked for up to `net.core.rmem_max`, and counts some 770 bytes for a small datagram:
-425 kB, as many systems grant it, hold 550 of them, 2 MB hold 2,700.
+full. It grants what was asked for up to `net.core.rmem_max`, and counts 832 bytes for a small datagram:
+425 kB, as many systems grant it, hold 512 of them, 2 MB hold 2,520.
 
 Datagrams to a neighbour whose address is not known yet wait in the kernel for up to three seconds, and
 nothing recalls them: two leave late when the neighbour answers, and what comes after them is dropped until
