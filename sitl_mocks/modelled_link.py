@@ -48,7 +48,7 @@ class Weather:
     reorder: float = 0.0
     """Of being held up by up to 0.1 s more than the next."""
     rate_bps: float = math.inf
-    """Of both directions (bits a second)."""
+    """Bits a second: down, and up where the link is a stream."""
     down_stands: bool = False
     up_stands: bool = False
 
@@ -202,8 +202,11 @@ class ModelledLink:
             if self.kind != "udp" and self._up_held is None and self._up_free_s <= now_s:
                 self._up_held = now_s, decided_s, data
             return
+        if self.kind == "udp":
+            self._up.append((now_s, decided_s, data))
+            return
         queue_s = _SERIAL_QUEUE_S if self.kind == "pty" else 0.0
-        if self.kind != "udp" and (self._up_held is not None or self._up_free_s - now_s > queue_s):
+        if self._up_held is not None or self._up_free_s - now_s > queue_s:
             return
         self._up_free_s = max(self._up_free_s, now_s) + len(data) * _BITS_PER_BYTE / weather.rate_bps
         self._up.append((max(now_s, self._up_free_s), decided_s, data))
