@@ -47,6 +47,7 @@ STALE_S: Final = 1.5
 """Setpoints on an own position older than this."""
 OLD_S: Final = 0.25
 """From the decision to the vehicle."""
+PILOTS: Final = "the pilot's"
 _ALIKE_S = 8.0
 """A mode that we asked for within this time is no sign of the pilot."""
 _GAP_S = 0.15
@@ -96,7 +97,7 @@ class Judge:
     """One vehicle with one companion.
 
     Args:
-        grace_s: what the clock of the caller may be wrong by; 0 in virtual time.
+        grace_s: a companion that runs may be in a step for so long when a message comes; 0 in virtual time.
         cause_s: a change of the mode this long after our request arrived is its effect.
         crossing_s: a request this long after the pilot's choice may have crossed the message that shows it.
     """
@@ -136,6 +137,10 @@ class Judge:
         self._read_s = -math.inf
         self._resumed_s = -math.inf
 
+    def first(self) -> tuple[Breach, ...]:
+        """Of each rule the first breach, in their order."""
+        return tuple({breach.rule: breach for breach in reversed(self.breaches)}.values())[::-1]
+
     def _breach(self, at_s: float, rule: str, words: str) -> None:
         self.breaches.append(Breach(round(at_s, 4), rule, words))
 
@@ -144,13 +149,10 @@ class Judge:
     @property
     def held(self) -> bool:
         """The vehicle is in our hands: in the mode that flies setpoints, or where we asked it to wait."""
-        return self._mode == self._bounds.external or (
-            self._ours and self._mode not in self._bounds.given
-        )
+        return self._mode == self._bounds.external or (self._ours and self._mode not in self._bounds.given)
 
     def selects(self, now_s: float, custom_mode: int) -> None:
-        """The pilot selects a mode, and the vehicle accepts. Call `shows` right after it where the vehicle's
-        mode is known at every moment."""
+        """The pilot selects a mode that the vehicle will accept; `shows`, and then `accepted`, follow."""
         self._selected = now_s, custom_mode
 
     def accepted(self, now_s: float) -> None:
@@ -183,7 +185,7 @@ class Judge:
     def _whose(self, now_s: float, custom_mode: int) -> str:
         selected = self._selected
         if selected is not None and selected[1] == custom_mode and now_s - selected[0] <= self._cause_s:
-            return "the pilot's"
+            return PILOTS
         if any(m == custom_mode and now_s - at <= self._cause_s for at, m in self._reached):
             return "ours"
         # Setpoints that come again end a failsafe of PX4: nothing else but we leads there.
@@ -198,7 +200,9 @@ class Judge:
             self._gone_s = math.inf
             return
         self._final = self._final or held
-        self._choices.append(_Choice(custom_mode, now_s, whose))
+        selected = self._selected
+        at_s = now_s if whose != PILOTS or selected is None else selected[0]
+        self._choices.append(_Choice(custom_mode, at_s, whose))
 
     def _judge_left(self, now_s: float, before: int | None, custom_mode: int) -> None:
         """The vehicle is in a mode of ours: was it in one that was not ours to end?"""
@@ -211,9 +215,9 @@ class Judge:
             f"{choice.whose} mode {choice.custom_mode}, entered {now_s - choice.at_s:.3f} s before, was left "
             f"for {custom_mode}, asked for {asked_s - choice.at_s:.3f} s after it"
         )
-        if asked_s >= choice.readable_s + self._grace_s:
+        if asked_s >= choice.readable_s:
             self._breach(now_s, "left", words)
-        elif asked_s < choice.at_s + self._grace_s or (
+        elif asked_s <= choice.at_s or (
             asked_s - choice.at_s <= self.crossing_s and not choice.at_s < self._resumed_s <= asked_s
         ):
             self.crossed += 1
@@ -244,8 +248,10 @@ class Judge:
     def _note_shown(self, now_s: float, sent_s: float, custom_mode: int) -> None:
         for choice in self._choices:
             if choice.custom_mode == custom_mode and sent_s >= choice.at_s - 1e-6:
-                choice.readable_s = min(choice.readable_s, now_s)
-                self._gone_s = min(self._gone_s, now_s)
+                # Of a companion that stood still nothing was under way.
+                known_s = now_s if now_s == self._resumed_s else now_s + self._grace_s
+                choice.readable_s = min(choice.readable_s, known_s)
+                self._gone_s = min(self._gone_s, known_s)
 
     # ------------------------------------------------------------ what it sends
 
@@ -272,7 +278,7 @@ class Judge:
         age_s = now_s - self._sampled_s
         if age_s > STALE_S + self._grace_s:
             self._breach(now_s, "stale", f"a setpoint on a position {age_s:.2f} s old")
-        if now_s > self._gone_s + REACTION_S + self._grace_s:
+        if now_s > self._gone_s + REACTION_S:
             words = f"a setpoint {now_s - self._gone_s:.3f} s after {self._end} could be read"
             self._breach(now_s, "setpoint", words)
 
@@ -283,7 +289,7 @@ class Judge:
 
     def _judge_request(self, now_s: float, custom_mode: int) -> None:
         self._asked.append(_Request(now_s, custom_mode))
-        if now_s >= self._gone_s + self._grace_s:
+        if now_s >= self._gone_s:
             what = "a speed" if custom_mode < 0 else f"mode {custom_mode}"
             words = f"{what} asked for {now_s - self._gone_s:.3f} s after {self._end} could be read"
             self._breach(now_s, "request", words)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -28,10 +29,12 @@ from sitl_mocks.takeover_cases import (
     shorter,
     to_schedule,
 )
+from sitl_mocks.takeover_real import PLACES, many_real
 
 _EXAMPLES: Final = """examples:
   sitl-mocks takeover --cases 100000 --seed 1 --jobs 2
   sitl-mocks takeover --cases 2000 --trouble all --portions 2
+  sitl-mocks takeover --real 200 --jobs 3
   sitl-mocks takeover --seed 1 --only 4711
   sitl-mocks takeover --schedule takeover-1-4711.json
 """
@@ -155,9 +158,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--trouble", nargs="+", default=["stall"], choices=[*TROUBLES, "all"], metavar="KIND",
         help=f"what goes wrong: {', '.join(TROUBLES)}, or all (default: stall)")  # fmt: skip
     add("--portions", type=int, metavar="N",
-        help="after a stall the companion reads only N portions before it decides (default: until nothing waits)")  # fmt: skip
+        help="portions that the companion reads after a stall before it decides (default: all that waits)")  # fmt: skip
     add("--only", type=int, metavar="CASE", help="fly this case of the seed alone")
     add("--schedule", type=Path, metavar="FILE", help="fly the case in this file alone")
+    add("--real", type=int, metavar="N", help="instead fly N cases with real processes, in real time")
     add("--out", type=Path, default=Path(), metavar="FOLDER", help="where failing cases go (default: here)")
 
 
@@ -173,6 +177,8 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"--{name}: {getattr(args, name)}: allowed {low} to {high}")
     if args.portions is not None and args.portions < 1:
         raise ConfigError(f"--portions: {args.portions}: allowed 1 and above")
+    if args.real is not None:
+        return _real(args)
     if args.schedule is not None:
         return _one(_read(args.schedule), args)
     if args.only is not None:
@@ -187,11 +193,31 @@ def run(args: argparse.Namespace) -> int:
         print(f"first broken {rule!r}: case {number} of seed {args.seed}; as short as it gets:")
         _shorten(case, rule, args, f"takeover-{args.seed}-{number}.json")
     print(
-        f"{result.cases} cases, seed {args.seed}: {result.failed} broken ({result.held} with the vehicle in the "
-        f"companion's hands, {result.crossed} choices crossed a request, {result.alike} not judged); "
+        f"{result.cases} cases, seed {args.seed}: {result.failed} broken ({result.held} with the vehicle in "
+        f"the companion's hands, {result.crossed} choices crossed a request, {result.alike} not judged); "
         f"{took_s:.0f} s, {1e3 * took_s * args.jobs / result.cases:.1f} ms of a process each"
     )
     return int(result.failed > 0)
+
+
+def _real(args: argparse.Namespace) -> int:
+    with tempfile.TemporaryDirectory(prefix="takeover-") as folder:
+        verdicts = many_real(args.seed, args.real, args.jobs, Path(folder))
+    failed = 0
+    for verdict in verdicts:
+        failed += bool(verdict.breaches)
+        where = f"{verdict.firmware.value}, {verdict.link}, case {verdict.case.number}"
+        if verdict.trouble is not None:
+            print(f"nothing known: {where}: {verdict.trouble}")
+        for breach in verdict.breaches:
+            print(f"broken: {where}: {verdict.case}: at {breach.at_s:.3f} s: {breach.rule}: {breach.words}")
+    unknown = sum(verdict.trouble is not None for verdict in verdicts)
+    for firmware, link in PLACES:
+        here = [v for v in verdicts if (v.firmware, v.link) == (firmware, link)]
+        broken = sum(bool(v.breaches) for v in here)
+        print(f"{firmware.value}, {link}: {broken} of {len(here)} broken")
+    print(f"{len(verdicts)} cases, seed {args.seed}: {failed} broken, of {unknown} nothing is known")
+    return int(failed > 0 or unknown > 0)
 
 
 def _one(case: Case, args: argparse.Namespace, file: str | None = None) -> int:

@@ -1,7 +1,8 @@
 """Cases for `sitl-mocks takeover`: a vehicle in the companion's hands, something that goes wrong, and a pilot
 who selects a mode around it.
 
-Flights are prepared once and kept as snapshots; a case continues one of them with a link and faults of its own.
+Flights are prepared once and kept as snapshots; a case continues one of them with a link and faults of its
+own.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from sitl_mocks.vehicle_manners import VehicleMode
 
 PAIRS: Final[tuple[tuple[Firmware, Use], ...]] = tuple(product(Firmware, ("guard", "fly")))
 TROUBLES: Final = (
-    "stall", "burst", "late", "reorder", "duplicate", "down", "up", "slow", "modes", "disobeyed", "unanswered",
-    "denied",
+    "stall", "burst", "late", "reorder", "duplicate", "down", "up", "slow", "modes", "disobeyed",
+    "unanswered", "denied",
 )  # fmt: skip
 """What may go wrong around the pilot's choice; `modes`: two choices within one step, and nothing else."""
 _PREPARED_SEED = 1
@@ -180,28 +181,21 @@ def fly(case: Case, portions: int | None) -> Verdict:
         case.link, np.random.default_rng(case.seed), portions=portions, routed=case.routed
     )
     world.plan(*(replace(fault, at_s=start_s + fault.at_s) for fault in case.faults))
-    first: dict[str, Breach] = {}
-    for breach in _watch(world, start_s + case.watch_s):
-        first.setdefault(breach.rule, breach._replace(at_s=round(breach.at_s - start_s, 3)))
-    return Verdict(tuple(first.values()), world.judge.crossed, world.judge.alike, held)
-
-
-def _watch(world: World, until_s: float) -> list[Breach]:
-    while world.now_s < until_s:
-        try:
+    judge = world.judge
+    try:
+        while world.now_s < start_s + case.watch_s:
             World.step(world)
-        except Exception as error:
-            # What the companion's loop would die of is a verdict too.
-            words = f"{type(error).__name__}: {error}"
-            return [*world.judge.breaches, Breach(world.now_s, "exception", words)]
-    return world.judge.breaches
+    except Exception as error:
+        # What the companion's loop would die of is a verdict too.
+        judge.breaches.append(Breach(world.now_s, "exception", f"{type(error).__name__}: {error}"))
+    breaches = tuple(b._replace(at_s=round(b.at_s - start_s, 3)) for b in judge.first())
+    return Verdict(breaches, judge.crossed, judge.alike, held)
 
 
 def shorter(case: Case) -> Iterator[Case]:
     """Cases that are a little less than this one, the boldest first."""
     for number in range(len(case.faults)):
-        if case.faults[number].kind != "mode":
-            yield replace(case, faults=case.faults[:number] + case.faults[number + 1 :])
+        yield replace(case, faults=case.faults[:number] + case.faults[number + 1 :])
     for number, fault in enumerate(case.faults):
         if len(fault.modes) > 1:
             for mode in fault.modes:
