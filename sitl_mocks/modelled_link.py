@@ -144,6 +144,13 @@ class ModelledLink:
             _, _, sent_s, frames = heapq.heappop(self._way)
             self._arrive(sent_s, frames)
 
+    def hurry(self, now_s: float) -> None:
+        """A link that was slow is not any more: what is under way arrives now."""
+        self._way = [(min(at_s, now_s), number, sent_s, frames) for at_s, number, sent_s, frames in self._way]
+        self._way.sort(key=lambda item: item[1])
+        self._up = deque((min(at_s, now_s), decided_s, data) for at_s, decided_s, data in self._up)
+        self._free_s = self._up_free_s = -math.inf
+
     def _arrive(self, sent_s: float, frames: tuple[bytes, ...]) -> None:
         """Into the kernel's buffer: what does not fit is lost, and that is the newest."""
         size = sum(map(len, frames))

@@ -6,6 +6,7 @@ was drawn for it, so that an entry says all there is to say.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
@@ -104,6 +105,20 @@ def _in_time(world: World, fault: Fault) -> None:
     world.judge.crossing_s -= fault.numbers[0]
 
 
+def _fast(world: World, fault: Fault) -> None:
+    world.link.weather.rate_bps = math.inf
+    world.link.hurry(world.now_s)
+
+
+def _answers(world: World, fault: Fault) -> None:
+    """The kind is the manner."""
+    world.interposer.manner = fault.kind
+
+
+def _answers_right(world: World, fault: Fault) -> None:
+    world.interposer.manner = ""
+
+
 def _burst(world: World, fault: Fault) -> None:
     """Others' frames, all at once."""
     frames = others_frames()
@@ -164,12 +179,12 @@ _BEGIN: Final[dict[str, Callable[[World, Fault], None]]] = {
     "late": _late,
     "duplicate": _set("duplicate", 0.0)[0],
     "reorder": _set("reorder", 0.0)[0],
-    "slow": _set("rate_bps", float("inf"))[0],
+    "slow": _set("rate_bps", math.inf)[0],
     "down": _set("down_stands", False)[0],
     "up": _set("up_stands", False)[0],
-    "disobeyed": lambda w, f: setattr(w.interposer, "manner", "disobeyed"),
-    "unanswered": lambda w, f: setattr(w.interposer, "manner", "unanswered"),
-    "denied": lambda w, f: setattr(w.interposer, "manner", "denied"),
+    "disobeyed": _answers,
+    "unanswered": _answers,
+    "denied": _answers,
 }
 _END: Final[dict[str, Callable[[World, Fault], None]]] = {
     "link": lambda w, f: _cut(w, stands=False),
@@ -180,12 +195,12 @@ _END: Final[dict[str, Callable[[World, Fault], None]]] = {
     "late": _in_time,
     "duplicate": _set("duplicate", 0.0)[1],
     "reorder": _set("reorder", 0.0)[1],
-    "slow": _set("rate_bps", float("inf"))[1],
+    "slow": _fast,
     "down": _set("down_stands", False)[1],
     "up": _set("up_stands", False)[1],
-    "disobeyed": lambda w, f: setattr(w.interposer, "manner", ""),
-    "unanswered": lambda w, f: setattr(w.interposer, "manner", ""),
-    "denied": lambda w, f: setattr(w.interposer, "manner", ""),
+    "disobeyed": _answers_right,
+    "unanswered": _answers_right,
+    "denied": _answers_right,
 }
 KINDS: Final = tuple(_BEGIN)
 

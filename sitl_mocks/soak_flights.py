@@ -5,11 +5,12 @@ The vehicle takes off, flies its mission, comes home, and takes off again; a com
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from companion.avoidance.authority import HOLDING, State
 from companion.events import Firmware, Landed
 from sitl_mocks.modelled_link import ModelledLink
+from sitl_mocks.soak_faults import Fault
 from sitl_mocks.soak_world import Use, World
 from sitl_mocks.vehicle_manners import VehicleMode
 
@@ -34,6 +35,8 @@ class BrokenRuleError(Exception):
     def __init__(self, rule: str, at_s: float, words: str) -> None:
         super().__init__(f"at {at_s:.2f} s: {rule}: {words}")
         self.rule, self.at_s, self.words = rule, at_s, words
+        self.flight_s = 0.0
+        """When the flight began in which it was."""
 
 
 @dataclass(slots=True)
@@ -45,6 +48,8 @@ class Told:
     given_back: int = 0
     yielded: int = 0
     faults: int = 0
+    setpoints: int = 0
+    troubles: dict[str, int] = field(default_factory=dict)
 
 
 class Flights(World):
@@ -55,7 +60,8 @@ class Flights(World):
         self.told = Told()
         self.quiet_from_s = 0.0
         """End of the last trouble."""
-        self._flight_s = 0.0
+        self.flight_s = 0.0
+        """Since when this flight lasts."""
         self._armed_s = 0.0
         self._on_mission_s = 0.0
         """Since when the vehicle flies its mission in the air."""
@@ -74,8 +80,15 @@ class Flights(World):
         self._pilot()
         super().step()
         self._count()
+        self.told.setpoints = self.judge.setpoints
         for breach in self.judge.breaches:
             raise BrokenRuleError(breach.rule, breach.at_s, breach.words)
+
+    def began(self, fault: Fault) -> None:
+        """As a world's; what a router holds up comes after its end."""
+        held_s = fault.numbers[0] if fault.kind == "late" else 0.0
+        self.quiet_from_s = max(self.quiet_from_s, self.now_s + fault.lasts_s + held_s)
+        self.told.troubles[fault.kind] = self.told.troubles.get(fault.kind, 0) + 1
 
     def restart_companion(self) -> None:
         """As a world's: what was known of it is void."""
@@ -118,14 +131,14 @@ class Flights(World):
                 self._begin_flight()
             return
         self._armed_s = now_s
-        if now_s - self._flight_s > PATIENCE_S:
+        if now_s - self.flight_s > PATIENCE_S:
             raise BrokenRuleError("stuck", now_s, f"a flight of {PATIENCE_S:g} s: {self._words()}")
         if vehicle.mode is not VehicleMode.MISSION or vehicle.landed is not Landed.IN_AIR:
             self._on_mission_s = now_s
         quiet_s = now_s - self.quiet_from_s
         if quiet_s > SETTLED_S and vehicle.landed is Landed.IN_AIR and not self.at_work:
             self._set_right(quiet_s)
-        if self.use == "fly" and now_s - self._flight_s > _FLOWN_S:
+        if self.use == "fly" and now_s - self.flight_s > _FLOWN_S:
             self._go_home()
 
     def _set_right(self, quiet_s: float) -> None:
@@ -143,7 +156,7 @@ class Flights(World):
 
     def _begin_flight(self) -> None:
         self.told.flights += 1
-        self._flight_s = self.now_s
+        self.flight_s = self.now_s
         self._pilot_s = self.now_s + 5.0
         self.pilot_selects(VehicleMode.HOLD)
         self.station_says("command_long", 1, 1, 400, 0, 1.0, 0, 0, 0, 0, 0, 0)

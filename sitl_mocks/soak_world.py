@@ -59,7 +59,7 @@ class World:
         self.firmware = firmware
         self.use: Use = use
         noise, others, way = (np.random.default_rng((seed, n)) for n in range(3))
-        self.vehicle = MockVehicle(
+        self.vehicle: MockVehicle = MockVehicle(
             VehicleOptions(
                 firmware=firmware,
                 mission=mission(1 if firmware is Firmware.ARDUPILOT else 0),
@@ -98,6 +98,9 @@ class World:
         for fault in faults:
             self._faults += 1
             heapq.heappush(self._due, (fault.at_s, self._faults, True, fault))
+
+    def began(self, fault: Fault) -> None:
+        """For who keeps a record."""
 
     def stop(self, for_s: float, *, in_step: bool) -> None:
         """The companion stands still: nothing is read, nothing is sent.
@@ -148,6 +151,7 @@ class World:
                 end(self, fault)
                 continue
             begin(self, fault)
+            self.began(fault)
             if fault.lasts_s > 0.0:
                 heapq.heappush(self._due, (fault.at_s + fault.lasts_s, number, False, fault))
         self._fly_to(self._next_step_s())

@@ -147,8 +147,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `sitl-mocks takeover`."""
     parser.description = (
         "Short cases in which something goes wrong around the moment at which the pilot selects a mode, with "
-        "both firmwares' manners, guarded and flown, over UDP, TCP and a serial line. Ends with 1 when a rule "
-        "is broken."
+        "both firmwares' manners, guarded and flown, over UDP, TCP and a serial line. Ends with 1 when a "
+        "rule is broken."
     )
     parser.epilog = _EXAMPLES
     add = parser.add_argument
@@ -157,8 +157,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--jobs", type=int, default=1, help="processes (default: 1)")
     add("--trouble", nargs="+", default=["stall"], choices=[*TROUBLES, "all"], metavar="KIND",
         help=f"what goes wrong: {', '.join(TROUBLES)}, or all (default: stall)")  # fmt: skip
-    add("--portions", type=int, metavar="N",
-        help="portions that the companion reads after a stall before it decides (default: all that waits)")  # fmt: skip
+    add("--portions", type=int, metavar="N", help="portions that the companion reads after a stall before "
+        "it decides (default: all that waits)")  # fmt: skip
     add("--only", type=int, metavar="CASE", help="fly this case of the seed alone")
     add("--schedule", type=Path, metavar="FILE", help="fly the case in this file alone")
     add("--real", type=int, metavar="N", help="instead fly N cases with real processes, in real time")
@@ -210,7 +210,8 @@ def _real(args: argparse.Namespace) -> int:
         if verdict.trouble is not None:
             print(f"nothing known: {where}: {verdict.trouble}")
         for breach in verdict.breaches:
-            print(f"broken: {where}: {verdict.case}: at {breach.at_s:.3f} s: {breach.rule}: {breach.words}")
+            print(f"broken: {where}: {verdict.case}")
+            print(f"  at {breach.at_s:.3f} s: {breach.rule}: {breach.words}")
     unknown = sum(verdict.trouble is not None for verdict in verdicts)
     for firmware, link in PLACES:
         here = [v for v in verdicts if (v.firmware, v.link) == (firmware, link)]
