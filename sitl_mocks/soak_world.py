@@ -131,9 +131,10 @@ class World:
         return taken
 
     def station_says(self, kind: str, *fields: Any) -> None:
-        """A ground station's message, on a link of its own."""
+        """A ground station's message, on a link of its own that is open only for it: telemetry costs time."""
         message = getattr(self._writer.encoder, f"{kind}_encode")(*fields)
         self.vehicle.receive(self._writer.pack(message), self.now_s, 1)
+        self.vehicle.close_link(1)
         self.show()
 
     def show(self) -> None:
@@ -176,7 +177,6 @@ class World:
     def _tell(self, before_s: float) -> None:
         """What the vehicle and others send down, in the order in which it is sent."""
         vehicle, now_s = self.vehicle, self.now_s
-        vehicle.drain(1)
         frames = [frame.raw for frame in self._scanner.frames(vehicle.drain())]
         frames = self.interposer.down(frames)
         if self.traffic_hz > 0.0:

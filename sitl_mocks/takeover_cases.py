@@ -37,9 +37,9 @@ _SNAPSHOTS = 60
 _EVERY_S = 0.73
 """Between two snapshots: in all phases of the step and of the vehicle's messages."""
 _MET_EVERY_S = 45.0
-_SOON_S, _LONG_S = 1.5, 6.0
-"""For how long after the last event a case is watched; one in five for long, until a fault would be over."""
-_LONG_SHARE = 0.2
+_SOON_S, _LONG_S = 1.0, 6.0
+"""For how long after the last event a case is watched; one in seven for long, until a fault would be over."""
+_LONG_SHARE = 0.15
 _AROUND_S = 0.5
 """The pilot selects at most so long before or after what goes wrong."""
 _HELD: Final = (VehicleMode.EXTERNAL, VehicleMode.BRAKE)

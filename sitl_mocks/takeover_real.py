@@ -40,6 +40,8 @@ _GRACE_S = 0.15
 _CAUSE_S = 1.5
 _READY_S = 60.0
 _RETAKEN_S = 25.0
+_DISARMED_S = 1.2
+"""Longer than from one heartbeat to the next."""
 _HELD_S = 0.4
 """Setpoints stream for so long before a case begins."""
 _WATCH_S = (1.0, 4.5)
@@ -192,10 +194,10 @@ class RealFlight:
     # ------------------------------------------------------------ one case
 
     def fly(self, case: RealCase) -> RealVerdict:
-        """One case, from a vehicle that the companion holds to one that it holds again.
+        """One case, with a vehicle that the companion holds.
 
         Raises:
-            NoFlightError: the companion ended, or did not take the vehicle again.
+            NoFlightError: the vehicle does not take the pilot's mode.
         """
         self._wire.traffic_hz = case.traffic_hz
         self._pump(0.2)
@@ -215,7 +217,6 @@ class RealFlight:
         self._pump(case.watch_s)
         breaches = tuple(b._replace(at_s=round(b.at_s - begins_s, 3)) for b in self.judge.first())
         self._wire.traffic_hz = 0.0
-        self._give_back()
         return RealVerdict(self.firmware, self.link, case, breaches)
 
     def _go_on(self) -> None:
@@ -244,14 +245,16 @@ class RealFlight:
                 raise NoFlightError(f"the vehicle does not accept command {command}: {self._acks}")
             self._pump(0.002)
 
-    def _give_back(self) -> None:
-        """Disarmed for a moment, in the air: authority is given anew."""
+    def give_back(self) -> None:
+        """Disarmed for a moment, in the air: authority is given anew, and the companion takes it.
+
+        Raises:
+            NoFlightError: it does not, or has ended.
+        """
         self._command(400, 0.0, FORCE)
         self._acknowledged(400)
         self._ask_mode(self._start_mode)
-        # ArduPilot's heartbeat comes with the mode, PX4's once a second.
-        self._pump_until(lambda: not self._armed, 2.0)
-        self._pump(0.1)
+        self._pump(_DISARMED_S)
         self._command(400, 1.0, FORCE)
         self._until_held(_RETAKEN_S)
 
@@ -330,10 +333,7 @@ def real_cases(
         for number in numbers:
             case = real_case(seed, number)
             try:
-                if flight is None:
-                    place = folder / f"{firmware.value}-{link}-{number}"
-                    place.mkdir(parents=True)
-                    flight = RealFlight(firmware, link, place)
+                flight = _ready(flight, firmware, link, folder / f"{firmware.value}-{link}-{number}")
                 found.append(flight.fly(case))
             except NoFlightError as error:
                 found.append(RealVerdict(firmware, link, case, (), str(error)))
@@ -344,6 +344,19 @@ def real_cases(
         if flight is not None:
             flight.close()
     return found
+
+
+def _ready(flight: RealFlight | None, firmware: Firmware, link: Kind, folder: Path) -> RealFlight:
+    """The same flight, where its companion takes the vehicle again; else another."""
+    if flight is not None:
+        try:
+            flight.give_back()
+        except NoFlightError:
+            flight.close()
+        else:
+            return flight
+    folder.mkdir(parents=True)
+    return RealFlight(firmware, link, folder)
 
 
 def many_real(seed: int, cases: int, jobs: int, folder: Path) -> list[RealVerdict]:
