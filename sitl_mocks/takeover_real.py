@@ -323,17 +323,14 @@ def _end(child: subprocess.Popen[bytes]) -> None:
     child.wait()
 
 
-def real_cases(
-    firmware: Firmware, link: Kind, seed: int, numbers: list[int], folder: Path
-) -> list[RealVerdict]:
+def fly_cases(firmware: Firmware, link: Kind, cases: list[RealCase], folder: Path) -> list[RealVerdict]:
     """Cases of one firmware and link; a companion that ended is started anew."""
     found: list[RealVerdict] = []
     flight: RealFlight | None = None
     try:
-        for number in numbers:
-            case = real_case(seed, number)
+        for case in cases:
             try:
-                flight = _ready(flight, firmware, link, folder / f"{firmware.value}-{link}-{number}")
+                flight = _ready(flight, firmware, link, folder / f"{firmware.value}-{link}-{case.number}")
                 found.append(flight.fly(case))
             except NoFlightError as error:
                 found.append(RealVerdict(firmware, link, case, (), str(error)))
@@ -361,11 +358,12 @@ def _ready(flight: RealFlight | None, firmware: Firmware, link: Kind, folder: Pa
 
 def many_real(seed: int, cases: int, jobs: int, folder: Path) -> list[RealVerdict]:
     """The cases 0 to `cases` of a seed, in turn by firmware and link, on some threads."""
-    numbers = {place: list(range(k, cases, len(PLACES))) for k, place in enumerate(PLACES)}
+    turns = {
+        place: [real_case(seed, number) for number in range(k, cases, len(PLACES))]
+        for k, place in enumerate(PLACES)
+    }
     with ThreadPoolExecutor(jobs) as pool:
-        flown = [
-            pool.submit(real_cases, *place, seed, mine, folder) for place, mine in numbers.items() if mine
-        ]
+        flown = [pool.submit(fly_cases, *place, mine, folder) for place, mine in turns.items() if mine]
         return [verdict for future in flown for verdict in future.result()]
 
 
