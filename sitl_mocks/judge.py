@@ -139,7 +139,10 @@ class Judge:
 
     def first(self) -> tuple[Breach, ...]:
         """Of each rule the first breach, in their order."""
-        return tuple({breach.rule: breach for breach in reversed(self.breaches)}.values())[::-1]
+        found: dict[str, Breach] = {}
+        for breach in self.breaches:
+            found.setdefault(breach.rule, breach)
+        return tuple(found.values())
 
     def _breach(self, at_s: float, rule: str, words: str) -> None:
         self.breaches.append(Breach(round(at_s, 4), rule, words))

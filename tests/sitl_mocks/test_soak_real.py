@@ -20,7 +20,7 @@ CASES = {
     ),
     # Behind 128 KiB; behind hardly anything; after it went on.
     (Firmware.ARDUPILOT, "tcp"): (
-        (3.6, 3.5, RTL, 1000.0),
+        (3.2, 3.1, RTL, 2000.0),
         (1.2, 0.2, LOITER, 20.0),
         (1.1, 1.15, LAND, 100.0),
     ),
