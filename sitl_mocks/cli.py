@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from companion.command_line import parser_of, run_command
-from sitl_mocks import demo, ether_server, remote_id_module_server, soak, swarm, vehicle_server
+from sitl_mocks import demo, ether_server, remote_id_module_server, soak, swarm, takeover, vehicle_server
 
 _EXAMPLES = """examples:
   sitl-mocks demo
@@ -34,6 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         ),
         ("swarm", swarm, "vehicles, companions and air as processes, in real time"),
         ("soak", soak, "hours of flights with random troubles, in virtual time"),
+        ("takeover", takeover, "pilots who take over while something goes wrong: thousands of short cases"),
     ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
         module.add_arguments(command)

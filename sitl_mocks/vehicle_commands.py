@@ -72,9 +72,9 @@ class CommandDesk:
         self._table: dict[int, Callable[[Command], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
-            mavlink.MAV_CMD_NAV_LAND: lambda c: self.enter(VehicleMode.LAND, c.now_s),
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda c: self.enter(VehicleMode.RTL, c.now_s),
-            mavlink.MAV_CMD_MISSION_START: lambda c: self.enter(VehicleMode.MISSION, c.now_s),
+            mavlink.MAV_CMD_NAV_LAND: self._land,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: self._return,
+            mavlink.MAV_CMD_MISSION_START: self._start_mission,
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._change_speed,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
@@ -151,6 +151,15 @@ class CommandDesk:
             altitude -= self._home_alt_msl_m
         refusal = self._flight.take_off(altitude)
         return ACCEPTED if refusal is None else self._manners.failure_result
+
+    def _land(self, command: Command) -> int:
+        return self.enter(VehicleMode.LAND, command.now_s)
+
+    def _return(self, command: Command) -> int:
+        return self.enter(VehicleMode.RTL, command.now_s)
+
+    def _start_mission(self, command: Command) -> int:
+        return self.enter(VehicleMode.MISSION, command.now_s)
 
     def _change_speed(self, command: Command) -> int:
         speed = command.params[1]

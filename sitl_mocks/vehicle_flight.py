@@ -92,11 +92,11 @@ class Flight:
             VehicleMode.EXTERNAL: self._fly_external,
             VehicleMode.MISSION: self._fly_mission,
             VehicleMode.TAKEOFF: self._fly_takeoff,
-            VehicleMode.RTL: lambda now_s: self._home.step(self.cruise_mps),
-            VehicleMode.LAND: lambda now_s: self._steering.landing(),
+            VehicleMode.RTL: self._fly_home,
+            VehicleMode.LAND: self._fly_landing,
             VehicleMode.HOLD: self._fly_hold,
-            VehicleMode.BRAKE: lambda now_s: HOVER,
-            VehicleMode.MANUAL: lambda now_s: HOVER,
+            VehicleMode.BRAKE: self._stay,
+            VehicleMode.MANUAL: self._stay,
         }
         self._steer_now = self._steer[self.mode]
         if options.airborne and self.mode is VehicleMode.EXTERNAL:
@@ -406,6 +406,15 @@ class Flight:
         if self._options.rc_connected or not self._manners.takeoff_in_external:
             return HOVER
         return (0.0, 0.0, _LOITER_SINK_MPS)
+
+    def _fly_home(self, now_s: float) -> Vec3:
+        return self._home.step(self.cruise_mps)
+
+    def _fly_landing(self, now_s: float) -> Vec3:
+        return self._steering.landing()
+
+    def _stay(self, now_s: float) -> Vec3:
+        return HOVER
 
     def _turn_nose(self) -> None:
         body = self.body

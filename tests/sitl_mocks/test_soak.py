@@ -3,72 +3,182 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from itertools import product
 
-import numpy as np
 import pytest
 
 from companion import ownship
-from companion.authority.modes import OurModes
 from companion.authority.table import HOLDING
+from companion.authority.modes import OurModes
+from companion.errors import ConfigError
 from companion.events import Firmware
 from companion.ownship import Ownship
-from sitl_mocks import cli
-from sitl_mocks.soak import BrokenRuleError, Soak, soak
+from sitl_mocks import cli, soak
+from sitl_mocks.soak import Schedule, fly, from_file, schedule_of, shorten, to_file
+from sitl_mocks.soak_faults import KINDS, Fault, drawn, from_json, to_json
+from sitl_mocks.soak_flights import BrokenRuleError, Flights
 from sitl_mocks.vehicle_manners import VehicleMode
 
-SEEDS = {"guard": (1, 4), "fly": (1,)}
-"""Trouble may leave no encounter to its end: the second has few troubles, and hands back."""
+PAIRS = list(product(Firmware, ("guard", "fly")))
+LATE = "slow", "up", "late"
+"""What the companion is told too late of, or what reaches the vehicle too late: each has cases of its own."""
 
 
-def fly(firmware, use, seed=1, hours=0.1):
-    return soak(firmware, use, seed, hours)
+def schedule(firmware, use, seed=1, hours=0.1):
+    drawn_up = schedule_of(firmware, use, seed, hours)
+    return dataclasses.replace(drawn_up, faults=tuple(f for f in drawn_up.faults if f.kind not in LATE))
 
 
-@pytest.mark.parametrize(("firmware", "use"), list(product(Firmware, ("guard", "fly"))))
+@pytest.mark.parametrize(("firmware", "use"), PAIRS)
 def test_no_rule_is_broken(firmware, use):
-    told = [fly(firmware, use, seed) for seed in SEEDS[use]]
-    assert all(one.taken > 0 for one in told)
-    assert all(one.setpoints > 500 for one in told)
-    assert all(sum(one.troubles.values()) > 3 for one in told)
-    assert use == "fly" or any(one.given_back > 0 for one in told)
+    flown = [fly(schedule(firmware, use, seed, 0.15)).told for seed in (1, 2)]
+    assert all(told.taken > 0 for told in flown)
+    assert all(told.setpoints > 100 for told in flown)
+    assert all(sum(told.troubles.values()) > 2 for told in flown)
+
+
+def test_a_mission_is_given_back_between_troubles():
+    quiet = Schedule(Firmware.PX4, "guard", 1, "udp", 400.0, ())
+    told = fly(quiet).told
+    assert told.given_back > 0
+    assert (told.faults, told.yielded) == (0, 0)
+
+
+RTL_WHILE_FLOWN = Schedule(
+    Firmware.PX4,
+    "fly",
+    1,
+    "udp",
+    90.0,
+    (
+        Fault("burst", 50.0, numbers=(20.0,)),
+        Fault("mode", 70.0, modes=("rtl",)),
+        Fault("traffic", 71.0, 5.0, (20.0,)),
+    ),
+)
+GNSS_LOST = Schedule(Firmware.PX4, "fly", 1, "udp", 90.0, (Fault("down", 70.0, 10.0),))
 
 
 @pytest.mark.parametrize(
-    ("where", "name", "broken", "seed", "words"),
+    ("where", "name", "broken", "flight", "rule"),
     [
-        (OurModes, "judge", lambda self, shown, now_s, held: None, 3, "after the pilot's mode was seen"),
-        (Ownship, "unfit", lambda self, now_s, stale_after_s: None, 12, "a setpoint on a position"),
-        (ownship, "in_mode", lambda beat, custom_mode: beat, 11, "after the pilot's mode was seen"),
+        (Control, "_pilot_took_over", lambda self, now_s: False, RTL_WHILE_FLOWN, "setpoint"),
+        (ownship, "in_mode", lambda beat, custom_mode: beat, RTL_WHILE_FLOWN, "setpoint"),
+        (Ownship, "unfit", lambda self, now_s, stale_after_s: None, GNSS_LOST, "stale"),
     ],
 )
-def test_a_companion_that_breaks_a_rule_is_found(monkeypatch, where, name, broken, seed, words):
-    """With seeds that come to it early."""
+def test_a_companion_that_breaks_a_rule_is_found_and_the_schedule_cut_down(
+    monkeypatch, where, name, broken, flight, rule
+):
     monkeypatch.setattr(where, name, broken)
-    with pytest.raises(BrokenRuleError, match=f"seed {seed}, at .*{words}"):
-        fly(Firmware.PX4, "fly", seed, hours=0.3)
+    with pytest.raises(BrokenRuleError) as caught:
+        fly(flight)
+    assert caught.value.rule == rule
+    short = shorten(flight, caught.value, None)
+    assert len(short.faults) == 1
+    assert short.until_s < flight.until_s
+    with pytest.raises(BrokenRuleError) as again:
+        fly(short)
+    assert again.value.rule == rule
+
+
+def test_an_exception_of_the_companion_is_told_with_its_time(monkeypatch):
+    def fails(self, now_s, gap_s):
+        if now_s > 20.0:
+            raise RuntimeError("a bug")
+
+    monkeypatch.setattr(Control, "unfit", fails)
+    with pytest.raises(BrokenRuleError, match=r"at 20\.05 s: exception: RuntimeError: a bug"):
+        fly(GNSS_LOST)
+
+
+def test_a_companion_that_stays_idle_is_found(monkeypatch):
+    monkeypatch.setattr(Control, "watched", lambda self, now_s, result: [])
+    monkeypatch.setattr(
+        "companion.avoidance.readiness.Readiness.waits_for", lambda self, now_s, ours: "never"
+    )
+    with pytest.raises(BrokenRuleError, match="idle: nothing wrong for"):
+        fly(Schedule(Firmware.ARDUPILOT, "guard", 1, "udp", 200.0, ()))
 
 
 def test_a_seed_is_a_flight():
-    one, other = (dataclasses.asdict(fly(Firmware.PX4, "guard", hours=0.03)) for _ in range(2))
+    one, other = (dataclasses.asdict(fly(schedule(Firmware.PX4, "guard", hours=0.03))) for _ in range(2))
     del one["memory_mb"], other["memory_mb"]
     assert one == other
 
 
+def test_a_snapshot_goes_on_as_the_flight_itself():
+    flights = Flights(Firmware.ARDUPILOT, "fly", 1)
+    while flights.onboard.heart.state not in HOLDING:
+        flights.step()
+    flights.plan(Fault("stall", flights.now_s + 1.0, 2.0), Fault("mode", flights.now_s + 2.0, modes=("rtl",)))
+    copies = [flights.snapshot().world() for _ in range(2)]
+    ends = []
+    for world in (copies[0], flights, copies[1]):
+        for _ in range(200):
+            super(Flights, world).step()
+        ends.append((world.now_s, world.vehicle.position_ned_m, world.vehicle.mode, world.judge.setpoints))
+    assert ends[0] == ends[1] == ends[2]
+    assert ends[0][2] is VehicleMode.RTL
+
+
 def test_a_mode_that_is_flown_already_is_not_seen_when_the_pilot_selects_it():
-    run = Soak(Firmware.PX4, "fly", np.random.default_rng(1))
-    while run.vehicle.mode is not VehicleMode.MISSION or run.onboard.heart.state not in HOLDING:
-        run.step()
-    run._next_trouble_s = math.inf
-    run._select(VehicleMode.MISSION)
-    while run.vehicle.mode is VehicleMode.MISSION:
-        run.step()
+    flights = Flights(Firmware.PX4, "fly", 1)
+    while flights.vehicle.mode is not VehicleMode.MISSION or flights.onboard.heart.state not in HOLDING:
+        flights.step()
+    flights.pilot_selects(VehicleMode.MISSION)
+    while flights.vehicle.mode is VehicleMode.MISSION:
+        flights.step()
     for _ in range(100):
-        run.step()
-    assert run.onboard.heart.state in HOLDING
+        flights.step()
+    assert flights.onboard.heart.state in HOLDING
+
+
+def test_a_schedule_is_plain_text():
+    one = schedule_of(Firmware.PX4, "guard", 3, 2.0)
+    assert {fault.kind for fault in one.faults} > {"stall", "mode", "late"}
+    assert from_file(json.loads(json.dumps(to_file(one, 2)))) == (one, 2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_trouble_begins_and_ends(kind):
+    import numpy as np
+
+    fault = drawn(kind, 30.0, 2.0, np.random.default_rng(1))
+    assert from_json(json.loads(json.dumps(to_json(fault)))) == fault
+    flights = Flights(Firmware.ARDUPILOT, "fly", 1)
+    flights.plan(fault)
+    while flights.now_s < 31.0 + fault.lasts_s:
+        super(Flights, flights).step()
+    assert flights.told.troubles == {kind: 1}
+    weather = flights.link.weather
+    assert (weather.delay_s, weather.rate_bps, weather.down_stands) == (0.0, math.inf, False)
+    assert (flights.interposer.manner, flights.traffic_hz) == ("", 0.0)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [{"kind": "flood", "at_s": 1.0}, {"kind": "mode", "at_s": 1.0, "modes": ["acro"]}, {"at_s": 1.0}],
+)
+def test_an_entry_that_is_none_is_refused(entry):
+    with pytest.raises(ConfigError, match="schedule:"):
+        from_json(entry)
+
+
+def test_the_command_replays_a_file(tmp_path, capsys):
+    file = tmp_path / "s.json"
+    file.write_text(json.dumps(to_file(dataclasses.replace(GNSS_LOST, until_s=5.0), None)))
+    assert cli.main(["soak", "--schedule", str(file)]) == 0
+    assert capsys.readouterr().out == "no rule broken\n"
+    file.write_text("[]")
+    assert cli.main(["soak", "--schedule", str(file)]) == 2
+    file.write_text("{}")
+    assert cli.main(["soak", "--schedule", str(file)]) == 2
 
 
 def test_hours_that_are_none_are_refused(capsys):
     assert cli.main(["soak", "--hours", "0"]) == 2
     assert "--hours: 0: allowed above 0 to 1000" in capsys.readouterr().err
+    assert soak.LINKS == ("udp", "tcp", "pty")

@@ -1,0 +1,335 @@
+"""Judges a companion from outside: from the bytes at the vehicle's end and from what the pilot did and when.
+
+It knows the frames that left the companion and that reached the vehicle, what the vehicle told and when
+the companion could first read it, the vehicle's own modes, the pilot's choices, and the limits. It knows
+nothing of what the companion believes. Times are seconds on the caller's clock. Rules, by their names:
+
+    request    a command that changes the flight left after the mode that ended our authority could be read
+    setpoint   a setpoint left more than 0.1 s after that
+    left       the vehicle left the pilot's mode because of us
+    unread     the same, of a mode that could not be read: its message was lost, or had not come yet
+    refused    a mode that the pilot selected, and the vehicle accepted, was not entered
+    stale      a setpoint left on an own position older than 1.5 s
+    old        a setpoint or a mode request reached the vehicle more than 0.25 s after it was decided
+    bounds     a setpoint beyond the limits on speed, climb or descent, or no number
+    form       a setpoint with another mask, frame or target than the two firmwares fly
+
+Authority ends with any mode that is not ours, selected by the pilot or by a failsafe. Where the vehicle
+was in our hands it comes back with the disarming (`flight.rearm = "disarm"`), else with a mode that gives it.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from companion.autopilot.wire import FrameScanner
+
+_HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
+_SET_MODE, _COMMAND_INT, _COMMAND_LONG, _SETPOINT = 11, 75, 76, 84
+_DO_SET_MODE, _CHANGE_SPEED = 176, 178
+_MODE_COMMANDS: Final = frozenset({_DO_SET_MODE, _CHANGE_SPEED, 20, 21, 22, 192, 300, 400})
+"""Commands that change the flight: modes, speed, take-off, landing, reposition, mission start, arming."""
+_LONG = struct.Struct("<7fHBBB")
+_LOCAL_NED = struct.Struct("<I11fHBBB")
+_MASKS: Final = frozenset({0x9C7, 0x5C7})
+"""The velocity vector with a yaw, or with a yaw rate."""
+_FRAME_LOCAL_NED = 1
+_AUTOPILOT = 1
+
+REACTION_S: Final = 0.1
+"""From the pilot's mode that can be read to the last setpoint."""
+STALE_S: Final = 1.5
+"""Setpoints on an own position older than this."""
+OLD_S: Final = 0.25
+"""From the decision to the vehicle."""
+PILOTS: Final = "the pilot's"
+_ALIKE_S = 8.0
+"""A mode that we asked for within this time is no sign of the pilot."""
+_GAP_S = 0.15
+"""A companion that did not read for so long stood still."""
+_SLACK = 1e-3
+
+
+class Breach(NamedTuple):
+    """A rule that was broken."""
+
+    at_s: float
+    rule: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What a setpoint may ask for (m/s), and the modes (`custom_mode`) that mean something to authority."""
+
+    max_speed_mps: float
+    max_climb_mps: float
+    max_descent_mps: float
+    external: int
+    """The mode that flies setpoints."""
+    given: frozenset[int]
+    """Modes from which the companion may take a vehicle that was not in its hands."""
+    px4_modes: bool
+    """Modes are asked for as PX4's main and sub mode."""
+
+
+class _Request(NamedTuple):
+    left_s: float
+    custom_mode: int
+
+
+@dataclass(slots=True)
+class _Choice:
+    """A mode that is not ours, since when, and when the companion could first read it."""
+
+    custom_mode: int
+    at_s: float
+    whose: str
+    readable_s: float = math.inf
+
+
+class Judge:
+    """One vehicle with one companion.
+
+    Args:
+        grace_s: a companion that runs may be in a step for so long when a message comes; 0 in virtual time.
+        cause_s: a change of the mode this long after our request arrived is its effect.
+        crossing_s: a request this long after the pilot's choice may have crossed the message that shows it.
+    """
+
+    def __init__(
+        self, bounds: Bounds, *, grace_s: float = 0.0, cause_s: float = 0.1, crossing_s: float = 0.7
+    ) -> None:
+        self.breaches: list[Breach] = []
+        self.crossed = 0
+        """Choices that a request of ours, already on its way, has undone: nobody could have known."""
+        self.alike = 0
+        """Choices that were not judged: we had asked for the same mode."""
+        self.setpoints = 0
+        self.setpoint_s = -math.inf
+        """When the last one left."""
+        self.crossing_s = crossing_s
+        self._bounds = bounds
+        self._grace_s = grace_s
+        self._cause_s = cause_s
+        self._scanner = FrameScanner()
+        self._parsed: tuple[bytes, list[tuple[int, bytes]]] = (b"", [])
+        self._mode: int | None = None
+        self._armed = False
+        self._ours = False
+        """The mode was entered by our request."""
+        self._selected: tuple[float, int] | None = None
+        self._choices: list[_Choice] = []
+        """Of this authority's end, oldest first; the last is the mode that the vehicle should be in."""
+        self._final = False
+        """Only the disarming gives authority back."""
+        self._gone_s = math.inf
+        """When the companion could first read that authority has ended."""
+        self._asked: deque[_Request] = deque(maxlen=50)
+        self._reached: deque[tuple[float, int]] = deque(maxlen=50)
+        self._sampled_s = -math.inf
+        """When the newest position that could be read was sent."""
+        self._read_s = -math.inf
+        self._resumed_s = -math.inf
+
+    def first(self) -> tuple[Breach, ...]:
+        """Of each rule the first breach, in their order."""
+        found: dict[str, Breach] = {}
+        for breach in self.breaches:
+            found.setdefault(breach.rule, breach)
+        return tuple(found.values())
+
+    def _breach(self, at_s: float, rule: str, words: str) -> None:
+        self.breaches.append(Breach(round(at_s, 4), rule, words))
+
+    # ------------------------------------------------------------ the vehicle and its pilot
+
+    @property
+    def held(self) -> bool:
+        """The vehicle is in our hands: in the mode that flies setpoints, or where we asked it to wait."""
+        return self._mode == self._bounds.external or (self._ours and self._mode not in self._bounds.given)
+
+    def selects(self, now_s: float, custom_mode: int) -> None:
+        """The pilot selects a mode that the vehicle will accept; `shows`, and then `accepted`, follow."""
+        self._selected = now_s, custom_mode
+
+    def accepted(self, now_s: float) -> None:
+        """The vehicle has shown its mode after an accepted choice: was it entered?"""
+        if self._selected is not None and self._mode != self._selected[1]:
+            self._breach(now_s, "refused", f"mode {self._selected[1]} was accepted and not entered")
+        self._selected = None
+
+    def shows(self, now_s: float, custom_mode: int, *, armed: bool) -> None:
+        """The vehicle's own mode, whenever it may have changed."""
+        if not armed:
+            self._mode, self._armed, self._ours = custom_mode, False, False
+            self._choices.clear()
+            self._gone_s, self._final = math.inf, False
+            return
+        if custom_mode == self._mode and self._armed:
+            return
+        before, held = self._mode, self.held and self._armed
+        known = self._armed
+        self._mode, self._armed = custom_mode, True
+        whose = self._whose(now_s, custom_mode)
+        self._ours = whose == "ours"
+        if not known:
+            return
+        if self._ours:
+            self._judge_left(now_s, before, custom_mode)
+            return
+        self._choose(now_s, custom_mode, whose, held=held)
+
+    def _whose(self, now_s: float, custom_mode: int) -> str:
+        selected = self._selected
+        if selected is not None and selected[1] == custom_mode and now_s - selected[0] <= self._cause_s:
+            return PILOTS
+        if any(m == custom_mode and now_s - at <= self._cause_s for at, m in self._reached):
+            return "ours"
+        # Setpoints that come again end a failsafe of PX4: nothing else but we leads there.
+        return "ours" if custom_mode == self._bounds.external else "the vehicle's"
+
+    def _choose(self, now_s: float, custom_mode: int, whose: str, *, held: bool) -> None:
+        if any(r.custom_mode == custom_mode and now_s - r.left_s <= _ALIKE_S for r in self._asked):
+            self.alike += 1
+            return
+        if not self._final and not held and custom_mode in self._bounds.given:
+            self._choices.clear()
+            self._gone_s = math.inf
+            return
+        self._final = self._final or held
+        selected = self._selected
+        at_s = now_s if whose != PILOTS or selected is None else selected[0]
+        self._choices.append(_Choice(custom_mode, at_s, whose))
+
+    def _judge_left(self, now_s: float, before: int | None, custom_mode: int) -> None:
+        """The vehicle is in a mode of ours: was it in one that was not ours to end?"""
+        if not self._choices or self._choices[-1].custom_mode != before:
+            return
+        choice = self._choices[-1]
+        request = next((r for r in reversed(self._asked) if r.custom_mode == custom_mode), None)
+        asked_s = now_s if request is None else request.left_s
+        words = (
+            f"{choice.whose} mode {choice.custom_mode}, entered {now_s - choice.at_s:.3f} s before, was left "
+            f"for {custom_mode}, asked for {asked_s - choice.at_s:.3f} s after it"
+        )
+        if asked_s >= choice.readable_s:
+            self._breach(now_s, "left", words)
+        elif asked_s <= choice.at_s or (
+            asked_s - choice.at_s <= self.crossing_s and not choice.at_s < self._resumed_s <= asked_s
+        ):
+            self.crossed += 1
+        else:
+            self._breach(now_s, "unread", words)
+
+    # ------------------------------------------------------------ what the companion can know
+
+    def reads(self, now_s: float, told: Iterable[tuple[float, bytes]]) -> None:
+        """The companion runs, and can read these frames now at the latest.
+
+        Args:
+            told: when each frame left the vehicle, and its bytes; only what really waits to be read.
+        """
+        if now_s - self._read_s > _GAP_S:
+            self._resumed_s = now_s
+        self._read_s = now_s
+        for sent_s, raw in told:
+            if len(raw) < 12 or raw[0] != 0xFD or raw[6] != _AUTOPILOT:
+                continue
+            message_id = raw[7] | raw[8] << 8 | raw[9] << 16
+            if message_id == _POSITION:
+                self._sampled_s = max(self._sampled_s, sent_s)
+            elif self._choices and message_id in (_HEARTBEAT, _CURRENT_MODE):
+                payload = raw[10 : 10 + min(raw[1], 4)].ljust(4, b"\0")
+                self._note_shown(now_s, sent_s, int.from_bytes(payload, "little"))
+
+    def _note_shown(self, now_s: float, sent_s: float, custom_mode: int) -> None:
+        for choice in self._choices:
+            if choice.custom_mode == custom_mode and sent_s >= choice.at_s - 1e-6:
+                # Of a companion that stood still nothing was under way.
+                known_s = now_s if now_s == self._resumed_s else now_s + self._grace_s
+                choice.readable_s = min(choice.readable_s, known_s)
+                self._gone_s = min(self._gone_s, known_s)
+
+    # ------------------------------------------------------------ what it sends
+
+    def leaves(self, now_s: float, data: bytes) -> None:
+        """Bytes leave the companion."""
+        for message_id, payload in self._frames(data):
+            if message_id == _SETPOINT:
+                self._judge_setpoint(now_s, payload)
+            elif (custom_mode := self._mode_asked(message_id, payload)) is not None:
+                self._judge_request(now_s, custom_mode)
+
+    def _judge_setpoint(self, now_s: float, payload: bytes) -> None:
+        self.setpoints += 1
+        self.setpoint_s = now_s
+        fields = _LOCAL_NED.unpack(payload.ljust(_LOCAL_NED.size, b"\0"))
+        velocity, (mask, system, component, frame) = fields[4:7], fields[12:16]
+        if mask not in _MASKS or frame != _FRAME_LOCAL_NED or component != _AUTOPILOT or system == 0:
+            self._breach(now_s, "form", f"mask {mask:#x}, frame {frame}, target {system}/{component}")
+        speed, down, bounds = math.hypot(*velocity), velocity[2], self._bounds
+        if not speed <= bounds.max_speed_mps + _SLACK:
+            self._breach(now_s, "bounds", f"a setpoint of {speed:.3f} m/s")
+        if not -bounds.max_climb_mps - _SLACK <= down <= bounds.max_descent_mps + _SLACK:
+            self._breach(now_s, "bounds", f"a setpoint that sinks by {down:.3f} m/s")
+        age_s = now_s - self._sampled_s
+        if age_s > STALE_S + self._grace_s:
+            self._breach(now_s, "stale", f"a setpoint on a position {age_s:.2f} s old")
+        if now_s > self._gone_s + REACTION_S:
+            words = f"a setpoint {now_s - self._gone_s:.3f} s after {self._end} could be read"
+            self._breach(now_s, "setpoint", words)
+
+    @property
+    def _end(self) -> str:
+        choice = next((c for c in self._choices if c.readable_s < math.inf), None)
+        return "a mode" if choice is None else f"{choice.whose} mode {choice.custom_mode}"
+
+    def _judge_request(self, now_s: float, custom_mode: int) -> None:
+        self._asked.append(_Request(now_s, custom_mode))
+        if now_s >= self._gone_s:
+            what = "a speed" if custom_mode < 0 else f"mode {custom_mode}"
+            words = f"{what} asked for {now_s - self._gone_s:.3f} s after {self._end} could be read"
+            self._breach(now_s, "request", words)
+        last = self._choices[-1] if self._choices else None
+        if last is not None and last.custom_mode == custom_mode and last.readable_s == math.inf:
+            # From here on nobody can tell the pilot's choice from what we asked for.
+            self._choices.pop()
+            self.alike += 1
+
+    def reaches(self, now_s: float, data: bytes, decided_s: float) -> None:
+        """Bytes of the companion, decided at `decided_s`, reach the vehicle. Call it before the vehicle takes
+        them."""
+        age_s = now_s - decided_s
+        for message_id, payload in self._frames(data):
+            custom_mode = self._mode_asked(message_id, payload)
+            if custom_mode is not None:
+                self._reached.append((now_s, custom_mode))
+            if age_s > OLD_S + self._grace_s and (message_id == _SETPOINT or custom_mode is not None):
+                what = "a setpoint" if custom_mode is None else f"a request for mode {custom_mode}"
+                self._breach(now_s, "old", f"{what} reached the vehicle after {age_s:.2f} s")
+
+    def _frames(self, data: bytes) -> list[tuple[int, bytes]]:
+        """What leaves arrives mostly as it is: read it once."""
+        if self._parsed[0] is not data:
+            self._parsed = data, [(f.message_id, f.payload) for f in self._scanner.frames(data)]
+        return self._parsed[1]
+
+    def _mode_asked(self, message_id: int, payload: bytes) -> int | None:
+        """The mode (`custom_mode`) that a message asks for, -1 for another command that changes the flight;
+        None for all other messages."""
+        if message_id == _SET_MODE:
+            return int.from_bytes(payload[:4].ljust(4, b"\0"), "little")
+        if message_id not in (_COMMAND_LONG, _COMMAND_INT):
+            return None
+        whole = payload.ljust(_LONG.size, b"\0")
+        command = int.from_bytes(whole[28:30], "little")
+        if command != _DO_SET_MODE:
+            return -1 if command in _MODE_COMMANDS else None
+        _, main, sub = struct.unpack_from("<3f", whole)
+        return int(main) << 16 | int(sub) << 24 if self._bounds.px4_modes else int(main)

@@ -1,0 +1,248 @@
+"""The link between vehicle and companion in virtual time, as a kernel and a router make it.
+
+Down (to the companion) frames go through a router, which may hold them up, into the kernel's buffer, from
+which the companion's reader takes portions. Up, a stream takes at most one send while the one before it has
+not left. The figures were measured on Linux 6.18 (loopback, default buffers).
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+Kind = Literal["udp", "tcp", "pty"]
+KINDS: Final[tuple[Kind, ...]] = ("udp", "tcp", "pty")
+
+_BUFFER_BYTES: Final = {"udp": 212_992, "tcp": 3_990_216, "pty": 19_712}
+"""What the kernel holds for a reader that does not read. UDP counts its own overhead."""
+_PORTION_BYTES: Final = {"tcp": 65_536, "pty": 4_095}
+"""What one read returns at most."""
+_PORTION_DATAGRAMS = 64
+"""What the companion's UDP link takes at most at once."""
+_DATAGRAM_BYTES = 1400
+_SENDER_BYTES: Final = {"udp": 1 << 30, "tcp": 65_536, "pty": 4_096}
+"""What waits at the vehicle's end of a slow or standing link; frames that do not fit are not sent."""
+_SERIAL_QUEUE_S = 0.2
+_UP_LIMIT_S = 5.0
+"""A TCP connection whose data is not acknowledged for so long ends, with the data."""
+_BITS_PER_BYTE = 10
+
+
+def datagram_cost(size: int) -> int:
+    """Bytes of the kernel's buffer that a datagram of this size takes."""
+    return 832 if size <= 192 else 1283 if size <= 700 else 2315
+
+
+@dataclass(slots=True)
+class Weather:
+    """What is wrong with the way at the moment. Probabilities are of each datagram (UDP only)."""
+
+    delay_s: float = 0.0
+    """The router holds what comes down by so much."""
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    """Of being held up by up to 0.1 s more than the next."""
+    rate_bps: float = math.inf
+    """Bits a second: down, and up where the link is a stream."""
+    down_stands: bool = False
+    up_stands: bool = False
+
+
+class ModelledLink:
+    """One link; times never go back.
+
+    Args:
+        portions: portions that the reader takes right after the companion stood still, before it decides;
+            None: until nothing waits. At all other times it reads until nothing waits.
+        routed: a router sends each frame as a datagram of its own; False: what the vehicle sends at once
+            shares datagrams.
+    """
+
+    def __init__(
+        self, kind: Kind, rng: np.random.Generator, *, portions: int | None = None, routed: bool = True
+    ) -> None:
+        self.kind: Kind = kind
+        self.weather = Weather()
+        self.portions = portions
+        self.dropped = 0
+        """Frames that found the buffer full."""
+        self._rng = rng
+        self._routed = routed
+        self._count = 0
+        self._way: list[tuple[float, int, float, tuple[bytes, ...]]] = []
+        """Down: when it arrives, a number, when it was sent, its frames."""
+        self._held: list[tuple[float, tuple[bytes, ...]]] = []
+        """Down, on a stream that stands."""
+        self._free_s = self._up_free_s = -math.inf
+        """Until when each direction of a slow link is busy."""
+        self._buffer: deque[bytes] = deque()
+        self._buffer_bytes = 0
+        self._stream = bytearray()
+        self._news: list[tuple[float, bytes]] = []
+        self._up: deque[tuple[float, float, bytes]] = deque()
+        """When it arrives, when it was decided, its bytes."""
+        self._up_held: tuple[float, float, bytes] | None = None
+        """In the kernel of a stream that stands: when it was sent and decided, its bytes."""
+
+    # ------------------------------------------------------------ down
+
+    def tell(self, now_s: float, frames: list[bytes]) -> None:
+        """The vehicle, or somebody else on its network, sends frames down."""
+        self._release(now_s)
+        if self.kind == "udp" and not self._routed:
+            for datagram in _packed(frames):
+                self._send(now_s, datagram)
+            return
+        for frame in frames:
+            self._send(now_s, (frame,))
+
+    def _send(self, now_s: float, frames: tuple[bytes, ...]) -> None:
+        weather = self.weather
+        if weather.down_stands:
+            waiting = sum(len(f) for _, held in self._held for f in held)
+            if self.kind != "udp" and waiting < _SENDER_BYTES[self.kind]:
+                self._held.append((now_s, frames))
+            else:
+                self.dropped += len(frames)
+            return
+        at_s = now_s + weather.delay_s
+        if weather.rate_bps < math.inf:
+            took_s = sum(map(len, frames)) * _BITS_PER_BYTE / weather.rate_bps
+            begins_s = max(self._free_s, at_s)
+            if (begins_s - at_s) * weather.rate_bps / _BITS_PER_BYTE > _SENDER_BYTES[self.kind]:
+                self.dropped += len(frames)
+                return
+            at_s = self._free_s = begins_s + took_s
+        elif self.kind != "udp":
+            at_s = self._free_s = max(self._free_s, at_s)  # a stream keeps its order
+        if self.kind == "udp" and weather.reorder and self._rng.random() < weather.reorder:
+            at_s += float(self._rng.uniform(0.0, 0.1))
+        if at_s <= now_s and not self._way:
+            self._arrive(now_s, frames)
+        else:
+            heapq.heappush(self._way, (at_s, self._next(), now_s, frames))
+        if self.kind == "udp" and weather.duplicate and self._rng.random() < weather.duplicate:
+            again_s = at_s + float(self._rng.uniform(0.0, 0.1))
+            heapq.heappush(self._way, (again_s, self._next(), now_s, frames))
+
+    def _next(self) -> int:
+        self._count += 1
+        return self._count
+
+    def _release(self, now_s: float) -> None:
+        """What stood goes on."""
+        if self._held and not self.weather.down_stands:
+            held, self._held = self._held, []
+            for sent_s, frames in held:
+                heapq.heappush(self._way, (now_s, self._next(), sent_s, frames))
+        while self._way and self._way[0][0] <= now_s:
+            _, _, sent_s, frames = heapq.heappop(self._way)
+            self._arrive(sent_s, frames)
+
+    def hurry(self, now_s: float) -> None:
+        """A link that was slow is not any more: what is under way arrives now."""
+        self._way = [(min(at_s, now_s), number, sent_s, frames) for at_s, number, sent_s, frames in self._way]
+        self._way.sort(key=lambda item: item[1])
+        self._up = deque((min(at_s, now_s), decided_s, data) for at_s, decided_s, data in self._up)
+        self._free_s = self._up_free_s = -math.inf
+
+    def _arrive(self, sent_s: float, frames: tuple[bytes, ...]) -> None:
+        """Into the kernel's buffer: what does not fit is lost, and that is the newest."""
+        size = sum(map(len, frames))
+        cost = datagram_cost(size) if self.kind == "udp" else size
+        if self._buffer_bytes + cost > _BUFFER_BYTES[self.kind]:
+            self.dropped += len(frames)
+            return
+        self._buffer_bytes += cost
+        if self.kind == "udp":
+            self._buffer.append(b"".join(frames))
+        else:
+            for frame in frames:
+                self._stream += frame
+        self._news += [(sent_s, frame) for frame in frames]
+
+    def news(self, now_s: float) -> list[tuple[float, bytes]]:
+        """Frames that have come into the kernel's buffer since the last call, with when each was sent."""
+        self._release(now_s)
+        news, self._news = self._news, []
+        return news
+
+    @property
+    def waiting(self) -> bool:
+        """Something can be read."""
+        return bool(self._buffer or self._stream)
+
+    def read(self) -> bytes:
+        """One portion, as the companion's link takes it; empty when nothing waits."""
+        if self.kind == "udp":
+            parts = [self._buffer.popleft() for _ in range(min(_PORTION_DATAGRAMS, len(self._buffer)))]
+            self._buffer_bytes -= sum(datagram_cost(len(part)) for part in parts)
+            return b"".join(parts)
+        data = bytes(self._stream[: _PORTION_BYTES[self.kind]])
+        del self._stream[: len(data)]
+        self._buffer_bytes -= len(data)
+        return data
+
+    def clear(self) -> None:
+        """Forget what is under way and what waits: a new connection."""
+        self._way.clear()
+        self._held.clear()
+        self._buffer.clear()
+        self._stream.clear()
+        self._news.clear()
+        self._up.clear()
+        self._buffer_bytes, self._up_held = 0, None
+
+    # ------------------------------------------------------------ up
+
+    def send(self, now_s: float, data: bytes, decided_s: float) -> None:
+        """The companion sends; a stream that has not let go of what came before takes nothing."""
+        if not data:
+            return
+        weather = self.weather
+        if weather.up_stands:
+            if self.kind != "udp" and self._up_held is None and self._up_free_s <= now_s:
+                self._up_held = now_s, decided_s, data
+            return
+        if self.kind == "udp":
+            self._up.append((now_s, decided_s, data))
+            return
+        queue_s = _SERIAL_QUEUE_S if self.kind == "pty" else 0.0
+        if self._up_held is not None or self._up_free_s - now_s > queue_s:
+            return
+        self._up_free_s = max(self._up_free_s, now_s) + len(data) * _BITS_PER_BYTE / weather.rate_bps
+        self._up.append((max(now_s, self._up_free_s), decided_s, data))
+
+    def arrived(self, now_s: float) -> list[tuple[float, bytes]]:
+        """What has reached the vehicle's end: when each was decided, and its bytes."""
+        if self._up_held is not None:
+            sent_s, decided_s, data = self._up_held
+            if self.kind == "tcp" and now_s - sent_s > _UP_LIMIT_S:
+                self._up_held = None
+            elif not self.weather.up_stands:
+                self._up_held = None
+                self._up.append((now_s, decided_s, data))
+        found = []
+        while self._up and self._up[0][0] <= now_s:
+            _, decided_s, data = self._up.popleft()
+            found.append((decided_s, data))
+        return found
+
+
+def _packed(frames: list[bytes]) -> list[tuple[bytes, ...]]:
+    """Frames that share datagrams."""
+    datagrams: list[tuple[bytes, ...]] = []
+    at, size = 0, 0
+    for number, frame in enumerate(frames):
+        if size + len(frame) > _DATAGRAM_BYTES and number > at:
+            datagrams.append(tuple(frames[at:number]))
+            at, size = number, 0
+        size += len(frame)
+    if frames[at:]:
+        datagrams.append(tuple(frames[at:]))
+    return datagrams
