@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import Counter
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -76,7 +77,6 @@ _FREE = frozenset(
         mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
         mavlink.MAVLINK_MSG_ID_MISSION_ACK,
         mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
-        mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
         COMPONENT_INFORMATION_BASIC,
         COMPONENT_METADATA,
         mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_BASIC_ID,
@@ -84,6 +84,10 @@ _FREE = frozenset(
     }
 )
 """Messages that command nothing."""
+_FILES = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
+_FILES_OPCODE_AT = 6
+_FILES_ANSWERS = (128, 129)
+"""ACK, NAK: all other opcodes ask, and may ask the vehicle to write."""
 _FREE_COMMANDS = frozenset({CMD_SET_MESSAGE_INTERVAL, CMD_REQUEST_MESSAGE})
 _MASKS = (VELOCITY_YAW_MASK, VELOCITY_YAW_RATE_MASK)
 _SETPOINT_LAYOUT = struct.Struct("<I11fHBBB")
@@ -181,6 +185,8 @@ class Gate:
                     self._setpoint(frame[10 : 10 + frame[1]], now_s)
                 elif message_id == _COMMAND:
                     self._command(frame[10 : 10 + frame[1]], now_s)
+                elif message_id == _FILES:
+                    _check_files(frame[10 : 10 + frame[1]])
                 elif message_id not in _FREE:
                     raise Broken(Rule.KIND, f"message {message_id}")
             except Broken as broken:
@@ -190,16 +196,15 @@ class Gate:
         return b"".join(kept)
 
     def _setpoint(self, payload: bytes, now_s: float) -> None:
-        _, *numbers, mask, system, component, frame = _SETPOINT_LAYOUT.unpack(
-            payload.ljust(_SETPOINT_LAYOUT.size, b"\0")
-        )
+        _, *numbers, mask, system, component, frame = _unpacked(_SETPOINT_LAYOUT, payload)
         velocity = numbers[3], numbers[4], numbers[5]
         standing = velocity == (0.0, 0.0, 0.0)
         self._commands(system, component, now_s)
         self._mandate.check_setpoint(standing)
         if not -_FRESH_S <= now_s - self._decided_s <= _FRESH_S:
             raise Broken(Rule.AGE, f"decided {now_s - self._decided_s:.2f} s ago")
-        if frame != FRAME_LOCAL_NED or mask not in _MASKS or not all(map(math.isfinite, numbers)):
+        turning = numbers[-1] != 0.0
+        if frame != FRAME_LOCAL_NED or mask not in _MASKS or turning or not all(map(math.isfinite, numbers)):
             raise Broken(Rule.FORM, f"frame {frame}, mask {mask:#x}, velocity {velocity}")
         self._bounds.check(velocity, now_s)
         if now_s < self._shut_s:
@@ -208,9 +213,7 @@ class Gate:
         self._bounds.left(velocity, now_s)
 
     def _command(self, payload: bytes, now_s: float) -> None:
-        *params, command, system, component, _ = _COMMAND_LAYOUT.unpack(
-            payload.ljust(_COMMAND_LAYOUT.size, b"\0")
-        )
+        *params, command, system, component, _ = _unpacked(_COMMAND_LAYOUT, payload)
         if command in _FREE_COMMANDS:
             return
         if command not in (CMD_DO_SET_MODE, CMD_DO_CHANGE_SPEED):
@@ -220,6 +223,8 @@ class Gate:
             self._mandate.check_speed()
             if not 0.0 < params[1] <= 100.0:
                 raise Broken(Rule.SPEED, f"a mission's speed of {params[1]:g} m/s")
+            if now_s < self._shut_s:
+                raise Broken(Rule.AGE, "after a fault")
             return
         asked = self._mandate.custom_of(params[1], params[2])
         if asked is None or params[0] != 1.0:
@@ -247,3 +252,17 @@ class Gate:
         if now_s - self._told.get(rule, -math.inf) >= _AGAIN_S:
             self._told[rule] = now_s
             self._broken.append(GateRefused(rule=rule.number, text=str(broken), fault=rule.faults))
+
+
+def _unpacked(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
+    """A payload's fields; readers cut one that is longer than its message."""
+    if len(payload) > layout.size:
+        raise Broken(Rule.WHOLE, f"a payload of {len(payload)} bytes for a message of {layout.size}")
+    return layout.unpack(payload.ljust(layout.size, b"\0"))
+
+
+def _check_files(payload: bytes) -> None:
+    """Rule 2 for FILE_TRANSFER_PROTOCOL: files of ours are told of, nobody is asked for any."""
+    opcode = payload[_FILES_OPCODE_AT] if len(payload) > _FILES_OPCODE_AT else 0
+    if opcode not in _FILES_ANSWERS:
+        raise Broken(Rule.KIND, f"file transfer, opcode {opcode}")

@@ -23,7 +23,7 @@ class Rule(enum.Enum):
         2,
         "kind",
         "Of all messages and commands only those leave that the companion needs: no arming, no parameters of "
-        "the vehicle, no positions, no attitudes, no other commands.",
+        "the vehicle, no positions, no attitudes, no files written, no other commands.",
     )
     TARGET = _Text(
         3,
@@ -67,7 +67,11 @@ class Rule(enum.Enum):
         "vehicle.stale_after_s and half a second.",
         faults=False,
     )
-    FORM = _Text(9, "form", "A setpoint is a finite velocity in the local NED frame, with one of two masks.")
+    FORM = _Text(
+        9,
+        "form",
+        "A setpoint is a finite velocity in the local NED frame, with one of two masks and no yaw rate.",
+    )
     SPEED = _Text(
         10,
         "speed",

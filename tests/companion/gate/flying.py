@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,6 +18,7 @@ from companion.events import (
     Heartbeat,
     Landed,
     LandedState,
+    Vec3,
 )
 from companion.gate.gate import Gate
 from companion.geometry import LocalFrame
@@ -47,6 +49,11 @@ _ASKED = {
 }
 RTL = OTHER
 STEP_S = 0.05
+
+
+@lru_cache
+def _geodetic(place: Vec3) -> Vec3:
+    return HOME.to_geodetic(*place)
 
 
 def config(
@@ -114,7 +121,7 @@ class Flying:
 
     def position(self, age_s: float = 0.0) -> None:
         """GLOBAL_POSITION_INT, measured so long ago."""
-        lat_deg, lon_deg, alt_m = HOME.to_geodetic(*self.place)
+        lat_deg, lon_deg, alt_m = _geodetic(self.place)
         event = GlobalPosition(
             time_boot_s=self.now_s - 60.0 - age_s,
             lat_deg=lat_deg,
