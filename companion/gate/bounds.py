@@ -29,6 +29,7 @@ _LATE_S = 0.5
 _DRIFT = 1e-3
 
 _OUTWARD_MPS = 0.25
+_GROUND_MPS = 2.0
 
 Edge = tuple[float, float, float, float]
 """North and east of both ends (m); of a circle: of its middle, its radius, NaN."""
@@ -93,14 +94,19 @@ class Bounds:
     def hear_fence(self, areas: tuple[FenceArea, ...]) -> None:
         """The vehicle's own fence, where it is to be kept."""
         if self._limits.fence == "vehicle":
-            self._areas, self._walls = areas, None
+            self._areas, self._walls, self._clear_m = areas, None, -1.0
+
+    @property
+    def flies_fast(self) -> bool:
+        """Whatever the vehicle says: it is not on the ground."""
+        return math.hypot(*self._velocity) > _GROUND_MPS
 
     # ------------------------------------------------------------ what may leave
 
     def check(self, velocity: Vec3, now_s: float) -> None:
         """Rules 8 and 10 to 13, for a finite velocity."""
         position = self._position
-        if position is None or now_s - position.time_boot_s - self._offset_s > self._stale_s:
+        if position is None or self._age_s(position, now_s) > self._stale_s:
             raise Broken(Rule.AGE, "the own position is not known or too old")
         north, east, down = velocity
         if north == east == down == 0.0:
@@ -113,7 +119,7 @@ class Bounds:
                 Rule.SPEED, f"{down:.2f} m/s down, {-self._climb:g} to {self._descent:g} are allowed"
             )
         self._check_change(velocity, now_s)
-        self._check_height(position, down)
+        self._check_height(position, down, now_s)
         if self._areas:
             self._check_fence(north, east, self._place(position, now_s))
 
@@ -141,8 +147,9 @@ class Bounds:
         if change > most:
             raise Broken(Rule.CHANGE, f"{change:.2f} m/s from what is flown, at most {most:.2f}")
 
-    def _check_height(self, position: GlobalPosition, down: float) -> None:
-        height, flown = position.height_above_home_m, self._velocity[2]
+    def _check_height(self, position: GlobalPosition, down: float, now_s: float) -> None:
+        flown = self._velocity[2]
+        height = position.height_above_home_m - self._age_s(position, now_s) * flown
         floor, ceiling = self._limits.floor_height_m, self._limits.ceiling_height_m
         if floor is not None and self._too_fast(height - floor + _HEIGHT_SLACK_M, down, flown):
             raise Broken(Rule.HEIGHT, f"{down:.2f} m/s down at {height:.1f} m, the floor is at {floor:g} m")
@@ -161,9 +168,12 @@ class Bounds:
 
     # ------------------------------------------------------------ the fence
 
+    def _age_s(self, position: GlobalPosition, now_s: float) -> float:
+        return now_s - position.time_boot_s - self._offset_s
+
     def _place(self, position: GlobalPosition, now_s: float) -> tuple[float, float]:
         """North and east of the local frame, carried on to now (m)."""
-        age_s = now_s - position.time_boot_s - self._offset_s
+        age_s = self._age_s(position, now_s)
         return self._here[0] + age_s * self._velocity[0], self._here[1] + age_s * self._velocity[1]
 
     def _check_fence(self, north: float, east: float, here: tuple[float, float]) -> None:

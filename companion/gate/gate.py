@@ -43,6 +43,7 @@ from companion.events import (
     GateRefused,
     GlobalPosition,
     Heartbeat,
+    Landed,
     LandedState,
     MissionCurrent,
     Settings,
@@ -133,7 +134,8 @@ class Gate:
                 self._fresh = self._fresh or now_s - self._emptied_s <= STALL_S
                 self._mandate.hear_current_mode(event.custom_mode, now_s)
             case LandedState():
-                self._mandate.hear_landed(event.landed, now_s)
+                landed = event.landed if not self._bounds.flies_fast else Landed.IN_AIR
+                self._mandate.hear_landed(landed, now_s)
             case MissionCurrent() if event.complete:
                 self._mandate.mission_ended()
             case VehicleParameters():
