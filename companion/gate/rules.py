@@ -88,7 +88,7 @@ class Rule(enum.Enum):
         12,
         "height",
         "Towards the configured floor or ceiling a setpoint is no faster than can be stopped before it, "
-        "unless the vehicle is being slowed down; beyond it, no further.",
+        "unless the vehicle is being slowed down, and goes on being so; beyond it, no further.",
     )
     FENCE = _Text(
         13,
