@@ -1,4 +1,4 @@
-"""A gate with a vehicle in front of it: what it is told is events, what wants to leave is made by pymavlink."""
+"""A gate with a vehicle before it: it is told events, and what wants to leave is made by pymavlink."""
 
 from __future__ import annotations
 

@@ -337,7 +337,8 @@ class History:
     def _look(self) -> None:
         """Whether a wall, the floor or the ceiling was crossed."""
         terms, walls = self.terms, self.config.fence and self.terms.walls
-        error = 0.15 + 0.5 * terms.acceleration * self.longest_s**2 + 0.06 * terms.speed
+        # A step of the program, and what a velocity may change by after it was last told.
+        error = 0.15 + terms.speed * self.step_s + 0.5 * terms.acceleration * self.longest_s**2
         rooms = [math.inf]
         if walls:
             rooms += [walls[1] - self.u, self.u - walls[0], walls[3] - self.v, self.v - walls[2]]
@@ -458,7 +459,9 @@ class History:
                 params = 1.0, *map(float, rng.choice(list(ASKED[self.firmware.value])))
                 return self._packed(76, self._command(rng.choice((176, 178)), params, target)), True
             case 6:
-                return self._packed(110, bytes((0, self.system, 1, 0, 0, 0, rng.choice((7, 128, 129)), 1))), True
+                return self._packed(
+                    110, bytes((0, self.system, 1, 0, 0, 0, rng.choice((7, 128, 129)), 1))
+                ), True
             case 7:
                 return self._packed(rng.choice((76, 84)), b"\1" * rng.choice((54, 60, 255))), True
         return self._packed(84, self._odd_setpoint()), True
@@ -580,6 +583,8 @@ class History:
                 continue
             at += len(frame)
             payload = frame[10 : 10 + frame[1]]
+            if len(frame) < 12:
+                continue
             if frame[7] == 84:
                 _, *numbers, _, _, _, _ = _SETPOINT.unpack(payload[:53].ljust(53, b"\0"))
                 north, east, down = numbers[3:6]
@@ -623,7 +628,8 @@ def _line(total: Block, began_s: float) -> str:
     return (
         f"{total.histories:,} histories, {total.commands:,} commands in {seconds:,.0f} s "
         f"({total.commands / seconds:,.0f}/s); left: {total.setpoints:,} setpoints ({total.slowed:,} slowing "
-        f"down), {total.requests:,} mode requests; {total.near:,} came within a metre; {len(total.broken)} broken"
+        f"down), {total.requests:,} mode requests; {total.near:,} came within a metre; "
+        f"{len(total.broken)} broken"
     )
 
 

@@ -386,6 +386,8 @@ class Oracle:
             if away > 10 * slack and outward > 0.3 and outward > fu * ou + fv * ov + 0.1:
                 self._broken("fence", f"{outward} m/s further out, {away} m")
             return
+        if min(high_u - pu, pu - low_u, high_v - pv, pv - low_v) < slack:
+            return  # on the wall: inside or outside, where the other walls do not count
         for room, towards, flown in (
             (high_u - pu, u, fu),
             (pu - low_u, -u, -fu),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import pytest
 
 from companion.events import FenceArea, FenceDownloaded, Parameter, VehicleParameters
@@ -176,7 +175,9 @@ def test_a_vehicle_that_is_too_fast_may_be_slowed_down():
         assert one.flies(speed) is leaves
 
 
-@pytest.mark.parametrize(("velocity", "leaves"), [((-2.0, 0.0), True), ((0.5, 0.0), False), ((0.0, 2.0), True)])
+@pytest.mark.parametrize(
+    ("velocity", "leaves"), [((-2.0, 0.0), True), ((0.5, 0.0), False), ((0.0, 2.0), True)]
+)
 def test_outside_no_further(velocity, leaves):
     one = at(taken([BOX]), (103.0, 0.0, -50.0))
     assert one.flies(*velocity) is leaves
@@ -248,8 +249,31 @@ def test_a_fence_of_the_vehicles_counts_at_once_where_it_is_to_be_kept():
         assert one.flies(4.0)
 
 
-
-
 def test_up_and_down_no_wall_counts():
     one = at(taken([BOX]), (99.9, 0.0, -50.0))
     assert one.flies(0.0, 0.0, -2.0)
+
+
+def braked(one, steps):
+    """Which of some northward setpoints leave, each with what the vehicle flies as it nears a wall."""
+    left, north = [], 96.0
+    for flown, speed in steps:
+        left.append(at(one, (north, 0.0, -50.0), (flown, 0.0, 0.0)).flies(speed))
+        north += 0.05 * speed
+    return left
+
+
+def test_slowing_down_is_not_begun_anew_again_and_again():
+    """A velocity that is told ten times a second, and a tenth of a metre per second less each time, is half of
+    the braking that it takes."""
+    assert all(braked(taken([BOX]), [(5.0 - 0.11 * n, 4.89 - 0.11 * n) for n in range(30)]))
+    half = [5.0 - 0.101 * (n // 2) for n in range(30)]
+    left = braked(taken([BOX]), [(flown, flown - 0.101) for flown in half])
+    assert left[0]
+    assert not left[1]
+
+
+def test_out_of_the_fence_it_does_not_creep_on():
+    one = at(taken([BOX]), (101.0, 0.0, -50.0))
+    assert not one.flies(0.2)
+    assert at(taken([BOX]), (101.0, 0.0, -50.0)).flies(0.0, 2.0)

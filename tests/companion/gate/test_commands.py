@@ -147,7 +147,9 @@ def test_messages_may_be_asked_for_at_any_time(number):
     assert not one.gate.counts
 
 
-@pytest.mark.parametrize(("opcode", "leaves"), [(128, True), (129, True), (7, False), (6, False), (15, False)])
+@pytest.mark.parametrize(
+    ("opcode", "leaves"), [(128, True), (129, True), (7, False), (6, False), (15, False)]
+)
 def test_files_are_told_of_and_never_written(taken, opcode, leaves):
     """Files of ArduPilot hold its parameters: who writes them sets those."""
     payload = bytes((0, 0, 0, opcode)).ljust(251, b"\1")
