@@ -162,10 +162,7 @@ class Companion:
                         shown.append(own.heartbeat)
                 case _:
                     own.take(event, now_s, sent_s)
-        if behind_s is not None:
-            self._mode_known = False
-        elif shown:
-            self._mode_known = True
+        self._mode_known = behind_s is None
         if own.frame is not self._frame:
             self._frame = own.frame
             self.traffic.clear()

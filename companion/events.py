@@ -300,8 +300,8 @@ class VehicleText(Event, frozen=True):
 
 
 class InputBehind(Event, frozen=True):
-    """The autopilot's input was not read to its end since `since_s` (our monotonic time). What is told in
-    this step may be as old as that, and the vehicle's mode is not known before a later step shows it.
+    """What the autopilot told may be as old as `since_s` (our monotonic time): its input was not read to its
+    end, or it waited on the way. Nothing is to be commanded in such a step: the vehicle's mode is not known.
     """
 
     since_s: float

@@ -178,6 +178,8 @@ class Onboard:
             self.gate.behind()
         else:
             self._emptied(read_s)
+        if not self.gate.current(now_s):
+            self._fall_behind(now_s)
         since_s, self._behind_since_s = self._behind_since_s, None
         self.link.begin_step(now_s, behind=since_s is not None)
         advanced = self.link.advance(now_s)

@@ -15,6 +15,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from companion.runtime.byte_link import HELD_S, LATE_S
+
 Kind = Literal["udp", "tcp", "pty"]
 KINDS: Final[tuple[Kind, ...]] = ("udp", "tcp", "pty")
 
@@ -27,9 +29,6 @@ _PORTION_DATAGRAMS = 64
 _DATAGRAM_BYTES = 1400
 _SENDER_BYTES: Final = {"udp": 1 << 30, "tcp": 65_536, "pty": 4_096}
 """What waits at the vehicle's end of a slow or standing link; frames that do not fit are not sent."""
-_SERIAL_QUEUE_S = 0.2
-_UP_LIMIT_S = 5.0
-"""A TCP connection whose data is not acknowledged for so long ends, with the data."""
 _BITS_PER_BYTE = 10
 
 
@@ -212,18 +211,21 @@ class ModelledLink:
         if self.kind == "udp":
             self._up.append((now_s, decided_s, data))
             return
-        queue_s = _SERIAL_QUEUE_S if self.kind == "pty" else 0.0
+        queue_s = HELD_S if self.kind == "pty" else 0.0
         if self._up_held is not None or self._up_free_s - now_s > queue_s:
             return
-        self._up_free_s = max(self._up_free_s, now_s) + len(data) * _BITS_PER_BYTE / weather.rate_bps
-        self._up.append((max(now_s, self._up_free_s), decided_s, data))
+        gone_s = max(self._up_free_s, now_s) + len(data) * _BITS_PER_BYTE / weather.rate_bps
+        if gone_s - now_s > LATE_S:
+            return  # Thrown away before it has left.
+        self._up_free_s = gone_s
+        self._up.append((gone_s, decided_s, data))
 
     def arrived(self, now_s: float) -> list[tuple[float, bytes]]:
         """What has reached the vehicle's end: when each was decided, and its bytes."""
         if self._up_held is not None:
             sent_s, decided_s, data = self._up_held
-            if self.kind == "tcp" and now_s - sent_s > _UP_LIMIT_S:
-                self._up_held = None
+            if now_s - sent_s > LATE_S:
+                self._up_held = None  # A stream's link throws away what does not leave in time.
             elif not self.weather.up_stands:
                 self._up_held = None
                 self._up.append((now_s, decided_s, data))

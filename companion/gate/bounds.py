@@ -20,15 +20,18 @@ _SLACK_MPS = 1e-3
 _NOISE_MPS = 1.0
 """What the velocity that is flown may be measured wrong by, and change by between two messages."""
 _REACTION_S = 0.5
-_BRAKING = 0.05
-"""A vehicle that is commanded slower than it flies, by what so much of its acceleration does in a second, is
-being slowed down."""
+_BRAKING, _BRAKES = 0.05, 0.9
+"""A vehicle that is commanded slower than it flies, by what so much of its acceleration does in a second, and
+from then on ever slower with so much of it, is being slowed down."""
+_BRAKED_S = 1.0
+"""Who was not too fast for so long begins anew."""
 _HEIGHT_SLACK_M = 1.0
+_FLOOR, _CEILING = -1, -2
 _LONGEST_S = 1.0
 _LATE_S = 0.5
 _DRIFT = 1e-3
 
-_OUTWARD_MPS = 0.25
+_GROUND_MPS = 2.0
 
 Edge = tuple[float, float, float, float]
 """North and east of both ends (m); of a circle: of its middle, its radius, NaN."""
@@ -58,6 +61,8 @@ class Bounds:
         self._walls: list[tuple[FenceArea, list[Edge]]] | None = None
         self._clear_m, self._clear_at = -1.0, (0.0, 0.0)
         """No wall is nearer than so far to that place."""
+        self._slowed: dict[int, tuple[float, float, float]] = {}
+        """Bound -> since when it is approached too fast, how fast that was, when it was so last."""
         self._last: Vec3 = (0.0, 0.0, 0.0)
         self._last_s = -math.inf
         self._budget_mps = 0.0
@@ -93,14 +98,23 @@ class Bounds:
     def hear_fence(self, areas: tuple[FenceArea, ...]) -> None:
         """The vehicle's own fence, where it is to be kept."""
         if self._limits.fence == "vehicle":
-            self._areas, self._walls = areas, None
+            self._areas, self._walls, self._clear_m = areas, None, -1.0
+
+    def late(self, now_s: float) -> bool:
+        """By the vehicle's own clock, what is heard from it now may be old: it waited on the way."""
+        return self._position is not None and self._age_s(self._position, now_s) > _LATE_S
+
+    @property
+    def flies_fast(self) -> bool:
+        """Whatever the vehicle says: it is not on the ground."""
+        return math.hypot(*self._velocity) > _GROUND_MPS
 
     # ------------------------------------------------------------ what may leave
 
     def check(self, velocity: Vec3, now_s: float) -> None:
         """The rules age and speed to fence, for a finite velocity."""
         position = self._position
-        if position is None or now_s - position.time_boot_s - self._offset_s > self._stale_s:
+        if position is None or self._age_s(position, now_s) > self._stale_s:
             raise Broken(Rule.AGE, "the own position is not known or too old")
         north, east, down = velocity
         if north == east == down == 0.0:
@@ -113,9 +127,9 @@ class Bounds:
                 Rule.SPEED, f"{down:.2f} m/s down, {-self._climb:g} to {self._descent:g} are allowed"
             )
         self._check_change(velocity, now_s)
-        self._check_height(position, down)
+        self._check_height(position, down, now_s)
         if self._areas:
-            self._check_fence(north, east, self._place(position, now_s))
+            self._check_fence(north, east, self._place(position, now_s), now_s)
 
     def left(self, velocity: Vec3, now_s: float) -> None:
         """A setpoint has left."""
@@ -141,36 +155,55 @@ class Bounds:
         if change > most:
             raise Broken(Rule.CHANGE, f"{change:.2f} m/s from what is flown, at most {most:.2f}")
 
-    def _check_height(self, position: GlobalPosition, down: float) -> None:
-        height, flown = position.height_above_home_m, self._velocity[2]
+    def _check_height(self, position: GlobalPosition, down: float, now_s: float) -> None:
+        flown = self._velocity[2]
+        height = position.height_above_home_m - self._age_s(position, now_s) * flown
         floor, ceiling = self._limits.floor_height_m, self._limits.ceiling_height_m
-        if floor is not None and self._too_fast(height - floor + _HEIGHT_SLACK_M, down, flown):
+        if floor is not None and self._too_fast(_FLOOR, height - floor + _HEIGHT_SLACK_M, down, flown, now_s):
             raise Broken(Rule.HEIGHT, f"{down:.2f} m/s down at {height:.1f} m, the floor is at {floor:g} m")
-        if ceiling is not None and self._too_fast(ceiling - height + _HEIGHT_SLACK_M, -down, -flown):
+        if ceiling is not None and self._too_fast(
+            _CEILING, ceiling - height + _HEIGHT_SLACK_M, -down, -flown, now_s
+        ):
             raise Broken(
                 Rule.HEIGHT, f"{-down:.2f} m/s up at {height:.1f} m, the ceiling is at {ceiling:g} m"
             )
 
-    def _too_fast(self, room_m: float, towards_mps: float, flown_mps: float) -> bool:
+    def _too_fast(
+        self, bound: int, room_m: float, towards_mps: float, flown_mps: float, now_s: float
+    ) -> bool:
         """A speed towards a bound that cannot be stopped in the room left, of a vehicle that is not being
         slowed down."""
-        if towards_mps <= _SLACK_MPS:
-            return False
         needed_m = towards_mps * (_REACTION_S + 0.5 * towards_mps / self._acceleration)
-        return needed_m > room_m and towards_mps > flown_mps - _BRAKING * self._acceleration
+        return (
+            towards_mps > _SLACK_MPS
+            and needed_m > room_m
+            and self._faster(bound, towards_mps, flown_mps, now_s)
+        )
+
+    def _faster(self, bound: int, towards_mps: float, flown_mps: float, now_s: float) -> bool:
+        """The vehicle is not being slowed down; or not as it must be since it was too fast."""
+        since_s, begun_mps, last_s = self._slowed.get(bound, (now_s, flown_mps, -math.inf))
+        if now_s - last_s > _BRAKED_S:
+            since_s, begun_mps = now_s, flown_mps
+        self._slowed[bound] = since_s, begun_mps, now_s
+        slowest = min(flown_mps, begun_mps - _BRAKES * self._acceleration * (now_s - since_s))
+        return towards_mps > slowest - _BRAKING * self._acceleration
 
     # ------------------------------------------------------------ the fence
 
+    def _age_s(self, position: GlobalPosition, now_s: float) -> float:
+        return now_s - position.time_boot_s - self._offset_s
+
     def _place(self, position: GlobalPosition, now_s: float) -> tuple[float, float]:
         """North and east of the local frame, carried on to now (m)."""
-        age_s = now_s - position.time_boot_s - self._offset_s
+        age_s = self._age_s(position, now_s)
         return self._here[0] + age_s * self._velocity[0], self._here[1] + age_s * self._velocity[1]
 
-    def _check_fence(self, north: float, east: float, here: tuple[float, float]) -> None:
+    def _check_fence(self, north: float, east: float, here: tuple[float, float], now_s: float) -> None:
         reach = self._speed * (_REACTION_S + 0.5 * self._speed / self._acceleration)
         if math.dist(here, self._clear_at) + reach < self._clear_m:
             return
-        nearest_m = math.inf
+        nearest_m, bound = math.inf, 0
         for area, edges in self._made_walls():
             near = [_nearest(edge, *here) for edge in edges]
             room_m, un, ue = min(near)
@@ -178,15 +211,17 @@ class Bounds:
                 nearest_m = 0.0
                 outward = -(north * un + east * ue)
                 flown = -(self._velocity[0] * un + self._velocity[1] * ue)
-                if outward > _OUTWARD_MPS and outward > flown - _BRAKING * self._acceleration:
+                if self._too_fast(bound, 0.0, outward, flown, now_s):
                     raise Broken(Rule.FENCE, f"{outward:.2f} m/s further out, {room_m:.1f} m outside")
+                bound += len(edges)
                 continue
             nearest_m = min(nearest_m, room_m)
-            for room, un, ue in near:
+            for number, (room, un, ue) in enumerate(near, start=bound):
                 towards = north * un + east * ue
                 flown = self._velocity[0] * un + self._velocity[1] * ue
-                if room < reach and self._too_fast(room, towards, flown):
+                if room < reach and self._too_fast(number, room, towards, flown, now_s):
                     raise Broken(Rule.FENCE, f"{towards:.2f} m/s towards a wall {room:.1f} m away")
+            bound += len(edges)
         self._clear_m, self._clear_at = nearest_m, here
 
     def _made_walls(self) -> list[tuple[FenceArea, list[Edge]]]:

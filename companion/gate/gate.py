@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import Counter
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -43,6 +44,7 @@ from companion.events import (
     GateRefused,
     GlobalPosition,
     Heartbeat,
+    Landed,
     LandedState,
     MissionCurrent,
     Settings,
@@ -80,7 +82,6 @@ _FREE = frozenset(
         mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
         mavlink.MAVLINK_MSG_ID_MISSION_ACK,
         mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
-        mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL,
         COMPONENT_INFORMATION_BASIC,
         COMPONENT_METADATA,
         mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_BASIC_ID,
@@ -88,6 +89,10 @@ _FREE = frozenset(
     }
 )
 """Messages that command nothing."""
+_FILES = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
+_FILES_OPCODE_AT = 6
+_FILES_ANSWERS = (128, 129)
+"""ACK, NAK: all other opcodes ask, and may ask the vehicle to write."""
 _FREE_COMMANDS = frozenset({CMD_SET_MESSAGE_INTERVAL, CMD_REQUEST_MESSAGE})
 _MASKS = (VELOCITY_YAW_MASK, VELOCITY_YAW_RATE_MASK)
 _SETPOINT_LAYOUT = struct.Struct("<I11fHBBB")
@@ -131,14 +136,16 @@ class Gate:
         match event:
             case GlobalPosition():
                 self._bounds.hear_position(event, now_s)
+                self._fresh = self._fresh and not self._bounds.late(now_s)
             case Heartbeat():
-                self._fresh = self._fresh or now_s - self._emptied_s <= STALL_S
+                self._fresh = self._fresh or self._is_news(now_s)
                 self._mandate.hear_heartbeat(event, now_s)
             case CurrentMode():
-                self._fresh = self._fresh or now_s - self._emptied_s <= STALL_S
+                self._fresh = self._fresh or self._is_news(now_s)
                 self._mandate.hear_current_mode(event.custom_mode, now_s)
             case LandedState():
-                self._mandate.hear_landed(event.landed, now_s)
+                landed = event.landed if not self._bounds.flies_fast else Landed.IN_AIR
+                self._mandate.hear_landed(landed, now_s)
             case MissionCurrent() if event.complete:
                 self._mandate.mission_ended()
             case VehicleParameters():
@@ -149,6 +156,10 @@ class Gate:
                 self._mandate.enabled = event.enable
             case TwoAutopilots():
                 self._mandate.two_autopilots = True
+
+    def _is_news(self, now_s: float) -> bool:
+        """What is heard now is no backlog: neither of ours nor, by the vehicle's own clock, of the way here."""
+        return now_s - self._emptied_s <= STALL_S and not self._bounds.late(now_s)
 
     def emptied(self, now_s: float) -> None:
         """The input was read until nothing was left in it."""
@@ -226,21 +237,22 @@ class Gate:
             return True
         if message_id == _COMMAND:
             return self._command(payload, now_s)
-        if message_id not in _FREE:
+        if message_id == _FILES:
+            _check_files(payload)
+        elif message_id not in _FREE:
             raise Broken(Rule.KIND, f"message {message_id}")
         return False
 
     def _setpoint(self, payload: bytes, now_s: float) -> None:
-        _, *numbers, mask, system, component, frame = _SETPOINT_LAYOUT.unpack(
-            payload.ljust(_SETPOINT_LAYOUT.size, b"\0")
-        )
+        _, *numbers, mask, system, component, frame = _unpacked(_SETPOINT_LAYOUT, payload)
         velocity = numbers[3], numbers[4], numbers[5]
         standing = velocity == (0.0, 0.0, 0.0)
         self._commands(system, component, now_s)
         self._mandate.check_setpoint(standing)
         if not self.in_time(now_s):
             raise Broken(Rule.AGE, f"decided {now_s - self._decided_s:.2f} s ago")
-        if frame != FRAME_LOCAL_NED or mask not in _MASKS or not all(map(math.isfinite, numbers)):
+        turning = numbers[-1] != 0.0
+        if frame != FRAME_LOCAL_NED or mask not in _MASKS or turning or not all(map(math.isfinite, numbers)):
             raise Broken(Rule.FORM, f"frame {frame}, mask {mask:#x}, velocity {velocity}")
         self._bounds.check(velocity, now_s)
         if now_s < self._shut_s:
@@ -249,9 +261,7 @@ class Gate:
         self._bounds.left(velocity, now_s)
 
     def _command(self, payload: bytes, now_s: float) -> bool:
-        *params, command, system, component, _ = _COMMAND_LAYOUT.unpack(
-            payload.ljust(_COMMAND_LAYOUT.size, b"\0")
-        )
+        *params, command, system, component, _ = _unpacked(_COMMAND_LAYOUT, payload)
         if command in _FREE_COMMANDS:
             return False
         if command not in (CMD_DO_SET_MODE, CMD_DO_CHANGE_SPEED):
@@ -261,6 +271,8 @@ class Gate:
             self._mandate.check_speed()
             if not 0.0 < params[1] <= 100.0:
                 raise Broken(Rule.SPEED, f"a mission's speed of {params[1]:g} m/s")
+            if now_s < self._shut_s:
+                raise Broken(Rule.AGE, "after a fault")
             return True
         asked = self._mandate.custom_of(params[1], params[2])
         if asked is None or params[0] != 1.0:
@@ -291,3 +303,17 @@ class Gate:
         if now_s - self._told.get(rule, -math.inf) >= _AGAIN_S:
             self._told[rule] = now_s
             self._broken.append(GateRefused(rule=rule.number, text=str(broken), ends=rule.ends))
+
+
+def _unpacked(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
+    """A payload's fields; readers cut one that is longer than its message."""
+    if len(payload) > layout.size:
+        raise Broken(Rule.WHOLE, f"a payload of {len(payload)} bytes for a message of {layout.size}")
+    return layout.unpack(payload.ljust(layout.size, b"\0"))
+
+
+def _check_files(payload: bytes) -> None:
+    """FILE_TRANSFER_PROTOCOL: files of ours are told of, nobody is asked for any."""
+    opcode = payload[_FILES_OPCODE_AT] if len(payload) > _FILES_OPCODE_AT else 0
+    if opcode not in _FILES_ANSWERS:
+        raise Broken(Rule.KIND, f"file transfer, opcode {opcode}")

@@ -42,6 +42,8 @@ class Mandate:
         self._base: int | None = None
         """custom_mode that the vehicle is being taken from, until the one that was asked for shows."""
         self._left = False
+        self._held_instead = False
+        """The mode that ended authority is a hold, where the mission was asked for, and no other was seen."""
         self._grounded_s: float | None = None
         self._seen_down = config.flight.take_in_flight
         self._requests: list[float] = []
@@ -68,6 +70,7 @@ class Mandate:
         before, self._mode, self._custom, self._mode_s = self._mode, mode, custom, now_s
         given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
         if self.lost:
+            self._held_instead = self._held_instead and mode is FlightMode.HOLD
             if given and self._left and self._flight.rearm == "mode":
                 self._free()
             self._left = self._left or not given
@@ -78,6 +81,7 @@ class Mandate:
             if mode is FlightMode.MISSION:
                 self._free()  # handed back
         else:
+            self._held_instead = mode is FlightMode.HOLD and self._asked_mission(now_s)
             self._left = not given or before is not FlightMode.EXTERNAL
             self.lost = f"the pilot selected {self.name(custom)}"
             if given and self._left and self._flight.rearm == "mode":
@@ -95,8 +99,7 @@ class Mandate:
 
     def mission_ended(self) -> None:
         """The last item is done: PX4 holds by itself then, when the mission was given back to it."""
-        mission = any(self._kind(custom) is FlightMode.MISSION for custom in self._ours)
-        if mission and self.lost and self._mode is FlightMode.HOLD:
+        if self.lost and self._held_instead:
             self._free()
 
     # ------------------------------------------------------------ what may leave
@@ -171,6 +174,12 @@ class Mandate:
                 return command.custom_mode, mode
         return None
 
+    def _asked_mission(self, now_s: float) -> bool:
+        return any(
+            self._kind(custom) is FlightMode.MISSION and now_s <= until_s
+            for custom, until_s in self._ours.items()
+        )
+
     def _kind(self, custom: int) -> FlightMode:
         assert self.heartbeat is not None
         return DIALECTS[self.heartbeat.firmware].modes.get(custom, FlightMode.OTHER)
@@ -195,4 +204,5 @@ class Mandate:
 
     def _free(self) -> None:
         self.lost, self.engaged, self._left, self._base = None, False, False, None
+        self._held_instead = False
         self._ours.clear()

@@ -24,7 +24,7 @@ class Rule(enum.Enum):
         2,
         "kind",
         "Of all messages and commands only those leave that the companion needs: no arming, no parameters of "
-        "the vehicle, no positions, no attitudes, no other commands.",
+        "the vehicle, no positions, no attitudes, no files written, no other commands.",
     )
     TARGET = _Text(
         3,
@@ -42,8 +42,9 @@ class Rule(enum.Enum):
         5,
         "current",
         "The input was read until it was empty within the last 0.25 s. After a longer pause, at the start "
-        "and after a backlog, a message that shows the vehicle's mode must have been read since. The last "
-        "one is no older than 3 s.",
+        "and after a backlog, here or on the way, a message that shows the vehicle's mode must have been "
+        "read since. By the vehicle's own clock, what is read then is no older than 0.5 s. The last message "
+        "that shows the mode is no older than 3 s.",
         ends="nothing",
     )
     ANSWER = _Text(
@@ -76,7 +77,11 @@ class Rule(enum.Enum):
         "vehicle.stale_after_s and half a second.",
         ends="nothing",
     )
-    FORM = _Text(10, "form", "A setpoint is a finite velocity in the local NED frame, with one of two masks.")
+    FORM = _Text(
+        10,
+        "form",
+        "A setpoint is a finite velocity in the local NED frame, with one of two masks and no yaw rate.",
+    )
     SPEED = _Text(
         11,
         "speed",
@@ -93,7 +98,7 @@ class Rule(enum.Enum):
         13,
         "height",
         "Towards the configured floor or ceiling a setpoint is no faster than can be stopped before it, "
-        "unless the vehicle is being slowed down; beyond it, no further.",
+        "unless the vehicle is being slowed down, and goes on being so; beyond it, no further.",
     )
     FENCE = _Text(
         14,

@@ -11,7 +11,6 @@ import pytest
 
 from companion import ownship
 from companion.authority.table import HOLDING
-from companion.authority.modes import OurModes
 from companion.errors import ConfigError
 from companion.events import Firmware
 from companion.ownship import Ownship

@@ -6,8 +6,8 @@ import dataclasses
 import json
 
 import pytest
-
 from companion.avoidance.control import Control
+
 from companion.errors import ConfigError
 from companion.events import Firmware
 from sitl_mocks import cli, takeover

@@ -1,0 +1,405 @@
+"""What has left the gate, judged by the whole history. Written from docs/gate.md, without the gate's code.
+
+It is told what the gate is told, in plain numbers, and besides where the walls are in the fence's own axes.
+What it finds is listed in `found` as (name of the rule, words).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass, field, replace
+
+FREE = {0, 4, 20, 22, 40, 43, 47, 51, 77, 110, 111, 148, 247, 253, 396, 397, 12900, 12918}
+MESSAGE_COMMANDS = {511, 512}
+ARDUPILOT = {4: "external", 3: "mission", 17: "hold", 5: "sticks"}
+PX4 = {0x60000: "external", 0x4040000: "mission", 0x3040000: "hold", 0x30000: "sticks"}
+ASKED = {
+    "ardupilot": {(4, 0): 4, (3, 0): 3, (17, 0): 17, (5, 0): 5},
+    "px4": {(6, 0): 0x60000, (4, 4): 0x4040000, (4, 3): 0x3040000, (3, 0): 0x30000},
+}
+_S = struct.Struct("<I11fHBBB")
+_C = struct.Struct("<7fHBBB")
+
+
+@dataclass
+class Told:
+    """A position as it was told: in the fence's axes, with its true time."""
+
+    measured_s: float
+    boot_s: float
+    place: tuple[float, float]
+    height: float
+    velocity: tuple[float, float, float]
+    """Along the axes, and down."""
+    north_east: tuple[float, float]
+    """The same velocity, north and east."""
+
+
+@dataclass
+class Terms:
+    """What a companion may do."""
+
+    use: str
+    rearm: str
+    firmware: str
+    any_vehicle: bool
+    take_in_flight: bool
+    stale_s: float
+    speed: float
+    climb: float
+    descent: float
+    acceleration: float
+    floor: float | None
+    ceiling: float | None
+    turn: float
+    """Of the fence's first axis from north (rad)."""
+    walls: tuple[float, float, float, float] | None = None
+    """Least and most along the first axis, and along the second."""
+
+
+@dataclass
+class Oracle:
+    """One history."""
+
+    terms: Terms
+    found: list[tuple[str, str]] = field(default_factory=list)
+    setpoints: int = 0
+    requests: int = 0
+    slowed: int = 0
+    """Setpoints that were too fast for a wall, and slowed down."""
+
+    def __post_init__(self) -> None:
+        self.most = self.terms
+        self.heard = False
+        self.system = 0
+        self.armed = False
+        self.custom = -1
+        self.mode_s = -math.inf
+        self.kinds = ARDUPILOT if self.terms.firmware == "ardupilot" else PX4
+        self.enabled, self.two = True, False
+        # Currency: a counter of what happened, the end of the last gap, the last message with a mode.
+        self.turn, self.gap_ended, self.mode_turn = 0, 0, -1
+        self.emptied_s = -math.inf
+        self.decided_s = -math.inf
+        self.grounded_s: float | None = None
+        self.down = self.terms.take_in_flight
+        self.position: Told | None = None
+        self.least_s = math.inf
+        self.shut_s = -math.inf
+        self.last: tuple[float, float, float] | None = None  # time, north, east
+        self.changes: list[tuple[float, float]] = []
+        self.asked_s: list[float] = []
+        self.gone = False
+        self._let_go()
+
+    def _let_go(self) -> None:
+        self.engaged, self.gone, self.ended_by_hold, self.away = False, False, False, False
+        self.taken_from: int | None = None
+        self.asked: dict[int, float] = {}
+        self.entered: set[int] = set()
+
+    # ------------------------------------------------------------ what is told
+
+    def heartbeat(self, system: int, custom: int, armed: bool, now_s: float) -> None:
+        self.heard, self.system, self.armed = True, system, armed
+        if not armed:
+            self.down = True
+            if not self.gone or self.terms.rearm != "never":
+                self._let_go()
+        self._mode(custom, now_s)
+
+    def current_mode(self, custom: int, now_s: float) -> None:
+        self.turn += 1
+        if self.heard:
+            self._mode(custom, now_s)
+        elif now_s - self.emptied_s <= 0.25:
+            self.mode_turn = self.turn
+
+    def _mode(self, custom: int, now_s: float) -> None:
+        self.turn += 1
+        if now_s - self.emptied_s <= 0.25:
+            self.mode_turn = self.turn
+        before, self.custom, self.mode_s = self.custom, custom, now_s
+        kind = self.kinds.get(custom, "other")
+        guard = self.terms.use == "guard"
+        gives = kind == ("mission" if guard else "external")
+        if self.gone:
+            self.ended_by_hold &= kind == "hold"
+            if gives and self.away and self.terms.rearm == "mode":
+                self._let_go()
+            self.away |= not gives
+            return
+        if not self.engaged or custom == self.taken_from:
+            return
+        wanted = custom in self.entered or now_s <= self.asked.get(custom, -math.inf)
+        if wanted or (gives and not guard):
+            self.entered.add(custom)
+            self.taken_from = None
+            if kind == "mission":
+                self._let_go()
+            return
+        self.gone = True
+        mission = any(self.kinds[c] == "mission" and now_s <= t for c, t in self.asked.items())
+        self.ended_by_hold = kind == "hold" and mission
+        self.away = not gives or self.kinds.get(before) != "external"
+        if gives and self.away and self.terms.rearm == "mode":
+            self._let_go()
+
+    def landed(self, on_ground: bool, now_s: float) -> None:
+        flown = (0.0, 0.0, 0.0) if self.position is None else self.position.velocity
+        if not on_ground or math.hypot(*flown) > 2.0:
+            self.grounded_s = None
+            return
+        self.grounded_s = now_s if self.grounded_s is None else self.grounded_s
+        self.down = self.down or now_s - self.grounded_s >= 1.5
+        if now_s - self.grounded_s >= 12.0 and not self.gone:
+            self._let_go()
+
+    def mission_complete(self) -> None:
+        if self.gone and self.ended_by_hold:
+            self._let_go()
+
+    def told(self, position: Told, now_s: float) -> None:
+        if self.position is not None:
+            if position.boot_s < self.position.boot_s - 1.0:
+                self.least_s = math.inf
+            elif position.boot_s < self.position.boot_s:
+                return
+        self.least_s = min(self.least_s, now_s - position.measured_s)
+        self.position = position
+
+    def parameters(self, speed: float, climb: float, descent: float, acceleration: float) -> None:
+        self.terms = replace(
+            self.terms,
+            speed=min(self.most.speed, speed),
+            climb=min(self.most.climb, climb),
+            descent=min(self.most.descent, descent),
+            acceleration=min(self.most.acceleration, acceleration),
+        )
+        self.changes = []
+
+    def emptied(self, now_s: float) -> None:
+        self.turn += 1
+        if now_s - self.emptied_s > 0.25:
+            self.gap_ended = self.turn
+        self.emptied_s = now_s
+
+    def behind(self) -> None:
+        self.turn += 1
+        self.emptied_s = -math.inf
+
+    # ------------------------------------------------------------ what has left
+
+    def judge(self, offered: list[bytes], whole: list[bool], out: bytes, now_s: float) -> None:
+        """What was offered, frame by frame, which of it is whole, and what has left of it."""
+        at = 0
+        for frame, is_whole in zip(offered, whole, strict=True):
+            left = out.startswith(frame, at)
+            if left:
+                at += len(frame)
+                self._frame(frame, is_whole, now_s)
+            if not is_whole or (not left and self._is_wrong(frame)):
+                self.shut_s = now_s + 3.0
+            if not is_whole:
+                break
+        if at != len(out):
+            self._broken("whole", f"{len(out) - at} bytes left that were not offered, or behind garbage")
+
+    def _broken(self, rule: str, words: str) -> None:
+        self.found.append((rule, words))
+
+    def _is_wrong(self, frame: bytes) -> bool:
+        """Surely a fault of the program above, and not too early or too late."""
+        number = int.from_bytes(frame[7:10], "little")
+        return number not in FREE and number not in (76, 84)
+
+    def _frame(self, frame: bytes, whole: bool, now_s: float) -> None:
+        number = int.from_bytes(frame[7:10], "little")
+        payload = frame[10 : 10 + frame[1]]
+        if not whole or frame[0] != 0xFD:
+            return self._broken("whole", frame.hex())
+        if number in FREE or (number == 110 and payload[6:7] in (b"\x80", b"\x81")):
+            return None
+        if number == 84:
+            if len(payload) > 53:
+                return self._broken("whole", "a long setpoint")
+            return self._setpoint(_S.unpack(payload.ljust(53, b"\0")), now_s)
+        if number != 76:
+            return self._broken("kind", f"message {number}")
+        if len(payload) > 33:
+            return self._broken("whole", "a long command")
+        fields = _C.unpack(payload.ljust(33, b"\0"))
+        if fields[7] in MESSAGE_COMMANDS:
+            return None
+        if fields[7] == 176:
+            return self._request(fields, now_s)
+        if fields[7] == 178:
+            return self._speed(fields, now_s)
+        return self._broken("kind", f"command {fields[7]}")
+
+    def _commanded(self, target: tuple[int, int], now_s: float) -> None:
+        terms = self.terms
+        if not self.heard or target != (self.system, 1):
+            self._broken("target", f"{target}")
+        if self.two and terms.any_vehicle and not self.engaged:
+            self._broken("target", "two autopilots")
+        if now_s - self.emptied_s > 0.25 or self.mode_turn <= self.gap_ended:
+            self._broken("current", f"emptied at {self.emptied_s}, {self.mode_turn} <= {self.gap_ended}")
+        if now_s - self.mode_s > 3.0:
+            self._broken("current", f"mode {now_s - self.mode_s} s old")
+        on_ground = self.grounded_s is not None and now_s - self.grounded_s >= 12.0
+        if terms.use == "watch" or not self.armed or on_ground:
+            self._broken("use", f"{terms.use}, armed {self.armed}, on ground {on_ground}")
+        if self.gone:
+            self._broken("authority", f"mode {self.custom}")
+        if not self.down:
+            self._broken("authority", "was flying")
+
+    def _held(self) -> bool:
+        ours = self.custom in self.entered or self.custom in self.asked or self.custom == self.taken_from
+        chosen = self.terms.use == "fly" and self.kinds.get(self.custom) == "external"
+        return chosen or (self.engaged and ours)
+
+    def _takeable(self) -> bool:
+        kind = self.kinds.get(self.custom)
+        px4_hold = self.terms.use == "fly" and self.terms.firmware == "px4" and kind == "hold"
+        return kind == "mission" or px4_hold
+
+    def _request(self, fields: tuple[float, ...], now_s: float) -> None:
+        self.requests += 1
+        self._commanded((int(fields[8]), int(fields[9])), now_s)
+        custom = ASKED[self.terms.firmware].get((fields[1], fields[2]))  # type: ignore[call-overload]
+        if custom is None or fields[0] != 1.0:
+            return self._broken("mode", f"{fields}")
+        kind = self.kinds[custom]
+        if kind == "mission" and self.terms.use == "fly":
+            self._broken("mode", "mission while flying")
+        if not self.enabled and kind == "external":
+            self._broken("use", "disabled")
+        if not (self._held() or (kind == "external" and self._takeable())):
+            self._broken("mode", f"{kind} from {self.custom}")
+        self.asked_s = [s for s in self.asked_s if now_s - s < 2.0]
+        self.asked_s.append(now_s)
+        if len(self.asked_s) > 5:
+            self._broken("mode", "storm")
+        if now_s < self.shut_s and kind != "hold":
+            self._broken("age", "request after a fault")
+        self._take()
+        self.asked[custom] = now_s + 10.0
+        return None
+
+    def _take(self) -> None:
+        if not self.engaged:
+            self.engaged, self.taken_from = True, self.custom
+
+    def _speed(self, fields: tuple[float, ...], now_s: float) -> None:
+        self._commanded((int(fields[8]), int(fields[9])), now_s)
+        mission = self.kinds.get(self.custom) == "mission" or any(
+            self.kinds[c] == "mission" for c in self.asked
+        )
+        if self.terms.use != "guard" or not mission:
+            self._broken("mode", "speed without a mission")
+        if not 0.0 < fields[1] <= 100.0:
+            self._broken("speed", f"{fields[1]}")
+        if now_s < self.shut_s:
+            self._broken("age", "speed after a fault")
+
+    def _setpoint(self, fields: tuple[float, ...], now_s: float) -> None:
+        self.setpoints += 1
+        _, *numbers, mask, system, component, frame = fields
+        north, east, down = numbers[3:6]
+        self._commanded((int(system), int(component)), now_s)
+        if not all(map(math.isfinite, numbers)) or frame != 1 or mask not in (0x9C7, 0x5C7) or numbers[10]:
+            return self._broken("form", f"{fields}")
+        standing = north == east == down == 0.0
+        if not self.enabled and not standing:
+            self._broken("use", "disabled")
+        if not (self._held() or self._takeable()):
+            self._broken("authority", f"setpoint in {self.custom}")
+        if abs(now_s - self.decided_s) > 0.25:
+            self._broken("age", f"decided {now_s - self.decided_s} s ago")
+        if now_s < self.shut_s:
+            self._broken("age", "after a fault")
+        position, terms = self.position, self.terms
+        age_s = math.inf if position is None else now_s - position.measured_s
+        if age_s > terms.stale_s + 0.5 + self.least_s + 0.02:
+            return self._broken("age", f"position {age_s} s old")
+        assert position is not None
+        if not standing:
+            if math.hypot(north, east, down) > terms.speed + 0.002:
+                self._broken("speed", f"{(north, east, down)}")
+            if not -terms.climb - 0.002 <= down <= terms.descent + 0.002:
+                self._broken("speed", f"{down} down")
+            self._change(position, north, east, now_s)
+            self._bounds(position, north, east, down, now_s)
+        self._take()
+        self.last = now_s, north, east
+        return None
+
+    def _change(self, position: Told, north: float, east: float, now_s: float) -> None:
+        a = self.terms.acceleration
+        n, e = position.north_east
+        flown = math.hypot(n, e, position.velocity[2])
+        slower = min(1.0, self.terms.speed / flown) if flown else 1.0
+        near = math.hypot(north - slower * n, east - slower * e) <= a + 1.0 + 0.01
+        if self.last is None or now_s - self.last[0] > 1.0:
+            self.changes = []
+            if not near:
+                self._broken("change", f"{(north, east)} at {(n, e)}")
+            return
+        self.changes.append((self.last[0], math.hypot(north - self.last[1], east - self.last[2])))
+        # Whatever stretch of time one looks at: what it changed by is at most what it and a second allow.
+        total, most = 0.0, -math.inf
+        for since_s, change in reversed(self.changes[-60:]):
+            total += change
+            most = max(most, total - a * (now_s - since_s))
+        if most <= a + 0.01:
+            return
+        self.changes = []
+        if not near:
+            self._broken("change", f"{most} m/s beyond the time, at {(n, e)}")
+
+    def _bounds(self, position: Told, north: float, east: float, down: float, now_s: float) -> None:
+        terms, age_s = self.terms, now_s - position.measured_s
+        height = position.height - age_s * position.velocity[2]
+        slack = 1.0 + 0.05 + 0.03 * abs(position.velocity[2])
+        for rule, room, towards, flown in (
+            ("floor", terms.floor and height - terms.floor, down, position.velocity[2]),
+            ("ceiling", terms.ceiling and terms.ceiling - height, -down, -position.velocity[2]),
+        ):
+            if room is not None and self._too_fast(room + slack, towards, flown):
+                self._broken("height", f"{rule}: {towards} m/s, {room} m, flown {flown}")
+        if terms.walls is None:
+            return
+        cos, sin = math.cos(terms.turn), math.sin(terms.turn)
+        u, v = cos * north + sin * east, cos * east - sin * north
+        fu, fv = position.velocity[:2]
+        pu, pv = position.place[0] + age_s * fu, position.place[1] + age_s * fv
+        low_u, high_u, low_v, high_v = terms.walls
+        slack = 0.05 + 0.03 * math.hypot(fu, fv)
+        near_u, near_v = min(max(pu, low_u), high_u), min(max(pv, low_v), high_v)
+        away = math.hypot(pu - near_u, pv - near_v)
+        if away > slack:
+            ou, ov = (pu - near_u) / away, (pv - near_v) / away
+            outward = u * ou + v * ov
+            if away > 10 * slack and outward > 0.3 and outward > fu * ou + fv * ov + 0.1:
+                self._broken("fence", f"{outward} m/s further out, {away} m")
+            return
+        if min(high_u - pu, pu - low_u, high_v - pv, pv - low_v) < slack:
+            return  # on the wall: inside or outside, where the other walls do not count
+        for room, towards, flown in (
+            (high_u - pu, u, fu),
+            (pu - low_u, -u, -fu),
+            (high_v - pv, v, fv),
+            (pv - low_v, -v, -fv),
+        ):
+            if self._too_fast(room + slack, towards, flown):
+                self._broken("fence", f"{towards} m/s towards, {room} m, flown {flown}")
+
+    def _too_fast(self, room: float, towards: float, flown: float) -> bool:
+        a = self.terms.acceleration
+        if towards <= 0.002 or towards * 0.5 + towards * towards / (2.0 * a) <= room:
+            return False
+        self.slowed += 1
+        return towards > flown - 0.05 * a + 0.02

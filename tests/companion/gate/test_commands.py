@@ -1,0 +1,473 @@
+"""Rules 1 to 3 and 7 to 10: which frames, to whom, which modes, how old, what form, how fast."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.signing import Signing
+from companion.autopilot.wire import MavlinkReader, MavlinkWriter, message_id_of
+from companion.events import Firmware, Parameter, TwoAutopilots, VehicleParameters
+from tests.companion.gate.flying import (
+    ARDUPILOT,
+    EXTERNAL,
+    HOLD,
+    MISSION,
+    OTHER,
+    PX4,
+    RTL,
+    STICKS,
+    Flying,
+    config,
+)
+
+BOTH = pytest.mark.parametrize("firmware", Firmware)
+
+
+@pytest.fixture
+def taken():
+    return Flying().taken()
+
+
+# ---------------------------------------------------------------- 1: whole frames
+
+
+def test_what_is_no_whole_frame_does_not_leave(taken):
+    frame = taken.packed(taken.setpoint(1.0))
+    text = taken.packed(mavlink.MAVLink_statustext_message(6, b"x", 0, 0))
+    for damaged in (b"\0", b"garbage", frame[:-1], frame[:2], b"\xfd", frame[:1] + b"\xff" + frame[2:]):
+        taken.run(5.1)
+        assert taken.gate.release(text + damaged, taken.now_s) == text
+        assert taken.refused() == [1]
+    assert taken.gate.counts == {"whole": 6}
+    assert taken.gate.release(b"", taken.now_s) == b""
+
+
+def test_mavlink_1_and_unknown_flags_do_not_leave(taken):
+    old = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+    beat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
+    assert not taken.leaves(bytes(beat.pack(old, force_mavlink1=True)))
+    frame = bytearray(taken.packed(beat))
+    frame[2] = 0x02
+    assert not taken.leaves(bytes(frame))
+    assert taken.gate.counts == {"whole": 2}
+
+
+@pytest.mark.parametrize("command", [False, True])
+def test_a_payload_longer_than_its_message_does_not_leave(taken, command):
+    """Readers cut what they do not know, so what they would fly stands in the front part."""
+    message = (
+        mavlink.MAVLink_command_long_message(1, 1, 176, 0, 1, 17, 0, 0, 0, 0, 0)
+        if command
+        else taken.setpoint(1.0)
+    )
+    frame = taken.packed(message)
+    payload = frame[10:-2].ljust(33 if command else 53, b"\0")
+    longer = MavlinkWriter(1, 191).pack_payload(message_id_of(frame), payload + b"\1")
+    assert not taken.leaves(longer)
+    assert taken.refused() == [1]
+
+
+def test_signed_frames_are_judged_as_unsigned_ones_are(taken):
+    signing = Signing(bytes(range(32)), 1, taken.now_s)
+    frame = signing.sign(taken.packed(taken.setpoint(1.0)))
+    assert taken.leaves(frame)
+    assert taken.leaves(signing.sign(taken.packed(mavlink.MAVLink_statustext_message(6, b"x", 0, 0))))
+    assert not taken.leaves(frame[:-1])
+    assert not taken.leaves(signing.sign(taken.packed(taken.setpoint(99.0))))
+    assert taken.refused() == [1, 10]
+
+
+def test_what_leaves_keeps_its_order_and_its_bytes(taken):
+    text = taken.packed(mavlink.MAVLink_statustext_message(6, b"x", 0, 0))
+    arms = taken.packed(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+    fly = taken.packed(taken.setpoint(1.0))
+    assert taken.gate.release(fly + arms + text, taken.now_s) == fly + text
+
+
+# ---------------------------------------------------------------- 2: kinds
+
+NEEDED = [
+    mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3),
+    mavlink.MAVLink_statustext_message(6, b"text", 0, 0),
+    mavlink.MAVLink_timesync_message(0, 5),
+    mavlink.MAVLink_collision_message(0, 1, 1, 1, 1.0, 1.0, 1.0),
+    mavlink.MAVLink_command_ack_message(512, 0),
+    mavlink.MAVLink_param_request_read_message(1, 1, b"WP_SPD", -1),
+    mavlink.MAVLink_param_value_message(b"DMUCA_ENABLE", 1.0, 9, 4, 0),
+    mavlink.MAVLink_mission_request_list_message(1, 1),
+    mavlink.MAVLink_mission_request_message(1, 1, 0),
+    mavlink.MAVLink_mission_request_int_message(1, 1, 0),
+    mavlink.MAVLink_mission_ack_message(1, 1, 0),
+    mavlink.MAVLink_autopilot_version_message(0, 1, 0, 0, 0, bytes(8), bytes(8), bytes(8), 0, 0, 0),
+    mavlink.MAVLink_open_drone_id_basic_id_message(0, 0, bytes(20), 1, 2, bytes(20)),
+    mavlink.MAVLink_open_drone_id_arm_status_message(0, b""),
+]
+FORBIDDEN = [
+    mavlink.MAVLink_param_set_message(1, 1, b"FENCE_ENABLE", 0.0, 9),
+    mavlink.MAVLink_set_mode_message(1, 1, 4),
+    mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 0, [1, 0, 0, 0], 0, 0, 0, 0.5),
+    mavlink.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0x9C7, 0, 0, 0, *(0.0,) * 8),
+    mavlink.MAVLink_rc_channels_override_message(1, 1, *(1500,) * 8),
+    mavlink.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0),
+    mavlink.MAVLink_command_int_message(1, 1, 0, 176, 0, 0, 1, 4, 0, 0, 0, 0, 0),
+    mavlink.MAVLink_mission_count_message(1, 1, 3),
+    mavlink.MAVLink_mission_clear_all_message(1, 1),
+    mavlink.MAVLink_mission_set_current_message(1, 1, 0),
+    mavlink.MAVLink_setup_signing_message(1, 1, bytes(32), 0),
+    mavlink.MAVLink_gps_inject_data_message(1, 1, 0, bytes(110)),
+]
+
+
+@pytest.mark.parametrize("message", NEEDED, ids=lambda m: m.get_type())
+def test_what_commands_nothing_leaves_at_any_time(message):
+    one = Flying(config("watch"))
+    assert one.out(message)
+    assert not one.gate.counts
+
+
+@pytest.mark.parametrize("message", FORBIDDEN, ids=lambda m: m.get_type())
+def test_other_messages_never_leave(taken, message):
+    assert not taken.out(message)
+    assert taken.refused() == [2]
+
+
+@pytest.mark.parametrize("number", [20, 21, 22, 92, 185, 192, 209, 246, 252, 300, 400, 420, 43003])
+def test_other_commands_never_leave(taken, number):
+    assert not taken.command(number, 1.0)
+    assert taken.refused() == [2]
+
+
+@pytest.mark.parametrize("number", [511, 512])
+def test_messages_may_be_asked_for_at_any_time(number):
+    one = Flying(config("watch"))
+    assert one.command(number, 33.0, 50_000.0)
+    assert not one.gate.counts
+
+
+@pytest.mark.parametrize(
+    ("opcode", "leaves"), [(128, True), (129, True), (7, False), (6, False), (15, False)]
+)
+def test_files_are_told_of_and_never_written(taken, opcode, leaves):
+    """Files of ArduPilot hold its parameters: who writes them sets those."""
+    payload = bytes((0, 0, 0, opcode)).ljust(251, b"\1")
+    assert taken.out(mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, payload)) is leaves
+    assert taken.refused() == ([] if leaves else [2])
+
+
+# ---------------------------------------------------------------- 3: the target
+
+
+@BOTH
+def test_only_the_autopilot_that_is_heard_is_commanded(firmware):
+    one = Flying(firmware=firmware).taken()
+    for target in ((2, 1), (1, 0), (0, 0), (0, 1), (1, 191)):
+        assert not one.flies(target=target)
+        assert not one.asks(HOLD, target=target)
+        assert not one.command(178, 1.0, 3.0, -1.0, target=target)
+    assert one.gate.counts == {"target": 15}
+    assert one.refused() == [3]
+
+
+def test_nobody_is_commanded_before_a_vehicle_is_heard():
+    one = Flying()
+    one.gate.emptied(one.now_s)
+    one.gate.decided(one.now_s)
+    assert not one.flies()
+    assert one.refused() == [3]
+
+
+@pytest.mark.parametrize(("system_id", "takes"), [(0, False), (1, True)])
+def test_of_two_autopilots_none_is_taken_unless_one_was_configured(system_id, takes):
+    one = Flying(config(system_id=system_id)).airborne(MISSION)
+    one.gate.hear(TwoAutopilots(reason="two"), one.now_s)
+    assert one.asks(EXTERNAL) is takes
+    assert one.refused() == ([] if takes else [3])
+
+
+def test_of_two_autopilots_the_one_that_is_held_is_kept_and_not_taken_again():
+    one = Flying(config("guard", system_id=0)).taken()
+    one.gate.hear(TwoAutopilots(reason="two"), one.now_s)
+    assert one.flies()
+    assert one.asks(MISSION)
+    one.mode = MISSION
+    one.run()
+    assert not one.asks(EXTERNAL)
+    assert one.refused() == [3]
+
+
+# ---------------------------------------------------------------- 7: modes
+
+
+@BOTH
+@pytest.mark.parametrize(("use", "mission"), [("guard", True), ("fly", False)])
+def test_only_four_modes_are_asked_for(firmware, use, mission):
+    for mode in (EXTERNAL, MISSION, HOLD, STICKS, RTL):
+        one = Flying(config(use), firmware).taken()
+        leaves = mode is not RTL and (mission or mode is not MISSION)
+        assert one.asks(mode) is leaves, mode
+        assert one.refused() == ([] if leaves else [7])
+
+
+@BOTH
+@pytest.mark.parametrize("use", ["guard", "fly"])
+@pytest.mark.parametrize("mode", [EXTERNAL, MISSION, HOLD, STICKS, RTL])
+def test_from_which_modes_the_vehicle_is_taken(firmware, use, mode):
+    one = Flying(config(use), firmware).airborne(mode)
+    chosen = use == "fly" and mode is EXTERNAL
+    taken = mode is MISSION or chosen or (use == "fly" and mode is HOLD and firmware is PX4)
+    assert one.asks(EXTERNAL) is taken
+    assert one.refused() == ([] if taken else [7])
+    one = Flying(config(use), firmware).airborne(mode)
+    assert one.flies() is taken
+    assert one.refused() == ([] if taken else [6])
+    for other in (HOLD, STICKS):
+        one = Flying(config(use), firmware).airborne(mode)
+        assert one.asks(other) is chosen
+
+
+@pytest.mark.parametrize("params", [(0, 17, 0), (1, 17, 1), (1, math.nan, 0), (math.nan, 17, 0), (1, 4, 4)])
+def test_a_mode_is_asked_for_in_its_own_words(taken, params):
+    assert not taken.command(176, *map(float, params))
+    assert taken.refused() == [7]
+
+
+def test_requests_do_not_come_in_storms(taken):
+    taken.run(3.0)
+    assert [taken.asks(HOLD) for _ in range(6)] == [True] * 5 + [False]
+    assert taken.refused() == [7]
+    taken.run(1.9)
+    assert not taken.asks(HOLD)
+    taken.run(0.15)
+    assert taken.asks(HOLD)
+
+
+def test_a_missions_speed_goes_with_the_mission_alone():
+    one = Flying(config("guard")).taken()
+    assert not one.command(178, 1.0, 3.0, -1.0)
+    assert one.refused() == [7]
+    one = Flying(config("guard")).taken()
+    assert one.asks(MISSION)
+    assert one.command(178, 1.0, 3.0, -1.0)
+    one.mode = MISSION
+    one.run()
+    assert one.command(178, 1.0, 3.0, -1.0)
+    assert not one.gate.counts
+
+
+@pytest.mark.parametrize("speed_mps", [0.0, -1.0, math.nan, math.inf, 101.0])
+def test_a_missions_speed_is_one(speed_mps):
+    one = Flying(config("guard")).airborne(MISSION)
+    assert not one.command(178, 1.0, speed_mps, -1.0)
+    assert one.refused() == [10]
+
+
+def test_a_mission_that_is_flown_has_its_own_speed():
+    one = Flying(config("fly")).airborne(MISSION)
+    assert not one.command(178, 1.0, 3.0, -1.0)
+    assert one.refused() == [7]
+
+
+# ---------------------------------------------------------------- 8: age
+
+
+def test_a_setpoint_leaves_within_a_quarter_of_a_second_of_its_decision(taken):
+    decided_s = taken.now_s
+    for later_s, leaves in ((0.24, True), (0.26, False)):
+        taken.now_s = decided_s + later_s
+        taken.beat()
+        taken.position()
+        taken.gate.emptied(taken.now_s)
+        assert taken.flies(0.1) is leaves
+    assert taken.refused() == [8]
+
+
+def test_the_own_position_is_young(taken):
+    """Not told, the age at which authority ends (1 s) and half a second more may pass."""
+    for _ in range(29):
+        taken.now_s += 0.05
+        taken.beat()
+        taken.gate.emptied(taken.now_s)
+        taken.gate.decided(taken.now_s)
+        assert taken.flies()
+    taken.run(0.05)
+    for _ in range(31):
+        taken.now_s += 0.05
+        taken.beat()
+        taken.gate.emptied(taken.now_s)
+        taken.gate.decided(taken.now_s)
+    assert not taken.flies()
+    assert taken.refused() == [8]
+    taken.run()
+    assert taken.flies()
+
+
+def test_an_old_position_that_comes_late_is_old(taken):
+    taken.now_s += 2.0
+    taken.position(age_s=1.6)
+    taken.beat()
+    for _ in range(2):
+        taken.gate.emptied(taken.now_s)
+        taken.beat()
+    taken.gate.decided(taken.now_s)
+    assert not taken.flies()
+    assert taken.refused() == [8]
+
+
+def test_a_vehicle_that_has_restarted_counts_its_time_anew(taken):
+    event_s = taken.now_s
+    taken.now_s += 50.0  # its clock now begins below what it said last
+    taken.position(age_s=100.0)
+    taken.now_s = event_s + 50.05
+    taken.position(age_s=100.0)
+    for _ in range(2):
+        taken.beat()
+        taken.gate.emptied(taken.now_s)
+    taken.beat()
+    taken.gate.decided(taken.now_s)
+    assert taken.flies()
+
+
+# ---------------------------------------------------------------- 9: form
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"frame": 0},
+        {"frame": 7},
+        {"frame": 8},
+        {"mask": 0xDC7},
+        {"mask": 0},
+        {"mask": 0xFFF},
+        {"mask": 0x1C7},
+        {"mask": 0xFC7},
+        {"north": math.nan},
+        {"east": math.inf},
+        {"down": -math.inf},
+        {"yaw": math.nan},
+        {"yaw_rate": math.inf, "mask": 0x5C7},
+        {"yaw_rate": 0.1, "mask": 0x5C7},
+        {"place": (0.0, math.nan, 0.0)},
+        {"push": (math.nan, 0.0, 0.0)},
+    ],
+)
+def test_a_setpoint_is_a_finite_velocity_in_one_frame(taken, fields):
+    assert not taken.flies(**fields)
+    assert taken.refused() == [9]
+
+
+@BOTH
+@pytest.mark.parametrize("mask", [0x9C7, 0x5C7])
+def test_both_masks_leave(firmware, mask):
+    assert Flying(firmware=firmware).taken().flies(0.5, 0.0, 0.1, mask=mask)
+
+
+# ---------------------------------------------------------------- 10: speed
+
+
+def flown_at(one: Flying, *velocity: float) -> Flying:
+    """A vehicle that flies this already, so that no change is asked for."""
+    one.velocity = velocity[0], velocity[1], velocity[2]
+    return one.run()
+
+
+@pytest.mark.parametrize(
+    ("velocity", "leaves"),
+    [
+        ((5.0, 0.0, 0.0), True),
+        ((5.01, 0.0, 0.0), False),
+        ((3.6, -3.6, 0.0), False),
+        ((4.0, 3.0, 0.2), False),
+        ((0.0, 0.0, -2.0), True),
+        ((0.0, 0.0, -2.01), False),
+        ((0.0, 0.0, 1.5), True),
+        ((0.0, 0.0, 1.51), False),
+    ],
+)
+def test_speed_climb_and_descent_are_bounded(velocity, leaves):
+    one = Flying(config(limits={"max_speed_mps": 5.0, "max_climb_mps": 2.0, "max_descent_mps": 1.5})).taken()
+    assert flown_at(one, *velocity).flies(*velocity) is leaves
+    assert one.refused() == ([] if leaves else [10])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "velocity"),
+    [
+        ("speed_mps", 3.0, (3.1, 0.0, 0.0)),
+        ("climb_mps", 1.0, (0.0, 0.0, -1.1)),
+        ("descent_mps", 0.7, (0.0, 0.0, 0.8)),
+    ],
+)
+def test_the_vehicles_own_limits_count_where_they_are_lower(key, value, velocity):
+    one = Flying().taken()
+    assert flown_at(one, *velocity).flies(*velocity)
+    lower = {key: Parameter(name="P", value=value)}
+    one.gate.hear(VehicleParameters(firmware=ARDUPILOT, **lower), one.now_s)
+    assert not one.flies(*velocity)
+    one.run(4.0)
+    higher = {key: Parameter(name="P", value=50.0)}
+    one.gate.hear(VehicleParameters(firmware=ARDUPILOT, **higher), one.now_s)
+    assert one.flies(*velocity)
+    assert not flown_at(one, 6.0, 0.0, 0.0).flies(6.0)
+    assert one.refused() == [10]
+
+
+# ---------------------------------------------------------------- after a fault
+
+
+def test_after_a_fault_nothing_but_a_request_to_hold_leaves_for_three_seconds():
+    one = Flying(config("guard")).taken()
+    assert not one.command(400, 1.0)
+    (told,) = one.broken()
+    assert told.fault
+    assert "gate rule 2 (kind): command 400" in told.text
+    for _ in range(58):
+        one.run()
+        assert not one.flies()
+    assert not one.asks(EXTERNAL)
+    assert not one.asks(MISSION)
+    assert one.asks(HOLD)
+    one.run(0.2)
+    assert one.flies()
+    assert one.asks(MISSION)
+
+
+def test_no_missions_speed_leaves_after_a_fault():
+    one = Flying(config("guard")).airborne(MISSION)
+    assert not one.command(400, 1.0)
+    one.run(2.9)
+    assert not one.command(178, 1.0, 3.0, -1.0)
+    one.run(0.15)
+    assert one.command(178, 1.0, 3.0, -1.0)
+    assert one.gate.counts == {"kind": 1, "age": 1}
+
+
+def test_what_comes_too_late_is_no_fault(taken):
+    taken.now_s += 0.3
+    assert not taken.flies()
+    (told,) = taken.broken()
+    assert not told.fault
+    taken.run(0.1)
+    assert taken.flies()
+
+
+def test_the_same_rule_is_told_of_once_in_five_seconds(taken):
+    told = 0
+    for _ in range(240):
+        taken.run()
+        taken.out(FORBIDDEN[0])
+        told += len(taken.broken())
+    assert told == 3
+    assert taken.gate.counts == {"kind": 240}
+
+
+def test_what_has_left_can_be_read_by_anybody(taken):
+    frames = taken.packed(taken.setpoint(1.0)) + taken.packed(NEEDED[1])
+    read = MavlinkReader().feed(taken.gate.release(frames, taken.now_s))
+    assert [m.get_type() for m in read] == ["SET_POSITION_TARGET_LOCAL_NED", "STATUSTEXT"]
+
+
+assert OTHER is RTL

@@ -1,0 +1,62 @@
+"""Anything at all wants to leave through the gate: a small part of the campaign, and what it can see."""
+
+from __future__ import annotations
+
+import pytest
+
+from companion.gate.rules import Rule
+from tests.companion.gate import hostile
+from tests.companion.gate.weakened import LACKING, Weakened
+
+
+def test_no_rule_is_broken():
+    block = hostile.run_block(seed=1, first=0, count=250, commands=100)
+    assert block.broken == []
+    assert block.commands > 25_000
+    assert block.setpoints > 7_000
+    assert block.requests > 300
+    assert block.slowed > 10
+    assert block.near > 10
+    assert set(block.refused) == {rule.value.name for rule in Rule}
+
+
+def test_a_gate_that_only_passes_everything_on_is_the_gate():
+    plain, passed = (hostile.run_block(2, 0, 10, 100, make) for make in (hostile.Gate, Weakened))
+    assert plain == passed
+
+
+@pytest.mark.parametrize("rule", list(Rule), ids=lambda rule: rule.value.name)
+def test_a_gate_that_lacks_a_rule_is_found(rule):
+    found = set()
+    for first in range(0, 400, 10):
+        block = hostile.run_block(1, first, 10, 100, LACKING[rule.value.name])
+        found |= {name for _, name, _ in block.broken}
+        if rule.value.name in found:
+            break
+    assert rule.value.name in found
+
+
+def test_without_any_gate_every_rule_is_broken():
+    class NoGate(Weakened):
+        def release(self, data, now_s):
+            return data
+
+    found = {name for _, name, _ in hostile.run_block(1, 0, 300, 30, NoGate).broken}
+    assert {"whole", "kind", "target", "use", "current", "mode"} <= found
+
+
+def test_a_history_comes_back_the_same():
+    assert hostile.run_block(3, 7, 2, 100) == hostile.run_block(3, 7, 2, 100)
+    assert hostile.run_block(3, 7, 2, 100) != hostile.run_block(4, 7, 2, 100)
+
+
+def test_the_command_gives_a_verdict(capsys, monkeypatch):
+    assert hostile.main(["--histories", "4", "--commands", "20", "--jobs", "1"]) == 0
+    assert "no rule broken" in capsys.readouterr().out
+    monkeypatch.setattr(
+        hostile, "run_block", lambda *_: hostile.Block(histories=1, commands=1, broken=[(9, "age", "old")])
+    )
+    assert hostile.main(["--history", "9"]) == 1
+    assert "BROKEN: history 9: age: old" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        hostile.main(["--histories", "0"])
