@@ -158,7 +158,7 @@ class Gate:
                 self._mandate.two_autopilots = True
 
     def _is_news(self, now_s: float) -> bool:
-        """What is heard now is no backlog: neither of ours nor, by the vehicle's own clock, of the way here."""
+        """What is heard now is no backlog: neither here nor, by the vehicle's own clock, on the way."""
         return now_s - self._emptied_s <= STALL_S and not self._bounds.late(now_s)
 
     def emptied(self, now_s: float) -> None:
@@ -257,6 +257,7 @@ class Gate:
         self._bounds.check(velocity, now_s)
         if now_s < self._shut_s:
             raise Broken(Rule.AGE, "after a fault")
+        self._check_answer(now_s)
         self._mandate.setpoint_left()
         self._bounds.left(velocity, now_s)
 
@@ -273,6 +274,7 @@ class Gate:
                 raise Broken(Rule.SPEED, f"a mission's speed of {params[1]:g} m/s")
             if now_s < self._shut_s:
                 raise Broken(Rule.AGE, "after a fault")
+            self._check_answer(now_s)
             return True
         asked = self._mandate.custom_of(params[1], params[2])
         if asked is None or params[0] != 1.0:
@@ -281,6 +283,7 @@ class Gate:
         self._mandate.check_request(mode, now_s)
         if now_s < self._shut_s and mode is not FlightMode.HOLD:
             raise Broken(Rule.AGE, "after a fault")
+        self._check_answer(now_s)
         self._mandate.request_left(custom, now_s)
         return True
 
@@ -292,6 +295,8 @@ class Gate:
         if not self.current(now_s):
             raise Broken(Rule.CURRENT, "the input was not read to its end, or the mode not seen since")
         self._mandate.check(now_s)
+
+    def _check_answer(self, now_s: float) -> None:
         if self._asked_s is not None and now_s - self._answer_s > _ANSWER_S:
             raise Broken(Rule.ANSWER, "no answer since the last command")
 

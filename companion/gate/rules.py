@@ -47,16 +47,8 @@ class Rule(enum.Enum):
         "that shows the mode is no older than 3 s.",
         ends="nothing",
     )
-    ANSWER = _Text(
-        6,
-        "answer",
-        "A setpoint, a mode request or a speed leaves only right behind an answer of the vehicle (TIMESYNC) "
-        "to a question that is no older than 0.25 s, one step's commands for each answer: nothing waits in "
-        "a stream that nobody reads. The rule does not hold for a vehicle that has never answered. Where "
-        "commands wait for a second, authority ends.",
-    )
     AUTHORITY = _Text(
-        7,
+        6,
         "authority",
         "A mode that was not asked for by us, seen once while the vehicle is held or taken, ends authority. "
         "Only what flight.rearm names gives it back. A vehicle that was flying when the companion started is "
@@ -64,46 +56,54 @@ class Rule(enum.Enum):
         ends="authority",
     )
     MODE = _Text(
-        8,
+        7,
         "mode",
         "Only the four modes of docs/authority.md are asked for. The vehicle is taken only from a mode that "
         "may be ended. The other three are asked for only while it is in a mode that we asked for or are "
         "taking it from. At most five requests leave in two seconds.",
     )
     AGE = _Text(
-        9,
+        8,
         "age",
         "A setpoint leaves within 0.25 s of its decision, on an own position no older than "
         "vehicle.stale_after_s and half a second.",
         ends="nothing",
     )
     FORM = _Text(
-        10,
+        9,
         "form",
         "A setpoint is a finite velocity in the local NED frame, with one of two masks and no yaw rate.",
     )
     SPEED = _Text(
-        11,
+        10,
         "speed",
         "Speed, climb and descent are within [limits] and within what the vehicle says of itself.",
     )
     CHANGE = _Text(
-        12,
+        11,
         "change",
         "Horizontally a setpoint differs from the last one, or from the velocity that is flown, by no more "
         "than limits.max_acceleration_mps2 allows in the time passed, a second's worth at most. A standstill "
         "may be commanded at any time.",
     )
     HEIGHT = _Text(
-        13,
+        12,
         "height",
         "Towards the configured floor or ceiling a setpoint is no faster than can be stopped before it, "
         "unless the vehicle is being slowed down, and goes on being so; beyond it, no further.",
     )
     FENCE = _Text(
-        14,
+        13,
         "fence",
         "The same towards each wall of the fence, with the room to stop before it.",
+    )
+    ANSWER = _Text(
+        14,
+        "answer",
+        "A setpoint, a mode request or a speed leaves only right behind an answer of the vehicle (TIMESYNC) "
+        "to a question that is no older than 0.25 s, one step's commands for each answer: nothing waits in "
+        "a stream that nobody reads. The rule does not hold for a vehicle that has never answered. Where "
+        "commands wait for a second, authority ends.",
     )
 
     @property

@@ -203,7 +203,7 @@ def test_a_mode_that_was_not_asked_for_ends_it_at_once(use, firmware, mode):
     assert not one.asks(EXTERNAL)
     assert one.gate.counts == {"authority": 3}
     (told,) = one.broken()
-    assert (told.rule, told.fault) == (6, False)
+    assert (told.rule, told.ends) == (6, "authority")
 
 
 @USES
