@@ -1,8 +1,8 @@
 """The link between vehicle and companion in virtual time, as a kernel and a router make it.
 
 Down (to the companion) frames go through a router, which may hold them up, into the kernel's buffer, from
-which the companion's reader takes portions. Up, a stream takes at most one send while the one before it has
-not left. The figures were measured on Linux 6.18 (loopback, default buffers).
+which the companion's reader takes portions. Up, a stream takes nothing while what came before has not left:
+TCP one send, a serial line 0.2 s. The figures were measured on Linux 6.18 (loopback, default buffers).
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ _DATAGRAM_BYTES = 1400
 _SENDER_BYTES: Final = {"udp": 1 << 30, "tcp": 65_536, "pty": 4_096}
 """What waits at the vehicle's end of a slow or standing link; frames that do not fit are not sent."""
 _SERIAL_QUEUE_S = 0.2
+_UP_QUEUE_BYTES: Final = {"tcp": 0, "pty": 18_432}
+"""What may wait in the kernel when the companion's links send more: on a serial line 0.2 s at 921600 baud."""
 _UP_LIMIT_S = 5.0
 """A TCP connection whose data is not acknowledged for so long ends, with the data."""
 _BITS_PER_BYTE = 10
@@ -86,8 +88,8 @@ class ModelledLink:
         self._news: list[tuple[float, bytes]] = []
         self._up: deque[tuple[float, float, bytes]] = deque()
         """When it arrives, when it was decided, its bytes."""
-        self._up_held: tuple[float, float, bytes] | None = None
-        """In the kernel of a stream that stands: when it was sent and decided, its bytes."""
+        self._up_held: list[tuple[float, float, bytes]] = []
+        """In the kernel of a stream that stands: when each was sent and decided, its bytes."""
 
     # ------------------------------------------------------------ down
 
@@ -196,7 +198,8 @@ class ModelledLink:
         self._stream.clear()
         self._news.clear()
         self._up.clear()
-        self._buffer_bytes, self._up_held = 0, None
+        self._up_held.clear()
+        self._buffer_bytes = 0
 
     # ------------------------------------------------------------ up
 
@@ -206,27 +209,26 @@ class ModelledLink:
             return
         weather = self.weather
         if weather.up_stands:
-            if self.kind != "udp" and self._up_held is None and self._up_free_s <= now_s:
-                self._up_held = now_s, decided_s, data
+            waits = sum(len(held) for _, _, held in self._up_held)
+            if self.kind != "udp" and waits <= _UP_QUEUE_BYTES[self.kind] and self._up_free_s <= now_s:
+                self._up_held.append((now_s, decided_s, data))
             return
         if self.kind == "udp":
             self._up.append((now_s, decided_s, data))
             return
         queue_s = _SERIAL_QUEUE_S if self.kind == "pty" else 0.0
-        if self._up_held is not None or self._up_free_s - now_s > queue_s:
+        if self._up_held or self._up_free_s - now_s > queue_s:
             return
         self._up_free_s = max(self._up_free_s, now_s) + len(data) * _BITS_PER_BYTE / weather.rate_bps
         self._up.append((max(now_s, self._up_free_s), decided_s, data))
 
     def arrived(self, now_s: float) -> list[tuple[float, bytes]]:
         """What has reached the vehicle's end: when each was decided, and its bytes."""
-        if self._up_held is not None:
-            sent_s, decided_s, data = self._up_held
-            if self.kind == "tcp" and now_s - sent_s > _UP_LIMIT_S:
-                self._up_held = None
-            elif not self.weather.up_stands:
-                self._up_held = None
-                self._up.append((now_s, decided_s, data))
+        if self.kind == "tcp" and self._up_held and now_s - self._up_held[0][0] > _UP_LIMIT_S:
+            self._up_held.clear()
+        if self._up_held and not self.weather.up_stands:
+            self._up.extend((now_s, decided_s, data) for _, decided_s, data in self._up_held)
+            self._up_held.clear()
         found = []
         while self._up and self._up[0][0] <= now_s:
             _, decided_s, data = self._up.popleft()
