@@ -230,17 +230,23 @@ def run(args: argparse.Namespace) -> int:
                 row = asdict(result)
                 report = {"firmware": firmware.value, "use": use, "after_s": round(time.monotonic() - began)}
                 print(json.dumps(report | row.pop("told") | row), flush=True)
-                continue
-            broken = True
-            words, schedule = result
-            path = args.out / f"soak-{args.seed}-{firmware.value}-{use}.json"
-            path.write_text(json.dumps(schedule, indent=1) + "\n")
-            print(f"broken: {firmware.value}, {use}, seed {args.seed}, {words}")
-            print(f"  as short as it gets: {json.dumps(schedule)}")
-            print(f"  sitl-mocks soak --schedule {path}", flush=True)
+            else:
+                broken = True
+                _tell_broken(f"{args.seed}-{firmware.value}-{use}", *result, args.out)
     if not broken:
         print(f"{args.hours:g} simulated hours, seed {args.seed}: no rule broken", flush=True)
     return int(broken)
+
+
+def _tell_broken(name: str, words: str, schedule: dict[str, Any], folder: Path) -> None:
+    path = folder / f"soak-{name}.json"
+    try:
+        path.write_text(json.dumps(schedule, indent=1) + "\n")
+    except OSError as error:
+        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
+    print(f"broken: {name}, {words}")
+    print(f"  as short as it gets: {json.dumps(schedule)}")
+    print(f"  sitl-mocks soak --schedule {path}", flush=True)
 
 
 def _replay(path: Path) -> int:

@@ -99,6 +99,17 @@ def test_up_stands_a_stream_delivers_one_send_late_and_nothing_more():
     assert tcp.arrived(9.2) == []
 
 
+def test_up_stands_a_serial_line_delivers_all_that_its_queue_took():
+    pty = link("pty")
+    pty.weather.up_stands = True
+    for n in range(500):
+        pty.send(1.0 + 0.05 * n, bytes(100), 1.0 + 0.05 * n)
+    pty.weather.up_stands = False
+    late = pty.arrived(30.0)
+    assert len(late) == 185
+    assert late[0] == (1.0, bytes(100))
+
+
 def test_a_slow_stream_takes_its_time_and_loses_what_does_not_fit():
     pty = link("pty")
     pty.weather.rate_bps = 4000.0  # ten frames of 40 bytes a second
