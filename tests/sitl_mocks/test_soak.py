@@ -10,9 +10,12 @@ from itertools import product
 import pytest
 
 from companion import ownship
+from companion.authority.control import Control
+from companion.authority.modes import OurModes
 from companion.authority.table import HOLDING
 from companion.errors import ConfigError
 from companion.events import Firmware
+from companion.gate.gate import Gate
 from companion.ownship import Ownship
 from sitl_mocks import cli, soak
 from sitl_mocks.soak import Schedule, fly, from_file, schedule_of, shorten, to_file
@@ -63,7 +66,7 @@ GNSS_LOST = Schedule(Firmware.PX4, "fly", 1, "udp", 90.0, (Fault("down", 70.0, 1
 @pytest.mark.parametrize(
     ("where", "name", "broken", "flight", "rule"),
     [
-        (Control, "_pilot_took_over", lambda self, now_s: False, RTL_WHILE_FLOWN, "setpoint"),
+        (OurModes, "judge", lambda self, shown, now_s, held: None, RTL_WHILE_FLOWN, "setpoint"),
         (ownship, "in_mode", lambda beat, custom_mode: beat, RTL_WHILE_FLOWN, "setpoint"),
         (Ownship, "unfit", lambda self, now_s, stale_after_s: None, GNSS_LOST, "stale"),
     ],
@@ -72,6 +75,8 @@ def test_a_companion_that_breaks_a_rule_is_found_and_the_schedule_cut_down(
     monkeypatch, where, name, broken, flight, rule
 ):
     monkeypatch.setattr(where, name, broken)
+    monkeypatch.setattr(Gate, "release", lambda self, data, now_s: data)
+    monkeypatch.setattr(Gate, "current", lambda self, now_s: True)
     with pytest.raises(BrokenRuleError) as caught:
         fly(flight)
     assert caught.value.rule == rule
@@ -83,20 +88,33 @@ def test_a_companion_that_breaks_a_rule_is_found_and_the_schedule_cut_down(
     assert again.value.rule == rule
 
 
+@pytest.mark.parametrize(
+    ("where", "name", "broken", "flight"),
+    [
+        (OurModes, "judge", lambda self, shown, now_s, held: None, RTL_WHILE_FLOWN),
+        (Ownship, "unfit", lambda self, now_s, stale_after_s: None, GNSS_LOST),
+    ],
+)
+def test_the_gate_keeps_the_rules_of_a_heart_that_does_not(monkeypatch, where, name, broken, flight):
+    """Without the gate they break one (the test above)."""
+    monkeypatch.setattr(where, name, broken)
+    assert fly(flight).told.setpoints > 0
+
+
 def test_an_exception_of_the_companion_is_told_with_its_time(monkeypatch):
     def fails(self, now_s, gap_s):
         if now_s > 20.0:
             raise RuntimeError("a bug")
 
-    monkeypatch.setattr(Control, "unfit", fails)
+    monkeypatch.setattr(Control, "_unfit", fails)
     with pytest.raises(BrokenRuleError, match=r"at 20\.05 s: exception: RuntimeError: a bug"):
         fly(GNSS_LOST)
 
 
 def test_a_companion_that_stays_idle_is_found(monkeypatch):
-    monkeypatch.setattr(Control, "watched", lambda self, now_s, result: [])
+    monkeypatch.setattr(Control, "_watch", lambda self, now_s, cycle, commands: None)
     monkeypatch.setattr(
-        "companion.avoidance.readiness.Readiness.waits_for", lambda self, now_s, ours: "never"
+        "companion.authority.readiness.Readiness.waits_for", lambda self, now_s, ours: "never"
     )
     with pytest.raises(BrokenRuleError, match="idle: nothing wrong for"):
         fly(Schedule(Firmware.ARDUPILOT, "guard", 1, "udp", 200.0, ()))

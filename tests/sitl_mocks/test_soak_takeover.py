@@ -6,10 +6,11 @@ import dataclasses
 import json
 
 import pytest
-from companion.avoidance.control import Control
 
+from companion.authority.modes import OurModes
 from companion.errors import ConfigError
 from companion.events import Firmware
+from companion.gate.gate import Gate
 from sitl_mocks import cli, takeover
 from sitl_mocks.soak_faults import Fault
 from sitl_mocks.takeover_cases import (
@@ -131,7 +132,8 @@ def test_a_schedule_that_is_none_is_refused(wrong):
 @pytest.fixture
 def stubborn(monkeypatch):
     """A companion that sees no pilot."""
-    monkeypatch.setattr(Control, "_pilot_took_over", lambda self, now_s: False)
+    monkeypatch.setattr(OurModes, "judge", lambda self, shown, now_s, held: None)
+    monkeypatch.setattr(Gate, "release", lambda self, data, now_s: data)
 
 
 def test_a_failure_is_made_as_short_as_it_gets(stubborn):
