@@ -1,7 +1,7 @@
 """What the gate costs in one step of the loop: three events heard, the input empty, one setpoint released.
 
-Beside a fence of eight edges, far from it and near to it; target: under 30 us. The last column is the share of
-the setpoint alone, which the gate lays open and judges.
+Beside a fence of eight edges, far from it and near to it; target: under 30 us. The last column is the share
+of the release, in which the gate lays a frame open and judges it.
 """
 
 from __future__ import annotations

@@ -586,9 +586,9 @@ class History:
             if not out.startswith(frame, at):
                 continue
             at += len(frame)
-            payload = frame[10 : 10 + frame[1]]
             if len(frame) < 12 or frame[0] != 0xFD:
                 continue
+            payload = frame[10 : 10 + frame[1]]
             if frame[7] == 84:
                 _, *numbers, _, _, _, _ = _SETPOINT.unpack(payload[:53].ljust(53, b"\0"))
                 north, east, down = numbers[3:6]
