@@ -10,7 +10,7 @@ import pytest
 from companion.events import Firmware
 from sitl_mocks.soak import TICK_S, Soak
 
-SECONDS = 240.0
+SECONDS = 420.0
 
 
 @pytest.mark.parametrize(("firmware", "use"), list(product(Firmware, ("guard", "fly"))))
