@@ -5,6 +5,7 @@ from bench import (
     bench_atmc,
     bench_avoidance,
     bench_channel,
+    bench_gate,
     bench_heart,
     bench_inspect,
     bench_links,
@@ -15,6 +16,7 @@ from bench import (
 for module in (
     bench_avoidance,
     bench_heart,
+    bench_gate,
     bench_aboard,
     bench_lockstep,
     bench_remote_id,

@@ -338,7 +338,11 @@ class History:
         """Whether a wall, the floor or the ceiling was crossed."""
         terms, walls = self.terms, self.config.fence and self.terms.walls
         # A step of the program, and what a velocity may change by after it was last told.
-        error = 0.15 + terms.speed * self.step_s + 0.5 * terms.acceleration * self.longest_s**2
+        a = terms.acceleration
+        error = 0.15 + terms.speed * self.step_s + 0.5 * a * self.longest_s**2
+        # Slowing down with nine tenths of the acceleration is less than a fast vehicle needs, and one that is
+        # slowed down only after a pause has used up its half second.
+        error += max(0.0, 0.1 * terms.speed - 0.4 * a) ** 2 / (0.18 * a) + 0.5 * self.oracle.late_mps
         rooms = [math.inf]
         if walls:
             rooms += [walls[1] - self.u, self.u - walls[0], walls[3] - self.v, self.v - walls[2]]
@@ -582,9 +586,9 @@ class History:
             if not out.startswith(frame, at):
                 continue
             at += len(frame)
-            payload = frame[10 : 10 + frame[1]]
-            if len(frame) < 12:
+            if len(frame) < 12 or frame[0] != 0xFD:
                 continue
+            payload = frame[10 : 10 + frame[1]]
             if frame[7] == 84:
                 _, *numbers, _, _, _, _ = _SETPOINT.unpack(payload[:53].ljust(53, b"\0"))
                 north, east, down = numbers[3:6]

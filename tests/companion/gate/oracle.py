@@ -68,9 +68,11 @@ class Oracle:
     requests: int = 0
     slowed: int = 0
     """Setpoints that were too fast for a wall, and slowed down."""
+    late_mps: float = 0.0
+    """The fastest of them that came after a pause, in which the vehicle flew on."""
 
     def __post_init__(self) -> None:
-        self.most = self.terms
+        self.most, self.now_s = self.terms, -math.inf
         self.heard = False
         self.system = 0
         self.armed = False
@@ -215,10 +217,10 @@ class Oracle:
         return number not in FREE and number not in (76, 84)
 
     def _frame(self, frame: bytes, whole: bool, now_s: float) -> None:
-        number = int.from_bytes(frame[7:10], "little")
-        payload = frame[10 : 10 + frame[1]]
         if not whole or frame[0] != 0xFD:
             return self._broken("whole", frame.hex())
+        number = int.from_bytes(frame[7:10], "little")
+        payload = frame[10 : 10 + frame[1]]
         if number in FREE or (number == 110 and payload[6:7] in (b"\x80", b"\x81")):
             return None
         if number == 84:
@@ -307,6 +309,7 @@ class Oracle:
 
     def _setpoint(self, fields: tuple[float, ...], now_s: float) -> None:
         self.setpoints += 1
+        self.now_s = now_s
         _, *numbers, mask, system, component, frame = fields
         north, east, down = numbers[3:6]
         self._commanded((int(system), int(component)), now_s)
@@ -402,4 +405,6 @@ class Oracle:
         if towards <= 0.002 or towards * 0.5 + towards * towards / (2.0 * a) <= room:
             return False
         self.slowed += 1
+        if self.last is not None and self.now_s - self.last[0] > 0.25:
+            self.late_mps = max(self.late_mps, towards)
         return towards > flown - 0.05 * a + 0.02

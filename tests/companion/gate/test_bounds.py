@@ -264,8 +264,8 @@ def braked(one, steps):
 
 
 def test_slowing_down_is_not_begun_anew_again_and_again():
-    """A velocity that is told ten times a second, a tenth of a metre per second less each time, is half of
-    the braking that it takes."""
+    """With a velocity told ten times a second, a tenth of a metre per second less each time is half of the
+    braking that it takes."""
     assert all(braked(taken([BOX]), [(5.0 - 0.11 * n, 4.89 - 0.11 * n) for n in range(30)]))
     half = [5.0 - 0.101 * (n // 2) for n in range(30)]
     left = braked(taken([BOX]), [(flown, flown - 0.101) for flown in half])

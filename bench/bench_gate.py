@@ -1,0 +1,110 @@
+"""What the gate costs in one step of the loop: three events heard, the input empty, one setpoint released.
+
+Beside a fence of eight edges, far from it and near to it; target: under 30 us. The last column is the share
+of the release, in which the gate lays a frame open and judges it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+
+from companion.autopilot.encoders import velocity_setpoint
+from companion.autopilot.wire import MavlinkWriter
+from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig
+from companion.events import (
+    Event,
+    FenceArea,
+    Firmware,
+    FlightMode,
+    GlobalPosition,
+    Heartbeat,
+    Landed,
+    LandedState,
+)
+from companion.gate.gate import Gate
+from companion.geometry import LocalFrame
+
+STEPS = 20_000
+FRAME = LocalFrame(47.397, 8.545, 450.0)
+SPEED_MPS = 3.0
+
+
+def octagon(radius_m: float) -> FenceArea:
+    """Eight edges around the start."""
+    turns = [math.pi / 4.0 * k for k in range(8)]
+    corners = [(radius_m * math.cos(turn), radius_m * math.sin(turn)) for turn in turns]
+    points = tuple(FRAME.to_geodetic(*corner, 0.0)[:2] for corner in corners)
+    return FenceArea(inclusion=True, points=points)
+
+
+def step_events(now_s: float, place: tuple[float, float]) -> list[Event]:
+    """Position, mode and landed state."""
+    return [
+        GlobalPosition(
+            time_boot_s=now_s,
+            lat_deg=place[0],
+            lon_deg=place[1],
+            alt_msl_m=500.0,
+            height_above_home_m=50.0,
+            velocity_ned_mps=(SPEED_MPS, 0.0, 0.0),
+        ),
+        Heartbeat(
+            system_id=1,
+            firmware=Firmware.ARDUPILOT,
+            vehicle_type=2,
+            custom_mode=4,
+            mode=FlightMode.EXTERNAL,
+            armed=True,
+        ),
+        LandedState(landed=Landed.IN_AIR),
+    ]
+
+
+def measure(radius_m: float) -> tuple[list[float], list[float]]:
+    """Seconds of each step, and of its release."""
+    gate = Gate(
+        Config(
+            identity=IdentityConfig(uas_id="BENCH"),
+            flight=FlightConfig(use="fly", take_in_flight=True),
+            limits=LimitsConfig(floor_height_m=10.0, ceiling_height_m=120.0),
+            fence=(octagon(radius_m),),
+        )
+    )
+    writer = MavlinkWriter(1, 191)
+    places = [FRAME.to_geodetic(0.02 * k, 0.0, 0.0)[:2] for k in range(100)]
+    steps, releases = [], []
+    for tick in range(STEPS):
+        now_s = 0.05 * tick
+        events = step_events(now_s, places[tick % 100])
+        frame = writer.pack_payload(*velocity_setpoint((SPEED_MPS, 0.0, 0.0), 0.0, 0, 1))
+        began = time.perf_counter()
+        for event in events:
+            gate.hear(event, now_s)
+        gate.emptied(now_s)
+        gate.decided(now_s)
+        released_s = time.perf_counter()
+        left = gate.release(frame, now_s)
+        ended = time.perf_counter()
+        if tick > 20:
+            if left != frame:
+                raise RuntimeError(f"refused: {gate.broken()}")
+            steps.append(ended - began)
+            releases.append(ended - released_s)
+    return steps, releases
+
+
+def main() -> None:
+    """Print the table."""
+    print(f"{'fence of eight edges':28}{'median us':>12}{'p99 us':>10}{'of 50 ms':>10}{'release':>10}")
+    for name, radius_m in (("2 km away", 2000.0), ("near: 12 m", 12.0)):
+        steps, releases = measure(radius_m)
+        median, p99 = np.percentile(steps, [50, 99]) * 1e6
+        share = float(np.median(releases)) * 1e6 / median
+        print(f"{name:28}{median:12.1f}{p99:10.1f}{median / 500:9.3f}%{share:10.0%}")
+
+
+if __name__ == "__main__":
+    main()
