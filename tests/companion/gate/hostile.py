@@ -84,6 +84,7 @@ class AnyGate(Protocol):
 
     def hear(self, event: Event, now_s: float) -> None: ...
     def emptied(self, now_s: float) -> None: ...
+    def answered(self, asked_s: float, now_s: float) -> None: ...
     def behind(self) -> None: ...
     def decided(self, now_s: float) -> None: ...
     def release(self, data: bytes, now_s: float) -> bytes: ...
@@ -138,6 +139,8 @@ class History:
         self.positions = rng.choice((0.2, 0.5, 1.0))
         self.heading = rng.uniform(-math.pi, math.pi)
         self.aim = rng.choice(("wall", "wall", "vertical", "wild", "feint"))
+        self.answers = rng.choice((0.0, 0.7, 0.9, 1.0, 1.0))
+        """Share of steps in which the vehicle answers a question."""
         self.last = (0.0, 0.0, 0.0)
         self.released_s = -math.inf
         self.crossed = False
@@ -535,6 +538,10 @@ class History:
             self._landed()
         if rng.random() < 0.97:
             self._emptied()
+        if self.answers and rng.random() < self.answers:
+            asked_s = self.now_s - (rng.uniform(0.0, 0.2) if rng.random() < 0.95 else rng.uniform(0.2, 2.0))
+            self.gate.answered(asked_s, self.now_s)
+            self.oracle.answered(asked_s, self.now_s)
         if rng.random() < 0.97:
             self.gate.decided(self.now_s)
             self.oracle.decided_s = self.now_s

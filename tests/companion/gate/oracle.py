@@ -84,6 +84,10 @@ class Oracle:
         self.turn, self.gap_ended, self.mode_turn = 0, 0, -1
         self.emptied_s = -math.inf
         self.decided_s = -math.inf
+        self.asked_at: float | None = None
+        """When the newest question was asked that was answered."""
+        self.answer_s = -math.inf
+        """When an answer came that nothing has left behind."""
         self.grounded_s: float | None = None
         self.down = self.terms.take_in_flight
         self.position: Told | None = None
@@ -115,12 +119,12 @@ class Oracle:
         self.turn += 1
         if self.heard:
             self._mode(custom, now_s)
-        elif now_s - self.emptied_s <= 0.25:
+        elif now_s - self.emptied_s <= 0.25 and not self.late(now_s, 0.52):
             self.mode_turn = self.turn
 
     def _mode(self, custom: int, now_s: float) -> None:
         self.turn += 1
-        if now_s - self.emptied_s <= 0.25:
+        if now_s - self.emptied_s <= 0.25 and not self.late(now_s, 0.52):
             self.mode_turn = self.turn
         before, self.custom, self.mode_s = self.custom, custom, now_s
         kind = self.kinds.get(custom, "other")
@@ -170,6 +174,9 @@ class Oracle:
                 return
         self.least_s = min(self.least_s, now_s - position.measured_s)
         self.position = position
+        if self.late(now_s, 0.52):
+            self.turn += 1
+            self.gap_ended = self.turn
 
     def parameters(self, speed: float, climb: float, descent: float, acceleration: float) -> None:
         self.terms = replace(
@@ -180,6 +187,16 @@ class Oracle:
             acceleration=min(self.most.acceleration, acceleration),
         )
         self.changes = []
+
+    def answered(self, asked_s: float, now_s: float) -> None:
+        if self.asked_at is None or asked_s > self.asked_at:
+            self.asked_at = asked_s
+            if now_s - asked_s <= 0.25:
+                self.answer_s = now_s
+
+    def late(self, now_s: float, seconds: float = 0.5) -> bool:
+        """What the vehicle tells now waited on the way for so long."""
+        return self.position is not None and now_s - self.position.measured_s > self.least_s + seconds
 
     def emptied(self, now_s: float) -> None:
         self.turn += 1
@@ -195,12 +212,16 @@ class Oracle:
 
     def judge(self, offered: list[bytes], whole: list[bool], out: bytes, now_s: float) -> None:
         """What was offered, frame by frame, which of it is whole, and what has left of it."""
-        at = 0
+        at, answer_s = 0, self.answer_s
         for frame, is_whole in zip(offered, whole, strict=True):
             left = out.startswith(frame, at)
             if left:
                 at += len(frame)
                 self._frame(frame, is_whole, now_s)
+                if is_whole and self._commands(frame):
+                    self.answer_s = -math.inf
+                    if self.asked_at is not None and now_s - answer_s > 0.1:
+                        self._broken("answer", f"{now_s - answer_s} s")
             if not is_whole or (not left and self._is_wrong(frame)):
                 self.shut_s = now_s + 3.0
             if not is_whole:
@@ -210,6 +231,12 @@ class Oracle:
 
     def _broken(self, rule: str, words: str) -> None:
         self.found.append((rule, words))
+
+    def _commands(self, frame: bytes) -> bool:
+        """A setpoint, a mode or a speed."""
+        number = int.from_bytes(frame[7:10], "little")
+        payload = frame[10 : 10 + frame[1]].ljust(33, b"\0")
+        return number == 84 or (number == 76 and _C.unpack(payload[:33])[7] in (176, 178))
 
     def _is_wrong(self, frame: bytes) -> bool:
         """Surely a fault of the program above, and not too early or too late."""

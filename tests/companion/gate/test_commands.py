@@ -313,7 +313,7 @@ def test_an_old_position_that_comes_late_is_old(taken):
         taken.beat()
     taken.gate.decided(taken.now_s)
     assert not taken.flies()
-    assert taken.refused() == [8]
+    assert taken.refused() == [5]
 
 
 def test_a_vehicle_that_has_restarted_counts_its_time_anew(taken):
@@ -422,7 +422,7 @@ def test_after_a_fault_nothing_but_a_request_to_hold_leaves_for_three_seconds():
     one = Flying(config("guard")).taken()
     assert not one.command(400, 1.0)
     (told,) = one.broken()
-    assert told.fault
+    assert told.ends == "fault"
     assert "gate rule 2 (kind): command 400" in told.text
     for _ in range(58):
         one.run()
@@ -449,7 +449,7 @@ def test_what_comes_too_late_is_no_fault(taken):
     taken.now_s += 0.3
     assert not taken.flies()
     (told,) = taken.broken()
-    assert not told.fault
+    assert told.ends == "nothing"
     taken.run(0.1)
     assert taken.flies()
 

@@ -49,6 +49,9 @@ class Weakened:
     def behind(self) -> None:
         self.gate.behind()
 
+    def answered(self, asked_s: float, now_s: float) -> None:
+        self.gate.answered(asked_s, now_s)
+
     def decided(self, now_s: float) -> None:
         self.gate.decided(now_s)
 
@@ -232,6 +235,11 @@ class KnowsNoFence(Weakened):
             self.gate.hear(event, now_s)
 
 
+class NeedsNoAnswer(Weakened):
+    def answered(self, asked_s: float, now_s: float) -> None:
+        pass
+
+
 LACKING: dict[str, Callable[[Config], Weakened]] = {
     "whole": PassesGarbage,
     "kind": PassesKinds,
@@ -246,4 +254,5 @@ LACKING: dict[str, Callable[[Config], Weakened]] = {
     "change": JumpsBetweenVelocities,
     "height": KnowsNoHeight,
     "fence": KnowsNoFence,
+    "answer": NeedsNoAnswer,
 }
