@@ -166,6 +166,7 @@ def wall_planes(
     acceleration: float,
     bound: float,
     back: bool,
+    gain: float,
     planes: Array,
     at: int,
 ) -> tuple[int, int]:
@@ -186,6 +187,7 @@ def wall_planes(
         acceleration: its limit, m/s^2.
         bound: greatest horizontal speed of what is to be chosen from, m/s.
         back: whether the ways back are asked for; without it only that nothing leads further out.
+        gain: most that they ask for beyond what the present command has of them, m/s.
         planes: shape (at least `plane_rows`, 4); written.
     """
     brakes = BRAKES * acceleration
@@ -218,13 +220,15 @@ def wall_planes(
                 at = _stopping(planes, at, dn, de, free, stop_s, brakes, speed)
         first = after
     if outside < math.inf:
-        slow = min((outside + margin) / BACK_LAG_S, FENCE_BACK * speed) if back else 0.0
-        planes[at, 3] = slow if _allowed(planes, start, at, bn, be, slow) else 0.0
+        slow = 0.0
+        if back:
+            slow = min((outside + margin) / BACK_LAG_S, FENCE_BACK * speed, cn * bn + ce * be + gain)
+        planes[at, 3] = slow if slow > 0.0 and _allowed(planes, start, at, bn, be, slow) else 0.0
         planes[at, 0], planes[at, 1], planes[at, 2] = bn, be, 0.0
         at += 1
     if back and least_room < margin:
-        slow = min((margin - least_room) / BACK_LAG_S, FENCE_BACK * speed)
-        if _allowed(planes, start, at, wn, we, slow):
+        slow = min((margin - least_room) / BACK_LAG_S, FENCE_BACK * speed, cn * wn + ce * we + gain)
+        if slow > 0.0 and _allowed(planes, start, at, wn, we, slow):
             planes[at, 0], planes[at, 1], planes[at, 2], planes[at, 3] = wn, we, 0.0, slow
             at += 1
     hard = at
@@ -399,12 +403,11 @@ def keep(
     low, high = max(level - BRAKES * change, 0.0), min(level + change, speed)
     most_speed = high
     for step in range(_SLOWER + 2):
-        bound = most_speed if step == 0 else math.sqrt(most_speed * most_speed + change * change)
+        bound = high if step == 0 else math.sqrt(most_speed * most_speed + change * change)
         count, _ = wall_planes(
-            fence, n, e, ahead_n, ahead_e, before[0], before[1], margin, speed, acceleration, bound, False,
+            fence, n, e, ahead_n, ahead_e, before[0], before[1], margin, speed, acceleration, bound, False, 0.0,
             scratch, DOWN_SPEEDS,
         )  # fmt: skip
-        walls = count
         if step > 0 and level > EPSILON:
             scratch[count, 0], scratch[count, 1] = -before[0] / level, -before[1] / level
             scratch[count, 2], scratch[count, 3] = 0.0, -most_speed
@@ -413,13 +416,21 @@ def keep(
         if found:
             x, y, z = tx, ty, tz
             if step == 0:
-                break
+                return x, y, z
             low = most_speed
         elif step == 1:
-            return _least_broken(
-                scratch, walls, wish, before, change, least, most, speed, planes[hard:]
-            )
+            break
         else:
             high = most_speed
         most_speed = low if step == 0 else 0.5 * (low + high)
-    return x, y, z
+    else:
+        return x, y, z
+    # It cannot stop straight on before all of them: each by itself, by turning off it.
+    count, _ = wall_planes(
+        fence, n, e, ahead_n, ahead_e, before[0], before[1], margin, speed, acceleration, 0.0, False, 0.0,
+        scratch, DOWN_SPEEDS,
+    )  # fmt: skip
+    found, x, y, z = in_reach(scratch, count, wish, before, change, top)
+    if found:
+        return x, y, z
+    return _least_broken(scratch, count, wish, before, change, least, most, speed, planes[hard:])

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.avoidance.compiled import compiled as _compiled
+from companion.avoidance.hard_planes import BRAKES, LAG_S, closing, keep, limit, wall_planes
 from companion.avoidance.hard_planes import DOWN_SPEEDS as DOWN_SPEEDS
 from companion.avoidance.hard_planes import FENCE_MARGIN_M as FENCE_MARGIN_M
 from companion.avoidance.hard_planes import IN_CIRCLE as IN_CIRCLE
 from companion.avoidance.hard_planes import IN_POLYGON as IN_POLYGON
-from companion.avoidance.hard_planes import LAG_S, closing, keep, limit, wall_planes
 from companion.avoidance.hard_planes import OUT_OF_CIRCLE as OUT_OF_CIRCLE
 from companion.avoidance.hard_planes import OUT_OF_POLYGON as OUT_OF_POLYGON
 from companion.avoidance.hard_planes import W_AREA as W_AREA
@@ -416,7 +416,8 @@ def _avoid(
         bound = min(math.sqrt(before[0] * before[0] + before[1] * before[1]) + change, settings[S_SPEED])
         hard, first = wall_planes(
             fence, own[O_POSITION], own[O_POSITION + 1], *_ahead(own), before[0], before[1], _margin(own),
-            settings[S_SPEED], settings[S_ACCELERATION], bound, True, planes, DOWN_SPEEDS,
+            settings[S_SPEED], settings[S_ACCELERATION], bound, True, BRAKES * change, planes,
+            DOWN_SPEEDS,
         )  # fmt: skip
     conflict = False
     standing = 0
