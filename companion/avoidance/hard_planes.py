@@ -35,8 +35,8 @@ DOWN_SPEEDS = 2
 """First planes of a decision, hard: the least and the greatest down speed."""
 WALL_PLANES = 4
 """Most planes of one wall: a circle from within has several."""
-OTHER_PLANES = 3
-"""The way back into an area, hard and soft, and a greatest speed."""
+OTHER_PLANES = 8
+"""The way back into an area and what bounds it, the one out of a margin, and a greatest speed."""
 BRAKES = 0.7
 """Share of the acceleration limit that stopping before walls counts on; the rest is for the vertical, and for
 what the vehicle does differently."""
@@ -51,6 +51,8 @@ FENCE_MARGIN_M = 2.0
 FENCE_BACK = 0.2
 """Speed back out of a fence's margin, and back into an area before others are avoided, in parts of the
 greatest."""
+RETURN_MARGINS = 3.0
+"""From outside it flies no faster back than it still stops within twice so many margins."""
 FENCE_RETURN = 0.5
 """Speed back into an area where nobody is in the way."""
 _STEPS = 24
@@ -124,21 +126,19 @@ def _stopping(
 
 @compiled
 def _from_within(
-    wall: Array,
-    n: float,
-    e: float,
+    yn: float,
+    ye: float,
+    radius: float,
     cn: float,
     ce: float,
-    margin: float,
     speed: float,
     stop_s: float,
     brakes: float,
     planes: Array,
     at: int,
 ) -> int:
-    """Planes of a circle to be stayed in: its tangents nearest to the place ahead (n, e), beside that, and where
-    it would stop from the present command (cn, ce). None of them cuts off anything of the circle."""
-    yn, ye, radius = n - wall[W_FROM], e - wall[W_FROM + 1], wall[W_TO] - margin
+    """Planes of a circle to be stayed in: its tangents nearest to the place ahead (yn, ye from its middle), to
+    both sides, and where it would stop from the present command (cn, ce). None cuts off any of the circle."""
     for turn in (0.0, _FAN_RAD, -_FAN_RAD, math.nan):
         if math.isnan(turn):
             on, oe = yn + stop_s * cn, ye + stop_s * ce
@@ -213,18 +213,28 @@ def wall_planes(
                 least_room, wn, we = room, dn, de
             if kind == IN_CIRCLE:
                 at = _from_within(
-                    fence[i], ahead_n, ahead_e, cn, ce, margin, speed, stop_s, brakes, planes, at
-                )
+                    ahead_n - fence[i, W_FROM], ahead_e - fence[i, W_FROM + 1], fence[i, W_TO] - margin,
+                    cn, ce, speed, stop_s, brakes, planes, at,
+                )  # fmt: skip
             else:
                 free = room + dn * (ahead_n - n) + de * (ahead_e - e) - margin
                 at = _stopping(planes, at, dn, de, free, stop_s, brakes, speed)
         first = after
     if outside < math.inf:
+        # It stops before long: in a circle that it stands on the border of, with its middle on the way back.
+        round_m = RETURN_MARGINS * margin
+        at = _from_within(
+            ahead_n - n - round_m * bn, ahead_e - e - round_m * be, round_m, cn, ce, speed, stop_s, brakes,
+            planes, at,
+        )  # fmt: skip
         slow = 0.0
         if back:
             slow = min((outside + margin) / BACK_LAG_S, FENCE_BACK * speed, cn * bn + ce * be + gain)
-        planes[at, 3] = slow if slow > 0.0 and _allowed(planes, start, at, bn, be, slow) else 0.0
-        planes[at, 0], planes[at, 1], planes[at, 2] = bn, be, 0.0
+        if slow <= 0.0 or not _allowed(planes, start, at, bn, be, slow):
+            slow = 0.0
+        for c in range(4):
+            planes[at, c] = planes[start, c]
+        planes[start, 0], planes[start, 1], planes[start, 2], planes[start, 3] = bn, be, 0.0, slow
         at += 1
     if back and least_room < margin:
         slow = min((margin - least_room) / BACK_LAG_S, FENCE_BACK * speed, cn * wn + ce * we + gain)
@@ -324,6 +334,16 @@ def _gap(before: Array, x: float, y: float, z: float) -> float:
 
 
 @compiled
+def _weigh(planes: Array, count: int, margin: float, brakes: float) -> None:
+    """Divide the planes of walls, each by the room (m) left before its wall: the nearest one counts most."""
+    for j in range(DOWN_SPEEDS, count):
+        towards = -planes[j, 3]
+        room = margin + towards * STOP_LAG_S + towards * towards / (2.0 * brakes)
+        for c in range(4):
+            planes[j, c] /= room
+
+
+@compiled
 def _least_broken(
     planes: Array,
     count: int,
@@ -333,13 +353,21 @@ def _least_broken(
     least: float,
     most: float,
     speed: float,
+    outside: bool,
     scratch: Array,
 ) -> tuple[float, float, float]:
-    """The command within the change that breaks the walls' planes least; the down speeds are kept."""
+    """The command within the change that breaks the walls' planes least; the down speeds are kept, and
+    outside of an area the first plane of a wall, where it can be: nothing leads further out."""
+    hard = DOWN_SPEEDS
+    if outside:
+        room = math.sqrt(planes[hard, 0] * planes[hard, 0] + planes[hard, 1] * planes[hard, 1])
+        for c in range(4):
+            planes[hard, c] /= room
+        hard += 1
     for j in range(count):  # around the present command
         planes[j, 3] -= planes[j, 0] * before[0] + planes[j, 1] * before[1] + planes[j, 2] * before[2]
-    _, x, y, z = ball(planes, DOWN_SPEEDS, change, 0.0, 0.0, 0.0, False)
-    x, y, z = least_violation(planes, DOWN_SPEEDS, count, change, x, y, z, DOWN_SPEEDS, scratch)
+    kept, x, y, z = ball(planes, hard, change, 0.0, 0.0, 0.0, False)
+    x, y, z = least_violation(planes, kept, count, change, x, y, z, kept, scratch)
     # Walls say nothing of the vertical: it gets what they leave.
     left = math.sqrt(max(change * change - x * x - y * y, 0.0))
     down = before[2] + min(max(wish[2] - before[2], -left), left)
@@ -426,11 +454,14 @@ def keep(
     else:
         return x, y, z
     # It cannot stop straight on before all of them: each by itself, by turning off it.
-    count, _ = wall_planes(
+    count, after = wall_planes(
         fence, n, e, ahead_n, ahead_e, before[0], before[1], margin, speed, acceleration, 0.0, False, 0.0,
         scratch, DOWN_SPEEDS,
     )  # fmt: skip
     found, x, y, z = in_reach(scratch, count, wish, before, change, top)
     if found:
         return x, y, z
-    return _least_broken(scratch, count, wish, before, change, least, most, speed, planes[hard:])
+    _weigh(scratch, count, margin, BRAKES * acceleration)
+    return _least_broken(
+        scratch, count, wish, before, change, least, most, speed, after > count, planes[hard:]
+    )
