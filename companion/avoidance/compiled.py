@@ -14,7 +14,8 @@ from numba import config, njit
 
 Function = TypeVar("Function")
 SOURCES = tuple(
-    Path(__file__).with_name(f"{name}.py") for name in ("compiled", "programs", "hard_planes", "kernels")
+    Path(__file__).with_name(f"{name}.py")
+    for name in ("compiled", "programs", "fence_planes", "hard_planes", "kernels")
 )
 """All files of kernels."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]

@@ -14,21 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.avoidance.compiled import compiled as _compiled
-from companion.avoidance.hard_planes import BRAKES, LAG_S, closing, keep, limit, wall_planes
-from companion.avoidance.hard_planes import DOWN_SPEEDS as DOWN_SPEEDS
-from companion.avoidance.hard_planes import FENCE_MARGIN_M as FENCE_MARGIN_M
-from companion.avoidance.hard_planes import IN_CIRCLE as IN_CIRCLE
-from companion.avoidance.hard_planes import IN_POLYGON as IN_POLYGON
-from companion.avoidance.hard_planes import OUT_OF_CIRCLE as OUT_OF_CIRCLE
-from companion.avoidance.hard_planes import OUT_OF_POLYGON as OUT_OF_POLYGON
-from companion.avoidance.hard_planes import W_AREA as W_AREA
-from companion.avoidance.hard_planes import W_FROM as W_FROM
-from companion.avoidance.hard_planes import W_KIND as W_KIND
-from companion.avoidance.hard_planes import W_TO as W_TO
-from companion.avoidance.hard_planes import WALL_COLUMNS as WALL_COLUMNS
-from companion.avoidance.hard_planes import inside as inside
-from companion.avoidance.hard_planes import nearest_of_wall as nearest_of_wall
-from companion.avoidance.hard_planes import plane_rows as plane_rows
+from companion.avoidance.fence_planes import BRAKES, LAG_S, closing, wall_planes
+from companion.avoidance.fence_planes import DOWN_SPEEDS as DOWN_SPEEDS
+from companion.avoidance.fence_planes import FENCE_MARGIN_M as FENCE_MARGIN_M
+from companion.avoidance.fence_planes import IN_CIRCLE as IN_CIRCLE
+from companion.avoidance.fence_planes import IN_POLYGON as IN_POLYGON
+from companion.avoidance.fence_planes import OUT_OF_CIRCLE as OUT_OF_CIRCLE
+from companion.avoidance.fence_planes import OUT_OF_POLYGON as OUT_OF_POLYGON
+from companion.avoidance.fence_planes import W_AREA as W_AREA
+from companion.avoidance.fence_planes import W_FROM as W_FROM
+from companion.avoidance.fence_planes import W_KIND as W_KIND
+from companion.avoidance.fence_planes import W_TO as W_TO
+from companion.avoidance.fence_planes import WALL_COLUMNS as WALL_COLUMNS
+from companion.avoidance.fence_planes import inside as inside
+from companion.avoidance.fence_planes import nearest_of_wall as nearest_of_wall
+from companion.avoidance.fence_planes import plane_rows as plane_rows
+from companion.avoidance.hard_planes import keep, limit
 from companion.avoidance.programs import EPSILON
 from companion.avoidance.programs import half_space as half_space
 from companion.avoidance.programs import solve as solve
@@ -276,7 +277,9 @@ def _down_speeds(own: Array, settings: Array) -> tuple[float, float]:
     down, acceleration = own[O_POSITION + 2], settings[S_ACCELERATION]
     least, most = -settings[S_CLIMB], settings[S_DESCENT]
     most = min(max(closing(own[O_FLOOR] - down, acceleration, BOUNDARY_LAG_S), least), most)
-    least = min(max(-closing(down - own[O_CEILING], acceleration, BOUNDARY_LAG_S), least), settings[S_DESCENT])
+    least = min(
+        max(-closing(down - own[O_CEILING], acceleration, BOUNDARY_LAG_S), least), settings[S_DESCENT]
+    )
     # In a thin layer the way back from one may be faster than the other allows.
     return min(least, most), most
 
