@@ -1,57 +1,43 @@
-"""The numeric law: half-spaces, linear programs and one decision, compiled by numba in double precision.
+"""The numeric law: one decision, compiled by numba in double precision.
 
-One neighbour's half-space is ORCA's (paper section II, the equations of VO, u and the ORCA set; van den Berg
-et al., "Reciprocal n-body collision avoidance", in three dimensions). With p = p_other - p_self,
-v = v_self - v_other and R the combined radius, the velocity obstacle is a cone around p cut off by a sphere
-of radius R / tau at p / tau. The cone's outward normal is n = cos(theta) e - sin(theta) p / |p|, where
-sin(theta) = R / |p| and e is the unit vector of v across p; so u . n = sin(theta) v.p / |p| -
-cos(theta) |p x v| / |p|. This is the textbook form with sqrt(b^2 - a c) = |p x v| R / sqrt(|p|^2 - R^2) put
-in: nothing cancels near a head-on encounter.
-
-Planes are rows (n, d) that ask for n . v >= d. The programs look for a velocity in a ball: program 1 on a
-line, 2 on a plane, 3 in the ball, 4 the least of the largest violations when there is none; hard planes come
-first and program 4 keeps them whole. Programs 3 and 4 take up the most violated plane next, not the next in
-the row: a few planes then settle all the others, however many there are.
-
-`decide` is all of a law, from the own state, the path and what was heard to the command. Every function works
-on arrays that the caller owns, so that a compiled loop over many aircraft calls it as the aircraft does; it
-runs uncompiled too. All of them stand in this one file because numba's
-cache looks only at the file of the function that is called: a change elsewhere would go unnoticed.
+`decide` is all of a law, from the own state, the path and what was heard to the command: it builds the planes
+of neighbours and fences, lets `programs` look for the velocity and `hard_planes` for the command. Every
+function works on arrays that the caller owns, so that a compiled loop over many aircraft calls it as the
+aircraft does; it runs uncompiled too.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from companion.avoidance.compiled import compiled as _compiled
+from companion.avoidance.fence_planes import BRAKES, LAG_S, closing, wall_planes
+from companion.avoidance.fence_planes import DOWN_SPEEDS as DOWN_SPEEDS
+from companion.avoidance.fence_planes import FENCE_MARGIN_M as FENCE_MARGIN_M
+from companion.avoidance.fence_planes import IN_CIRCLE as IN_CIRCLE
+from companion.avoidance.fence_planes import IN_POLYGON as IN_POLYGON
+from companion.avoidance.fence_planes import OUT_OF_CIRCLE as OUT_OF_CIRCLE
+from companion.avoidance.fence_planes import OUT_OF_POLYGON as OUT_OF_POLYGON
+from companion.avoidance.fence_planes import W_AREA as W_AREA
+from companion.avoidance.fence_planes import W_FROM as W_FROM
+from companion.avoidance.fence_planes import W_KIND as W_KIND
+from companion.avoidance.fence_planes import W_TO as W_TO
+from companion.avoidance.fence_planes import WALL_COLUMNS as WALL_COLUMNS
+from companion.avoidance.fence_planes import inside as inside
+from companion.avoidance.fence_planes import nearest_of_wall as nearest_of_wall
+from companion.avoidance.fence_planes import plane_rows as plane_rows
+from companion.avoidance.hard_planes import keep, limit
+from companion.avoidance.programs import EPSILON
+from companion.avoidance.programs import half_space as half_space
+from companion.avoidance.programs import solve as solve
+
 Array = NDArray[np.float64]
-Function = TypeVar("Function")
-# Without numba's runtime what allocates does not compile, and references to arrays are not counted.
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
 
-
-def _compiled(function: Function) -> Function:
-    try:
-        return cast(Function, njit(**_OPTIONS)(function))
-    except RuntimeError:
-        # No folder takes the cache (NUMBA_CACHE_DIR names one): compiled anew at every start.
-        return cast(Function, njit(**{**_OPTIONS, "cache": False})(function))
-
-
-EPSILON = 1e-9
-"""Violations and gaps (m/s) up to this are rounding."""
-PARALLEL = 1e-14
-"""Square of the sine under which two planes count as parallel."""
 SLACK_MPS = 0.02
 """Of a decision that cannot keep every plane."""
-ALIGNED = 2e-7
-"""Gap, in parts of the greatest speed, that the tilt of parallel planes explains."""
-HEAD_ON = 1e-6
-"""Angle (rad) between p and v under which the way out is a convention: to the right."""
 
 # Columns of a row of `neighbours`.
 N_POSITION, N_VELOCITY, N_AGE = 0, 3, 6  # at the message's own time; s
@@ -104,11 +90,6 @@ L_COMMAND, L_TIME, L_QUIET, L_DELAY, L_HISTORY, STATE_ENTRIES = 0, 3, 4, 5, 6, 7
 # plane, and that of where it would stand (0 where there is none).
 V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE = 0, 3, 4, 5, 6
 V_PLANE, V_STANDING, VIEW_COLUMNS = 7, 11, 15
-# Columns of a row of `fence`, an edge or a circle: number of its area, rising from row to row; what the area
-# is; corners north, east, or a circle's middle and radius, m; share of the acceleration with which it stops
-# before the wall, the rest is left to turn.
-W_AREA, W_KIND, W_FROM, W_TO, W_BRAKES, WALL_COLUMNS = 0, 1, 2, 4, 6, 7
-IN_POLYGON, OUT_OF_POLYGON, IN_CIRCLE, OUT_OF_CIRCLE = 0.0, 1.0, 2.0, 3.0
 # What is remembered of a track by `note_track`: a message's time, position, velocity; growth; silence.
 T_TIME, T_POSITION, T_VELOCITY, T_GROWTH, T_GAP, TRACK_ENTRIES = 0, 1, 4, 7, 8, 9
 # Entries of `out`: the command, what would be flown alone; 0 or 1: every plane kept, a volume would be
@@ -118,18 +99,12 @@ T_TIME, T_POSITION, T_VELOCITY, T_GROWTH, T_GAP, TRACK_ENTRIES = 0, 1, 4, 7, 8, 
 R_CHOSEN, R_WANTED, R_FEASIBLE, R_CONFLICT, R_RECOVERING = 0, 3, 6, 7, 8
 R_NEIGHBOURS, R_HARD, R_SOLVED, R_LATE, OUT_ENTRIES = 9, 10, 11, 14, 15
 
-DOWN_SPEEDS = 2
-"""First planes of a decision, hard: the least and the greatest down speed."""
 BOUNDARY_LAG_S = 1.0
 """From a decision to the vehicle's answer, at floor and ceiling: autopilot lag, period and latency."""
 RESTART_S = 1.0
 """After a pause longer than this (and five periods) the command starts again from the velocity flown."""
 DEMAND = 2.0
 """Most that one neighbour's plane asks for, in parts of the greatest speed."""
-FENCE_MARGIN_M = 2.0
-"""Kept from a fence besides two standard deviations of the own position."""
-FENCE_BACK = 0.2
-"""Speed back out of a fence's margin, in parts of the greatest."""
 NEWS_S = 0.9
 """A track's past is judged by messages at least this far apart."""
 GROWTH_MEMORY_S = 40.0
@@ -145,324 +120,6 @@ STOPS_S = 1.0
 HISTORY_SPACING_S = 0.04
 HISTORY_SAMPLES = 1024
 """Half of them stay when they are full: at this spacing 20 s, more than the oldest message's age."""
-
-
-@_compiled
-def half_space(
-    px: float,
-    py: float,
-    pz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    radius: float,
-    tau: float,
-    overlap: float,
-) -> tuple[float, float, float, float]:
-    """Outward normal n and signed length s of u = s n for one neighbour (s > 0: v is inside the obstacle).
-
-    Args:
-        px, py, pz: p_other - p_self, m.
-        vx, vy, vz: v_self - v_other, m/s.
-        radius: combined radius R, m, above 0.
-        tau: horizon, s.
-        overlap: time in which to separate when |p| <= R already, s.
-
-    Returns:
-        n (unit) and s (m/s). The neighbour that sees (-p, -v) gets exactly -n, and the same s.
-    """
-    p2 = px * px + py * py + pz * pz
-    r2 = radius * radius
-    if p2 <= r2:
-        return _sphere(px, py, pz, vx, vy, vz, radius, 1.0 / overlap)
-    rate = 1.0 / tau
-    wx, wy, wz = vx - px * rate, vy - py * rate, vz - pz * rate
-    wp = wx * px + wy * py + wz * pz
-    if wp < 0.0 and wp * wp > r2 * (wx * wx + wy * wy + wz * wz):
-        return _sphere(px, py, pz, vx, vy, vz, radius, rate)
-    cx, cy, cz = py * vz - pz * vy, pz * vx - px * vz, px * vy - py * vx
-    cross2 = cx * cx + cy * cy + cz * cz
-    tangent2 = p2 - r2  # cos(theta)^2 |p|^2
-    if cross2 > HEAD_ON * HEAD_ON * p2 * (vx * vx + vy * vy + vz * vz):
-        k = math.sqrt(tangent2 / cross2)
-        s = k * cross2
-        ex, ey, ez = k * (cy * pz - cz * py), k * (cz * px - cx * pz), k * (cx * py - cy * px)
-    else:
-        k = math.sqrt(tangent2 * p2)
-        s = math.sqrt(tangent2 * cross2)
-        ex, ey, ez = _right_of(px, py, pz)
-        ex, ey, ez = k * ex, k * ey, k * ez
-    # Both terms of n and of u . n over |p|^2: one division for all.
-    k = 1.0 / p2
-    s = radius * (px * vx + py * vy + pz * vz) - s
-    return k * (ex - radius * px), k * (ey - radius * py), k * (ez - radius * pz), k * s
-
-
-@_compiled
-def _sphere(
-    px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, rate: float
-) -> tuple[float, float, float, float]:
-    """The sphere of radius R / window at p / window, rate = 1 / window: n = w / |w|, s = R / window - |w|."""
-    wx, wy, wz = vx - px * rate, vy - py * rate, vz - pz * rate
-    length = math.sqrt(wx * wx + wy * wy + wz * wz)
-    if length > 1e-9:
-        k = 1.0 / length
-        return k * wx, k * wy, k * wz, radius * rate - length
-    # In the very centre every way out is as long: straight away from the other.
-    length = math.sqrt(px * px + py * py + pz * pz)
-    if length > 1e-9:
-        return -px / length, -py / length, -pz / length, radius * rate
-    # Same place and same velocity: nothing in the data tells the two apart.
-    return 1.0, 0.0, 0.0, radius * rate
-
-
-@_compiled
-def _right_of(px: float, py: float, pz: float) -> tuple[float, float, float]:
-    """Unit vector across p, to the right seen from above (NED: north turns to east).
-
-    Odd in p, so that the two aircraft part. Straight above or below there is no right: the upper one goes
-    north, the lower one south.
-    """
-    level = math.sqrt(px * px + py * py)
-    if level > 1e-9 * abs(pz):
-        return -py / level, px / level, 0.0
-    if pz > 0.0:
-        return 1.0, 0.0, 0.0
-    return -1.0, 0.0, 0.0
-
-
-@_compiled
-def _line(
-    planes: Array,
-    count: int,
-    qx: float,
-    qy: float,
-    qz: float,
-    lx: float,
-    ly: float,
-    lz: float,
-    radius: float,
-    ox: float,
-    oy: float,
-    oz: float,
-    towards: bool,
-) -> tuple[bool, float, float, float]:
-    """Program 1: on the line q + t l (q nearest to 0, l unit), in the ball and the first `count` planes."""
-    room = radius * radius - (qx * qx + qy * qy + qz * qz)
-    if room < -EPSILON:
-        return False, 0.0, 0.0, 0.0
-    most = math.sqrt(max(room, 0.0))
-    least = -most
-    for j in range(count):
-        slope = planes[j, 0] * lx + planes[j, 1] * ly + planes[j, 2] * lz
-        need = planes[j, 3] - (planes[j, 0] * qx + planes[j, 1] * qy + planes[j, 2] * qz)
-        if slope * slope <= PARALLEL:
-            if need > ALIGNED * radius:
-                return False, 0.0, 0.0, 0.0
-            continue
-        t = need / slope
-        if slope > 0.0:
-            least = max(least, t)
-        else:
-            most = min(most, t)
-        if least > most + EPSILON:
-            return False, 0.0, 0.0, 0.0
-    wish = ox * lx + oy * ly + oz * lz
-    if towards:
-        t = most if wish > 0.0 else least
-    else:
-        t = min(max(wish, least), most)
-    return True, qx + t * lx, qy + t * ly, qz + t * lz
-
-
-@_compiled
-def _plane(
-    planes: Array, i: int, radius: float, ox: float, oy: float, oz: float, towards: bool
-) -> tuple[bool, float, float, float]:
-    """Program 2: on plane i, inside the ball and the planes before it."""
-    nx, ny, nz, d = planes[i, 0], planes[i, 1], planes[i, 2], planes[i, 3]
-    if abs(d) > radius:
-        return False, 0.0, 0.0, 0.0
-    # The point in the plane nearest to the wish (or the wish's direction along the plane).
-    away = ox * nx + oy * ny + oz * nz
-    gx, gy, gz = ox - away * nx, oy - away * ny, oz - away * nz
-    length2 = gx * gx + gy * gy + gz * gz
-    disc2 = max(radius * radius - d * d, 0.0)
-    if towards:
-        k = math.sqrt(disc2 / length2) if length2 > 1e-18 else 0.0
-    else:
-        k = math.sqrt(disc2 / length2) if length2 > disc2 else 1.0
-    x, y, z = d * nx + k * gx, d * ny + k * gy, d * nz + k * gz
-    for j in range(i):
-        mx, my, mz, f = planes[j, 0], planes[j, 1], planes[j, 2], planes[j, 3]
-        if mx * x + my * y + mz * z >= f - EPSILON:
-            continue
-        lx, ly, lz = ny * mz - nz * my, nz * mx - nx * mz, nx * my - ny * mx
-        sine2 = lx * lx + ly * ly + lz * lz
-        if sine2 <= PARALLEL:
-            if f - (mx * x + my * y + mz * z) <= ALIGNED * radius:
-                continue
-            return False, 0.0, 0.0, 0.0
-        # From plane i's own point along the plane: exact on plane i however small the angle.
-        k = (f - d * (nx * mx + ny * my + nz * mz)) / sine2
-        gx, gy, gz = ly * nz - lz * ny, lz * nx - lx * nz, lx * ny - ly * nx
-        qx, qy, qz = d * nx + k * gx, d * ny + k * gy, d * nz + k * gz
-        k = 1.0 / math.sqrt(sine2)
-        ok, x, y, z = _line(planes, j, qx, qy, qz, lx * k, ly * k, lz * k, radius, ox, oy, oz, towards)
-        if not ok:
-            return False, 0.0, 0.0, 0.0
-    return True, x, y, z
-
-
-@_compiled
-def _ball(
-    planes: Array, count: int, radius: float, ox: float, oy: float, oz: float, towards: bool
-) -> tuple[int, float, float, float]:
-    """Program 3: how many planes are kept (`count`: all); the velocity nearest to or farthest towards o."""
-    length2 = ox * ox + oy * oy + oz * oz
-    k = 1.0
-    if towards or length2 > radius * radius:
-        k = radius / math.sqrt(length2)
-    x, y, z = ox * k, oy * k, oz * k
-    for i in range(count):
-        if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z < planes[i, 3] - EPSILON:
-            ok, tx, ty, tz = _plane(planes, i, radius, ox, oy, oz, towards)
-            if not ok:
-                return i, x, y, z
-            x, y, z = tx, ty, tz
-    return count, x, y, z
-
-
-@_compiled
-def _worst_to(planes: Array, i: int, count: int, x: float, y: float, z: float, allowed: float) -> bool:
-    """Bring the most violated plane of row i and after to row i; False: none by more than allowed (m/s)."""
-    worst = -1
-    for j in range(i, count):
-        violation = planes[j, 3] - (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z)
-        if violation > allowed:
-            worst, allowed = j, violation
-    if worst < 0:
-        return False
-    for c in range(4):
-        planes[i, c], planes[worst, c] = planes[worst, c], planes[i, c]
-    return True
-
-
-@_compiled
-def _least_violation(
-    planes: Array,
-    hard: int,
-    count: int,
-    radius: float,
-    x: float,
-    y: float,
-    z: float,
-    first: int,
-    scratch: Array,
-) -> tuple[float, float, float]:
-    """Program 4: from plane `first` on, lower the largest violation; the `hard` first planes stay whole."""
-    for j in range(hard):
-        for c in range(4):
-            scratch[j, c] = planes[j, c]
-    largest = 0.0
-    i = max(first, hard)
-    while i < count and _worst_to(planes, i, count, x, y, z, largest + EPSILON):
-        nx, ny, nz, d = planes[i, 0], planes[i, 1], planes[i, 2], planes[i, 3]
-        # Where plane i is violated at least as much as plane j: (n_j - n_i) . v >= d_j - d_i.
-        kept = hard
-        for j in range(hard, i):
-            bx, by, bz = planes[j, 0] - nx, planes[j, 1] - ny, planes[j, 2] - nz
-            length2 = bx * bx + by * by + bz * bz
-            if length2 > 1e-14:
-                k = 1.0 / math.sqrt(length2)
-                scratch[kept, 0], scratch[kept, 1], scratch[kept, 2] = bx * k, by * k, bz * k
-                scratch[kept, 3] = (planes[j, 3] - d) * k
-                kept += 1
-        done, tx, ty, tz = _ball(scratch, kept, radius, nx, ny, nz, True)
-        if done == kept:
-            x, y, z = tx, ty, tz
-        largest = d - (nx * x + ny * y + nz * z)
-        i += 1
-    return x, y, z
-
-
-@_compiled
-def _nearest_of_least(
-    planes: Array,
-    hard: int,
-    count: int,
-    radius: float,
-    slack: float,
-    ox: float,
-    oy: float,
-    oz: float,
-    x: float,
-    y: float,
-    z: float,
-    scratch: Array,
-) -> tuple[float, float, float]:
-    """Of the velocities that violate no plane by more than (x, y, z) does and `slack`, the nearest to o."""
-    largest = slack
-    for j in range(hard, count):
-        violation = planes[j, 3] - (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z)
-        largest = max(largest, violation + slack)
-    for j in range(count):
-        for c in range(4):
-            scratch[j, c] = planes[j, c]
-        if j >= hard:
-            scratch[j, 3] -= largest
-    kept, tx, ty, tz = _ball(scratch, hard, radius, ox, oy, oz, False)
-    i = hard
-    ok = kept == hard
-    while ok and i < count and _worst_to(scratch, i, count, tx, ty, tz, EPSILON):
-        ok, nx, ny, nz = _plane(scratch, i, radius, ox, oy, oz, False)
-        if ok:
-            tx, ty, tz = nx, ny, nz
-            i += 1
-    if ok:
-        return tx, ty, tz
-    return x, y, z
-
-
-@_compiled
-def solve(
-    planes: Array, hard: int, count: int, radius: float, slack: float, wish: Array, scratch: Array, out: Array
-) -> bool:
-    """Velocity nearest to `wish` in the ball and every plane; if there is none, of least largest violation.
-
-    Many velocities may have the least largest violation, or nearly so (nothing in a level encounter says how
-    to climb); then it is the one nearest to `wish`, which keeps the answer from jumping.
-
-    Args:
-        planes: shape (at least count, 4), rows (n, d): n unit, n . v >= d in m/s. The `hard` first ones are
-            kept whole; if they are not possible together, as many of the first as are. Those after them
-            change places.
-        radius: greatest speed, m/s.
-        slack: how much more than the least largest violation may be taken to come nearer to `wish`, m/s.
-        wish: shape (3,), m/s.
-        scratch: shape (at least count, 4); written.
-        out: shape (at least 3,); the velocity is written into its first three entries.
-
-    Returns:
-        True when every plane is kept.
-    """
-    ox, oy, oz = wish[0], wish[1], wish[2]
-    kept, x, y, z = _ball(planes, hard, radius, ox, oy, oz, False)
-    feasible = kept == hard
-    # The most violated plane is added next: a few of them settle the others.
-    i = hard
-    while feasible and i < count and _worst_to(planes, i, count, x, y, z, EPSILON):
-        feasible, tx, ty, tz = _plane(planes, i, radius, ox, oy, oz, False)
-        if feasible:
-            x, y, z = tx, ty, tz
-            i += 1
-    if not feasible:
-        if kept < hard:  # the rest of them are soft then
-            hard = i = kept
-        x, y, z = _least_violation(planes, hard, count, radius, x, y, z, max(i, hard), scratch)
-        x, y, z = _nearest_of_least(planes, hard, count, radius, slack, ox, oy, oz, x, y, z, scratch)
-    out[0], out[1], out[2] = x, y, z
-    return feasible
 
 
 @_compiled
@@ -615,109 +272,16 @@ def _clipped(n: float, e: float, d: float, speed: float) -> tuple[float, float, 
 
 
 @_compiled
-def _closing(room: float, acceleration: float) -> float:
-    """Speed at which it still stops at a boundary: v lag + v^2 / (2 a) = room; beyond it, the way back."""
-    if room <= 0.0:
-        return room / BOUNDARY_LAG_S
-    lag = acceleration * BOUNDARY_LAG_S
-    return math.sqrt(lag * lag + 2.0 * acceleration * room) - lag
-
-
-@_compiled
 def _down_speeds(own: Array, settings: Array) -> tuple[float, float]:
     """Least and greatest down speed: climb, descent, and what still stops before floor and ceiling."""
     down, acceleration = own[O_POSITION + 2], settings[S_ACCELERATION]
     least, most = -settings[S_CLIMB], settings[S_DESCENT]
-    most = min(max(_closing(own[O_FLOOR] - down, acceleration), least), most)
-    least = min(max(-_closing(down - own[O_CEILING], acceleration), least), settings[S_DESCENT])
+    most = min(max(closing(own[O_FLOOR] - down, acceleration, BOUNDARY_LAG_S), least), most)
+    least = min(
+        max(-closing(down - own[O_CEILING], acceleration, BOUNDARY_LAG_S), least), settings[S_DESCENT]
+    )
     # In a thin layer the way back from one may be faster than the other allows.
     return min(least, most), most
-
-
-@_compiled
-def nearest_of_wall(wall: Array, n: float, e: float) -> tuple[float, float, float]:
-    """Distance (m) to the nearest point of an edge or a circle, and the unit vector from there to (n, e)."""
-    if wall[W_KIND] >= IN_CIRCLE:
-        dn, de = n - wall[W_FROM], e - wall[W_FROM + 1]
-        length = math.sqrt(dn * dn + de * de)
-        if length < 1e-9:
-            dn, de, length = 1.0, 0.0, 1.0
-        room = math.sqrt((n - wall[W_FROM]) ** 2 + (e - wall[W_FROM + 1]) ** 2) - wall[W_TO]
-        k = 1.0 / length if room >= 0.0 else -1.0 / length
-        return abs(room), k * dn, k * de
-    an, ae = wall[W_FROM], wall[W_FROM + 1]
-    sn, se = wall[W_TO] - an, wall[W_TO + 1] - ae
-    share = min(max(((n - an) * sn + (e - ae) * se) / (sn * sn + se * se), 0.0), 1.0)
-    dn, de = n - an - share * sn, e - ae - share * se
-    length = math.sqrt(dn * dn + de * de)
-    if length < 1e-9:  # on the edge itself: nothing tells the sides apart
-        return 0.0, 0.0, 0.0
-    return length, dn / length, de / length
-
-
-@_compiled
-def inside(fence: Array, first: int, after: int, n: float, e: float) -> bool:
-    """Whether a point is inside the polygon or circle of the rows from `first` to before `after`."""
-    if fence[first, W_KIND] >= IN_CIRCLE:
-        dn, de = n - fence[first, W_FROM], e - fence[first, W_FROM + 1]
-        return bool(dn * dn + de * de < fence[first, W_TO] ** 2)
-    inside = False
-    for i in range(first, after):
-        an, ae = fence[i, W_FROM], fence[i, W_FROM + 1]
-        bn, be = fence[i, W_TO], fence[i, W_TO + 1]
-        if (ae > e) != (be > e) and n < an + (e - ae) / (be - ae) * (bn - an):
-            inside = not inside
-    return inside
-
-
-@_compiled
-def _fence(fence: Array, own: Array, settings: Array, planes: Array, at: int) -> tuple[int, int]:
-    """Planes of the fence, from row `at` on: hard ones, then a soft one; the rows after each.
-
-    On the right side of an area, each wall within reach asks for a speed towards it at which the aircraft
-    still stops before the margin, by the same law as floor and ceiling; standing still is allowed. Within the
-    margin of the nearest of them there is a way back, where that breaks no other. On the wrong side of areas,
-    the nearest of their walls is to be crossed back: one soft plane.
-    """
-    n, e, speed = own[O_POSITION], own[O_POSITION + 1], settings[S_SPEED]
-    margin = FENCE_MARGIN_M + 2.0 * own[O_SIGMA]
-    back, bn, be = math.inf, 0.0, 0.0
-    nearest, least_room = -1, margin
-    start = at
-    first = 0
-    while first < len(fence):
-        after = first + 1
-        while after < len(fence) and fence[after, W_AREA] == fence[first, W_AREA]:
-            after += 1
-        right = inside(fence, first, after, n, e) == (fence[first, W_KIND] in (IN_POLYGON, IN_CIRCLE))
-        for i in range(first, after):
-            room, dn, de = nearest_of_wall(fence[i], n, e)
-            if dn * dn + de * de == 0.0:  # on the border itself: nothing tells the sides apart
-                continue
-            if right:
-                closing = _closing(max(room - margin, 0.0), fence[i, W_BRAKES] * settings[S_ACCELERATION])
-                if closing >= speed:  # too far away to bind
-                    continue
-                planes[at, 0], planes[at, 1], planes[at, 2], planes[at, 3] = dn, de, 0.0, -closing
-                if room < least_room:
-                    nearest, least_room = at, room
-                at += 1
-            elif room < back:
-                back, bn, be = room, dn, de
-        first = after
-    hard = at
-    if nearest >= 0:
-        dn, de = planes[nearest, 0], planes[nearest, 1]
-        outward = min((margin - least_room) / BOUNDARY_LAG_S, FENCE_BACK * speed)
-        for j in range(start, hard):
-            if j != nearest and outward * (planes[j, 0] * dn + planes[j, 1] * de) < planes[j, 3]:
-                outward = 0.0
-        planes[nearest, 3] = outward
-    if back < math.inf:
-        planes[at, 0], planes[at, 1], planes[at, 2] = -bn, -be, 0.0
-        planes[at, 3] = min((back + margin) / BOUNDARY_LAG_S, 0.5 * speed)
-        at += 1
-    return hard, at
 
 
 @_compiled
@@ -809,6 +373,18 @@ def _half_space_row(
 
 
 @_compiled
+def _ahead(own: Array) -> tuple[float, float]:
+    """Where it will be, north and east, when it answers a command."""
+    return own[O_POSITION] + LAG_S * own[O_VELOCITY], own[O_POSITION + 1] + LAG_S * own[O_VELOCITY + 1]
+
+
+@_compiled
+def _margin(own: Array) -> float:
+    """What is kept from a fence, m."""
+    return float(FENCE_MARGIN_M + 2.0 * own[O_SIGMA])
+
+
+@_compiled
 def _avoid(
     neighbours: Array,
     count: int,
@@ -819,6 +395,8 @@ def _avoid(
     least: float,
     most: float,
     fence: Array,
+    before: Array,
+    change: float,
     settings: Array,
     history_times: Array,
     history_velocities: Array,
@@ -836,7 +414,14 @@ def _avoid(
     """
     planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = 0.0, 0.0, 1.0, least
     planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3] = 0.0, 0.0, -1.0, -most
-    hard, first = _fence(fence, own, settings, planes, DOWN_SPEEDS)
+    hard = first = DOWN_SPEEDS
+    if len(fence) > 0:
+        bound = min(math.sqrt(before[0] * before[0] + before[1] * before[1]) + change, settings[S_SPEED])
+        hard, first = wall_planes(
+            fence, own[O_POSITION], own[O_POSITION + 1], *_ahead(own), before[0], before[1], _margin(own),
+            settings[S_SPEED], settings[S_ACCELERATION], bound, True, BRAKES * change, planes,
+            DOWN_SPEEDS,
+        )  # fmt: skip
     conflict = False
     standing = 0
     demand = DEMAND * settings[S_SPEED] if settings[S_LAW] != PAPER else math.inf
@@ -909,60 +494,6 @@ def _avoid(
 
 
 @_compiled
-def limit(
-    wanted: Array, previous: Array, most_change: float, least_down: float, most_down: float, speed: float
-) -> tuple[float, float, float]:
-    """The command nearest to `wanted` on the way from `previous`: change, down speed and speed limited.
-
-    The bounds on the down speed may move faster than the change allows (a jump in altitude at the ceiling);
-    then they win, and the change is what it has to be.
-    """
-    dn, de, dd = wanted[0] - previous[0], wanted[1] - previous[1], wanted[2] - previous[2]
-    most_change *= 1.0 - 1e-9  # rounding stays under the limit
-    change = math.sqrt(dn * dn + de * de + dd * dd)
-    k = most_change / change if change > most_change else 1.0
-    d = previous[2] + k * dd
-    down = min(max(d, least_down), most_down)
-    if down != d:  # what the vertical needs is taken from the horizontal
-        left = math.sqrt(max(most_change * most_change - (down - previous[2]) ** 2, 0.0))
-        level = math.sqrt(dn * dn + de * de)
-        k = left / level if level > left else 1.0
-    n, e = previous[0] + k * dn, previous[1] + k * de
-    most = speed * (1.0 - 1e-12)
-    down = min(max(down, -most), most)
-    level, room = math.sqrt(n * n + e * e), math.sqrt(max(most * most - down * down, 0.0))
-    if level > room:
-        n, e = n * room / level, e * room / level
-    return n, e, down
-
-
-@_compiled
-def _off_the_fence(planes: Array, hard: int, command: Array, change: float) -> float:
-    """Turn the last command away from the fence plane that it breaks most, as far as the change allows.
-
-    On the straight way from one command to the next a fence would get no more than its part of the change.
-
-    Args:
-        command: the last one; written.
-        change: most that it may change, m/s.
-
-    Returns:
-        What is left of the change.
-    """
-    worst, short = DOWN_SPEEDS, 0.0
-    for row in range(DOWN_SPEEDS, hard):
-        missing = planes[row, 3] - (planes[row, 0] * command[0] + planes[row, 1] * command[1])
-        if missing > short:
-            worst, short = row, missing
-    if short == 0.0:
-        return change
-    short = min(short, change)
-    command[0] += short * planes[worst, 0]
-    command[1] += short * planes[worst, 1]
-    return change - short
-
-
-@_compiled
 def decide(
     neighbours: Array,
     count: int,
@@ -990,7 +521,7 @@ def decide(
         state: STATE_ENTRIES values; written.
         history_times, history_velocities: shapes (H,) and (H, 3); own velocities (NED) at rising times;
             written. A plane takes the own velocity at the time of the neighbour's sample.
-        planes, scratch: shape (at least DOWN_SPEEDS + F + 2 count, 4); written.
+        planes, scratch: shape (at least plane_rows(F, count), 4); written.
         view: shape (at least count, VIEW_COLUMNS); written.
         out: OUT_ENTRIES values; written.
     """
@@ -1005,9 +536,16 @@ def decide(
         wn, we, wd, slower = _preferred(own, path_times, path_points, settings, state[L_DELAY], least, most)
         if now - state[L_TIME] <= RESTART_S:
             state[L_DELAY] += slower * max(now - state[L_TIME], 0.0)
+    period = settings[S_PERIOD]
+    passed = now - state[L_TIME]
+    if not passed <= max(RESTART_S, 5.0 * period):  # the first time NaN
+        passed = period
+        down = min(max(vd, -settings[S_CLIMB]), settings[S_DESCENT])
+        state[0], state[1], state[2] = _clipped(vn, ve, down, speed)
+    change = settings[S_ACCELERATION] * max(passed, 0.0)
     note_velocity(state, history_times, history_velocities, now, vn, ve, vd)
     feasible, conflict = _avoid(
-        neighbours, count, own, wn, we, wd, least, most, fence, settings,
+        neighbours, count, own, wn, we, wd, least, most, fence, state, change, settings,
         history_times, history_velocities, int(state[L_HISTORY]), planes, scratch, view, out,
     )  # fmt: skip
     if law == PAPER:
@@ -1023,16 +561,13 @@ def decide(
         if law == NONE:
             feasible = True
             out[0], out[1], out[2] = wn, we, wd
-    period = settings[S_PERIOD]
-    passed = now - state[L_TIME]
-    if not passed <= max(RESTART_S, 5.0 * period):  # the first time NaN
-        passed = period
-        down = min(max(vd, -settings[S_CLIMB]), settings[S_DESCENT])
-        state[0], state[1], state[2] = _clipped(vn, ve, down, speed)
-    change = settings[S_ACCELERATION] * max(passed, 0.0)
-    if law != NONE:
-        change = _off_the_fence(planes, int(out[R_HARD]), state, change)
-    n, e, d = limit(out, state, change, least, most, speed)
+    if len(fence) > 0 and law != NONE:
+        n, e, d = keep(
+            fence, own[O_POSITION], own[O_POSITION + 1], *_ahead(own), _margin(own), speed,
+            settings[S_ACCELERATION], out, state, change, least, most, planes, int(out[R_HARD]), scratch,
+        )  # fmt: skip
+    else:
+        n, e, d = limit(out, state, change, least, most, speed)
     state[0], state[1], state[2], state[L_TIME] = n, e, d, now
     out[0], out[1], out[2] = n, e, d
     out[R_WANTED], out[R_WANTED + 1], out[R_WANTED + 2] = wn, we, wd
@@ -1060,7 +595,7 @@ def warm_up() -> None:
     neighbours[0, :2] = neighbours[1, :2] = 3.0
     times, velocities = np.zeros(4), np.zeros((4, 3))
     path = np.arange(2.0), np.zeros((2, 3))
-    planes, scratch = np.zeros((DOWN_SPEEDS + 4, 4)), np.zeros((DOWN_SPEEDS + 4, 4))
+    planes, scratch = np.zeros((plane_rows(0, 2), 4)), np.zeros((plane_rows(0, 2), 4))
     fence = np.zeros((0, WALL_COLUMNS))
     view, state, settings = np.zeros((2, VIEW_COLUMNS)), np.zeros(STATE_ENTRIES), np.ones(SETTINGS_ENTRIES)
     begin(state, settings)

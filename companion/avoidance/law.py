@@ -241,8 +241,8 @@ class Law:
     def _room(self, count: int) -> None:
         self._neighbours = np.zeros((count, k.NEIGHBOUR_COLUMNS))
         self._view = np.zeros((count, k.VIEW_COLUMNS))
-        planes = k.DOWN_SPEEDS + len(self._fence) + 2 * count
-        self._planes, self._scratch = np.zeros((planes, 4)), np.zeros((planes, 4))
+        rows = k.plane_rows(len(self._fence), count)
+        self._planes, self._scratch = np.zeros((rows, 4)), np.zeros((rows, 4))
 
     def _take(self, neighbours: Sequence[Neighbour]) -> list[Neighbour]:
         """Fill the table with the usable neighbours, ordered by name in whatever order they came."""

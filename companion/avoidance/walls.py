@@ -8,7 +8,6 @@ right for both.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,10 +19,6 @@ from companion.events import FenceArea
 from companion.geometry import LocalFrame
 
 Point = tuple[float, float]
-
-_BRAKES = 0.5
-"""Share of the acceleration with which it stops before a wall; the rest is left to turn."""
-_CORNER_BRAKES, _LEAST_BRAKES = 0.7, 0.05
 
 
 def walls_of(
@@ -58,29 +53,11 @@ def _walls(number: int, area: FenceArea, frame: LocalFrame) -> list[tuple[float,
     corners = [frame.to_ned(lat, lon, frame.alt_m)[:2] for lat, lon in area.points]
     if area.radius_m is not None:
         kind = k.IN_CIRCLE if area.inclusion else k.OUT_OF_CIRCLE
-        return [(number, kind, *corners[0], area.radius_m, 0.0, _BRAKES)]
+        return [(number, kind, *corners[0], area.radius_m, 0.0)]
     kind = k.IN_POLYGON if area.inclusion else k.OUT_OF_POLYGON
     corners = [c for c, after in zip(corners, (*corners[1:], corners[0]), strict=True) if c != after]
-    brakes = _brakes(np.array(corners), area.inclusion)
-    edges = zip(corners, (*corners[1:], corners[0]), brakes, (*brakes[1:], brakes[0]), strict=True)
-    return [(number, kind, *a, *b, min(one, other)) for a, b, one, other in edges]
-
-
-def _brakes(corners: k.Array, inclusion: bool) -> list[float]:
-    """At each corner, shape (K, 2), the share of the acceleration to brake with before either wall of it.
-
-    Into a corner of half angle h that is open to the aircraft, braking with b before each wall is braking
-    with b / sin h before the corner.
-    """
-    before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
-    turn = np.arctan2(
-        before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], np.einsum("ij,ij->i", before, after)
-    )
-    inner = math.pi - turn * math.copysign(1.0, turn.sum())  # the corners' angles inside the polygon
-    half = 0.5 * (inner if inclusion else 2.0 * math.pi - inner)
-    brakes = np.where(half < 0.5 * math.pi, _CORNER_BRAKES * np.sin(half), _BRAKES)
-    shares: list[float] = np.clip(brakes, _LEAST_BRAKES, _BRAKES).tolist()
-    return shares
+    edges = zip(corners, (*corners[1:], corners[0]), strict=True)
+    return [(number, kind, *a, *b) for a, b in edges]
 
 
 def _trouble(area: FenceArea, walls: k.Array, points: k.Array, margin: float) -> str | None:

@@ -12,13 +12,16 @@ from typing import Any
 
 from numba.core.caching import NullCache
 
-from companion.avoidance import kernels
+from companion.avoidance import fence_planes, hard_planes, kernels, programs
+
+_MODULES = (programs, fence_planes, hard_planes, kernels)
 
 
 def warm_up() -> float:
     """Compile the kernels, or load them from the cache; seconds taken."""
     began = time.perf_counter()
-    past_the_cache(kernels.warm_up, vars(kernels).values())
+    pieces = (value for module in _MODULES for value in vars(module).values())
+    past_the_cache(kernels.warm_up, list(pieces))
     return time.perf_counter() - began
 
 

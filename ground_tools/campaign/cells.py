@@ -65,7 +65,6 @@ WORLDS = {
 _TRACKS = (about, eviction, fix, geometry, judge, plausibility, reception, track, tracks, twin_flight)
 CREWED_MPS = 50.0
 FENCE_ASIDE_M = 20.0
-FENCE_BRAKES = 0.5
 _FAR_M = 1e4
 _RESERVE = 0.6
 """Planned speed over the greatest, where each aircraft has limits of its own."""
@@ -290,7 +289,7 @@ def _fence_beside(points: Table) -> Table:
         for sign, offset in ((1.0, edge), (-1.0, edge), (-1.0, -_FAR_M), (1.0, -_FAR_M))
     ]
     around = zip(corners, (*corners[1:], corners[0]), strict=True)
-    return np.array([(0.0, kernels.IN_POLYGON, *a, *b, FENCE_BRAKES) for a, b in around])
+    return np.array([(0.0, kernels.IN_POLYGON, *a, *b) for a, b in around])
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import math
 import os
@@ -19,7 +20,7 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import run_folder, tables
+from ground_tools.campaign import fences, run_folder, tables
 from ground_tools.campaign.cells import Cell, Row
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.vehicles import INTRUDERS, TWINS
@@ -35,6 +36,7 @@ _MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
 """Aircraft that a worker flies before it hands over what came of them."""
 _INTRUDERS = (*INTRUDERS, *TWINS)
+_FENCES_AT_ONCE = 20
 _TWINS_LONGER = 50
 """Times as long as others a flight with twins takes."""
 
@@ -88,6 +90,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_common(command, "1-1000")
     command.add_argument("--file", type=Path, metavar="FILE", help="for the table's numbers, as JSON")
     command.set_defaults(run=run_table)
+    command = commands.add_parser(
+        "fences",
+        help="attacks on fences: random areas and neighbours that press out of them",
+        description="Fly single aircraft in random fences, with neighbours honest, turning and made up.",
+        epilog="example: ground-tools campaign fences --seeds 1-2000 --noisy",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.add_argument("--seeds", default="1-2000", metavar="FROM-TO", help="default: 1-2000")
+    command.add_argument("--noisy", action="store_true", help="with the error of GNSS")
+    command.add_argument("--outside", action="store_true", help="they begin beyond a border")
+    command.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
+    command.set_defaults(run=run_fences)
 
 
 def _add_common(command: argparse.ArgumentParser, seeds: str) -> None:
@@ -156,6 +170,29 @@ def run_table(args: argparse.Namespace) -> int:
         tables.write(args.file, tables.Kept(software=state, seeds=ends, lines=tuple(lines)))
     print(tables.markdown(lines), end="")
     return 0
+
+
+def run_fences(args: argparse.Namespace) -> int:
+    """`ground-tools campaign fences`. Prints one JSON object; returns 0.
+
+    Raises:
+        ConfigError: an option is wrong.
+    """
+    seeds, processes = _seeds(args.seeds), _processes(args.processes)
+    fly = functools.partial(_fly_fences, noisy=args.noisy, outside=args.outside)
+    parts = [seeds[at : at + _FENCES_AT_ONCE] for at in range(0, len(seeds), _FENCES_AT_ONCE)]
+    rows: list[fences.Row] = []
+    with progress("flights", len(parts)) as advance:
+        for _, found in in_parallel(fly, parts, processes, Console(stderr=True)):
+            rows += found
+            advance()
+    rows.sort(key=attrgetter("seed"))
+    print(json.dumps(fences.summary_outside(rows) if args.outside else fences.summary(rows), indent=1))
+    return 0
+
+
+def _fly_fences(seeds: Sequence[int], *, noisy: bool, outside: bool) -> list[fences.Row]:
+    return [fences.fly(seed, noisy=noisy, outside=outside) for seed in seeds]
 
 
 def fly_missing(

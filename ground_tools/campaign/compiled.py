@@ -9,12 +9,14 @@ from typing import Any, TypeVar, cast
 
 from numba import config, njit
 
-from companion.avoidance import kernels, law
+from companion.avoidance import compiled as avoidance
+from companion.avoidance import law
 from companion.traffic import adsb, right_of_way
 
 Function = TypeVar("Function")
 SOURCES = (
-    *(Path(str(module.__file__)) for module in (kernels, law, adsb, right_of_way)),
+    *avoidance.SOURCES,
+    *(Path(str(module.__file__)) for module in (law, adsb, right_of_way)),
     *(Path(__file__).with_name(f"{name}.py") for name in ("world", "vehicles", "outcome")),
 )
 """What is compiled into functions of other files."""

@@ -98,7 +98,7 @@ def count_decision(tally: Tally, now: float, i: int, feasible: float, conflict: 
 
 
 @_compiled
-def _beyond(fence: Array, n: float, e: float) -> float:
+def beyond(fence: Array, n: float, e: float) -> float:
     """How far (m) a point is on the wrong side of the area that it is most wrong about; 0: of none."""
     worst, first = 0.0, 0
     while first < len(fence):
@@ -170,7 +170,7 @@ def measure(
         result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
         if recovery[i] == math.inf and gap <= settings[i, k.S_REGAINED]:
             recovery[i] = now - conflict_at[i]
-        result[F_FENCE] = max(result[F_FENCE], _beyond(fence, position[i, 0], position[i, 1]))
+        result[F_FENCE] = max(result[F_FENCE], beyond(fence, position[i, 0], position[i, 1]))
     _measure_crewed(settings, kinds, position, result)
     _measure_pairs(now, position, before, tally.least2, result)
 

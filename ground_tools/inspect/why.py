@@ -206,7 +206,7 @@ class Explainer:
         history = state[k.L_HISTORY]
         k.begin(state, settings)
         state[k.L_HISTORY] = history
-        planes = np.zeros((k.DOWN_SPEEDS + len(fence) + 2 * len(tracks) + 1, 4))
+        planes = np.zeros((k.plane_rows(len(fence), len(tracks)), 4))
         view, out = np.zeros((len(neighbours), k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
         k.decide(
             neighbours,

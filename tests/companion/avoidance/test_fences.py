@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from companion.avoidance import kernels as k
+from companion.avoidance.fence_planes import BRAKES, LAG_S, STOP_LAG_S
 from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
@@ -90,7 +91,7 @@ def test_no_fence_is_crossed(name: str, limits: LimitsConfig, pressed: bool) -> 
     one = Law(AvoidanceConfig(), limits, path, fence)
     flight = fly(one, 45.0, hears=pursued(speed, heading) if pressed else lambda now, p, v: ())
     kept = room(fence, flight.position).min()
-    assert 0.0 < kept < 2.5
+    assert 0.0 < kept < 2.0 * k.FENCE_MARGIN_M
     assert any("fence" in result.limits for result in flight.results)
     assert not any("outside the fence" in result.limits for result in flight.results)
 
@@ -190,7 +191,10 @@ def test_gliding_along_the_inside_of_a_circle_does_not_cross_it(
     fence = circle(k.IN_CIRCLE, (0.0, 0.0), radius)
     one = Law(AvoidanceConfig(), limits, Trajectory(times, points), fence)
     flight = fly(one, 200.0, position=(radius - 30.0, 0.0, -50.0))
-    assert 0.0 < room(fence, flight.position).min() < 2.5
+    # Along its tangent it still stops within the margin, and it flies no farther inside than that takes.
+    stop = speed * (LAG_S + STOP_LAG_S + speed / (2.0 * BRAKES * limits.max_acceleration_mps2))
+    inner = radius - k.FENCE_MARGIN_M
+    assert 0.0 < room(fence, flight.position).min() < radius - math.sqrt(inner * inner - stop * stop) + 0.5
 
 
 def met_by(*start: float) -> tuple[Hears, Any]:

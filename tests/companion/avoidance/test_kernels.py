@@ -373,7 +373,7 @@ def test_a_compiled_loop_over_aircraft_calls_the_same_kernel() -> None:
     others[:, :, :6] = rng.normal(0, [40, 40, 15, 3, 3, 1], (fleet, crowd, 6))
     states = np.zeros((fleet, k.STATE_ENTRIES))
     times, velocities = np.zeros((fleet, 9)), np.zeros((fleet, 9, 3))
-    work, view = np.zeros((2, k.DOWN_SPEEDS + 2 * crowd, 4)), np.zeros((crowd, k.VIEW_COLUMNS))
+    work, view = np.zeros((2, k.plane_rows(0, crowd), 4)), np.zeros((crowd, k.VIEW_COLUMNS))
     together, alone = np.zeros((fleet, k.OUT_ENTRIES)), np.zeros(k.OUT_ENTRIES)
     for state in states:
         k.begin(state, law)

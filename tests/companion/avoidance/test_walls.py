@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from typing import Any
 
@@ -18,8 +17,6 @@ from companion.geometry import LocalFrame
 
 FRAME = LocalFrame(47.0, 8.0, 400.0)
 SQUARE = ((-100.0, -100.0), (-100.0, 100.0), (100.0, 100.0), (100.0, -100.0))
-CORNER = 0.7 * math.sqrt(0.5)
-"""Share of the acceleration before an edge between right angles."""
 L_SHAPE = ((0.0, 0.0), (100.0, 0.0), (100.0, 40.0), (40.0, 40.0), (40.0, 100.0), (0.0, 100.0))
 
 
@@ -43,11 +40,11 @@ def test_walls_of_polygons_and_circles() -> None:
     areas = [area(True, *SQUARE), area(False, (30.0, 40.0), radius_m=7.0)]
     walls = walls_of(areas, FRAME, path((0, 0), (50, 0)), 0.0)
     expected = [
-        (0, k.IN_POLYGON, -100, -100, -100, 100, CORNER),
-        (0, k.IN_POLYGON, -100, 100, 100, 100, CORNER),
-        (0, k.IN_POLYGON, 100, 100, 100, -100, CORNER),
-        (0, k.IN_POLYGON, 100, -100, -100, -100, CORNER),
-        (1, k.OUT_OF_CIRCLE, 30, 40, 7, 0, 0.5),
+        (0, k.IN_POLYGON, -100, -100, -100, 100),
+        (0, k.IN_POLYGON, -100, 100, 100, 100),
+        (0, k.IN_POLYGON, 100, 100, 100, -100),
+        (0, k.IN_POLYGON, 100, -100, -100, -100),
+        (1, k.OUT_OF_CIRCLE, 30, 40, 7, 0),
     ]
     np.testing.assert_allclose(walls, expected, atol=1e-2)
 
@@ -136,29 +133,6 @@ def test_the_margin_grows_with_the_own_error(sigma_m: float) -> None:
         walls_of([kept], FRAME, path((0, 0), (border - margin - 0.05, 0)), sigma_m)
         with pytest.raises(ConfigError, match=f"; at least {margin:.1f} m are kept "):
             walls_of([kept], FRAME, path((0, 0), (border - margin + 0.05, 0)), sigma_m)
-
-
-@pytest.mark.parametrize("turned", [1, -1])
-def test_brakes_are_those_of_the_narrower_corner(turned: int) -> None:
-    """Two right corners, two of 45 degrees and a dent of 270 between them, whichever way round they come.
-
-    Before a corner of half angle h it brakes with 0.7 sin h of the acceleration, and so with 0.7 in all.
-    """
-    corners = ((0, 0), (100, 0), (100, 100), (50, 50), (0, 100))[::turned]
-    within = {(0, 0): 45.0, (100, 0): 45.0, (100, 100): 22.5, (50, 50): 90.0, (0, 100): 22.5}
-    outside = {**dict.fromkeys(within, 90.0), (50, 50): 45.0}
-    for inclusion, half_deg, start in ((True, within, (20, 20)), (False, outside, (50, 90))):
-        walls = walls_of([area(inclusion, *corners)], FRAME, path(start, (start[0] + 1, start[1])), 0.0)
-        for row in walls:
-            ends = [tuple(np.round(row[c : c + 2]).astype(int)) for c in (k.W_FROM, k.W_TO)]
-            narrower = min(half_deg[end] for end in ends)
-            brakes = min(0.5, 0.7 * math.sin(math.radians(narrower)))
-            assert row[k.W_BRAKES] == pytest.approx(brakes, abs=1e-4)
-
-
-def test_a_corner_sharper_than_a_needle_still_lets_it_brake() -> None:
-    needle = area(True, (0.0, 0.0), (5000.0, 20.0), (5000.0, -20.0))
-    assert walls_of([needle], FRAME, path((4000, 0), (4001, 0)), 0.0)[:, k.W_BRAKES].min() == 0.05
 
 
 def test_heights_do_not_matter() -> None:

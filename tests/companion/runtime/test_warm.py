@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from companion.avoidance import kernels
+from companion.avoidance import compiled
 from companion.runtime.warm import warm_up
 
 
@@ -24,8 +24,8 @@ def test_a_user_without_any_folder_compiles_anew(monkeypatch):
             raise RuntimeError("cannot cache function 'f': no locator available for file 'f.py'")
         return lambda function: ("compiled", function)
 
-    monkeypatch.setattr(kernels, "njit", without_a_folder)
-    assert kernels._compiled(len) == ("compiled", len)
+    monkeypatch.setattr(compiled, "njit", without_a_folder)
+    assert compiled.compiled(len) == ("compiled", len)
 
 
 DAMAGED = """
