@@ -143,6 +143,9 @@ def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
             f"{result.aircraft}: {result.steps} steps, {result.commands} commands, "
             f"{result.differences} steps differ ({how})"
         )
+        if result.refused:
+            rules = ", ".join(f"{name} {count}" for name, count in sorted(result.refused.items()))
+            print(f"the gate would not let leave now, by its rules: {rules}")
     if result.first is not None:
         print(result.first, file=sys.stderr)
     return 1 if result.differences else 0

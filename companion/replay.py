@@ -16,11 +16,24 @@ import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.counts import LinkCounts
-from companion.autopilot.wire import message_id_of
+from companion.autopilot.dialect import CMD_DO_SET_MODE, CUSTOM_MODE_ENABLED, DIALECTS
+from companion.autopilot.encoders import Outgoing, command_long, velocity_setpoint
+from companion.autopilot.wire import MavlinkWriter, message_id_of
 from companion.config import Config, IdentityConfig
 from companion.core import Companion
 from companion.errors import PeerDataError
-from companion.events import Broadcast, Command, GlobalPosition, GnssFix, RadioState
+from companion.events import (
+    Broadcast,
+    Command,
+    GlobalPosition,
+    GnssFix,
+    Heartbeat,
+    InputBehind,
+    RadioState,
+    SetMode,
+    VelocitySetpoint,
+)
+from companion.gate.gate import STALL_S, Gate
 from companion.onboard import Onboard
 from companion.record import Header, Record, Step
 from companion.remote_id import codec
@@ -47,6 +60,8 @@ class RecordReplay:
     """Steps whose commands differ, but within the tolerance."""
     first: str | None = None
     """The first difference, in words."""
+    refused: dict[str, int] = field(default_factory=dict)
+    """Commands that the gate would not let leave now, by its rules' names."""
 
 
 def replay_record(records: Iterable[Record], name: str, tolerance: float) -> RecordReplay:
@@ -63,13 +78,16 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
     """
     result = RecordReplay()
     heart: Companion | None = None
+    gate: _GateAgain | None = None
     for item in records:
         if isinstance(item, Header):
             heart, result.aircraft = Companion(item.config, item.policy), item.aircraft
+            gate = _GateAgain(item.config, result.refused)
             continue
-        if heart is None:
+        if heart is None or gate is None:
             raise PeerDataError(f"{name}: the first record is not a header")
         commands = tuple(heart.step(item.now_s, item.events))
+        gate.judge(item, commands)
         result.steps += 1
         result.commands += len(commands)
         if commands == item.commands:
@@ -81,6 +99,52 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
         if result.first is None:
             result.first = f"{name}: step {result.steps} at {item.now_s:.3f} s: {_differing(item, commands)}"
     return result
+
+
+class _GateAgain:
+    """The gate, with what a record holds of its input: events, not bytes, and no answers of the vehicle. The
+    link repeats a request for a mode; only the first one is judged.
+    """
+
+    def __init__(self, config: Config, refused: dict[str, int]) -> None:
+        self._gate = Gate(config)
+        self._writer = MavlinkWriter(1, config.vehicle.component_id)
+        self._refused = refused
+        self._vehicle: Heartbeat | None = None
+        self._last_s = -math.inf
+
+    def judge(self, step: Step, commands: Iterable[Command]) -> None:
+        """One step, and what the heart commands in it."""
+        gate, now_s = self._gate, step.now_s
+        behind = any(isinstance(event, InputBehind) for event in step.events)
+        if not behind and now_s - self._last_s <= STALL_S:
+            gate.emptied(now_s)
+        for event in step.events:
+            gate.hear(event, now_s)
+            self._vehicle = event if isinstance(event, Heartbeat) else self._vehicle
+        if behind:
+            gate.behind()
+        else:
+            gate.emptied(now_s)
+        self._last_s = now_s
+        gate.decided(now_s)
+        for command in commands:
+            outgoing = self._outgoing(command)
+            if outgoing is not None:
+                gate.release(self._writer.pack_payload(*outgoing), now_s)
+        self._refused.update(gate.counts)
+
+    def _outgoing(self, command: Command) -> Outgoing | None:
+        vehicle = self._vehicle
+        if vehicle is None:
+            return None
+        if isinstance(command, VelocitySetpoint):
+            return velocity_setpoint(command.velocity_ned_mps, None, 0, vehicle.system_id)
+        if isinstance(command, SetMode):
+            asked = DIALECTS[vehicle.firmware].command(command.mode)
+            params = (float(CUSTOM_MODE_ENABLED), asked.param2, asked.param3)
+            return command_long(CMD_DO_SET_MODE, params, vehicle.system_id)
+        return None
 
 
 def _differing(step: Step, now: tuple[Command, ...]) -> str:

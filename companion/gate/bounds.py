@@ -43,6 +43,7 @@ class Bounds:
     def __init__(self, config: Config) -> None:
         limits = config.limits
         self._stale_s = config.vehicle.stale_after_s + _LATE_S
+        self._late_s = max(_LATE_S, 0.5 * config.vehicle.stale_after_s)
         self._limits = limits
         self._speed, self._climb, self._descent = (
             limits.max_speed_mps,
@@ -102,7 +103,7 @@ class Bounds:
 
     def late(self, now_s: float) -> bool:
         """By the vehicle's own clock, what is heard from it now may be old: it waited on the way."""
-        return self._position is not None and self._age_s(self._position, now_s) > _LATE_S
+        return self._position is not None and self._age_s(self._position, now_s) > self._late_s
 
     @property
     def flies_fast(self) -> bool:

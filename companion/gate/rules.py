@@ -43,8 +43,8 @@ class Rule(enum.Enum):
         "current",
         "The input was read until it was empty within the last 0.25 s. After a longer pause, at the start "
         "and after a backlog, here or on the way, a message that shows the vehicle's mode must have been "
-        "read since. By the vehicle's own clock, what is read then is no older than 0.5 s. The last message "
-        "that shows the mode is no older than 3 s.",
+        "read since. By the vehicle's own clock, what is read then is no older than 0.5 s, or half of "
+        "vehicle.stale_after_s. The last message that shows the mode is no older than 3 s.",
         ends="nothing",
     )
     AUTHORITY = _Text(

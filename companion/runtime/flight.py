@@ -63,6 +63,8 @@ _STATUS_S = 5.0
 _READ_S = 0.5
 """The autopilot's input is read for so long at once. What the kernel keeps of a stall takes less; a flood
 that never ends is no reason to stand still."""
+_LOOK_S = 0.1
+"""The input is looked at this often, also where nothing comes: a longer pause in it is a stall."""
 _LET_GO_S = 2.0
 _COLLECT_S = 1.0
 """Reference cycles are looked for this often, right after a tick."""
@@ -234,7 +236,7 @@ class Flight:
     def _wait(self, deadline_s: float) -> None:
         """Take in the autopilot's bytes until the deadline."""
         while (left := deadline_s - clock.now_s()) > 0:
-            self.link.wait(left)
+            self.link.wait(min(left, _LOOK_S))
             if self._take_in():
                 # An answer to TIMESYNC that waited for the next tick would tell a wrong time; and a setpoint
                 # waits for one.

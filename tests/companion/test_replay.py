@@ -13,6 +13,7 @@ from pymavlink import mavutil
 
 from companion import cli, record, replay
 from companion.autopilot.tlog import read_tlog
+from companion.core import Companion
 from companion.errors import PeerDataError
 from companion.events import VelocitySetpoint
 from companion.remote_id.messages import Location
@@ -54,6 +55,27 @@ def test_a_run_replays_bit_for_bit(run_folder):
         assert result.steps > 400
         assert result.commands > 400
         assert result.differences == result.inexact == 0
+
+
+def test_the_gate_judges_a_replay_too(run_folder, monkeypatch, capsys):
+    """Of an honest record it refuses nothing; of one by a law that is too fast it says so."""
+
+    def refused():
+        with file.open("rb") as stream:
+            return replay.replay_record(record.read(stream, file.name), file.name, 0.0).refused
+
+    file = min(run_folder.glob("*.events"))
+    assert refused() == {}
+    step = Companion.step
+
+    def too_fast(self, now_s, events):
+        fast = VelocitySetpoint(velocity_ned_mps=(50.0, 0.0, 0.0))
+        return [fast if isinstance(c, VelocitySetpoint) else c for c in step(self, now_s, events)]
+
+    monkeypatch.setattr(Companion, "step", too_fast)
+    assert refused()["speed"] > 100
+    assert cli.main(["replay", str(file)]) == 1
+    assert "the gate would not let leave now, by its rules: " in capsys.readouterr().out
 
 
 def test_replay_of_a_folder_by_command(run_folder, capsys):
