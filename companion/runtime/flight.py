@@ -413,6 +413,8 @@ class Flight:
             "link_losses": trouble.losses,
             "link_errors": trouble.errors,
             "link_sends_dropped": trouble.dropped,
+            "link_discarded": trouble.discarded,
+            "gate_refused": dict(self.onboard.gate.counts),
             "signing": None if signing is None else dataclasses.asdict(signing.counts),
             "lines_dropped": self._voice.dropped,
             "records_dropped": self._run.dropped,
