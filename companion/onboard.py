@@ -171,7 +171,7 @@ class Onboard:
         return [c for c in commands if isinstance(c, Broadcast)]
 
     def _step_events(self, now_s: float, read_s: float | None) -> list[Event]:
-        """All that happened since the last step; what gate and shell have to say of it comes first."""
+        """All that happened since the last step; what gate and shell have to say of it comes last."""
         read_s = now_s if read_s is None else read_s
         if now_s - read_s > STALL_S:
             self._fall_behind(now_s)
@@ -189,7 +189,7 @@ class Onboard:
             told.append(refused)
             if refused.ends != "nothing" and self.commanding:
                 self.link.send(Say(severity=Severity.WARNING, text=f"DMUCA: {refused.text}"), now_s)
-        events, self._events = told + self._events + advanced, []
+        events, self._events = self._events + advanced + told, []
         return events
 
     def drain(self, now_s: float) -> bytes:

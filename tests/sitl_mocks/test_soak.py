@@ -77,6 +77,7 @@ def test_a_companion_that_breaks_a_rule_is_found_and_the_schedule_cut_down(
     monkeypatch.setattr(where, name, broken)
     monkeypatch.setattr(Gate, "release", lambda self, data, now_s: data)
     monkeypatch.setattr(Gate, "current", lambda self, now_s: True)
+    monkeypatch.setattr(Gate, "answers", lambda self, now_s, waiting: True)
     with pytest.raises(BrokenRuleError) as caught:
         fly(flight)
     assert caught.value.rule == rule
