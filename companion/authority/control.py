@@ -161,11 +161,15 @@ class Control:
 
     def _unfit(self, now_s: float, gap_s: float) -> str | None:
         """Why nothing is to be commanded, in words; None when nothing is against it."""
-        if gap_s > _HUNG_S or (self.state in HOLDING and now_s - self._commanded_s > _HUNG_S):
+        if gap_s > _HUNG_S:
             return f"the loop is late: nothing commanded for {_HUNG_S:g} s"
         if self._gate_fault is not None:
             return self._gate_fault
-        return self._own.unfit(now_s, self._config.vehicle.stale_after_s)
+        unfit = self._own.unfit(now_s, self._config.vehicle.stale_after_s)
+        if unfit is None and self.state in HOLDING and now_s - self._commanded_s > _HUNG_S:
+            why = "the loop is late, or the vehicle's mode is not known"
+            return f"nothing commanded for {_HUNG_S:g} s: {why}"
+        return unfit
 
     def _judge(
         self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None, in_time: bool
