@@ -258,7 +258,7 @@ class Gate:
         if now_s < self._shut_s:
             raise Broken(Rule.AGE, "after a fault")
         self._check_answer(now_s)
-        self._mandate.setpoint_left()
+        self._mandate.setpoint_left(now_s)
         self._bounds.left(velocity, now_s)
 
     def _command(self, payload: bytes, now_s: float) -> bool:
