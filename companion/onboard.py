@@ -96,6 +96,8 @@ class Onboard:
         """When the link's input was last read until it was empty."""
         self._behind_since_s: float | None = None
         """Since when it was not, as of this step."""
+        self._asks = False
+        """A step has begun whose commands have asked for no answer yet: each step asks once."""
 
     @property
     def settings(self) -> Settings:
@@ -180,6 +182,7 @@ class Onboard:
             self._emptied(read_s)
         if not self.gate.current(now_s):
             self._fall_behind(now_s)
+        self._asks = True
         since_s, self._behind_since_s = self._behind_since_s, None
         self.link.begin_step(now_s, behind=since_s is not None)
         advanced = self.link.advance(now_s)
@@ -194,7 +197,8 @@ class Onboard:
 
     def drain(self, now_s: float) -> bytes:
         """Bytes to send to the autopilot now: what the gate lets leave."""
-        if self.link.holds:
+        if self.link.holds and self._asks:
+            self._asks = False
             self.link.ask_for_answer(now_s)
         commanding = self.gate.answers(now_s, waiting=self.link.holds)
         data = self.gate.release(self.link.drain(commanding=commanding), now_s)
@@ -209,6 +213,7 @@ class Onboard:
     def let_go(self, now_s: float) -> None:
         """Ask the vehicle to hold; the heart is not stepped any more after this, so nothing is broadcast."""
         self.link.send(SetMode(mode=FlightMode.HOLD), now_s)
+        self._asks = True
         if self._remote_id_component:
             self.link.send(ArmStatus(ready=False, text="companion is stopping"), now_s)
 
