@@ -6,6 +6,7 @@ feeds back to the heart.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import cast
 
@@ -42,6 +43,8 @@ from companion.gate.gate import STALL_S, Gate
 from companion.record import Step
 from companion.remote_id.own import basic_id_of
 
+_SAY_AGAIN_S = 5.0
+"""The pilot is told of the same rule of the gate once in so long."""
 _HOLDING = frozenset(state.value for state in HOLDING)
 
 
@@ -96,6 +99,8 @@ class Onboard:
         """When the link's input was last read until it was empty."""
         self._behind_since_s: float | None = None
         """Since when it was not, as of this step."""
+        self._refusals_said: dict[int, float] = {}
+        """Rule of the gate -> when the pilot was last told of it."""
         self._asks = False
         """A step has begun whose commands have asked for no answer yet: each step asks once."""
 
@@ -190,7 +195,9 @@ class Onboard:
         told: list[Event] = [] if since_s is None else [InputBehind(since_s=since_s)]
         for refused in self.gate.broken():
             told.append(refused)
-            if refused.ends != "nothing" and self.commanding:
+            said_s = self._refusals_said.get(refused.rule, -math.inf)
+            if refused.ends != "nothing" and self.commanding and now_s - said_s >= _SAY_AGAIN_S:
+                self._refusals_said[refused.rule] = now_s
                 self.link.send(Say(severity=Severity.WARNING, text=f"DMUCA: {refused.text}"), now_s)
         events, self._events = told + self._events + advanced, []
         return events
