@@ -6,6 +6,7 @@ feeds back to the heart.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import cast
 
@@ -42,6 +43,8 @@ from companion.gate.gate import STALL_S, Gate
 from companion.record import Step
 from companion.remote_id.own import basic_id_of
 
+_SAY_AGAIN_S = 5.0
+"""The pilot is told of the same rule of the gate once in so long."""
 _HOLDING = frozenset(state.value for state in HOLDING)
 
 
@@ -96,6 +99,10 @@ class Onboard:
         """When the link's input was last read until it was empty."""
         self._behind_since_s: float | None = None
         """Since when it was not, as of this step."""
+        self._refusals_said: dict[int, float] = {}
+        """Rule of the gate -> when the pilot was last told of it."""
+        self._asks = False
+        """A step has begun whose commands have asked for no answer yet: each step asks once."""
 
     @property
     def settings(self) -> Settings:
@@ -180,6 +187,7 @@ class Onboard:
             self._emptied(read_s)
         if not self.gate.current(now_s):
             self._fall_behind(now_s)
+        self._asks = True
         since_s, self._behind_since_s = self._behind_since_s, None
         self.link.begin_step(now_s, behind=since_s is not None)
         advanced = self.link.advance(now_s)
@@ -187,14 +195,17 @@ class Onboard:
         told: list[Event] = [] if since_s is None else [InputBehind(since_s=since_s)]
         for refused in self.gate.broken():
             told.append(refused)
-            if refused.ends != "nothing" and self.commanding:
+            said_s = self._refusals_said.get(refused.rule, -math.inf)
+            if refused.ends != "nothing" and self.commanding and now_s - said_s >= _SAY_AGAIN_S:
+                self._refusals_said[refused.rule] = now_s
                 self.link.send(Say(severity=Severity.WARNING, text=f"DMUCA: {refused.text}"), now_s)
         events, self._events = self._events + advanced + told, []
         return events
 
     def drain(self, now_s: float) -> bytes:
         """Bytes to send to the autopilot now: what the gate lets leave."""
-        if self.link.holds:
+        if self.link.holds and self._asks:
+            self._asks = False
             self.link.ask_for_answer(now_s)
         commanding = self.gate.answers(now_s, waiting=self.link.holds)
         data = self.gate.release(self.link.drain(commanding=commanding), now_s)
@@ -209,6 +220,7 @@ class Onboard:
     def let_go(self, now_s: float) -> None:
         """Ask the vehicle to hold; the heart is not stepped any more after this, so nothing is broadcast."""
         self.link.send(SetMode(mode=FlightMode.HOLD), now_s)
+        self._asks = True
         if self._remote_id_component:
             self.link.send(ArmStatus(ready=False, text="companion is stopping"), now_s)
 

@@ -22,7 +22,9 @@ from .encoders import Outgoing
 
 PERIOD_S = 1.0
 LONGEST_ROUND_TRIP_S = 0.5
-"""An answer that took longer tells too little, and is left out."""
+"""An answer that took longer tells too little of the vehicle's clock."""
+_FORGOTTEN_S = 30.0
+"""An answer that took up to this long still shows that the vehicle answers at all."""
 _EPSILON_S = 1e-6
 _FIELDS = struct.Struct("<qqBB")
 
@@ -69,9 +71,8 @@ class TimeSync:
         ts1 = nanoseconds(now_s)
         if ts1 in self._open:
             return None
-        for asked, asked_s in list(self._open.items()):
-            if now_s - asked_s > LONGEST_ROUND_TRIP_S:
-                del self._open[asked]
+        while self._open and now_s - self._open[oldest := next(iter(self._open))] > _FORGOTTEN_S:
+            del self._open[oldest]
         self._open[ts1] = self._asked_s = now_s
         return ts1
 
@@ -83,9 +84,9 @@ class TimeSync:
             return None
         del self._open[ts1]
         self.round_trip_s = now_s - asked_s
+        self.answered_s = asked_s if self.answered_s is None else max(asked_s, self.answered_s)
         if not 0.0 <= self.round_trip_s <= LONGEST_ROUND_TRIP_S:
             return None
-        self.answered_s = asked_s if self.answered_s is None else max(asked_s, self.answered_s)
         if now_s - self._told_s < PERIOD_S - LONGEST_ROUND_TRIP_S:
             return None
         self._told_s = now_s

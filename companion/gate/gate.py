@@ -64,7 +64,7 @@ _ANSWER_S = 0.1
 _DEAF_S = 1.0
 _SHUT_S = 3.0
 _AGAIN_S = 5.0
-"""The same rule is told of once in so long."""
+"""The same rule is told of once in so long, but for a fault that shuts the gate anew."""
 _AUTOPILOT = 1
 _SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 _COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
@@ -201,7 +201,8 @@ class Gate:
         return 0.0 <= now_s - self._decided_s <= _FRESH_S
 
     def broken(self) -> list[GateRefused]:
-        """Rules that were broken since the last call: each of them once in a while."""
+        """Rules that were broken since the last call: each of them once in a while, and each fault that shut
+        the gate anew."""
         broken, self._broken = self._broken, []
         return broken
 
@@ -258,7 +259,7 @@ class Gate:
         if now_s < self._shut_s:
             raise Broken(Rule.AGE, "after a fault")
         self._check_answer(now_s)
-        self._mandate.setpoint_left()
+        self._mandate.setpoint_left(now_s)
         self._bounds.left(velocity, now_s)
 
     def _command(self, payload: bytes, now_s: float) -> bool:
@@ -303,9 +304,11 @@ class Gate:
     def _refuse(self, broken: Broken, now_s: float) -> None:
         rule = broken.rule
         self.counts[rule.value.name] += 1
+        # A fault that shuts the gate anew is always told: who was not told would fly on with it shut.
+        anew = rule.ends == "fault" and now_s >= self._shut_s
         if rule.ends == "fault":
             self._shut_s = now_s + _SHUT_S
-        if now_s - self._told.get(rule, -math.inf) >= _AGAIN_S:
+        if anew or now_s - self._told.get(rule, -math.inf) >= _AGAIN_S:
             self._told[rule] = now_s
             self._broken.append(GateRefused(rule=rule.number, text=str(broken), ends=rule.ends))
 

@@ -41,6 +41,10 @@ class Mandate:
         """custom_mode that we asked for -> until when it may be entered; without end once it was."""
         self._base: int | None = None
         """custom_mode that the vehicle is being taken from, until the one that was asked for shows."""
+        self._asked: int | None = None
+        """custom_mode that was asked for last."""
+        self._commanded_s = -math.inf
+        """When something last left that commands the vehicle."""
         self._left = False
         self._held_instead = False
         """The mode that ended authority is a hold, where the mission was asked for, and no other was seen."""
@@ -74,12 +78,18 @@ class Mandate:
             if given and self._left and self._flight.rearm == "mode":
                 self._free()
             self._left = self._left or not given
-        elif not self.engaged or custom == self._base:
+        elif not self.engaged:
             pass
+        elif custom == self._base:
+            if mode is FlightMode.MISSION and self._guards and now_s - self._commanded_s > _ASKED_S:
+                self._free()  # never entered, and let alone since
         elif now_s <= self._ours.get(custom, -math.inf) or (given and not self._guards):
-            self._ours[custom], self._base = math.inf, None
-            if mode is FlightMode.MISSION:
+            if mode is not FlightMode.MISSION:
+                self._ours[custom], self._base = math.inf, None
+            elif custom == self._asked:
                 self._free()  # handed back
+            else:
+                self._base = custom  # recalled: to be left again
         else:
             self._held_instead = mode is FlightMode.HOLD and self._asked_mission(now_s)
             self._left = not given or before is not FlightMode.EXTERNAL
@@ -147,13 +157,15 @@ class Mandate:
 
     # ------------------------------------------------------------ what left
 
-    def setpoint_left(self) -> None:
+    def setpoint_left(self, now_s: float) -> None:
         """A setpoint has left."""
+        self._commanded_s = now_s
         if not self.engaged:
             self.engaged, self._base = True, self._custom
 
     def request_left(self, custom: int, now_s: float) -> None:
         """A mode request has left."""
+        self._commanded_s, self._asked = now_s, custom
         if not self.engaged or self._custom not in self._ours:
             self.engaged, self._base = True, self._custom
         self._requests.append(now_s)
@@ -204,5 +216,5 @@ class Mandate:
 
     def _free(self) -> None:
         self.lost, self.engaged, self._left, self._base = None, False, False, None
-        self._held_instead = False
+        self._held_instead, self._asked = False, None
         self._ours.clear()

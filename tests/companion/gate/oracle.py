@@ -104,6 +104,9 @@ class Oracle:
         self.taken_from: int | None = None
         self.asked: dict[int, float] = {}
         self.entered: set[int] = set()
+        self.newest: int | None = None
+        """The mode that was asked for last."""
+        self.commanded_s = -math.inf
 
     # ------------------------------------------------------------ what is told
 
@@ -136,10 +139,17 @@ class Oracle:
                 self._let_go()
             self.away |= not gives
             return
-        if not self.engaged or custom == self.taken_from:
+        if not self.engaged:
+            return
+        if custom == self.taken_from:
+            if guard and kind == "mission" and now_s - self.commanded_s > 10.0:
+                self._let_go()
             return
         wanted = custom in self.entered or now_s <= self.asked.get(custom, -math.inf)
         if wanted or (gives and not guard):
+            if kind == "mission" and custom != self.newest:
+                self.taken_from = custom
+                return
             self.entered.add(custom)
             self.taken_from = None
             if kind == "mission":
@@ -317,6 +327,7 @@ class Oracle:
             self._broken("age", "request after a fault")
         self._take()
         self.asked[custom] = now_s + 10.0
+        self.newest, self.commanded_s = custom, now_s
         return None
 
     def _take(self) -> None:
@@ -365,6 +376,7 @@ class Oracle:
             self._change(position, north, east, now_s)
             self._bounds(position, north, east, down, now_s)
         self._take()
+        self.commanded_s = now_s
         self.last = now_s, north, east
         return None
 

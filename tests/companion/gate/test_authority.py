@@ -512,3 +512,53 @@ def test_a_landing_ends_what_was_held():
     one.landed, one.mode = Landed.IN_AIR, MISSION
     one.run()
     assert one.asks(EXTERNAL)
+
+
+# ---------------------------------------------------------------- 6: what is still ours, and what is not any more
+
+
+@BOTH
+@pytest.mark.parametrize("flies_between", [False, True])
+def test_a_mission_that_was_recalled_and_shows_for_a_moment_is_no_handing_back(firmware, flies_between):
+    """Given back, and asked for our mode again at once as somebody comes: the vehicle obeys both."""
+    one = flying("guard", firmware)
+    assert one.asks(MISSION)
+    one.run()
+    assert one.asks(EXTERNAL)
+    one.beat(MISSION)
+    if flies_between:
+        one.run()
+        assert one.flies()
+    one.beat(EXTERNAL)
+    one.run()
+    assert one.flies()
+    assert one.gate.lost is None
+
+
+@BOTH
+def test_a_vehicle_that_was_left_in_its_mission_is_its_pilots_again(firmware):
+    """It was commanded, never entered our mode, and has been let alone since: its pilot may leave the mission
+    and select it again, and it is guarded as before."""
+    one = Flying(config("guard"), firmware).airborne(MISSION)
+    assert one.flies()
+    assert one.asks(EXTERNAL)
+    one.run(10.5)
+    one.mode = STICKS
+    one.run(5.0)
+    one.mode = MISSION
+    one.run(1.0)
+    assert one.gate.lost is None
+    assert one.flies()
+
+
+@BOTH
+def test_a_pilot_who_acts_while_the_vehicle_is_being_taken_from_its_mission_ends_authority(firmware):
+    one = Flying(config("guard"), firmware).airborne(MISSION)
+    assert one.flies()
+    one.run(9.0)
+    one.mode = STICKS
+    one.run()
+    one.mode = MISSION
+    one.run()
+    assert not one.flies()
+    assert one.refused() == [6]

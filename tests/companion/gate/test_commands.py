@@ -471,3 +471,13 @@ def test_what_has_left_can_be_read_by_anybody(taken):
 
 
 assert OTHER is RTL
+
+
+def test_every_fault_is_told_to_the_program_above():
+    """The gate is shut after each: a program that was not told would go on as if its commands left."""
+    one = Flying().taken()
+    for _ in range(3):
+        assert not one.flies(30.0)
+        assert one.refused() == [10]
+        one.run(3.2)
+        assert one.flies()
