@@ -57,8 +57,10 @@ def test_what_passes_by_its_room_is_stopped_in_it():
 
 def test_what_passes_as_slowed_down_has_a_bounded_way():
     """A spell in which a vehicle is too fast and passes as being slowed down: what passes at its time t is
-    less than begun - 0.9 a t, so that after begun / (0.9 a) nothing more towards the bound passes, and all that is
-    commanded in between makes a way of begun^2 / (1.8 a) at most. Not proved: that the vehicle follows."""
+    less than begun - 0.9 a t, so that after begun / (0.9 a) nothing more towards the bound passes, and all
+    that is commanded in between makes a way of begun^2 / (1.8 a) at most. Not proved: that the vehicle
+    follows.
+    """
     slowest = z3.If(FLOWN < BEGUN - BRAKES * A * T, FLOWN, BEGUN - BRAKES * A * T)
     passes = (A > 0, T >= 0, slowest - BRAKING * A >= V)
     prove(V <= BEGUN - BRAKES * A * T, *passes)
@@ -108,8 +110,8 @@ def test_the_budget_is_the_transcribed_one():
 
 def test_the_change_of_a_chain_of_setpoints_is_bounded_in_every_window():
     """Setpoints that pass one after the other by their change from the last one, however many and at
-    whatever times: in a window of t seconds their changes add up to a (t + 1 s) at most, and once the slack for
-    rounding.
+    whatever times: in a window of t seconds their changes add up to a (t + 1 s) at most, and once the
+    slack for rounding.
 
     Inductive: total + budget <= budget at the window's beginning + a t, for a constant acceleration limit. A
     setpoint that passes by the velocity flown, or a standstill, begins another chain.
@@ -287,9 +289,9 @@ def explore(configured: Config, firmware: Firmware, mandate_type: type[Mandate] 
 @pytest.mark.parametrize("rearm", ["mode", "disarm", "never"])
 def test_authority_is_gone_until_what_rearm_names(firmware, use, rearm):
     """All sequences, of any length, of 16 events: one of five modes told, armed or not; one of four modes
-    asked for; a setpoint; 11 s without anything. The others take no time. What leads to the same state is followed
-    once: in all twelve cases 18 742 states, with 16 events in each. Mode numbers other than these five, the
-    landed state and the end of a mission are not among the events.
+    asked for; a setpoint; 11 s without anything. The others take no time. What leads to the same state is
+    followed once: in all twelve cases 18 742 states, with 16 events in each. Other mode numbers, the landed
+    state and the end of a mission are not among the events.
     """
     assert explore(config(use, rearm=rearm, take_in_flight=True), firmware) > 600
 
