@@ -12,6 +12,8 @@ Rules, in the order they are judged at every step (the first trigger that the ta
    (`WATCHING`), it is taken for a conflict alone, and the mission is handed back (`RESUMED`), or
    comes to its end as it is (`ENDED`).
 5. Among the states that hold the vehicle, the law's conflict decides.
+
+`tests/companion/authority/test_proofs.py` goes through every state with every set of triggers.
 """
 
 from __future__ import annotations

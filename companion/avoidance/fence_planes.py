@@ -97,7 +97,10 @@ def inside(fence: Array, first: int, after: int, n: float, e: float) -> bool:
 
 @compiled
 def closing(room: float, acceleration: float, lag_s: float) -> float:
-    """Speed at which it still stops at a boundary: v lag + v^2 / (2 a) = room; beyond it, the way back."""
+    """Speed at which it still stops at a boundary: v lag + v^2 / (2 a) = room; beyond it, the way back.
+
+    `tests/companion/avoidance/test_proofs.py` proves it, for one reaction and for any number of periods.
+    """
     if room <= 0.0:
         return room / lag_s
     lag = acceleration * lag_s

@@ -36,6 +36,9 @@ def limit(
 
     The bounds on the down speed may move faster than the change allows (a jump in altitude at the ceiling);
     then they win, and the change is what it has to be.
+
+    `tests/companion/avoidance/test_proofs.py` proves that speed and down bounds always hold, and the change
+    where the last command was within the down bounds and the wish within the speed.
     """
     dn, de, dd = wanted[0] - previous[0], wanted[1] - previous[1], wanted[2] - previous[2]
     most_change *= 1.0 - 1e-9  # rounding stays under the limit

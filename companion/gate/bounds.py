@@ -133,9 +133,13 @@ class Bounds:
             self._check_fence(north, east, self._place(position, now_s), now_s)
 
     def left(self, velocity: Vec3, now_s: float) -> None:
-        """A setpoint has left."""
+        """A setpoint has left.
+
+        `tests/companion/gate/test_proofs.py` proves that the changes of setpoints that pass by the last one
+        add up, in t seconds, to no more than the acceleration allows in t + 1 s, and the slack.
+        """
         changed = math.hypot(velocity[0] - self._last[0], velocity[1] - self._last[1])
-        self._budget_mps = max(0.0, self._allowed_mps(now_s) - changed)
+        self._budget_mps = max(-_SLACK_MPS, self._allowed_mps(now_s) - changed)  # the slack counts once
         self._last, self._last_s = velocity, now_s
 
     def _allowed_mps(self, now_s: float) -> float:
@@ -173,7 +177,11 @@ class Bounds:
         self, bound: int, room_m: float, towards_mps: float, flown_mps: float, now_s: float
     ) -> bool:
         """A speed towards a bound that cannot be stopped in the room left, of a vehicle that is not being
-        slowed down."""
+        slowed down.
+
+        `tests/companion/gate/test_proofs.py` proves that what passes by its room is stopped in it, and how
+        long what passes as slowed down can go on.
+        """
         needed_m = towards_mps * (_REACTION_S + 0.5 * towards_mps / self._acceleration)
         return (
             towards_mps > _SLACK_MPS

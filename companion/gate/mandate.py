@@ -21,7 +21,11 @@ _ASKABLE = frozenset({FlightMode.EXTERNAL, FlightMode.HOLD, FlightMode.STICKS, F
 
 
 class Mandate:
-    """Knows nothing until the first heartbeat. Times are monotonic seconds that never go back."""
+    """Knows nothing until the first heartbeat. Times are monotonic seconds that never go back.
+
+    `tests/companion/gate/test_proofs.py` compares it with rule 6 after every sequence of modes, requests and
+    setpoints.
+    """
 
     def __init__(self, config: Config) -> None:
         self.heartbeat: Heartbeat | None = None

@@ -1,0 +1,310 @@
+"""Theorems on the gate's bounds, over the real numbers, and on who has authority, by all histories.
+
+Formulas are transcribed from `Bounds`; what is proved of them holds without rounding.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import z3
+
+from companion.config import Config
+from companion.events import Firmware, FlightMode, Heartbeat
+from companion.gate import bounds
+from companion.gate.bounds import Bounds
+from companion.gate.mandate import Mandate
+from companion.gate.rules import Broken, Rule
+from tests.companion.gate.flying import CUSTOM, config
+from tests.companion.proving import prove, refute
+
+REACTION, SLACK, BRAKES, BRAKING = (
+    z3.RealVal(str(number))
+    for number in (bounds._REACTION_S, bounds._SLACK_MPS, bounds._BRAKES, bounds._BRAKING)
+)
+A, V, W, T, ROOM, BEGUN, FLOWN = z3.Reals("a v w t room begun flown")
+
+
+def limits(a: float) -> Bounds:
+    return Bounds(config(limits={"max_acceleration_mps2": a, "max_speed_mps": 30.0}))
+
+
+# ---------------------------------------------------------------- 12 and 13: what can be stopped
+
+NEEDED = V * (REACTION + V / (2 * A))
+
+
+def test_the_room_that_a_speed_needs_is_the_transcribed_one():
+    rng = np.random.default_rng(1)
+    for room, towards, a in rng.uniform((0.0, 0.01, 0.3), (60.0, 20.0, 8.0), (2000, 3)).tolist():
+        needed = towards * (0.5 + towards / (2.0 * a))
+        if abs(needed - room) > 1e-9:
+            assert limits(a)._too_fast(0, room, towards, towards, 0.0) is (needed > room)
+
+
+def test_what_passes_by_its_room_is_stopped_in_it():
+    """A speed towards a bound that passes, flown for the reaction time at most so fast, then braked with the
+    configured acceleration: at no moment is more way made than there is room."""
+    flies = (A > 0, V >= 0, W >= 0, W <= V * REACTION, T >= 0, A * T <= V, ROOM >= 0)
+    way = W + V * T - A * T * T / 2
+    prove(way <= ROOM, *flies, NEEDED <= ROOM)
+    refute(way <= ROOM, *flies, NEEDED <= ROOM + 1)
+
+
+def test_what_passes_as_slowed_down_has_a_bounded_way():
+    """A spell in which a vehicle is too fast and passes as being slowed down: what passes at its time t is
+    less than begun - 0.9 a t, so that after begun / (0.9 a) nothing more towards the bound passes, and all
+    that is commanded in between makes a way of begun^2 / (1.8 a) at most. Not proved: that the vehicle
+    follows.
+    """
+    slowest = z3.If(FLOWN < BEGUN - BRAKES * A * T, FLOWN, BEGUN - BRAKES * A * T)
+    passes = (A > 0, T >= 0, slowest - BRAKING * A >= V)
+    prove(V <= BEGUN - BRAKES * A * T, *passes)
+    prove(V < 0, *passes, BRAKES * A * T >= BEGUN)
+    prove(
+        BEGUN * T - BRAKES * A * T * T / 2 <= BEGUN * BEGUN / (2 * BRAKES * A), A > 0, T >= 0, BEGUN >= 0
+    )  # the integral of the bound
+
+
+# ---------------------------------------------------------------- 11: change
+
+BUDGET, PASSED, CHANGED, TOTAL, SINCE, FIRST = z3.Reals("budget passed changed total since first")
+
+
+def allowed(budget, passed, a):
+    """`_allowed_mps`: what is saved up and what the time passed adds, a second's worth at most."""
+    saved = budget + a * z3.If(passed > 1, z3.RealVal(1), passed)
+    return z3.If(saved > a, a, saved)
+
+
+def left(budget, passed, changed, a):
+    """The budget after a setpoint has left."""
+    rest = allowed(budget, passed, a) - changed
+    return z3.If(rest < -SLACK, -SLACK, rest)
+
+
+def value(term: Any, **numbers: float) -> float:
+    pairs = [(z3.Real(name), z3.RealVal(repr(float(number)))) for name, number in numbers.items()]
+    return float(z3.simplify(z3.substitute(term, *pairs)).as_fraction())
+
+
+def test_the_budget_is_the_transcribed_one():
+    rng = np.random.default_rng(2)
+    one, now_s, last = limits(2.0), 100.0, (0.0, 0.0, 0.0)
+    one.left(last, now_s)
+    for _ in range(200):
+        passed, before = rng.choice([0.0, 0.05, 0.7, 1.4]) * rng.random(), one._budget_mps
+        now_s += passed
+        n, e = rng.normal(scale=rng.choice([0.02, 0.5]), size=2)
+        last = last[0] + n, last[1] + e, 0.0
+        one.left(last, now_s)
+        expected = value(
+            left(BUDGET, PASSED, CHANGED, A), budget=before, passed=passed, changed=math.hypot(n, e), a=2.0
+        )
+        assert one._budget_mps == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_change_of_a_chain_of_setpoints_is_bounded_in_every_window():
+    """Setpoints that pass one after the other by their change from the last one, however many and at
+    whatever times: in a window of t seconds their changes add up to a (t + 1 s) at most, and once the
+    slack for rounding.
+
+    Inductive: total + budget <= budget at the window's beginning + a t, for a constant acceleration limit. A
+    setpoint that passes by the velocity flown, or a standstill, begins another chain.
+    """
+    budget = z3.And(-SLACK <= BUDGET, BUDGET <= A)
+    after = left(BUDGET, PASSED, CHANGED, A)
+    prove(z3.And(after >= -SLACK, after <= A), A > 0, budget, PASSED >= 0, CHANGED >= 0)  # whatever leaves
+    step = (A > 0, budget, PASSED >= 0, PASSED <= 1, CHANGED >= 0, SINCE >= 0)
+    passes = allowed(BUDGET, PASSED, A) + SLACK >= CHANGED
+    invariant = TOTAL + BUDGET <= FIRST + A * SINCE
+    kept = TOTAL + CHANGED + after <= FIRST + A * (SINCE + PASSED)
+    prove(kept, *step, passes, invariant)
+    refute(kept, *step, invariant)
+    prove(TOTAL <= A * (SINCE + 1) + SLACK, A > 0, budget, FIRST <= A, invariant)
+
+
+# ---------------------------------------------------------------- 6: authority
+
+EXTERNAL, MISSION, HOLD, STICKS, OTHER = (
+    FlightMode.EXTERNAL,
+    FlightMode.MISSION,
+    FlightMode.HOLD,
+    FlightMode.STICKS,
+    FlightMode.OTHER,
+)
+ASKED = (EXTERNAL, MISSION, HOLD, STICKS)
+PAUSE_S, ASKED_S = 11.0, 10.0
+
+
+class History:
+    """Who has authority, by rule 6 in its own words: what was told and what left, and nothing of the code."""
+
+    def __init__(self, use: str, rearm: str) -> None:
+        self.use, self.rearm = use, rearm
+        self.gives = EXTERNAL if use == "fly" else MISSION
+        """The mode by which a pilot gives authority back, with rearm = "mode"."""
+        self.told: FlightMode | None = None
+        self.gone = False
+        self.chosen_anew = False
+        """Another mode than the giving one was told since: the next giving one is the pilot's choice."""
+        self.free()
+
+    def free(self) -> None:
+        self.gone, self.held = False, False
+        self.ours: dict[FlightMode, bool] = {}
+        """Modes that are no sign of a pilot, and whether they were asked for less than 10 s ago and not told
+        yet (those that were told stay)."""
+        self.taken_from: FlightMode | None = None
+
+    def tell(self, mode: FlightMode, armed: bool) -> None:
+        before, self.told = self.told, mode
+        if not armed and not (self.gone and self.rearm == "never"):
+            self.free()
+        if self.held and not self.gone and mode is not self.taken_from:
+            if mode in self.ours or (self.use == "fly" and mode is EXTERNAL):
+                self.ours[mode], self.taken_from = False, None
+                if mode is MISSION:
+                    self.free()  # handed back
+                return
+            self.gone = True
+            # Of a mission that is told right after our own mode nobody knows who began it.
+            self.chosen_anew = before is not EXTERNAL
+        if self.gone:
+            if mode is self.gives and self.chosen_anew and self.rearm == "mode":
+                self.free()
+            self.chosen_anew = self.chosen_anew or mode is not self.gives
+
+    def left(self, asked: FlightMode | None) -> None:
+        """A setpoint (None) or a request for a mode has left."""
+        if not self.held:
+            self.held, self.taken_from = True, self.told
+        if asked is not None and self.ours.get(asked) is not False:
+            self.ours[asked] = True
+
+    def pause(self) -> None:
+        self.ours = {mode: False for mode, waits in self.ours.items() if not waits}
+
+    def key(self) -> tuple[object, ...]:
+        return (
+            self.told, self.gone, self.gone and self.chosen_anew, self.held, self.taken_from,
+            frozenset(self.ours.items()),
+        )  # fmt: skip
+
+
+Event = tuple[str, FlightMode | None, bool]
+EVENTS: list[Event] = [
+    *(("told", mode, armed) for mode in FlightMode for armed in (True, False)),
+    *(("asks", mode, True) for mode in ASKED),
+    ("flies", None, True),
+    ("pause", None, True),
+]
+
+
+def happen(event: Event, mandate: Mandate, history: History, firmware: Firmware, now_s: float) -> float:
+    """One event for both; what leaves is up to the mandate. Returns the time after it."""
+    what, mode, armed = event
+    if what == "pause":
+        history.pause()
+        return now_s + PAUSE_S
+    if what == "told":
+        assert mode is not None
+        custom = CUSTOM[firmware][mode]
+        beat = Heartbeat(
+            system_id=1, firmware=firmware, vehicle_type=2, custom_mode=custom, mode=mode, armed=armed
+        )
+        mandate.hear_heartbeat(beat, now_s)
+        history.tell(mode, armed)
+        return now_s
+    try:
+        mandate.check(now_s)
+        if mode is None:
+            mandate.check_setpoint(standing=False)
+            mandate.setpoint_left()
+        else:
+            mandate.check_request(mode, now_s)
+            mandate.request_left(CUSTOM[firmware][mode], now_s)
+    except Broken:
+        return now_s
+    assert not history.gone, "something has left without authority"
+    history.left(mode)
+    return now_s
+
+
+def judge(mandate: Mandate, history: History, now_s: float) -> None:
+    """Authority is refused exactly where it is gone."""
+    refused = None
+    try:
+        mandate.check(now_s)
+    except Broken as broken:
+        refused = broken.rule
+    assert not (history.gone and refused is None)
+    assert (mandate.lost is not None) is history.gone
+    assert refused in (None, Rule.USE, Rule.CURRENT) or history.gone
+
+
+def snapshot(mandate: Mandate, now_s: float) -> tuple[object, ...]:
+    """All that decides what a mandate does from now on, times as seen from now."""
+    beat = mandate.heartbeat
+    return (
+        beat and (beat.armed, beat.mode), mandate.lost is None, mandate.engaged, mandate._mode,
+        now_s - mandate._mode_s > 3.0, mandate._base, mandate._left, mandate._held_instead,
+        mandate._seen_down,
+        frozenset((custom, max(until_s - now_s, -1.0)) for custom, until_s in mandate._ours.items()),
+    )  # fmt: skip
+
+
+def copied(mandate: Mandate) -> Mandate:
+    other = copy.copy(mandate)
+    other._ours = dict(mandate._ours)
+    other._requests = []  # how many requests leave at once is another rule's matter
+    return other
+
+
+def explore(configured: Config, firmware: Firmware, mandate_type: type[Mandate] = Mandate) -> int:
+    """Every state that any sequence of the events leads to, judged; how many there are."""
+    flight = configured.flight
+    first = mandate_type(configured), History(flight.use, flight.rearm), 100.0
+    seen, front = set(), [first]
+    while front:
+        mandate, history, now_s = front.pop()
+        for event in EVENTS:
+            after, following = copied(mandate), copy.copy(history)
+            following.ours = dict(history.ours)
+            then_s = happen(event, after, following, firmware, now_s)
+            key = snapshot(after, then_s), following.key()
+            if key not in seen:
+                seen.add(key)
+                judge(after, following, then_s)
+                front.append((after, following, then_s))
+    return len(seen)
+
+
+@pytest.mark.parametrize("firmware", Firmware)
+@pytest.mark.parametrize("use", ["fly", "guard"])
+@pytest.mark.parametrize("rearm", ["mode", "disarm", "never"])
+def test_authority_is_gone_until_what_rearm_names(firmware, use, rearm):
+    """All sequences, of any length, of 16 events: one of five modes told, armed or not; one of four modes
+    asked for; a setpoint; 11 s without anything. The others take no time. What leads to the same state is
+    followed once: in all twelve cases 18 742 states, with 16 events in each. Other mode numbers, the landed
+    state and the end of a mission are not among the events.
+    """
+    assert explore(config(use, rearm=rearm, take_in_flight=True), firmware) > 600
+
+
+class Forgetful(Mandate):
+    """Forgets what ended authority when a mode is told that was asked for."""
+
+    def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
+        if custom in self._ours:
+            self.lost = None
+        super().hear_mode(custom, mode, now_s)
+
+
+def test_a_mandate_that_forgets_is_found():
+    with pytest.raises(AssertionError):
+        explore(config("fly", take_in_flight=True), Firmware.PX4, Forgetful)
