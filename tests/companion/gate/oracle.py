@@ -119,12 +119,12 @@ class Oracle:
         self.turn += 1
         if self.heard:
             self._mode(custom, now_s)
-        elif now_s - self.emptied_s <= 0.25 and not self.late(now_s, 0.52):
+        elif now_s - self.emptied_s <= 0.25 and not self.late(now_s):
             self.mode_turn = self.turn
 
     def _mode(self, custom: int, now_s: float) -> None:
         self.turn += 1
-        if now_s - self.emptied_s <= 0.25 and not self.late(now_s, 0.52):
+        if now_s - self.emptied_s <= 0.25 and not self.late(now_s):
             self.mode_turn = self.turn
         before, self.custom, self.mode_s = self.custom, custom, now_s
         kind = self.kinds.get(custom, "other")
@@ -174,7 +174,7 @@ class Oracle:
                 return
         self.least_s = min(self.least_s, now_s - position.measured_s)
         self.position = position
-        if self.late(now_s, 0.52):
+        if self.late(now_s):
             self.turn += 1
             self.gap_ended = self.turn
 
@@ -194,8 +194,9 @@ class Oracle:
             if now_s - asked_s <= 0.25:
                 self.answer_s = now_s
 
-    def late(self, now_s: float, seconds: float = 0.5) -> bool:
-        """What the vehicle tells now waited on the way for so long."""
+    def late(self, now_s: float) -> bool:
+        """What the vehicle tells now waited on the way for 0.5 s, and for half of vehicle.stale_after_s."""
+        seconds = max(0.5, 0.5 * self.terms.stale_s) + 0.02
         return self.position is not None and now_s - self.position.measured_s > self.least_s + seconds
 
     def emptied(self, now_s: float) -> None:
