@@ -68,6 +68,13 @@ def test_what_was_saved_up_is_a_seconds_worth():
     assert steps(one, 7.85) == [True]
 
 
+def test_the_slack_for_rounding_does_not_add_up():
+    one = taken()
+    assert all(steps(one, *(0.1 * n for n in range(1, 60))))
+    assert one.flies(7.8)  # all that was saved up
+    assert [one.flies(7.8 + 0.0008 * n) for n in (1, 2, 3)] == [True, False, False]
+
+
 def test_a_standstill_is_commanded_at_any_time():
     one = at(taken(), velocity=(9.0, 0.0, 0.0))
     assert one.flies(9.0)

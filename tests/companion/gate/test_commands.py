@@ -412,7 +412,7 @@ def test_the_vehicles_own_limits_count_where_they_are_lower(key, value, velocity
     one.gate.hear(VehicleParameters(firmware=ARDUPILOT, **higher), one.now_s)
     assert one.flies(*velocity)
     assert not flown_at(one, 6.0, 0.0, 0.0).flies(6.0)
-    assert one.refused() == [10]
+    assert one.refused() == [10, 10]
 
 
 # ---------------------------------------------------------------- after a fault

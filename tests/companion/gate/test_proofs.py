@@ -160,12 +160,21 @@ class History:
         """Modes that are no sign of a pilot, and whether they were asked for less than 10 s ago and not told
         yet (those that were told stay)."""
         self.taken_from: FlightMode | None = None
+        self.asked_last: FlightMode | None = None
+        self.let_alone = False
+        """Nothing has left for longer than a request may take."""
 
     def tell(self, mode: FlightMode, armed: bool) -> None:
         before, self.told = self.told, mode
         if not armed and not (self.gone and self.rearm == "never"):
             self.free()
-        if self.held and not self.gone and mode is not self.taken_from:
+        if self.held and not self.gone and mode is self.taken_from:
+            if self.use == "guard" and mode is MISSION and self.let_alone:
+                self.free()  # never entered our mode, and was let alone since
+        elif self.held and not self.gone:
+            if mode is MISSION and mode in self.ours and self.asked_last is not MISSION:
+                self.taken_from = mode  # recalled: it is to be left again
+                return
             if mode in self.ours or (self.use == "fly" and mode is EXTERNAL):
                 self.ours[mode], self.taken_from = False, None
                 if mode is MISSION:
@@ -183,15 +192,20 @@ class History:
         """A setpoint (None) or a request for a mode has left."""
         if not self.held:
             self.held, self.taken_from = True, self.told
-        if asked is not None and self.ours.get(asked) is not False:
-            self.ours[asked] = True
+        self.let_alone = False
+        if asked is not None:
+            self.asked_last = asked
+            if self.ours.get(asked) is not False:
+                self.ours[asked] = True
 
     def pause(self) -> None:
+        self.let_alone = True
         self.ours = {mode: False for mode, waits in self.ours.items() if not waits}
 
     def key(self) -> tuple[object, ...]:
         return (
-            self.told, self.gone, self.gone and self.chosen_anew, self.held, self.taken_from,
+            self.told, self.gone, self.gone and self.chosen_anew, self.held, self.taken_from, self.asked_last,
+            self.let_alone,
             frozenset(self.ours.items()),
         )  # fmt: skip
 
@@ -224,7 +238,7 @@ def happen(event: Event, mandate: Mandate, history: History, firmware: Firmware,
         mandate.check(now_s)
         if mode is None:
             mandate.check_setpoint(standing=False)
-            mandate.setpoint_left()
+            mandate.setpoint_left(now_s)
         else:
             mandate.check_request(mode, now_s)
             mandate.request_left(CUSTOM[firmware][mode], now_s)
