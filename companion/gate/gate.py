@@ -50,6 +50,7 @@ from companion.events import (
     Settings,
     TwoAutopilots,
     VehicleParameters,
+    Vec3,
 )
 
 from .bounds import Bounds
@@ -109,6 +110,8 @@ class Gate:
         self._mandate = Mandate(config)
         self._bounds = Bounds(config)
         self._emptied_s = self._decided_s = -math.inf
+        self._bounds_s = -math.inf
+        """When a limit of the vehicle's or its fence was last told."""
         self._fresh = False
         """A message has shown the vehicle's mode since the input was last found behind."""
         self._asked_s: float | None = None
@@ -150,8 +153,10 @@ class Gate:
                 self._mandate.mission_ended()
             case VehicleParameters():
                 self._bounds.hear_parameters(event)
+                self._bounds_s = now_s
             case FenceDownloaded():
                 self._bounds.hear_fence(event.areas)
+                self._bounds_s = now_s
             case Settings():
                 self._mandate.enabled = event.enable
             case TwoAutopilots():
@@ -255,12 +260,21 @@ class Gate:
         turning = numbers[-1] != 0.0
         if frame != FRAME_LOCAL_NED or mask not in _MASKS or turning or not all(map(math.isfinite, numbers)):
             raise Broken(Rule.FORM, f"frame {frame}, mask {mask:#x}, velocity {velocity}")
-        self._bounds.check(velocity, now_s)
+        self._check_bounds(velocity, now_s)
         if now_s < self._shut_s:
             raise Broken(Rule.AGE, "after a fault")
         self._check_answer(now_s)
         self._mandate.setpoint_left(now_s)
         self._bounds.left(velocity, now_s)
+
+    def _check_bounds(self, velocity: Vec3, now_s: float) -> None:
+        try:
+            self._bounds.check(velocity, now_s)
+        except Broken as broken:
+            if self._decided_s < self._bounds_s and broken.rule.ends == "fault":
+                # Who decided could not know of it.
+                raise Broken(Rule.AGE, f"decided before a limit or the fence was told; {broken.why}") from None
+            raise
 
     def _command(self, payload: bytes, now_s: float) -> bool:
         *params, command, system, component, _ = _unpacked(_COMMAND_LAYOUT, payload)

@@ -481,3 +481,17 @@ def test_every_fault_is_told_to_the_program_above():
         assert one.refused() == [10]
         one.run(3.2)
         assert one.flies()
+
+
+def test_what_was_decided_before_a_limit_was_told_does_not_leave_and_is_no_fault():
+    """A setpoint waits for an answer; the vehicle's new limit comes first."""
+    one = flown_at(Flying().taken(), 4.0, 0.0, 0.0)
+    one.now_s += 0.01
+    lower = Parameter(name="P", value=3.0)
+    one.gate.hear(VehicleParameters(firmware=ARDUPILOT, speed_mps=lower), one.now_s)
+    assert not one.flies(4.0)
+    assert one.refused() == [8]
+    one.run()
+    assert one.flies(3.0)
+    assert not one.flies(4.0)
+    assert one.refused() == [10]
