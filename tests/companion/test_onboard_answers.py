@@ -19,8 +19,8 @@ _CHUNK = 11
 
 
 class SlowLine:
-    """A vehicle in GUIDED behind a serial line that brings a few bytes at a time, read as the flight loop does;
-    each step commands it to stand."""
+    """A vehicle in GUIDED behind a serial line that brings a few bytes at a time, read as the flight loop
+    does; each step commands it to stand."""
 
     def __init__(self, round_trip_s: float) -> None:
         self.onboard = Onboard(config("fly", take_in_flight=True))

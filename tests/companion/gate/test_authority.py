@@ -514,7 +514,7 @@ def test_a_landing_ends_what_was_held():
     assert one.asks(EXTERNAL)
 
 
-# ---------------------------------------------------------------- 6: what is still ours, and what is not any more
+# ---------------------------------------------------------------- 6: what is still ours
 
 
 @BOTH
