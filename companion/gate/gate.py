@@ -49,8 +49,8 @@ from companion.events import (
     MissionCurrent,
     Settings,
     TwoAutopilots,
-    VehicleParameters,
     Vec3,
+    VehicleParameters,
 )
 
 from .bounds import Bounds
@@ -273,7 +273,9 @@ class Gate:
         except Broken as broken:
             if self._decided_s < self._bounds_s and broken.rule.ends == "fault":
                 # Who decided could not know of it.
-                raise Broken(Rule.AGE, f"decided before a limit or the fence was told; {broken.why}") from None
+                raise Broken(
+                    Rule.AGE, f"decided before a limit or the fence was told; {broken.why}"
+                ) from None
             raise
 
     def _command(self, payload: bytes, now_s: float) -> bool:

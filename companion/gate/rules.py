@@ -50,7 +50,7 @@ class Rule(enum.Enum):
     AUTHORITY = _Text(
         6,
         "authority",
-        "A mode that was not asked for by us, seen once while the vehicle is held or taken, ends authority. "
+        "A mode that we did not ask for, seen once while the vehicle is held or being taken, ends authority. "
         "Only what flight.rearm names gives it back. A vehicle that was flying when the companion started is "
         "not taken before it was down (flight.take_in_flight).",
         ends="authority",
@@ -83,8 +83,8 @@ class Rule(enum.Enum):
         11,
         "change",
         "Horizontally a setpoint differs from the last one, or from the velocity that is flown, by no more "
-        "than limits.max_acceleration_mps2 allows in the time passed, a second's worth at most. A standstill "
-        "may be commanded at any time.",
+        "than limits.max_acceleration_mps2 allows in the time since the last one, one second at most. A "
+        "command to stand still may leave at any time.",
     )
     HEIGHT = _Text(
         12,
@@ -95,15 +95,16 @@ class Rule(enum.Enum):
     FENCE = _Text(
         13,
         "fence",
-        "The same towards each wall of the fence, with the room to stop before it.",
+        "Towards each wall of the fence a setpoint is no faster than can be stopped before it, with the same "
+        "exception; outside of the fence, it leads no further out.",
     )
     ANSWER = _Text(
         14,
         "answer",
         "A setpoint, a mode request or a speed leaves only right behind an answer of the vehicle (TIMESYNC) "
         "to a question that is no older than 0.25 s, one step's commands for each answer: nothing waits in "
-        "a stream that nobody reads. The rule does not hold for a vehicle that has never answered. Where "
-        "commands wait for a second, authority ends.",
+        "a stream that nobody reads. The rule does not apply to a vehicle that has never answered, not even "
+        "late. Commands that wait for an answer for more than a second are a fault.",
     )
 
     @property

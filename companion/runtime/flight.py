@@ -268,7 +268,14 @@ class Flight:
         self._say(f"stood still for {lasted_s:.1f} s: what waited to be sent is thrown away")
 
     def _send(self) -> None:
-        self.link.send(self.onboard.drain(clock.now_s()))
+        now_s = clock.now_s()
+        data = self.onboard.drain(now_s)
+        took_s = clock.now_s() - now_s
+        if took_s > STALL_S:
+            # The gate judged it as it was then: it does not leave as if that were now.
+            self._note_stall(took_s)
+            return
+        self.link.send(data)
 
     def _loop(self) -> None:
         period = 1.0 / self.config.flight.setpoint_rate_hz

@@ -729,3 +729,29 @@ def test_a_dry_run_computes_and_transmits_nothing(
     assert made.onboard.heart.state.value == "avoiding"
     assert made.folder is not None
     assert any(path.stat().st_size > 1000 for path in made.folder.glob("*.events"))
+
+
+@pytest.mark.parametrize(("took_s", "leaves"), [(0.01, True), (0.2, True), (0.3, False), (10.0, False)])
+def test_what_was_let_leave_before_a_stall_does_not_leave_after_it(monkeypatch, took_s, leaves):
+    """The process stops between the gate's word and the link."""
+
+    class Stub:
+        def __init__(self):
+            self.now_s, self.sent, self.discarded, self.said = 100.0, [], 0, []
+
+        def drain(self, _now_s):
+            self.now_s += took_s
+            return b"command"
+
+        def discard(self):
+            self.discarded += 1
+
+    stub = Stub()
+    monkeypatch.setattr(clock, "now_s", lambda: stub.now_s)
+    flight = Flight.__new__(Flight)
+    flight.onboard = flight.link = stub
+    stub.send = stub.sent.append
+    flight._say, flight._stalls, flight._read_s = stub.said.append, 0, 100.0
+    flight._send()
+    assert stub.sent == ([b"command"] if leaves else [])
+    assert (flight._stalls, stub.discarded, len(stub.said)) == ((0, 0, 0) if leaves else (1, 1, 1))
