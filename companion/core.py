@@ -23,6 +23,7 @@ from companion.events import (
     Event,
     FenceDownloaded,
     FenceRefused,
+    GateAuthority,
     GateRefused,
     Heartbeat,
     InputBehind,
@@ -156,6 +157,8 @@ class Companion:
                     commands += self._take_settings(event)
                 case GateRefused():
                     self._control.take_refusal(event)
+                case GateAuthority():
+                    commands += self._readiness.take_authority(event, self.state)
                 case Heartbeat() | CurrentMode():
                     own.take(event, now_s, sent_s)
                     if own.heartbeat is not None:

@@ -317,6 +317,13 @@ class GateRefused(Event, frozen=True):
     """What it ends: authority, as a fault does, or for good, as the pilot does. Nothing: it came too late."""
 
 
+class GateAuthority(Event, frozen=True):
+    """Whether the gate lets anything leave that commands the vehicle has changed."""
+
+    lost: str | None = None
+    """Why nothing is let leave before authority is given back, in words; None: it was given back."""
+
+
 # ---------------------------------------------------------------- from the radio
 
 
@@ -572,6 +579,7 @@ AnyEvent = (
     | VehicleText
     | InputBehind
     | GateRefused
+    | GateAuthority
     | RemoteIdHeard
     | RadioState
     | OperatorData

@@ -28,6 +28,7 @@ from companion.events import (
     DownloadMission,
     Event,
     FlightMode,
+    GateAuthority,
     InputBehind,
     RadioState,
     RemoteIdHeard,
@@ -101,6 +102,8 @@ class Onboard:
         """Since when it was not, as of this step."""
         self._refusals_said: dict[int, float] = {}
         """Rule of the gate -> when the pilot was last told of it."""
+        self._lost: str | None = None
+        """As of `Gate.lost`, when the heart was last told."""
         self._asks = False
         """A step has begun whose commands have asked for no answer yet: each step asks once."""
 
@@ -193,6 +196,9 @@ class Onboard:
         advanced = self.link.advance(now_s)
         self._told_gate(advanced, now_s)
         told: list[Event] = [] if since_s is None else [InputBehind(since_s=since_s)]
+        if self.gate.lost != self._lost:
+            self._lost = self.gate.lost
+            told.append(GateAuthority(lost=self._lost))
         for refused in self.gate.broken():
             told.append(refused)
             said_s = self._refusals_said.get(refused.rule, -math.inf)

@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from companion.authority.table import State
 from companion.autopilot.dialect import DIALECTS
 from companion.config import Config
-from companion.events import Command, Firmware, FlightMode, Heartbeat, Landed, Say, Severity, TwoAutopilots
+from companion.events import (
+    Command,
+    Firmware,
+    FlightMode,
+    GateAuthority,
+    Heartbeat,
+    Landed,
+    Say,
+    Severity,
+    TwoAutopilots,
+)
 from companion.ownship import Ownship
 from companion.remote_id.broadcaster import Broadcaster
 from companion.settings import SWITCHED_OFF
@@ -35,6 +46,8 @@ class Readiness:
         """As a ground station has switched it."""
         self.unclear: str | None = None
         """Why it is not known which vehicle on the link is ours."""
+        self.lost: str | None = None
+        """Why the gate lets nothing leave before authority is given back."""
         self._seen_down = config.flight.take_in_flight
         self._found_s: float | None = None
         """When the vehicle was first heard."""
@@ -43,6 +56,13 @@ class Readiness:
         """From now on it is not known which vehicle is ours."""
         self.unclear = event.reason
         return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
+
+    def take_authority(self, event: GateAuthority, state: State) -> list[Command]:
+        """The gate has lost authority or got it back. Where the loss ends nothing it is told here."""
+        self.lost = event.lost
+        if event.lost is None or state not in (State.STANDBY, State.WATCHING):
+            return []
+        return [Say(severity=Severity.WARNING, text=f"DMUCA: takes nothing: {event.lost}")]
 
     def look(self, now_s: float, shown: Sequence[Heartbeat]) -> None:
         """Note whether the vehicle is there, and was down.
@@ -80,6 +100,8 @@ class Readiness:
         own, config = self._own, self._config
         if self.unclear is not None:
             return self.unclear
+        if self.lost is not None:
+            return f"authority to be given back: {self.lost}"
         if config.flight.use == "watch":
             return 'flight.use is "watch"'
         if not self.enabled:

@@ -30,6 +30,7 @@ _FLOOR, _CEILING = -1, -2
 _LONGEST_S = 1.0
 _LATE_S = 0.5
 _DRIFT = 1e-3
+_CLOCKLESS_S = 10.0
 
 _GROUND_MPS = 2.0
 
@@ -56,7 +57,8 @@ class Bounds:
         self._velocity: Vec3 = (0.0, 0.0, 0.0)
         self._offset_s = math.inf
         """Our clock less the vehicle's: of its least delayed message."""
-        self._boot_s = -math.inf
+        self._boot_s = self._stamp_s = -math.inf
+        """Newest time of the vehicle's clock: of a position, of any message."""
         self._frame: LocalFrame | None = None
         self._here = 0.0, 0.0
         self._walls: list[tuple[FenceArea, list[Edge]]] | None = None
@@ -70,14 +72,19 @@ class Bounds:
 
     # ------------------------------------------------------------ what the vehicle says
 
+    def hear_clock(self, time_boot_s: float, now_s: float) -> None:
+        """The vehicle's own clock, in any message that tells it."""
+        if time_boot_s < self._stamp_s - 1.0:
+            self._offset_s = self._stamp_s = math.inf  # it began anew
+        passed_s = max(time_boot_s - self._stamp_s, 0.0) if self._stamp_s < math.inf else 0.0
+        self._offset_s = min(now_s - time_boot_s, self._offset_s + _DRIFT * passed_s)
+        self._stamp_s = time_boot_s if self._stamp_s == math.inf else max(time_boot_s, self._stamp_s)
+
     def hear_position(self, event: GlobalPosition, now_s: float) -> None:
         """GLOBAL_POSITION_INT, dated by the vehicle's own clock."""
-        offset_s = now_s - event.time_boot_s
-        if event.time_boot_s < self._boot_s - 1.0:
-            self._offset_s = math.inf  # the vehicle's clock began anew
-        elif event.time_boot_s < self._boot_s:
+        self.hear_clock(event.time_boot_s, now_s)
+        if self._boot_s - 1.0 <= event.time_boot_s < self._boot_s:
             return  # overtaken
-        self._offset_s = min(offset_s, self._offset_s + _DRIFT * max(event.time_boot_s - self._boot_s, 0.0))
         self._boot_s = event.time_boot_s
         if self._frame is None:
             self._frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
@@ -102,8 +109,11 @@ class Bounds:
             self._areas, self._walls, self._clear_m = areas, None, -1.0
 
     def late(self, now_s: float) -> bool:
-        """By the vehicle's own clock, what is heard from it now may be old: it waited on the way."""
-        return self._position is not None and self._age_s(self._position, now_s) > self._late_s
+        """By the vehicle's own clock, what is heard from it now may be old: it waited on the way. Where no
+        message tells that clock for long, nothing is known against what is heard."""
+        if math.isinf(self._stamp_s):
+            return False
+        return self._late_s < now_s - self._stamp_s - self._offset_s <= _CLOCKLESS_S
 
     @property
     def flies_fast(self) -> bool:

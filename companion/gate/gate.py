@@ -46,11 +46,13 @@ from companion.events import (
     Heartbeat,
     Landed,
     LandedState,
+    LocalPosition,
     MissionCurrent,
     Settings,
     TwoAutopilots,
     Vec3,
     VehicleParameters,
+    VehicleTime,
 )
 
 from .bounds import Bounds
@@ -139,6 +141,9 @@ class Gate:
         match event:
             case GlobalPosition():
                 self._bounds.hear_position(event, now_s)
+                self._fresh = self._fresh and not self._bounds.late(now_s)
+            case LocalPosition() | VehicleTime():
+                self._bounds.hear_clock(event.time_boot_s, now_s)
                 self._fresh = self._fresh and not self._bounds.late(now_s)
             case Heartbeat():
                 self._fresh = self._fresh or self._is_news(now_s)

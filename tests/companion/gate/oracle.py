@@ -207,7 +207,9 @@ class Oracle:
     def late(self, now_s: float) -> bool:
         """What the vehicle tells now waited on the way, by its own clock."""
         longest_s = max(0.5, 0.5 * self.terms.stale_s) + 0.02
-        return self.position is not None and now_s - self.position.measured_s > self.least_s + longest_s
+        if self.position is None:
+            return False
+        return longest_s < now_s - self.position.measured_s - self.least_s < 9.9
 
     def emptied(self, now_s: float) -> None:
         self.turn += 1
