@@ -341,7 +341,8 @@ class Control:
         commands = [] if self._handback is None else self._handback.begin(now_s)
         self._sticks.begin()
         self._modes.left_in = frozenset()
-        self._conflict_s = -math.inf
+        # A mission is given back after a while without a conflict, which begins now.
+        self._conflict_s = -math.inf if self._handback is None else now_s
         self._commanded_s = now_s
         self._modes.seek(now_s)
         return commands
