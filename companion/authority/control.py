@@ -218,7 +218,10 @@ class Control:
         """A guarded vehicle on its way goes back to its mission."""
         if self._handback is None or self.state is not State.GUARDING or not self._modes.confirmed:
             return []
-        commands, over = self._handback.ask(now_s, now_s - self._conflict_s)
+        clear_s = now_s - self._conflict_s
+        if clear_s < self._clear_after_s:
+            return []
+        commands, over = self._handback.ask(now_s, clear_s)
         return commands + self._move(now_s, {Trigger.CHANGED: None}) if over else commands
 
     def _steer(self, now_s: float, cycle: Cycle, commands: list[Command]) -> LawResult:

@@ -113,20 +113,6 @@ def test_a_fault_lets_go_as_the_firmware_needs_it(guarded, firmware):
     assert modes(commands) == ([FlightMode.HOLD] if firmware is Firmware.ARDUPILOT else [])
 
 
-def test_after_a_fault_the_mission_is_given_back_no_sooner_than_after_a_conflict(guarded):
-    """One look that sees no conflict does not end the one that the fault came into."""
-    bench = guarded()
-    bench.firmware = Firmware.ARDUPILOT
-    taken(bench)
-    bench.fix_type = 1
-    bench.step()
-    bench.fix_type = 3
-    bench.until(lambda: bench.heart.state is State.GUARDING)
-    begun_s = bench.now_s
-    bench.until(lambda: FlightMode.MISSION in modes(bench.commands))
-    assert bench.now_s - begun_s >= 3.0 - 0.1
-
-
 def test_a_hold_that_is_not_ours_is_the_pilots(guarded):
     bench = guarded()
     bench.firmware = Firmware.ARDUPILOT

@@ -66,6 +66,20 @@ def test_a_vehicle_that_does_not_take_its_mission_back_is_flown_on(guarded):
     assert bench.heart.state is State.GUARDING
 
 
+def test_after_a_fault_the_mission_is_given_back_no_sooner_than_after_a_conflict(guarded):
+    """One look that sees no conflict does not end the one that the fault came into."""
+    bench = guarded()
+    bench.firmware = Firmware.ARDUPILOT
+    taken(bench)
+    bench.fix_type = 1
+    bench.step(300)  # longer than the mission is not asked for again
+    bench.fix_type = 3
+    bench.until(lambda: bench.heart.state in HOLDING)
+    begun_s = bench.now_s
+    over(bench)
+    assert bench.now_s - begun_s >= 3.0 - 0.1
+
+
 def test_after_a_fault_the_vehicle_is_taken_from_where_we_left_it_and_given_back(guarded):
     bench = guarded()
     bench.firmware = Firmware.ARDUPILOT
