@@ -119,7 +119,7 @@ def test_a_flight_stores_what_is_set_and_the_next_one_begins_with_it(
 
     again = Flight(made, said.append, dry_run=False)
     assert again.onboard.settings == Settings(enable=False)
-    assert "settings: DMUCA_ENABLE 0, was 1" in said
+    until(lambda: "settings: DMUCA_ENABLE 0, was 1" in said)
     again._close()
 
     settings_path(made).write_bytes(b"{")
