@@ -61,6 +61,8 @@ from .rules import Broken, Rule
 
 STALL_S = 0.25
 """A pause in reading the input that is longer than this is a stall: what is read then may be old."""
+_SILENCE_S = 0.5
+"""A pause in what the vehicle says that is longer than this may have swallowed a mode."""
 _FRESH_S = 0.25
 _ANSWER_S = 0.1
 """For so long an answer shows that the vehicle reads what it is sent."""
@@ -92,6 +94,7 @@ _FREE = frozenset(
     }
 )
 """Messages that command nothing."""
+_OF_THE_VEHICLE = (GlobalPosition, LocalPosition, VehicleTime, Heartbeat, CurrentMode, LandedState)
 _FILES = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _FILES_OPCODE_AT = 6
 _FILES_ANSWERS = (128, 129)
@@ -115,7 +118,9 @@ class Gate:
         self._bounds_s = -math.inf
         """When a limit of the vehicle's or its fence was last told."""
         self._fresh = False
-        """A message has shown the vehicle's mode since the input was last found behind."""
+        """A message has shown the vehicle's mode since the input was last behind, or the vehicle silent."""
+        self._heard_s = -math.inf
+        """When the vehicle last said anything."""
         self._asked_s: float | None = None
         """When the latest question was asked that the vehicle has answered; None: it has answered none."""
         self._answer_s = -math.inf
@@ -131,13 +136,15 @@ class Gate:
         return self._mandate.lost
 
     def current(self, now_s: float) -> bool:
-        """What is known of the vehicle's mode is no backlog."""
-        return self._fresh and now_s - self._emptied_s <= STALL_S
+        """What is known of the vehicle's mode is no backlog, and the vehicle has not been silent since."""
+        return self._fresh and now_s - self._emptied_s <= STALL_S and now_s - self._heard_s <= _SILENCE_S
 
     # ------------------------------------------------------------ in
 
     def hear(self, event: Event, now_s: float) -> None:
         """One event of the link; those that are none of its business are passed over."""
+        if isinstance(event, _OF_THE_VEHICLE):
+            self._note_heard(now_s)
         match event:
             case GlobalPosition():
                 self._bounds.hear_position(event, now_s)
@@ -167,6 +174,10 @@ class Gate:
             case TwoAutopilots():
                 self._mandate.two_autopilots = True
 
+    def _note_heard(self, now_s: float) -> None:
+        self._fresh = self._fresh and now_s - self._heard_s <= _SILENCE_S
+        self._heard_s = now_s
+
     def _is_news(self, now_s: float) -> bool:
         """What is heard now is no backlog: neither here nor, by the vehicle's own clock, on the way."""
         return now_s - self._emptied_s <= STALL_S and not self._bounds.late(now_s)
@@ -187,6 +198,7 @@ class Gate:
 
     def answered(self, asked_s: float, now_s: float) -> None:
         """The vehicle has answered a question that it was asked at `asked_s`."""
+        self._note_heard(now_s)
         if self._asked_s is None or asked_s > self._asked_s:
             self._asked_s = asked_s
             if now_s - asked_s <= _FRESH_S:

@@ -41,10 +41,11 @@ class Rule(enum.Enum):
     CURRENT = _Text(
         5,
         "current",
-        "The input was read until it was empty within the last 0.25 s. After a longer pause, at the start "
-        "and after a backlog, here or on the way, a message that shows the vehicle's mode must have been "
-        "read since. By the vehicle's own clock, what is read then is no older than 0.5 s, or half of "
-        "vehicle.stale_after_s. The last message that shows the mode is no older than 3 s.",
+        "The input was read until it was empty within the last 0.25 s, and the vehicle said something within "
+        "the last 0.5 s. After a longer pause or silence, at the start and after a backlog, here or on the "
+        "way, a message that shows the vehicle's mode must have been read since. By the vehicle's own clock, "
+        "what is read then is no older than 0.5 s, or half of vehicle.stale_after_s. The last message that "
+        "shows the mode is no older than 3 s.",
         ends="nothing",
     )
     AUTHORITY = _Text(

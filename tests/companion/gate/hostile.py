@@ -257,7 +257,9 @@ class History:
     def _rare(self) -> None:
         """Something that happens once in a while."""
         rng = self.rng
-        match rng.randrange(10):
+        match rng.randrange(11):
+            case 10:
+                self._silence(rng.choice((2, 3, 4, 8)))
             case 0:
                 self.armed = not self.armed
             case 1:
@@ -300,6 +302,14 @@ class History:
         if self.rng.random() < 0.5:
             self._beat()
             self._position(min(seconds, self.rng.uniform(0.0, seconds)))
+
+    def _silence(self, steps: int) -> None:
+        """The input is read, but the vehicle says nothing; then perhaps something that shows no mode."""
+        for _ in range(steps):
+            self._moved(0.2)
+            self._emptied()
+        if self.rng.random() < 0.5:
+            self._position(0.01)
 
     def _emptied(self) -> None:
         self.gate.emptied(self.now_s)

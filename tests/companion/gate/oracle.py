@@ -82,7 +82,7 @@ class Oracle:
         self.enabled, self.two = True, False
         # Currency: a counter of what happened, the end of the last gap, the last message with a mode.
         self.turn, self.gap_ended, self.mode_turn = 0, 0, -1
-        self.emptied_s = -math.inf
+        self.emptied_s = self.said_s = -math.inf
         self.decided_s = -math.inf
         self.asked_at: float | None = None
         """When the newest question was asked that was answered."""
@@ -111,6 +111,7 @@ class Oracle:
     # ------------------------------------------------------------ what is told
 
     def heartbeat(self, system: int, custom: int, armed: bool, now_s: float) -> None:
+        self._said(now_s)
         self.heard, self.system, self.armed = True, system, armed
         if not armed:
             self.down = True
@@ -118,7 +119,15 @@ class Oracle:
                 self._let_go()
         self._mode(custom, now_s)
 
+    def _said(self, now_s: float) -> None:
+        """The vehicle has said something: a mode may have been lost in a silence before it."""
+        if now_s - self.said_s > 0.5:
+            self.turn += 1
+            self.gap_ended = self.turn
+        self.said_s = now_s
+
     def current_mode(self, custom: int, now_s: float) -> None:
+        self._said(now_s)
         self.turn += 1
         if self.heard:
             self._mode(custom, now_s)
@@ -163,6 +172,7 @@ class Oracle:
             self._let_go()
 
     def landed(self, on_ground: bool, now_s: float) -> None:
+        self._said(now_s)
         flown = (0.0, 0.0, 0.0) if self.position is None else self.position.velocity
         if not on_ground or math.hypot(*flown) > 2.0:
             self.grounded_s = None
@@ -177,6 +187,7 @@ class Oracle:
             self._let_go()
 
     def told(self, position: Told, now_s: float) -> None:
+        self._said(now_s)
         if self.position is not None:
             if position.boot_s < self.position.boot_s - 1.0:
                 self.least_s = math.inf
@@ -199,6 +210,7 @@ class Oracle:
         self.changes = []
 
     def answered(self, asked_s: float, now_s: float) -> None:
+        self._said(now_s)
         if self.asked_at is None or asked_s > self.asked_at:
             self.asked_at = asked_s
             if now_s - asked_s <= 0.25:
@@ -288,6 +300,8 @@ class Oracle:
             self._broken("target", "two autopilots")
         if now_s - self.emptied_s > 0.25 or self.mode_turn <= self.gap_ended:
             self._broken("current", f"emptied at {self.emptied_s}, {self.mode_turn} <= {self.gap_ended}")
+        if now_s - self.said_s > 0.5:
+            self._broken("current", f"silent for {now_s - self.said_s} s")
         if now_s - self.mode_s > 3.0:
             self._broken("current", f"mode {now_s - self.mode_s} s old")
         on_ground = self.grounded_s is not None and now_s - self.grounded_s >= 12.0

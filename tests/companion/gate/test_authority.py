@@ -12,6 +12,7 @@ from tests.companion.gate.flying import (
     MISSION,
     PX4,
     RTL,
+    STEP_S,
     STICKS,
     Flying,
     config,
@@ -155,6 +156,32 @@ def test_px4_shows_its_mode_between_heartbeats_too():
     read(one, beats=False)
     assert not one.flies()
     one.current_mode(EXTERNAL)
+    assert one.flies()
+
+
+@pytest.mark.parametrize(("silence_s", "leaves"), [(0.45, True), (0.55, False)])
+def test_after_a_silence_of_the_vehicle_the_mode_is_not_known_before_it_is_seen(silence_s, leaves):
+    one = flying()
+    for _ in range(round(silence_s / STEP_S)):
+        one.now_s += STEP_S
+        one.gate.emptied(one.now_s)
+        one.gate.decided(one.now_s)
+    assert one.flies() is leaves
+    read(one, beats=False)
+    assert one.flies() is leaves
+    assert one.asks(HOLD) is leaves
+    read(one)
+    assert one.asks(HOLD)
+    assert set(one.gate.counts) <= {"current"}
+
+
+def test_an_answer_is_a_word_of_the_vehicle_too():
+    one = flying()
+    for _ in range(15):
+        one.now_s += STEP_S
+        one.gate.answered(one.now_s - 0.02, one.now_s)
+        one.gate.emptied(one.now_s)
+        one.gate.decided(one.now_s)
     assert one.flies()
 
 

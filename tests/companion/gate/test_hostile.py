@@ -6,7 +6,7 @@ import pytest
 
 from companion.gate.rules import Rule
 from tests.companion.gate import hostile
-from tests.companion.gate.weakened import LACKING, Weakened
+from tests.companion.gate.weakened import LACKING, HearsNoSilence, Weakened
 
 
 def test_no_rule_is_broken():
@@ -34,6 +34,11 @@ def test_a_gate_that_lacks_a_rule_is_found(rule):
         if rule.value.name in found:
             break
     assert rule.value.name in found
+
+
+def test_a_gate_that_hears_no_silence_is_found():
+    block = hostile.run_block(1, 0, 400, 100, HearsNoSilence)
+    assert "current" in {name for _, name, _ in block.broken}
 
 
 def test_without_any_gate_every_rule_is_broken():

@@ -158,6 +158,22 @@ class BelievesOldModes(Weakened):
         return self.gate.release(data, now_s)
 
 
+class HearsNoSilence(Weakened):
+    """It takes every look at an empty input for a message of the vehicle."""
+
+    landed: LandedState | None = None
+
+    def hear(self, event: Event, now_s: float) -> None:
+        if isinstance(event, LandedState):
+            self.landed = event
+        self.gate.hear(event, now_s)
+
+    def emptied(self, now_s: float) -> None:
+        if self.landed is not None:
+            self.gate.hear(self.landed, now_s)
+        self.gate.emptied(now_s)
+
+
 class OverlooksModes(Weakened):
     """One message in two that shows another mode."""
 
