@@ -7,7 +7,8 @@ position and velocity are true.
 Where no command in reach keeps every plane for the greatest speed in reach, a lower speed makes the way to a
 stop shorter: those that do not fly faster than that are looked through, down to braking with BRAKES of the
 acceleration limit. A state from which even that does not stop in time (taken over next to a wall, a gust) is
-left by turning off each wall by itself, and where that is too much, too, by breaking least what is nearest.
+left by braking straight on with all of the acceleration limit, where that ends before every wall; else by
+turning off each wall by itself; and where that is too much, too, by breaking least what is nearest.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.avoidance.compiled import compiled
-from companion.avoidance.fence_planes import BRAKES, DOWN_SPEEDS, STOP_LAG_S, allowed, wall_planes
+from companion.avoidance.fence_planes import BRAKES, DOWN_SPEEDS, STOP_LAG_S, allowed, crosses, wall_planes
 from companion.avoidance.programs import EPSILON, ball, least_violation
 
 Array = NDArray[np.float64]
@@ -161,6 +162,25 @@ def _least_broken(
 
 
 @compiled
+def _stops_inside(
+    fence: Array,
+    n: float,
+    e: float,
+    ahead_n: float,
+    ahead_e: float,
+    before: Array,
+    level: float,
+    acceleration: float,
+) -> bool:
+    """Whether braking straight on with all of the acceleration limit ends before every wall."""
+    stop_s = level / (2.0 * acceleration)
+    for i in range(len(fence)):
+        if crosses(fence[i], n, e, ahead_n + stop_s * before[0], ahead_e + stop_s * before[1]):
+            return False
+    return True
+
+
+@compiled
 def keep(
     fence: Array,
     n: float,
@@ -230,11 +250,14 @@ def keep(
         most_speed = low if step == 0 else 0.5 * (low + high)
     else:
         return x, y, z
-    # It cannot stop straight on before all of them: each by itself, by turning off it.
+    # No planes hold that count on BRAKES and keep the margin.
     count, after = wall_planes(
         fence, n, e, ahead_n, ahead_e, before[0], before[1], margin, speed, acceleration, 0.0, False, 0.0,
         scratch, DOWN_SPEEDS,
     )  # fmt: skip
+    if after == count and _stops_inside(fence, n, e, ahead_n, ahead_e, before, level, acceleration):
+        k = max(1.0 - change / max(level, EPSILON), 0.0)
+        return k * before[0], k * before[1], min(max(before[2], least), most)
     found, x, y, z = in_reach(scratch, count, wish, before, change, top)
     if found:
         return x, y, z

@@ -11,6 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from companion.avoidance import kernels as k
+from companion.avoidance.fence_planes import crosses
 from companion.avoidance.hard_planes import in_reach
 from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
@@ -134,7 +135,27 @@ def test_outside_nothing_leads_further_out_that_need_not(
         assert inward >= -n * way[0] - e * way[1] + 0.99 * CHANGE
 
 
+@settings(max_examples=300, deadline=None)
+@given(fence=areas, at=st.tuples(number, number), to=st.tuples(number, number))
+def test_a_way_crosses_a_fence_where_its_points_are_on_both_sides(fence: k.Array, at: Any, to: Any) -> None:
+    share = np.linspace(0.0, 1.0, 2001)[:, None]
+    way = np.hstack([np.array(at) + share * (np.array(to) - np.array(at)), np.full_like(share, -50.0)])
+    rooms = room(fence, way)
+    assume(rooms[0] > 1e-3)  # it begins on the right side
+    found = any(crosses(wall, *at, *to) for wall in fence)
+    if rooms.min() < -1e-6:
+        assert found
+    elif rooms.min() > 0.1:  # more than between two of the points
+        assert not found
+
+
 # ---------------------------------------------------------------- attacks
+
+
+@pytest.mark.parametrize("seed", [5081, 5925])
+def test_who_can_stop_only_with_all_of_the_limit_does(seed: int) -> None:
+    """Flown past the corner of a forbidden area, at 10 and 13 m/s."""
+    assert fences.fly(seed).crossed_m == 0.0
 
 
 @pytest.mark.parametrize("noisy", [False, True])
