@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from companion.autopilot.dialect import DIALECTS
+from companion.autopilot.mission import speed_changes
 from companion.avoidance.law import horizon_s
 from companion.avoidance.limits import effective, lower_ones
 from companion.config import Config, LimitsConfig
 from companion.events import Firmware, MissionItem, VehicleParameters
-
-from .dialect import DIALECTS
-from .mission import speed_changes
 
 LEAST_TIMEOUT_S = 0.5
 LEAST_SETPOINTS = 5

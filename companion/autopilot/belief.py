@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .heard_vehicle import LOST_AFTER_S, HeardVehicle
-from .signing import Refusal, Signing
-from .wire import Frame
+from companion.autopilot.heard_vehicle import LOST_AFTER_S, HeardVehicle
+from companion.autopilot.signing import Refusal, Signing
+from companion.autopilot.wire import Frame
 
 _ALL_REFUSED = {
     Refusal.UNSIGNED: "unsigned: signing is not set up on the autopilot",

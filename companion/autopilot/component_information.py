@@ -19,15 +19,14 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion import __version__
+from companion.autopilot import ftp
+from companion.autopilot.dialect import CMD_REQUEST_MESSAGE
+from companion.autopilot.encoders import Outgoing
+from companion.autopilot.ftp import FileServer
+from companion.autopilot.metadata import GENERAL, MODEL, VENDOR, metadata_files, uri
+from companion.autopilot.readers import unpack
+from companion.autopilot.wire import COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA, Frame
 from companion.config import Config
-
-from . import ftp
-from .dialect import CMD_REQUEST_MESSAGE
-from .encoders import Outgoing
-from .ftp import FileServer
-from .metadata import GENERAL, MODEL, VENDOR, metadata_files, uri
-from .readers import unpack
-from .wire import COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA, Frame
 
 PERIOD_S = 0.1
 """From one answer to the next: 3 kB/s at most."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .remote_id import RemoteIdCounts
-from .wire import WireCounts
+from companion.autopilot.remote_id import RemoteIdCounts
+from companion.autopilot.wire import WireCounts
 
 
 @dataclass(slots=True, kw_only=True)

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from companion.autopilot.fence import areas_from_items
+from companion.autopilot.heard_vehicle import HeardVehicle
+from companion.autopilot.mission_download import FENCE, MISSION, MissionDownload
+from companion.autopilot.outbox import Outbox
+from companion.autopilot.readers import Fields
+from companion.autopilot.wire import MAGIC_V1, Frame
 from companion.errors import PeerDataError
 from companion.events import (
     Event,
@@ -11,13 +17,6 @@ from companion.events import (
     MissionDownloaded,
     MissionRefused,
 )
-
-from .fence import areas_from_items
-from .heard_vehicle import HeardVehicle
-from .mission_download import FENCE, MISSION, MissionDownload
-from .outbox import Outbox
-from .readers import Fields
-from .wire import MAGIC_V1, Frame
 
 
 class Downloads:

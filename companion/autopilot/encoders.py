@@ -13,10 +13,14 @@ import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.dialect import (
+    AUTOPILOT_INVALID,
+    FRAME_LOCAL_NED,
+    VELOCITY_YAW_MASK,
+    VELOCITY_YAW_RATE_MASK,
+)
+from companion.autopilot.readers import MAX_ICAO
 from companion.events import Threat, Vec3
-
-from .dialect import AUTOPILOT_INVALID, FRAME_LOCAL_NED, VELOCITY_YAW_MASK, VELOCITY_YAW_RATE_MASK
-from .readers import MAX_ICAO
 
 Outgoing = tuple[int, bytes]
 """Message id and payload."""

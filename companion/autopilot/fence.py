@@ -13,11 +13,10 @@ from collections.abc import Iterator, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.mission_download import GLOBAL_FRAMES
 from companion.avoidance.fence import MIN_POINTS, fault_of
 from companion.errors import PeerDataError
 from companion.events import FenceArea, MissionItem
-
-from .mission_download import GLOBAL_FRAMES
 
 _RETURN_POINT = mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT
 _POLYGONS = {

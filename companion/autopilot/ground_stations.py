@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import math
 
+from companion.autopilot import own_parameters
+from companion.autopilot.component_information import ComponentInformation
+from companion.autopilot.counts import LinkCounts
+from companion.autopilot.heard_vehicle import HeardVehicle
+from companion.autopilot.outbox import Outbox
+from companion.autopilot.own_parameters import OwnParameters
+from companion.autopilot.wire import Frame
 from companion.events import Event, Severity
-
-from . import own_parameters
-from .component_information import ComponentInformation
-from .counts import LinkCounts
-from .heard_vehicle import HeardVehicle
-from .outbox import Outbox
-from .own_parameters import OwnParameters
-from .wire import Frame
 
 _SAME_REFUSAL_S = 5.0
 """A ground station asks again for what was refused; it is told why no more often."""

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.counts import LinkCounts
+from companion.autopilot.dialect import AUTOPILOT_INVALID, refusal
+from companion.autopilot.encoders import AUTOPILOT_COMPONENT
+from companion.autopilot.readers import Fields, unpack
+from companion.autopilot.wire import Frame
 from companion.config import VehicleConfig
 from companion.events import Firmware, Heartbeat, TwoAutopilots
-
-from .counts import LinkCounts
-from .dialect import AUTOPILOT_INVALID, refusal
-from .encoders import AUTOPILOT_COMPONENT
-from .readers import Fields, unpack
-from .wire import Frame
 
 LOST_AFTER_S = 3.0
 """Heartbeats further apart than this: the link dropped, or the vehicle restarted."""

@@ -35,6 +35,24 @@ from typing import Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot import encoders, remote_id
+from companion.autopilot.belief import Belief
+from companion.autopilot.component_information import ComponentInformation
+from companion.autopilot.counts import LinkCounts
+from companion.autopilot.downloads import Downloads
+from companion.autopilot.ground_stations import GroundStations
+from companion.autopilot.heard_vehicle import HeardVehicle, Vehicle, from_autopilot
+from companion.autopilot.mission_download import FENCE, MISSION
+from companion.autopilot.mode_and_speed import ModeAndSpeed
+from companion.autopilot.outbox import Outbox
+from companion.autopilot.own_parameters import OwnParameters
+from companion.autopilot.polling import Polling
+from companion.autopilot.readers import READERS, Fields, heartbeat, unpack
+from companion.autopilot.remote_id import RemoteIdComponent, RemoteIdListener
+from companion.autopilot.signing import Signing
+from companion.autopilot.statustext import TextAssembler
+from companion.autopilot.wire import Frame, FrameScanner
+from companion.autopilot.yaw import Nose
 from companion.config import VehicleConfig
 from companion.errors import ConfigError, PeerDataError
 from companion.events import (
@@ -56,25 +74,6 @@ from companion.events import (
 )
 from companion.remote_id.mavlink import COMPONENT_ID
 from companion.remote_id.messages import BasicId
-
-from . import encoders, remote_id
-from .belief import Belief
-from .component_information import ComponentInformation
-from .counts import LinkCounts
-from .downloads import Downloads
-from .ground_stations import GroundStations
-from .heard_vehicle import HeardVehicle, Vehicle, from_autopilot
-from .mission_download import FENCE, MISSION
-from .mode_and_speed import ModeAndSpeed
-from .outbox import Outbox
-from .own_parameters import OwnParameters
-from .polling import Polling
-from .readers import READERS, Fields, heartbeat, unpack
-from .remote_id import RemoteIdComponent, RemoteIdListener
-from .signing import Signing
-from .statustext import TextAssembler
-from .wire import Frame, FrameScanner
-from .yaw import Nose
 
 HEARTBEAT_PERIOD_S = remote_id.HEARTBEAT_PERIOD_S
 _EPSILON_S = 1e-6

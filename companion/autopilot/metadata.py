@@ -10,11 +10,10 @@ from typing import Any
 import msgspec
 
 from companion import __version__
+from companion.autopilot.ftp import crc32
 from companion.config import Config
 from companion.events import Settings
 from companion.settings import ENABLE, NAMES, allowed, value_of
-
-from .ftp import crc32
 
 VENDOR = "DMUCA"
 MODEL = "companion"

@@ -15,11 +15,10 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.encoders import Outgoing, mission_ack, mission_request, mission_request_list
+from companion.autopilot.readers import Fields, finite_or_none
 from companion.errors import PeerDataError
 from companion.events import MissionItem
-
-from .encoders import Outgoing, mission_ack, mission_request, mission_request_list
-from .readers import Fields, finite_or_none
 
 RETRY_S = 1.0
 MAX_TRIES = 5

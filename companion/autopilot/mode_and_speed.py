@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.counts import LinkCounts
+from companion.autopilot.dialect import CMD_DO_CHANGE_SPEED, CMD_DO_SET_MODE, CMD_REQUEST_MESSAGE, DIALECTS
+from companion.autopilot.encoders import Outgoing, command_long
+from companion.autopilot.heard_vehicle import HeardVehicle
+from companion.autopilot.mode_request import ModeRequest, ModeTold
+from companion.autopilot.outbox import Outbox
 from companion.events import CurrentMode, Event, FlightMode, Heartbeat, ModeRefused, SetMode
-
-from .counts import LinkCounts
-from .dialect import CMD_DO_CHANGE_SPEED, CMD_DO_SET_MODE, CMD_REQUEST_MESSAGE, DIALECTS
-from .encoders import Outgoing, command_long
-from .heard_vehicle import HeardVehicle
-from .mode_request import ModeRequest, ModeTold
-from .outbox import Outbox
 
 _GROUND_SPEED, _THROTTLE_AS_IT_IS = 1.0, -1.0
 _SPEED_RETRY_S, _SPEED_TRIES = 1.0, 5

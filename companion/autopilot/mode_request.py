@@ -15,10 +15,9 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.dialect import CMD_DO_SET_MODE, CUSTOM_MODE_ENABLED, Dialect
+from companion.autopilot.encoders import Outgoing, command_long
 from companion.events import FlightMode
-
-from .dialect import CMD_DO_SET_MODE, CUSTOM_MODE_ENABLED, Dialect
-from .encoders import Outgoing, command_long
 
 RETRY_S = 1.0
 MAX_TRIES = 5

@@ -7,14 +7,13 @@ failsafes. From then on the vehicle's own.
 
 from __future__ import annotations
 
+from companion.autopilot import encoders
+from companion.autopilot.counts import LinkCounts
+from companion.autopilot.encoders import Outgoing
+from companion.autopilot.signing import Signing
+from companion.autopilot.wire import MavlinkWriter
 from companion.config import VehicleConfig
 from companion.events import Severity
-
-from . import encoders
-from .counts import LinkCounts
-from .encoders import Outgoing
-from .signing import Signing
-from .wire import MavlinkWriter
 
 COMMAND_FRESH_S = 0.25
 """A command that could not leave for so long does not leave any more."""

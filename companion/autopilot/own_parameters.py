@@ -16,14 +16,13 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.encoders import Outgoing
+from companion.autopilot.readers import unpack
+from companion.autopilot.wire import Frame
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import Settings
 from companion.settings import NAMES, changed, value_of
-
-from .encoders import Outgoing
-from .readers import unpack
-from .wire import Frame
 
 PERIOD_S = 0.2
 """From one answer to the next."""

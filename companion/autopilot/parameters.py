@@ -16,10 +16,9 @@ import struct
 
 import msgspec
 
+from companion.autopilot.dialect import Dialect
 from companion.errors import PeerDataError
 from companion.events import Parameter, VehicleParameters
-
-from .dialect import Dialect
 
 RETRY_S = 1.0
 MAX_TRIES = 5

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from companion.autopilot.counts import LinkCounts
+from companion.autopilot.dialect import CMD_SET_MESSAGE_INTERVAL, DIALECTS
+from companion.autopilot.encoders import AUTOPILOT_COMPONENT, command_long, param_request_read
+from companion.autopilot.heard_vehicle import HeardVehicle
+from companion.autopilot.outbox import Outbox
+from companion.autopilot.parameters import ParameterReader
+from companion.autopilot.readers import Fields
+from companion.autopilot.streams import Streams
+from companion.autopilot.timesync import TimeSync, nanoseconds, read_timesync, timesync
+from companion.autopilot.wire import Frame
 from companion.events import Event, VehicleParameters
-
-from .counts import LinkCounts
-from .dialect import CMD_SET_MESSAGE_INTERVAL, DIALECTS
-from .encoders import AUTOPILOT_COMPONENT, command_long, param_request_read
-from .heard_vehicle import HeardVehicle
-from .outbox import Outbox
-from .parameters import ParameterReader
-from .readers import Fields
-from .streams import Streams
-from .timesync import TimeSync, nanoseconds, read_timesync, timesync
-from .wire import Frame
 
 
 class Polling:

@@ -14,6 +14,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.dialect import ARMED, FIRMWARES, flight_mode
+from companion.autopilot.wire import CURRENT_MODE
 from companion.errors import PeerDataError
 from companion.events import (
     AdsbVehicle,
@@ -30,9 +32,6 @@ from companion.events import (
     RcChannels,
     VehicleTime,
 )
-
-from .dialect import ARMED, FIRMWARES, flight_mode
-from .wire import CURRENT_MODE
 
 Fields = tuple[Any, ...]
 """A payload's fields in wire order."""

@@ -25,6 +25,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from companion.autopilot import encoders
+from companion.autopilot.wire import Frame, MavlinkWriter, without_signature
 from companion.errors import PeerDataError
 from companion.events import ArmStatus, Event, OperatorData, RemoteIdHeard, RemoteIdModule
 from companion.remote_id.identity import public_operator_id
@@ -50,9 +52,6 @@ from companion.remote_id.messages import (
     SelfId,
     System,
 )
-
-from . import encoders
-from .wire import Frame, MavlinkWriter, without_signature
 
 MESSAGE_IDS = READABLE | {ARM_STATUS}
 MAX_HEARD = 256

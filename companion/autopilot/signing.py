@@ -18,7 +18,7 @@ from hashlib import sha256
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from .wire import SIGNATURE_BYTES, Frame, flagged, is_signed
+from companion.autopilot.wire import SIGNATURE_BYTES, Frame, flagged, is_signed
 
 KEY_BYTES = 32
 EPOCH_S = 1_420_070_400.0

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from companion.autopilot.readers import Fields
 from companion.errors import PeerDataError
 from companion.events import VehicleText
-
-from .readers import Fields
 
 MAX_CHUNKS = 10
 """A vehicle that never ends its text is cut off here."""

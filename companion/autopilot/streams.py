@@ -19,9 +19,8 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.wire import CURRENT_MODE
 from companion.events import Firmware
-
-from .wire import CURRENT_MODE
 
 STREAM_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,

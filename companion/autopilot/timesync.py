@@ -16,9 +16,8 @@ import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.encoders import Outgoing
 from companion.events import ClockRead
-
-from .encoders import Outgoing
 
 PERIOD_S = 1.0
 LONGEST_ROUND_TRIP_S = 0.5

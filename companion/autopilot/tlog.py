@@ -15,9 +15,7 @@ from typing import BinaryIO, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.errors import PeerDataError
-
-from .wire import (
+from companion.autopilot.wire import (
     MAGIC_V1,
     MAGIC_V2,
     MAX_FRAME_BYTES,
@@ -28,6 +26,7 @@ from .wire import (
     message_id_of,
     without_signature,
 )
+from companion.errors import PeerDataError
 
 _STAMP = struct.Struct(">Q")
 _MAGIC = re.compile(rb"[\xfd\xfe]")

@@ -11,9 +11,8 @@ from itertools import pairwise
 
 from companion.config import Config
 from companion.events import FenceArea, GlobalPosition, Parameter, Vec3, VehicleParameters
+from companion.gate.rules import Broken, Rule
 from companion.geometry import LocalFrame
-
-from .rules import Broken, Rule
 
 _SLACK_MPS = 1e-3
 """A setpoint travels as 32-bit floats."""

@@ -54,10 +54,9 @@ from companion.events import (
     VehicleParameters,
     VehicleTime,
 )
-
-from .bounds import Bounds
-from .mandate import Mandate
-from .rules import Broken, Rule
+from companion.gate.bounds import Bounds
+from companion.gate.mandate import Mandate
+from companion.gate.rules import Broken, Rule
 
 STALL_S = 0.25
 """A pause in reading the input that is longer than this is a stall: what is read then may be old."""

@@ -8,8 +8,7 @@ import math
 from companion.autopilot.dialect import DIALECTS, flight_mode
 from companion.config import Config
 from companion.events import Firmware, FlightMode, Heartbeat, Landed
-
-from .rules import Broken, Rule
+from companion.gate.rules import Broken, Rule
 
 MODE_OLD_S = 3.0
 _ASKED_S = 10.0

@@ -25,9 +25,8 @@ from companion.events import (
 )
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_options import VehicleOptions
-
-from .test_vehicle_mission import download as download_mission
-from .test_vehicle_mission import plan, upload
+from tests.sitl_mocks.test_vehicle_mission import download as download_mission
+from tests.sitl_mocks.test_vehicle_mission import plan, upload
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])

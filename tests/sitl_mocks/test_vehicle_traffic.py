@@ -8,8 +8,7 @@ from companion.errors import ConfigError
 from companion.events import AdsbVehicle, Firmware
 from companion.geometry import LocalFrame
 from sitl_mocks.vehicle_traffic import CrewedFlight
-
-from .test_vehicle_fence import Line
+from tests.sitl_mocks.test_vehicle_fence import Line
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])

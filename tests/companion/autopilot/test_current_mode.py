@@ -8,8 +8,7 @@ import pytest
 
 from companion.autopilot.wire import CURRENT_MODE
 from companion.events import CurrentMode, FlightMode, ModeRefused, SetMode
-
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import Scripted
 
 OFFBOARD, HOLD, MISSION, RETURN = 0x00060000, 0x03040000, 0x04040000, 0x05040000
 EXTERNAL = SetMode(mode=FlightMode.EXTERNAL)

@@ -18,10 +18,9 @@ from companion.events import (
     MissionDownloaded,
     MissionRefused,
 )
-
-from .conftest import Scripted
-from .test_mission_download import count, wait
-from .test_mission_download import item as mission_item
+from tests.companion.autopilot.conftest import Scripted
+from tests.companion.autopilot.test_mission_download import count, wait
+from tests.companion.autopilot.test_mission_download import item as mission_item
 
 TRIANGLE = ((47.0, 8.0), (47.01, 8.0), (47.01, 8.01))
 AREA = FenceArea(inclusion=True, points=TRIANGLE)

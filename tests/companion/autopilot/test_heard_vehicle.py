@@ -12,8 +12,7 @@ from companion.events import (
     Heartbeat,
     TwoAutopilots,
 )
-
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import Scripted
 
 GUIDED = 4
 

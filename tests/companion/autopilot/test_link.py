@@ -23,8 +23,7 @@ from companion.events import (
     VehicleText,
     VelocitySetpoint,
 )
-
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import Scripted
 
 GUIDED = 4
 EXTERNAL = SetMode(mode=FlightMode.EXTERNAL)

@@ -7,8 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.events import DownloadMission, Event, MissionDownloaded, MissionItem, MissionRefused
-
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import Scripted
 
 US = {"target_system": 1, "target_component": 191}
 GUIDED = 4

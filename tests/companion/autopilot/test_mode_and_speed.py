@@ -12,8 +12,7 @@ from companion.events import (
     SetMode,
     SetSpeed,
 )
-
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import Scripted
 
 GUIDED, LOITER, BRAKE, RTL = 4, 5, 17, 6
 OFFBOARD = 0x00060000

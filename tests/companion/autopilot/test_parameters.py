@@ -12,9 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.dialect import ARDUPILOT, PX4, Dialect
 from companion.autopilot.parameters import MAX_TRIES
 from companion.events import Event, Firmware, Parameter, VehicleParameters
-
-from .conftest import PX4 as PX4_ID
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import PX4 as PX4_ID
+from tests.companion.autopilot.conftest import Scripted
 
 INT8, INT16, INT32, REAL32, REAL64 = 2, 4, 6, 9, 10
 BOTH = pytest.mark.parametrize("dialect", [ARDUPILOT, PX4], ids=lambda d: d.firmware.value)

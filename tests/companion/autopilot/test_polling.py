@@ -12,8 +12,7 @@ from companion.events import (
     AdsbVehicle,
     Firmware,
 )
-
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import Scripted
 
 ARDUPILOT_RATES_HZ = {
     number: rate for number, rate in STREAM_RATES_HZ.items() if FIRMWARE_OF.get(number) is not Firmware.PX4

@@ -27,8 +27,7 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
-
-from .conftest import PX4, Scripted
+from tests.companion.autopilot.conftest import PX4, Scripted
 
 EPOCH = 1546300800.0
 NO_ID = bytes(20)

@@ -11,8 +11,7 @@ from companion.autopilot.link import AutopilotLink
 from companion.autopilot.timesync import LONGEST_ROUND_TRIP_S, read_timesync, timesync
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.events import ClockRead, Event
-
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import Scripted
 
 TIMESYNC = mavlink.MAVLINK_MSG_ID_TIMESYNC
 BOOT_NS = 5_000_000_000

@@ -13,8 +13,7 @@ from companion.autopilot.link import AutopilotLink
 from companion.autopilot.yaw import LEAST_MPS, PAUSE_S, RATE_RADPS, Nose
 from companion.config import VehicleConfig
 from companion.events import VelocitySetpoint
-
-from .conftest import Scripted
+from tests.companion.autopilot.conftest import Scripted
 
 EAST = (0.0, 3.0, 0.0)
 STILL = (0.0, 0.0, -1.0)

@@ -7,8 +7,7 @@ import math
 import pytest
 
 from companion.avoidance.kernels import GROWTH_MOST_MPS
-
-from .flights import Listener, circle, fly, location, seconds, straight
+from tests.companion.traffic.flights import Listener, circle, fly, location, seconds, straight
 
 
 def neighbour(listener, now_s=60.0):

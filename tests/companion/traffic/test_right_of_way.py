@@ -8,8 +8,7 @@ from companion.config import TrafficConfig
 from companion.remote_id.messages import BasicId, IdType, Status, UaType
 from companion.traffic.right_of_way import CREWED, FREE, HELPLESS, LIMITED, rank_of, share_of
 from companion.traffic.tracks import Traffic
-
-from .flights import Listener, location, straight
+from tests.companion.traffic.flights import Listener, location, straight
 
 RANK_OF_TYPE = {
     UaType.NONE: FREE,
