@@ -22,8 +22,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench.bench_heart import NEIGHBOURS, heard
-from companion.radio import ether_wire
-from companion.radio.ether_wire import Heard, Welcome
+from companion.radio.ether import datagrams
+from companion.radio.ether.datagrams import Heard, Welcome
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location
 
@@ -75,7 +75,7 @@ class Air:
         while not self._ended.is_set():
             try:
                 self._client = self._socket.recvfrom(2048)[1]
-                self._socket.sendto(ether_wire.encode(Welcome(NEIGHBOURS + 1)), self._client)
+                self._socket.sendto(datagrams.encode(Welcome(NEIGHBOURS + 1)), self._client)
             except (TimeoutError, ConnectionError):
                 pass
             if self._client is None or time.monotonic() < due_s:
@@ -92,7 +92,7 @@ class Air:
             )
             address = radio_address(f"UAS{number}")
             for frame in senders[number].frames("wifi", dated):
-                self._socket.sendto(ether_wire.encode(Heard("wifi", address, frame)), self._client)
+                self._socket.sendto(datagrams.encode(Heard("wifi", address, frame)), self._client)
             number = (number + 1) % NEIGHBOURS
 
     def close(self) -> None:
@@ -155,7 +155,7 @@ def fly(folder: Path) -> dict[str, float]:
             (folder / "path.toml").write_text(_PATH)
             (folder / "c.toml").write_text(_CONFIG.format(vehicle=port, air=air.port, folder=folder / "runs"))
             began_s = time.monotonic()
-            with process(log, "companion.cli", "run", "--config", str(folder / "c.toml")) as child:
+            with process(log, "companion.commands.cli", "run", "--config", str(folder / "c.toml")) as child:
                 wait_for(log, "standby -> guarding")
                 ready_s = time.monotonic() - began_s
                 time.sleep(SETTLE_S)

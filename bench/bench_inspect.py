@@ -16,10 +16,10 @@ from pathlib import Path
 
 import msgspec
 
-from companion import record
+from companion import event_record
 from companion.config import Config
+from companion.event_record import Header, Step
 from companion.events import AnyEvent, VehicleTime
-from companion.record import Header, Step
 from sitl_mocks import settings
 from sitl_mocks.lockstep import fly
 
@@ -48,12 +48,12 @@ def flown(folder: Path) -> float:
     def recorder(name: str, config: Config) -> Callable[[Step], None]:
         stream = (folder / f"{name}.events").open("wb")
         header = Header(aircraft=name, software="bench", config=config)
-        stream.write(record.MAGIC + record.encode(header))
+        stream.write(event_record.MAGIC + event_record.encode(header))
 
         def take(step: Step) -> None:
             nonlocal end_s
             end_s = step.now_s
-            stream.write(record.encode(step))
+            stream.write(event_record.encode(step))
 
         return take
 
@@ -67,14 +67,14 @@ def repeated(source: Path, target: Path, length_s: float) -> None:
     target.mkdir()
     for path in source.glob("*.events"):
         with path.open("rb") as read, (target / path.name).open("wb") as written:
-            written.write(record.MAGIC)
+            written.write(event_record.MAGIC)
             for turn in range(LONGER):
                 read.seek(0)
-                for entry in record.read(read, path.name):
+                for entry in event_record.read(read, path.name):
                     if isinstance(entry, Step):
-                        written.write(record.encode(_later(entry, turn * length_s)))
+                        written.write(event_record.encode(_later(entry, turn * length_s)))
                     elif turn == 0:
-                        written.write(record.encode(entry))
+                        written.write(event_record.encode(entry))
 
 
 def _later(step: Step, by_s: float) -> Step:

@@ -24,9 +24,9 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from companion.autopilot.wire import FrameScanner, MavlinkWriter, mavlink
-from companion.runtime.byte_link import LinkTrouble
-from companion.runtime.kept_link import KeptLink
-from companion.runtime.udp_link import UdpLink
+from companion.runtime.links.byte_link import LinkTrouble
+from companion.runtime.links.kept_link import KeptLink
+from companion.runtime.links.udp_link import UdpLink
 
 OLD_S = 0.25
 STALL_S = 3.0

@@ -19,8 +19,8 @@ SECONDS = 60.0
 PARTS = {
     "mock vehicle: fly and send": ("sitl_mocks/autopilot.py", "advance"),
     "mock vehicle: receive": ("sitl_mocks/autopilot.py", "receive"),
-    "companion: MAVLink in": ("companion/onboard.py", "receive"),
-    "companion: step and MAVLink out": ("companion/onboard.py", "tick"),
+    "companion: MAVLink in": ("companion/system.py", "receive"),
+    "companion: step and MAVLink out": ("companion/system.py", "tick"),
     "of that, the heart": ("companion/core.py", "step"),
     "air": ("sitl_mocks/ether.py", "transmit"),
 }

@@ -11,7 +11,7 @@ from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id import codec
 from companion.remote_id.messages import (
     BasicId,

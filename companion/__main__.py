@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 
-from companion.command_line import start
+from companion.commands.entry_point import start
 
 
 def main() -> int:
     """Run the command. Returns the exit code."""
-    return start("companion.cli")
+    return start("companion.commands.cli")
 
 
 if __name__ == "__main__":

@@ -16,14 +16,14 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from companion.avoidance.fence import check_areas, load_fence
 from companion.errors import ConfigError
 from companion.events import FenceArea
+from companion.geofence import check_areas, load_fence
 from companion.remote_id.authentication import Verifier, public_key_hex
 from companion.remote_id.identity import check_identity, public_operator_id
 from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
-from companion.toml_input import SECRET, decode_toml, without_none
+from companion.toml_reader import SECRET, decode_toml, without_none
 
 T = TypeVar("T")
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from companion.adjustable_parameters import applied, differences
 from companion.atmc.chooser import chooser_of
 from companion.authority.control import Control
 from companion.authority.plan import Plan, plan_of
 from companion.authority.readiness import Readiness
 from companion.authority.table import HOLDING, State
+from companion.broadcast.broadcaster import Broadcaster
 from companion.config import Config
 from companion.decider import Decider
 from companion.events import (
@@ -45,8 +47,6 @@ from companion.events import (
 )
 from companion.geometry import LocalFrame
 from companion.ownship import Ownship
-from companion.remote_id.broadcaster import Broadcaster
-from companion.settings import applied, differences
 from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.tracks import Traffic
 

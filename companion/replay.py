@@ -22,6 +22,7 @@ from companion.autopilot.wire import MavlinkWriter, message_id_of
 from companion.config import Config, IdentityConfig
 from companion.core import Companion
 from companion.errors import PeerDataError
+from companion.event_record import Header, Record, Step
 from companion.events import (
     Broadcast,
     Command,
@@ -34,10 +35,9 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.gate.gate import STALL_S, Gate
-from companion.onboard import Onboard
-from companion.record import Header, Record, Step
 from companion.remote_id import codec
 from companion.remote_id.messages import Location
+from companion.system import Onboard
 
 STEP_S = 0.05
 ELSEWHERE = 1e-9
@@ -68,7 +68,7 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
     """Run the heart on a record's input and compare with what it commanded then.
 
     Args:
-        records: from `companion.record.read`.
+        records: from `companion.event_record.read`.
         name: of the file, for messages.
         tolerance: relative difference of a number that still counts as equal, and ten times it absolute
             (m, m/s); 0 for bit for bit.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from companion.command_line import start
+from companion.commands.entry_point import start
 
 
 def main() -> int:

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from companion.command_line import parser_of, run_command
+from companion.commands.entry_point import parser_of, run_command
 from ground_tools import orca_check
 from ground_tools.atmc import command as atmc_command
 from ground_tools.campaign import command as campaign_command

@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from companion.errors import ConfigError
-from companion.radio.transport import WIFI_BEACON, WIFI_NAN
+from companion.radio.radio import WIFI_BEACON, WIFI_NAN
 from companion.remote_id.region import TransportName
 from sitl_mocks.channel import parameters as channel_parameters
 from sitl_mocks.channel.air import Channel

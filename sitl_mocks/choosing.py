@@ -20,8 +20,8 @@ from companion.atmc.choice import Choice, Floats, Refused, Why
 from companion.atmc.policy import check_flyable, load
 from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
+from companion.event_record import Record, Step
 from companion.events import BroadcastChanged, TransportsChosen
-from companion.record import Record, Step
 from companion.runtime.policy import RUN_FILE
 from companion.runtime.policy import read_policy as read_file
 from sitl_mocks import settings

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from companion.command_line import parser_of, run_command
+from companion.commands.entry_point import parser_of, run_command
 from sitl_mocks import demo, ether_server, remote_id_module_server, soak, swarm, takeover, vehicle_server
 
 _EXAMPLES = """examples:

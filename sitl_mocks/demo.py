@@ -21,12 +21,12 @@ import tomli_w
 from rich.console import Console
 from rich.progress import Progress
 
-from companion import __version__, record
+from companion import __version__, event_record
 from companion.config import Config
 from companion.errors import ConfigError
-from companion.runtime.recorder import EventFile, create_run_folder, write_json, write_manifest
+from companion.runtime.record.recorder import EventFile, create_run_folder, write_json, write_manifest
 from companion.runtime.warm import warm_up
-from companion.toml_input import without_none
+from companion.toml_reader import without_none
 from sitl_mocks import air_settings, choosing, settings
 from sitl_mocks.demo_report import Outcome, Verdict, pair_rows, seed_table, show
 from sitl_mocks.lockstep import TICK_S, UTC_AT_START_S, Run, fly, paths_of
@@ -188,9 +188,9 @@ def _fly_one(
 
     with ExitStack() as files:
 
-        def recorder(name: str, config: Config) -> Callable[[record.Step], None]:
+        def recorder(name: str, config: Config) -> Callable[[event_record.Step], None]:
             assert folder is not None
-            header = record.Header(aircraft=name, software=__version__, config=config, policy=policy)
+            header = event_record.Header(aircraft=name, software=__version__, config=config, policy=policy)
             file = EventFile(folder / f"{name}.events", header)
             files.callback(file.close)
             return file.step

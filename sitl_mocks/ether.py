@@ -153,7 +153,7 @@ class Ether:
         Args:
             now_s: time of sending (s).
             sender: name of the aircraft.
-            transport: `companion.radio.transport` name.
+            transport: `companion.radio.radio` name.
             frame: the bytes on the air, unchanged to the receivers.
             position_ned_m: where the sender is, like `place`; None leaves what is known.
             address: the transmitter's radio address; the sender's name where there is none.

@@ -1,6 +1,6 @@
 """The simulated air as a process: `Ether` behind a UDP socket on loopback (`sitl-mocks ether`).
 
-Datagrams are those of `companion.radio.ether_wire`. The process prints "ether on HOST:PORT" when it listens,
+Datagrams are those of `companion.radio.ether.datagrams`. The process prints "ether on HOST:PORT" when it listens,
 and one JSON line with the statistics when it ends (SIGINT, SIGTERM).
 """
 
@@ -21,8 +21,8 @@ import msgspec
 import numpy as np
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio import ether_wire
-from companion.radio.ether_wire import Heard, Join, Leave, Send, Welcome
+from companion.radio.ether import datagrams as ether_wire
+from companion.radio.ether.datagrams import Heard, Join, Leave, Send, Welcome
 from sitl_mocks import air_settings
 from sitl_mocks.air_settings import AirSettings, channel_of
 from sitl_mocks.channel.air import Channel

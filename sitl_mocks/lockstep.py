@@ -28,11 +28,11 @@ from companion.config import (
     VehicleConfig,
     Waypoint,
 )
+from companion.event_record import Step
 from companion.events import Firmware, RadioState, RemoteIdHeard
 from companion.geometry import LocalFrame
-from companion.onboard import Onboard
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
-from companion.record import Step
+from companion.system import Onboard
 from sitl_mocks.air_settings import channel_of
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.choosing import Chosen, RandomMind

@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from companion.runtime.byte_link import HELD_S, LATE_S
+from companion.runtime.links.byte_link import HELD_S, LATE_S
 
 Kind = Literal["udp", "tcp", "pty"]
 KINDS: Final[tuple[Kind, ...]] = ("udp", "tcp", "pty")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import PACK_HEADER_SIZE, encode, read_payload
 from companion.remote_id.frames import build_beacon, build_ble4, build_ble5, build_nan_action
 from companion.remote_id.messages import BasicId, Location, Message, OperatorId, SelfId, System

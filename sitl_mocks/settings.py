@@ -16,7 +16,7 @@ from msgspec import Meta
 from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
 from companion.remote_id.region import Region
-from companion.toml_input import decode_toml
+from companion.toml_reader import decode_toml
 from sitl_mocks.air_settings import DEFAULT_DELAY_S, AirSettings, check_allowed, load_parameters
 from sitl_mocks.channel.parameters import ChannelParameters
 

@@ -20,7 +20,7 @@ from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig, NullRadio
 from companion.events import Firmware, MissionItem, RadioState
 from companion.geometry import LocalFrame
-from companion.onboard import Onboard
+from companion.system import Onboard
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.crossing import Crossing
 from sitl_mocks.judge import Bounds, Judge

@@ -26,8 +26,8 @@ from rich.console import Console
 from companion import config as configuration
 from companion.config import EtherRadio, RecordConfig
 from companion.errors import ConfigError
-from companion.runtime.recorder import create_run_folder, write_json, write_manifest
-from companion.toml_input import without_none
+from companion.runtime.record.recorder import create_run_folder, write_json, write_manifest
+from companion.toml_reader import without_none
 from sitl_mocks import choosing, demo
 from sitl_mocks.demo_report import command as command_here
 from sitl_mocks.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
@@ -217,7 +217,9 @@ def _fly(
         )
         file = swarm.folder / f"{name}.toml"
         file.write_bytes(configuration.dump(config))
-        companions.append(swarm.start(name, "companion.cli", "run", "--config", str(file), piped=False))
+        companions.append(
+            swarm.start(name, "companion.commands.cli", "run", "--config", str(file), piped=False)
+        )
     interrupted = _watch(swarm, start_utc_s, arguments.duration, console)
     bad = swarm.end(companions) + swarm.end(vehicles) + swarm.end([ether])
     left = {name: vehicle.last_json() for name, vehicle in zip(names, vehicles, strict=True)}

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from companion import record
+from companion import event_record
 from companion.events import RemoteIdHeard
 from companion.radio.frames_io import radio_address
 from sitl_mocks.choosing import choices_in_words, chosen_of
@@ -145,7 +145,7 @@ def _air(folder: Path, identities: dict[str, str], statistics: dict[str, object]
 def _heard(folder: Path, receiver: str, addresses: dict[str, str]) -> dict[str, int]:
     counts: dict[str, int] = {}
     for item in _records(folder, receiver):
-        if isinstance(item, record.Step):
+        if isinstance(item, event_record.Step):
             for event in item.events:
                 if isinstance(event, RemoteIdHeard):
                     name = addresses.get(event.address, event.address)
@@ -153,11 +153,11 @@ def _heard(folder: Path, receiver: str, addresses: dict[str, str]) -> dict[str, 
     return counts
 
 
-def _records(folder: Path, name: str) -> Iterator[record.Record]:
+def _records(folder: Path, name: str) -> Iterator[event_record.Record]:
     """The event record of one aircraft."""
     for file in folder.glob(f"*-{name}/*.events"):
         with file.open("rb") as stream:
-            yield from record.read(stream, str(file))
+            yield from event_record.read(stream, str(file))
 
 
 def show(report: dict[str, object], console: Console) -> None:

@@ -164,7 +164,7 @@ class RealFlight:
         (folder / "path.toml").write_text(_TRAJECTORY)
         config = folder / "companion.toml"
         config.write_text(_CONFIG.format(link=self._wire.name, folder=folder / "runs"))
-        self._companion = self._process("companion", "companion.cli", "run", "--config", str(config))
+        self._companion = self._process("companion", "companion.commands.cli", "run", "--config", str(config))
         self._until_held(_READY_S)
 
     def _process(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from companion.avoidance.fence import check_areas
 from companion.errors import ConfigError
 from companion.events import FenceArea, Firmware, MissionItem, Vec3
+from companion.geofence import check_areas
 from sitl_mocks.vehicle_dynamics import Response
 from sitl_mocks.vehicle_manners import MANNERS, Manners, VehicleMode, with_quirks
 from sitl_mocks.vehicle_traffic import CrewedFlight

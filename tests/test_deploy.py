@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from companion import cli
+from companion.commands import cli
 from companion.runtime import watchdog
-from companion.runtime.notify import ping_period_s
+from companion.runtime.status.service_manager import ping_period_s
 
 ROOT = Path(__file__).parents[1]
 UNIT = (ROOT / "deploy" / "dmuca-companion.service").read_text()

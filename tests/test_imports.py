@@ -18,12 +18,12 @@ FORBIDDEN = {
 SOCKETS_AND_CLOCKS = {"socket", "time", "select", "serial", "threading", "subprocess", "random"}
 SHELLS = {
     "companion/runtime",
-    "companion/cli.py",
-    "companion/radio/ether.py",
-    "companion/radio/hci.py",
-    "companion/radio/hci_channel.py",
-    "companion/radio/hostapd.py",
-    "companion/radio/packet_socket.py",
+    "companion/commands/cli.py",
+    "companion/radio/ether/ether_radio.py",
+    "companion/radio/hci/hci_radio.py",
+    "companion/radio/hci/channel.py",
+    "companion/radio/wifi/hostapd.py",
+    "companion/radio/wifi/packet_socket.py",
 }
 """A radio backend owns its socket (the Transport contract)."""
 
@@ -91,10 +91,12 @@ def test_the_heart_is_pure():
 
 
 def test_what_a_command_loads_aboard():
-    flies = loaded("companion.runtime.flight, companion.runtime.check, sitl_mocks.cli")
+    flies = loaded("companion.runtime.flight, companion.commands.check, sitl_mocks.cli")
     assert not {"torch", "rerun", "matplotlib", "mavsdk", "pyarrow"} & flies
     assert not {"cryptography", "rich"} & loaded("companion.runtime.flight"), "8 MB and more"
-    assert "numba" not in loaded("companion.cli, companion.runtime.watch"), "who only looks needs no compiler"
+    assert "numba" not in loaded("companion.commands.cli, companion.commands.status"), (
+        "who only looks needs no compiler"
+    )
 
 
 def loaded(modules):

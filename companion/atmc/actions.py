@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from companion.remote_id.region import Region
 
 TRANSPORTS: Final = (BLE4, BLE5, WIFI_BEACON)

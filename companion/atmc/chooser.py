@@ -21,10 +21,10 @@ from companion.atmc.observation import random_phase
 from companion.atmc.policy import PolicyError, check_flyable, load
 from companion.atmc.rule import FIXED, FLYING_RULE, fixed
 from companion.atmc.senses import Senses
+from companion.broadcast.broadcaster import asked_rates
 from companion.config import CHOOSER_WORDS, Config
 from companion.events import Command, RadioState, Say, Severity, TransportsChosen
 from companion.ownship import Ownship
-from companion.remote_id.broadcaster import asked_rates
 from companion.traffic.tracks import Traffic
 
 By = Literal["policy", "rule", "fixed", "fallback"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from companion.adjustable_parameters import SWITCHED_OFF
 from companion.authority.guard import GuardPlan
 from companion.authority.handback import HandBack
 from companion.authority.modes import OurModes
@@ -32,7 +33,6 @@ from companion.events import (
     Vec3,
 )
 from companion.ownship import Ownship
-from companion.settings import SWITCHED_OFF
 
 _NOT_GUARDED = frozenset({Landed.TAKEOFF, Landed.LANDING})
 """Parts of a guarded mission that the vehicle is not taken out of."""

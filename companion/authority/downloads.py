@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from companion.authority.terms import Terms
-from companion.avoidance.fence import check_areas
 from companion.events import (
     Command,
     DownloadFence,
@@ -15,6 +14,7 @@ from companion.events import (
     MissionDownloaded,
     MissionItem,
 )
+from companion.geofence import check_areas
 
 RETRY_S = 10.0
 """Between two requests for the mission, and two tries of a path that was refused."""

@@ -12,7 +12,7 @@ import math
 from companion.authority.course import Course
 from companion.authority.downloads import RETRY_S, Downloads
 from companion.authority.terms import Terms
-from companion.autopilot.mission import path_from_mission
+from companion.autopilot.lists.mission import path_from_mission
 from companion.avoidance.law import Law
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import Trajectory, check_speeds

@@ -14,7 +14,7 @@ from companion.authority.course import Course
 from companion.authority.downloads import RETRY_S, Downloads
 from companion.authority.terms import Terms
 from companion.autopilot.advice import restarting, too_fast
-from companion.autopilot.mission import NAV_RETURN_TO_LAUNCH, place_of, speeds_at
+from companion.autopilot.lists.mission import NAV_RETURN_TO_LAUNCH, place_of, speeds_at
 from companion.avoidance.law import Law
 from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of

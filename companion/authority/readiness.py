@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from companion.adjustable_parameters import SWITCHED_OFF
 from companion.authority.table import State
 from companion.autopilot.dialect import DIALECTS
+from companion.broadcast.broadcaster import Broadcaster
 from companion.config import Config
 from companion.events import (
     Command,
@@ -19,8 +21,6 @@ from companion.events import (
     TwoAutopilots,
 )
 from companion.ownship import Ownship
-from companion.remote_id.broadcaster import Broadcaster
-from companion.settings import SWITCHED_OFF
 
 _TAKE_FROM = {
     # LOITER is flown with the sticks, BRAKE is a pilot's emergency stop: neither is ours to end.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from companion.autopilot.dialect import DIALECTS
-from companion.autopilot.mission import speed_changes
+from companion.autopilot.lists.mission import speed_changes
 from companion.avoidance.law import horizon_s
 from companion.avoidance.limits import effective, lower_ones
 from companion.config import Config, LimitsConfig

@@ -37,22 +37,22 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot import encoders, remote_id
 from companion.autopilot.belief import Belief
-from companion.autopilot.component_information import ComponentInformation
 from companion.autopilot.counts import LinkCounts
-from companion.autopilot.downloads import Downloads
-from companion.autopilot.ground_stations import GroundStations
 from companion.autopilot.heard_vehicle import HeardVehicle, Vehicle, from_autopilot
-from companion.autopilot.mission_download import FENCE, MISSION
-from companion.autopilot.mode_and_speed import ModeAndSpeed
+from companion.autopilot.lists.downloads import Downloads
+from companion.autopilot.lists.list_download import FENCE, MISSION
+from companion.autopilot.modes.mode_and_speed import ModeAndSpeed
+from companion.autopilot.modes.yaw import Nose
 from companion.autopilot.outbox import Outbox
-from companion.autopilot.own_parameters import OwnParameters
-from companion.autopilot.polling import Polling
+from companion.autopilot.polled.polling import Polling
 from companion.autopilot.readers import READERS, Fields, heartbeat, unpack
 from companion.autopilot.remote_id import RemoteIdComponent, RemoteIdListener
+from companion.autopilot.served.component_information import ComponentInformation
+from companion.autopilot.served.own_parameters import OwnParameters
+from companion.autopilot.served.requests import GroundStations
 from companion.autopilot.signing import Signing
 from companion.autopilot.statustext import TextAssembler
 from companion.autopilot.wire import Frame, FrameScanner
-from companion.autopilot.yaw import Nose
 from companion.config import VehicleConfig
 from companion.errors import ConfigError, PeerDataError
 from companion.events import (

@@ -99,18 +99,18 @@ def inside(fence: Array, first: int, after: int, n: float, e: float) -> bool:
 def crosses(wall: Array, an: float, ae: float, bn: float, be: float) -> bool:
     """Whether the straight way from a to b, which begins on the right side of a wall, crosses it."""
     if wall[W_KIND] == IN_CIRCLE:
-        return math.sqrt((bn - wall[W_FROM]) ** 2 + (be - wall[W_FROM + 1]) ** 2) > wall[W_TO]
+        return bool(math.sqrt((bn - wall[W_FROM]) ** 2 + (be - wall[W_FROM + 1]) ** 2) > wall[W_TO])
     dn, de = bn - an, be - ae
     if wall[W_KIND] == OUT_OF_CIRCLE:
         on, oe = wall[W_FROM] - an, wall[W_FROM + 1] - ae
         share = min(max((on * dn + oe * de) / max(dn * dn + de * de, 1e-12), 0.0), 1.0)
-        return math.sqrt((share * dn - on) ** 2 + (share * de - oe) ** 2) < wall[W_TO]
+        return bool(math.sqrt((share * dn - on) ** 2 + (share * de - oe) ** 2) < wall[W_TO])
     pn, pe = wall[W_FROM] - an, wall[W_FROM + 1] - ae
     qn, qe = wall[W_TO] - an, wall[W_TO + 1] - ae
     sn, se = qn - pn, qe - pe
     ends = (dn * pe - de * pn) * (dn * qe - de * qn)
     sides = (sn * pe - se * pn) * (sn * (pe - de) - se * (pn - dn))
-    return ends <= 0.0 and sides <= 0.0
+    return bool(ends <= 0.0 and sides <= 0.0)
 
 
 @compiled

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 from companion.errors import PeerDataError
 from companion.events import RemoteIdHeard
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import PACK_MAX_MESSAGES, Payload, encode, encode_pack, read_payload
 from companion.remote_id.frames import (
     Counters,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from companion.events import RemoteIdHeard
-from companion.radio.transport import Health
+from companion.radio.radio import Health
 from companion.remote_id.messages import Message
 
 

@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from companion.errors import PeerDataError
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import MESSAGE_SIZE, PACK_HEADER_SIZE, PACK_MAX_MESSAGES, PACK_TYPE
 
 _SERVICE_DATA: Final = 0x16

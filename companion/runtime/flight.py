@@ -19,12 +19,14 @@ from pathlib import Path
 from types import FrameType
 
 from companion import __version__
+from companion.adjustable_parameters import SWITCHED_OFF, differences
 from companion.authority.table import HOLDING, State
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.tlog import TlogWriter
 from companion.avoidance.path import check_path
 from companion.config import Config
 from companion.errors import ConfigError
+from companion.event_record import Step
 from companion.events import (
     AuthorityChanged,
     Broadcast,
@@ -36,28 +38,26 @@ from companion.events import (
     Severity,
 )
 from companion.gate.gate import STALL_S
-from companion.onboard import Onboard
-from companion.radio.transport import Health
-from companion.record import Step
+from companion.radio.radio import Health
 from companion.runtime import clock
-from companion.runtime.kept_link import KeptLink
 from companion.runtime.lateness import Lateness, scheduling
-from companion.runtime.live import heart_status
-from companion.runtime.no_vehicle import no_vehicle
-from companion.runtime.notify import Notifier
+from companion.runtime.links.kept_link import KeptLink
+from companion.runtime.links.no_vehicle import no_vehicle
 from companion.runtime.policy import read_policy
 from companion.runtime.prepare import prepare
 from companion.runtime.radios import Radios
+from companion.runtime.record.run_record import RunRecord
 from companion.runtime.refusals import Refusals
-from companion.runtime.run_record import RunRecord
-from companion.runtime.settings import KeptSettings, read_settings
-from companion.runtime.signing import KeptSigning
-from companion.runtime.status import Status, StatusServer
-from companion.runtime.troubles import Trouble, Troubles
-from companion.runtime.voice import Voice
+from companion.runtime.signing_key import KeptSigning
+from companion.runtime.status.console import Voice
+from companion.runtime.status.live_state import heart_status
+from companion.runtime.status.service_manager import Notifier
+from companion.runtime.status.status_socket import Status, StatusServer
+from companion.runtime.status.troubles import Trouble, Troubles
+from companion.runtime.stored_parameters import KeptSettings, read_settings
 from companion.runtime.warm import warm_up
 from companion.runtime.watchdog import Watchdog
-from companion.settings import SWITCHED_OFF, differences
+from companion.system import Onboard
 
 _STATUS_S = 5.0
 _READ_S = 0.5

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from companion.broadcast.broadcaster import asked_rates
+from companion.broadcast.legal_floor import Decided, keep_floor, longest_period_s, too_slow, whole_rates
 from companion.config import Config
 from companion.errors import ConfigError
-from companion.remote_id.broadcaster import asked_rates
-from companion.remote_id.law import Decided, keep_floor, longest_period_s, too_slow, whole_rates
 from companion.remote_id.region import Region
 from companion.runtime.radios import Radios
 

@@ -16,17 +16,17 @@ from companion.config import (
 )
 from companion.errors import ConfigError
 from companion.events import RadioState, RemoteIdHeard
-from companion.radio.arduremoteid import ArduRemoteIdTransport
-from companion.radio.ether import EtherTransport
+from companion.radio.arduremoteid.module_radio import ArduRemoteIdTransport
+from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
-from companion.radio.hci import HciTransport
+from companion.radio.hci.hci_radio import HciTransport
 from companion.radio.null import NullTransport
-from companion.radio.transport import WIFI_BEACON, Health, Transport
-from companion.radio.wifi import WifiTransport
+from companion.radio.radio import WIFI_BEACON, Health, Transport
+from companion.radio.wifi.wifi_radio import WifiTransport
 from companion.remote_id.messages import Message
 from companion.runtime import clock
-from companion.runtime.kept_link import KeptLink
-from companion.runtime.links import open_link
+from companion.runtime.links.kept_link import KeptLink
+from companion.runtime.links.open_link import open_link
 
 
 class _ModuleLink:

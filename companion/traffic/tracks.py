@@ -26,13 +26,13 @@ from companion.events import RemoteIdHeard, TrackFlagged, Vec3
 from companion.geometry import LocalFrame
 from companion.remote_id.authentication import Assembler, Verifier
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
-from companion.traffic.about import About, Source, Sources
+from companion.traffic.doubts import Judge
 from companion.traffic.eviction import Ranking
 from companion.traffic.fix import Fix, make_fix
-from companion.traffic.judge import Judge
 from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
+from companion.traffic.sender_details import About, Source, Sources
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, near, off, reach, same
 
 _MAX_RANGE_M = 50_000.0

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from companion.errors import ConfigError
-from companion.toml_input import decode_toml
+from companion.toml_reader import decode_toml
 from ground_tools.atmc.algorithms import ALGORITHMS
 from ground_tools.atmc.torch_setup import needs_torch
 from ground_tools.channel.options import check_seed

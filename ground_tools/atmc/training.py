@@ -35,8 +35,8 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from companion.errors import ConfigError
-from companion.runtime.recorder import create_run_folder, write_manifest
-from companion.toml_input import decode_toml, without_none
+from companion.runtime.record.recorder import create_run_folder, write_manifest
+from companion.toml_reader import decode_toml, without_none
 from ground_tools.atmc.algorithms import ALGORITHMS
 from ground_tools.atmc.learner import Learner
 from ground_tools.atmc.torch_setup import set_up_torch

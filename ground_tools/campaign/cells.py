@@ -22,16 +22,7 @@ from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.errors import ConfigError
-from companion.traffic import (
-    about,
-    eviction,
-    fix,
-    judge,
-    plausibility,
-    reception,
-    track,
-    tracks,
-)
+from companion.traffic import doubts, eviction, fix, plausibility, reception, sender_details, track, tracks
 from ground_tools.campaign import compiled, flight, generators, outcome, vehicles
 from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
@@ -62,7 +53,18 @@ WORLDS = {
     "fence": World(),
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
-_TRACKS = (about, eviction, fix, geometry, judge, plausibility, reception, track, tracks, twin_flight)
+_TRACKS = (
+    sender_details,
+    eviction,
+    fix,
+    geometry,
+    doubts,
+    plausibility,
+    reception,
+    track,
+    tracks,
+    twin_flight,
+)
 CREWED_MPS = 50.0
 FENCE_ASIDE_M = 20.0
 _FAR_M = 1e4

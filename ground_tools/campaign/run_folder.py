@@ -28,6 +28,7 @@ from companion.config import (
     Waypoint,
 )
 from companion.errors import ConfigError
+from companion.event_record import Header, Step
 from companion.events import (
     AnyCommand,
     AnyEvent,
@@ -42,10 +43,9 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.radio.frames_io import radio_address
-from companion.record import Header, Step
 from companion.remote_id.messages import Location
-from companion.runtime.recorder import EventFile, create_run_folder, write_json, write_manifest
-from companion.toml_input import without_none
+from companion.runtime.record.recorder import EventFile, create_run_folder, write_json, write_manifest
+from companion.toml_reader import without_none
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import flight, vehicles
 from ground_tools.campaign.cells import Cell, Look

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 
-from companion.autopilot.mission import NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF
+from companion.autopilot.lists.mission import NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF
 from companion.events import Firmware, FlightMode, MissionItem
 from companion.geometry import LocalFrame
 from ground_tools.fly.missions import begins_with_takeoff

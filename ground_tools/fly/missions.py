@@ -17,7 +17,7 @@ from typing import Literal
 
 import msgspec
 
-from companion.autopilot.mission import DO_CHANGE_SPEED, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF, NAV_WAYPOINT
+from companion.autopilot.lists.mission import DO_CHANGE_SPEED, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF, NAV_WAYPOINT
 from companion.errors import ConfigError
 from companion.events import MissionItem, Vec3
 from companion.geometry import LocalFrame

@@ -1,6 +1,6 @@
 """Remote ID of one aircraft: what it sent against the floor of its region, and how the others came in.
 
-The floor is that of the region in the record's header (`companion.remote_id.law`), for as long as a
+The floor is that of the region in the record's header (`companion.broadcast.legal_floor`), for as long as a
 transport was to be on the air by the log (`BroadcastChanged`). Losses are counted where frames carry a
 counter, with the rules of `companion.traffic.reception`. The latency of a message is its time of arrival less
 its own time, by UTC of the autopilot; the age of information is that which the law decided with.
@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from companion.broadcast.legal_floor import longest_period_s
 from companion.config import Config
 from companion.events import Broadcast, BroadcastChanged, Decision, RadioState, RemoteIdHeard
-from companion.remote_id.law import longest_period_s
 from companion.remote_id.messages import BasicId, Location, System
 from ground_tools.inspect.read_run import AircraftRecord
 

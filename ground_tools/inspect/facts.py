@@ -17,6 +17,7 @@ import pymap3d
 from numpy.typing import NDArray
 
 from companion.autopilot.dialect import in_mode
+from companion.event_record import Step
 from companion.events import (
     AlertChanged,
     AnyCommand,
@@ -49,7 +50,6 @@ from companion.events import (
     VehicleTime,
 )
 from companion.geometry import LocalFrame
-from companion.record import Step
 from companion.remote_id.messages import BasicId, Location
 from companion.traffic.fix import make_fix
 from ground_tools.inspect.spill import BLOCK, Spill

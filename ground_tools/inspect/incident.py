@@ -25,7 +25,7 @@ from companion.errors import ConfigError
 from companion.events import AuthorityChanged, GlobalPosition, RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import Location
-from companion.toml_input import without_none
+from companion.toml_reader import without_none
 from ground_tools.inspect.flown import MAX_GAP_S, Array, Flown, Separation, at, separations
 from ground_tools.inspect.flown import Path as FlownPath
 from ground_tools.inspect.read_run import AircraftRecord, Run, is_regular, read_json

@@ -17,9 +17,9 @@ from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 
-from companion import record
+from companion import event_record
 from companion.errors import ConfigError, PeerDataError
-from companion.record import Header, Step
+from companion.event_record import Header, Step
 from ground_tools.inspect.blueprint import blueprint
 from ground_tools.inspect.facts import Array, Facts, Gatherer, gather
 from ground_tools.inspect.flown import Path as Flight
@@ -50,7 +50,7 @@ class Followed:
         self.name = path.name.removesuffix(".events")
         self.header: Header | None = None
         self._file: BinaryIO = path.open("rb")
-        self._reader = record.Reader(self._file, path.name)
+        self._reader = event_record.Reader(self._file, path.name)
 
     def steps(self) -> Iterator[Step]:
         """What was written since the last call.
@@ -346,7 +346,7 @@ def _records(path: Path, ended: list[int]) -> tuple[list[Path], list[str]]:
                 continue
             if not is_regular(file):
                 odd.append(f"{file.name}: {NOT_REGULAR}")
-            elif size >= len(record.MAGIC):
+            elif size >= len(event_record.MAGIC):
                 files.append(file)
             else:
                 break

@@ -13,9 +13,11 @@ from dataclasses import dataclass, field
 
 import msgspec
 
+from companion.adjustable_parameters import applied
 from companion.authority.table import HOLDING, State
 from companion.config import Config
 from companion.errors import ConfigError
+from companion.event_record import Step
 from companion.events import (
     AuthorityChanged,
     Decision,
@@ -25,8 +27,6 @@ from companion.events import (
     VehicleParameters,
 )
 from companion.ownship import Ownship
-from companion.record import Step
-from companion.settings import applied
 from ground_tools.inspect.read_run import AircraftRecord
 from ground_tools.inspect.why import Alternative, Explainer, HalfSpace, Look
 

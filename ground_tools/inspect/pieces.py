@@ -14,6 +14,7 @@ import numpy as np
 
 from companion.autopilot.dialect import in_mode
 from companion.avoidance.alerts import Level
+from companion.event_record import Step
 from companion.events import (
     AdsbVehicle,
     AlertChanged,
@@ -44,7 +45,6 @@ from companion.events import (
     VehicleText,
     VelocitySetpoint,
 )
-from companion.record import Step
 from companion.remote_id.messages import BasicId, Location
 from ground_tools.inspect.flown import Array, from_frame, to_ned
 from ground_tools.inspect.modes import mode_name

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from companion import record
+from companion import event_record
 from companion.errors import ConfigError, PeerDataError
-from companion.record import Header, Step
+from companion.event_record import Header, Step
 from ground_tools.inspect import read_tlog
 from ground_tools.inspect.facts import Facts, gather
 from ground_tools.inspect.link_health import LinkHealth
@@ -167,7 +167,7 @@ def _file(path: Path) -> Run:
             raise ConfigError(
                 f"{path}: {kind}; expected a run folder, an event record (.events) or a telemetry log (.tlog)"
             )
-    if head.startswith(record.MAGIC[:-1]):
+    if head.startswith(event_record.MAGIC[:-1]):
         aircraft = _flight(path, _beside(path), path.parent, problems, notes)
     else:
         aircraft = _flight(None, path, path.parent, problems, notes)
@@ -336,7 +336,7 @@ def _steps(path: Path, headers: list[Header], problems: list[str]) -> Iterator[S
     """The steps of a file, its headers and what is damaged put aside."""
     try:
         with path.open("rb") as stream:
-            reader = record.Reader(stream, path.name)
+            reader = event_record.Reader(stream, path.name)
             for entry in reader.records():
                 if isinstance(entry, Header):
                     headers.append(entry)

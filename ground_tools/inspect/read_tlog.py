@@ -31,6 +31,7 @@ from companion.autopilot.statustext import TextAssembler
 from companion.autopilot.tlog import TlogCounts, read_tlog
 from companion.autopilot.wire import MAGIC_V1, Frame, cut, is_known, message_id_of
 from companion.errors import PeerDataError
+from companion.event_record import Step
 from companion.events import (
     AdsbVehicle,
     AnyEvent,
@@ -42,7 +43,6 @@ from companion.events import (
     VehicleTime,
     VelocitySetpoint,
 )
-from companion.record import Step
 from ground_tools.inspect.facts import Facts, Gatherer
 from ground_tools.inspect.link_health import LinkHealth, Tally
 from ground_tools.inspect.modes import mode_name

@@ -11,7 +11,7 @@ import numpy as np
 from companion.avoidance.alerts import Level
 from companion.errors import ConfigError
 from companion.events import AlertChanged, AuthorityChanged
-from companion.runtime.disk import RUN
+from companion.runtime.record.disk import RUN
 from ground_tools.inspect import air, flight, manoeuvres
 from ground_tools.inspect.flown import Separation, closest, flown
 from ground_tools.inspect.manoeuvres import Manoeuvre

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from companion.avoidance.law import VERTICAL_SCALE, separation_m
 from companion.errors import ConfigError
+from companion.event_record import Step
 from companion.events import TrackView
-from companion.record import Step
 from ground_tools.inspect.flown import Array, Path, Separation, least_in_bins, least_of
 from ground_tools.inspect.palette import (
     ALERTS,

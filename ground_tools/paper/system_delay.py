@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from ground_tools.atmc.results import CONVERGENCE, Results, read
 from ground_tools.channel import plot
 from ground_tools.figure import drawn

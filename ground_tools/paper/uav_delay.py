@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from ground_tools.atmc.results import CONVERGENCE, NAMES, Results, Run, read
 from ground_tools.channel.options import UAVS
 from ground_tools.figure import drawn

@@ -24,7 +24,7 @@ class Transmission:
     """When the companion hands it to its radio."""
     sender: str
     transport: str
-    """`companion.radio.transport` name."""
+    """`companion.radio.radio` name."""
     distance_m: Mapping[str, float | None]
     """By receiver: slant distance, None where it is not known."""
 

@@ -15,8 +15,8 @@ from typing import Final, Literal
 import msgspec
 
 from companion.errors import ConfigError
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
-from companion.toml_input import decode_toml
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
+from companion.toml_reader import decode_toml
 
 MODES: Final = (BLE4, BLE5, WIFI_BEACON)
 """The paper's set of protocols, in the order in which every array of this package holds them."""

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from companion.command_line import start
+from companion.commands.entry_point import start
 
 PROGRAM = """
 import faulthandler, json, os, sys
-from companion.command_line import parser_of, run_command
+from companion.commands.entry_point import parser_of, run_command
 
 def work(arguments):
     faulthandler.dump_traceback_later(30.0)

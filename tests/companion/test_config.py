@@ -14,8 +14,9 @@ import pytest
 from companion import config as configuration
 from companion.errors import ConfigError
 from companion.events import FenceArea
-from companion.radio import ether_wire, hci_channel
-from companion.runtime import links
+from companion.radio.ether import datagrams
+from companion.radio.hci import channel
+from companion.runtime.links.open_link import open_link
 
 CONFIG = Path(__file__).parents[2] / "config"
 IDENTITY = '[identity]\nuas_id = "A1"\n'
@@ -270,13 +271,13 @@ def test_the_form_of_a_link_is_checked_as_those_do_that_open_it(
     def unopened(*_args: object, **_keys: object) -> None:
         raise ConfigError("not opened")
 
-    for where in (links, hci_channel):
+    for where in (open_link, channel):
         for name in ("TcpLink", "UdpLink", "SerialLink", "UserChannel", "UartChannel", "TcpChannel"):
             monkeypatch.setattr(where, name, unopened, raising=False)
     openers = {
-        "link": lambda: links.open_link(text),
-        "channel": lambda: hci_channel.open_channel(text),
-        "address": lambda: ether_wire.parse_endpoint(text, "address"),
+        "link": lambda: open_link.open_link(text),
+        "channel": lambda: channel.open_channel(text),
+        "address": lambda: datagrams.parse_endpoint(text, "address"),
     }
     assert tells_form(openers[key]) is right
     head = f'[[radio]]\nbackend = "{radio}"\n' if radio else "[vehicle]\n"

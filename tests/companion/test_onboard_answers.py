@@ -6,10 +6,10 @@ from collections import deque
 
 import pytest
 
-from companion.autopilot.timesync import read_timesync, timesync
+from companion.autopilot.polled.timesync import read_timesync, timesync
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.events import VelocitySetpoint
-from companion.onboard import Onboard
+from companion.system import Onboard
 from tests.companion.gate.flying import config
 
 _TIMESYNC, _SETPOINT = 111, 84

@@ -7,13 +7,13 @@ import io
 
 import pytest
 
-from companion import record
+from companion import event_record
 from companion.config import Config, IdentityConfig
 from companion.errors import PeerDataError
 from companion.events import FlightMode, GlobalPosition, SetMode, VelocitySetpoint
 
-HEADER = record.Header(aircraft="A", software="0", config=Config(identity=IdentityConfig(uas_id="A")))
-STEP = record.Step(
+HEADER = event_record.Header(aircraft="A", software="0", config=Config(identity=IdentityConfig(uas_id="A")))
+STEP = event_record.Step(
     now_s=1.05,
     events=(
         GlobalPosition(
@@ -27,11 +27,11 @@ STEP = record.Step(
     ),
     commands=(SetMode(mode=FlightMode.HOLD), VelocitySetpoint(velocity_ned_mps=(1.0, 2.0, 3.0))),
 )
-DATA = record.MAGIC + record.encode(HEADER) + record.encode(STEP) * 2
+DATA = event_record.MAGIC + event_record.encode(HEADER) + event_record.encode(STEP) * 2
 
 
 def read(data):
-    return list(record.read(io.BytesIO(data), "x.events"))
+    return list(event_record.read(io.BytesIO(data), "x.events"))
 
 
 def test_read_back():
@@ -39,7 +39,7 @@ def test_read_back():
 
 
 def test_a_torn_tail_loses_only_the_last_record():
-    whole = len(DATA) - len(record.encode(STEP))
+    whole = len(DATA) - len(event_record.encode(STEP))
     for cut in range(whole, len(DATA)):
         assert read(DATA[:cut]) == [HEADER, STEP]
 
@@ -50,7 +50,7 @@ def test_every_flipped_byte_is_noticed():
         damaged[at] ^= 0x10
         found = []
         with contextlib.suppress(PeerDataError):
-            for item in record.read(io.BytesIO(bytes(damaged)), "x.events"):
+            for item in event_record.read(io.BytesIO(bytes(damaged)), "x.events"):
                 found.append(item)  # noqa: PERF402 what came before the damage counts
         # A length that grew past the end reads as a torn tail; nothing false may be read.
         assert found == [HEADER, STEP, STEP][: len(found)]
@@ -64,16 +64,16 @@ def test_another_file_is_refused_in_one_line():
 
 def test_a_record_of_another_version_is_told_apart():
     with pytest.raises(PeerDataError, match="format b'1'; this version reads b'4'"):
-        list(record.read(io.BytesIO(b"DMUCAEV1" + b"\0" * 20), "old.events"))
+        list(event_record.read(io.BytesIO(b"DMUCAEV1" + b"\0" * 20), "old.events"))
 
 
 def test_a_growing_file_is_read_on_from_where_it_stopped(tmp_path):
     path = tmp_path / "a.events"
-    path.write_bytes(record.MAGIC)
+    path.write_bytes(event_record.MAGIC)
     found = []
     with path.open("rb") as stream, path.open("ab") as end:
-        reader = record.Reader(stream, "a.events")
-        for at in range(len(record.MAGIC), len(DATA)):
+        reader = event_record.Reader(stream, "a.events")
+        for at in range(len(event_record.MAGIC), len(DATA)):
             end.write(DATA[at : at + 1])
             end.flush()
             found += reader.records()

@@ -11,13 +11,14 @@ import msgspec
 import pytest
 from pymavlink import mavutil
 
-from companion import cli, record, replay
+from companion import event_record, replay
 from companion.autopilot.tlog import read_tlog
+from companion.commands import cli
 from companion.core import Companion
 from companion.errors import PeerDataError
 from companion.events import VelocitySetpoint
 from companion.remote_id.messages import Location
-from companion.runtime.recorder import write_manifest
+from companion.runtime.record.recorder import write_manifest
 from sitl_mocks import lockstep, settings
 
 DATA = Path(__file__).parents[1] / "data"
@@ -38,9 +39,9 @@ def run_folder(tmp_path_factory):
     files = {}
 
     def recorder(name, config):
-        header = record.Header(aircraft=name, software="test", config=config)
-        files[name] = bytearray(record.MAGIC + record.encode(header))
-        return lambda step: files[name].extend(record.encode(step))
+        header = event_record.Header(aircraft=name, software="test", config=config)
+        files[name] = bytearray(event_record.MAGIC + event_record.encode(header))
+        return lambda step: files[name].extend(event_record.encode(step))
 
     lockstep.fly(scenario, 1, record=recorder)
     for name, data in files.items():
@@ -51,7 +52,7 @@ def run_folder(tmp_path_factory):
 def test_a_run_replays_bit_for_bit(run_folder):
     for file in run_folder.glob("*.events"):
         with file.open("rb") as stream:
-            result = replay.replay_record(record.read(stream, file.name), file.name, 0.0)
+            result = replay.replay_record(event_record.read(stream, file.name), file.name, 0.0)
         assert result.steps > 400
         assert result.commands > 400
         assert result.differences == result.inexact == 0
@@ -62,7 +63,7 @@ def test_the_gate_judges_a_replay_too(run_folder, monkeypatch, capsys):
 
     def refused():
         with file.open("rb") as stream:
-            return replay.replay_record(record.read(stream, file.name), file.name, 0.0).refused
+            return replay.replay_record(event_record.read(stream, file.name), file.name, 0.0).refused
 
     file = min(run_folder.glob("*.events"))
     assert refused() == {}
@@ -88,11 +89,11 @@ def test_replay_of_a_folder_by_command(run_folder, capsys):
 def test_a_changed_command_is_found(run_folder, tmp_path, capsys, change, code):
     """1e-12 passes because the folder has no manifest that proves the same software."""
     source = next(iter(sorted(run_folder.glob("*.events"))))
-    items = list(record.read(io.BytesIO(source.read_bytes()), "x"))
+    items = list(event_record.read(io.BytesIO(source.read_bytes()), "x"))
     at = next(
         k
         for k, item in enumerate(items)
-        if isinstance(item, record.Step) and any(isinstance(c, VelocitySetpoint) for c in item.commands)
+        if isinstance(item, event_record.Step) and any(isinstance(c, VelocitySetpoint) for c in item.commands)
     )
     step = items[at]
     commands = tuple(
@@ -109,7 +110,7 @@ def test_a_changed_command_is_found(run_folder, tmp_path, capsys, change, code):
     )
     items[at] = msgspec.structs.replace(step, commands=commands)
     changed = tmp_path / "x.events"
-    changed.write_bytes(record.MAGIC + b"".join(record.encode(item) for item in items))
+    changed.write_bytes(event_record.MAGIC + b"".join(event_record.encode(item) for item in items))
     assert cli.main(["replay", str(changed)]) == code
     assert ("step" in capsys.readouterr().err) == (code == 1)
 
@@ -222,6 +223,6 @@ def test_a_folder_without_records_is_one_line(tmp_path, capsys):
 
 
 def test_a_record_without_header_is_refused():
-    step = record.Step(now_s=0.0, events=(), commands=())
+    step = event_record.Step(now_s=0.0, events=(), commands=())
     with pytest.raises(PeerDataError, match="not a header"):
         replay.replay_record([step], "x", 0.0)

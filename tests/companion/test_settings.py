@@ -8,13 +8,13 @@ import struct
 import msgspec
 import pytest
 
-from companion import record, replay
+from companion import event_record, replay
+from companion.adjustable_parameters import NAMES, applied, changed, checked, value_of
 from companion.authority.table import State
 from companion.config import AvoidanceConfig, Config, EtherRadio, FlightConfig, IdentityConfig, LimitsConfig
 from companion.core import Companion
 from companion.errors import ConfigError
 from companion.events import Firmware, FlightMode, Landed, MissionCurrent, Say, SetMode, Settings
-from companion.settings import NAMES, applied, changed, checked, value_of
 from tests.companion.conftest import Bench, config, mission
 
 CONFIG = Config(
@@ -178,13 +178,13 @@ def test_a_law_keeps_its_numbers_until_the_flight_is_over(make_bench):
 
 def test_a_replay_meets_the_same_settings(make_bench):
     bench = make_bench()
-    header = record.Header(aircraft="OWN", software="", config=bench.heart.config)
+    header = event_record.Header(aircraft="OWN", software="", config=bench.heart.config)
     steps = []
     plain = bench.heart.step
 
     def step(now_s, events):
         commands = plain(now_s, events)
-        steps.append(record.Step(now_s=now_s, events=tuple(events), commands=tuple(commands)))
+        steps.append(event_record.Step(now_s=now_s, events=tuple(events), commands=tuple(commands)))
         return commands
 
     bench.heart.step = step
@@ -192,7 +192,7 @@ def test_a_replay_meets_the_same_settings(make_bench):
     bench.step(200)
     bench.extra.append(OFF)
     bench.step(50)
-    decoder = msgspec.msgpack.Decoder(record.Record)
+    decoder = msgspec.msgpack.Decoder(event_record.Record)
     read = [decoder.decode(msgspec.msgpack.encode(r)) for r in (header, *steps)]
     assert replay.replay_record(read, "x", 0.0).differences == 0
     without = [

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable
 from functools import cache
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio.hci_advertising import HciCounts
-from companion.radio.hci_events import H4Reader, parse_event
-from companion.radio.hci_session import HciSession
-from companion.radio.hostapd import parse_status
-from companion.radio.radiotap import build_radiotap
+from companion.radio.hci.advertising import HciCounts
+from companion.radio.hci.controller_events import H4Reader, parse_event
+from companion.radio.hci.session import HciSession
+from companion.radio.wifi.hostapd import parse_status
 from companion.remote_id.authentication import Assembler
-from companion.remote_id.captures import Kind, read_capture
+from companion.remote_id.captures.radiotap import build_radiotap
+from companion.remote_id.captures.remote_id_frames import Kind, read_capture
 from companion.remote_id.codec import decode, encode
 from companion.remote_id.messages import Authentication
 from tests.fuzz.seeds import ADDRESS, Target, built, captured, frame_seeds, taking, vectors

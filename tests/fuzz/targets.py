@@ -15,11 +15,11 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion import record
+from companion import event_record
 from companion.autopilot import readers
-from companion.autopilot.fence import areas_from_items
 from companion.autopilot.link import AutopilotLink
-from companion.autopilot.mission_download import item_from_int
+from companion.autopilot.lists.fence import areas_from_items
+from companion.autopilot.lists.list_download import item_from_int
 from companion.autopilot.signing import Signing
 from companion.autopilot.wire import (
     MAGIC_V2,
@@ -29,7 +29,6 @@ from companion.autopilot.wire import (
     MavlinkWriter,
     is_known,
 )
-from companion.avoidance.fence import check_areas
 from companion.config import TrafficConfig, VehicleConfig
 from companion.errors import ConfigError
 from companion.events import (
@@ -40,12 +39,13 @@ from companion.events import (
     RemoteIdHeard,
     SetMode,
 )
+from companion.geofence import check_areas
 from companion.geometry import LocalFrame
-from companion.radio import ether_wire
+from companion.radio.ether import datagrams
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
-from companion.radio.radiotap import build_radiotap, parse_radiotap
 from companion.remote_id import codec, frames
 from companion.remote_id.authentication import sign_pages
+from companion.remote_id.captures.radiotap import build_radiotap, parse_radiotap
 from companion.remote_id.mavlink import READABLE, decode_odid, encode_message_pack, encode_odid
 from companion.traffic.tracks import Traffic
 from tests.fuzz import radio_targets
@@ -94,10 +94,10 @@ def _odid_seeds() -> list[bytes]:
 
 @cache
 def _ether_seeds() -> list[bytes]:
-    said: list[ether_wire.Datagram] = [ether_wire.Join("a"), ether_wire.Leave(), ether_wire.Welcome(2)]
-    said += [ether_wire.Heard(t, ADDRESS, built(t)[0]) for t in sorted(TRANSPORTS)]
-    said += [ether_wire.Send(t, ADDRESS, built(t)[-1]) for t in sorted(TRANSPORTS)]
-    return [ether_wire.encode(datagram) for datagram in said]
+    said: list[datagrams.Datagram] = [datagrams.Join("a"), datagrams.Leave(), datagrams.Welcome(2)]
+    said += [datagrams.Heard(t, ADDRESS, built(t)[0]) for t in sorted(TRANSPORTS)]
+    said += [datagrams.Send(t, ADDRESS, built(t)[-1]) for t in sorted(TRANSPORTS)]
+    return [datagrams.encode(datagram) for datagram in said]
 
 
 @cache
@@ -121,7 +121,7 @@ def _stateless() -> Iterable[Target]:
     yield Target("wifi", wifi, taking(frames.parse_wifi_frames))
     yield Target("radiotap", [build_radiotap() + frame for frame in wifi], taking(_read_radiotap))
     yield Target("odid", _odid_seeds(), taking(_read_odid))
-    yield Target("ether", _ether_seeds(), taking(ether_wire.decode))
+    yield Target("ether", _ether_seeds(), taking(datagrams.decode))
 
 
 # ---------------------------------------------------------------- radio frame to track
@@ -129,8 +129,8 @@ def _stateless() -> Iterable[Target]:
 
 def _record(now_s: float, *events: Any, commands: tuple[Any, ...] = ()) -> None:
     """What was heard can be recorded, and is read back as it was."""
-    step = record.Step(now_s=now_s, events=events, commands=commands)
-    (again,) = record.read(io.BytesIO(record.MAGIC + record.encode(step)), "record")
+    step = event_record.Step(now_s=now_s, events=events, commands=commands)
+    (again,) = event_record.read(io.BytesIO(event_record.MAGIC + event_record.encode(step)), "record")
     assert again == step
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from companion import record
+from companion import event_record
 from companion.events import BroadcastChanged, RadioState, RemoteIdHeard, Say
 from companion.radio.frames_io import radio_address
-from companion.radio.hci import HciTransport
+from companion.radio.hci.hci_radio import HciTransport
 from companion.remote_id.messages import BasicId, Location, System
 
 ROOT = Path(__file__).parents[2]
@@ -43,15 +43,15 @@ def steps_of(tmp_path):
     (folder,) = tmp_path.glob("*-bt")
     (events,) = folder.glob("*.events")
     with events.open("rb") as stream:
-        return folder, [r for r in record.read(stream, "") if isinstance(r, record.Step)]
+        return folder, [r for r in event_record.read(stream, "") if isinstance(r, event_record.Step)]
 
 
 def test_bluetooth_in_the_us_is_ble4_and_ble5_and_is_heard_back(config, start, tmp_path):
     path = config('["ble4"]', "listen = false", "send = false")
-    checked = start("companion.cli", "check", "--config", path)
+    checked = start("companion.commands.cli", "check", "--config", path)
     assert checked.process.wait(60) == 0, checked.output
     assert "remote ID: ble4 1/s, ble5 1/s (region us asks for ble5)" in checked.output
-    companion = start("companion.cli", "run", "--config", path)
+    companion = start("companion.commands.cli", "run", "--config", path)
     companion.wait_for("recording to")
     receiver = HciTransport(config.channel, "c2:00:00:00:00:01", send=False, listen=True)
     try:
@@ -83,6 +83,6 @@ def test_bluetooth_in_the_us_is_ble4_and_ble5_and_is_heard_back(config, start, t
 
 def test_a_controller_that_cannot_be_legal_is_refused_with_the_reason(config, start):
     path = config('["ble4"]', "send = false")
-    checked = start("companion.cli", "check", "--config", path)
+    checked = start("companion.commands.cli", "check", "--config", path)
     assert checked.process.wait(60) == 1
     assert "region us asks for wifi or ble4+ble5; the radio can send on nothing" in checked.output

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from companion import cli, record
+from companion import event_record
 from companion.autopilot.tlog import read_tlog
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter, mavlink
+from companion.commands import cli
 from companion.events import AuthorityChanged, Heartbeat, VelocitySetpoint
 
 TRAJECTORY = """altitude = "home"
@@ -82,21 +83,21 @@ def fly(start, tmp_path, firmware):
     vehicle.wait_for("ready")
     port = vehicle.wait_for(r"link udpin:127\.0\.0\.1:(\d+)").group(1)
     path = write_config(tmp_path, f"udpout:127.0.0.1:{port}")
-    companion = start("companion.cli", "run", "--config", path)
+    companion = start("companion.commands.cli", "run", "--config", path)
     companion.wait_for("standby -> guarding")
     return vehicle, companion
 
 
 def the_record(tmp_path):
     (file,) = (tmp_path / "runs").glob("*-test/TEST1.events")
-    return file, list(record.read(io.BytesIO(file.read_bytes()), file.name))
+    return file, list(event_record.read(io.BytesIO(file.read_bytes()), file.name))
 
 
 def count_setpoints(items):
     return sum(
         isinstance(c, VelocitySetpoint)
         for item in items
-        if isinstance(item, record.Step)
+        if isinstance(item, event_record.Step)
         for c in item.commands
     )
 
@@ -113,7 +114,7 @@ def test_flies_and_ends_cleanly_leaving_the_vehicle_holding(start, tmp_path, fir
     assert left["mode"] in ("hold", "brake")
     assert left["setpoints_received"] > 50
     file, items = the_record(tmp_path)
-    assert isinstance(items[0], record.Header)
+    assert isinstance(items[0], event_record.Header)
     assert abs(count_setpoints(items) - left["setpoints_received"]) <= 2
     summary = json.loads((file.parent / "summary.json").read_text())
     assert summary["records_dropped"] == 0
@@ -177,7 +178,7 @@ def test_a_dry_run_leaves_the_vehicle_alone(start, tmp_path):
     )
     port = vehicle.wait_for(r"link udpin:127\.0\.0\.1:(\d+)").group(1)
     path = write_config(tmp_path, f"udpout:127.0.0.1:{port}")
-    companion = start("companion.cli", "run", "--config", path, "--dry-run")
+    companion = start("companion.commands.cli", "run", "--config", path, "--dry-run")
     companion.wait_for("standby -> guarding")
     companion.wait_for("tracks; radio")
     assert companion.end() == 0
@@ -192,7 +193,7 @@ def test_a_dry_run_leaves_the_vehicle_alone(start, tmp_path):
 def test_no_vehicle_is_one_line_and_exit_code_2(start, tmp_path):
     path = write_config(tmp_path, "udpin:127.0.0.1:0")
     path.write_text(path.read_text().replace("wait_s = 20.0", "wait_s = 1.0"))
-    companion = start("companion.cli", "run", "--config", path)
+    companion = start("companion.commands.cli", "run", "--config", path)
     assert companion.process.wait(60) == 2
     assert "no vehicle within 1 s" in companion.output.splitlines()[-1]
 
@@ -201,7 +202,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(start, tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         path = write_config(tmp_path, f"udpin:127.0.0.1:{taken.getsockname()[1]}")
-        companion = start("companion.cli", "run", "--config", path)
+        companion = start("companion.commands.cli", "run", "--config", path)
         assert companion.process.wait(60) == 2
     assert "is in use by another program" in companion.output.splitlines()[-1]
 
@@ -209,7 +210,7 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(start, tmp_path):
 def test_a_path_that_breaks_the_speed_limit_is_one_line_and_exit_code_2(start, tmp_path):
     path = write_config(tmp_path, "udpin:127.0.0.1:0")
     (tmp_path / "t.toml").write_text(TRAJECTORY.replace("300.0", "30.0"))
-    companion = start("companion.cli", "run", "--config", path)
+    companion = start("companion.commands.cli", "run", "--config", path)
     assert companion.process.wait(60) == 2
     (line,) = companion.output.splitlines()
     assert "flight.trajectory: leg from waypoint[0] to waypoint[1]: horizontal speed 12.97" in line
@@ -220,7 +221,9 @@ def test_a_vehicle_that_cannot_be_flown_is_one_line_and_exit_code_2(start, tmp_p
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    companion = start("companion.cli", "run", "--config", write_config(tmp_path, f"udpin:127.0.0.1:{port}"))
+    companion = start(
+        "companion.commands.cli", "run", "--config", write_config(tmp_path, f"udpin:127.0.0.1:{port}")
+    )
     companion.wait_for("waiting for a vehicle")
     writer = MavlinkWriter(1, 1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rover:
@@ -236,7 +239,7 @@ def test_check_says_what_is_missing(start, tmp_path):
     vehicle = start("sitl_mocks.cli", "serve", "--link", "udpin:127.0.0.1:0")
     port = vehicle.wait_for(r"link udpin:127\.0\.0\.1:(\d+)").group(1)
     path = write_config(tmp_path, f"udpout:127.0.0.1:{port}")
-    checked = start("companion.cli", "check", "--config", path)
+    checked = start("companion.commands.cli", "check", "--config", path)
     assert checked.process.wait(60) == 1
     assert checked.output.splitlines()[-1] == "check: NOT ready"
     assert "configuration: valid" in checked.output
@@ -256,7 +259,7 @@ def test_the_pilot_takes_over(start, tmp_path):
     companion.wait_for("yielded; vehicle mode sticks")
     assert companion.end() == 0
     _, items = the_record(tmp_path)
-    steps = [item for item in items if isinstance(item, record.Step)]
+    steps = [item for item in items if isinstance(item, event_record.Step)]
     seen = next(
         k
         for k, s in enumerate(steps)

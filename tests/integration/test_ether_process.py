@@ -15,9 +15,9 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
-from companion.radio import ether_wire
-from companion.radio.ether import EtherTransport
-from companion.radio.ether_wire import SILENCE_S, Heard, Join, Leave, Send, Welcome
+from companion.radio.ether import datagrams as ether_wire
+from companion.radio.ether.datagrams import SILENCE_S, Heard, Join, Leave, Send, Welcome
+from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location, SelfId
 from sitl_mocks import ether_server

@@ -15,14 +15,14 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavparm import MAVParmDict
 
-from companion.autopilot.component_information import ComponentInformation
+from companion.adjustable_parameters import NAMES
 from companion.autopilot.link import AutopilotLink
-from companion.autopilot.metadata import metadata_files
-from companion.autopilot.own_parameters import OwnParameters
+from companion.autopilot.served.component_information import ComponentInformation
+from companion.autopilot.served.metadata import metadata_files
+from companion.autopilot.served.own_parameters import OwnParameters
 from companion.autopilot.wire import MavlinkWriter
 from companion.config import Config, EtherRadio, IdentityConfig, VehicleConfig
 from companion.events import Settings
-from companion.settings import NAMES
 
 CONFIG = Config(identity=IdentityConfig(uas_id="OWN"), radio=(EtherRadio(address="127.0.0.1:1"),))
 FILES = {path: content.decode() for path, content in metadata_files(CONFIG).items()}

@@ -13,7 +13,7 @@ import pytest
 
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.geometry import LocalFrame
-from companion.radio.ether import EtherTransport
+from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
 
@@ -162,7 +162,7 @@ def test_head_on_with_one_that_cooperates_and_one_that_does_not(start, tmp_path,
         path.write_text(
             CONFIG.format(name=name, port=port, flight=flight, ether=ether, folder=tmp_path / "runs")
         )
-        companions[name] = start("companion.cli", "run", "--config", path)
+        companions[name] = start("companion.commands.cli", "run", "--config", path)
     intruder = None
     try:
         companions["B"].wait_for("standby -> guarding")

@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 
-from companion.radio.ether import EtherTransport
-from companion.radio.ether_wire import Send, encode
+from companion.radio.ether.datagrams import Send, encode
+from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
-from companion.radio.hci import HciTransport
+from companion.radio.hci.hci_radio import HciTransport
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
 
 PATIENCE_S = 60.0
@@ -64,7 +64,7 @@ def until(condition: Callable[[], bool], send: Callable[[], None]) -> None:
 def test_plain_lines_into_a_pipe(
     start: Callable[..., Any], endpoint: str, intruder: Callable[[], None], number: signal.Signals
 ) -> None:
-    child = start("companion.cli", "remote-id", "listen", "--radio", f"ether={endpoint}")
+    child = start("companion.commands.cli", "remote-id", "listen", "--radio", f"ether={endpoint}")
     until(lambda: "identity 1596B00000GLIDER" in child.output and "ble4+wifi" in child.output, intruder)
     assert child.end(number) == 0
     assert "type glider" in child.output
@@ -82,7 +82,7 @@ def test_json_with_a_configuration(
 ) -> None:
     path = tmp_path / "my.toml"
     path.write_text(f'[identity]\nuas_id = "LISTEN"\n[[radio]]\nbackend = "ether"\naddress = "{endpoint}"\n')
-    child = start("companion.cli", "remote-id", "listen", "--config", str(path), "--json")
+    child = start("companion.commands.cli", "remote-id", "listen", "--config", str(path), "--json")
 
     def frames() -> list[dict[str, Any]]:
         whole = child.output.rpartition("\n")[0].splitlines()
@@ -97,7 +97,9 @@ def test_json_with_a_configuration(
 
 
 def test_it_ends_by_itself_after_its_seconds(start: Callable[..., Any], endpoint: str) -> None:
-    child = start("companion.cli", "remote-id", "listen", "--radio", f"ether={endpoint}", "--seconds", "0.3")
+    child = start(
+        "companion.commands.cli", "remote-id", "listen", "--radio", f"ether={endpoint}", "--seconds", "0.3"
+    )
     assert child.process.wait(PATIENCE_S) == 0
     assert "0 aircraft, 0 frames heard, 0 bad" in child.output
 
@@ -105,7 +107,15 @@ def test_it_ends_by_itself_after_its_seconds(start: Callable[..., Any], endpoint
 def test_a_live_table_on_a_terminal(endpoint: str, intruder: Callable[[], None]) -> None:
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-m", "companion.cli", "remote-id", "listen", "--radio", f"ether={endpoint}"],
+        [
+            sys.executable,
+            "-m",
+            "companion.commands.cli",
+            "remote-id",
+            "listen",
+            "--radio",
+            f"ether={endpoint}",
+        ],
         stdin=subprocess.DEVNULL,
         stdout=theirs,
         stderr=theirs,
@@ -151,7 +161,7 @@ def test_a_live_table_on_a_terminal(endpoint: str, intruder: Callable[[], None])
 
 def test_bluetooth_from_a_real_controller(start: Callable[..., Any], air: Callable[..., Any]) -> None:
     channel = air().name
-    child = start("companion.cli", "remote-id", "listen", "--radio", f"hci={channel}")
+    child = start("companion.commands.cli", "remote-id", "listen", "--radio", f"hci={channel}")
     sender = HciTransport(channel, ADDRESS, send=True, listen=False)
 
     def send() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from companion import record
+from companion import event_record
 from companion.runtime import clock
 from tests.integration.conftest import Child
 from tests.integration.test_companion_run import fly
@@ -71,7 +71,9 @@ def test_the_loop_keeps_its_time_while_the_viewer_is_watched_hangs_and_dies(star
     assert "fault" not in companion.output
 
     with (folder / "TEST1.events").open("rb") as stream:
-        times = [entry.now_s for entry in record.read(stream, "e") if isinstance(entry, record.Step)]
+        times = [
+            entry.now_s for entry in event_record.read(stream, "e") if isinstance(entry, event_record.Step)
+        ]
     # Steps are stamped with the same clock as the marks.
     assert times[0] < marks[0] < marks[-1] < times[-1] + 1.0
     shares = [missed(times, a, b) for a, b in itertools.pairwise(marks)]

@@ -11,7 +11,7 @@ import pytest
 
 from companion.config import ArduRemoteIdRadio
 from companion.errors import ConfigError
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from companion.remote_id.messages import BasicId, IdType, Location, Status, System, UaType
 from companion.runtime.radios import open_radio
 

@@ -12,9 +12,9 @@ import pytest
 
 from companion.events import RemoteIdHeard
 from companion.radio.frames_io import FrameSender
-from companion.radio.hci import HciTransport
-from companion.radio.hci_wire import HciCommand, Opcode
-from companion.radio.transport import BLE4, BLE5
+from companion.radio.hci.hci_radio import HciTransport
+from companion.radio.hci.packets import HciCommand, Opcode
+from companion.radio.radio import BLE4, BLE5
 from companion.remote_id.messages import (
     Authentication,
     BasicId,

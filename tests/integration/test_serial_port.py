@@ -19,8 +19,8 @@ from unittest.mock import ANY
 import pytest
 import serial
 
-from companion import cli
 from companion.autopilot.wire import FrameScanner, mavlink
+from companion.commands import cli
 
 PROFILE = (Path(__file__).parents[2] / "config" / "ardupilot-serial.toml").read_text()
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
@@ -152,7 +152,7 @@ def test_flies_through_noise_and_a_cable_that_is_pulled_and_plugged_again(start,
     cable.spoil = noisy(1)
     vehicle = start("sitl_mocks.cli", "serve", "--airborne", "50", "--mode", "external", "--link", cable.link)
     vehicle.wait_for("ready")
-    companion = start("companion.cli", "run", "--config", profile(tmp_path, cable, **FLY))
+    companion = start("companion.commands.cli", "run", "--config", profile(tmp_path, cable, **FLY))
     companion.wait_for("standby -> guarding")
     cable.wait_for_setpoints(20)
     cable.pull()
@@ -178,7 +178,7 @@ def test_flies_through_noise_and_a_cable_that_is_pulled_and_plugged_again(start,
 def checked(tmp_path, cable, monkeypatch, capsys) -> Callable[..., dict[str, list[dict[str, str]]]]:
     """What `companion check` finds on the cable, by subject."""
     for name, seconds in (("SETTLE", 1.0), ("MEASURE", 2.5), ("RADIO", 0.1), ("PARAMETERS", 0.1)):
-        monkeypatch.setattr(f"companion.runtime.check._{name}_S", seconds)
+        monkeypatch.setattr(f"companion.commands.check._{name}_S", seconds)
 
     def run(**more: str) -> dict[str, list[dict[str, str]]]:
         cli.main(["check", "--json", "--config", str(profile(tmp_path, cable, **more))])

@@ -26,9 +26,9 @@ import pytest
 from companion.config import WifiRadio
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
-from companion.radio.packet_socket import PacketSocket
-from companion.radio.radiotap import build_radiotap, parse_radiotap
-from companion.radio.wifi import SYNC_PERIOD_S, WifiTransport, stamp
+from companion.radio.wifi.packet_socket import PacketSocket
+from companion.radio.wifi.wifi_radio import SYNC_PERIOD_S, WifiTransport, stamp
+from companion.remote_id.captures.radiotap import build_radiotap, parse_radiotap
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import (
     build_beacon,

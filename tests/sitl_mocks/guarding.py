@@ -10,8 +10,8 @@ from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig, NullRadio, VehicleConfig
 from companion.events import AuthorityChanged, Firmware, MissionItem, RadioState, Say, VelocitySetpoint
 from companion.geometry import LocalFrame
-from companion.onboard import Onboard
 from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
+from companion.system import Onboard
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions

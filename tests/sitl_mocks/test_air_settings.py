@@ -10,7 +10,7 @@ import pytest
 import tomli_w
 
 from companion.errors import ConfigError
-from companion.toml_input import without_none
+from companion.toml_reader import without_none
 from sitl_mocks import air_settings, settings
 from sitl_mocks.air_settings import AirSettings, channel_of, with_options
 from sitl_mocks.channel.air_analytic import AnalyticChannel

@@ -14,10 +14,10 @@ from companion.atmc.actions import SET_ACTIONS, legal
 from companion.atmc.choice import Refused
 from companion.config import AtmcConfig, check
 from companion.errors import ConfigError
+from companion.event_record import Step
 from companion.events import BroadcastChanged, TransportsChosen
-from companion.record import Step
 from companion.remote_id.region import Region
-from companion.toml_input import without_none
+from companion.toml_reader import without_none
 from sitl_mocks import choosing, cli, lockstep, settings
 from sitl_mocks.air_settings import AirSettings
 from sitl_mocks.choosing import Chosen, RandomMind, chosen_of, shares_of
@@ -258,7 +258,7 @@ def test_a_run_folder_with_a_policy_stands_alone_and_replays(tmp_path, capsys):
     assert summary["policy"] == "wild.safetensors"
     assert set(summary["transports"]) == {"DMUCA001", "DMUCA002"}
     assert sum(summary["shares"].values()) == pytest.approx(1.0, abs=0.01)
-    from companion import cli as companion_cli
+    from companion.commands import cli as companion_cli
 
     assert companion_cli.main(["replay", str(folder)]) == 0
 

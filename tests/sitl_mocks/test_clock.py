@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.timesync import timesync
+from companion.autopilot.polled.timesync import timesync
 from companion.autopilot.wire import MavlinkWriter
 from companion.config import Config, IdentityConfig
 from companion.events import Firmware
-from companion.onboard import Onboard
+from companion.system import Onboard
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_options import VehicleOptions
 

@@ -230,7 +230,7 @@ def test_a_run_folder_is_whole(tmp_path, capsys):
     assert "numba" in manifest["versions"]
     out = capsys.readouterr().out
     assert "ground-tools inspect" in out
-    from companion import cli as companion_cli
+    from companion.commands import cli as companion_cli
 
     assert companion_cli.main(["replay", str(folder)]) == 0
 

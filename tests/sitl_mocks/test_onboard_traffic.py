@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion import record, replay
+from companion import event_record as record
+from companion import replay
 from companion.authority.table import HOLDING, State
 from companion.autopilot.wire import MavlinkReader
 from companion.avoidance.alerts import Level
@@ -38,8 +39,8 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.geometry import LocalFrame
-from companion.onboard import Onboard
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+from companion.system import Onboard
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions

@@ -31,7 +31,7 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.geometry import LocalFrame
-from companion.onboard import Onboard
+from companion.system import Onboard
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions

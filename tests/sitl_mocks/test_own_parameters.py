@@ -7,12 +7,12 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavparm import MAVParmDict
 
+from companion.adjustable_parameters import NAMES
 from companion.authority.table import State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.config import EtherRadio
 from companion.events import Firmware, Settings, VelocitySetpoint
-from companion.onboard import Onboard
-from companion.settings import NAMES
+from companion.system import Onboard
 from sitl_mocks.vehicle_manners import VehicleMode
 from tests.sitl_mocks.test_onboard_with_vehicle import TICK_S, Pair
 

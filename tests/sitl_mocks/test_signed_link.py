@@ -21,7 +21,7 @@ from companion.config import (
     Waypoint,
 )
 from companion.events import Firmware
-from companion.onboard import Onboard
+from companion.system import Onboard
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions

@@ -13,9 +13,9 @@ from companion.autopilot.wire import FrameScanner, MavlinkReader, MavlinkWriter
 from companion.config import Config, IdentityConfig, RemoteIdConfig, VehicleConfig
 from companion.errors import ConfigError
 from companion.events import ArmStatus, Firmware, OperatorData, RemoteIdHeard, RemoteIdModule
-from companion.onboard import Onboard
 from companion.remote_id.mavlink import READABLE, decode_odid
 from companion.remote_id.messages import Location, System
+from companion.system import Onboard
 from sitl_mocks.autopilot import MockVehicle, VehicleOptions
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4

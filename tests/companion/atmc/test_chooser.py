@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion import record, replay
+from companion import event_record, replay
 from companion.atmc import chooser as chooser_module
 from companion.atmc.actions import SET_ACTIONS
 from companion.atmc.choice import Refused, Why
@@ -306,9 +306,9 @@ def flown():
     files = {}
 
     def recorder(name, config):
-        header = record.Header(aircraft=name, software="test", config=config, policy=policy)
-        files[name] = bytearray(record.MAGIC + record.encode(header))
-        return lambda step: files[name].extend(record.encode(step))
+        header = event_record.Header(aircraft=name, software="test", config=config, policy=policy)
+        files[name] = bytearray(event_record.MAGIC + event_record.encode(header))
+        return lambda step: files[name].extend(event_record.encode(step))
 
     lockstep.fly(scenario, 1, record=recorder, policy=policy)
     return files
@@ -316,7 +316,7 @@ def flown():
 
 def test_a_run_with_a_policy_replays_bit_for_bit(flown):
     for name, data in flown.items():
-        result = replay.replay_record(record.read(io.BytesIO(bytes(data)), name), name, 0.0)
+        result = replay.replay_record(event_record.read(io.BytesIO(bytes(data)), name), name, 0.0)
         assert result.steps > 250
         assert result.differences == result.inexact == 0
 
@@ -324,8 +324,8 @@ def test_a_run_with_a_policy_replays_bit_for_bit(flown):
 def test_in_lock_step_the_policy_decides_by_what_is_heard(flown):
     steps = [
         item
-        for item in record.read(io.BytesIO(bytes(flown["DMUCA001"])), "x")
-        if isinstance(item, record.Step)
+        for item in event_record.read(io.BytesIO(bytes(flown["DMUCA001"])), "x")
+        if isinstance(item, event_record.Step)
     ]
     found = [c for step in steps for c in step.commands if isinstance(c, TransportsChosen)]
     assert found
@@ -336,6 +336,6 @@ def test_in_lock_step_the_policy_decides_by_what_is_heard(flown):
 
 
 def test_without_the_policy_the_replay_differs(flown):
-    items = list(record.read(io.BytesIO(bytes(flown["DMUCA001"])), "x"))
+    items = list(event_record.read(io.BytesIO(bytes(flown["DMUCA001"])), "x"))
     items[0] = msgspec.structs.replace(items[0], policy=None)
     assert replay.replay_record(items, "x", 0.0).differences > 0

@@ -12,15 +12,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
 from companion import __version__
-from companion.autopilot import ftp
-from companion.autopilot.component_information import (
+from companion.adjustable_parameters import NAMES, changed
+from companion.autopilot.link import AutopilotLink
+from companion.autopilot.served import ftp
+from companion.autopilot.served.component_information import (
     CAPABILITIES,
     MOST_WAITING,
     PERIOD_S,
     ComponentInformation,
 )
-from companion.autopilot.link import AutopilotLink
-from companion.autopilot.metadata import metadata_files
+from companion.autopilot.served.metadata import metadata_files
 from companion.autopilot.signing import Signing
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.config import (
@@ -33,7 +34,6 @@ from companion.config import (
 )
 from companion.errors import ConfigError
 from companion.events import Settings
-from companion.settings import NAMES, changed
 
 CONFIG = Config(identity=IdentityConfig(uas_id="OWN"), radio=(EtherRadio(address="127.0.0.1:1"),))
 KEY = bytes(range(32))

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from companion.autopilot.fence import areas_from_items
+from companion.autopilot.lists.fence import areas_from_items
 from companion.errors import PeerDataError
 from companion.events import FenceArea, MissionItem
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.autopilot import ftp
-from companion.autopilot.ftp import DATA_BYTES, MOST_SESSIONS, PAYLOAD_BYTES, FileServer, crc32
+from companion.autopilot.served import ftp
+from companion.autopilot.served.ftp import DATA_BYTES, MOST_SESSIONS, PAYLOAD_BYTES, FileServer, crc32
 
 FILES = {"short.json": b"{}", "long.json": bytes(range(256)) * 3, "even.json": b"x" * (2 * DATA_BYTES)}
 NONE, TERMINATE, RESET, LIST, OPEN, READ, CREATE, WRITE, REMOVE, CRC, BURST = (

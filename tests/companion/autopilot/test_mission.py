@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from companion.autopilot.mission import path_from_mission, place_of, speed_changes, speeds_at
+from companion.autopilot.lists.mission import path_from_mission, place_of, speed_changes, speeds_at
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import check_speeds
 from companion.config import LimitsConfig, TrajectoryFile

@@ -8,13 +8,13 @@ import random
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.adjustable_parameters import NAMES
 from companion.autopilot.link import AutopilotLink
-from companion.autopilot.own_parameters import PERIOD_S, OwnParameters
+from companion.autopilot.served.own_parameters import PERIOD_S, OwnParameters
 from companion.autopilot.signing import Signing
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.config import Config, EtherRadio, IdentityConfig, VehicleConfig
 from companion.events import Settings
-from companion.settings import NAMES
 
 CONFIG = Config(identity=IdentityConfig(uas_id="OWN"), radio=(EtherRadio(address="127.0.0.1:1"),))
 KEY = bytes(range(32))

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.dialect import ARDUPILOT, PX4, Dialect
-from companion.autopilot.parameters import MAX_TRIES
+from companion.autopilot.polled.parameters import MAX_TRIES
 from companion.events import Event, Firmware, Parameter, VehicleParameters
 from tests.companion.autopilot.conftest import PX4 as PX4_ID
 from tests.companion.autopilot.conftest import Scripted

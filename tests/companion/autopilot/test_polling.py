@@ -7,7 +7,7 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.streams import FIRMWARE_OF, STREAM_RATES_HZ
+from companion.autopilot.polled.streams import FIRMWARE_OF, STREAM_RATES_HZ
 from companion.events import (
     AdsbVehicle,
     Firmware,

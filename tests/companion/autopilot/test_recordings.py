@@ -17,7 +17,7 @@ import pytest
 from pymavlink import mavutil
 
 from companion.autopilot.link import AutopilotLink
-from companion.autopilot.mission import path_from_mission
+from companion.autopilot.lists.mission import path_from_mission
 from companion.autopilot.tlog import TlogCounts, TlogWriter, read_tlog
 from companion.autopilot.wire import FrameScanner
 from companion.config import VehicleConfig

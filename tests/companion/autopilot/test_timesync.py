@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.link import AutopilotLink
-from companion.autopilot.timesync import LONGEST_ROUND_TRIP_S, read_timesync, timesync
+from companion.autopilot.polled.timesync import LONGEST_ROUND_TRIP_S, read_timesync, timesync
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.events import ClockRead, Event
 from tests.companion.autopilot.conftest import Scripted

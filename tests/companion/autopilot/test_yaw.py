@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.dialect import VELOCITY_YAW_MASK, VELOCITY_YAW_RATE_MASK
 from companion.autopilot.link import AutopilotLink
-from companion.autopilot.yaw import LEAST_MPS, PAUSE_S, RATE_RADPS, Nose
+from companion.autopilot.modes.yaw import LEAST_MPS, PAUSE_S, RATE_RADPS, Nose
 from companion.config import VehicleConfig
 from companion.events import VelocitySetpoint
 from tests.companion.autopilot.conftest import Scripted

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.avoidance.fence import check_areas, fault_of, load_fence
 from companion.errors import ConfigError
 from companion.events import FenceArea
+from companion.geofence import check_areas, fault_of, load_fence
 
 SQUARE = ((47.0, 8.0), (47.01, 8.0), (47.01, 8.01), (47.0, 8.01))
 EXAMPLE = Path(__file__).parents[3] / "config" / "fence.toml"

@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
-from companion.radio.arduremoteid import RATES, ArduRemoteIdTransport
-from companion.radio.arduremoteid_module import Module
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN, Health
+from companion.radio.arduremoteid.module_messages import Module
+from companion.radio.arduremoteid.module_radio import RATES, ArduRemoteIdTransport
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN, Health
 from companion.remote_id.messages import (
     Authentication,
     BasicId,

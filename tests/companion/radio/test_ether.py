@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import pytest
 
 from companion.errors import ConfigError
-from companion.radio import ether_wire
-from companion.radio.ether import EtherTransport
-from companion.radio.ether_wire import Heard, Join, Leave, Send, Welcome
+from companion.radio.ether import datagrams
+from companion.radio.ether.datagrams import Heard, Join, Leave, Send, Welcome
+from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import FrameSender
 from companion.remote_id.messages import Location, SelfId
 
@@ -32,8 +32,8 @@ def radio(air: socket.socket) -> Iterator[EtherTransport]:
     transport.close()
 
 
-def received(air: socket.socket) -> ether_wire.Datagram:
-    return ether_wire.decode(air.recv(2000))
+def received(air: socket.socket) -> datagrams.Datagram:
+    return datagrams.decode(air.recv(2000))
 
 
 def test_it_joins_at_once_and_says_goodbye(air: socket.socket) -> None:
@@ -71,10 +71,10 @@ def test_it_hears_frames_and_counts_what_is_none(air: socket.socket, radio: Ethe
     for data in (
         b"",
         b"junk",
-        ether_wire.encode(Join("not for a client")),
-        ether_wire.encode(Heard("ble5", OTHER, good[:-30])),
+        datagrams.encode(Join("not for a client")),
+        datagrams.encode(Heard("ble5", OTHER, good[:-30])),
         b"EA\x01\x04" + b"\xff" * 1500,
-        ether_wire.encode(Heard("ble5", OTHER, good)),
+        datagrams.encode(Heard("ble5", OTHER, good)),
     ):
         air.sendto(data, client)
     events = radio.heard(0.0)
@@ -91,7 +91,7 @@ def test_health_is_ok_only_while_the_air_answers(air: socket.socket, radio: Ethe
     assert not radio.health(0.0).ok
     assert "no answer yet" in radio.health(0.0).text
     assert radio.health(0.0).can_send == frozenset()
-    air.sendto(ether_wire.encode(Welcome(2)), client)
+    air.sendto(datagrams.encode(Welcome(2)), client)
     radio.heard(1.0)
     assert radio.health(1.0).ok
     assert radio.health(7.0).ok

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio.ether_wire import (
+from companion.radio.ether.datagrams import (
     MAX_DATAGRAM,
     Heard,
     Join,

@@ -15,11 +15,11 @@ import pytest
 from companion.config import HciRadio
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
-from companion.radio import hci, hci_session
 from companion.radio.frames_io import FrameSender, radio_address
-from companion.radio.hci import HciTransport
-from companion.radio.hci_session import HciSession
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.radio.hci import hci_radio, session
+from companion.radio.hci.hci_radio import HciTransport
+from companion.radio.hci.session import HciSession
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, SelfId, UaType
 from companion.runtime.radios import open_radio
 from tests.companion.radio.hci_controller import (
@@ -81,10 +81,10 @@ def start(serve: Callable[..., TcpController]) -> Iterator[Open]:
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time limits that a test can wait for."""
-    monkeypatch.setattr(hci, "_PAUSE_S", 0.02)
-    monkeypatch.setattr(hci_session, "_RESET_S", 0.1)
-    monkeypatch.setattr(hci_session, "_ALIVE_S", 0.1)
-    monkeypatch.setattr(hci_session, "ANSWER_S", 0.3)
+    monkeypatch.setattr(hci_radio, "_PAUSE_S", 0.02)
+    monkeypatch.setattr(session, "_RESET_S", 0.1)
+    monkeypatch.setattr(session, "_ALIVE_S", 0.1)
+    monkeypatch.setattr(session, "ANSWER_S", 0.3)
 
 
 # ---------------------------------------------------------------- opening
@@ -211,7 +211,7 @@ def test_refusals_show_and_are_not_counted_as_sent(start: Open) -> None:
 
 
 def test_heard_frames_that_are_lost_are_told(start: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hci_session, "_MAX_HEARD", 5)
+    monkeypatch.setattr(session, "_MAX_HEARD", 5)
     radio, server = start(Controller())
     (frame,) = FrameSender("c1:02:03:04:05:06").frames(BLE5, MESSAGES)
     for _ in range(12):
@@ -221,7 +221,7 @@ def test_heard_frames_that_are_lost_are_told(start: Open, monkeypatch: pytest.Mo
 
 
 def test_hearing_in_small_helpings(start: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hci, "_MAX_FRAMES", 10)
+    monkeypatch.setattr(hci_radio, "_MAX_FRAMES", 10)
     radio, server = start(Controller())
     (frame,) = FrameSender("c1:02:03:04:05:06").frames(BLE5, MESSAGES)
     broken = frame[:-30]

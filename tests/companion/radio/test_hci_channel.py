@@ -11,7 +11,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.errors import ConfigError
-from companion.radio.hci_channel import Channel, open_channel, user_channel_error
+from companion.radio.hci.channel import Channel, open_channel, user_channel_error
 
 GENEROUS_S = 20.0
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.radio.frames_io import FrameSender
-from companion.radio.hci_advertising import FrameQueue, HciCounts
-from companion.radio.hci_reports import HeardFrame
-from companion.radio.hci_session import HciSession
-from companion.radio.transport import BLE4, BLE5
+from companion.radio.hci.advertising import FrameQueue, HciCounts
+from companion.radio.hci.reports import HeardFrame
+from companion.radio.hci.session import HciSession
+from companion.radio.radio import BLE4, BLE5
 from companion.remote_id.messages import (
     Authentication,
     BasicId,

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import PeerDataError
-from companion.radio import hci_wire
-from companion.radio.hci_events import (
+from companion.radio.hci import packets as hci_wire
+from companion.radio.hci.controller_events import (
     CommandResult,
     DataStatus,
     H4Reader,
@@ -18,7 +18,7 @@ from companion.radio.hci_events import (
     SetTerminated,
     parse_event,
 )
-from companion.radio.hci_wire import HciCommand, Opcode, Phy, status_words
+from companion.radio.hci.packets import HciCommand, Opcode, Phy, status_words
 
 ADDRESS = "c2:01:02:03:04:05"
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import PeerDataError
-from companion.radio.radiotap import Radiotap, build_radiotap, parse_radiotap
+from companion.remote_id.captures.radiotap import Radiotap, build_radiotap, parse_radiotap
 
 FRAME = b"\x80\x00 the frame, of thirty-two bytes."
 FCS = b"\xde\xad\xbe\xef"

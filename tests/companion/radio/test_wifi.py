@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from companion.config import WifiRadio
 from companion.errors import ConfigError
-from companion.radio import packet_socket, wifi
-from companion.radio.hostapd import ApStatus
-from companion.radio.packet_socket import channel_of, check_monitor, tuned_channel
-from companion.radio.radiotap import build_radiotap
-from companion.radio.wifi import SYNC_PERIOD_S, WifiTransport, stamp
+from companion.radio.wifi import wifi_radio
+from companion.radio.wifi.hostapd import ApStatus
+from companion.radio.wifi.packet_socket import channel_of, check_monitor, tuned_channel
+from companion.radio.wifi.wifi_radio import SYNC_PERIOD_S, WifiTransport, packet_socket, stamp
+from companion.remote_id.captures.radiotap import build_radiotap
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import (
     build_beacon,
@@ -94,8 +94,8 @@ class FakeControl:
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> Callable[..., WifiTransport]:
-    monkeypatch.setattr(wifi, "PacketSocket", FakeSocket)
-    monkeypatch.setattr(wifi, "HostapdControl", FakeControl)
+    monkeypatch.setattr(wifi_radio, "PacketSocket", FakeSocket)
+    monkeypatch.setattr(wifi_radio, "HostapdControl", FakeControl)
     return lambda **keys: WifiTransport(WifiRadio(**keys), OWN)
 
 
@@ -232,7 +232,7 @@ def test_who_copies_the_own_address_is_heard(
 @given(st.lists(st.binary(max_size=120), max_size=5), st.integers(0, 400), st.integers(0, 255))
 def test_any_air_is_survived(noise: list[bytes], at: int, value: int) -> None:
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(wifi, "PacketSocket", FakeSocket)
+        monkeypatch.setattr(wifi_radio, "PacketSocket", FakeSocket)
         radio = WifiTransport(WifiRadio(monitor="m"), OWN)
     sound = bytearray(BARE + build_nan_action(PACK, 0, OTHER))
     sound[at % len(sound)] = value

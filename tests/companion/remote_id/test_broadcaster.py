@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from companion.broadcast.own_messages import OPERATOR_FRESH_S
 from companion.config import EtherRadio
 from companion.events import (
     ArmStatus,
@@ -28,7 +29,6 @@ from companion.remote_id.messages import (
     Status,
     System,
 )
-from companion.remote_id.own import OPERATOR_FRESH_S
 from companion.remote_id.region import Region
 
 UTC_S = 1_767_225_600.0

@@ -24,7 +24,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import ConfigError, PeerDataError
-from companion.remote_id.capture_file import Packet, read_packets
+from companion.remote_id.captures.capture_file import Packet, read_packets
 
 START_S = 1_700_000_000
 PACKETS = [b"first", b"", b"the third one"]

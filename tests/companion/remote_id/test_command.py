@@ -14,7 +14,7 @@ from pathlib import Path
 import dpkt
 import pytest
 
-from companion.remote_id import command
+from companion.commands import remote_id
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import build_beacon, build_nan_sync_beacon
 from companion.remote_id.messages import BasicId, IdType, Location, SelfId, UaType
@@ -42,7 +42,7 @@ class Terminal:
         )
         self._monkeypatch.setattr("sys.stdin", text)
         parser = argparse.ArgumentParser()
-        command.add_arguments(parser.add_subparsers(required=True))
+        remote_id.add_arguments(parser.add_subparsers(required=True))
         args = parser.parse_args(arguments)
         status: int = args.run(args)
         captured = self._capsys.readouterr()
@@ -67,13 +67,13 @@ def test_encode_and_decode_are_each_others_inverse(terminal: Terminal) -> None:
 def test_every_example_of_the_help_is_encoded_and_comes_back(
     terminal: Terminal, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    examples = "\n".join(command.EXAMPLES)
+    examples = "\n".join(remote_id.EXAMPLES)
     assert terminal.run("encode", stdin=examples) == 0
     assert [line[0] for line in terminal.out] == list("012345")
     encoded = terminal.out
     assert terminal.run("decode", stdin="\n".join(encoded)) == 0
     assert [json.loads(line)["type"] for line in terminal.out] == [
-        json.loads(example)["type"] for example in command.EXAMPLES
+        json.loads(example)["type"] for example in remote_id.EXAMPLES
     ]
     assert terminal.run("encode", stdin="\n".join(terminal.out)) == 0
     assert terminal.out == encoded
@@ -81,7 +81,7 @@ def test_every_example_of_the_help_is_encoded_and_comes_back(
         terminal.run("encode", "--help")
     assert stop.value.code == 0
     shown = capsys.readouterr().out
-    assert all(example in shown for example in command.EXAMPLES)
+    assert all(example in shown for example in remote_id.EXAMPLES)
 
 
 @pytest.mark.parametrize("id_type", [3, 4])
@@ -137,7 +137,7 @@ def test_of_a_torn_pack_the_sound_messages_are_printed_and_the_fault_told(termin
     [
         ("{", "not JSON: incomplete"),
         ("{'type':1}", "not JSON: object keys must be strings (byte 1)"),
-        ("[]", f"[] is no message; allowed: an object such as {command.EXAMPLES[3]}"),
+        ("[]", f"[] is no message; allowed: an object such as {remote_id.EXAMPLES[3]}"),
         ('{"a":1}', "type: missing; allowed: BasicId, Location, Authentication, SelfId, System, OperatorId"),
         (
             '{"type":"Nope"}',
@@ -223,7 +223,7 @@ def test_on_a_terminal_one_end_of_input_ends_it() -> None:
     try:
         os.write(ours, b"\x04")
         ended = subprocess.run(
-            [sys.executable, "-m", "companion.cli", "remote-id", "decode"],
+            [sys.executable, "-m", "companion.commands.cli", "remote-id", "decode"],
             stdin=theirs,
             capture_output=True,
             text=True,
@@ -401,7 +401,7 @@ def test_a_reader_that_has_had_enough_is_no_fault_of_the_file(
         with monkeypatch.context() as patch:
             patch.setattr("sys.stdout", Closed())
             parser = argparse.ArgumentParser()
-            command.add_arguments(parser.add_subparsers(required=True))
+            remote_id.add_arguments(parser.add_subparsers(required=True))
             args = parser.parse_args(["decode", str(file)])
             with pytest.raises(BrokenPipeError):  # the command line ends quietly on it
                 args.run(args)

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
+from companion.commands import remote_id
 from companion.errors import ConfigError
-from companion.remote_id import command
-from companion.remote_id.conformance import check_file, check_vectors
+from companion.remote_id.conformance.vectors import check_file, check_vectors
 
 VECTORS = Path(__file__).resolve().parents[2] / "data" / "vectors.json.gz"
 Content = dict[str, Any]
@@ -44,7 +44,7 @@ def content() -> Content:
 
 def run(*arguments: str) -> int:
     parser = argparse.ArgumentParser()
-    command.add_arguments(parser.add_subparsers(required=True))
+    remote_id.add_arguments(parser.add_subparsers(required=True))
     args = parser.parse_args(arguments)
     status: int = args.run(args)
     return status

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import PeerDataError
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import decode, decode_pack, decode_payload, encode, encode_pack, read_payload
 from companion.remote_id.frames import (
     Counters,

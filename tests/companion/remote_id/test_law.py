@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.broadcast.broadcaster import Broadcaster
+from companion.broadcast.legal_floor import keep_floor, too_slow, whole_rates
 from companion.config import Config, IdentityConfig, RemoteIdConfig
 from companion.events import (
     Broadcast,
@@ -25,11 +27,9 @@ from companion.events import (
     VehicleTime,
 )
 from companion.ownship import Ownship
-from companion.remote_id.broadcaster import Broadcaster
-from companion.remote_id.law import keep_floor, too_slow, whole_rates
 from companion.remote_id.messages import BasicId, Location, OperatorId, SelfId, Status, System
 from companion.remote_id.region import Region
-from companion.toml_input import decode_toml
+from companion.toml_reader import decode_toml
 
 FOLDER = Path(__file__).parents[3] / "config/regions"
 REGIONS = {path.stem: decode_toml(path, Region) for path in sorted(FOLDER.glob("*.toml"))}

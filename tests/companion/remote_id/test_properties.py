@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from companion.errors import PeerDataError
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender
-from companion.radio.transport import BLE4
+from companion.radio.radio import BLE4
 from companion.remote_id.codec import decode, decode_pack, decode_payload, encode, encode_pack, read_payload
 from companion.remote_id.frames import Frame, parse_frame
 from companion.remote_id.messages import (

@@ -17,6 +17,9 @@ import msgspec
 import pytest
 
 from companion.autopilot.wire import MavlinkWriter
+from companion.commands import check as check_module
+from companion.commands.check import _judge_mission, _judge_parameters, check
+from companion.commands.preflight import Preflight
 from companion.config import ArduRemoteIdRadio, Config, RecordConfig, VehicleConfig, WifiRadio
 from companion.errors import ConfigError
 from companion.events import (
@@ -27,18 +30,15 @@ from companion.events import (
     Parameter,
     VehicleParameters,
 )
-from companion.radio import wifi
-from companion.radio.arduremoteid import ArduRemoteIdTransport
+from companion.radio.arduremoteid.module_radio import ArduRemoteIdTransport
 from companion.radio.frames_io import radio_address
-from companion.radio.hostapd import ApStatus
-from companion.radio.transport import Transport
-from companion.radio.wifi import WifiTransport
+from companion.radio.radio import Transport
+from companion.radio.wifi import wifi_radio
+from companion.radio.wifi.hostapd import ApStatus
+from companion.radio.wifi.wifi_radio import WifiTransport
 from companion.remote_id.region import Region
-from companion.runtime import check as check_module
 from companion.runtime import radios
-from companion.runtime.check import _judge_mission, _judge_parameters, check
 from companion.runtime.flight import Flight
-from companion.runtime.preflight import Preflight
 from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
 
 REGIONS = Path(__file__).parents[3] / "config" / "regions"
@@ -148,10 +148,10 @@ class Vehicle:
 
 @pytest.fixture
 def vehicle(monkeypatch: pytest.MonkeyPatch) -> Iterator[Vehicle]:
-    monkeypatch.setattr("companion.runtime.check._SETTLE_S", 0.1)
-    monkeypatch.setattr("companion.runtime.check._MEASURE_S", 0.5)
+    monkeypatch.setattr("companion.commands.check._SETTLE_S", 0.1)
+    monkeypatch.setattr("companion.commands.check._MEASURE_S", 0.5)
     # It tells no parameters.
-    monkeypatch.setattr("companion.runtime.check._PARAMETERS_S", 0.2)
+    monkeypatch.setattr("companion.commands.check._PARAMETERS_S", 0.2)
     made = Vehicle()
     yield made
     made.end()
@@ -187,7 +187,7 @@ def both(
                 return ArduRemoteIdTransport(part, system_id, time.monotonic, "the module")
             return WifiTransport(WifiRadio(hostapd=AccessPoint.path), radio_address("OWN"))
 
-        monkeypatch.setattr(wifi, "HostapdControl", AccessPoint)
+        monkeypatch.setattr(wifi_radio, "HostapdControl", AccessPoint)
         monkeypatch.setattr(radios, "open_radio", open_radio)
         monkeypatch.setattr("companion.runtime.flight.warm_up", lambda: 0.0)
         base = make_config(use="watch")
@@ -393,7 +393,7 @@ def test_all_is_well_with_a_vehicle_that_sends_everything(
     listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Until it is asked for its parameters no more.
-    monkeypatch.setattr("companion.runtime.check._PARAMETERS_S", 60.0)
+    monkeypatch.setattr("companion.commands.check._PARAMETERS_S", 60.0)
     found = listed(0)
     for what in ("configuration", "disk", "policy", "link", "vehicle", "rates", "GNSS", "clock"):
         assert {light for light, *_ in found[what]} == {"green"}, what
@@ -445,7 +445,7 @@ def test_a_link_that_is_choked_or_noisy(
     vehicle: Vehicle, listed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     vehicle.old_s, vehicle.noise = 0.9, b"\xfd\x04\x00\x00\x00\x01\x01\x00\x00\x00abcdef"
-    monkeypatch.setattr("companion.runtime.check._MEASURE_S", 1.5)
+    monkeypatch.setattr("companion.commands.check._MEASURE_S", 1.5)
     choked = listed(1)["link"]
     assert "damaged frames" in choked[0][1]
     assert choked[1][0] == "red"

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from companion.config import RecordConfig
-from companion.record import Header
-from companion.runtime import disk
-from companion.runtime.disk import DiskFloor, finished_runs, free_mb
-from companion.runtime.recorder import FlightRecorder
+from companion.event_record import Header
+from companion.runtime.record import disk
+from companion.runtime.record.disk import DiskFloor, finished_runs, free_mb
+from companion.runtime.record.recorder import FlightRecorder
 
 DAYS = ["20260101T000000Z-a", "20260102T000000Z-b", "20260103T000000Z-c"]
 OWN = "20260104T000000Z-own"

@@ -17,16 +17,17 @@ import pytest
 
 from companion.autopilot.signing import Signing, timestamp_at
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
+from companion.commands import status
 from companion.config import NullRadio, RecordConfig, VehicleConfig
 from companion.errors import ConfigError
 from companion.events import Firmware, RadioState, RemoteIdHeard
 from companion.radio.null import NullTransport
-from companion.radio.transport import Health
+from companion.radio.radio import Health
 from companion.remote_id.messages import Location, Status
 from companion.remote_id.region import Region
-from companion.runtime import clock, radios, watch
-from companion.runtime.byte_link import LinkTrouble, Received
+from companion.runtime import clock, radios
 from companion.runtime.flight import Flight
+from companion.runtime.links.byte_link import LinkTrouble, Received
 from sitl_mocks.autopilot import MockVehicle
 from sitl_mocks.vehicle_manners import VehicleMode
 from sitl_mocks.vehicle_options import VehicleOptions
@@ -142,7 +143,7 @@ def watchdog(monkeypatch):
 @pytest.fixture
 def flight(autopilot, said, make_config, tmp_path, kept_signals, watchdog, monkeypatch):
     """A flight that watches, not yet running."""
-    monkeypatch.setattr("companion.runtime.kept_link._PAUSE_S", 0.01)
+    monkeypatch.setattr("companion.runtime.links.kept_link._PAUSE_S", 0.01)
     monkeypatch.setattr("companion.runtime.flight._STATUS_S", 0.1)
     made = Flight(configured(make_config, tmp_path, autopilot.port), said.append, dry_run=False)
     made.radio = Radio()
@@ -335,7 +336,7 @@ def test_a_full_disk_is_said_and_the_radio_and_the_link_are_closed(
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("companion.runtime.run_record.write_json", full)
+    monkeypatch.setattr("companion.runtime.record.run_record.write_json", full)
 
     def fill():
         flight.onboard.tlog = None
@@ -500,7 +501,9 @@ def test_old_runs_make_room_for_a_new_one_where_they_may(
     old.mkdir()
     (old / "manifest.json").write_text('{"what": "companion run"}')
     (old / "A.events").write_bytes(b"")
-    monkeypatch.setattr("companion.runtime.disk.free_mb", lambda _folder: 50.0 if old.exists() else 300.0)
+    monkeypatch.setattr(
+        "companion.runtime.record.disk.free_mb", lambda _folder: 50.0 if old.exists() else 300.0
+    )
     record = msgspec.structs.replace(flight.config.record, delete_oldest=delete_oldest)
     flight.config = msgspec.structs.replace(flight.config, record=record)
     recording = "recording to" if delete_oldest else "not recording: less than 200 MB are free"
@@ -573,8 +576,8 @@ def test_the_live_state_is_served_and_gone_with_the_flight(flight, said, until):
     states = []
 
     def asked():
-        states.append(watch.ask(flight._server.path))
-        watch.render(states[0])
+        states.append(status.ask(flight._server.path))
+        status.render(states[0])
 
     fly(flight, lambda: until(heard_of(said, "recording to")), asked)
     (state,) = states
@@ -595,7 +598,7 @@ def test_a_bug_in_what_is_shown_does_not_end_the_flight(flight, said, until, mon
 
     def asked():
         with pytest.raises(ConfigError):
-            watch.ask(path)
+            status.ask(path)
         ticks = flight._ticks
         until(lambda: flight._ticks > ticks + 3)
 

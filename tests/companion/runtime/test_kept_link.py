@@ -11,9 +11,9 @@ import tty
 import pytest
 
 from companion.errors import ConfigError
-from companion.runtime.byte_link import Received
-from companion.runtime.kept_link import KeptLink
-from companion.runtime.links import open_link
+from companion.runtime.links.byte_link import Received
+from companion.runtime.links.kept_link import KeptLink
+from companion.runtime.links.open_link import open_link
 
 
 class Pipe:
@@ -82,7 +82,7 @@ def said():
 @pytest.fixture
 def kept(opener, said, monkeypatch):
     for pause in ("_FIRST_PAUSE_S", "_PAUSE_S"):
-        monkeypatch.setattr(f"companion.runtime.kept_link.{pause}", 0.01)
+        monkeypatch.setattr(f"companion.runtime.links.kept_link.{pause}", 0.01)
     link = KeptLink("tcp:there", said.append, opener)
     yield link
     opener.may_open.set()
@@ -142,7 +142,7 @@ def test_a_closed_link_is_not_opened_again(kept, opener):
 
 def test_a_tcp_server_that_restarts(said, until, monkeypatch):
     for pause in ("_FIRST_PAUSE_S", "_PAUSE_S"):
-        monkeypatch.setattr(f"companion.runtime.kept_link.{pause}", 0.01)
+        monkeypatch.setattr(f"companion.runtime.links.kept_link.{pause}", 0.01)
 
     def serve(port):
         server = socket.socket()

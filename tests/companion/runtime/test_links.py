@@ -10,9 +10,9 @@ import sys
 import pytest
 
 from companion.errors import ConfigError
-from companion.runtime.byte_link import READ_BYTES, LinkTrouble, Received
-from companion.runtime.links import open_link
-from companion.runtime.udp_link import UdpLink
+from companion.runtime.links.byte_link import READ_BYTES, LinkTrouble, Received
+from companion.runtime.links.open_link import open_link
+from companion.runtime.links.udp_link import UdpLink
 
 MAVLINK = b"\xfd and the rest"
 
@@ -229,7 +229,7 @@ def test_a_device_that_goes_while_it_is_opened_is_bad_configuration(monkeypatch)
     def gone(*_, **__):
         raise OSError(5, "Input/output error")  # not a SerialException
 
-    monkeypatch.setattr("companion.runtime.serial_link.serial.Serial", gone)
+    monkeypatch.setattr("companion.runtime.links.serial_link.serial.Serial", gone)
     with pytest.raises(ConfigError, match=r"serial:/dev/x:57600: .*Input/output error"):
         open_link("serial:/dev/x:57600")
 

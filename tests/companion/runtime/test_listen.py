@@ -15,11 +15,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from companion.cli import main
+from companion.commands.cli import main
+from companion.commands.heard_table import (
+    FORGET_S,
+    MAX_AIRCRAFT,
+    HeardTable,
+    cells,
+    health_words,
+    identity_words,
+    json_line,
+)
+from companion.commands.listen import LiveTable, PlainLines, drawing
 from companion.config import Config, HciRadio, WifiRadio
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
-from companion.radio.transport import Health
+from companion.radio.radio import Health
 from companion.remote_id.messages import (
     BasicId,
     IdType,
@@ -31,16 +41,6 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
-from companion.runtime.heard import (
-    FORGET_S,
-    MAX_AIRCRAFT,
-    HeardTable,
-    cells,
-    health_words,
-    identity_words,
-    json_line,
-)
-from companion.runtime.listen import LiveTable, PlainLines, drawing
 from companion.runtime.radios import Radios
 
 HEALTH = Health(ok=True, text="wlan0: listening", frames_sent=0, frames_heard=7, bad_frames=2)
@@ -300,7 +300,7 @@ def test_what_sends_is_left_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         opened.append(config)
         raise ConfigError("seen")
 
-    monkeypatch.setattr("companion.runtime.listen.Radios", radios)
+    monkeypatch.setattr("companion.commands.listen.Radios", radios)
     path = tmp_path / "my.toml"
     path.write_text(
         '[identity]\nuas_id = "A1"\n[[radio]]\nbackend = "arduremoteid"\nlink = "udpout:127.0.0.1:9"\n'
@@ -330,7 +330,7 @@ def test_a_full_disk_ends_it_in_one_line() -> None:
     command = ["remote-id", "listen", "--radio", "ether=127.0.0.1:9", "--seconds", "0"]
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
-            [sys.executable, "-m", "companion.cli", *command],
+            [sys.executable, "-m", "companion.commands.cli", *command],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,

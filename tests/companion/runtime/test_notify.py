@@ -7,7 +7,7 @@ import socket
 
 import pytest
 
-from companion.runtime.notify import Notifier, notify_address, ping_period_s
+from companion.runtime.status.service_manager import Notifier, notify_address, ping_period_s
 
 
 @pytest.fixture(params=["path", "abstract"])

@@ -6,12 +6,12 @@ import msgspec
 import pytest
 
 from companion import config as configuration
-from companion import record
+from companion import event_record
 from companion.atmc.policy import MAX_BYTES
+from companion.commands.check import check
 from companion.config import ArduRemoteIdRadio, AtmcConfig, VehicleConfig
 from companion.errors import ConfigError
 from companion.remote_id.region import Region
-from companion.runtime.check import check
 from companion.runtime.flight import Flight
 from companion.runtime.policy import RUN_FILE, judge_policy, read_policy
 from tests.companion.atmc.policies import policy_file
@@ -122,7 +122,7 @@ def test_run_starts_with_or_without_its_policy(load, tmp_path, monkeypatch, dama
     assert read_policy(configuration.load(flight.folder / "config.toml")) == data
     (events,) = flight.folder.glob("*.events")
     with events.open("rb") as stream:
-        header = next(record.read(stream, "x"))
+        header = next(event_record.read(stream, "x"))
     assert header.policy == data
 
 

@@ -7,7 +7,7 @@ import pytest
 from companion.config import Config, EtherRadio, IdentityConfig, NullRadio
 from companion.errors import ConfigError
 from companion.events import RadioState, RemoteIdHeard
-from companion.radio.transport import Health
+from companion.radio.radio import Health
 from companion.remote_id.messages import SelfId
 from companion.runtime import radios
 from companion.runtime.radios import Radios

@@ -11,8 +11,8 @@ import msgspec
 import pytest
 
 from companion.autopilot.wire import MavlinkWriter
+from companion.commands.check import check
 from companion.config import AvoidanceConfig, Config, RecordConfig, VehicleConfig
-from companion.runtime.check import check
 from companion.runtime.flight import Flight
 
 TOLD = "gives nothing back on PX4"
@@ -61,7 +61,7 @@ def test_an_autopilot_that_cannot_be_given_back_by_mode_is_named_by_check_and_ru
 ) -> None:
     monkeypatch.setattr("companion.runtime.flight.warm_up", lambda: 0.0)
     for name in ("_RADIO_S", "_SETTLE_S", "_MEASURE_S", "_PARAMETERS_S"):
-        monkeypatch.setattr(f"companion.runtime.check.{name}", 0.1)
+        monkeypatch.setattr(f"companion.commands.check.{name}", 0.1)
     config = msgspec.structs.replace(
         make_config(**flight),
         vehicle=VehicleConfig(link=link, wait_s=60.0),

@@ -10,12 +10,13 @@ import threading
 
 import pytest
 
-from companion import record
+from companion import event_record
 from companion.config import RecordConfig
 from companion.errors import ConfigError
-from companion.record import Header, Step
-from companion.runtime import clock, disk
-from companion.runtime.recorder import FlightRecorder, create_run_folder
+from companion.event_record import Header, Step
+from companion.runtime import clock
+from companion.runtime.record import disk
+from companion.runtime.record.recorder import FlightRecorder, create_run_folder
 
 SLOW = RecordConfig(sync_period_s=60.0, keep_free_mb=0.0)
 QUICK = RecordConfig(sync_period_s=0.01, keep_free_mb=0.0)
@@ -48,7 +49,7 @@ def header(make_config):
 @pytest.fixture
 def a_disk(monkeypatch):
     made = Disk()
-    monkeypatch.setattr("companion.runtime.recorder.write_all", made.write_all)
+    monkeypatch.setattr("companion.runtime.record.recorder.write_all", made.write_all)
     yield made
     made.may_write.set()
 
@@ -70,7 +71,7 @@ def step(now_s):
 
 
 def recorded(folder):
-    return list(record.read(io.BytesIO((folder / "A.events").read_bytes()), "A"))
+    return list(event_record.read(io.BytesIO((folder / "A.events").read_bytes()), "A"))
 
 
 def test_all_is_there_after_close(tmp_path, header, started):
@@ -90,7 +91,7 @@ def test_more_than_the_buffer_and_the_queue_hold_from_before_the_start_is_writte
     tmp_path, header, monkeypatch
 ):
     """A long wait on a busy link crowds nothing out."""
-    monkeypatch.setattr("companion.runtime.recorder._QUEUE", 10)
+    monkeypatch.setattr("companion.runtime.record.recorder._QUEUE", 10)
     early = [step(float(number)) for number in range(5000)]
     recorder = FlightRecorder(lambda: tmp_path, header, SLOW, early, 200_000 * b"x")
     assert recorder.close()
@@ -120,7 +121,7 @@ def test_a_disk_that_fails_only_at_the_end_is_an_error_kept(a_disk, started):
 
 
 def test_close_gives_up_on_a_disk_that_hangs_with_a_full_queue(a_disk, until, started, monkeypatch):
-    monkeypatch.setattr("companion.runtime.recorder._QUEUE", 10)
+    monkeypatch.setattr("companion.runtime.record.recorder._QUEUE", 10)
     recorder = started(QUICK)
     a_disk.may_write.clear()
     a_disk.asked.clear()
@@ -238,7 +239,7 @@ def test_what_stands_in_the_folders_place(tmp_path, header, until, make, words):
 @pytest.mark.parametrize("replaced", [False, True])
 def test_a_folder_that_vanishes_is_an_error(tmp_path, header, until, monkeypatch, replaced):
     """Writing to files that were deleted fails nowhere, and is kept nowhere."""
-    monkeypatch.setattr("companion.runtime.recorder._LOOK_S", 0.0)
+    monkeypatch.setattr("companion.runtime.record.recorder._LOOK_S", 0.0)
     folder = tmp_path / "run"
     folder.mkdir()
     recorder = FlightRecorder(lambda: folder, header, QUICK)
@@ -258,8 +259,8 @@ def test_below_the_floor_writing_stops_and_what_is_lost_is_counted(
     tmp_path, header, until, monkeypatch, started
 ):
     free = [1000.0]
-    monkeypatch.setattr("companion.runtime.disk.free_mb", lambda _folder: free[0])
-    monkeypatch.setattr("companion.runtime.recorder._LOOK_S", 0.0)
+    monkeypatch.setattr("companion.runtime.record.disk.free_mb", lambda _folder: free[0])
+    monkeypatch.setattr("companion.runtime.record.recorder._LOOK_S", 0.0)
     recorder = started(RecordConfig(sync_period_s=0.01, keep_free_mb=300.0))
     recorder.step(step(0.0))
     until(lambda: b"Step" in (tmp_path / "A.events").read_bytes())

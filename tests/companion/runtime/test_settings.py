@@ -9,13 +9,13 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkWriter
+from companion.commands.check import _settings
+from companion.commands.preflight import Preflight
 from companion.config import Config, IdentityConfig, LimitsConfig, RecordConfig
 from companion.errors import ConfigError
 from companion.events import Settings
-from companion.runtime.check import _settings
 from companion.runtime.flight import Flight
-from companion.runtime.preflight import Preflight
-from companion.runtime.settings import KeptSettings, read_settings, settings_path
+from companion.runtime.stored_parameters import KeptSettings, read_settings, settings_path
 from tests.companion.runtime.test_flight import Autopilot, Radio, configured, fly, kept_signals, watchdog
 
 __all__ = ["kept_signals", "watchdog"]
@@ -56,7 +56,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_says_so(config, monkeypatch)
     def full(_file):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("companion.runtime.disk.os.fsync", full)
+    monkeypatch.setattr("companion.runtime.record.disk.os.fsync", full)
     kept = KeptSettings(config, SET)
     kept.keep(Settings(horizon_s=9.0))
     kept.close()

@@ -12,12 +12,13 @@ import pytest
 
 from companion import config as configuration
 from companion.autopilot.signing import TICKS_PER_S, timestamp_at
+from companion.commands.check import _vehicle
+from companion.commands.preflight import Preflight
 from companion.config import Config, IdentityConfig, RecordConfig, VehicleConfig
 from companion.errors import ConfigError
-from companion.runtime import disk, signing
-from companion.runtime.check import _vehicle
-from companion.runtime.preflight import Preflight
-from companion.runtime.signing import PERIOD_S, TIMESTAMP_FILE, KeptSigning, read_key
+from companion.runtime import signing_key
+from companion.runtime.record import disk
+from companion.runtime.signing_key import PERIOD_S, TIMESTAMP_FILE, KeptSigning, read_key
 
 RAW = bytes(range(100, 132))
 DIGITS = "d4ee003d187614d9ffa24d20f58b448551c2cdc1e54cf42fc00bb86182249126"
@@ -143,8 +144,8 @@ def clock(monkeypatch):
     class Clock:
         utc_s = 1_767_225_600.0
 
-    monkeypatch.setattr(signing.time, "time", lambda: Clock.utc_s)
-    monkeypatch.setattr(signing.clock, "now_s", lambda: 1000.0)
+    monkeypatch.setattr(signing_key.time, "time", lambda: Clock.utc_s)
+    monkeypatch.setattr(signing_key.clock, "now_s", lambda: 1000.0)
     return Clock
 
 
@@ -207,7 +208,7 @@ def test_a_damaged_file_is_begun_anew_and_told(config, clock, tmp_path, text):
 
 
 def test_it_is_kept_while_flying(config, monkeypatch, until, tmp_path):
-    monkeypatch.setattr(signing, "PERIOD_S", 0.01)
+    monkeypatch.setattr(signing_key, "PERIOD_S", 0.01)
     kept = KeptSigning(config)
     assert kept.unread is None
     last = used(kept, 1000)[-1]
@@ -236,7 +237,7 @@ def unreachable(vehicle):
 def test_a_disk_that_fills_in_flight_is_told_and_no_more_once_it_takes_it_again(
     config, monkeypatch, until, tmp_path
 ):
-    monkeypatch.setattr(signing, "PERIOD_S", 0.01)
+    monkeypatch.setattr(signing_key, "PERIOD_S", 0.01)
     full = threading.Event()
 
     def replace_file(path, data):
@@ -244,7 +245,7 @@ def test_a_disk_that_fills_in_flight_is_told_and_no_more_once_it_takes_it_again(
             raise OSError(errno.ENOSPC, "No space left on device")
         disk.replace_file(path, data)
 
-    monkeypatch.setattr(signing, "replace_file", replace_file)
+    monkeypatch.setattr(signing_key, "replace_file", replace_file)
     kept = KeptSigning(config)
     assert kept.error is None
     full.set()
@@ -256,10 +257,10 @@ def test_a_disk_that_fills_in_flight_is_told_and_no_more_once_it_takes_it_again(
 
 
 def test_a_disk_that_hangs_holds_up_neither_start_nor_end(config, monkeypatch):
-    monkeypatch.setattr(signing, "PERIOD_S", 0.01)
-    monkeypatch.setattr(signing, "_PATIENCE_S", 0.01)
+    monkeypatch.setattr(signing_key, "PERIOD_S", 0.01)
+    monkeypatch.setattr(signing_key, "_PATIENCE_S", 0.01)
     goes_on = threading.Event()
-    monkeypatch.setattr(signing, "replace_file", lambda *_: goes_on.wait())
+    monkeypatch.setattr(signing_key, "replace_file", lambda *_: goes_on.wait())
     kept = KeptSigning(config)
     assert "does not answer" in kept.error
     assert used(kept)

@@ -13,9 +13,9 @@ import msgspec
 import pytest
 from rich.console import Console
 
+from companion.commands import status as watch
 from companion.errors import ConfigError
-from companion.runtime import watch
-from companion.runtime.status import Status, StatusServer, TrackStatus, folders
+from companion.runtime.status.status_socket import Status, StatusServer, TrackStatus, folders
 
 LONG_S = 60.0
 STATUS = Status(
@@ -152,7 +152,7 @@ def test_a_socket_that_nobody_serves_says_so(tmp_path):
 
 
 def test_what_is_no_socket_stays(tmp_path, monkeypatch):
-    monkeypatch.setattr("companion.runtime.status.folders", lambda _environ: [tmp_path])
+    monkeypatch.setattr("companion.runtime.status.status_socket.folders", lambda _environ: [tmp_path])
     (tmp_path / "companion-OWN.sock").write_text("mine")
     with pytest.raises(ConfigError, match="no status socket"):
         StatusServer("companion-OWN", {})

@@ -14,9 +14,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from companion.runtime.byte_link import READ_BYTES, LinkTrouble, Received
-from companion.runtime.serial_link import SerialLink
-from companion.runtime.tcp_link import TcpLink
+from companion.runtime.links.byte_link import READ_BYTES, LinkTrouble, Received
+from companion.runtime.links.serial_link import SerialLink
+from companion.runtime.links.tcp_link import TcpLink
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="what the kernel holds is told by Linux only")
 SIOCOUTQNSD = 0x894B
@@ -40,7 +40,7 @@ def clock(monkeypatch):
         now.s += seconds
 
     monkeypatch.setattr("companion.runtime.clock.now_s", lambda: now.s)
-    monkeypatch.setattr("companion.runtime.stream_link.time", SimpleNamespace(sleep=sleep))
+    monkeypatch.setattr("companion.runtime.links.stream_link.time", SimpleNamespace(sleep=sleep))
     return now
 
 
@@ -326,7 +326,7 @@ def uart(serial_line, trouble, monkeypatch, clock):
         driver.waiting = driver.waiting if driver.keeps else 0
 
     monkeypatch.setattr(type(link._port), "out_waiting", property(lambda _: driver.waiting))
-    monkeypatch.setattr("companion.runtime.serial_link.termios.tcflush", flush)
+    monkeypatch.setattr("companion.runtime.links.serial_link.termios.tcflush", flush)
     monkeypatch.setattr(link, "_is_pty", False)
     monkeypatch.setattr(link, "_keeps", False)
     return link, driver

@@ -13,11 +13,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.signing import Signing, timestamp_at
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
+from companion.commands import status
 from companion.config import RecordConfig, VehicleConfig
 from companion.events import Firmware
-from companion.runtime import clock, run_record, watch
+from companion.runtime import clock
 from companion.runtime.flight import Flight
-from companion.runtime.links import LinkTrouble
+from companion.runtime.links.open_link import LinkTrouble
+from companion.runtime.record import run_record
 from tests.companion.runtime.test_flight import (
     KEY,
     Autopilot,
@@ -121,7 +123,7 @@ def test_a_record_folder_that_cannot_be_made_ends_no_flight(
         lambda: until(heard_of(said, told)),
         goes_on(flight, until),
         lambda: until(lambda: NOT_RECORDED in pilot.texts or dry_run),
-        lambda: states.append(watch.ask(flight._server.path)),
+        lambda: states.append(status.ask(flight._server.path)),
         lambda: until(lambda: flight.radio.broadcasts > 1),
     )
     assert said.count(f"{told}; the flight goes on") == 1
@@ -153,7 +155,7 @@ def test_whatever_fails_at_the_start_ends_no_flight(flight_to, pilot, said, unti
 
 
 def test_a_record_that_vanishes_in_flight_ends_no_flight(flight_to, pilot, said, until, monkeypatch):
-    monkeypatch.setattr("companion.runtime.recorder._LOOK_S", 0.0)
+    monkeypatch.setattr("companion.runtime.record.recorder._LOOK_S", 0.0)
     flight = flight_to(pilot)
     fly(
         flight,
@@ -176,8 +178,8 @@ def test_a_disk_that_fills_up_in_flight_ends_no_flight(flight_to, pilot, said, u
     fly(
         flight,
         lambda: until(heard_of(said, "recording to")),
-        lambda: monkeypatch.setattr("companion.runtime.recorder.write_all", full),
-        lambda: monkeypatch.setattr("companion.runtime.disk.write_all", full),
+        lambda: monkeypatch.setattr("companion.runtime.record.recorder.write_all", full),
+        lambda: monkeypatch.setattr("companion.runtime.record.disk.write_all", full),
         lambda: until(lambda: NOT_RECORDED in pilot.texts),
         goes_on(flight, until),
     )
@@ -189,8 +191,8 @@ def test_a_disk_that_fills_up_in_flight_ends_no_flight(flight_to, pilot, said, u
 def test_a_disk_that_hangs_at_the_start_holds_up_no_tick_and_no_end(
     flight_to, pilot, said, until, monkeypatch
 ):
-    monkeypatch.setattr("companion.runtime.recorder._HANGS_S", 0.1)
-    monkeypatch.setattr("companion.runtime.run_record.CLOSE_S", 0.1)
+    monkeypatch.setattr("companion.runtime.record.recorder._HANGS_S", 0.1)
+    monkeypatch.setattr("companion.runtime.record.run_record.CLOSE_S", 0.1)
     comes_back = threading.Event()
     monkeypatch.setattr(run_record, "create_run_folder", lambda *_: comes_back.wait())
     flight = flight_to(pilot)
@@ -207,7 +209,7 @@ def test_a_disk_that_hangs_at_the_start_holds_up_no_tick_and_no_end(
 def test_a_disk_that_hung_for_a_while_is_told_and_has_lost_nothing(
     flight_to, pilot, said, until, monkeypatch
 ):
-    monkeypatch.setattr("companion.runtime.recorder._HANGS_S", 0.1)
+    monkeypatch.setattr("companion.runtime.record.recorder._HANGS_S", 0.1)
     comes_back, write_manifest = threading.Event(), run_record.write_manifest
 
     def hangs(*arguments, **facts):

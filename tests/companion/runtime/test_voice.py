@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from companion.runtime.voice import Voice
+from companion.runtime.status.console import Voice
 
 
 def test_lines_come_out_in_order():
@@ -20,7 +20,7 @@ def test_lines_come_out_in_order():
 
 
 def test_a_stopped_terminal_holds_up_nothing(monkeypatch):
-    monkeypatch.setattr("companion.runtime.voice._PATIENCE_S", 0.05)
+    monkeypatch.setattr("companion.runtime.status.console._PATIENCE_S", 0.05)
     go_on = threading.Event()
     lines = []
 

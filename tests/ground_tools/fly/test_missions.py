@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from companion.autopilot.mission import path_from_mission
+from companion.autopilot.lists.mission import path_from_mission
 from companion.errors import ConfigError
 from companion.events import MissionItem
 from companion.geometry import LocalFrame

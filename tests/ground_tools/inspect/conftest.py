@@ -12,8 +12,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from companion import record
+from companion import event_record
 from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig
+from companion.event_record import Header, Step
 from companion.events import (
     AnyCommand,
     AnyEvent,
@@ -32,7 +33,6 @@ from companion.events import (
     VehicleTime,
 )
 from companion.geometry import LocalFrame
-from companion.record import Header, Step
 from companion.remote_id.messages import Location
 
 HOME = LocalFrame(47.397, 8.545, 400.0)
@@ -141,7 +141,7 @@ def write_events(
     )
     header = Header(aircraft=name, software="test", config=config)
     path = folder / f"{name}.events"
-    path.write_bytes(record.MAGIC + b"".join(record.encode(r) for r in (header, *found)))
+    path.write_bytes(event_record.MAGIC + b"".join(event_record.encode(r) for r in (header, *found)))
     return path
 
 

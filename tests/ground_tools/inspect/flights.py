@@ -7,11 +7,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from companion import record
+from companion import event_record
 from companion.authority.table import State
 from companion.config import Config
+from companion.event_record import Header, Step
 from companion.events import AnyCommand, AnyEvent, Decision, Firmware, GlobalPosition, TrackView, Vec3
-from companion.record import Header, Step
 from ground_tools.inspect.read_run import AircraftRecord, read_run
 from tests.sitl_mocks.guarding import head_on
 
@@ -33,7 +33,7 @@ def write(folder: Path, config: Config, steps: Iterable[Step]) -> Path:
     name = config.identity.uas_id
     entries = (Header(aircraft=name, software="test", config=config), *steps)
     path = folder / f"{config.identity.file_name}.events"
-    path.write_bytes(record.MAGIC + b"".join(record.encode(entry) for entry in entries))
+    path.write_bytes(event_record.MAGIC + b"".join(event_record.encode(entry) for entry in entries))
     return path
 
 

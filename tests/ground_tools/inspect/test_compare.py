@@ -9,8 +9,8 @@ import pytest
 
 from companion.config import AvoidanceConfig, Config, IdentityConfig, RemoteIdConfig
 from companion.errors import ConfigError
+from companion.event_record import Step
 from companion.events import Broadcast, Firmware, FlightMode, Heartbeat, Landed, LandedState
-from companion.record import Step
 from companion.remote_id.messages import Location
 from ground_tools.inspect import command
 from ground_tools.inspect.compare import compare, text

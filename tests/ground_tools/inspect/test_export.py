@@ -15,7 +15,7 @@ import tomli_w
 
 from companion.config import AvoidanceConfig, Config, IdentityConfig
 from companion.errors import ConfigError
-from companion.toml_input import without_none
+from companion.toml_reader import without_none
 from ground_tools.inspect import export, incident, manoeuvres
 from ground_tools.inspect.flown import flown
 from ground_tools.inspect.kml import GX, KML

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.event_record import Step
 from companion.events import (
     AuthorityChanged,
     CurrentMode,
@@ -25,7 +26,6 @@ from companion.events import (
     VehicleTime,
 )
 from companion.geometry import LocalFrame
-from companion.record import Step
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from ground_tools.inspect.facts import gather
 from ground_tools.inspect.modes import mode_name

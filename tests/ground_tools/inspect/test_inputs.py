@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.tlog import TlogWriter
 from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
+from companion.event_record import MAGIC, Step
 from companion.events import GlobalPosition, Landed, LandedState
-from companion.record import MAGIC, Step
 from ground_tools.inspect import command, incident
 from ground_tools.inspect.flown import flown, separations
 from ground_tools.inspect.read_run import read_run

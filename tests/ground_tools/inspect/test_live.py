@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from companion import record
+from companion import event_record
 from companion.errors import ConfigError, PeerDataError
 from ground_tools.inspect import recording
 from ground_tools.inspect.live import Bridge, follow
@@ -107,7 +107,7 @@ def test_what_there_is_is_shown_after_a_while_and_the_rest_when_it_comes(
         bridge.look()
         assert not bridge.outgrown
         with late.open("ab") as file:
-            file.write(record.encode(whole[400]))
+            file.write(event_record.encode(whole[400]))
         bridge.look()
         assert bridge.outgrown
 
@@ -127,7 +127,7 @@ def test_a_record_without_any_position_shows_what_it_has(tmp_path: Path, made: S
         assert (bridge.look(), bridge.waits_for) == (0, ("a: a position",))
         assert (bridge.look(complete=False), bridge.without) == (200, ("a: a position",))
         with path.open("ab") as file:
-            file.write(record.encode(made.steps(made.northbound, made.eastbound(20.0))[200]))
+            file.write(event_record.encode(made.steps(made.northbound, made.eastbound(20.0))[200]))
         bridge.look()
         assert bridge.outgrown
 

@@ -12,6 +12,7 @@ import pytest
 
 from companion.autopilot.tlog import TlogCounts
 from companion.config import Config, IdentityConfig
+from companion.event_record import Step
 from companion.events import (
     AnyCommand,
     AnyEvent,
@@ -31,7 +32,6 @@ from companion.events import (
     TwoAutopilots,
     VehicleText,
 )
-from companion.record import Step
 from ground_tools.inspect import plots, recording, summary, writer
 from ground_tools.inspect.flown import flown
 from ground_tools.inspect.link_health import ComponentHealth, LinkHealth

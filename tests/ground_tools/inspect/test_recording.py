@@ -17,6 +17,7 @@ import pytest
 from companion.autopilot.tlog import TlogCounts
 from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
+from companion.event_record import Step
 from companion.events import (
     Decision,
     Firmware,
@@ -28,7 +29,6 @@ from companion.events import (
     RemoteIdHeard,
     TransportsChosen,
 )
-from companion.record import Step
 from companion.remote_id.messages import Location
 from ground_tools.inspect import recording, scene, writer
 from ground_tools.inspect.blueprint import _axis, _separation, blueprint, nearest_m

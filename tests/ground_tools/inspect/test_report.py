@@ -12,8 +12,8 @@ import pytest
 
 from companion.config import Config, FlightConfig, IdentityConfig
 from companion.errors import ConfigError
+from companion.event_record import Step
 from companion.events import AlertChanged, AuthorityChanged, Broadcast, VehicleText
-from companion.record import Step
 from companion.remote_id.messages import Location
 from ground_tools.inspect import command, plots, report
 from ground_tools.inspect.flown import flown, separations

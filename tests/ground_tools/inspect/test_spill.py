@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
+from companion.event_record import Step
 from companion.events import GlobalPosition
-from companion.record import Step
 from ground_tools.inspect import facts
 from ground_tools.inspect.facts import gather
 from ground_tools.inspect.spill import Spill, release, spilled

@@ -12,7 +12,7 @@ from companion.atmc.actions import PAPER_ACTIONS
 from companion.atmc.choice import Refused
 from companion.atmc.policy import Policy, encode
 from companion.errors import ConfigError
-from companion.radio.transport import BLE4, BLE5, WIFI_BEACON
+from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from ground_tools import cli
 from ground_tools.atmc.results import Results, Run, write
 from ground_tools.paper import decision_time, methods, system_delay, uav_delay

@@ -1,0 +1,167 @@
+"""The mode that the vehicle is asked for, and the speed of its mission; given up when somebody else flies.
+
+A speed that comes with a mode is sent right behind each request for that mode, one that comes alone until the
+vehicle has answered it (MAV_CMD_DO_CHANGE_SPEED), for as long as the mission is flown.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.counts import LinkCounts
+from companion.autopilot.dialect import CMD_DO_CHANGE_SPEED, CMD_DO_SET_MODE, CMD_REQUEST_MESSAGE, DIALECTS
+from companion.autopilot.encoders import Outgoing, command_long
+from companion.autopilot.heard_vehicle import HeardVehicle
+from companion.autopilot.modes.mode_request import ModeRequest, ModeTold
+from companion.autopilot.outbox import Outbox
+from companion.events import CurrentMode, Event, FlightMode, Heartbeat, ModeRefused, SetMode
+
+_GROUND_SPEED, _THROTTLE_AS_IT_IS = 1.0, -1.0
+_SPEED_RETRY_S, _SPEED_TRIES = 1.0, 5
+_WANTED_AGAIN_S = 0.2
+_HEARTBEAT = float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+
+
+@dataclass(slots=True)
+class _SpeedRequest:
+    """DO_CHANGE_SPEED, until it is answered or was sent often enough."""
+
+    speed_mps: float
+    tries: int = 0
+    next_s: float = 0.0
+
+
+class ModeAndSpeed:
+    """One mode and one speed at a time, the ones asked for last."""
+
+    def __init__(self, heard: HeardVehicle, outbox: Outbox, events: list[Event], counts: LinkCounts) -> None:
+        """`events` takes the modes that were refused."""
+        self._heard = heard
+        self._outbox = outbox
+        self._events = events
+        self._counts = counts
+        self._told = ModeTold()
+        self._mode: ModeRequest | None = None
+        self._cancelled: ModeRequest | None = None
+        """The last one that was given up."""
+        self._mode_speed_mps: float | None = None
+        self._speed: _SpeedRequest | None = None
+        self._mode_wanted_s = -math.inf
+        """When a HEARTBEAT was last asked for."""
+
+    def ask_mode(self, command: SetMode, now_s: float) -> None:
+        """Ask for a mode, in place of what was asked for before.
+
+        Raises:
+            ValueError: it cannot be commanded.
+        """
+        mode, vehicle = command.mode, self._heard.vehicle
+        if vehicle is None:
+            self._events.append(ModeRefused(mode=mode, reason="no vehicle has been heard yet"))
+        elif vehicle.refusal is not None:
+            self._events.append(ModeRefused(mode=mode, reason=vehicle.refusal))
+        else:
+            dialect = DIALECTS[vehicle.firmware]
+            self._speed = None
+            before = self._mode
+            if before is None and self._cancelled is not None and self._cancelled.may_be_entered(now_s):
+                # Its mode is no choice of the pilot's either.
+                before = self._cancelled
+            self._cancelled = None
+            self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._told, now_s, before)
+            self._mode_speed_mps = command.speed_mps
+            self._move_mode(now_s)
+
+    def ask_speed(self, speed_mps: float) -> None:
+        """Ask for the mission's speed, from the next `advance` on."""
+        self._speed = _SpeedRequest(speed_mps)
+
+    def cancel(self) -> None:
+        """Ask for nothing any more."""
+        self._cancelled, self._mode, self._speed = self._mode or self._cancelled, None, None
+
+    def forget(self, now_s: float) -> None:
+        """The input was a backlog: what it told of the mode may be old. The vehicle is asked to tell it."""
+        self._told.forget()
+        if self._mode is not None:
+            self._mode.forget()
+        vehicle = self._heard.vehicle
+        if vehicle is not None and now_s - self._mode_wanted_s >= _WANTED_AGAIN_S:
+            self._mode_wanted_s = now_s
+            self._outbox.queue(command_long(CMD_REQUEST_MESSAGE, (_HEARTBEAT,), vehicle.system_id))
+
+    def on_heartbeat(self, event: Heartbeat, now_s: float) -> None:
+        """The vehicle says which mode it is in."""
+        self._told.heartbeat(event.custom_mode, now_s, DIALECTS[event.firmware].mode_known_s)
+        self._on_mode(now_s)
+
+    def on_current_mode(self, event: CurrentMode, now_s: float) -> None:
+        """The vehicle says it between two heartbeats."""
+        self._told.current_mode(event.custom_mode, now_s)
+        self._on_mode(now_s)
+
+    def _on_mode(self, now_s: float) -> None:
+        if self._mode is not None:
+            self._mode.on_mode(now_s)
+            self._settle_mode()
+
+    def on_text(self, text: str) -> None:
+        """A text of the vehicle, which may say why it refuses."""
+        if self._mode is not None:
+            self._mode.on_text(text)
+
+    def on_ack(self, command: int, result: int) -> None:
+        """COMMAND_ACK of the vehicle for us, of any command."""
+        if command == CMD_DO_SET_MODE and self._mode is not None:
+            self._mode.on_ack(result)
+        elif command == CMD_DO_CHANGE_SPEED:
+            self._speed = None
+
+    def advance(self, now_s: float) -> None:
+        """Send what is due."""
+        self._move_mode(now_s)
+        self._move_speed(now_s)
+
+    def _move_mode(self, now_s: float) -> None:
+        vehicle = self._heard.vehicle
+        if self._mode is None or vehicle is None:
+            return
+        outgoing = self._mode.due(now_s)
+        if outgoing is not None:
+            self._counts.mode_requests += 1
+            self._outbox.command(outgoing, now_s)
+            if self._mode_speed_mps is not None:
+                # Right behind it: ArduPilot forgets the speed when the mode begins.
+                self._outbox.command(_speed_command(self._mode_speed_mps, vehicle.system_id), now_s)
+        self._settle_mode()
+
+    def _settle_mode(self) -> None:
+        request = self._mode
+        if request is None or not (request.confirmed or request.refused):
+            return
+        if request.refused:
+            self._events.append(ModeRefused(mode=request.mode, reason=request.refused))
+        self._mode = None
+
+    def _move_speed(self, now_s: float) -> None:
+        asked, vehicle = self._speed, self._heard.vehicle
+        if asked is None or vehicle is None:
+            return
+        if DIALECTS[vehicle.firmware].modes.get(self._told.custom_mode) is not FlightMode.MISSION:
+            # It is the mission's speed: whoever flies now has another.
+            self._speed = None
+            return
+        if now_s < asked.next_s:
+            return
+        self._outbox.command(_speed_command(asked.speed_mps, vehicle.system_id, asked.tries), now_s)
+        asked.tries, asked.next_s = asked.tries + 1, now_s + _SPEED_RETRY_S
+        if asked.tries == _SPEED_TRIES:
+            self._speed = None
+
+
+def _speed_command(speed_mps: float, system_id: int, confirmation: int = 0) -> Outgoing:
+    params = (_GROUND_SPEED, speed_mps, _THROTTLE_AS_IT_IS)
+    return command_long(CMD_DO_CHANGE_SPEED, params, system_id, confirmation)

@@ -1,0 +1,236 @@
+"""The own Remote ID: what is told, on which transports, within the law, and whether it is really on the air.
+
+Pure: events in, commands out. The heart asks once a step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from companion.broadcast.legal_floor import Decided, keep_floor
+from companion.broadcast.monitor import SelfMonitor
+from companion.broadcast.own_messages import Operator, messages_of
+from companion.broadcast.schedule import Schedule
+from companion.config import Config
+from companion.events import (
+    ArmStatus,
+    BroadcastChanged,
+    Command,
+    OperatorData,
+    RadioState,
+    RemoteIdHeard,
+    RemoteIdModule,
+    Say,
+    Severity,
+)
+from companion.ownship import Ownship
+from companion.remote_id.messages import IdType, Location, Message, OperatorId, System
+
+MAX_RATE = 10
+"""Locations a second."""
+_MODULE_SILENT_S = 5.0
+_DETAIL = 100
+"""Characters of a radio's own words that the pilot is sent: two STATUSTEXT chunks."""
+_WELL_AFTER_S = 5.0
+"""Without trouble for so long it is well again: what comes and goes is told to the pilot once."""
+_TELL_PERIOD_S = 5.0
+"""A new trouble is told to the pilot this long after the last one at the earliest."""
+_NOTHING = Decided({}, False, "no radio has reported yet")
+
+
+def asked_rates(config: Config) -> dict[str, int]:
+    """What the configuration asks for: transports with their Locations a second."""
+    return dict.fromkeys(config.remote_id.transports, config.remote_id.rate)
+
+
+class Broadcaster:
+    """One aircraft's broadcast. Nothing goes out before the vehicle has been heard."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._asked = asked_rates(config)
+        self._radio = RadioState()
+        self._operator = Operator()
+        self._schedule = Schedule(config.region, config.identity.uas_id)
+        self._monitor = SelfMonitor(config.remote_id.monitor_s)
+        self._decided = _NOTHING
+        self._started = False
+        """The broadcast was armed: a legal set was on the air once."""
+        self._silent: frozenset[str] = frozenset()
+        self._module: RemoteIdModule | None = None
+        self._module_s = 0.0
+        self._module_lost = False
+        self._told: tuple[object, ...] | None = None
+        self._said: str | None = None
+        """The trouble that the pilot knows of."""
+        self._said_s = self._trouble_s = -math.inf
+        self._arm_status: ArmStatus | None = None
+        self._lacking: str | None = None
+        self._lacking_told: set[str] = set()
+        self._lacking_s = -math.inf
+
+    def ask(self, rates: Mapping[str, int]) -> None:
+        """What a policy wants from now on: transports with their Locations a second, up to `MAX_RATE`; those
+        with less than 1 are not wanted."""
+        self._asked = {t: min(rate, MAX_RATE) for t, rate in rates.items() if rate >= 1}
+
+    def take(self, event: RadioState | OperatorData | RemoteIdModule | RemoteIdHeard, now_s: float) -> None:
+        """Something that concerns the own broadcast."""
+        match event:
+            case RadioState():
+                self._radio = event
+            case OperatorData():
+                self._operator.take(event.messages, now_s)
+            case RemoteIdModule():
+                self._module, self._module_s = event, now_s
+            case RemoteIdHeard():
+                if event.address in self._radio.own_addresses:
+                    self._monitor.heard(event.transport, now_s)
+
+    @property
+    def radio(self) -> RadioState:
+        """What the radios can do, as last told."""
+        return self._radio
+
+    @property
+    def rates(self) -> Mapping[str, int]:
+        """Transports that are to be on the air, with their Locations a second."""
+        return self._decided.rates
+
+    @property
+    def gives_way(self) -> bool:
+        """The vehicle has a Remote ID module of its own: nothing is broadcast from here."""
+        return self._module is not None
+
+    @property
+    def trouble(self) -> str | None:
+        """Why Remote ID does not work as the law or the configuration asks, in words; None when it does."""
+        if self._module is not None:
+            if self._module_lost:
+                return "the vehicle's Remote ID module fell silent"
+            return None if self._module.ready else f"Remote ID module not ready: {self._module.text}"
+        if not self._decided.legal:
+            return f"Remote ID not legal: {self._decided.reason}"
+        if not self._decided.rates and self._config.has_radio:
+            return f"Remote ID not sent: {self._decided.reason}"
+        if self._silent:
+            return f"own Remote ID not heard on {', '.join(sorted(self._silent))}"
+        return None
+
+    @property
+    def lacking(self) -> str | None:
+        """What the region asks for and nobody has told, in words; None when all is there."""
+        return self._lacking if self._config.region.transport_sets and self._module is None else None
+
+    def step(self, own: Ownship, now_s: float) -> list[Command]:
+        """What to broadcast and to say now."""
+        radio = self._radio
+        can_send = frozenset(radio.can_send)
+        for transport in radio.confirmed:
+            self._monitor.heard(transport, now_s)
+        self._watch_module(own, now_s)
+        self._decided = keep_floor(self._asked, self._config.region, can_send)
+        on_air = frozenset(self._schedule.on_air) if self._module is None else frozenset()
+        self._silent = self._monitor.silent(on_air, frozenset(radio.monitored), now_s)
+        commands: list[Command] = []
+        if own.heartbeat is None:
+            return commands
+        rates: Mapping[str, int] = {}
+        messages = self._messages(own, now_s)
+        self._lacking = _lacking(self._config, messages)
+        if self._module is None:
+            self._started = self._started or (self._decided.legal and bool(self._decided.rates))
+            rates = self._decided.rates if self._started else {}
+            commands += self._schedule.due(rates, can_send, radio.wifi_channel, messages, now_s)
+        self._log(rates, commands)
+        self._tell_pilot(commands, now_s)
+        self._tell_lacking(own, commands, now_s)
+        if self._config.remote_id.component:
+            self._report(commands)
+        return commands
+
+    def _messages(self, own: Ownship, now_s: float) -> tuple[Message, ...]:
+        c = self._config
+        failed = bool(self._silent) or not self._decided.legal
+        return messages_of(c.identity, c.remote_id, c.region, own, self._operator, now_s, failed=failed)
+
+    def _watch_module(self, own: Ownship, now_s: float) -> None:
+        """Give way to a transmitter that the vehicle has of its own: one aircraft, one identity.
+
+        Until the vehicle is disarmed, also when the module falls silent: that may be the link, and two
+        broadcasts of one aircraft are two aircraft to others.
+        """
+        if self._module is None:
+            return
+        self._module_lost = now_s - self._module_s > _MODULE_SILENT_S
+        if self._module_lost and not own.armed:
+            self._module, self._module_lost = None, False
+
+    def _log(self, rates: Mapping[str, int], commands: list[Command]) -> None:
+        """What changed."""
+        if self._module is not None:
+            reason = f"the vehicle's own Remote ID module (component {self._module.component_id}) broadcasts"
+        else:
+            reason = self._decided.reason
+        trouble = self.trouble
+        told = (tuple(sorted(rates.items())), self._decided.legal, reason, trouble)
+        if told != self._told:
+            self._told = told
+            commands.append(BroadcastChanged(rates=told[0], legal=told[1], reason=trouble or reason))
+
+    def _tell_pilot(self, commands: list[Command], now_s: float) -> None:
+        """What went wrong, and that it is well again; never more than one text in a while."""
+        trouble = self.trouble
+        if trouble is not None:
+            self._trouble_s = now_s
+        if trouble == self._said:
+            return
+        if trouble is None:
+            if now_s - self._trouble_s < _WELL_AFTER_S:
+                return
+            commands.append(Say(severity=Severity.INFO, text="DMUCA Remote ID works again"))
+        else:
+            if now_s - self._said_s < _TELL_PERIOD_S:
+                return
+            worst = Severity.CRITICAL if not self._decided.legal else Severity.WARNING
+            # The radio's own words change by the second: they are told with a trouble, and make none.
+            words = "" if self._module is not None else self._radio.text[:_DETAIL]
+            detail = f": {words}" if words else ""
+            commands.append(Say(severity=worst, text=f"DMUCA {trouble}{detail}"))
+        self._said, self._said_s = trouble, now_s
+
+    def _tell_lacking(self, own: Ownship, commands: list[Command], now_s: float) -> None:
+        """In flight the pilot is told once of each thing that is missing in what is told; never more than one
+        text in a while."""
+        lacking = self.lacking
+        if not own.armed:
+            self._lacking_told.clear()
+            return
+        if lacking is None or lacking in self._lacking_told or now_s - self._lacking_s < _TELL_PERIOD_S:
+            return
+        self._lacking_told.add(lacking)
+        self._lacking_s = now_s
+        commands.append(Say(severity=Severity.WARNING, text=f"DMUCA Remote ID: {lacking}"))
+
+    def _report(self, commands: list[Command]) -> None:
+        """OPEN_DRONE_ID_ARM_STATUS, where we are the vehicle's Remote ID component."""
+        text = self.trouble or self._lacking
+        status = ArmStatus(ready=text is None, text=text or "")
+        if status != self._arm_status:
+            self._arm_status = status
+            commands.append(status)
+
+
+def _lacking(config: Config, messages: tuple[Message, ...]) -> str | None:
+    """What the messages lack before take-off, in the words that ground stations know from modules."""
+    if config.identity.id_type is IdType.NONE:
+        return "missing basic_id message"
+    for message in messages:
+        if isinstance(message, Location) and message.lat_deg is None:
+            return "missing location message"
+        if isinstance(message, System) and message.operator_lat_deg is None:
+            return "missing operator location"
+    if config.region.operator_id_required and not any(isinstance(m, OperatorId) for m in messages):
+        return "missing operator_id message"
+    return None

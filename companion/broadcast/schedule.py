@@ -1,0 +1,164 @@
+"""When each message goes out on each transport (the paper's "observe": psi messages per GNSS cycle).
+
+On BLE 5 and Wi-Fi every broadcast is a pack of all messages; BLE 4 carries one message a frame, so each
+kind has a clock of its own there. The region's periods hold whatever rate is asked, with a margin and looking
+ahead by one step. A transport that is given up goes on beside its successors for a while.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from companion.broadcast.legal_floor import MARGIN, longest_period_s
+from companion.events import Broadcast
+from companion.radio.radio import BLE4
+from companion.remote_id.messages import BasicId, Location, Message, System
+from companion.remote_id.region import Region
+
+GNSS_CYCLE_S = 1.0
+"""T_GNSS of the paper."""
+OVERLAP_S = 1.0
+"""A transport that is given up stays this long beside its successors: every second is covered by either."""
+_OTHERS_PERIOD_S = 3.0
+"""Self ID and the like where the region says nothing."""
+_LONGEST_STEP_S = 0.3
+_EPSILON_S = 1e-6
+
+
+@dataclass(slots=True)
+class _Lane:
+    """One transport on the air."""
+
+    rate: int
+    next_s: float
+    """When the asked rate makes the next Location due."""
+    sent_s: dict[type[Message], float] = field(default_factory=dict)
+    leaving_s: float | None = None
+    """Since when it is only kept until its successors are there."""
+
+
+class Schedule:
+    """The clocks of all transports.
+
+    Args:
+        identity: spreads the phases of aircraft that are switched on together.
+    """
+
+    def __init__(self, region: Region, identity: str) -> None:
+        self._region = region
+        self._phase = zlib.crc32(identity.encode()) / 2**32
+        self._lanes: dict[str, _Lane] = {}
+        self._last_s: float | None = None
+        self._step_s = 0.0
+
+    @property
+    def on_air(self) -> dict[str, int]:
+        """Transports in use, with their asked rates; those that are on their way out included."""
+        return {transport: lane.rate for transport, lane in self._lanes.items()}
+
+    def due(
+        self,
+        rates: Mapping[str, int],
+        can_send: frozenset[str],
+        wifi_channel: int | None,
+        messages: tuple[Message, ...],
+        now_s: float,
+    ) -> list[Broadcast]:
+        """The broadcasts for this moment.
+
+        Args:
+            rates: transports to be on the air, Locations a second.
+            can_send: transports that work at all.
+            wifi_channel: of the beacons; None while unknown.
+            messages: everything that is to be told, as of now: a Location, and at most eight others.
+            now_s: not before the last call's.
+        """
+        if self._last_s is not None:
+            # The longest recent step, slowly forgotten: what is due before the next one goes out now.
+            self._step_s = min(max(now_s - self._last_s, 0.9 * self._step_s), _LONGEST_STEP_S)
+        self._last_s = now_s
+        self._change(rates, can_send, now_s)
+        broadcasts = []
+        present = {type(message) for message in messages}
+        for transport, lane in self._lanes.items():
+            limits_s = self._limits_s(transport, wifi_channel, present)
+            kinds = self._due_kinds(transport, lane, limits_s, now_s)
+            if kinds and transport != BLE4:
+                kinds = present
+            if kinds:
+                lane.sent_s.update(dict.fromkeys(kinds, now_s))
+                part = tuple(message for message in messages if type(message) in kinds)
+                broadcasts.append(Broadcast(transport=transport, messages=part))
+        self._leave(now_s)
+        return broadcasts
+
+    def _change(self, rates: Mapping[str, int], can_send: frozenset[str], now_s: float) -> None:
+        for transport in [t for t in self._lanes if t not in can_send]:
+            del self._lanes[transport]
+        for transport, lane in self._lanes.items():
+            if transport in rates:
+                lane.leaving_s = None
+            elif lane.leaving_s is None:
+                lane.leaving_s = now_s
+        for transport, rate in rates.items():
+            if transport not in can_send:
+                continue
+            lane = self._lanes.setdefault(transport, _Lane(rate=rate, next_s=now_s))
+            if lane.rate != rate:
+                lane.rate = rate
+                lane.next_s = min(lane.next_s, now_s + GNSS_CYCLE_S / rate)
+
+    def _leave(self, now_s: float) -> None:
+        """Take transports off the air whose successors, which began at once, have been there long enough."""
+        for transport, lane in list(self._lanes.items()):
+            if lane.leaving_s is not None and now_s - lane.leaving_s >= OVERLAP_S:
+                del self._lanes[transport]
+
+    def _due_kinds(
+        self, transport: str, lane: _Lane, limits_s: Mapping[type[Message], float | None], now_s: float
+    ) -> set[type[Message]]:
+        """The kinds of messages that are due; on a transport of packs Location stands for all."""
+        kinds: set[type[Message]] = set()
+        if now_s >= lane.next_s - _EPSILON_S:
+            kinds.add(Location)
+            cycle_s = GNSS_CYCLE_S / lane.rate
+            first = Location not in lane.sent_s
+            # The rate holds over time; only the first interval is shortened, by the aircraft's own phase.
+            lane.next_s += cycle_s * (0.5 + 0.5 * self._phase) if first else cycle_s
+            if lane.next_s <= now_s:
+                lane.next_s = now_s + cycle_s
+        elif self._late(lane, Location, limits_s[Location], now_s):
+            kinds.add(Location)
+            lane.next_s = now_s + GNSS_CYCLE_S / lane.rate
+        if transport == BLE4:
+            kinds |= {kind for kind, limit_s in limits_s.items() if self._late(lane, kind, limit_s, now_s)}
+        return kinds
+
+    def _limits_s(
+        self, transport: str, wifi_channel: int | None, kinds: set[type[Message]]
+    ) -> dict[type[Message], float | None]:
+        """Time after which each kind must have gone out again; None for no limit."""
+        region = self._region
+        legal: dict[type[Message], float | None] = {
+            Location: longest_period_s(region, transport, wifi_channel),
+            BasicId: region.basic_id_period_s,
+            System: region.system_period_s,
+        }
+        with_margin = {kind: legal.get(kind, region.other_period_s) for kind in {*kinds, Location}}
+        limits_s = {kind: None if t is None else MARGIN * t for kind, t in with_margin.items()}
+        if transport == BLE4:
+            for kind in kinds - {Location}:
+                if limits_s[kind] is None:
+                    limits_s[kind] = GNSS_CYCLE_S if kind in (BasicId, System) else _OTHERS_PERIOD_S
+        else:
+            limits_s[Location] = min((t for t in limits_s.values() if t is not None), default=None)
+        return limits_s
+
+    def _late(self, lane: _Lane, kind: type[Message], limit_s: float | None, now_s: float) -> bool:
+        """Whether a limit would be overstepped by waiting for the next step."""
+        if limit_s is None:
+            return False
+        last_s = lane.sent_s.get(kind)
+        return last_s is None or now_s + self._step_s > last_s + limit_s + _EPSILON_S

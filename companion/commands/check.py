@@ -1,0 +1,437 @@
+"""`companion check`: the preflight list. Validates, probes radios, disk and link, measures what the vehicle
+sends, and says in plain words what is missing and what to do about it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adjustable_parameters import differences
+from companion.autopilot.advice import after_silence, no_receiver, remarks, too_fast
+from companion.autopilot.dialect import impossible_rearm
+from companion.autopilot.link import AutopilotLink
+from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
+from companion.avoidance.path import check_path
+from companion.commands.preflight import Preflight
+from companion.config import ArduRemoteIdRadio, Config
+from companion.errors import ConfigError
+from companion.events import (
+    DownloadMission,
+    Event,
+    GlobalPosition,
+    GnssFix,
+    Heartbeat,
+    LandedState,
+    LocalPosition,
+    MissionCurrent,
+    MissionDownloaded,
+    MissionRefused,
+    Settings,
+    VehicleParameters,
+    VehicleTime,
+)
+from companion.ownship import Ownship
+from companion.remote_id.identity import check_identity
+from companion.runtime import clock
+from companion.runtime.links.kept_link import KeptLink
+from companion.runtime.links.no_vehicle import no_vehicle
+from companion.runtime.policy import judge_policy
+from companion.runtime.prepare import prepare
+from companion.runtime.radios import Radios
+from companion.runtime.record.disk import finished_runs, free_mb
+from companion.runtime.signing_key import KeptSigning
+from companion.runtime.stored_parameters import read_settings
+from companion.runtime.warm import warm_up, was_compiled
+
+_RADIO_S = 2.5
+_SETTLE_S = 2.0
+"""After the vehicle was found: its streams are asked for and begin."""
+_MEASURE_S = 4.0
+_PARAMETERS_S = 8.0
+"""At most, until those that exist have come and the others were asked for often enough."""
+_MISSION_S = 65.0
+"""At most: longer than a download may take."""
+_CLOCK_OFF_S = 2.0
+_TIGHT_MB = 500.0
+"""Above the floor: some hours of recording."""
+_MESSAGES: Final[dict[type[Event], tuple[str, float]]] = {
+    Heartbeat: ("HEARTBEAT", 1.0),
+    GlobalPosition: ("GLOBAL_POSITION_INT", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT]),
+    GnssFix: ("GPS_RAW_INT", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_GPS_RAW_INT]),
+    LandedState: ("EXTENDED_SYS_STATE", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE]),
+    VehicleTime: ("SYSTEM_TIME", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_SYSTEM_TIME]),
+    LocalPosition: ("LOCAL_POSITION_NED", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED]),
+    MissionCurrent: ("MISSION_CURRENT", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_MISSION_CURRENT]),
+}
+"""What is measured: name and the rate that is asked for."""
+_USEFUL: Final = ("LOCAL_POSITION_NED", "MISSION_CURRENT")
+"""A flight can be flown without these."""
+
+
+def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) -> int:
+    """Probe what the configuration names.
+
+    Args:
+        say: takes each line as soon as it is known; with `as_json` one JSON object at the end.
+
+    Returns:
+        0 when nothing is red, 1 otherwise.
+    """
+    found = Preflight()
+    for probe in (_configuration, _settings, _kernels, _disk, _policy, _radios, _vehicle):
+        before = len(found.findings)
+        probe(config, found)
+        if not as_json:
+            for finding in found.findings[before:]:
+                say(finding.line())
+    if as_json:
+        say(msgspec.json.encode({"ready": found.ready, "findings": found.findings}).decode())
+    else:
+        say("check: ready" if found.ready else "check: NOT ready")
+    return 0 if found.ready else 1
+
+
+def _configuration(config: Config, found: Preflight) -> None:
+    found.green("configuration", "valid")
+    for note in check_identity(config.identity, config.remote_id, config.region):
+        found.yellow("configuration", note, "compare it with the paper that you were given")
+    if config.region.transport_sets:
+        found.green("region", config.region.name)
+    else:
+        found.yellow(
+            "region",
+            f"{config.region.name}: no law is kept",
+            'set remote_id.region to a profile, such as "regions/us.toml"',
+        )
+    try:
+        check_path(config, "configuration")
+    except ConfigError as error:
+        found.red("path", str(error), "change the trajectory, or [limits]")
+
+
+def _settings(config: Config, found: Preflight) -> None:
+    """In flight what cannot be used is left out; before it, it is to be put right."""
+    try:
+        settings = read_settings(config)
+    except ConfigError as error:
+        found.red("settings", f"{error}: not used", "delete the file, or put it or the configuration right")
+        return
+    told = differences(config, Settings(), settings)
+    for text in told:
+        found.yellow("settings", text, "nothing, if a ground station is to have set it")
+    if not told:
+        found.green("settings", "as configured")
+
+
+def _kernels(_config: Config, found: Preflight) -> None:
+    took_s = warm_up()
+    if was_compiled():
+        found.yellow(
+            "kernels",
+            f"were not in the cache; compiled in {took_s:.0f} s",
+            "nothing, if the next check is green; if not, let NUMBA_CACHE_DIR name a folder of this user's",
+        )
+    else:
+        found.green("kernels", f"loaded from the cache in {took_s:.1f} s")
+
+
+def _disk(config: Config, found: Preflight) -> None:
+    record = config.record
+    folder = Path(record.folder).absolute()
+    there = next(parent for parent in (folder, *folder.parents) if parent.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK)):
+        found.red("disk", f"{folder}: cannot be written", "give the user the right to, or set record.folder")
+        return
+    try:
+        free = free_mb(folder)
+    except OSError as error:
+        found.red("disk", f"{folder}: {error.strerror}", "look after the disk, or set record.folder")
+        return
+    text = f"{free:.0f} MB free in {folder}; the floor is {record.keep_free_mb:g} MB"
+    runs = len(finished_runs(folder))
+    room = f"move away or delete some of the {runs} runs in it, or use a larger disk"
+    if free >= record.keep_free_mb + _TIGHT_MB:
+        found.green("disk", text)
+    elif record.delete_oldest and runs:
+        found.yellow(
+            "disk", text, f"nothing: the oldest of {runs} runs are deleted when the floor is reached"
+        )
+    elif free >= record.keep_free_mb:
+        found.yellow("disk", text, room)
+    else:
+        found.red("disk", f"{text}: nothing would be recorded", room)
+
+
+def _policy(config: Config, found: Preflight) -> None:
+    """In flight a policy that fails is replaced by a fixed legal set; before it, it is to be put right."""
+    try:
+        lines = judge_policy(config)
+    except ConfigError as error:
+        found.red("policy", str(error), "put the file right, or set atmc.policy")
+    else:
+        for line in lines or ["nobody chooses transports in flight: they stay as [remote_id] says"]:
+            found.green("policy", line)
+
+
+# ---------------------------------------------------------------- radios
+
+
+def _radios(config: Config, found: Preflight) -> None:
+    failed: list[str] = []
+    radios = Radios(config, sending=False, failed=failed.append)
+    try:
+        end = clock.now_s() + _RADIO_S
+        waits = config.has_radio and bool(radios.radios)
+        while waits and clock.now_s() < end and not radios.health(clock.now_s()).ok:
+            radios.events(clock.now_s())
+            time.sleep(0.05)
+        _judge_radios(config, radios, failed, found)
+    finally:
+        radios.close()
+
+
+def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: Preflight) -> None:
+    health = radios.health(clock.now_s())
+    # To watch without a radio is a choice. To fly without one takes law = "none", and is never ready.
+    chosen = not config.has_radio and config.flight.use == "watch"
+    for line in (*radios.lines(clock.now_s()), *failed) or (f"radio: {health.text}",):
+        what, _, text = line.partition(": ")
+        if line in failed:
+            found.red(what, text, "docs/radios.md says what this backend needs")
+        elif any(line.endswith(missing) for missing in health.missing):
+            found.yellow(what, text, "change it where you need what is missing")
+        elif chosen:
+            found.yellow(what, text, "configure a [[radio]] to be seen and to see")
+        elif health.ok:
+            found.green(what, text)
+        else:
+            found.red(what, text, "docs/radios.md says what this backend needs")
+    if failed:
+        return
+    try:
+        prepared = prepare(config, radios)
+    except ConfigError as error:
+        what, _, text = str(error).partition(": ")
+        found.red(what, text, "change [remote_id], or use a radio that can")
+        return
+    for line in prepared.lines:
+        what, _, text = line.partition(": ")
+        if prepared.legal:
+            found.green(what, text)
+        else:
+            found.red(what, text, "change [remote_id], or use a radio that can")
+    if config.flight.use == "fly" and not config.has_radio:
+        found.red(
+            "radio",
+            "flies without one (avoidance.law is none): nobody is heard, nobody is kept apart",
+            "configure a [[radio]]",
+        )
+
+
+# ---------------------------------------------------------------- vehicle
+
+
+def _vehicle(config: Config, found: Preflight) -> None:
+    try:
+        kept = KeptSigning(config)
+    except ConfigError as error:
+        found.red("signing", str(error), "see to the key file, or to vehicle.signing_key")
+        return
+    for trouble in (kept.unread, kept.error):
+        if trouble is not None:
+            found.red("signing", trouble, "look after the disk, or set record.folder")
+    try:
+        link = KeptLink(
+            config.vehicle.link,
+            lambda text: found.red("link", text, "see to the cable, or to the program at the other end"),
+        )
+    except ConfigError as error:
+        found.red("link", str(error), "see to the device or address, and to vehicle.link")
+        kept.close()
+        return
+    probe = _Probe(link, AutopilotLink(config.vehicle, signing=kept.signing))
+    try:
+        probe.run(config.vehicle.wait_s, lambda: probe.protocol.vehicle is not None)
+        if probe.protocol.vehicle is not None:
+            probe.run(_SETTLE_S)
+            probe.measure(_MEASURE_S)
+            probe.run(_PARAMETERS_S, lambda: not probe.protocol.asking)
+        if config.flight.use == "guard" and probe.protocol.parameters is not None:
+            probe.protocol.send(DownloadMission(), clock.now_s())
+            probe.run(_MISSION_S, lambda: probe.mission is not None)
+    finally:
+        link.close()
+        kept.close()
+    _judge_vehicle(config, probe, found)
+
+
+class _Probe:
+    """The link in use: asks for telemetry as a flight does, and counts what comes."""
+
+    def __init__(self, link: KeptLink, protocol: AutopilotLink) -> None:
+        self.link, self.protocol = link, protocol
+        self.own = Ownship()
+        self.counts: Counter[type[Event]] = Counter()
+        self.mission: MissionDownloaded | MissionRefused | None = None
+        self.measured_s = 0.0
+        self.now_s = clock.now_s()
+
+    def measure(self, seconds: float) -> None:
+        """Count anew, for so long."""
+        self.counts.clear()
+        began_s = clock.now_s()
+        self.run(seconds)
+        self.measured_s = clock.now_s() - began_s
+
+    def run(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Exchange bytes for so long, or until done."""
+        end = clock.now_s() + seconds
+        while (now := clock.now_s()) < end and not done():
+            self.now_s = now
+            self.link.wait(0.05)
+            data = self.link.receive(now).data
+            for event in [*self.protocol.receive(data, now), *self.protocol.advance(now)]:
+                self.counts[type(event)] += 1
+                self.own.take(event, now)
+                if isinstance(event, MissionDownloaded | MissionRefused):
+                    self.mission = event
+            self.link.send(self.protocol.drain())
+
+
+def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
+    where, vehicle = config.vehicle.link, probe.protocol.vehicle
+    if vehicle is None:
+        found.red(*no_vehicle(config.vehicle, probe.link, probe.protocol, probe.now_s))
+        return
+    bad = probe.protocol.counts.wire.corrupt
+    if bad:
+        found.yellow(
+            "link", f"{where}: {bad} damaged frames", "see to the wires, their ground, the baud rate"
+        )
+    else:
+        found.green("link", f"{where}: up, no damaged frame")
+    if probe.link.trouble.left_out:
+        text = f"{where}: another one sends there too: {probe.link.trouble.left_out} datagrams were left out"
+        found.yellow("link", text, "have one sender for this port: the first one that speaks is believed")
+    if vehicle.refusal is None:
+        found.green("vehicle", str(vehicle))
+    else:
+        found.red("vehicle", str(vehicle), "use another vehicle; this one is never commanded")
+    if probe.protocol.unclear is not None:
+        found.red("vehicle", probe.protocol.unclear, "whichever is ours, or end what forwards the other")
+    for text in _module_of_another(config, vehicle.system_id):
+        what, _, text = text.partition(": ")
+        found.yellow(what, text, f"set system_id = {vehicle.system_id} and power-cycle the module")
+    rearm = impossible_rearm(vehicle.firmware, config.flight)
+    if rearm is not None:
+        found.red("authority", rearm, 'set flight.rearm to "disarm" or "never"')
+    _judge_parameters(config, probe.protocol.parameters, found)
+    if config.flight.use == "guard" and probe.protocol.parameters is not None:
+        _judge_mission(config, probe.protocol.parameters, probe.mission, found)
+    _judge_rates(probe, found)
+    _judge_own(config, probe, found)
+
+
+def _judge_parameters(config: Config, told: VehicleParameters | None, found: Preflight) -> None:
+    """What the vehicle's own limits and failsafes mean for this configuration."""
+    if told is None:
+        return
+    watching = config.flight.use == "watch"
+    if not watching:
+        found.green("vehicle", after_silence(told))
+    deaf = no_receiver(told)
+    if deaf is not None:
+        found.green("vehicle", deaf)
+    for text in remarks(config, told):
+        found.yellow("vehicle", text, "change the parameter, or the configuration")
+    if watching:
+        return
+    if told.speed_mps is None:
+        found.yellow("vehicle", "it does not tell how fast it flies: [limits] alone count", "see to [limits]")
+    try:
+        check_path(config, "configuration", told)
+    except ConfigError as error:
+        found.red("path", str(error), "change the trajectory, or the vehicle's limits")
+
+
+def _judge_mission(
+    config: Config,
+    told: VehicleParameters,
+    mission: MissionDownloaded | MissionRefused | None,
+    found: Preflight,
+) -> None:
+    """The mission that is to be guarded: whether it can be read, and is not flown faster than we may fly."""
+    items = mission.items if isinstance(mission, MissionDownloaded) else ()
+    if items:
+        found.green("mission", f"{len(items)} items, read from the vehicle")
+    elif isinstance(mission, MissionDownloaded):
+        found.yellow("mission", "the vehicle has none", "upload the one that is to be guarded, check again")
+    else:
+        why = "the vehicle did not finish to send it" if mission is None else mission.reason
+        found.yellow("mission", f"not read: {why}", "see to the link: what cannot be read is not guarded")
+    fast = too_fast(config.limits, told, items)
+    if fast is not None:
+        do = "have the mission flown slower, or raise limits.max_speed_mps (and the vehicle's own limit)"
+        found.yellow("mission", fast, do)
+
+
+def _judge_rates(probe: _Probe, found: Preflight) -> None:
+    rates = {name: probe.counts[kind] / probe.measured_s for kind, (name, _) in _MESSAGES.items()}
+    short = {name: want for name, want in _MESSAGES.values() if rates[name] < ENOUGH * want}
+    well = [f"{name} {rate:.1f}" for name, rate in rates.items() if name not in short]
+    if well:
+        found.green("rates", f"{', '.join(well)} a second")
+    for name, want in short.items():
+        text = f"{name} {rates[name]:.1f} a second, {want:g} are asked for"
+        do = "see whether the port is too slow for all that it carries, or another program sets its rates"
+        if name == "GLOBAL_POSITION_INT" and probe.protocol.counts.no_position:
+            do = "wait until the autopilot knows where it is (it says 0, 0 until then)"
+        (found.yellow if name in _USEFUL else found.red)("rates", text, do)
+
+
+def _judge_own(config: Config, probe: _Probe, found: Preflight) -> None:
+    own, now_s = probe.own, probe.now_s
+    fix = own.gnss_now(now_s)
+    if fix is None or fix.fix_type < 3:
+        kind = "no report" if fix is None else f"no 3D fix (fix type {fix.fix_type})"
+        found.red("GNSS", kind, "go where the sky is open, and wait; see to the antenna")
+    else:
+        satellites = "unknown" if fix.satellites is None else fix.satellites
+        found.green("GNSS", f"fix type {fix.fix_type}, satellites {satellites}, {own.sigma_m:.1f} m")
+    if own.position is not None and own.age_s(now_s) > config.vehicle.stale_after_s:
+        found.red(
+            "link",
+            f"own position {own.age_s(now_s):.1f} s old; {config.vehicle.stale_after_s:g} s are allowed",
+            "the link is choked: raise its baud rate, or have less sent on it",
+        )
+    if own.utc_offset_s is None:
+        found.red("clock", "the vehicle does not know UTC", "wait for its GNSS receiver; a minute, mostly")
+        return
+    off_s = time.time() - (clock.now_s() + own.utc_offset_s)
+    text = f"UTC known; this computer's clock is {off_s:+.1f} s off the vehicle's"
+    if abs(off_s) <= _CLOCK_OFF_S:
+        found.green("clock", text)
+    else:
+        found.yellow(
+            "clock",
+            text,
+            "Remote ID goes by the vehicle's, names of run folders by this one: give it a network or an RTC",
+        )
+
+
+def _module_of_another(config: Config, system_id: int) -> list[str]:
+    """Remote ID modules that are told to belong to another vehicle."""
+    return [
+        f"radio[{number}].system_id: {entry.system_id}, but the vehicle is system {system_id}: the module "
+        f"takes the first system id that it hears for its own, and its ARM_STATUS then goes to vehicle "
+        f"{entry.system_id}"
+        for number, entry in enumerate(config.radio)
+        if isinstance(entry, ArduRemoteIdRadio) and entry.system_id != system_id
+    ]

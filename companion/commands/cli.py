@@ -1,0 +1,188 @@
+"""The `companion` command.
+
+What flies or replays is imported where it is needed: it brings the compiler with it, which who only looks has
+no use for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+
+from companion import __version__, event_record
+from companion import config as configuration
+from companion.commands import listen
+from companion.commands import remote_id as remote_id_command
+from companion.commands.entry_point import parser_of, run_command
+from companion.errors import ConfigError
+
+_EXAMPLES = """examples:
+  companion check --config config/companion.toml
+  companion run --config config/companion.toml --dry-run
+  companion status
+  companion replay runs/20260101T000000Z-demo
+  companion replay flight.tlog --json
+  companion remote-id listen --radio wifi=mon0
+  companion remote-id decode < messages.hex
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
+    return run_command(_parser(), argv)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = parser_of(
+        "companion",
+        "Flight software for a companion computer: hear Remote ID, keep apart, fly timed paths.",
+        _EXAMPLES,
+    )
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    run = commands.add_parser(
+        "run", help="fly with an autopilot", epilog="companion run --config config/companion.toml"
+    )
+    run.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
+    run.add_argument(
+        "--dry-run", action="store_true", help="decide and record, but command nothing and broadcast nothing"
+    )
+    run.set_defaults(run=_run)
+
+    status = commands.add_parser(
+        "status", help="show the live state of a companion that runs here", epilog="companion status --once"
+    )
+    status.add_argument("--socket", type=Path, help="its status socket, where several run")
+    status.add_argument("--once", action="store_true", help="print it once, do not refresh")
+    status.add_argument("--json", action="store_true", help="print it once, as one JSON object")
+    status.set_defaults(run=_status)
+
+    checked = commands.add_parser(
+        "check",
+        help="the preflight list: what is missing, and what to do about it",
+        epilog="companion check --config my.toml",
+    )
+    checked.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
+    checked.add_argument("--json", action="store_true", help="one JSON object")
+    checked.set_defaults(run=_check)
+
+    again = commands.add_parser(
+        "replay", help="feed a run or a tlog to the heart again", epilog="companion replay runs/NAME"
+    )
+    again.add_argument("path", type=Path, help="run folder, .events file or .tlog file")
+    again.add_argument("--json", action="store_true", help="one JSON object a line")
+    again.set_defaults(run=_replay)
+
+    remote_id = commands.add_parser("remote-id", help="listen; encode, decode, check Remote ID messages")
+    of_remote_id = remote_id.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    remote_id_command.add_arguments(of_remote_id)
+    listen.add_arguments(of_remote_id)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from companion.runtime.flight import Flight
+
+    def say(line: str) -> None:
+        print(line, flush=True)
+
+    Flight(configuration.load(arguments.config), say, dry_run=arguments.dry_run).run()
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from companion.commands.check import check
+
+    colours = {"green": 32, "yellow": 33, "red": 31} if sys.stdout.isatty() else {}
+
+    def say(line: str) -> None:
+        light, _, rest = line.partition(" ")
+        print(f"\x1b[{colours[light]}m{light}\x1b[0m {rest}" if light in colours else line, flush=True)
+
+    return check(configuration.load(arguments.config), say, as_json=arguments.json)
+
+
+def _status(arguments: argparse.Namespace) -> int:
+    from companion.commands.status import watch
+
+    return watch(arguments.socket, once=arguments.once, as_json=arguments.json)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    path: Path = arguments.path
+    if path.is_dir():
+        files = sorted(path.glob("*.events"))
+        if not files:
+            raise ConfigError(f"{path}: no run folder: no .events file in it")
+        return max([_replay_events(file, path, as_json=arguments.json) for file in files])
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file or folder")
+    if path.suffix == ".events":
+        return _replay_events(path, path.parent, as_json=arguments.json)
+    return _replay_tlog(path, as_json=arguments.json)
+
+
+def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
+    from companion import replay
+
+    tolerance = 0.0 if _same_machine_and_software(folder / "manifest.json") else replay.ELSEWHERE
+    with path.open("rb") as stream:
+        result = replay.replay_record(event_record.read(stream, str(path)), str(path), tolerance)
+    if as_json:
+        print(msgspec.json.encode(result).decode(), flush=True)
+    else:
+        how = "bit for bit" if tolerance == 0.0 else f"to {tolerance:g} (other machine or versions)"
+        print(
+            f"{result.aircraft}: {result.steps} steps, {result.commands} commands, "
+            f"{result.differences} steps differ ({how})"
+        )
+        if result.refused:
+            rules = ", ".join(f"{name} {count}" for name, count in sorted(result.refused.items()))
+            print(f"the gate would not let leave now, by its rules: {rules}")
+    if result.first is not None:
+        print(result.first, file=sys.stderr)
+    return 1 if result.differences else 0
+
+
+def _same_machine_and_software(manifest: Path) -> bool:
+    try:
+        facts = json.loads(manifest.read_text())
+        return (
+            facts["machine"] == platform.machine()
+            and facts["dmuca"] == __version__
+            and all(metadata.version(name) == version for name, version in facts["versions"].items())
+        )
+    except (OSError, ValueError, KeyError, TypeError, metadata.PackageNotFoundError):
+        return False
+
+
+def _replay_tlog(path: Path, *, as_json: bool) -> int:
+    from companion import replay
+    from companion.autopilot.tlog import read_tlog
+
+    with path.open("rb") as stream:
+        result, locations = replay.replay_tlog(read_tlog(stream, str(path)))
+        for location in locations:
+            replay.on_air(location)
+    if as_json:
+        print(msgspec.json.encode(result).decode(), flush=True)
+        return 0
+    print(f"{path}: {result.vehicle or 'no vehicle'}; {result.duration_s:.1f} s, {result.frames} frames")
+    print(f"  GNSS states {result.gnss_states} (GPS_RAW_INT {result.gnss_fixes})")
+    for name, where in (("first", result.first), ("last", result.last)):
+        if where is not None:
+            print(f"  {name} position {where[0]:.7f} {where[1]:.7f}, {where[2]:.2f} m above mean sea level")
+    print(f"  Remote ID broadcasts {result.broadcasts}, {result.locations_with_position} with a position")
+    print("  " + ", ".join(f"{key} {value}" for key, value in result.counts.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

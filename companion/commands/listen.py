@@ -1,0 +1,317 @@
+"""`companion remote-id listen`: who is in the air, from any radio, in a live table.
+
+It listens only, and needs no position of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Protocol, TextIO
+
+import msgspec
+from rich import box
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from companion import config as configuration
+from companion.commands.heard_table import COLUMNS, HeardTable, cells, health_words, json_line
+from companion.config import Config, EtherRadio, HciRadio, IdentityConfig, RadioConfig, WifiRadio
+from companion.errors import ConfigError
+from companion.events import RemoteIdHeard
+from companion.radio.radio import Health
+from companion.runtime import clock
+from companion.runtime.radios import Radios
+
+if TYPE_CHECKING:
+    Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+_POLL_S: Final = 0.05
+_DRAW_S: Final = 0.25
+_LINES_S: Final = 1.0
+_TO_THE_RIGHT: Final = {"dBm", "age s", "alt m", "m/s", "track", "msg/s"}
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+_EXAMPLES: Final = """examples:
+  companion remote-id listen --config my.toml
+  companion remote-id listen --radio wifi=mon0 --seconds 60
+  companion remote-id listen --radio hci=tcp:127.0.0.1:6402 --radio ether=127.0.0.1:14640 --json
+"""
+
+
+def add_arguments(subparsers: Subparsers) -> None:
+    """Add `listen` to the subparsers of `remote-id`; it sets `run`."""
+    parser = subparsers.add_parser(
+        "listen",
+        help="show who is heard",
+        description="A live table of heard aircraft; plain lines where the output is no terminal.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--config", type=Path, help="configuration file (TOML): its radios are listened to")
+    source.add_argument(
+        "--radio",
+        action="append",
+        metavar="KIND=WHERE",
+        help="without a configuration: hci=CHANNEL, wifi=MONITOR_INTERFACE or ether=HOST:PORT; repeatable",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object for each heard frame")
+    parser.add_argument("--seconds", type=_seconds, help="stop after this long; otherwise with Ctrl-C")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Listen as the command line says. Returns the exit code: 1 where the output cannot be written.
+
+    Raises:
+        ConfigError: there is nothing to listen with, or a radio cannot be opened.
+    """
+    if arguments.radio is not None:
+        config = Config(identity=IdentityConfig(uas_id="LISTENER"), radio=_shortcuts(arguments.radio))
+        name = "--radio"
+    else:
+        config, name = configuration.load(arguments.config), str(arguments.config)
+    if not config.has_radio:
+        raise ConfigError(f"{name}: radio: none configured, so nobody can be heard; add a [[radio]]")
+    listeners = tuple(only for radio in config.radio for only in _listening(radio))
+    if not listeners:
+        raise ConfigError(f"{name}: radio: none of the configured ones can listen")
+    radios = Radios(msgspec.structs.replace(config, radio=listeners), sending=False)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(
+            errors="backslashreplace"
+        )  # a terminal that cannot show a sign is no reason to end
+    try:
+        with _stop_signal() as stopped:
+            listen(radios, _view(as_json=arguments.json), stopped, arguments.seconds)
+    except _CannotWriteError as error:
+        print(f"remote-id listen: the output cannot be written: {error}", file=sys.stderr)
+        with suppress(OSError):
+            sys.stdout.close()  # what it still holds is not tried again at the exit
+        return 1
+    finally:
+        radios.close()
+    return 0
+
+
+def listen(radios: Radios, view: View, stopped: Callable[[], bool], seconds: float | None) -> None:
+    """Hear and show until told to stop, or for `seconds`."""
+    began_s = clock.now_s()
+    heard = HeardTable()
+    with view:
+        while not stopped():
+            now_s = clock.now_s()
+            for event in radios.events(now_s):
+                if isinstance(event, RemoteIdHeard):
+                    heard.take(event, now_s)
+                    view.frame(event, time.time())
+            heard.forget(now_s)
+            view.show(heard, radios.health(now_s), now_s)
+            if seconds is not None and now_s - began_s >= seconds:
+                break
+            time.sleep(_POLL_S)
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 <= seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number of seconds, 0 or more")
+    return seconds
+
+
+def _listening(radio: RadioConfig) -> list[RadioConfig]:
+    """The part of a radio that listens, if it has one: what sends is left alone, another may be using it."""
+    match radio:
+        case EtherRadio():
+            return [radio]
+        case HciRadio(listen=True):
+            return [msgspec.structs.replace(radio, send=False)]
+        case WifiRadio() if radio.monitor is not None:
+            return [msgspec.structs.replace(radio, hostapd=None, inject=None)]
+    return []
+
+
+def _shortcuts(texts: Sequence[str]) -> tuple[RadioConfig, ...]:
+    made: list[RadioConfig] = []
+    for text in texts:
+        kind, _, where = text.partition("=")
+        if kind not in ("hci", "wifi", "ether") or not where:
+            raise ConfigError(
+                f"--radio: {text!r}: allowed are hci=CHANNEL, wifi=MONITOR_INTERFACE and ether=HOST:PORT"
+            )
+        match kind:
+            case "hci":
+                made.append(HciRadio(channel=where, send=False))
+            case "wifi":
+                made.append(WifiRadio(monitor=where))
+            case _:
+                made.append(EtherRadio(address=where))
+    return tuple(made)
+
+
+@contextmanager
+def _stop_signal() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C, a closed terminal and a service manager's signal are noted, not raised."""
+    noted = False
+
+    def note(_number: int, _frame: object) -> None:
+        nonlocal noted
+        noted = True
+
+    taken = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]  # nohup
+    before = {number: signal.signal(number, note) for number in taken}
+    try:
+        yield lambda: noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+# ---------------------------------------------------------------- on the terminal
+
+
+class View(Protocol):
+    """Where it is shown; entered before the first call, left at the end."""
+
+    def __enter__(self) -> object: ...
+    def __exit__(self, *error: object) -> None: ...
+
+    def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
+        """A frame was heard."""
+
+    def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
+        """Everything, as of now."""
+
+
+class _CannotWriteError(Exception):
+    """The output takes no more: a full disk."""
+
+
+def _say(line: str, stream: TextIO | None = None) -> None:
+    """Print a line at once, on stdout unless another stream is given."""
+    try:
+        print(line, file=stream, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise _CannotWriteError(error.strerror) from error
+
+
+def _view(*, as_json: bool) -> View:
+    if as_json:
+        return JsonLines()
+    console = Console()
+    return LiveTable(console) if console.is_terminal else PlainLines()
+
+
+class LiveTable:
+    """A table that is drawn anew, for a terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._live = Live(console=console, auto_refresh=False, vertical_overflow="ellipsis")
+        self._drawn_s = -1e9
+
+    def __enter__(self) -> LiveTable:
+        self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
+        """Nothing: the table shows it."""
+
+    def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
+        """Draw, where it is time to."""
+        if now_s - self._drawn_s < _DRAW_S:
+            return
+        self._drawn_s = now_s
+        self._live.update(drawing(heard, health, now_s, self._live.console.height), refresh=True)
+
+
+def drawing(heard: HeardTable, health: Health, now_s: float, rows: int) -> Group:
+    """The line of the radios and the table, newest first: what does not fit the screen is the oldest.
+
+    Texts, not markup: brackets from strangers mean nothing.
+
+    Args:
+        rows: of the table at most; drawing takes time in which nobody listens.
+    """
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in COLUMNS:
+        table.add_column(name, justify="right" if name in _TO_THE_RIGHT else "left", overflow="fold")
+    for aircraft in heard.newest_first()[:rows]:
+        table.add_row(*map(Text, cells(aircraft, now_s).values()))
+    style = "" if health.ok else "bold red"
+    return Group(Text(health_words(health, len(heard)), style=style), table)
+
+
+class PlainLines:
+    """One line a second for each aircraft that was heard in it, and one for the radios when they change."""
+
+    def __init__(self) -> None:
+        self._shown_s: float | None = None
+        self._radios = ""
+        self._words = ""
+
+    def __enter__(self) -> PlainLines:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        _say(f"radio: {self._words}")
+
+    def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
+        """Nothing: the next line holds it."""
+
+    def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
+        """Print, where it is time to."""
+        self._words = health_words(health, len(heard))
+        if self._shown_s is not None and now_s - self._shown_s < _LINES_S:
+            return
+        since_s, self._shown_s = self._shown_s, now_s
+        if health.text != self._radios:
+            self._radios = health.text
+            _say(f"radio: {self._words}")
+        for aircraft in heard.newest_first():
+            if since_s is not None and aircraft.last_s <= since_s:
+                break
+            shown = cells(aircraft, now_s)
+            _say("; ".join(f"{name} {value}" for name, value in shown.items() if value))
+
+
+class JsonLines:
+    """One JSON object for each frame on stdout; the radios, when they change, on stderr."""
+
+    def __init__(self) -> None:
+        self._radios = ""
+        self._words = ""
+
+    def __enter__(self) -> JsonLines:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        _say(f"radio: {self._words}", sys.stderr)
+
+    def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
+        """Print it."""
+        _say(json_line(event, utc_s))
+
+    def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
+        """Say what changed about the radios."""
+        self._words = health_words(health, len(heard))
+        if health.text != self._radios:
+            self._radios = health.text
+            _say(f"radio: {self._words}", sys.stderr)

@@ -1,0 +1,175 @@
+"""Geofences: what an area must be, and reading them from a file.
+
+Areas are seen from above: polygons and circles, to be stayed in or stayed out of. They come from a file of
+`[[area]]` tables or from the vehicle (`companion.autopilot.lists.fence`); the same checks hold for both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from companion.errors import ConfigError
+from companion.events import FenceArea
+from companion.toml_reader import decode_toml
+
+MIN_POINTS = 3
+MAX_SPAN_DEG = 5.0
+"""Farthest that a corner may lie from the first one, in latitude and in longitude: within it the largest
+products below fit 64 bits, and beyond it a fence is a slip of the pen."""
+MAX_RADIUS_M = 500_000.0
+_E7 = 1e7
+"""Corners are compared in 1e-7 deg (about 1 cm), as MAVLink carries them: in whole numbers, so exactly."""
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Common to all tables."""
+
+
+class _Area(_Section, frozen=True):
+    """Either `points`, or `center` and `radius_m`."""
+
+    inclusion: bool
+    points: tuple[tuple[float, ...], ...] = ()
+    center: tuple[float, ...] = ()
+    radius_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.points and not self.center:
+            raise ValueError("points: missing; give either it, or center and radius_m")
+        if self.points and (self.center or self.radius_m is not None):
+            raise ValueError("points: give either it, or center and radius_m")
+        if self.center and self.radius_m is None:
+            raise ValueError("radius_m: missing; center needs it")
+        names = [f"points[{number}]" for number in range(len(self.points))]
+        for name, place in zip(names or ["center"], self.points or [self.center], strict=True):
+            if len(place) != 2:
+                raise ValueError(f"{name}: {list(place)}: expected [latitude, longitude]")
+
+
+class _File(_Section, frozen=True):
+    area: Annotated[tuple[_Area, ...], Meta(min_length=1)]
+
+
+def load_fence(path: Path) -> tuple[FenceArea, ...]:
+    """Read and check a fence file.
+
+    Raises:
+        ConfigError: names the file, the key and what is allowed.
+    """
+    areas = tuple(map(_area, decode_toml(path, _File).area))
+    try:
+        check_areas(areas)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    return areas
+
+
+def _area(table: _Area) -> FenceArea:
+    points = tuple((lat_deg, lon_deg) for lat_deg, lon_deg in table.points or (table.center,))
+    return FenceArea(inclusion=table.inclusion, points=points, radius_m=table.radius_m)
+
+
+def check_areas(areas: Sequence[FenceArea]) -> None:
+    """Refuse areas that nobody can be in or out of.
+
+    Raises:
+        ConfigError: names the area (counted from 0), what is wrong in it and what is allowed.
+    """
+    for number, area in enumerate(areas):
+        fault = fault_of(area)
+        if fault is not None:
+            raise ConfigError(f"area[{number}].{fault}")
+
+
+def fault_of(area: FenceArea) -> str | None:
+    """What is wrong with an area, beginning with the key of a file that it belongs to; None when nothing is.
+
+    A polygon has at least three corners, all distinct, and edges that meet only where one ends and the next
+    begins.
+    """
+    circle = area.radius_m is not None
+    for number, (lat_deg, lon_deg) in enumerate(area.points):
+        name = "center" if circle else f"points[{number}]"
+        # NaN fails these comparisons too.
+        if not -90.0 <= lat_deg <= 90.0:
+            return f"{name}: latitude {lat_deg}: allowed are -90 to 90"
+        if not -180.0 <= lon_deg <= 180.0:
+            return f"{name}: longitude {lon_deg}: allowed are -180 to 180"
+    return _circle_fault(area) if circle else _polygon_fault(area)
+
+
+def _circle_fault(area: FenceArea) -> str | None:
+    if len(area.points) != 1:
+        return f"center: {len(area.points)} points; a circle has one"
+    if not 0.0 < (area.radius_m or 0.0) <= MAX_RADIUS_M:
+        return f"radius_m: {area.radius_m}: allowed are more than 0 and at most {MAX_RADIUS_M:g}"
+    return None
+
+
+def _polygon_fault(area: FenceArea) -> str | None:
+    if len(area.points) < MIN_POINTS:
+        return f"points: {len(area.points)} of them; a polygon has at least {MIN_POINTS}"
+    lat0, lon0 = area.points[0]
+    corners = np.empty((len(area.points), 2), dtype=np.int64)
+    seen: dict[tuple[int, int], int] = {}
+    for number, (lat_deg, lon_deg) in enumerate(area.points):
+        # The shorter way round the Earth.
+        span = lat_deg - lat0, math.remainder(lon_deg - lon0, 360.0)
+        if max(map(abs, span)) > MAX_SPAN_DEG:
+            return f"points[{number}]: more than {MAX_SPAN_DEG:g} deg from points[0]"
+        corner = round(span[0] * _E7), round(span[1] * _E7)
+        same = seen.setdefault(corner, number)
+        if same != number:
+            closed = "; the first corner is not repeated at the end" if same == 0 else ""
+            return f"points[{number}]: the same place as points[{same}]{closed}"
+        corners[number] = corner
+    crossing = _crossing(corners)
+    if crossing is not None:
+        a, b = crossing
+        count = len(area.points)
+        return (
+            f"points: the edge from points[{a}] to points[{(a + 1) % count}] meets the one from "
+            f"points[{b}] to points[{(b + 1) % count}]; edges may not cross or touch"
+        )
+    return None
+
+
+def _crossing(corners: NDArray[np.int64]) -> tuple[int, int] | None:
+    """Two edges of a polygon, shape (K, 2) in whole numbers, that meet elsewhere than at their common corner.
+
+    Two segments meet when each one's ends lie on both sides of the other's line, or on it; segments on one
+    line meet when their extents overlap.
+    """
+    count = len(corners)
+    starts, ends = corners, np.roll(corners, -1, axis=0)
+    low, high = np.minimum(starts, ends).T.copy(), np.maximum(starts, ends).T.copy()
+    for a in range(count):
+        p, q, after = starts[a], ends[a], (a + 1) % count
+        # Neighbours share a corner; they meet elsewhere only when one runs back along the other.
+        onward = ends[after]
+        if _side(p, q, onward) == 0 and (q - p) @ (onward - q) < 0:
+            return min(a, after), max(a, after)
+        # Every pair once: the later edges but the next one, and for the first edge not the last one either.
+        rest = slice(a + 2, count - (a == 0))
+        overlap = (low[:, rest] <= high[:, a : a + 1]) & (low[:, a : a + 1] <= high[:, rest])
+        near = a + 2 + np.flatnonzero(overlap[0] & overlap[1])
+        r, s = starts[near], ends[near]
+        meets = (_side(p, q, r) * _side(p, q, s) <= 0) & (_side(r, s, p) * _side(r, s, q) <= 0)
+        for b in near[meets]:
+            return a, int(b)
+    return None
+
+
+def _side(p: NDArray[np.int64], q: NDArray[np.int64], r: NDArray[np.int64]) -> NDArray[np.int64]:
+    """On which side of the line from p to q the point r lies: -1, 0 or 1, exactly."""
+    along, to = q - p, r - p
+    side: NDArray[np.int64] = np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])
+    return side

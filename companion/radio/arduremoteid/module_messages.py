@@ -1,0 +1,236 @@
+"""A module with ArduRemoteID firmware at the far end of a byte link: what it says, and asking it for things.
+
+Facts are those of the firmware, version 1.14. Parameters are asked for by name, because their count is one
+too small in a list; values are 32-bit floats throughout; texts (UAS_ID) cannot be had. Neither socket nor
+clock in here.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any, Final, Protocol
+
+from companion.autopilot.wire import MAGIC_V2, Frame, FrameScanner, MavlinkWriter
+from companion.remote_id.mavlink import ARM_STATUS, COMPONENT_ID, MAV_TYPE, decode_arm_status
+
+OWN_COMPONENT: Final = 191
+"""MAV_COMP_ID_ONBOARD_COMPUTER."""
+SILENT_AFTER_S: Final = 3.0
+PARAMETERS: Final = (
+    "LOCK_LEVEL",
+    "OPTIONS",
+    "UAS_TYPE",
+    "UAS_ID_TYPE",
+    "WIFI_CHANNEL",
+    "WIFI_BCN_RATE",
+    "WIFI_NAN_RATE",
+    "BT4_RATE",
+    "BT5_RATE",
+)
+"""What is read. Nothing else is kept, whatever is sent."""
+SETTABLE: Final = frozenset(name for name in PARAMETERS if name.endswith("_RATE"))
+
+_HEARTBEAT_PERIOD_S: Final = 1.0
+_ASK_PERIOD_S: Final = 0.25
+_ASK_TIMES: Final = 12
+_HEARTBEAT_ID: Final = 0
+_PARAM_REQUEST_READ_ID: Final = 20
+_PARAM_VALUE_ID: Final = 22
+_PARAM_SET_ID: Final = 23
+_STATUSTEXT_ID: Final = 253
+_HEARTBEAT: Final = struct.Struct("<IBBBBB")
+_PARAM_REQUEST_READ: Final = struct.Struct("<hBB16s")
+_PARAM_VALUE: Final = struct.Struct("<fHH16sB")
+_PARAM_SET: Final = struct.Struct("<fBB16sB")
+_OWN_TYPE: Final = 18
+"""MAV_TYPE_ONBOARD_CONTROLLER."""
+_AUTOPILOT_INVALID: Final = 8
+_ACTIVE: Final = 4
+_REAL32: Final = 9
+_BANNER: Final = b"ArduRemoteID version"
+_TEXT_BYTES: Final = 50
+_RAW_KEPT: Final = 512
+_LOST_FRAMES: Final = 8
+"""Frames that may be missing at once; a greater step of the sequence number is a restart."""
+_FRAMES_PER_S: Final = 4
+_REORDERED: Final = 248
+
+
+class ByteLink(Protocol):
+    """What this needs of `companion.runtime.links.kept_link.KeptLink`. Only `wait` takes time."""
+
+    def wait(self, timeout_s: float) -> None:
+        """Until bytes come, at most this long."""
+        ...
+
+    def receive(self, now_s: float) -> bytes:
+        """What has arrived."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Send now, or lose it."""
+        ...
+
+    def close(self) -> None:
+        """Release it."""
+        ...
+
+
+class Module:
+    """The far end.
+
+    Args:
+        link: used by nobody else.
+        system_id: the vehicle's; the module takes that of the first heartbeat it hears.
+    """
+
+    def __init__(self, link: ByteLink, system_id: int) -> None:
+        self.params: dict[str, float] = {}
+        """As last heard, of `PARAMETERS`."""
+        self.heard_s: float | None = None
+        """Last heartbeat."""
+        self.arm: tuple[float, bool, str] | None = None
+        """Last ARM_STATUS: when, good to arm, why not."""
+        self.said = ""
+        """Last STATUSTEXT."""
+        self.restarts = 0
+        self.others: set[int] = set()
+        """Components heard that are no module."""
+        self.raw = b""
+        """End of all that came."""
+        self._link = link
+        self._system_id = system_id
+        self._scanner = FrameScanner()
+        self._writer = MavlinkWriter(system_id, OWN_COMPONENT)
+        self._beat_s: float | None = None
+        self._asked: dict[str, int] = {}
+        self._ask_s = -math.inf
+        self._last: tuple[float, int] | None = None
+
+    @property
+    def corrupt(self) -> int:
+        """Damaged frames."""
+        return self._scanner.counts.corrupt
+
+    @property
+    def asking(self) -> bool:
+        """Whether answers are still waited for; each is asked for `_ASK_TIMES` times."""
+        return bool(self._asked)
+
+    def alive(self, now_s: float) -> bool:
+        """Whether it has been heard lately."""
+        return self.heard_s is not None and now_s - self.heard_s <= SILENT_AFTER_S
+
+    def exchange(self, now_s: float) -> None:
+        """Take in what came, send what is due. Never blocks."""
+        data = self._link.receive(now_s)
+        if data:
+            seen = len(self.raw)
+            text = self.raw + data
+            # The banner may have come in two pieces; one that was found before is not found again.
+            if text.find(_BANNER, max(seen - len(_BANNER) + 1, 0)) >= 0:
+                self._restarted()
+            self.raw = text[-_RAW_KEPT:]
+            for frame in self._scanner.frames(data):
+                self._take(frame, now_s)
+        out = b""
+        if self._beat_s is None or now_s - self._beat_s >= _HEARTBEAT_PERIOD_S:
+            self._beat_s = now_s
+            beat = _HEARTBEAT.pack(0, _OWN_TYPE, _AUTOPILOT_INVALID, 0, _ACTIVE, 3)
+            out += self._writer.pack_payload(_HEARTBEAT_ID, beat)
+        if self._asked and now_s - self._ask_s >= _ASK_PERIOD_S:
+            self._ask_s = now_s
+            out += self._questions()
+        if out:
+            self._link.send(out)
+
+    def ask(self, *names: str) -> None:
+        """Have these parameters read, from the next exchange on."""
+        self._asked.update(dict.fromkeys(names, _ASK_TIMES))
+        self._ask_s = -math.inf
+
+    def set(self, name: str, value: float) -> None:
+        """Set a rate above zero, once: every set wears the module's flash. Its answer shows in `params`.
+
+        Raises:
+            ValueError: another parameter (some of them ruin the module), or a rate of zero (it leaves the
+                last payload on the air for ever).
+        """
+        if name not in SETTABLE or not 0.0 < value < math.inf:
+            raise ValueError(f"parameter {name} = {value}: only rates are set, above 0")
+        payload = _PARAM_SET.pack(value, self._system_id, COMPONENT_ID, name.encode(), _REAL32)
+        self._link.send(self._writer.pack_payload(_PARAM_SET_ID, payload))
+
+    def send(self, payloads: list[tuple[int, bytes]]) -> None:
+        """Send some payloads at once."""
+        self._link.send(b"".join(self._writer.pack_payload(*payload) for payload in payloads))
+
+    def close(self) -> None:
+        """Release the link."""
+        self._link.close()
+
+    def _questions(self) -> bytes:
+        out = b""
+        for name, left in list(self._asked.items()):
+            if left == 0:
+                del self._asked[name]
+                continue
+            self._asked[name] = left - 1
+            payload = _PARAM_REQUEST_READ.pack(-1, self._system_id, COMPONENT_ID, name.encode())
+            out += self._writer.pack_payload(_PARAM_REQUEST_READ_ID, payload)
+        return out
+
+    def _take(self, frame: Frame, now_s: float) -> None:
+        if frame.component_id != COMPONENT_ID:
+            if frame.component_id != OWN_COMPONENT:
+                self.others.add(frame.component_id)
+            return
+        self._follow(frame, now_s)
+        if frame.message_id == _HEARTBEAT_ID:
+            if _fields(_HEARTBEAT, frame.payload)[1] == MAV_TYPE:
+                if self.heard_s is not None and not self.alive(now_s):
+                    self.ask(*PARAMETERS)
+                self.heard_s = now_s
+        elif frame.message_id == ARM_STATUS:
+            ready, text = decode_arm_status(frame.payload)
+            self.arm = (now_s, ready, _printable(text))
+        elif frame.message_id == _PARAM_VALUE_ID:
+            self._take_value(frame.payload)
+        elif frame.message_id == _STATUSTEXT_ID:
+            text = frame.payload[1 : 1 + _TEXT_BYTES].split(b"\0")[0].decode("latin-1")
+            self.said = _printable(text)
+
+    def _take_value(self, payload: bytes) -> None:
+        value, _, _, raw, _ = _fields(_PARAM_VALUE, payload)
+        name = raw.split(b"\0")[0].decode("latin-1")
+        if name in PARAMETERS and math.isfinite(value):
+            self.params[name] = value
+            self._asked.pop(name, None)
+
+    def _follow(self, frame: Frame, now_s: float) -> None:
+        """A restart shows in the sequence numbers, where the banner was lost."""
+        number = frame.raw[4] if frame.raw[0] == MAGIC_V2 else frame.raw[2]
+        if self._last is not None:
+            at_s, last = self._last
+            gap = (number - last - 1) & 0xFF
+            if _LOST_FRAMES + _FRAMES_PER_S * (now_s - at_s) < gap < _REORDERED:
+                self._restarted()
+        self._last = (now_s, number)
+
+    def _restarted(self) -> None:
+        self._last = None
+        if self.heard_s is not None:
+            self.restarts += 1
+            self.arm = None
+            self.ask(*PARAMETERS)
+
+
+def _fields(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
+    """The payload's fields: MAVLink cuts zeros from the end, and newer dialects append."""
+    return layout.unpack(payload.ljust(layout.size, b"\0")[: layout.size])
+
+
+def _printable(text: str) -> str:
+    """A text of the module's as it may stand in a log."""
+    return "".join(c if c.isascii() and c.isprintable() else "?" for c in text).strip()

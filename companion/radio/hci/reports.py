@@ -1,0 +1,74 @@
+"""Advertising reports to whole frames: long advertisements arrive in several reports."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from companion.radio.hci.controller_events import DataStatus, Report
+from companion.radio.hci.packets import address_text
+from companion.radio.radio import BLE4, BLE5
+
+_REMOTE_ID_HEAD = b"\x16\xfa\xff\x0d"
+"""Service data of ASTM's Remote ID: what does not hold it is somebody else's advertisement."""
+_MAX_DATA = 1650
+"""No advertisement is longer (Core vol. 4 part E section 7.8.57)."""
+_MAX_PARTIAL = 64
+_MAX_AGE_S = 1.0
+"""The parts of one advertisement follow each other within its airtime."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeardFrame:
+    """Advertising data that may be Remote ID."""
+
+    transport: str
+    address: str
+    data: bytes
+    rssi_dbm: float | None
+
+
+@dataclass(slots=True)
+class _Partial:
+    data: bytes
+    since_s: float
+
+
+class Reassembler:
+    """Puts the parts of advertisements together, by address and SID, within bounds of memory and age."""
+
+    def __init__(self) -> None:
+        self._partial: OrderedDict[tuple[bytes, int], _Partial] = OrderedDict()
+        self.incomplete = 0
+        """Advertisements of which the controller or this class lost a part."""
+
+    def take(self, report: Report, now_s: float) -> HeardFrame | None:
+        """The frame that this report completes, if it may be Remote ID."""
+        data = report.data
+        if not report.legacy:
+            whole = self._join(report, now_s)
+            if whole is None:
+                return None
+            data = whole
+        if _REMOTE_ID_HEAD not in data:
+            return None
+        transport = BLE4 if report.legacy else BLE5
+        return HeardFrame(transport, address_text(report.address), data, report.rssi_dbm)
+
+    def _join(self, report: Report, now_s: float) -> bytes | None:
+        key = (report.address, report.sid)
+        before = self._partial.pop(key, None)
+        if before is not None and now_s - before.since_s > _MAX_AGE_S:
+            self.incomplete += 1
+            before = None
+        data = report.data if before is None else before.data + report.data
+        if report.data_status is DataStatus.COMPLETE:
+            return data
+        if report.data_status is not DataStatus.MORE_TO_COME or len(data) > _MAX_DATA:
+            self.incomplete += 1
+            return None
+        if len(self._partial) >= _MAX_PARTIAL:
+            self._partial.popitem(last=False)
+            self.incomplete += 1
+        self._partial[key] = _Partial(data, now_s if before is None else before.since_s)
+        return None

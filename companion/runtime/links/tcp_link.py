@@ -1,0 +1,107 @@
+"""TCP as a link.
+
+While nobody reads, the receive buffer grows up to `net.ipv4.tcp_rmem` (6 MB and more); then the peer's
+kernel holds what comes next, and nothing is dropped.
+
+Our kernel goes on sending again what the peer's kernel has not acknowledged. It cannot be told to forget
+that: only aborting the connection does. What was acknowledged is out of reach: a Linux reader that was
+stopped finds it after our reset too, and only then the error.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import select
+import socket
+import struct
+import sys
+import termios
+
+from companion.runtime.links.byte_link import LATE_S, LinkTrouble
+from companion.runtime.links.stream_link import StreamLink
+
+_CONNECT_S = 3.0
+_SEND_BUFFER = 8 * 1024
+_AT_ONCE = struct.pack("ii", 1, 0)
+"""SO_LINGER: closing resets the connection and frees what is queued."""
+_MIN_RTT_AT = 148
+"""Of `tcpi_min_rtt`, microseconds, in Linux's struct tcp_info."""
+
+
+class TcpLink(StreamLink):
+    """A TCP client.
+
+    Raises:
+        OSError: not connected within three seconds.
+    """
+
+    def __init__(self, address: tuple[str, int], trouble: LinkTrouble) -> None:
+        super().__init__(trouble, keeps=True)
+        self._socket = socket.create_connection(address, timeout=_CONNECT_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        self._socket.setblocking(False)
+        if sys.platform == "linux":
+            # Not writable while the kernel holds anything unsent.
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 1)
+            # The kernel ends the connection by itself where this process is stopped and cannot.
+            limit_ms = int(1e3 * self._late_after_s())
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit_ms)
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self._socket.fileno()
+
+    def discard(self) -> None:
+        """Nothing where all was acknowledged.
+
+        Raises:
+            ConnectionAbortedError: something was not; the link has to be aborted.
+        """
+        if self._here():
+            raise ConnectionAbortedError("what was sent did not arrive in time")
+
+    def abort(self) -> None:
+        """Reset the connection."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
+        self._socket.close()
+
+    def _release(self) -> None:
+        if self._here():
+            self.abort()
+        else:
+            self._socket.close()
+
+    def _read(self, count: int) -> bytes:
+        data = self._socket.recv(count)
+        if not data:
+            raise ConnectionError("the autopilot's side closed the TCP link")
+        return data
+
+    def _write(self, data: bytes) -> int:
+        return self._socket.send(data)
+
+    def _queued(self) -> int:
+        """Not acknowledged, sent or unsent; only Linux tells it."""
+        if sys.platform != "linux":
+            return 0
+        # Linux has one number for SIOCOUTQ and TIOCOUTQ.
+        return int(struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, b"\0" * 4))[0])
+
+    def _takes_more(self, now_s: float) -> bool:
+        # What was sent and is not acknowledged yet does not hold the next one up: by its acknowledgement the
+        # kernel notices a lost segment before the limit.
+        return bool(select.select([], [self._socket], [], 0.0)[1])
+
+    def _late_after_s(self) -> float:
+        return LATE_S + self._round_trip_s()
+
+    def _round_trip_s(self) -> float:
+        """The shortest so far: what an acknowledgement takes on this path at best."""
+        if sys.platform != "linux":
+            return 0.0
+        info = self._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _MIN_RTT_AT + 4)
+        if len(info) < _MIN_RTT_AT + 4:
+            return 0.0
+        (shortest_us,) = struct.unpack_from("I", info, _MIN_RTT_AT)
+        return float(shortest_us) * 1e-6

@@ -1,0 +1,142 @@
+"""UDP as a link.
+
+While nobody reads, the kernel keeps the oldest datagrams and drops the newest once its receive buffer is
+full. It grants what was asked for up to `net.core.rmem_max`, and counts 832 bytes for a small datagram:
+425 kB, as many systems grant it, hold 512 of them, 2 MB hold 2,520.
+
+Datagrams to a neighbour whose address is not known yet wait in the kernel for up to three seconds, and
+nothing recalls them: two leave late when the neighbour answers, and what comes after them is dropped until
+then.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import socket
+import struct
+import sys
+import termios
+from typing import Any
+
+from companion.runtime import clock
+from companion.runtime.links.byte_link import HELD_S, READ_BYTES, LinkTrouble, Received
+
+_DATAGRAM = 65536
+_MAX_DATAGRAMS = 256
+"""Taken in a call, those of strangers among them: about a millisecond, five on a small computer."""
+_RECEIVE_BUFFER = 1024 * 1024
+_SEND_BUFFER = 4096
+"""The kernel doubles it: some ten datagrams, where the neighbour is unknown or the interface takes none."""
+_PEER_SILENT_S = 3.0
+"""A peer silent for this long may be replaced by another: a vehicle that restarted has a new port."""
+_MAGICS = (0xFD, 0xFE)
+"""First byte of a MAVLink 2 and of a MAVLink 1 frame."""
+
+
+class UdpLink:
+    """Datagrams to and from one peer: the one that speaks MAVLink (udpin), or a given one (udpout).
+
+    Raises:
+        OSError: no such host, or the address cannot be bound.
+    """
+
+    def __init__(self, address: tuple[str, int], trouble: LinkTrouble, *, listen: bool) -> None:
+        info = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0]
+        self._socket = socket.socket(info[0], socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        self._trouble = trouble
+        self._listen = listen
+        self._peer: Any = None
+        self._heard_s = float("-inf")
+        self._waits_since_s: float | None = None
+        if listen:
+            try:
+                self._socket.bind(info[4])
+            except OSError:
+                self._socket.close()
+                raise
+        else:
+            self._peer = info[4]
+
+    @property
+    def port(self) -> int:
+        """Local port."""
+        return int(self._socket.getsockname()[1])
+
+    @property
+    def receive_buffer(self) -> int:
+        """Bytes that the kernel granted; Linux doubles what was asked for and counts its own overhead."""
+        return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+
+    def fileno(self) -> int:
+        """For `select`."""
+        return self._socket.fileno()
+
+    def receive(self, now_s: float) -> Received:
+        """Waiting datagrams of the peer, joined."""
+        parts: list[bytes] = []
+        read = 0
+        for _ in range(_MAX_DATAGRAMS):
+            try:
+                data, sender = self._socket.recvfrom(_DATAGRAM)
+            except BlockingIOError:
+                return Received(b"".join(parts), emptied=True)
+            except OSError:
+                # What the network said of a datagram of ours (nobody there, no route): the next may arrive.
+                self._trouble.errors += 1
+                continue
+            read += len(data)
+            if self._is_peer(sender, data, now_s):
+                self._heard_s = now_s
+                parts.append(data)
+            if read >= READ_BYTES:
+                break
+        return Received(b"".join(parts), emptied=False)
+
+    def _is_peer(self, sender: Any, data: bytes, now_s: float) -> bool:
+        if sender == self._peer:
+            return True
+        silent = now_s - self._heard_s > _PEER_SILENT_S
+        if not (self._listen and silent and data and data[0] in _MAGICS):
+            self._trouble.left_out += 1
+            return False
+        self._peer = sender
+        return True
+
+    def send(self, data: bytes) -> None:
+        """One datagram; nothing while the peer is unknown, or while older datagrams have not left."""
+        if self._peer is None or not data:
+            return
+        now = clock.now_s()
+        if not self._queued():
+            self._waits_since_s = None
+        elif self._waits_since_s is not None and now - self._waits_since_s > HELD_S:
+            self._trouble.dropped += 1
+            return
+        try:
+            self._socket.sendto(data, self._peer)
+        except BlockingIOError:
+            self._trouble.dropped += 1
+        except OSError:
+            # Nobody there yet, no route, a firewall: this datagram is lost, the link is not.
+            self._trouble.errors += 1
+        if self._waits_since_s is None:
+            self._waits_since_s = now
+
+    def _queued(self) -> int:
+        """Bytes that no interface has taken yet, as the kernel counts them; only Linux tells it."""
+        if sys.platform != "linux":
+            return 0
+        # Linux has one number for SIOCOUTQ and TIOCOUTQ.
+        return int(struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, b"\0" * 4))[0])
+
+    def discard(self) -> None:
+        """Nothing: a datagram that was sent cannot be recalled."""
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    abort = close

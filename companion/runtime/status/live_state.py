@@ -1,0 +1,84 @@
+"""What the heart knows, as `companion status` shows it. Only reads: a replay goes the same way without it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from companion.authority.table import State
+from companion.avoidance.alerts import Level
+from companion.avoidance.law import Neighbour
+from companion.core import Companion
+from companion.events import Decision, Vec3
+from companion.runtime.status.status_socket import MOST_TRACKS, TrackStatus
+
+
+def heart_status(heart: Companion, now_s: float, decision: Decision | None) -> dict[str, Any]:
+    """The fields of `status.Status` that the heart knows.
+
+    Args:
+        decision: the law's last, while it flies; None when it does not.
+    """
+    own, config = heart.own, heart.config
+    position = own.position
+    utc_offset_s = own.utc_offset_s
+    tracks = [] if own.frame is None or position is None else _tracks(heart, now_s, decision)
+    waits = heart.waits_for(now_s) if heart.state is State.STANDBY else None
+    fix = own.gnss_now(now_s)
+    return {
+        "utc_s": None if utc_offset_s is None else now_s + utc_offset_s,
+        "state": heart.state.value,
+        "waits_for": waits,
+        "unfit": own.unfit(now_s, config.vehicle.stale_after_s),
+        "mode": None if own.mode is None else own.mode.value,
+        "armed": own.armed,
+        "landed": own.landed(now_s).value,
+        "heartbeat_age_s": None if own.heartbeat is None else now_s - own.heartbeat_s,
+        "position_age_s": None if position is None else own.age_s(now_s),
+        "lat_deg": None if position is None else position.lat_deg,
+        "lon_deg": None if position is None else position.lon_deg,
+        "alt_msl_m": None if position is None else position.alt_msl_m,
+        "velocity_ned_mps": own.velocity_ned_mps,
+        "gnss_fix_type": None if fix is None else fix.fix_type,
+        "sigma_m": own.sigma_m,
+        "remote_id_trouble": heart.broadcaster.trouble or heart.broadcaster.lacking,
+        "path_late_s": 0.0 if heart.plan.course.law is None else heart.plan.course.late_s,
+        "track_count": len(tracks),
+        "tracks": tuple(sorted(tracks, key=lambda t: t.distance_m)[:MOST_TRACKS]),
+    }
+
+
+def _tracks(heart: Companion, now_s: float, decision: Decision | None) -> list[TrackStatus]:
+    own = heart.own.position_ned_m(now_s)
+    conflicts = set() if decision is None else {(t.adsb, t.track_id) for t in decision.tracks if t.conflict}
+    levels = heart.alerts.levels
+    names = {
+        track_id: (track.about.transport, tuple(sorted(flag.value for flag in track.flags)))
+        for track_id, track in heart.traffic.tracks.items()
+    }
+    others = heart.traffic.neighbours(now_s) + heart.adsb.look(now_s, own[2])
+    return [_track(other, own, levels, conflicts, names) for other in others]
+
+
+def _track(
+    other: Neighbour,
+    own: Vec3,
+    levels: Mapping[tuple[bool, str], Level],
+    conflicts: set[tuple[bool, str]],
+    names: Mapping[str, tuple[str, tuple[str, ...]]],
+) -> TrackStatus:
+    key = (other.adsb, other.track_id)
+    p, v, age = other.position_ned_m, other.velocity_ned_mps, other.age_s
+    transport, doubts = ("adsb", ()) if other.adsb else names[other.track_id]
+    return TrackStatus(
+        track_id=other.track_id,
+        transport=transport,
+        distance_m=math.hypot(p[0] + age * v[0] - own[0], p[1] + age * v[1] - own[1]),
+        above_m=own[2] - (p[2] + age * v[2]) if other.vertical_known else None,
+        speed_mps=math.hypot(v[0], v[1]),
+        age_s=age,
+        alert=levels.get(key, Level.NONE).name.lower(),
+        conflict=key in conflicts,
+        doubts=doubts,
+    )

@@ -1,0 +1,89 @@
+"""What ground stations have set, kept on disk from one run to the next."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import msgspec
+
+from companion.adjustable_parameters import checked
+from companion.config import Config
+from companion.errors import ConfigError
+from companion.events import Settings
+from companion.runtime.record.disk import replace_file
+
+_MOST_BYTES = 4096
+_CLOSE_S = 5.0
+
+
+def settings_path(config: Config) -> Path:
+    """The file: in record.folder, one for each aircraft."""
+    return Path(config.record.folder) / f"settings-{config.identity.file_name}.json"
+
+
+def read_settings(config: Config) -> Settings:
+    """What is stored, or nothing set.
+
+    Raises:
+        ConfigError: names the file; it cannot be read, is damaged, or does not go with this configuration.
+    """
+    path = settings_path(config)
+    try:
+        with path.open("rb") as file:
+            stored = msgspec.json.decode(file.read(_MOST_BYTES), type=Settings)
+    except FileNotFoundError:
+        return Settings()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: damaged: {error}") from error
+    try:
+        return checked(stored, config)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+class KeptSettings:
+    """Writes settings when they change, in a thread: a card can take its time."""
+
+    def __init__(self, config: Config, settings: Settings) -> None:
+        """Nothing is written of those that were read."""
+        self.error: str | None = None
+        """Why the latest are not on disk."""
+        self._path = settings_path(config)
+        self._latest = settings
+        self._new = threading.Event()
+        self._stop = False
+        self._thread: threading.Thread | None = None
+
+    def keep(self, settings: Settings) -> None:
+        """Take what counts now; returns at once."""
+        if settings == self._latest:
+            return
+        self._latest = settings
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._write_all, name="settings", daemon=True)
+            self._thread.start()
+        self._new.set()
+
+    def close(self) -> None:
+        """Wait for what is being written."""
+        if self._thread is not None:
+            self._stop = True
+            self._new.set()
+            self._thread.join(_CLOSE_S)
+
+    def _write_all(self) -> None:
+        last = False
+        while not last:
+            self._new.wait()
+            self._new.clear()
+            # Read before writing: what was taken before `close` is written.
+            last = self._stop
+            try:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                replace_file(self._path, msgspec.json.encode(self._latest) + b"\n")
+                self.error = None
+            except OSError as error:
+                self.error = f"{error.filename or self._path}: cannot be written: {error.strerror}"

@@ -1,0 +1,132 @@
+"""Weighs what each heard message says for and against its track, and tells the log of changed flags.
+
+What a single message, or a track alone, can show is `plausibility`'s; here it is set beside the other tracks
+of the same identity, the radio addresses and the configured keys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from companion.events import RemoteIdHeard
+from companion.remote_id.authentication import MESSAGE_SET_SIGNATURE, AuthenticationData, Verifier
+from companion.traffic.fix import Fix
+from companion.traffic.plausibility import (
+    MESSAGE_FLAGS,
+    Flag,
+    Reports,
+    climbs_impossibly,
+    message_doubts,
+)
+from companion.traffic.sender_details import Source
+from companion.traffic.track import ESTABLISHED, Track, apart
+
+_TWIN_S = 5.0
+"""Two tracks of one identity, both heard within this time, are two senders."""
+_HOP = 2
+_LEAP = 6
+"""Evidence of a jump: a first message elsewhere; a track that goes on there while the old one is silent."""
+_TWIN_FLAG = (Flag.DUPLICATE_IDENTITY,)
+_MOTION_FLAG = (Flag.VELOCITY_MISMATCH,)
+_FORGED_FLAG = (Flag.BAD_SIGNATURE,)
+_SIGNER_FLAGS = (Flag.SIGNED, Flag.UNSIGNED)
+
+
+@dataclass(slots=True)
+class Judge:
+    """Raises and drops the flags of tracks."""
+
+    own_uas_id: str
+    tracks: Mapping[str, Track]
+    verifier: Verifier | None
+    """None where no keys are configured."""
+    reports: Reports = field(default_factory=Reports)
+
+    def note(self, track: Track, bad: Collection[Flag], judged: Collection[Flag] = ()) -> None:
+        """Evidence for the flags in `bad`, and against the others in `judged`."""
+        if track.doubts.judge(bad, judged):
+            self.reports.mark(track.track_id, track.doubts)
+
+    def message(self, track: Track, known: Sequence[Track], fix: Fix, sample_s: float, now_s: float) -> None:
+        """The next message of a track, which is not updated yet; `known` are all of its identity."""
+        bad = message_doubts(fix)
+        elapsed_s = max(sample_s - track.sample_s, now_s - track.received_s)
+        if Flag.IMPOSSIBLE_VALUES not in bad and climbs_impossibly(track.content, fix.content, elapsed_s):
+            bad.append(Flag.IMPOSSIBLE_VALUES)
+        self.note(track, bad, MESSAGE_FLAGS)
+        strays = track.motion.take(fix, now_s)
+        if strays is not None:
+            self.note(track, _MOTION_FLAG if strays else (), _MOTION_FLAG)
+        if track.split_from is not None and track.messages + 1 >= ESTABLISHED:
+            before = self.tracks.get(track.split_from)
+            track.split_from = None
+            if before is not None and before.received_s <= track.opened_s:
+                self.note(track, (Flag.JUMP,) * _LEAP)
+        if len(known) > 1 or track.doubts.evidence or track.identity == self.own_uas_id:
+            self._twins(track, known, fix, now_s)
+
+    def first_message(
+        self, track: Track, known: Sequence[Track], source: Source, fix: Fix, now_s: float
+    ) -> None:
+        """A track just opened: perhaps an aircraft that leapt, where the same address feeds another track."""
+        here = [t for t in known if t is not track and source.key in t.sources]
+        before = max(here, key=lambda t: t.received_s, default=None)
+        if before is not None and apart(before, fix, now_s):
+            track.split_from = before.track_id
+            earlier = max(t.doubts.evidence.get(Flag.JUMP, 0) for t in here)
+            self.note(track, (Flag.JUMP,) * (earlier + _HOP))
+        self.note(track, message_doubts(fix))
+
+    def _twins(self, track: Track, known: Sequence[Track], fix: Fix, now_s: float) -> None:
+        """Tracks of one identity that are heard in turns are two senders, whatever their addresses."""
+        if track.identity == self.own_uas_id:
+            self.note(track, _TWIN_FLAG)
+            return
+        live = [t for t in known if t is not track and now_s - t.received_s <= _TWIN_S]
+        live = [t for t in live if apart(t, fix, now_s)]
+        turns = [t for t in live if t.received_s > track.received_s]
+        for twin in (track, *turns) if turns else ():
+            self.note(twin, _TWIN_FLAG)
+        if not live:
+            self.note(track, (), _TWIN_FLAG)
+
+    def check(
+        self,
+        source: Source,
+        signature: AuthenticationData,
+        heard: RemoteIdHeard,
+        now_s: float,
+        utc_offset_s: float | None,
+    ) -> bool | None:
+        """Whether a signature holds that this frame completed; None where that cannot be said."""
+        if self.verifier is None or source.identity is None:
+            return None
+        utc_s = None if utc_offset_s is None else now_s + utc_offset_s
+        genuine = self.verifier.judge(
+            source.identity, signature, heard.messages, utc_s, source.signed_utc_s, now_s
+        )
+        if genuine:
+            source.signed_utc_s = signature.timestamp_utc_s or source.signed_utc_s
+            if signature.auth_type != MESSAGE_SET_SIGNATURE:
+                # It vouches for the sender; a signed message set only for the Location in it.
+                source.vouched_s = now_s
+        return genuine
+
+    def signature(self, track: Track, genuine: bool) -> None:
+        """A signature that was checked, of an address that feeds the track."""
+        self.note(track, () if genuine else _FORGED_FLAG, _FORGED_FLAG)
+
+    def signer(
+        self, track: Track, source: Source, genuine: bool | None, now_s: float, utc_known: bool
+    ) -> None:
+        """Whether a track whose key is known proves to be its owner; after each update of the track."""
+        if self.verifier is None or not self.verifier.knows(track.identity):
+            return
+        track.vouched_s = max(track.vouched_s, now_s if genuine else source.vouched_s)
+        bad: tuple[Flag, ...] = ()
+        if now_s - track.vouched_s <= self.verifier.fresh_s:
+            bad = (Flag.SIGNED,)
+        elif utc_known and now_s - track.opened_s > self.verifier.fresh_s:
+            bad = (Flag.UNSIGNED,)
+        self.note(track, bad, _SIGNER_FLAGS)
