@@ -11,7 +11,6 @@ from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id import codec
 from companion.remote_id.messages import (
     BasicId,
@@ -23,6 +22,7 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.traffic.tracks import Traffic
 
 LOCATION = Location(

@@ -12,10 +12,11 @@ from typing import Literal
 
 import msgspec
 
+from companion.geometry import Vec3
 from companion.remote_id.messages import Message
 
-Vec3 = tuple[float, float, float]
-"""North, east, down (m or m/s)."""
+SIGMA_UNKNOWN_M = 5.0
+"""Own horizontal standard deviation that is assumed when the receiver declares none."""
 
 
 class Event(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import pymap3d
 
-from companion.events import Vec3
+Vec3 = tuple[float, float, float]
+"""North, east, down."""
 
 _A, _B = 6378137.0, 6356752.31424518
 """Semi-axes of WGS84 (m)."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 from companion.autopilot.dialect import in_mode
 from companion.events import (
+    SIGMA_UNKNOWN_M,
     ClockRead,
     CurrentMode,
     EstimatorState,
@@ -26,13 +27,10 @@ from companion.events import (
     LandedState,
     LocalPosition,
     MissionCurrent,
-    Vec3,
     VehicleTime,
 )
-from companion.geometry import LocalFrame
+from companion.geometry import LocalFrame, Vec3
 
-SIGMA_UNKNOWN_M = 5.0
-"""Own horizontal standard deviation when the receiver declares none."""
 _HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0

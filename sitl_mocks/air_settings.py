@@ -10,8 +10,8 @@ import msgspec
 from msgspec import Meta
 
 from companion.errors import ConfigError
-from companion.radio.radio import WIFI_BEACON, WIFI_NAN
 from companion.remote_id.region import TransportName
+from companion.remote_id.transports import WIFI_BEACON, WIFI_NAN
 from sitl_mocks.channel import parameters as channel_parameters
 from sitl_mocks.channel.air import Channel
 from sitl_mocks.channel.air_analytic import AnalyticChannel

@@ -22,8 +22,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.signing import Signing, timestamp_at
 from companion.autopilot.wire import Frame, MavlinkMessage
 from companion.errors import ConfigError
-from companion.events import Landed, Vec3
-from companion.geometry import LocalFrame
+from companion.events import Landed
+from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle_commands import LATE_S, Command, CommandDesk, read_command
 from sitl_mocks.vehicle_dynamics import STEP_S
 from sitl_mocks.vehicle_flight import Flight

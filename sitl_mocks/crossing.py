@@ -7,8 +7,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.events import RemoteIdHeard, Vec3
-from companion.geometry import LocalFrame
+from companion.events import RemoteIdHeard
+from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
 
 _MEAN_S = 90.0

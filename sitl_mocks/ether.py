@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import pymap3d
 
-from companion.events import Vec3
+from companion.geometry import Vec3
 from companion.radio.frames_io import FrameReceiver
 from companion.remote_id.messages import Location
 from sitl_mocks.channel.air import Channel, Outcome, Transmission

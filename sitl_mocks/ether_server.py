@@ -1,7 +1,7 @@
 """The simulated air as a process: `Ether` behind a UDP socket on loopback (`sitl-mocks ether`).
 
-Datagrams are those of `companion.radio.ether.datagrams`. The process prints "ether on HOST:PORT" when it listens,
-and one JSON line with the statistics when it ends (SIGINT, SIGTERM).
+Datagrams are those of `companion.radio.ether.datagrams`. The process prints "ether on HOST:PORT" when it
+listens, and one JSON line with the statistics when it ends (SIGINT, SIGTERM).
 """
 
 from __future__ import annotations

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import PACK_HEADER_SIZE, encode, read_payload
 from companion.remote_id.frames import build_beacon, build_ble4, build_ble5, build_nan_action
 from companion.remote_id.messages import BasicId, Location, Message, OperatorId, SelfId, System
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 RATES = {BLE4: "BT4_RATE", BLE5: "BT5_RATE", WIFI_BEACON: "WIFI_BCN_RATE", WIFI_NAN: "WIFI_NAN_RATE"}
 BEACON_INTERVAL_S = 0.1024

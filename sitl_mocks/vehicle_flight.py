@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.events import Landed, Vec3
-from companion.geometry import LocalFrame
+from companion.events import Landed
+from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle_dynamics import STEP_S, Body
 from sitl_mocks.vehicle_guidance import HOVER, Homecoming, MissionRunner, Steering
 from sitl_mocks.vehicle_manners import Manners, VehicleMode

@@ -6,8 +6,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.events import Vec3
-from companion.geometry import LocalFrame
+from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle_dynamics import Body
 from sitl_mocks.vehicle_manners import Manners
 from sitl_mocks.vehicle_mission import MissionBook, StoredItem

@@ -11,7 +11,7 @@ import math
 
 import numpy
 
-from companion.events import Vec3
+from companion.geometry import Vec3
 from sitl_mocks.vehicle_options import VehicleOptions
 
 NOISE_STEPS = 5

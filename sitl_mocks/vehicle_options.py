@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from companion.errors import ConfigError
-from companion.events import FenceArea, Firmware, MissionItem, Vec3
+from companion.events import FenceArea, Firmware, MissionItem
 from companion.geofence import check_areas
+from companion.geometry import Vec3
 from sitl_mocks.vehicle_dynamics import Response
 from sitl_mocks.vehicle_manners import MANNERS, Manners, VehicleMode, with_quirks
 from sitl_mocks.vehicle_traffic import CrewedFlight

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import Frame, MavlinkMessage
-from companion.events import Vec3
+from companion.geometry import Vec3
 from companion.remote_id.wire_values import (
     HORIZONTAL_ACCURACY_M,
     SPEED_ACCURACY_MPS,

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.events import Vec3
+from companion.geometry import Vec3
 from sitl_mocks.vehicle_links import SetpointMessage
 from sitl_mocks.vehicle_manners import Manners
 

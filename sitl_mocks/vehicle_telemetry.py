@@ -13,7 +13,8 @@ from collections.abc import Callable, Mapping
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import CURRENT_MODE, MavlinkMessage
-from companion.events import Landed, Vec3
+from companion.events import Landed
+from companion.geometry import Vec3
 from sitl_mocks.vehicle_flight import Flight
 from sitl_mocks.vehicle_links import Payload
 from sitl_mocks.vehicle_manners import Manners, VehicleMode

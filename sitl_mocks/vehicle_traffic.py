@@ -15,8 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkMessage
 from companion.errors import ConfigError
-from companion.events import Vec3
-from companion.geometry import LocalFrame
+from companion.geometry import LocalFrame, Vec3
 
 PERIOD_S = 1.0
 """Of the receiver's reports, and of ArduPilot's list."""

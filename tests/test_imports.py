@@ -15,17 +15,45 @@ FORBIDDEN = {
     "sitl_mocks": {"ground_tools", "torch", "rerun", "matplotlib"},
     "ground_tools": set(),
 }
+ROOMS = [
+    "errors",
+    "toml_reader",
+    "geometry",
+    "remote_id",
+    "events",
+    "geofence",
+    "config",
+    "avoidance",
+    "adjustable_parameters",
+    "autopilot",
+    "ownship",
+    "radio",
+    "broadcast",
+    "traffic",
+    "atmc",
+    "authority",
+    "gate",
+    "decider",
+    "core",
+    "event_record",
+    "system",
+    "replay",
+    "runtime",
+    "commands",
+    "__main__",
+]
+"""Rooms of companion, in the order in which they may know each other: each imports only earlier ones."""
 SOCKETS_AND_CLOCKS = {"socket", "time", "select", "serial", "threading", "subprocess", "random"}
 SHELLS = {
     "companion/runtime",
-    "companion/commands/cli.py",
+    "companion/commands",
     "companion/radio/ether/ether_radio.py",
     "companion/radio/hci/hci_radio.py",
     "companion/radio/hci/channel.py",
     "companion/radio/wifi/hostapd.py",
     "companion/radio/wifi/packet_socket.py",
 }
-"""A radio backend owns its socket (the Transport contract)."""
+"""A radio backend owns its socket (the Radio contract)."""
 
 
 def imported(path: Path) -> set[str]:
@@ -46,24 +74,51 @@ def test_direction_of_import(package):
     assert not wrong
 
 
-@pytest.mark.parametrize(
-    ("room", "closed"),
-    [
-        (
-            "companion/avoidance",
-            ["companion.authority", "companion.core", "companion.runtime", "companion.radio"],
-        ),
-        ("companion/authority", ["companion.core", "companion.runtime", "companion.radio"]),
-    ],
-)
-def test_rooms_of_the_heart(room, closed):
-    """Who flies knows the law; the law knows nothing of who flies, and neither of them the machine."""
-    files = list((ROOT / room).rglob("*.py"))
-    assert files
-    for path in files:
-        names = modules(path)
-        wrong = [name for name in names for bad in closed if name == bad or name.startswith(f"{bad}.")]
-        assert not wrong, path
+def rooms_of(name: str) -> str | None:
+    """The room of companion that a module belongs to."""
+    parts = name.split(".")
+    return parts[1] if parts[0] == "companion" and len(parts) > 1 else None
+
+
+def test_rooms_import_in_one_direction():
+    """A room imports only rooms that stand before it in `ROOMS`."""
+    wrong = []
+    for path in sorted((ROOT / "companion").rglob("*.py")):
+        own = rooms_of(module_name(path))
+        if own is None:
+            continue
+        assert own in ROOMS, f"{path}: a new room needs its place in ROOMS"
+        for name in modules(path):
+            other = rooms_of(name)
+            if other in ROOMS and ROOMS.index(other) > ROOMS.index(own):
+                wrong.append(f"{path.relative_to(ROOT)} imports {name}")
+    assert not wrong
+
+
+def test_every_room_exists():
+    held = {p.stem if p.is_file() else p.name for p in (ROOT / "companion").iterdir()}
+    assert set(ROOMS) <= held
+
+
+def test_no_circle_of_files():
+    paths = [p for package in FORBIDDEN for p in sorted((ROOT / package).rglob("*.py"))]
+    names = {module_name(path): path for path in paths}
+    graph = {name: {m for m in modules(path) if m in names and m != name} for name, path in names.items()}
+    # A package and the modules that it exports know each other.
+    graph = {name: {m for m in found if not name.startswith(f"{m}.")} for name, found in graph.items()}
+    while True:
+        named = set().union(*graph.values()) & graph.keys()
+        done = [name for name, found in graph.items() if name not in named or not found & graph.keys()]
+        if not done:
+            break
+        for name in done:
+            del graph[name]
+    assert not graph, "each of these imports another one of them"
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def modules(path: Path) -> set[str]:

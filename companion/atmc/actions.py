@@ -13,13 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from companion.remote_id.region import Region
+from companion.remote_id.transports import BLE4, BLE5, MAX_RATE, WIFI_BEACON
 
 TRANSPORTS: Final = (BLE4, BLE5, WIFI_BEACON)
 """In the order of every array of this package."""
-MAX_RATE: Final = 10
-"""psi_max: Locations a second."""
 
 Action = tuple[int, int, int]
 """Locations a second on each of `TRANSPORTS`; 0 where it is not used."""

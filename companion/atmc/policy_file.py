@@ -16,9 +16,9 @@ import safetensors
 import safetensors.numpy
 from msgspec import Meta
 
-from companion.atmc.actions import MAX_RATE
 from companion.atmc.networks import Float32s, PolicyError, Tensors
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS, SCHEMA
+from companion.remote_id.transports import MAX_RATE
 
 MAX_BYTES: Final = 1_000_000
 """Of a policy that flies; its file also stands in every event record."""

@@ -30,8 +30,8 @@ from companion.events import (
     Say,
     SetMode,
     Severity,
-    Vec3,
 )
+from companion.geometry import Vec3
 from companion.ownship import Ownship
 
 _NOT_GUARDED = frozenset({Landed.TAKEOFF, Landed.LANDING})

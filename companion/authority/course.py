@@ -6,7 +6,7 @@ import math
 
 from companion.avoidance.law import Law
 from companion.config import LimitsConfig
-from companion.events import Vec3
+from companion.geometry import Vec3
 from companion.ownship import Ownship
 
 LEAST_HEIGHT_M = 15.0

@@ -20,8 +20,8 @@ from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of
 from companion.config import Config, LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Command, MissionDownloaded, MissionItem, Vec3
-from companion.geometry import LocalFrame
+from companion.events import Command, MissionDownloaded, MissionItem
+from companion.geometry import LocalFrame, Vec3
 from companion.ownship import Ownship
 
 _AHEAD_S = 60.0

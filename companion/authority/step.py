@@ -7,7 +7,8 @@ from typing import Protocol
 
 from companion.authority.table import State
 from companion.avoidance.law import LawResult
-from companion.events import Command, Vec3
+from companion.events import Command
+from companion.geometry import Vec3
 
 
 class Cycle(Protocol):

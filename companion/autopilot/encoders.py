@@ -20,7 +20,8 @@ from companion.autopilot.dialect import (
     VELOCITY_YAW_RATE_MASK,
 )
 from companion.autopilot.readers import MAX_ICAO
-from companion.events import Threat, Vec3
+from companion.events import Threat
+from companion.geometry import Vec3
 
 Outgoing = tuple[int, bytes]
 """Message id and payload."""

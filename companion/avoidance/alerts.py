@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 
 from companion.avoidance.law import LawResult, Neighbour, horizon_s, separation_m
 from companion.config import AvoidanceConfig
-from companion.events import AlertChanged, Command, Say, Severity, Threat, Vec3
+from companion.events import AlertChanged, Command, Say, Severity, Threat
+from companion.geometry import Vec3
 
 RAISE_OF, RAISE_IN = 3, 5
 HOLD_S = 8.0

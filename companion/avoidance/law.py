@@ -27,7 +27,8 @@ import numpy as np
 from companion.avoidance import kernels as k
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
-from companion.events import TrackView, Vec3
+from companion.events import TrackView
+from companion.geometry import Vec3
 
 OLDEST_S = 15.0
 """A message older than this says nothing any more."""

@@ -6,9 +6,8 @@ from companion.avoidance.trajectory import Trajectory, check_speeds
 from companion.avoidance.walls import walls_of
 from companion.config import Config, TrajectoryFile
 from companion.errors import ConfigError
-from companion.events import VehicleParameters
+from companion.events import SIGMA_UNKNOWN_M, VehicleParameters
 from companion.geometry import LocalFrame
-from companion.ownship import SIGMA_UNKNOWN_M
 
 
 def local_path(path: TrajectoryFile, frame: LocalFrame, datum_msl_m: float) -> Trajectory:

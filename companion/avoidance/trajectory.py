@@ -18,7 +18,8 @@ from companion.avoidance import kernels
 from companion.avoidance.limits import effective, lower_ones
 from companion.config import LimitsConfig
 from companion.errors import ConfigError
-from companion.events import Vec3, VehicleParameters
+from companion.events import VehicleParameters
+from companion.geometry import Vec3
 
 _TOLERANCE = 1e-3
 """Relative: a leg planned exactly at a limit passes in spite of rounding and of the way distances on the

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 from companion.broadcast.legal_floor import MARGIN, longest_period_s
 from companion.events import Broadcast
-from companion.radio.radio import BLE4
 from companion.remote_id.messages import BasicId, Location, Message, System
 from companion.remote_id.region import Region
+from companion.remote_id.transports import BLE4
 
 GNSS_CYCLE_S = 1.0
 """T_GNSS of the paper."""

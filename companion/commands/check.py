@@ -20,7 +20,7 @@ from companion.autopilot.link import AutopilotLink
 from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
 from companion.commands.preflight import Preflight
-from companion.config import ArduRemoteIdRadio, Config
+from companion.config import ArduRemoteIdRadio, Config, check_identity
 from companion.errors import ConfigError
 from companion.events import (
     DownloadMission,
@@ -38,7 +38,6 @@ from companion.events import (
     VehicleTime,
 )
 from companion.ownship import Ownship
-from companion.remote_id.identity import check_identity
 from companion.runtime import clock
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.no_vehicle import no_vehicle

@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, get_args
 import msgspec
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id import frames
 from companion.remote_id.captures.capture_file import is_capture
 from companion.remote_id.captures.remote_id_frames import CapturedFrame, Kind, read_capture
 from companion.remote_id.codec import Payload, encode, encode_pack, read_payload
 from companion.remote_id.conformance.vectors import Report, check_file
 from companion.remote_id.messages import Location, Message, System
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.wire_values import position_to_wire
 
 if TYPE_CHECKING:

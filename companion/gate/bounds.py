@@ -10,9 +10,9 @@ import math
 from itertools import pairwise
 
 from companion.config import Config
-from companion.events import FenceArea, GlobalPosition, Parameter, Vec3, VehicleParameters
+from companion.events import FenceArea, GlobalPosition, Parameter, VehicleParameters
 from companion.gate.rules import Broken, Rule
-from companion.geometry import LocalFrame
+from companion.geometry import LocalFrame, Vec3
 
 _SLACK_MPS = 1e-3
 """A setpoint travels as 32-bit floats."""

@@ -50,13 +50,13 @@ from companion.events import (
     MissionCurrent,
     Settings,
     TwoAutopilots,
-    Vec3,
     VehicleParameters,
     VehicleTime,
 )
 from companion.gate.bounds import Bounds
 from companion.gate.mandate import Mandate
 from companion.gate.rules import Broken, Rule
+from companion.geometry import Vec3
 
 STALL_S = 0.25
 """A pause in reading the input that is longer than this is a stall: what is read then may be old."""

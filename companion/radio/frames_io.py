@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 
 from companion.errors import PeerDataError
 from companion.events import RemoteIdHeard
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import PACK_MAX_MESSAGES, Payload, encode, encode_pack, read_payload
 from companion.remote_id.frames import (
     Counters,
@@ -26,6 +25,7 @@ from companion.remote_id.frames import (
     parse_wifi_frames,
 )
 from companion.remote_id.messages import Message
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 TRANSPORTS = frozenset((BLE4, BLE5, WIFI_BEACON, WIFI_NAN))
 

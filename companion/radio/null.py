@@ -10,7 +10,7 @@ from companion.remote_id.messages import Message
 
 
 class NullTransport:
-    """A `Transport` without a radio behind it."""
+    """A `Radio` without a radio behind it."""
 
     @property
     def capabilities(self) -> frozenset[str]:

@@ -9,11 +9,6 @@ from typing import Protocol
 from companion.events import RemoteIdHeard
 from companion.remote_id.messages import Message
 
-BLE4 = "ble4"
-BLE5 = "ble5"
-WIFI_BEACON = "wifi"
-WIFI_NAN = "nan"
-
 
 @dataclass(frozen=True, slots=True)
 class Health:
@@ -33,7 +28,7 @@ class Health:
     """What this radio could do with other hardware, rights or settings, one plain sentence each."""
 
 
-class Transport(Protocol):
+class Radio(Protocol):
     """A radio (or several) that sends and hears Remote ID. Implementations own their sockets.
 
     Opening one (its constructor) may take seconds and raises ConfigError; after that nothing blocks, and only

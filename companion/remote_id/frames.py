@@ -23,8 +23,8 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from companion.errors import PeerDataError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import MESSAGE_SIZE, PACK_HEADER_SIZE, PACK_MAX_MESSAGES, PACK_TYPE
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 _SERVICE_DATA: Final = 0x16
 _ASTM_UUID: Final = b"\xfa\xff"

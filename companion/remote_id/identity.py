@@ -16,13 +16,7 @@ No error text repeats a secret character: logs are read by others.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final, Literal
-
-from companion.remote_id.messages import IdType
-
-if TYPE_CHECKING:
-    from companion.config import IdentityConfig, RemoteIdConfig
-    from companion.remote_id.region import Region
+from typing import Final, Literal
 
 Verdict = Literal["valid", "cannot be verified"]
 
@@ -48,7 +42,7 @@ _EU_STATES: Final = frozenset((
 _NUMBER: Final = re.compile("[0-9A-Za-z]{11,}")
 """How a text begins that is meant as an EU operator number, with some mistakes."""
 
-_ON_AIR_MAX: Final = 20
+ON_AIR_MAX: Final = 20
 _REGISTRATION: Final = re.compile("[0-9A-Z.-]+")
 _UUID_BYTES: Final = 16
 _SESSION_BYTES: Final = {1: 1 + 16, 2: 1 + 8}
@@ -139,92 +133,29 @@ def _public_length(length: int) -> int:
     return length if length == PUBLIC_LENGTH else min(PUBLIC_LENGTH, length - _SECRET)
 
 
-def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: Region) -> list[str]:
-    """Check everything that says who we are, as far as the region and the kind of identity ask.
-
-    Returns:
-        What cannot be verified here, a plain sentence each, beginning with the configuration key.
-
-    Raises:
-        ValueError: names the configuration key, what is wrong and what is allowed.
-    """
-    notes: list[str] = []
-    if identity.id_type > IdType.SPECIFIC_SESSION:
-        raise ValueError(f"identity.id_type: {int(identity.id_type)}: allowed are 0 to 4")
-    if identity.id_type is IdType.NONE and region.basic_id_period_s is not None:
-        raise ValueError(f"identity.id_type: 0 says nothing; region {region.name!r} asks for an identity")
-    try:
-        notes += _check_uas_id(identity, region)
-    except ValueError as error:
-        raise ValueError(f"identity.uas_id: {error}") from None
-    if identity.registration_id is not None:
-        try:
-            _check_registration(identity.registration_id)
-        except ValueError as error:
-            raise ValueError(f"identity.registration_id: {error}") from None
-    try:
-        notes += _check_operator_id(remote_id.operator_id, region)
-    except ValueError as error:
-        raise ValueError(f"remote_id.operator_id: {error}") from None
-    if remote_id.self_id is not None and not _is_plain(remote_id.self_id):
-        raise ValueError(f"remote_id.self_id: {remote_id.self_id!r}: printable ASCII is allowed")
-    return notes
-
-
-def _check_uas_id(identity: IdentityConfig, region: Region) -> list[str]:
-    text = identity.uas_id
-    if len(text) > _ON_AIR_MAX:
-        raise ValueError(f"{text!r}: {len(text)} characters; {_ON_AIR_MAX} go on the air")
-    match identity.id_type:
-        case IdType.UTM_ASSIGNED_UUID:
-            _check_uuid(_raw(text))
-        case IdType.SPECIFIC_SESSION:
-            return _check_session(_raw(text))
-        case IdType.SERIAL_NUMBER if region.serial_number == "cta-2063-a":
-            check_serial(text)
-        case IdType.CAA_REGISTRATION:
-            _check_registration(text)
-        case _ if not _is_plain(text):
-            raise ValueError(f"{text!r}: printable ASCII, up to {_ON_AIR_MAX}")
-    return []
-
-
-def _check_operator_id(text: str | None, region: Region) -> list[str]:
-    if text is None:
-        if region.operator_id_required:
-            return [
-                f"remote_id.operator_id: not set; region {region.name!r} asks for it, so the ground station "
-                "must send it"
-            ]
-        return []
-    if region.operator_id == "eu":
-        if check_operator_id_eu(text) == "valid":
-            return []
-        return [
-            f"remote_id.operator_id: {text!r} cannot be verified without its three secret characters: write "
-            f"{text}-xyz with yours for xyz (they are never sent)"
-        ]
-    public = public_operator_id(text)
-    if not _is_plain(public):
-        raise ValueError(f"{public!r}: printable ASCII is allowed")
-    if len(public) > _ON_AIR_MAX:
-        raise ValueError(f"{len(public)} characters; {_ON_AIR_MAX} go on the air")
-    return []
-
-
-def _check_registration(text: str) -> None:
+def check_registration(text: str) -> None:
+    """Check a CAA registration by ASTM F3411-22a. Raises ValueError saying what is allowed."""
     if not _REGISTRATION.fullmatch(text):
         raise ValueError(f"{text!r}: a registration holds capital letters, digits, '.' and '-'")
 
 
-def _check_uuid(data: bytes) -> None:
+def check_uuid(data: bytes) -> None:
+    """Check a UTM-assigned UUID by RFC 9562. Raises ValueError naming the byte."""
     if len(data) != _UUID_BYTES:
         raise ValueError(f"{len(data)} bytes; a UUID has {_UUID_BYTES}")
     if data[8] & 0b1100_0000 != 0b1000_0000:
         raise ValueError(f"byte 9 of the UUID is 0x{data[8]:02x}; RFC 9562 asks for 0x80 to 0xbf there")
 
 
-def _check_session(data: bytes) -> list[str]:
+def check_session(data: bytes) -> list[str]:
+    """Check a specific session id by its type.
+
+    Returns:
+        What cannot be verified here, a plain sentence each.
+
+    Raises:
+        ValueError: names the byte.
+    """
     kind = data[0] if data else 0
     if kind == 0:
         raise ValueError("byte 1, the type of session id, is missing or 0, which is reserved")
@@ -242,7 +173,7 @@ def _check_session(data: bytes) -> list[str]:
     return []
 
 
-def _raw(text: str) -> bytes:
+def raw_bytes(text: str) -> bytes:
     """The bytes that `BasicId.uas_id` stands for."""
     try:
         return text.encode("latin-1")
@@ -250,7 +181,8 @@ def _raw(text: str) -> bytes:
         raise ValueError(f"character {error.start + 1} is beyond U+00FF: one character is one byte") from None
 
 
-def _is_plain(text: str) -> bool:
+def is_printable_ascii(text: str) -> bool:
+    """Whether every character of a text is printable ASCII."""
     return text.isascii() and text.isprintable()
 
 

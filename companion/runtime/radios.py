@@ -21,9 +21,10 @@ from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.radio.hci.hci_radio import HciTransport
 from companion.radio.null import NullTransport
-from companion.radio.radio import WIFI_BEACON, Health, Transport
+from companion.radio.radio import Health, Radio
 from companion.radio.wifi.wifi_radio import WifiTransport
 from companion.remote_id.messages import Message
+from companion.remote_id.transports import WIFI_BEACON
 from companion.runtime import clock
 from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.open_link import open_link
@@ -41,7 +42,7 @@ class _ModuleLink:
         return self._link.receive(now_s).data
 
 
-def open_radio(entry: RadioConfig, name: str) -> Transport:
+def open_radio(entry: RadioConfig, name: str) -> Radio:
     """One radio, open.
 
     Args:
@@ -88,7 +89,7 @@ class Radios:
         self._places: list[int] = []
         """In the configuration, of each that is open."""
         self._state: RadioState | None = None
-        self.radios: list[Transport] = []
+        self.radios: list[Radio] = []
         try:
             for number, entry in enumerate(config.radio):
                 try:

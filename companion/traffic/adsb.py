@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass
 
 from companion.avoidance.law import Neighbour
-from companion.events import AdsbVehicle, Vec3
-from companion.geometry import LocalFrame
+from companion.events import AdsbVehicle
+from companion.geometry import LocalFrame, Vec3
 from companion.traffic.right_of_way import CREWED, FREE, share_of
 
 SIGMA_M = 15.0

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.events import Vec3
-from companion.geometry import LocalFrame
+from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import Location
 
 SIGMA_UNKNOWN_M = 5.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.atmc.actions import MAX_RATE
+from companion.remote_id.transports import MAX_RATE
 
 HEARD_S = 3.0
 """A transport on which a sender was silent for longer is not counted as used, in training as aboard."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.avoidance import kernels
-from companion.events import Vec3
+from companion.geometry import Vec3
 from companion.remote_id.messages import Location
 from companion.traffic.fix import Fix
 from companion.traffic.plausibility import Doubts, Flag, MotionWindow, noise_m

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from companion.avoidance.kernels import T_GROWTH, silent_after
 from companion.avoidance.law import Neighbour
 from companion.config import TrafficConfig
-from companion.events import RemoteIdHeard, TrackFlagged, Vec3
-from companion.geometry import LocalFrame
+from companion.events import RemoteIdHeard, TrackFlagged
+from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.authentication import Assembler, Verifier
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, UaType
 from companion.traffic.doubts import Judge

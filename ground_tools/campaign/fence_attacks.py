@@ -16,8 +16,8 @@ from companion.avoidance import walls
 from companion.avoidance.law import Neighbour
 from companion.avoidance.trajectory import Trajectory
 from companion.config import LimitsConfig
-from companion.events import FenceArea, Vec3
-from companion.geometry import LocalFrame
+from companion.events import FenceArea
+from companion.geometry import LocalFrame, Vec3
 from ground_tools.campaign.outcome import beyond
 from ground_tools.campaign.world import World
 

@@ -38,10 +38,10 @@ from companion.events import (
     GlobalPosition,
     RemoteIdHeard,
     TrackView,
-    Vec3,
     VehicleTime,
     VelocitySetpoint,
 )
+from companion.geometry import Vec3
 from companion.radio.frames_io import radio_address
 from companion.remote_id.messages import Location
 from companion.runtime.record.recorder import EventFile, create_run_folder, write_json, write_manifest

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from companion.avoidance.law import Law, LawResult, Situation
 from companion.config import TrafficConfig
-from companion.events import RemoteIdHeard, Vec3
-from companion.geometry import LocalFrame
+from companion.events import RemoteIdHeard
+from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.traffic.tracks import Traffic
 from ground_tools.campaign import outcome, vehicles

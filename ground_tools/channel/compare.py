@@ -15,7 +15,7 @@ import os
 import signal
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -27,6 +27,7 @@ from rich.table import Table
 
 from companion.errors import ConfigError
 from ground_tools.channel import compare_plot, options
+from ground_tools.channel.comparison import VARIANTS, Case, Row
 from ground_tools.channel.options import SIDES_M, UAVS
 from ground_tools.channel.progress import progress
 from ground_tools.figure import drawn
@@ -35,100 +36,16 @@ from sitl_mocks.channel.analytic import Analytic, fixed_mode, system_delay_s
 from sitl_mocks.channel.delay import single_link_s
 from sitl_mocks.channel.events import Result, simulate
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions
-from sitl_mocks.channel.packet_timing import PAPER, REAL, Assumptions
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
 
 Floats = NDArray[np.float64]
 
-_EXACT = replace(PAPER, slotted=False)
-_NOT_LISTENING = replace(REAL, carrier_sense=False)
-_RUNNING_ON = replace(_EXACT, advertiser="standard", phases="free")
-VARIANTS: dict[str, dict[str, Assumptions]] = {
-    "link": {
-        "as the equations": PAPER,
-        "exact time": _EXACT,
-        "phases run on": _RUNNING_ON,
-        "phases run on, clocks drift": replace(_RUNNING_ON, clock_ppm=REAL.clock_ppm),
-        "real radios": REAL,
-    },
-    "collision": {
-        "as the equations": PAPER,
-        "exact time": _EXACT,
-        "deaf while sending": replace(_EXACT, half_duplex=True),
-        "real radios, no carrier sense": _NOT_LISTENING,
-        "real radios": REAL,
-        "real radios, capture 6 dB": replace(REAL, capture_db=6.0),
-    },
-    "fleet": {
-        "as the equations": PAPER,
-        "real radios, no carrier sense": _NOT_LISTENING,
-        "real radios": REAL,
-    },
-}
-"""Assumptions of the packet-by-packet simulator in each study, from the paper's to the standards'."""
 BEST_RATES = {"ble4": 9, "ble5": 10, "wifi": 10}
 DENSE_M = 100.0
 FLEETS = (10, 30, 100)
 RECEIVERS = 200
 _Z = 1.96
 _TABLE_WIDTH = 170
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """What is compared."""
-
-    study: str
-    variant: str
-    mode: str
-    rate: int
-    uavs: int
-    side_m: float | None = None
-
-    @property
-    def assumptions(self) -> Assumptions:
-        """Those of the packet-by-packet simulator."""
-        return VARIANTS[self.study][self.variant]
-
-    @property
-    def column(self) -> int:
-        """Of the mode."""
-        return MODES.index(self.mode)
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One comparison. Delays in ms, losses as shares; intervals of 95 %."""
-
-    case: Case
-    quantity: str
-    equations: float
-    """The paper's."""
-    equations_random: float
-    """The same with Bluetooth events at random phases (`BleParameters.schedule`)."""
-    packets: float
-    packets_low: float
-    packets_high: float
-    never_heard: float
-    """Share of the pairs in range that heard nothing in the whole run; they are left out of a mean delay."""
-    waiting: float
-    """Share of the counted samples that still waited at the end: above 0, the delay is a lower bound."""
-
-    @property
-    def ratio(self) -> float:
-        """Packets over equations."""
-        return self.packets / self.equations if self.equations else math.nan
-
-    @property
-    def ratio_random(self) -> float:
-        """Packets over equations with random phases."""
-        return self.packets / self.equations_random if self.equations_random else math.nan
-
-    def as_dict(self) -> dict[str, object]:
-        """For JSON: what is not finite is null."""
-        fields = asdict(self)
-        flat = {**fields.pop("case"), **fields, "ratio": self.ratio, "ratio_random": self.ratio_random}
-        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in flat.items()}
 
 
 @dataclass(frozen=True, slots=True)

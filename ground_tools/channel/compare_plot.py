@@ -5,14 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ground_tools.channel.comparison import Row
 from ground_tools.channel.fixed_modes import NAMES
 from ground_tools.channel.plot import COLOURS
 from sitl_mocks.channel.parameters import MODES
-
-if TYPE_CHECKING:
-    from ground_tools.channel.compare import Row
 
 SIZE_IN = (19.0, 6.4)
 _EQUAL, _REAL = "as the equations", "real radios"

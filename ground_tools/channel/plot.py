@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from companion.errors import ConfigError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools.channel import options
 from ground_tools.channel.fixed_modes import Reading, Row, batches_of, evaluate, name_of
 from ground_tools.channel.progress import progress

@@ -15,7 +15,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from companion.errors import ConfigError
-from companion.events import MissionItem, Vec3
+from companion.events import MissionItem
+from companion.geometry import Vec3
 from ground_tools.fly import missions
 from ground_tools.fly.fleet import Fleet
 from ground_tools.fly.vehicle import Vehicle, VehicleError, load_mavsdk

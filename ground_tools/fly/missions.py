@@ -19,8 +19,8 @@ import msgspec
 
 from companion.autopilot.lists.mission import DO_CHANGE_SPEED, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF, NAV_WAYPOINT
 from companion.errors import ConfigError
-from companion.events import MissionItem, Vec3
-from companion.geometry import LocalFrame
+from companion.events import MissionItem
+from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.lockstep import paths_of
 from sitl_mocks.settings import Scenario
 

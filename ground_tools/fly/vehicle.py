@@ -27,7 +27,8 @@ from companion.autopilot.dialect import (
     refusal,
 )
 from companion.errors import ConfigError
-from companion.events import Firmware, FlightMode, MissionItem, Vec3
+from companion.events import Firmware, FlightMode, MissionItem
+from companion.geometry import Vec3
 from ground_tools.fly.missions import difference
 
 ARM_DISARM = 400

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
-from companion.events import Heartbeat, Landed, LandedState, Vec3
+from companion.events import Heartbeat, Landed, LandedState
+from companion.geometry import Vec3
 from ground_tools.inspect.read_run import AircraftRecord, Run
 from ground_tools.inspect.spill import BLOCK, release, spilled
 from ground_tools.inspect.timeline import TimeLine, time_line

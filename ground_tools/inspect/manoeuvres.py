@@ -18,14 +18,8 @@ from companion.authority.table import HOLDING, State
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.event_record import Step
-from companion.events import (
-    AuthorityChanged,
-    Decision,
-    FenceDownloaded,
-    Settings,
-    Vec3,
-    VehicleParameters,
-)
+from companion.events import AuthorityChanged, Decision, FenceDownloaded, Settings, VehicleParameters
+from companion.geometry import Vec3
 from companion.ownship import Ownship
 from ground_tools.inspect.read_run import AircraftRecord
 from ground_tools.inspect.why import Alternative, Explainer, HalfSpace, Look

@@ -41,10 +41,10 @@ from companion.events import (
     TrackView,
     TransportsChosen,
     TwoAutopilots,
-    Vec3,
     VehicleText,
     VelocitySetpoint,
 )
+from companion.geometry import Vec3
 from companion.remote_id.messages import BasicId, Location
 from ground_tools.inspect.flown import Array, from_frame, to_ned
 from ground_tools.inspect.modes import mode_name

@@ -19,7 +19,8 @@ import pymap3d
 from companion.autopilot.encoders import AUTOPILOT_COMPONENT
 from companion.errors import ConfigError
 from companion.event_record import Step
-from companion.events import Decision, Heartbeat, Vec3
+from companion.events import Decision, Heartbeat
+from companion.geometry import Vec3
 from ground_tools.inspect import align, manoeuvres
 from ground_tools.inspect.blueprint import Look, blueprint, comparison, nearest_m
 from ground_tools.inspect.flown import (

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.config import AvoidanceConfig, Config
-from companion.events import Vec3
+from companion.geometry import Vec3
 from ground_tools.inspect.flown import Array, Separation
 
 PIECE_S = 600.0

@@ -17,7 +17,8 @@ import numpy as np
 import pymap3d
 
 from companion.errors import ConfigError
-from companion.events import AdsbVehicle, AnyEvent, RemoteIdHeard, Vec3
+from companion.events import AdsbVehicle, AnyEvent, RemoteIdHeard
+from companion.geometry import Vec3
 from companion.remote_id.messages import Location
 from ground_tools.inspect.flown import TRUE, Array, Flown, Separation, fixes_of, to_ned
 from ground_tools.inspect.manoeuvres import Manoeuvre

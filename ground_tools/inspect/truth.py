@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.errors import PeerDataError
-from companion.events import Vec3
+from companion.geometry import Vec3
 from sitl_mocks.lockstep import HOME
 
 ORIGIN: Vec3 = (HOME.lat_deg, HOME.lon_deg, HOME.alt_m)

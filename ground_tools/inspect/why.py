@@ -41,8 +41,8 @@ from companion.avoidance.limits import effective
 from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of
 from companion.config import AvoidanceConfig, Config
-from companion.events import Decision, FenceArea, TrackView, Vec3, VehicleParameters
-from companion.geometry import LocalFrame
+from companion.events import Decision, FenceArea, TrackView, VehicleParameters
+from companion.geometry import LocalFrame, Vec3
 from companion.traffic.right_of_way import CREWED, FREE, share_of
 
 KEPT_MPS = k.SLACK_MPS

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from companion.radio.radio import BLE4, WIFI_BEACON
+from companion.remote_id.transports import BLE4, WIFI_BEACON
 from ground_tools.channel.fixed_modes import Row
 from ground_tools.channel.options import SIDES_M
 from ground_tools.channel.plot import COLOURS

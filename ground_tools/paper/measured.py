@@ -24,7 +24,7 @@ from ground_tools.atmc.paper_task import paper_objective
 from ground_tools.atmc.search import search
 from ground_tools.atmc.world import SIDES_M, WorldSettings
 from ground_tools.channel.options import UAVS
-from ground_tools.paper.methods import DENSITIES, SET, Delays
+from ground_tools.paper.delays import DENSITIES, SET, Delays
 from sitl_mocks.channel.parameters import MODES
 
 _CHUNK: Final = 500

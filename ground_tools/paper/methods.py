@@ -16,34 +16,15 @@ import numpy as np
 
 from ground_tools.atmc.results import NAMES, Results, Run
 from ground_tools.atmc.torch_setup import set_up_torch
-from ground_tools.channel.options import SIDES_M
 from ground_tools.paper.convergence import iqm, resampled
-from ground_tools.paper.study import LARGE_M, SMALL_M
+from ground_tools.paper.delays import SET, Delays
 
 POLICIES: Final = Path(__file__).parents[2] / "config" / "policies"
-SET: Final = "set"
-"""Key of the set network."""
 SET_POLICY: Final = POLICIES / "paper-set.safetensors"
 """The set network that was trained for the paper's objective."""
 LEARNERS: Final = ("madqn", "maddpg", "iac")
 """That the paper compares."""
-DENSITIES: Final = {"high": SMALL_M, "low": LARGE_M, "dynamic": SIDES_M}
 _KEYS: Final = {"high": "high_ms", "low": "low_ms", "dynamic": "delay_ms"}
-
-
-@dataclass(frozen=True, slots=True)
-class Delays:
-    """What was measured of one method."""
-
-    key: str
-    name: str
-    """For people."""
-    rate: int | str
-    """Messages in a GNSS period; "-" where it changes."""
-    system: dict[str, tuple[float, float]]
-    """System delay and its standard error (ms), by density."""
-    uav_ms: tuple[float, ...]
-    """Of each aircraft, dynamic density."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from companion.radio.radio import BLE4
+from companion.remote_id.transports import BLE4
 from ground_tools.channel import plot
 from ground_tools.channel.fixed_modes import Row
 from ground_tools.channel.options import SIDES_M

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools.channel.fixed_modes import Reading, Row, Settings, batches_of, evaluate, name_of
 from ground_tools.channel.options import SIDES_M, UAVS
 from sitl_mocks.channel.parameters import MODES, ChannelParameters, max_rates

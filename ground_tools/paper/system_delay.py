@@ -13,23 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools.atmc.results import CONVERGENCE, Results, read
 from ground_tools.channel import plot
 from ground_tools.figure import drawn
 from ground_tools.paper import convergence, fixed_modes
-from ground_tools.paper.methods import (
-    DENSITIES,
-    LEARNERS,
-    SET,
-    SET_POLICY,
-    Delays,
-    Learner,
-    absent,
-    learner,
-    measured,
-    not_measured,
-)
+from ground_tools.paper.delays import DENSITIES, SET, Delays
+from ground_tools.paper.methods import LEARNERS, SET_POLICY, Learner, absent, learner, measured, not_measured
 from ground_tools.paper.report import Comparison, Report, Statement
 
 PUBLISHED_MS: Final = {**fixed_modes.PUBLISHED_MS, **convergence.PUBLISHED_MS}

@@ -12,11 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools.atmc.results import CONVERGENCE, NAMES, Results, Run, read
 from ground_tools.channel.options import UAVS
 from ground_tools.figure import drawn
-from ground_tools.paper.methods import LEARNERS, SET_POLICY, Delays, best_run, measured, not_measured
+from ground_tools.paper.delays import Delays
+from ground_tools.paper.methods import LEARNERS, SET_POLICY, best_run, measured, not_measured
 from ground_tools.paper.report import Comparison, Report, Statement
 from ground_tools.paper.system_delay import COLOURS
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.radio.radio import BLE5, WIFI_BEACON
+from companion.remote_id.transports import BLE5, WIFI_BEACON
 from sitl_mocks.channel.air import Decisions, Outcome, Transmission
 from sitl_mocks.channel.air_links import AirLinks, mode_of
 from sitl_mocks.channel.collision import background_survival, shares_of

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from companion.radio.radio import WIFI_BEACON, WIFI_NAN
+from companion.remote_id.transports import WIFI_BEACON, WIFI_NAN
 from sitl_mocks.channel.link_budget import path_loss_db, thresholds_db
 from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameters
 

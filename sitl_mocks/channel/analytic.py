@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.errors import ConfigError
-from companion.radio.radio import WIFI_BEACON
+from companion.remote_id.transports import WIFI_BEACON
 from sitl_mocks.channel import carrier_sense
 from sitl_mocks.channel.collision import background_survival, survival
 from sitl_mocks.channel.delay import mean_delay_s, terms_of

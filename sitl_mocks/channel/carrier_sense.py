@@ -32,7 +32,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.radio.radio import BLE5, WIFI_BEACON
+from companion.remote_id.transports import BLE5, WIFI_BEACON
 from sitl_mocks.channel.delay import TRIES, Terms, mean_delay_s
 from sitl_mocks.channel.link_budget import Bools, Indices, Links
 from sitl_mocks.channel.parameters import (

@@ -23,7 +23,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.radio.radio import BLE4, BLE5
+from companion.remote_id.transports import BLE4, BLE5
 from sitl_mocks.channel.parameters import ChannelParameters, Slots, check_rate
 from sitl_mocks.channel.reception import event_period, matching_packets, meeting_chances, scan_of
 

@@ -15,7 +15,7 @@ from typing import Final, Literal
 import msgspec
 
 from companion.errors import ConfigError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from companion.toml_reader import decode_toml
 
 MODES: Final = (BLE4, BLE5, WIFI_BEACON)

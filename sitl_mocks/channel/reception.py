@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.radio.radio import BLE4, BLE5
+from companion.remote_id.transports import BLE4, BLE5
 from sitl_mocks.channel.parameters import ChannelParameters, Slots, check_rate
 
 Integers = NDArray[np.int64]

@@ -11,8 +11,8 @@ import pytest
 
 from companion.config import ArduRemoteIdRadio
 from companion.errors import ConfigError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from companion.remote_id.messages import BasicId, IdType, Location, Status, System, UaType
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from companion.runtime.radios import open_radio
 
 PATIENCE_S = 60.0

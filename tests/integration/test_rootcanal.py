@@ -14,7 +14,6 @@ from companion.events import RemoteIdHeard
 from companion.radio.frames_io import FrameSender
 from companion.radio.hci.hci_radio import HciTransport
 from companion.radio.hci.packets import HciCommand, Opcode
-from companion.radio.radio import BLE4, BLE5
 from companion.remote_id.messages import (
     Authentication,
     BasicId,
@@ -25,6 +24,7 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
+from companion.remote_id.transports import BLE4, BLE5
 
 GENEROUS_S = 30.0
 A, B, C = "c2:01:02:03:04:0a", "c2:01:02:03:04:0b", "c2:01:02:03:04:0c"

@@ -17,8 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.config import TrajectoryFile, Waypoint
 from companion.errors import ConfigError
-from companion.events import MissionItem, Vec3
-from companion.geometry import LocalFrame
+from companion.events import MissionItem
+from companion.geometry import LocalFrame, Vec3
 
 NAV_WAYPOINT = 16
 NAV_LOITER_UNLIM = 17

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from companion.events import Vec3
+from companion.geometry import Vec3
 
 LEAST_MPS = 1.0
 """Horizontal; slower, the direction of a velocity says little and the nose would spin in hover."""

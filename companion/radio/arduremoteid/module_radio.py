@@ -22,7 +22,7 @@ import msgspec
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
 from companion.radio.arduremoteid.module_messages import PARAMETERS, SILENT_AFTER_S, ByteLink, Module
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN, Health
+from companion.radio.radio import Health
 from companion.remote_id.mavlink import COMPONENT_ID, encode_odid
 from companion.remote_id.messages import (
     Authentication,
@@ -34,6 +34,7 @@ from companion.remote_id.messages import (
     Status,
     System,
 )
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 RATES: Final = {BLE4: "BT4_RATE", BLE5: "BT5_RATE", WIFI_BEACON: "WIFI_BCN_RATE", WIFI_NAN: "WIFI_NAN_RATE"}
 MAX_RATE: Final = 5
@@ -80,7 +81,7 @@ class _Feed(NamedTuple):
 
 
 class ArduRemoteIdTransport:
-    """A `Transport` whose radio is such a module.
+    """A `Radio` whose radio is such a module.
 
     Args:
         link: the module's own; closed with this. On a failure to open it is closed too.

@@ -24,7 +24,7 @@ import struct
 from dataclasses import dataclass
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 MAX_DATAGRAM = 1100
 MAX_NAME_BYTES = 80

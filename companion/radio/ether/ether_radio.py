@@ -19,7 +19,7 @@ _SILENT_AFTER_S = 3 * datagrams.JOIN_PERIOD_S
 
 
 class EtherTransport:
-    """A `Transport` whose radio is a client of the simulated air.
+    """A `Radio` whose radio is a client of the simulated air.
 
     Args:
         endpoint: "HOST:PORT" of the air (config key radio.address).

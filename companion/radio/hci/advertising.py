@@ -14,7 +14,7 @@ from typing import Final
 
 from companion.radio.hci import packets
 from companion.radio.hci.packets import HciCommand, Status, status_words
-from companion.radio.radio import BLE4, BLE5
+from companion.remote_id.transports import BLE4, BLE5
 
 NAMES: Final = {BLE4: "BLE 4", BLE5: "BLE 5 Long Range"}
 

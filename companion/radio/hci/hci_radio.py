@@ -22,8 +22,9 @@ from companion.radio.hci.advertising import NAMES, HciCounts
 from companion.radio.hci.channel import READ_SIZE, Channel, open_channel
 from companion.radio.hci.reports import HeardFrame
 from companion.radio.hci.session import HciSession
-from companion.radio.radio import BLE5, Health
+from companion.radio.radio import Health
 from companion.remote_id.messages import Message
+from companion.remote_id.transports import BLE5
 
 _MAX_FRAMES: Final = 64
 """Frames read per call of `heard`: a flood must not hold up the loop."""
@@ -94,7 +95,7 @@ class _Link:
 
 
 class HciTransport:
-    """A `Transport` whose radio is a Bluetooth controller that no other software uses.
+    """A `Radio` whose radio is a Bluetooth controller that no other software uses.
 
     Args:
         channel: user:NUMBER, uart:DEVICE:BAUD or tcp:HOST:PORT (config key radio.channel).

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from companion.radio.hci.controller_events import DataStatus, Report
 from companion.radio.hci.packets import address_text
-from companion.radio.radio import BLE4, BLE5
+from companion.remote_id.transports import BLE4, BLE5
 
 _REMOTE_ID_HEAD = b"\x16\xfa\xff\x0d"
 """Service data of ASTM's Remote ID: what does not hold it is somebody else's advertisement."""

@@ -13,8 +13,8 @@ from companion.errors import PeerDataError
 from companion.radio.hci import packets
 from companion.radio.hci.advertising import NAMES, LegacyCommands, SetCommands
 from companion.radio.hci.packets import HciCommand, Opcode, Phy, status_words
-from companion.radio.radio import BLE4, BLE5
 from companion.remote_id.codec import MESSAGE_SIZE, PACK_HEADER_SIZE, PACK_MAX_MESSAGES
+from companion.remote_id.transports import BLE4, BLE5
 
 _BLE5_OVERHEAD: Final = 6 + PACK_HEADER_SIZE
 """Advertising data around the messages of a pack."""

@@ -20,13 +20,14 @@ from companion.config import WifiRadio
 from companion.errors import ConfigError, PeerDataError
 from companion.events import RemoteIdHeard
 from companion.radio.frames_io import FrameReceiver, FrameSender
-from companion.radio.radio import WIFI_BEACON, WIFI_NAN, Health
+from companion.radio.radio import Health
 from companion.radio.wifi.hostapd import HostapdControl
 from companion.radio.wifi.packet_socket import PacketSocket, channel_of
 from companion.remote_id.captures.radiotap import build_radiotap, parse_radiotap
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import Counters, build_nan_sync_beacon, build_vendor_element
 from companion.remote_id.messages import Message
+from companion.remote_id.transports import WIFI_BEACON, WIFI_NAN
 
 SYNC_PERIOD_S: Final = 512 * 1024e-6
 """NAN: a synchronisation beacon every 512 TU."""
@@ -47,7 +48,7 @@ _Part = TypeVar("_Part", HostapdControl, PacketSocket)
 
 
 class WifiTransport:
-    """A `Transport` of one Wi-Fi card.
+    """A `Radio` of one Wi-Fi card.
 
     Args:
         config: its parts; each of them that cannot be opened is told of in `health`.

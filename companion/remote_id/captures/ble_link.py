@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from companion.errors import PeerDataError
-from companion.radio.radio import BLE4, BLE5
 from companion.remote_id.frames import NotRemoteIdError
+from companion.remote_id.transports import BLE4, BLE5
 
 _ADVERTISING_ACCESS: Final = b"\xd6\xbe\x89\x8e"
 _CRC_SIZE: Final = 3

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import BinaryIO, Final, NamedTuple
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio.radio import WIFI_NAN
 from companion.remote_id.captures.ble_link import (
     Sniffed,
     advertisement,
@@ -31,6 +30,7 @@ from companion.remote_id.frames import (
     parse_wifi_frames,
 )
 from companion.remote_id.messages import Message
+from companion.remote_id.transports import WIFI_NAN
 
 
 class Kind(enum.Enum):

@@ -21,7 +21,6 @@ from typing import Final
 import msgspec
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id import frames
 from companion.remote_id.codec import (
     MESSAGE_SIZE,
@@ -45,6 +44,7 @@ from companion.remote_id.conformance.vector_fields import (
     text_of,
 )
 from companion.remote_id.messages import Message
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 _RAW: Final = "raw"
 """Type of a pack's part that is no message of the standard: only its bytes are given."""

@@ -10,7 +10,8 @@ from companion.authority.table import State
 from companion.avoidance.alerts import Level
 from companion.avoidance.law import Neighbour
 from companion.core import Companion
-from companion.events import Decision, Vec3
+from companion.events import Decision
+from companion.geometry import Vec3
 from companion.runtime.status.status_socket import MOST_TRACKS, TrackStatus
 
 

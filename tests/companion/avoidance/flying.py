@@ -15,8 +15,8 @@ import numpy as np
 from companion.avoidance import kernels as k
 from companion.avoidance.law import Law, LawResult, Neighbour, Situation
 from companion.avoidance.walls import _walls
-from companion.events import FenceArea, Vec3
-from companion.geometry import LocalFrame
+from companion.events import FenceArea
+from companion.geometry import LocalFrame, Vec3
 
 STEP_S, PERIOD_S, LAG_S = 0.1, 0.2, 0.5
 NOISE_MEMORY_S = 30.0

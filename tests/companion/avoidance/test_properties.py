@@ -17,7 +17,7 @@ from companion.avoidance import kernels as k
 from companion.avoidance.law import Law, LawResult, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
-from companion.events import Vec3
+from companion.geometry import Vec3
 from tests.companion.avoidance.flying import circle, polygon
 
 LAWS = ("dmuca", "paper", "none")

@@ -18,10 +18,9 @@ from companion.events import (
     Heartbeat,
     Landed,
     LandedState,
-    Vec3,
 )
 from companion.gate.gate import Gate
-from companion.geometry import LocalFrame
+from companion.geometry import LocalFrame, Vec3
 
 HOME = LocalFrame(47.397, 8.545, 400.0)
 EXTERNAL, MISSION, HOLD, STICKS, OTHER = (

@@ -15,7 +15,7 @@ from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
 from companion.radio.arduremoteid.module_messages import Module
 from companion.radio.arduremoteid.module_radio import RATES, ArduRemoteIdTransport
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN, Health
+from companion.radio.radio import Health
 from companion.remote_id.messages import (
     Authentication,
     BasicId,
@@ -28,6 +28,7 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
 
 STORED = {"UAS_TYPE": 2.0, "UAS_ID_TYPE": 1.0}

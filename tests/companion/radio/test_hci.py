@@ -19,8 +19,8 @@ from companion.radio.frames_io import FrameSender, radio_address
 from companion.radio.hci import hci_radio, session
 from companion.radio.hci.hci_radio import HciTransport
 from companion.radio.hci.session import HciSession
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, SelfId, UaType
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from companion.runtime.radios import open_radio
 from tests.companion.radio.hci_controller import (
     CODED,

@@ -12,7 +12,6 @@ from companion.radio.frames_io import FrameSender
 from companion.radio.hci.advertising import FrameQueue, HciCounts
 from companion.radio.hci.reports import HeardFrame
 from companion.radio.hci.session import HciSession
-from companion.radio.radio import BLE4, BLE5
 from companion.remote_id.messages import (
     Authentication,
     BasicId,
@@ -23,6 +22,7 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
+from companion.remote_id.transports import BLE4, BLE5
 from tests.companion.radio.hci_controller import (
     CODED,
     DATA,

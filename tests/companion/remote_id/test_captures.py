@@ -25,7 +25,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import ConfigError, PeerDataError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.captures.remote_id_frames import CapturedFrame, Kind, read_capture
 from companion.remote_id.codec import decode_pack, encode, encode_pack
 from companion.remote_id.conformance.vector_fields import as_received, message_of
@@ -38,6 +37,7 @@ from companion.remote_id.frames import (
     build_vendor_element,
 )
 from companion.remote_id.messages import Location, OperatorId, SelfId
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 # ---------------------------------------------------------------- real ones
 

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import PeerDataError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 from companion.remote_id.codec import decode, decode_pack, decode_payload, encode, encode_pack, read_payload
 from companion.remote_id.frames import (
     Counters,
@@ -38,6 +37,7 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 ADDRESS = "02:00:5e:10:20:30"
 TEXT = SelfId(description_type=0, text="survey")

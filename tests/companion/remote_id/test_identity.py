@@ -11,13 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.config import IdentityConfig, RemoteIdConfig
-from companion.remote_id.identity import (
-    check_identity,
-    check_operator_id_eu,
-    check_serial,
-    public_operator_id,
-)
+from companion.config import IdentityConfig, RemoteIdConfig, check_identity
+from companion.remote_id.identity import check_operator_id_eu, check_serial, public_operator_id
 from companion.remote_id.messages import IdType
 from companion.remote_id.region import Region
 

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from companion.errors import PeerDataError
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender
-from companion.radio.radio import BLE4
 from companion.remote_id.codec import decode, decode_pack, decode_payload, encode, encode_pack, read_payload
 from companion.remote_id.frames import Frame, parse_frame
 from companion.remote_id.messages import (
@@ -34,6 +33,7 @@ from companion.remote_id.messages import (
     System,
     UaType,
 )
+from companion.remote_id.transports import BLE4
 
 EPOCH = 1546300800.0
 HORIZONTAL_M = (None, 18520.0, 7408.0, 3704.0, 1852.0, 926.0, 555.6, 185.2, 92.6, 30.0, 10.0, 3.0, 1.0)

@@ -32,7 +32,7 @@ from companion.events import (
 )
 from companion.radio.arduremoteid.module_radio import ArduRemoteIdTransport
 from companion.radio.frames_io import radio_address
-from companion.radio.radio import Transport
+from companion.radio.radio import Radio
 from companion.radio.wifi import wifi_radio
 from companion.radio.wifi.hostapd import ApStatus
 from companion.radio.wifi.wifi_radio import WifiTransport
@@ -179,7 +179,7 @@ def both(
     ) -> tuple[list[str], list[str]]:
         left: list[Any] = []
 
-        def open_radio(*_: object) -> Transport:
+        def open_radio(*_: object) -> Radio:
             part = left.pop(0)
             if isinstance(part, Exception):
                 raise part

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from ground_tools.channel import compare
-from ground_tools.channel.compare import VARIANTS, Case, Effort, row_of
+from ground_tools.channel.compare import Effort, row_of
+from ground_tools.channel.comparison import VARIANTS, Case, Row
 from ground_tools.cli import main
 from sitl_mocks.channel.parameters import ChannelParameters
 
@@ -90,9 +91,7 @@ def test_the_command_prints_rows_and_draws(monkeypatch, capsys, tmp_path):
 
 def test_tables_in_a_pipe_hold_whole_numbers(monkeypatch, capsys):
     names = Case("fleet", "real radios, capture 6 dB", "wifi", 10, 100, 10_000.0)
-    row = compare.Row(
-        names, "system_delay_ms", 19_001.0, 18_002.0, 19_503.0, 19_000.0, 20_000.0, 0.015, 0.001
-    )
+    row = Row(names, "system_delay_ms", 19_001.0, 18_002.0, 19_503.0, 19_000.0, 20_000.0, 0.015, 0.001)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setattr(compare, "compare", lambda *_: [row])
     assert main(["channel", "compare"]) == 0
@@ -103,7 +102,7 @@ def test_tables_in_a_pipe_hold_whole_numbers(monkeypatch, capsys):
 
 
 def test_tables_explain_their_columns_and_hold_no_nan(monkeypatch, capsys):
-    nobody = compare.Row(
+    nobody = Row(
         Case("fleet", "as the equations", "ble4", 9, 10, 10_000.0),
         "system_delay_ms",
         *(0.0, 0.0, 0.0, 0.0, 0.0),

@@ -28,11 +28,10 @@ from companion.events import (
     Say,
     Severity,
     TrackView,
-    Vec3,
     VehicleText,
     VehicleTime,
 )
-from companion.geometry import LocalFrame
+from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import Location
 
 HOME = LocalFrame(47.397, 8.545, 400.0)

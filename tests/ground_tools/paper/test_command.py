@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from companion.radio.radio import BLE4, WIFI_BEACON
+from companion.remote_id.transports import BLE4, WIFI_BEACON
 from ground_tools import cli
 from ground_tools.channel.fixed_modes import Settings, evaluate
 from ground_tools.paper import delay_rate, fixed_modes, packet_loss

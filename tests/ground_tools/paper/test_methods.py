@@ -12,12 +12,12 @@ from companion.atmc.actions import PAPER_ACTIONS
 from companion.atmc.choice import Refused
 from companion.atmc.policy import Policy, encode
 from companion.errors import ConfigError
-from companion.radio.radio import BLE4, BLE5, WIFI_BEACON
+from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools import cli
 from ground_tools.atmc.results import Results, Run, write
 from ground_tools.paper import decision_time, methods, system_delay, uav_delay
 from ground_tools.paper.decision_time import Timing
-from ground_tools.paper.methods import DENSITIES, SET, Delays
+from ground_tools.paper.delays import DENSITIES, SET, Delays
 from tests.companion.atmc.policies import metadata, policy_file, tensors, with_golden
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.radio.frames_io import FrameSender, radio_address
-from companion.radio.radio import BLE5, WIFI_BEACON
 from companion.remote_id.messages import BasicId, IdType, Location, OperatorId, System, UaType
+from companion.remote_id.transports import BLE5, WIFI_BEACON
 from sitl_mocks.channel.parameters import (
     BackgroundLoad,
     BleParameters,

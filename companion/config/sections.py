@@ -1,31 +1,19 @@
-"""One TOML file configures one companion; every key is checked before flight.
+"""The sections of a configuration file and of the trajectory file that it names.
 
-Each section is a struct; the unit stands in the key's name; unknown keys are refused. `load` resolves what
-the file points to (the trajectory), so that a resolved configuration stands alone in a run folder.
+The unit stands in the key's name; unknown keys are refused.
 """
 
 from __future__ import annotations
 
-import itertools
-import re
-from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 import msgspec
-import tomli_w
 from msgspec import Meta
 
-from companion.errors import ConfigError
 from companion.events import FenceArea
-from companion.geofence import check_areas, load_fence
-from companion.remote_id.authentication import Verifier, public_key_hex
-from companion.remote_id.identity import check_identity, public_operator_id
 from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
-from companion.toml_reader import SECRET, decode_toml, without_none
-
-T = TypeVar("T")
+from companion.toml_reader import SECRET
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
 Interface = Annotated[str, Meta(min_length=1, max_length=15)]
@@ -33,11 +21,6 @@ Interface = Annotated[str, Meta(min_length=1, max_length=15)]
 
 CHOOSER_WORDS = ("rule", "fixed")
 """What `atmc.policy` may say instead of a path: the one-line rule; the best fixed legal set."""
-_RAW_IDS = (IdType.UTM_ASSIGNED_UUID, IdType.SPECIFIC_SESSION)
-_LINK_FORMS = ("udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT", "serial:DEVICE:BAUD")
-_CHANNEL_FORMS = ("user:NUMBER", "uart:DEVICE:BAUD", "tcp:HOST:PORT")
-_KEY_DIGITS = re.compile("[0-9A-Fa-f]{64}")
-_NUMBERS = {"PORT": range(1, 1 << 16), "BAUD": range(1, 10**9), "NUMBER": range(0xFFFF)}
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -287,218 +270,3 @@ class Config(_Section, frozen=True):
     def has_radio(self) -> bool:
         """Whether any radio is configured that can hear or send."""
         return any(not isinstance(radio, NullRadio) for radio in self.radio)
-
-
-def load(path: Path) -> Config:
-    """Read, check and resolve a configuration file.
-
-    Raises:
-        ConfigError: names the file, the key, what it holds and what is allowed.
-    """
-    config = decode_toml(path, Config)
-    if config.identity.id_type in _RAW_IDS:
-        config = msgspec.structs.replace(config, identity=_raw_identity(config.identity, path))
-    trajectory = config.flight.trajectory
-    if config.path is not None:
-        _check_times(config.path, f"{path}: path")
-    elif trajectory is not None and trajectory != "mission":
-        config = msgspec.structs.replace(
-            config, path=_beside(path, "flight.trajectory", trajectory, load_trajectory)
-        )
-    fence = config.limits.fence
-    if fence is not None and fence != "vehicle" and not config.fence:
-        config = msgspec.structs.replace(config, fence=_beside(path, "limits.fence", fence, load_fence))
-    if config.remote_id.region is not None:
-        try:
-            region = decode_toml(path.parent / config.remote_id.region, Region)
-        except ConfigError as error:
-            if isinstance(error.__cause__, FileNotFoundError | IsADirectoryError):
-                raise ConfigError(
-                    f"{path}: remote_id.region: {config.remote_id.region!r}: no such file beside "
-                    f'{path.name}; give the path of a profile from there, such as "regions/us.toml"; the '
-                    "project's profiles stand in config/regions"
-                ) from error
-            raise ConfigError(f"{path}: remote_id.region: {error}") from error
-        remote_id = msgspec.structs.replace(config.remote_id, region=None)
-        config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
-    if config.atmc.policy is not None and config.atmc.policy not in CHOOSER_WORDS:
-        # Not read here: a companion without its policy flies on a fixed set.
-        where = str((path.parent / config.atmc.policy).absolute())
-        config = msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, policy=where))
-    if config.vehicle.signing_key is not None:
-        if _KEY_DIGITS.fullmatch(config.vehicle.signing_key):
-            raise ConfigError(
-                f"{path}: vehicle.signing_key: holds a key; put the key into a file that only you can read, "
-                "and the path of that file here"
-            )
-        # Not read here: the key is for the link alone, and stands in no record.
-        where = str((path.parent / config.vehicle.signing_key).absolute())
-        config = msgspec.structs.replace(
-            config, vehicle=msgspec.structs.replace(config.vehicle, signing_key=where)
-        )
-    if config.traffic.keys:
-        keys = {k: _public_key(text, k, path) for k, text in config.traffic.keys.items()}
-        traffic = msgspec.structs.replace(config.traffic, keys=keys)
-        config = msgspec.structs.replace(config, traffic=traffic)
-    check(config, str(path))
-    return config
-
-
-def _raw_identity(identity: IdentityConfig, path: Path) -> IdentityConfig:
-    try:
-        raw = bytes.fromhex(identity.uas_id.replace("-", "")).decode("latin-1")
-    except ValueError as error:
-        raise ConfigError(
-            f"{path}: identity.uas_id: {identity.uas_id!r}: with id_type {int(identity.id_type)} it is "
-            "written in hexadecimal digits, two for each byte, such as 123e4567-e89b-42d3-a456-426614174000"
-        ) from error
-    return msgspec.structs.replace(identity, uas_id=raw)
-
-
-def _public_key(text: str, identity: str, path: Path) -> str:
-    try:
-        return public_key_hex(text, path.parent)
-    except ConfigError as error:
-        raise ConfigError(f'{path}: traffic.keys."{identity}": {error}') from error
-
-
-def _beside(path: Path, key: str, file: str, read: Callable[[Path], T]) -> T:
-    """What a key of the configuration at `path` names; an error tells the key too."""
-    try:
-        return read(path.parent / file)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {key}: {error}") from error
-
-
-def load_trajectory(path: Path) -> TrajectoryFile:
-    """Read and check a trajectory file.
-
-    Raises:
-        ConfigError: names the file and the waypoint.
-    """
-    trajectory = decode_toml(path, TrajectoryFile)
-    _check_times(trajectory, str(path))
-    return trajectory
-
-
-def _check_times(trajectory: TrajectoryFile, name: str) -> None:
-    for number, (a, b) in enumerate(itertools.pairwise(trajectory.waypoint), start=1):
-        if b.t_s <= a.t_s:
-            raise ConfigError(
-                f"{name}: waypoint[{number}].t_s: {b.t_s:g} s is not after the one before it ({a.t_s:g} s)"
-            )
-
-
-def public(config: Config) -> Config:
-    """The configuration as a record may hold it: without the operator's secret characters."""
-    secret = config.remote_id.operator_id
-    if secret is None:
-        return config
-    remote_id = msgspec.structs.replace(config.remote_id, operator_id=public_operator_id(secret))
-    return msgspec.structs.replace(config, remote_id=remote_id)
-
-
-def dump(config: Config) -> bytes:
-    """The public configuration as TOML that stands alone; `load` reads it back."""
-    plain = without_none(msgspec.to_builtins(public(config)))
-    if config.identity.id_type in _RAW_IDS:
-        plain["identity"]["uas_id"] = config.identity.uas_id.encode("latin-1").hex()
-    return tomli_w.dumps(plain).encode()
-
-
-def check(config: Config, name: str) -> None:
-    """Check what no single key can say.
-
-    Raises:
-        ConfigError: names the keys.
-    """
-    try:
-        Verifier(config.traffic.keys)
-    except ConfigError as error:
-        raise ConfigError(f"{name}: {error}") from error
-    flight, limits = config.flight, config.limits
-    try:
-        check_identity(config.identity, config.remote_id, config.region)
-    except ValueError as error:
-        raise ConfigError(f"{name}: {error}") from error
-    if flight.use == "guard" and (flight.trajectory is not None or config.path is not None):
-        raise ConfigError(
-            f'{name}: flight.trajectory: use = "guard" guards what the vehicle itself flies; leave it out'
-        )
-    if flight.use == "guard" and config.avoidance.law == "none":
-        raise ConfigError(f'{name}: avoidance.law: "none" avoids nobody; use = "guard" needs another')
-    if flight.use == "fly" and flight.trajectory is None and config.path is None:
-        raise ConfigError(f'{name}: flight.trajectory: missing; use = "fly" needs a file or "mission"')
-    if flight.trajectory == "mission" and flight.mission_speed_mps is None:
-        raise ConfigError(f'{name}: flight.mission_speed_mps: missing; trajectory = "mission" needs it')
-    if flight.start == "utc" and flight.start_utc_s is None:
-        raise ConfigError(f'{name}: flight.start_utc_s: missing; start = "utc" needs it (Unix seconds)')
-    speed = flight.mission_speed_mps
-    if speed is not None and speed > limits.max_speed_mps:
-        raise ConfigError(
-            f"{name}: flight.mission_speed_mps: {speed:g} is above limits.max_speed_mps "
-            f"{limits.max_speed_mps:g}"
-        )
-    if limits.fence is not None and config.avoidance.law != "dmuca":
-        raise ConfigError(
-            f'{name}: limits.fence: goes with avoidance.law = "dmuca"; {config.avoidance.law!r} keeps none'
-        )
-    try:
-        check_areas(config.fence)
-    except ConfigError as error:
-        raise ConfigError(f"{name}: fence: {error}") from error
-    floor, ceiling = limits.floor_height_m, limits.ceiling_height_m
-    if floor is not None and ceiling is not None and ceiling - floor < 5.0:
-        raise ConfigError(
-            f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"
-        )
-    if flight.use != "watch" and not config.has_radio and config.avoidance.law != "none":
-        otherwise = ', or avoidance.law = "none"' if flight.use == "fly" else ""
-        raise ConfigError(
-            f'{name}: radio: none configured, so nobody is heard; use = "{flight.use}" needs a [[radio]]'
-            f"{otherwise}"
-        )
-    if config.remote_id.component and config.vehicle.component_id == 236:
-        raise ConfigError(f"{name}: vehicle.component_id: 236 is taken by remote_id.component")
-    _check_form(config.vehicle.link, _LINK_FORMS, f"{name}: vehicle.link")
-    for number, entry in enumerate(config.radio):
-        _check_radio(entry, f"{name}: radio[{number}]")
-
-
-def _check_radio(entry: RadioConfig, name: str) -> None:
-    match entry:
-        case EtherRadio():
-            _check_form(entry.address, ("HOST:PORT",), f"{name}.address")
-        case HciRadio():
-            _check_form(entry.channel, _CHANNEL_FORMS, f"{name}.channel")
-            if not (entry.send or entry.listen):
-                raise ConfigError(f"{name}: send and listen are both false: it would do nothing")
-        case WifiRadio():
-            if entry.hostapd is entry.inject is entry.monitor is None:
-                raise ConfigError(f"{name}: needs hostapd, inject or monitor")
-            interface = (entry.hostapd or "").rpartition("/")[2]
-            if entry.hostapd is not None and not 1 <= len(interface) <= 15:
-                raise ConfigError(
-                    f"{name}.hostapd: {entry.hostapd!r}: the path must end with the name of a network "
-                    f"interface, 1 to 15 characters; {interface!r} has {len(interface)}"
-                )
-        case ArduRemoteIdRadio():
-            _check_form(entry.link, _LINK_FORMS, f"{name}.link")
-
-
-def _check_form(text: str, forms: tuple[str, ...], name: str) -> None:
-    if not any(_has_form(text, form) for form in forms):
-        allowed = " or ".join((", ".join(forms[:-1]), forms[-1])) if len(forms) > 1 else forms[0]
-        raise ConfigError(f"{name}: {text!r}: allowed: {allowed}; PORT is 1 to 65535")
-
-
-def _has_form(text: str, form: str) -> bool:
-    """Whether a text is, say, what "tcp:HOST:PORT" stands for."""
-    start, _, number = text.rpartition(":")
-    head, _, word = form.rpartition(":")
-    kind = head.removesuffix("HOST").removesuffix("DEVICE")
-    fits = start == head if kind == head else start.startswith(kind) and len(start) > len(kind)
-    if not (fits and number.isascii() and number.isdigit() and len(number) < 10):
-        return False
-    # Listening on port 0 takes any free one.
-    return int(number) in _NUMBERS[word] or (kind == "udpin:" and int(number) == 0)

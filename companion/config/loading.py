@@ -1,0 +1,144 @@
+"""Reading a configuration file with all that it names, and writing it again."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import tomli_w
+
+from companion.config.checks import check
+from companion.config.sections import CHOOSER_WORDS, Config, IdentityConfig, TrajectoryFile
+from companion.errors import ConfigError
+from companion.geofence import load_fence
+from companion.remote_id.authentication import public_key_hex
+from companion.remote_id.identity import public_operator_id
+from companion.remote_id.messages import IdType
+from companion.remote_id.region import Region
+from companion.toml_reader import decode_toml, without_none
+
+T = TypeVar("T")
+
+_RAW_IDS = (IdType.UTM_ASSIGNED_UUID, IdType.SPECIFIC_SESSION)
+_KEY_DIGITS = re.compile("[0-9A-Fa-f]{64}")
+
+
+def load(path: Path) -> Config:
+    """Read, check and resolve a configuration file.
+
+    Raises:
+        ConfigError: names the file, the key, what it holds and what is allowed.
+    """
+    config = decode_toml(path, Config)
+    if config.identity.id_type in _RAW_IDS:
+        config = msgspec.structs.replace(config, identity=_raw_identity(config.identity, path))
+    trajectory = config.flight.trajectory
+    if config.path is not None:
+        _check_times(config.path, f"{path}: path")
+    elif trajectory is not None and trajectory != "mission":
+        config = msgspec.structs.replace(
+            config, path=_beside(path, "flight.trajectory", trajectory, load_trajectory)
+        )
+    fence = config.limits.fence
+    if fence is not None and fence != "vehicle" and not config.fence:
+        config = msgspec.structs.replace(config, fence=_beside(path, "limits.fence", fence, load_fence))
+    if config.remote_id.region is not None:
+        try:
+            region = decode_toml(path.parent / config.remote_id.region, Region)
+        except ConfigError as error:
+            if isinstance(error.__cause__, FileNotFoundError | IsADirectoryError):
+                raise ConfigError(
+                    f"{path}: remote_id.region: {config.remote_id.region!r}: no such file beside "
+                    f'{path.name}; give the path of a profile from there, such as "regions/us.toml"; the '
+                    "project's profiles stand in config/regions"
+                ) from error
+            raise ConfigError(f"{path}: remote_id.region: {error}") from error
+        remote_id = msgspec.structs.replace(config.remote_id, region=None)
+        config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
+    if config.atmc.policy is not None and config.atmc.policy not in CHOOSER_WORDS:
+        # Not read here: a companion without its policy flies on a fixed set.
+        where = str((path.parent / config.atmc.policy).absolute())
+        config = msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, policy=where))
+    if config.vehicle.signing_key is not None:
+        if _KEY_DIGITS.fullmatch(config.vehicle.signing_key):
+            raise ConfigError(
+                f"{path}: vehicle.signing_key: holds a key; put the key into a file that only you can read, "
+                "and the path of that file here"
+            )
+        # Not read here: the key is for the link alone, and stands in no record.
+        where = str((path.parent / config.vehicle.signing_key).absolute())
+        config = msgspec.structs.replace(
+            config, vehicle=msgspec.structs.replace(config.vehicle, signing_key=where)
+        )
+    if config.traffic.keys:
+        keys = {k: _public_key(text, k, path) for k, text in config.traffic.keys.items()}
+        traffic = msgspec.structs.replace(config.traffic, keys=keys)
+        config = msgspec.structs.replace(config, traffic=traffic)
+    check(config, str(path))
+    return config
+
+
+def _raw_identity(identity: IdentityConfig, path: Path) -> IdentityConfig:
+    try:
+        raw = bytes.fromhex(identity.uas_id.replace("-", "")).decode("latin-1")
+    except ValueError as error:
+        raise ConfigError(
+            f"{path}: identity.uas_id: {identity.uas_id!r}: with id_type {int(identity.id_type)} it is "
+            "written in hexadecimal digits, two for each byte, such as 123e4567-e89b-42d3-a456-426614174000"
+        ) from error
+    return msgspec.structs.replace(identity, uas_id=raw)
+
+
+def _public_key(text: str, identity: str, path: Path) -> str:
+    try:
+        return public_key_hex(text, path.parent)
+    except ConfigError as error:
+        raise ConfigError(f'{path}: traffic.keys."{identity}": {error}') from error
+
+
+def _beside(path: Path, key: str, file: str, read: Callable[[Path], T]) -> T:
+    """What a key of the configuration at `path` names; an error tells the key too."""
+    try:
+        return read(path.parent / file)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {key}: {error}") from error
+
+
+def load_trajectory(path: Path) -> TrajectoryFile:
+    """Read and check a trajectory file.
+
+    Raises:
+        ConfigError: names the file and the waypoint.
+    """
+    trajectory = decode_toml(path, TrajectoryFile)
+    _check_times(trajectory, str(path))
+    return trajectory
+
+
+def _check_times(trajectory: TrajectoryFile, name: str) -> None:
+    for number, (a, b) in enumerate(itertools.pairwise(trajectory.waypoint), start=1):
+        if b.t_s <= a.t_s:
+            raise ConfigError(
+                f"{name}: waypoint[{number}].t_s: {b.t_s:g} s is not after the one before it ({a.t_s:g} s)"
+            )
+
+
+def public(config: Config) -> Config:
+    """The configuration as a record may hold it: without the operator's secret characters."""
+    secret = config.remote_id.operator_id
+    if secret is None:
+        return config
+    remote_id = msgspec.structs.replace(config.remote_id, operator_id=public_operator_id(secret))
+    return msgspec.structs.replace(config, remote_id=remote_id)
+
+
+def dump(config: Config) -> bytes:
+    """The public configuration as TOML that stands alone; `load` reads it back."""
+    plain = without_none(msgspec.to_builtins(public(config)))
+    if config.identity.id_type in _RAW_IDS:
+        plain["identity"]["uas_id"] = config.identity.uas_id.encode("latin-1").hex()
+    return tomli_w.dumps(plain).encode()

@@ -1,0 +1,93 @@
+"""One comparison of the equations with the packet-by-packet simulator, and the assumptions that it varies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+
+from sitl_mocks.channel.packet_timing import PAPER, REAL, Assumptions
+from sitl_mocks.channel.parameters import MODES
+
+_EXACT = replace(PAPER, slotted=False)
+_NOT_LISTENING = replace(REAL, carrier_sense=False)
+_RUNNING_ON = replace(_EXACT, advertiser="standard", phases="free")
+VARIANTS: dict[str, dict[str, Assumptions]] = {
+    "link": {
+        "as the equations": PAPER,
+        "exact time": _EXACT,
+        "phases run on": _RUNNING_ON,
+        "phases run on, clocks drift": replace(_RUNNING_ON, clock_ppm=REAL.clock_ppm),
+        "real radios": REAL,
+    },
+    "collision": {
+        "as the equations": PAPER,
+        "exact time": _EXACT,
+        "deaf while sending": replace(_EXACT, half_duplex=True),
+        "real radios, no carrier sense": _NOT_LISTENING,
+        "real radios": REAL,
+        "real radios, capture 6 dB": replace(REAL, capture_db=6.0),
+    },
+    "fleet": {
+        "as the equations": PAPER,
+        "real radios, no carrier sense": _NOT_LISTENING,
+        "real radios": REAL,
+    },
+}
+"""Assumptions of the packet-by-packet simulator in each study, from the paper's to the standards'."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is compared."""
+
+    study: str
+    variant: str
+    mode: str
+    rate: int
+    uavs: int
+    side_m: float | None = None
+
+    @property
+    def assumptions(self) -> Assumptions:
+        """Those of the packet-by-packet simulator."""
+        return VARIANTS[self.study][self.variant]
+
+    @property
+    def column(self) -> int:
+        """Of the mode."""
+        return MODES.index(self.mode)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One comparison. Delays in ms, losses as shares; intervals of 95 %."""
+
+    case: Case
+    quantity: str
+    equations: float
+    """The paper's."""
+    equations_random: float
+    """The same with Bluetooth events at random phases (`BleParameters.schedule`)."""
+    packets: float
+    packets_low: float
+    packets_high: float
+    never_heard: float
+    """Share of the pairs in range that heard nothing in the whole run; they are left out of a mean delay."""
+    waiting: float
+    """Share of the counted samples that still waited at the end: above 0, the delay is a lower bound."""
+
+    @property
+    def ratio(self) -> float:
+        """Packets over equations."""
+        return self.packets / self.equations if self.equations else math.nan
+
+    @property
+    def ratio_random(self) -> float:
+        """Packets over equations with random phases."""
+        return self.packets / self.equations_random if self.equations_random else math.nan
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON: what is not finite is null."""
+        fields = asdict(self)
+        flat = {**fields.pop("case"), **fields, "ratio": self.ratio, "ratio_random": self.ratio_random}
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in flat.items()}
