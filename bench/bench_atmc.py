@@ -14,7 +14,7 @@ from rich.table import Table
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
 from companion.atmc.policy import load
 from companion.errors import ConfigError
-from ground_tools.atmc.torch_setup import set_up_torch
+from ground_tools.atmc.env.torch_setup import set_up_torch
 
 _POLICY = Path(__file__).parents[1] / "config/policies/atmc.safetensors"
 _PAPER_DECISION_US = 3840.0
@@ -40,7 +40,7 @@ def _learners() -> None:
     where there is a buffer to fill."""
     import torch
 
-    from ground_tools.atmc.algorithms import ALGORITHMS
+    from ground_tools.atmc.learners.algorithms import ALGORITHMS
 
     table = Table(title="the paper's learners, one core")
     for head in ("algorithm", "decisions a second", "while learning", "learning", "minutes, 1,000 episodes"):
@@ -66,7 +66,7 @@ def _learners() -> None:
 
 
 def _training() -> None:
-    from ground_tools.atmc.flying import FlyingLearner, FlyingSettings
+    from ground_tools.atmc.learners.flying_policy import FlyingLearner, FlyingSettings
 
     learner = FlyingLearner(FlyingSettings(episodes=2, updates=6), 1)
     learner.train()

@@ -29,7 +29,7 @@ _CONVERT = """
 import resource, sys
 from pathlib import Path
 from ground_tools.inspect import recording, report, summary
-from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.read.read_run import read_run
 kind, path = sys.argv[1], Path(sys.argv[3])
 run = read_run(Path(sys.argv[2]))
 figures = None if kind == "recording" else summary.describe(run)

@@ -8,12 +8,13 @@ from collections.abc import Sequence
 
 from companion.commands.entry_point import parser_of, run_command
 from ground_tools import orca_check
-from ground_tools.atmc import command as atmc_command
+from ground_tools.atmc.commands import command as atmc_command
 from ground_tools.campaign import command as campaign_command
 from ground_tools.channel import command as channel_command
 from ground_tools.fly import command as fly_command
 from ground_tools.inspect import command as inspect_command
-from ground_tools.inspect import export, picture
+from ground_tools.inspect.export import export
+from ground_tools.inspect.report import picture
 from ground_tools.paper import command as paper_command
 
 _EXAMPLES = """examples:

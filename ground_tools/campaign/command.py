@@ -25,10 +25,10 @@ from ground_tools.campaign.cells import Cell, Row
 from ground_tools.campaign.generators import NAMES
 from ground_tools.campaign.vehicles import INTRUDERS, TWINS
 from ground_tools.channel import options
-from ground_tools.channel.progress import progress
-from ground_tools.cluster import on_ray
-from ground_tools.intervals import wilson
-from ground_tools.workers import in_parallel
+from ground_tools.common.cluster import on_ray
+from ground_tools.common.intervals import wilson
+from ground_tools.common.progress import progress
+from ground_tools.common.workers import in_parallel
 
 _MOST_SEEDS = 1_000_000
 _MOST_AIRCRAFT = 200

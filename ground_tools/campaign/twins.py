@@ -33,7 +33,7 @@ from ground_tools.campaign.world import (
     W_START,
     W_STEP,
 )
-from ground_tools.inspect.truth import ORIGIN
+from ground_tools.inspect.read.truth import ORIGIN
 
 Array = NDArray[np.float64]
 

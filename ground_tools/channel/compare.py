@@ -29,8 +29,8 @@ from companion.errors import ConfigError
 from ground_tools.channel import compare_plot, options
 from ground_tools.channel.comparison import VARIANTS, Case, Row
 from ground_tools.channel.options import SIDES_M, UAVS
-from ground_tools.channel.progress import progress
-from ground_tools.figure import drawn
+from ground_tools.common.figure import drawn
+from ground_tools.common.progress import progress
 from sitl_mocks.channel import packet_metrics, parameters
 from sitl_mocks.channel.analytic import Analytic, fixed_mode, system_delay_s
 from sitl_mocks.channel.delay import single_link_s

@@ -12,9 +12,9 @@ from companion.errors import ConfigError
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools.channel import options
 from ground_tools.channel.fixed_modes import Reading, Row, batches_of, evaluate, name_of
-from ground_tools.channel.progress import progress
-from ground_tools.figure import drawn
-from ground_tools.inspect.palette import colour, hexadecimal
+from ground_tools.common.figure import drawn
+from ground_tools.common.progress import progress
+from ground_tools.inspect.viewer.palette import colour, hexadecimal
 
 Quantity = Literal["delay", "loss"]
 COLOURS = {BLE4: hexadecimal(colour(0)), BLE5: hexadecimal(colour(1)), WIFI_BEACON: hexadecimal(colour(2))}

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from ground_tools.channel import options
 from ground_tools.channel.fixed_modes import Row, batches_of, evaluate, name_of
-from ground_tools.channel.progress import progress
+from ground_tools.common.progress import progress
 
 _LEGEND = (
     "System delay (ms): the sum over the aircraft of each one's mean delay to those\n"

@@ -12,9 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from companion.errors import ConfigError
-from ground_tools.inspect import compare, live, recording, report, summary, terminal, web
-from ground_tools.inspect.read_run import Run, read_run
-from ground_tools.inspect.timeline import together
+from ground_tools.inspect.read.read_run import Run, read_run
+from ground_tools.inspect.read.timeline import together
+from ground_tools.inspect.report import compare, summary, terminal
+from ground_tools.inspect.report import page as report
+from ground_tools.inspect.viewer import live, recording, web
 
 EXAMPLE = "example: ground-tools inspect runs/20260101T000000Z-demo, then: rerun runs/.../inspect.rrd"
 COMPARISON = "compare.rrd"

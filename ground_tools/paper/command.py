@@ -15,9 +15,9 @@ from typing import Final
 from rich.console import Console
 
 from ground_tools.channel import options
-from ground_tools.channel.progress import progress
-from ground_tools.paper import (
-    closed_loop,
+from ground_tools.common.progress import progress
+from ground_tools.paper.closed_loop import command as closed_loop
+from ground_tools.paper.figures import (
     convergence,
     decision_time,
     delay_rate,

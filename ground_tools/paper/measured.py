@@ -16,13 +16,13 @@ from torch import Tensor
 
 from companion.atmc.actions import PAPER_ACTIONS
 from companion.errors import ConfigError
-from ground_tools.atmc.deciders import Chance, Decider, settle
-from ground_tools.atmc.env import Env, EnvSettings, Observation
-from ground_tools.atmc.evaluate import COUNTED, PARTS, ROUNDS, Frozen, read_policy, rule_of
-from ground_tools.atmc.objective import costs
-from ground_tools.atmc.paper_task import paper_objective
-from ground_tools.atmc.search import search
-from ground_tools.atmc.world import SIDES_M, WorldSettings
+from ground_tools.atmc.commands.evaluate import COUNTED, PARTS, ROUNDS, Frozen, read_policy, rule_of
+from ground_tools.atmc.env.deciders import Chance, Decider, settle
+from ground_tools.atmc.env.environment import Env, EnvSettings, Observation
+from ground_tools.atmc.env.objective import costs
+from ground_tools.atmc.env.paper_task import paper_objective
+from ground_tools.atmc.env.search import search
+from ground_tools.atmc.env.world import SIDES_M, WorldSettings
 from ground_tools.channel.options import UAVS
 from ground_tools.paper.delays import DENSITIES, SET, Delays
 from sitl_mocks.channel.parameters import MODES

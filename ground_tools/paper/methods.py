@@ -14,12 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from ground_tools.atmc.results import NAMES, Results, Run
-from ground_tools.atmc.torch_setup import set_up_torch
-from ground_tools.paper.convergence import iqm, resampled
+from ground_tools.atmc.commands.results import NAMES, Results, Run
+from ground_tools.atmc.env.torch_setup import set_up_torch
 from ground_tools.paper.delays import SET, Delays
+from ground_tools.paper.figures.convergence import iqm, resampled
 
-POLICIES: Final = Path(__file__).parents[2] / "config" / "policies"
+POLICIES: Final = Path(__file__).parents[2] / "results" / "policies"
 SET_POLICY: Final = POLICIES / "paper-set.safetensors"
 """The set network that was trained for the paper's objective."""
 LEARNERS: Final = ("madqn", "maddpg", "iac")

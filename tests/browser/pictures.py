@@ -9,10 +9,12 @@ from typing import Any
 
 from PIL import Image
 
-from ground_tools.inspect import recording, report, summary
-from ground_tools.inspect.palette import LIMIT, colour
-from ground_tools.inspect.read_run import Run, read_run
-from ground_tools.inspect.web import WebViewer
+from ground_tools.inspect.read.read_run import Run, read_run
+from ground_tools.inspect.report import page as report
+from ground_tools.inspect.report import summary
+from ground_tools.inspect.viewer import recording
+from ground_tools.inspect.viewer.palette import LIMIT, colour
+from ground_tools.inspect.viewer.web import WebViewer
 from tests.browser import chromium, viewer
 
 SIZE = 1600, 1000

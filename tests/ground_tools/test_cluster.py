@@ -16,7 +16,7 @@ from rich.console import Console
 
 from companion.errors import ConfigError
 from ground_tools import cli
-from ground_tools.cluster import on_ray
+from ground_tools.common.cluster import on_ray
 
 RUN = ["campaign", "run", "--generator", "crossing", "--aircraft", "3", "--seeds", "1-400"]
 

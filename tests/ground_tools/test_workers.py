@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from companion.errors import ConfigError
-from ground_tools.workers import in_parallel
+from ground_tools.common.workers import in_parallel
 
 
 def square(number: int) -> int:

@@ -80,7 +80,7 @@ def write_manifest(folder: Path, what: str, **facts: object) -> None:
 
 def _git_commit() -> str | None:
     """Commit of the checkout that the package lies in; None when it is installed."""
-    git = Path(__file__).resolve().parents[2] / ".git"
+    git = Path(__file__).resolve().parents[3] / ".git"
     try:
         head = (git / "HEAD").read_text().strip()
         if not head.startswith("ref: "):

@@ -9,17 +9,17 @@ import pytest
 import torch
 
 from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS
-from ground_tools.atmc.channel import TorchChannel
-from ground_tools.atmc.env import Env, EnvSettings, path_loss_db
-from ground_tools.atmc.objective import (
+from ground_tools.atmc.env.channel import TorchChannel
+from ground_tools.atmc.env.environment import Env, EnvSettings, path_loss_db
+from ground_tools.atmc.env.objective import (
     AwarenessObjective,
     PaperObjective,
     age_s,
     costs,
     difference_costs,
 )
-from ground_tools.atmc.tasks import AWARENESS_CHANNEL
-from ground_tools.atmc.world import WorldSettings
+from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL
+from ground_tools.atmc.env.world import WorldSettings
 from sitl_mocks.channel.analytic import Analytic, Fleet
 from sitl_mocks.channel.link_budget import Links
 from sitl_mocks.channel.parameters import ChannelParameters, load

@@ -13,14 +13,14 @@ import torch
 from companion.atmc.actions import SET_ACTIONS
 from companion.atmc.observation import OWN_COLUMNS
 from companion.atmc.policy import load
-from ground_tools.atmc import validation
-from ground_tools.atmc.deciders import Chance, Fixed, settle
-from ground_tools.atmc.env import Env, EnvSettings
-from ground_tools.atmc.evaluate import Frozen, Question, evaluate, objective_of
-from ground_tools.atmc.flying import FlyingLearner, FlyingSettings
-from ground_tools.atmc.objective import costs
-from ground_tools.atmc.search import search
-from ground_tools.atmc.world import WorldSettings
+from ground_tools.atmc.commands.evaluate import Frozen, Question, evaluate, objective_of
+from ground_tools.atmc.env.deciders import Chance, Fixed, settle
+from ground_tools.atmc.env.environment import Env, EnvSettings
+from ground_tools.atmc.env.objective import costs
+from ground_tools.atmc.env.search import search
+from ground_tools.atmc.env.world import WorldSettings
+from ground_tools.atmc.learners import validation
+from ground_tools.atmc.learners.flying_policy import FlyingLearner, FlyingSettings
 from ground_tools.cli import main
 
 SMALL = FlyingSettings(fleets=((3, 24), (6, 12)), episodes=4, updates=6)

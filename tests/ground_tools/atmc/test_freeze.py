@@ -12,8 +12,9 @@ import pytest
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
 from companion.atmc.policy import check_flyable, load
 from ground_tools import cli
-from ground_tools.atmc import evaluate, freeze_command, validation
-from ground_tools.atmc.flying import FlyingLearner
+from ground_tools.atmc.commands import evaluate, freeze_command
+from ground_tools.atmc.learners import validation
+from ground_tools.atmc.learners.flying_policy import FlyingLearner
 from tests.ground_tools.atmc.test_train import TINY
 
 FLYING = """

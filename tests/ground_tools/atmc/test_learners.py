@@ -11,13 +11,13 @@ from msgspec.structs import replace
 from torch import nn
 
 from companion.atmc import policy
-from ground_tools.atmc.algorithms import ALGORITHMS
-from ground_tools.atmc.env import Env, EnvSettings
-from ground_tools.atmc.flat import MAX_BYTES, Stack, clipped, flat, frozen, soft_update, thawed
-from ground_tools.atmc.iac import discounted
-from ground_tools.atmc.madqn import Madqn, MadqnSettings, exploration_rate, td_target
-from ground_tools.atmc.paper_task import PaperTask, TaskSettings, measure
-from ground_tools.atmc.replay import Replay
+from ground_tools.atmc.env.environment import Env, EnvSettings
+from ground_tools.atmc.env.paper_task import PaperTask, TaskSettings, measure
+from ground_tools.atmc.learners.algorithms import ALGORITHMS
+from ground_tools.atmc.learners.flat import MAX_BYTES, Stack, clipped, flat, frozen, soft_update, thawed
+from ground_tools.atmc.learners.iac import discounted
+from ground_tools.atmc.learners.madqn import Madqn, MadqnSettings, exploration_rate, td_target
+from ground_tools.atmc.learners.replay_buffer import Replay
 
 CPU = torch.device("cpu")
 TASK = TaskSettings(uavs=4, steps=10, validation_environments=2, validation_steps=2)

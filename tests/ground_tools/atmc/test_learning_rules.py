@@ -11,10 +11,10 @@ import torch
 from torch.nn import functional
 
 from companion.atmc.actions import PAPER_ACTIONS
-from ground_tools.atmc import iac, maddpg, madqn
-from ground_tools.atmc.objective import costs
-from ground_tools.atmc.paper_task import PaperTask, TaskSettings
-from ground_tools.atmc.world import World
+from ground_tools.atmc.env.objective import costs
+from ground_tools.atmc.env.paper_task import PaperTask, TaskSettings
+from ground_tools.atmc.env.world import World
+from ground_tools.atmc.learners import iac, maddpg, madqn
 
 CPU = torch.device("cpu")
 ACTIONS = 5

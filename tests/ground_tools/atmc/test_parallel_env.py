@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-from ground_tools.atmc.parallel_env import AtmcParallelEnv
+from ground_tools.atmc.env.parallel_env import AtmcParallelEnv
 
 
 def test_pettingzoo_takes_it(recwarn):

@@ -19,10 +19,10 @@ import torch
 from companion.atmc import policy
 from companion.errors import ConfigError
 from ground_tools import cli
-from ground_tools.atmc import training
-from ground_tools.atmc.algorithms import ALGORITHMS
-from ground_tools.atmc.flat import MAX_BYTES
-from ground_tools.atmc.results import Results, read, write
+from ground_tools.atmc.commands.results import Results, read, write
+from ground_tools.atmc.learners import training
+from ground_tools.atmc.learners.algorithms import ALGORITHMS
+from ground_tools.atmc.learners.flat import MAX_BYTES
 
 TINY = """
 episodes = 4
@@ -234,7 +234,7 @@ def test_a_damaged_checkpoint_is_named(config, tmp_path, capsys):
 
 def test_pytorch_missing_is_said_in_one_line(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "torch", None)
-    for name in [name for name in sys.modules if name.startswith("ground_tools.atmc.training")]:
+    for name in [name for name in sys.modules if name.startswith("ground_tools.atmc.learners.training")]:
         monkeypatch.delitem(sys.modules, name)
     import ground_tools.atmc
 
@@ -293,6 +293,6 @@ def test_runs_that_cannot_be_collected_are_named_before_anything_is_measured(
     _, (good,) = train(config, tmp_path / "good")
     _, (bad,) = train(config, tmp_path / "bad")
     spoil(bad)
-    monkeypatch.setattr("ground_tools.atmc.collect._measured", None)
+    monkeypatch.setattr("ground_tools.atmc.commands.collect._measured", None)
     assert cli.main(["atmc", "collect", str(good), str(bad), "--configurations", "250"]) == 2
     assert words in capsys.readouterr().err

@@ -11,12 +11,12 @@ import torch
 
 from companion.atmc.actions import SET_ACTIONS, TRANSPORTS, able
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
-from ground_tools.atmc.env import Env, EnvSettings
-from ground_tools.atmc.evaluate import objective_of
-from ground_tools.atmc.flying import FlyingLearner, FlyingSettings
-from ground_tools.atmc.objective import difference_costs
-from ground_tools.atmc.tasks import REGIONS, legal_sets
-from ground_tools.atmc.world import MAX_ALTITUDE_M, MIN_ALTITUDE_M, World, WorldSettings, draw, move
+from ground_tools.atmc.commands.evaluate import objective_of
+from ground_tools.atmc.env.environment import Env, EnvSettings
+from ground_tools.atmc.env.objective import difference_costs
+from ground_tools.atmc.env.tasks import REGIONS, legal_sets
+from ground_tools.atmc.env.world import MAX_ALTITUDE_M, MIN_ALTITUDE_M, World, WorldSettings, draw, move
+from ground_tools.atmc.learners.flying_policy import FlyingLearner, FlyingSettings
 
 BLE4 = NEIGHBOUR_COLUMNS.index("ble4")
 CONFLICT = NEIGHBOUR_COLUMNS.index("conflict")

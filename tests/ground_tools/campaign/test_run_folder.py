@@ -17,9 +17,9 @@ from ground_tools import cli
 from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import flight, run_folder
 from ground_tools.campaign.cells import Cell
-from ground_tools.inspect.flown import TRUE, flown, separations
-from ground_tools.inspect.read_run import read_run, read_unavoided
-from ground_tools.inspect.truth import ORIGIN
+from ground_tools.inspect.read.flown import TRUE, flown, separations
+from ground_tools.inspect.read.read_run import read_run, read_unavoided
+from ground_tools.inspect.read.truth import ORIGIN
 
 CELL = Cell(
     generator="crossing", aircraft=3, delay_s=(1.0, 2.0), intruders=0.34, intruder="turning", world="layer"

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.mark.parametrize("name", tables.TABLES)
 def test_the_tables_are_those_that_are_kept(name):
-    kept = tables.read(ROOT / "config" / "campaign" / f"{name}.json")
+    kept = tables.read(ROOT / "results" / "campaign" / f"{name}.json")
     assert kept.seeds == (1, SEEDS.get(name, 1000))
     assert [line.cell for line in kept.lines] == tables.TABLES[name]()
     assert {line.found["runs"] for line in kept.lines} == {kept.seeds[1]}

@@ -13,7 +13,7 @@ from companion.config import Config
 from companion.event_record import Header, Step
 from companion.events import AnyCommand, AnyEvent, Decision, Firmware, GlobalPosition, TrackView
 from companion.geometry import Vec3
-from ground_tools.inspect.read_run import AircraftRecord, read_run
+from ground_tools.inspect.read.read_run import AircraftRecord, read_run
 from tests.sitl_mocks.guarding import head_on
 
 

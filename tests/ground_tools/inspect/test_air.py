@@ -8,7 +8,7 @@ from companion.config import Config, IdentityConfig
 from companion.events import Broadcast, BroadcastChanged, RadioState, RemoteIdHeard, VehicleTime
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.remote_id.region import Region
-from ground_tools.inspect.air import gather
+from ground_tools.inspect.explain.air import gather
 from tests.ground_tools.inspect.flights import decision, read, step, track
 
 REGION = Region(

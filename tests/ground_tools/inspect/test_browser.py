@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from ground_tools.inspect import recording
-from ground_tools.inspect.palette import colour
-from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.web import WebViewer
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.viewer import recording
+from ground_tools.inspect.viewer.palette import colour
+from ground_tools.inspect.viewer.web import WebViewer
 from tests.browser import chromium, viewer
 
 rr = pytest.importorskip("rerun")

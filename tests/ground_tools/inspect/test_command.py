@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from ground_tools.inspect import command, picture
-from ground_tools.inspect.flown import flown, separations
-from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect import command
+from ground_tools.inspect.read.flown import flown, separations
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.report import picture
 
 
 def inspect(*arguments: object) -> int:

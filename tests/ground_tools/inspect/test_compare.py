@@ -13,8 +13,8 @@ from companion.event_record import Step
 from companion.events import Broadcast, Firmware, FlightMode, Heartbeat, Landed, LandedState
 from companion.remote_id.messages import Location
 from ground_tools.inspect import command
-from ground_tools.inspect.compare import compare, text
-from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.report.compare import compare, text
 from tests.ground_tools.inspect.flights import step, write
 
 

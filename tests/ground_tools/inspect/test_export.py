@@ -16,11 +16,12 @@ import tomli_w
 from companion.config import AvoidanceConfig, Config, IdentityConfig
 from companion.errors import ConfigError
 from companion.toml_reader import without_none
-from ground_tools.inspect import export, incident, manoeuvres
-from ground_tools.inspect.flown import flown
-from ground_tools.inspect.kml import GX, KML
-from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.summary import describe
+from ground_tools.inspect.explain import manoeuvres
+from ground_tools.inspect.export import export, incident
+from ground_tools.inspect.export.kml import GX, KML
+from ground_tools.inspect.read.flown import flown
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.report.summary import describe
 from sitl_mocks import demo, settings
 from sitl_mocks.air_settings import AirSettings
 from sitl_mocks.lockstep import fly

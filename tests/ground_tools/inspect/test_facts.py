@@ -27,9 +27,9 @@ from companion.events import (
 )
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
-from ground_tools.inspect.facts import gather
-from ground_tools.inspect.modes import mode_name
-from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.read.facts import gather
+from ground_tools.inspect.read.modes import mode_name
+from ground_tools.inspect.read.read_run import read_run
 
 
 def test_columns_of_a_record(made: SimpleNamespace) -> None:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from ground_tools.inspect import flown as flown_module
-from ground_tools.inspect.flown import Flown, Separation, flown, from_frame, separations
-from ground_tools.inspect.read_run import read_run, read_unavoided
-from ground_tools.inspect.summary import describe, text
-from ground_tools.inspect.timeline import time_line
+from ground_tools.inspect.read import flown as flown_module
+from ground_tools.inspect.read.flown import Flown, Separation, flown, from_frame, separations
+from ground_tools.inspect.read.read_run import read_run, read_unavoided
+from ground_tools.inspect.read.timeline import time_line
+from ground_tools.inspect.report.summary import describe, text
 
 
 def closest(ways: Flown) -> Separation:

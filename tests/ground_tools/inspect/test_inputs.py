@@ -17,10 +17,11 @@ from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
 from companion.event_record import MAGIC, Step
 from companion.events import GlobalPosition, Landed, LandedState
-from ground_tools.inspect import command, incident
-from ground_tools.inspect.flown import flown, separations
-from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.timeline import time_line, together
+from ground_tools.inspect import command
+from ground_tools.inspect.export import incident
+from ground_tools.inspect.read.flown import flown, separations
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.read.timeline import time_line, together
 
 OTHER_VERSION = MAGIC[:-1] + b"3" + bytes(100)
 

@@ -14,9 +14,9 @@ import pytest
 
 from companion import event_record
 from companion.errors import ConfigError, PeerDataError
-from ground_tools.inspect import recording
-from ground_tools.inspect.live import Bridge, follow
-from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.viewer import recording
+from ground_tools.inspect.viewer.live import Bridge, follow
 
 rr = pytest.importorskip("rerun")
 

@@ -8,8 +8,8 @@ import pytest
 
 from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig
 from companion.events import AuthorityChanged
-from ground_tools.inspect.manoeuvres import change, find, verdict
-from ground_tools.inspect.read_run import read_run
+from ground_tools.inspect.explain.manoeuvres import change, find, verdict
+from ground_tools.inspect.read.read_run import read_run
 from tests.ground_tools.inspect.flights import decision, guarded, read, step, track, write
 
 CONFIG = Config(identity=IdentityConfig(uas_id="ONE"), flight=FlightConfig(use="fly"))

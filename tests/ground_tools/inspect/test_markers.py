@@ -32,12 +32,13 @@ from companion.events import (
     TwoAutopilots,
     VehicleText,
 )
-from ground_tools.inspect import plots, recording, summary, writer
-from ground_tools.inspect.flown import flown
-from ground_tools.inspect.link_health import ComponentHealth, LinkHealth
-from ground_tools.inspect.live import Bridge
-from ground_tools.inspect.palette import LEVELS
-from ground_tools.inspect.read_run import Run, read_run
+from ground_tools.inspect.read.flown import flown
+from ground_tools.inspect.read.link_health import ComponentHealth, LinkHealth
+from ground_tools.inspect.read.read_run import Run, read_run
+from ground_tools.inspect.report import plots, summary
+from ground_tools.inspect.viewer import recording, writer
+from ground_tools.inspect.viewer.live import Bridge
+from ground_tools.inspect.viewer.palette import LEVELS
 from tests.ground_tools.inspect.flights import decision, step, track, write
 
 rr = pytest.importorskip("rerun")

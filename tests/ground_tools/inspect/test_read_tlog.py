@@ -23,11 +23,11 @@ from companion.events import (
 )
 from companion.remote_id.mavlink import encode_odid
 from companion.remote_id.messages import Location
-from ground_tools.inspect import read_tlog
-from ground_tools.inspect.flown import flown
-from ground_tools.inspect.modes import mode_name
-from ground_tools.inspect.read_run import AircraftRecord, Run, read_run
-from ground_tools.inspect.summary import describe, text
+from ground_tools.inspect.read import read_tlog
+from ground_tools.inspect.read.flown import flown
+from ground_tools.inspect.read.modes import mode_name
+from ground_tools.inspect.read.read_run import AircraftRecord, Run, read_run
+from ground_tools.inspect.report.summary import describe, text
 
 THINNED = Path(__file__).parents[2] / "data"
 FULL = Path(__file__).parents[4] / "shared" / "data" / "mavlink"

@@ -30,14 +30,14 @@ from companion.events import (
     TransportsChosen,
 )
 from companion.remote_id.messages import Location
-from ground_tools.inspect import recording, scene, writer
-from ground_tools.inspect.blueprint import _axis, _separation, blueprint, nearest_m
-from ground_tools.inspect.flown import flown, placed, separations
-from ground_tools.inspect.link_health import ComponentHealth, LinkHealth
-from ground_tools.inspect.palette import AUTHORITY, LEVELS, LIMIT
-from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.scene import PIECE_S, Aircraft, Encounter, Scene, first_encounter
-from ground_tools.inspect.why import HalfSpace
+from ground_tools.inspect.explain.why import HalfSpace
+from ground_tools.inspect.read.flown import flown, placed, separations
+from ground_tools.inspect.read.link_health import ComponentHealth, LinkHealth
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.viewer import recording, scene, writer
+from ground_tools.inspect.viewer.blueprint import _axis, _separation, blueprint, nearest_m
+from ground_tools.inspect.viewer.palette import AUTHORITY, LEVELS, LIMIT
+from ground_tools.inspect.viewer.scene import PIECE_S, Aircraft, Encounter, Scene, first_encounter
 
 pytest.importorskip("rerun")
 

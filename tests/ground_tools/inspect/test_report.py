@@ -15,11 +15,13 @@ from companion.errors import ConfigError
 from companion.event_record import Step
 from companion.events import AlertChanged, AuthorityChanged, Broadcast, VehicleText
 from companion.remote_id.messages import Location
-from ground_tools.inspect import command, plots, report
-from ground_tools.inspect.flown import flown, separations
-from ground_tools.inspect.manoeuvres import find
-from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.summary import describe
+from ground_tools.inspect import command
+from ground_tools.inspect.explain.manoeuvres import find
+from ground_tools.inspect.read.flown import flown, separations
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.report import page as report
+from ground_tools.inspect.report import plots
+from ground_tools.inspect.report.summary import describe
 from tests.browser import chromium
 from tests.ground_tools.inspect.flights import decision, guarded, read, step, track, write
 

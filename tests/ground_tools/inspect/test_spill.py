@@ -12,9 +12,9 @@ import pytest
 from companion.errors import ConfigError
 from companion.event_record import Step
 from companion.events import GlobalPosition
-from ground_tools.inspect import facts
-from ground_tools.inspect.facts import gather
-from ground_tools.inspect.spill import Spill, release, spilled
+from ground_tools.inspect.read import facts
+from ground_tools.inspect.read.facts import gather
+from ground_tools.inspect.read.spill import Spill, release, spilled
 
 SIZE = 500_000
 

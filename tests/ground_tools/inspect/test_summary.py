@@ -25,9 +25,9 @@ from companion.events import (
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.remote_id.region import Region
-from ground_tools.inspect import terminal
-from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.summary import describe
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.report import terminal
+from ground_tools.inspect.report.summary import describe
 from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
 
 FLYING = FlightConfig(use="fly")

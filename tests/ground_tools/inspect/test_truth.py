@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError, PeerDataError
-from ground_tools.inspect.flown import OWN, TRUE, flown, separations
-from ground_tools.inspect.read_run import read_run
-from ground_tools.inspect.summary import describe, text
-from ground_tools.inspect.truth import HEADER, read_truth
+from ground_tools.inspect.read.flown import OWN, TRUE, flown, separations
+from ground_tools.inspect.read.read_run import read_run
+from ground_tools.inspect.read.truth import HEADER, read_truth
+from ground_tools.inspect.report.summary import describe, text
 from sitl_mocks import demo
 from sitl_mocks.settings import PathSettings, Scenario
 

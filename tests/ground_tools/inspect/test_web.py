@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from companion.errors import ConfigError
-from ground_tools.inspect import web
-from ground_tools.inspect.web import MAP_TILES, WebViewer
+from ground_tools.inspect.viewer import web
+from ground_tools.inspect.viewer.web import MAP_TILES, WebViewer
 
 pytest.importorskip("rerun_cli")
 CONTENT = bytes(range(256)) * 500
@@ -104,9 +104,7 @@ def test_however_it_ends_no_viewer_is_left(tmp_path: Path, sent: signal.Signals,
     """SIGHUP: the terminal was closed."""
     path = tmp_path / "x.rrd"
     path.write_bytes(CONTENT)
-    words = (
-        "import sys, pathlib; from ground_tools.inspect.web import serve; serve(pathlib.Path(sys.argv[1]))"
-    )
+    words = "import sys, pathlib; from ground_tools.inspect.viewer.web import serve; serve(pathlib.Path(sys.argv[1]))"
     with subprocess.Popen([sys.executable, "-c", words, path], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert "127.0.0.1" in process.stdout.readline()

@@ -11,7 +11,7 @@ from companion.core import Companion
 from companion.events import Decision, FenceArea
 from companion.geometry import LocalFrame
 from companion.ownship import Ownship
-from ground_tools.inspect.why import Explainer, alternatives
+from ground_tools.inspect.explain.why import Explainer, alternatives
 from tests.ground_tools.inspect.flights import decision, guarded, track
 
 CONFIG = Config(identity=IdentityConfig(uas_id="ONE"), limits=LimitsConfig(max_speed_mps=6.0))

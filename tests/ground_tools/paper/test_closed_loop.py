@@ -17,10 +17,10 @@ import pytest
 from companion.errors import ConfigError
 from companion.remote_id.region import Region
 from ground_tools import cli
-from ground_tools.intervals import bootstrap, wilson
-from ground_tools.paper import closed_loop
-from ground_tools.paper.closed_loop_cells import cell as cell_of
-from ground_tools.paper.closed_loop_flights import (
+from ground_tools.common.intervals import bootstrap, wilson
+from ground_tools.paper.closed_loop import command as closed_loop
+from ground_tools.paper.closed_loop.cells import cell as cell_of
+from ground_tools.paper.closed_loop.flights import (
     ATMC,
     BEST_SET,
     CONDITIONS,
@@ -30,7 +30,7 @@ from ground_tools.paper.closed_loop_flights import (
     rows_of,
     scenario_of,
 )
-from ground_tools.paper.closed_loop_table import LOST, MEASURES, difference, json_rows, markdown, number
+from ground_tools.paper.closed_loop.table import LOST, MEASURES, difference, json_rows, markdown, number
 from sitl_mocks import settings
 from sitl_mocks.channel.parameters import ChannelParameters
 from tests.companion.atmc.policies import policy_file
@@ -270,7 +270,7 @@ def kept():
     parser.add_argument("--seed", type=int, default=1)
     closed_loop.add_arguments(parser)
     args = parser.parse_args([])
-    cells, missing = closed_loop.plan(args, ROOT / "config" / "atmc" / "results" / closed_loop.NAME)
+    cells, missing = closed_loop.plan(args, ROOT / "results" / "atmc" / closed_loop.NAME)
     assert not missing
     return closed_loop._shown(args, cells)
 

@@ -11,8 +11,8 @@ import pytest
 from companion.remote_id.transports import BLE4, WIFI_BEACON
 from ground_tools import cli
 from ground_tools.channel.fixed_modes import Settings, evaluate
-from ground_tools.paper import delay_rate, fixed_modes, packet_loss
 from ground_tools.paper.command import FIGURES
+from ground_tools.paper.figures import delay_rate, fixed_modes, packet_loss
 from ground_tools.paper.study import SIDES_M, Study, curves_of
 from sitl_mocks.channel.parameters import ChannelParameters
 

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from ground_tools.atmc.results import CONVERGENCE, Results, Run, read, write
-from ground_tools.paper import convergence
-from ground_tools.paper.convergence import binned, comparisons, converged_at, failures, iqm, statements
+from ground_tools.atmc.commands.results import CONVERGENCE, Results, Run, read, write
+from ground_tools.paper.figures import convergence
+from ground_tools.paper.figures.convergence import (
+    binned,
+    comparisons,
+    converged_at,
+    failures,
+    iqm,
+    statements,
+)
 
 
 def run(

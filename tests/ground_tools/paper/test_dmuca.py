@@ -13,8 +13,8 @@ from rich.console import Console
 from ground_tools import cli
 from ground_tools.campaign import cells
 from ground_tools.campaign.cells import Cell
-from ground_tools.paper import dmuca, dmuca_flights
-from ground_tools.paper.dmuca_flights import CASES, DELAYS_S, PAIRS, Case, fly, least_distances
+from ground_tools.paper.figures import dmuca, dmuca_flights
+from ground_tools.paper.figures.dmuca_flights import CASES, DELAYS_S, PAIRS, Case, fly, least_distances
 from ground_tools.paper.report import Numbers, Report, json_rows, show
 
 PUBLISHED = (

@@ -14,10 +14,11 @@ from companion.atmc.policy import Policy, encode
 from companion.errors import ConfigError
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from ground_tools import cli
-from ground_tools.atmc.results import Results, Run, write
-from ground_tools.paper import decision_time, methods, system_delay, uav_delay
-from ground_tools.paper.decision_time import Timing
+from ground_tools.atmc.commands.results import Results, Run, write
+from ground_tools.paper import methods
 from ground_tools.paper.delays import DENSITIES, SET, Delays
+from ground_tools.paper.figures import decision_time, system_delay, uav_delay
+from ground_tools.paper.figures.decision_time import Timing
 from tests.companion.atmc.policies import metadata, policy_file, tensors, with_golden
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ground_tools.channel.fixed_modes import Row
-from ground_tools.paper import delay_rate, fixed_modes, packet_loss
+from ground_tools.paper.figures import delay_rate, fixed_modes, packet_loss
 from ground_tools.paper.report import Comparison, Report, Statement, json_rows
 from ground_tools.paper.study import curves_of
 

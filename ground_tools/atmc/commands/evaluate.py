@@ -1,0 +1,311 @@
+"""`ground-tools atmc evaluate`: what a frozen policy is worth, beside the baselines and the search.
+
+All of them stand in the same places. Policies that were trained to decide at random phases do so here: in
+every place the aircraft decide in random parts, one part after the other, beginning with whatever they sent
+in the last place, and the last rounds count. Those of the paper decide once, all at the same time, after
+everybody was put somewhere else.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from companion.atmc import policy_file
+from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS, Action, legal
+from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
+from companion.atmc.policy import Metadata, Policy, load
+from companion.atmc.rule import BLE4_RANGE_M, FLYING_FAR, FLYING_NEAR, PAPER_FAR, PAPER_NEAR
+from companion.errors import ConfigError
+from ground_tools.atmc.env.channel import TorchChannel
+from ground_tools.atmc.env.deciders import Decider, Fixed, Rule, settle
+from ground_tools.atmc.env.environment import Env, EnvSettings, Observation
+from ground_tools.atmc.env.objective import AwarenessObjective, Objective, PaperObjective, costs
+from ground_tools.atmc.env.search import search
+from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL, MAX_BYTES, REGIONS, ObjectiveName, RegionName
+from ground_tools.atmc.env.world import SIDES_M, WorldSettings
+from ground_tools.atmc.learners.flat import flat, thawed
+from ground_tools.atmc.learners.set_network import SetNet
+from sitl_mocks.channel.parameters import ChannelParameters
+
+DENSITIES: Final = {"high": SIDES_M[:3], "low": SIDES_M[3:], "dynamic": SIDES_M}
+ROUNDS, COUNTED, PARTS = 6, 2, 4
+"""A policy of random phases: rounds of decisions in one place, the last ones that count, parts of a round."""
+_CELLS = 200_000
+"""Pairs of aircraft that are computed at a time."""
+_SEARCH_ROUNDS = 60
+_TIMED = 2_000
+_FLIGHT_STEPS, _FLIGHT_STEP_S, _MINUTE_S = 120, 1.0, 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is to be measured."""
+
+    objective: ObjectiveName
+    region: RegionName = "none"
+    uavs: int = 10
+    load: float = 0.0
+    samples: int = 1000
+    """Places in each of the paper's six squares."""
+    seed: int = 1
+    sigma_db: float = 0.0
+    wifi_channels: Literal["shared", "random"] = "shared"
+
+
+class Frozen:
+    """A policy file that decides for whole fleets. A `Decider`.
+
+    Args:
+        allowed: (actions,); others are never chosen.
+    """
+
+    def __init__(self, data: bytes, name: str, allowed: Tensor | None = None) -> None:
+        self.policy: Policy = load(data, name, max_bytes=MAX_BYTES)
+        self.metadata: Metadata = self.policy.metadata
+        self._columns = [NEIGHBOUR_COLUMNS.index(c) for c in self.metadata.neighbour_columns]
+        self._own = [OWN_COLUMNS.index(c) for c in self.metadata.own_columns]
+        count = len(self.metadata.actions)
+        self._refused = torch.zeros(count) if allowed is None else torch.where(allowed, 0.0, -torch.inf)
+        if self.metadata.kind == "flat":
+            self._stack = thawed(data, name)
+            return
+        _, tensors = policy_file.read(data, name, MAX_BYTES)
+        self._net = SetNet(len(self._columns), len(self._own), count)
+        self._net.load_state_dict({key: torch.from_numpy(value) for key, value in tensors.items()})
+
+    def decide(self, seen: Observation, action: Tensor) -> Tensor:
+        """See `Decider.decide`."""
+        with torch.no_grad():
+            if self.metadata.kind == "flat":
+                values = self._stack.of_all(flat(seen))
+            else:
+                values = self._net(seen.own[..., self._own], seen.rows[..., self._columns], seen.heard)
+        values = values + self._refused
+        stay = torch.nn.functional.one_hot(action, values.shape[-1]) * self.metadata.switch_price
+        return (values + stay).argmax(-1)
+
+
+def evaluate(data: bytes, name: str, question: Question) -> dict[str, float | int | str]:
+    """Everything that `ground-tools atmc evaluate` prints.
+
+    Raises:
+        ConfigError: the policy cannot answer this question.
+    """
+    fleet = Frozen(data, name)
+    _check(fleet.metadata, question, name)
+    objective, actions = objective_of(question.objective)
+    if fleet.metadata.actions != tuple(actions):
+        raise ConfigError(f"{name}: its actions are not those of the objective {question.objective!r}")
+    allowed = torch.from_numpy(legal(actions, REGIONS[question.region]))
+    if not allowed.any():
+        raise ConfigError(f"--region: {question.region}: none of the actions is legal there")
+    fleet = Frozen(data, name, allowed)
+    found = _Sums(len(actions))
+    for side in SIDES_M:
+        _measure_side(question, objective, fleet, allowed, side, found)
+    return {
+        "policy": fleet.metadata.name,
+        "objective": question.objective,
+        "region": question.region,
+        "uavs": question.uavs,
+        "load": question.load,
+        "samples": question.samples,
+        "seed": question.seed,
+        **found.report(allowed, actions),
+        "decision_us_median": decision_us(fleet.policy, question.uavs - 1),
+        "switches_per_min": switches_per_minute(question, objective, fleet),
+    }
+
+
+def objective_of(name: ObjectiveName) -> tuple[Objective, Sequence[Action]]:
+    """An objective with its channel, and the actions that it is about."""
+    if name == "paper":
+        return PaperObjective(TorchChannel(ChannelParameters(), PAPER_ACTIONS)), PAPER_ACTIONS
+    return AwarenessObjective(TorchChannel(AWARENESS_CHANNEL, SET_ACTIONS)), SET_ACTIONS
+
+
+def rule_of(name: ObjectiveName, actions: Sequence[Action], allowed: Tensor) -> Rule:
+    """The one-line rule; what is not legal gives way to the last action that is."""
+    near, far = (PAPER_NEAR, PAPER_FAR) if name == "paper" else (FLYING_NEAR, FLYING_FAR)
+    legal_actions = [action for action, fits in zip(actions, allowed.tolist(), strict=True) if fits]
+    near, far = (action if action in legal_actions else legal_actions[-1] for action in (near, far))
+    return Rule(actions, near, far, BLE4_RANGE_M)
+
+
+def _check(metadata: Metadata, question: Question, name: str) -> None:
+    if metadata.kind == "flat" and question.uavs != metadata.neighbours + 1:
+        raise ConfigError(
+            f"--uavs: {question.uavs}: {name} was made for exactly {metadata.neighbours + 1} aircraft"
+        )
+    if question.uavs > metadata.neighbours + 1:
+        raise ConfigError(
+            f"--uavs: {question.uavs}: {name} was trained with up to {metadata.neighbours + 1} aircraft"
+        )
+    if metadata.objective != question.objective:
+        raise ConfigError(
+            f"--objective: {question.objective}: {name} was trained for {metadata.objective!r}; "
+            "their actions differ"
+        )
+
+
+class _Sums:
+    """Costs and weights by side: of the policy ("", its rounds averaged), the rule, the search, each
+    action."""
+
+    def __init__(self, actions: int) -> None:
+        self._ms: dict[str, list[float]] = {"policy": [], "rule": [], "search": []}
+        self._fixed: list[list[float]] = [[] for _ in range(actions)]
+
+    def add(self, found: dict[str, float], fixed: Sequence[float]) -> None:
+        """One side's means (ms)."""
+        for key, values in self._ms.items():
+            values.append(found[key])
+        for values, value in zip(self._fixed, fixed, strict=True):
+            values.append(value)
+
+    def report(self, allowed: Tensor, actions: Sequence[Action]) -> dict[str, float | str]:
+        """By density, and of each side for the policy and the search."""
+        at = {density: [SIDES_M.index(side) for side in sides] for density, sides in DENSITIES.items()}
+
+        def mean(values: Sequence[float], density: str) -> float:
+            return round(float(np.mean([values[i] for i in at[density]])), 3)
+
+        legal_ones = [i for i, fits in enumerate(allowed.tolist()) if fits]
+        best = min(legal_ones, key=lambda i: mean(self._fixed[i], "dynamic"))
+        by_side = [min(self._fixed[i][k] for i in legal_ones) for k in range(len(SIDES_M))]
+        return {
+            **{f"{density}_ms": mean(self._ms["policy"], density) for density in DENSITIES},
+            "best_fixed_dynamic_ms": mean(self._fixed[best], "dynamic"),
+            "best_fixed": "+".join(map(str, actions[best])),
+            "best_fixed_by_side_dynamic_ms": round(float(np.mean(by_side)), 3),
+            "rule_dynamic_ms": mean(self._ms["rule"], "dynamic"),
+            "search_dynamic_ms": mean(self._ms["search"], "dynamic"),
+            **{
+                f"{key}side_{side:.0f}_ms": round(values[k], 3)
+                for key, values in (("", self._ms["policy"]), ("search_", self._ms["search"]))
+                for k, side in enumerate(SIDES_M)
+            },
+        }
+
+
+def _measure_side(
+    question: Question, objective: Objective, fleet: Frozen, allowed: Tensor, side: float, found: _Sums
+) -> None:
+    """All methods in the same places of one square."""
+    seed = (question.seed * 1_000_003 + int(side)) * 1_000_003 % 2**63
+    generator = torch.Generator().manual_seed(seed)
+    chunk = max(1, min(question.samples, _CELLS // question.uavs**2))
+    names = ("policy", "rule", "search")
+    total = dict.fromkeys(names, 0.0)
+    fixed = torch.zeros(len(allowed), dtype=torch.float64)
+    weight = 0.0
+    settings = _settings(question, side)
+    env: Env | None = None
+    done = 0
+    while done < question.samples:
+        some = min(chunk, question.samples - done)
+        if env is None or env.environments != some:
+            env = Env(settings, objective, some, question.uavs, generator)
+            env.action = allowed.nonzero()[:, 0][env.action % int(allowed.sum())]
+            _decide(env, fleet, fleet.metadata.decisions, generator)
+        # The same places for every policy, whatever chance it took so far.
+        generator.manual_seed((seed + done) % 2**63)
+        env.go_on()
+        total["policy"] += float(_decide(env, fleet, fleet.metadata.decisions, generator))
+        policy = env.action
+        total["rule"] += float(
+            _decide(env, rule_of(question.objective, objective.channel.actions, allowed), "phases", generator)
+        )
+        ruled = env.action
+        each = torch.stack(
+            [
+                costs(objective, env.air, torch.full_like(policy, k)).sum().double()
+                for k in range(len(allowed))
+            ]
+        )
+        best = int(each.masked_fill(~allowed, torch.inf).argmin())
+        starts = [policy, ruled, torch.full_like(policy, best)]
+        floor = search(objective, env.air, starts, allowed, generator, _SEARCH_ROUNDS)
+        total["search"] += float(costs(objective, env.air, floor).sum())
+        fixed += each
+        weight += float(env.air.weight.sum()) if question.objective == "awareness" else float(some)
+        env.action = policy
+        done += some
+    scale = 1e3 / max(weight, 1e-9)
+    found.add({name: value * scale for name, value in total.items()}, (fixed * scale).tolist())
+
+
+def _settings(question: Question, side: float) -> EnvSettings:
+    world = WorldSettings(
+        sides=side,
+        shadowing_sigma_db=(question.sigma_db, question.sigma_db),
+        wifi_channels=question.wifi_channels,
+        load=(question.load, question.load),
+    )
+    return EnvSettings(world=world, lossy=question.objective == "awareness")
+
+
+def _decide(env: Env, decider: Decider, decisions: str, generator: torch.Generator) -> Tensor:
+    """Sum of all costs (s) once the fleet has decided, the last rounds averaged."""
+    if decisions == "together":
+        return env.act(decider.decide(env.observe(), env.action)).sum()
+    rounds = 1 if isinstance(decider, Fixed | Rule) else ROUNDS
+    last = settle(env, decider, rounds, generator, parts=PARTS)[-COUNTED * PARTS :]
+    if rounds == 1:
+        return last[-1].sum()
+    return torch.stack([cost.sum() for cost in last]).mean()
+
+
+def decision_us(policy: Policy, neighbours: int) -> float:
+    """Median time (us) of one decision aboard: NumPy, one thread, this machine."""
+    own = np.array(policy.metadata.golden[0].own)
+    rows = np.array([row for golden in policy.metadata.golden for row in golden.rows])
+    rows = np.resize(rows, (neighbours, len(NEIGHBOUR_COLUMNS))) if len(rows) else np.zeros((0, 8))
+    allowed = np.ones(len(policy.actions), bool)
+    times = []
+    for _ in range(_TIMED):
+        began = time.perf_counter()
+        policy.choose(own, rows, allowed, 0)
+        times.append(time.perf_counter() - began)
+    return round(1e6 * float(np.median(times)), 2)
+
+
+def switches_per_minute(question: Question, objective: Objective, decider: Decider) -> float:
+    """How often an aircraft changes what it sends, a minute: fleets that fly through squares of all sizes at
+    up to 20 m/s, each aircraft deciding every two seconds on average, at random."""
+    generator = torch.Generator().manual_seed(question.seed)
+    fleets = max(6, min(60, _CELLS // 8 // question.uavs**2))
+    switches = decided = 0.0
+    for side in SIDES_M:
+        s = _settings(question, side)
+        settings = EnvSettings(world=s.world, positions="flown", step_s=_FLIGHT_STEP_S, lossy=s.lossy)
+        env = Env(settings, objective, fleets // 6, question.uavs, generator)
+        settle(env, decider, 1, generator)
+        for _ in range(_FLIGHT_STEPS // 6):
+            before = env.action
+            moving = torch.rand(before.shape, generator=generator) < 0.5
+            env.action = torch.where(moving, decider.decide(env.observe(), before), before)
+            switches += float((env.action != before).sum())
+            decided += before.numel() * _FLIGHT_STEP_S
+            env.go_on()
+    return round(_MINUTE_S * switches / decided, 3)
+
+
+def read_policy(path: Path) -> bytes:
+    """The bytes of a policy file.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from error

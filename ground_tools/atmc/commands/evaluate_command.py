@@ -1,0 +1,146 @@
+"""`ground-tools atmc evaluate`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from companion.errors import ConfigError
+from ground_tools.atmc.env.torch_setup import set_up_torch
+from ground_tools.channel.options import check_seed
+
+if TYPE_CHECKING:
+    from ground_tools.atmc.commands.evaluate import Question
+
+_MAX_UAVS = 1000
+_SHOWN = (
+    ("policy", "high_ms", "low_ms", "dynamic_ms"),
+    ("best fixed mode", None, None, "best_fixed_dynamic_ms"),
+    ("best fixed mode of each square", None, None, "best_fixed_by_side_dynamic_ms"),
+    ("one-line rule", None, None, "rule_dynamic_ms"),
+    ("search", None, None, "search_dynamic_ms"),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `ground-tools atmc evaluate`."""
+    parser.description = (
+        "Measure a frozen policy beside the best fixed mode, the one-line rule and the search that knows\n"
+        "everything, all in the same places: squares with sides of 100 to 10,000 m.\n\n"
+        "paper: system delay, the sum over the aircraft of each one's mean delay (ms).\n"
+        "awareness: mean age of what aircraft know of those whom they could soon be in conflict with (ms)."
+    )
+    parser.epilog = (
+        "examples:\n  ground-tools atmc evaluate --policy config/policies/atmc.safetensors --region eu\n"
+        "  ground-tools atmc evaluate --policy FILE --uavs 50 --samples 100 --load 0.5 --json"
+    )
+    parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="a frozen policy")
+    parser.add_argument(
+        "--objective", choices=("paper", "awareness"), help="default: the one that it was trained for"
+    )
+    parser.add_argument(
+        "--region", choices=("none", "us", "eu"), default="none", help="whose legal sets may be chosen"
+    )
+    parser.add_argument("--uavs", type=int, default=10, metavar="N", help="aircraft in a fleet (default: 10)")
+    parser.add_argument(
+        "--load",
+        type=float,
+        default=0.0,
+        metavar="L",
+        help="share of time that others fill the Wi-Fi channel",
+    )
+    parser.add_argument(
+        "--samples", type=int, default=1000, metavar="K", help="places in each square (default: 1000)"
+    )
+    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the places (default: 1)")
+    parser.add_argument(
+        "--sigma", type=float, default=0.0, metavar="DB", help="standard deviation of shadowing (default: 0)"
+    )
+    parser.add_argument(
+        "--wifi-channels", choices=("shared", "random"), default="shared", help="one for all, or 1, 6 or 11"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """`ground-tools atmc evaluate`. Returns 0.
+
+    Raises:
+        ConfigError: an option is wrong, the policy cannot be used, or PyTorch is missing.
+    """
+    evaluate = evaluation()
+    data = evaluate.read_policy(args.policy)
+    objective = args.objective
+    if objective is None:
+        objective = evaluate.Frozen(data, str(args.policy)).metadata.objective
+    question = evaluate.Question(
+        objective=objective,
+        region=args.region,
+        uavs=args.uavs,
+        load=args.load,
+        samples=args.samples,
+        seed=args.seed,
+        sigma_db=args.sigma,
+        wifi_channels=args.wifi_channels,
+    )
+    _check(question)
+    found = evaluate.evaluate(data, str(args.policy), question)
+    if args.json:
+        print(json.dumps(found))
+    else:
+        _show(found)
+    return 0
+
+
+def evaluation() -> Any:
+    """The module `evaluate`, which needs PyTorch.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    set_up_torch()
+    from ground_tools.atmc.commands import evaluate
+
+    return evaluate
+
+
+def _check(question: Question) -> None:
+    if not 2 <= question.uavs <= _MAX_UAVS:
+        raise ConfigError(f"--uavs: {question.uavs}: allowed 2 to {_MAX_UAVS}")
+    if not 0.0 <= question.load <= 0.95:
+        raise ConfigError(f"--load: {question.load:g}: allowed 0 to 0.95")
+    if question.load and question.objective == "paper":
+        raise ConfigError("--load: the paper's objective knows nobody else in the band")
+    if question.samples < 1:
+        raise ConfigError(f"--samples: {question.samples}: allowed 1 and above")
+    check_seed(question.seed)
+    if not 0.0 <= question.sigma_db <= 30.0:
+        raise ConfigError(f"--sigma: {question.sigma_db:g}: allowed 0 to 30")
+
+
+def _show(found: dict[str, Any]) -> None:
+    title = (
+        f"{found['policy']}: {found['objective']}, {found['uavs']} aircraft, region {found['region']}, "
+        f"load {found['load']:g}, {found['samples']:,} places in each square; ms"
+    )
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for head in ("", "high density", "low density", "dynamic", "against the search"):
+        table.add_column(head, justify="left" if not head else "right")
+    floor = found["search_dynamic_ms"]
+    for words, *keys in _SHOWN:
+        values = ["" if key is None else f"{found[key]:,.1f}" for key in keys]
+        table.add_row(words, *values, f"{100.0 * (found[str(keys[-1])] / floor - 1.0):+.1f} %")
+    console = Console()
+    console.print(table)
+    console.print(
+        f"best fixed: BLE 4 + BLE 5 + Wi-Fi at {found['best_fixed']} a second; "
+        f"{found['decision_us_median']:g} us a decision; {found['switches_per_min']:g} switches a minute",
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,87 @@
+"""`ground-tools atmc freeze`."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from companion.atmc import policy, policy_file
+from companion.errors import ConfigError
+from ground_tools.atmc.commands.evaluate_command import evaluation
+from ground_tools.atmc.env.tasks import MAX_BYTES
+
+_SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
+"""Places in each square, by fleet size, of what a frozen file says of itself."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `ground-tools atmc freeze`."""
+    parser.description = (
+        "Take the best policy of a training run, measure it, and write the file that flies: its weights,\n"
+        "what it was trained from and is worth, and golden cases that are checked whenever it is loaded."
+    )
+    parser.epilog = (
+        "example: ground-tools atmc freeze runs/atmc/20260101T000000Z-set-seed1 --out atmc.safetensors"
+    )
+    parser.add_argument("folder", type=Path, metavar="RUN", help="folder of a training run")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the policy file to write")
+    parser.add_argument(
+        "--name", metavar="NAME", help="what the policy calls itself (default: the file's name)"
+    )
+    parser.add_argument(
+        "--switch-price",
+        type=float,
+        metavar="S",
+        help="what a switch must gain, in seconds of age (default: as trained)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """`ground-tools atmc freeze`. Returns 0.
+
+    Raises:
+        ConfigError: the run has no policy, an option is wrong, or the file cannot be written.
+    """
+    evaluate = evaluation()
+    source = args.folder / "policy.safetensors"
+    metadata, tensors = policy_file.read(evaluate.read_policy(source), str(source), MAX_BYTES)
+    name = args.name or args.out.name.removesuffix(".safetensors")
+    price = metadata.switch_price if args.switch_price is None else args.switch_price
+    if not 0.0 <= price <= 10.0:
+        raise ConfigError(f"--switch-price: {price:g}: allowed 0 to 10")
+    config = evaluate.read_policy(args.folder / "config.toml")
+    metadata = msgspec.structs.replace(
+        metadata,
+        name=name,
+        switch_price=price,
+        training_config_sha256=hashlib.sha256(config).hexdigest(),
+    )
+    data = policy.encode(metadata, tensors, max_bytes=MAX_BYTES)
+    results = _results(evaluate, data, str(args.out), metadata)
+    data = policy.encode(msgspec.structs.replace(metadata, results=results), tensors, max_bytes=MAX_BYTES)
+    try:
+        args.out.write_bytes(data)
+    except OSError as error:
+        raise ConfigError(f"{args.out}: {error.strerror}") from error
+    print(f"wrote {args.out}: {len(data):,} bytes")
+    for key, value in results.items():
+        print(f"  {key}: {value:g}")
+    return 0
+
+
+def _results(evaluate: Any, data: bytes, name: str, metadata: Any) -> dict[str, float]:
+    """What the file says of itself: delays or ages by fleet size, and the loss against the search."""
+    sizes = [metadata.neighbours + 1] if metadata.kind == "flat" else list(_SAMPLES)
+    results = {}
+    for uavs in sizes:
+        if uavs > metadata.neighbours + 1:
+            continue
+        question = evaluate.Question(metadata.objective, uavs=uavs, samples=_SAMPLES.get(uavs, 100))
+        found = evaluate.evaluate(data, name, question)
+        for key in ("dynamic_ms", "best_fixed_dynamic_ms", "rule_dynamic_ms", "search_dynamic_ms"):
+            results[f"uavs{uavs}_{key}"] = float(found[key])
+    return results

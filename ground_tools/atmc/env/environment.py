@@ -1,0 +1,200 @@
+"""The environment in which policies learn and are measured: many fleets side by side, [environment,
+aircraft, ...].
+
+Section "MDP Transformation" of the paper. A step: the aircraft observe, some or all of them choose, the
+channel gives the delays, and positions are drawn anew (the paper) or flown on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+import msgspec
+import torch
+from torch import Tensor
+
+from companion.atmc.observation import conflict_weight, neighbour_rows, own_row
+from companion.atmc.senses import FEWEST_EXPECTED, FEWEST_SENDERS, SCAN_SHARE
+from companion.traffic.reception import HEARD_S, SHARE_MEMORY_S
+from ground_tools.atmc.env.channel import Packets, TorchChannel
+from ground_tools.atmc.env.objective import Air, Objective, costs
+from ground_tools.atmc.env.world import World, WorldSettings, draw, move, redraw
+
+
+class EnvSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How environments come about and go on."""
+
+    world: WorldSettings = WorldSettings()
+    positions: Literal["redrawn", "flown"] = "redrawn"
+    """Between two steps: everybody at a new place, as the paper says, or `step_s` of flight."""
+    side_drawn: Literal["step", "episode"] = "step"
+    """When the square is drawn anew."""
+    step_s: float = 1.0
+    lossy: bool = False
+    """Neighbours are heard by chance, as their messages get through, and not for certain; and how well they
+    get through is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What all aircraft see, in the columns of `companion.atmc.observation`."""
+
+    own: Tensor
+    """(E, N, 16)."""
+    rows: Tensor
+    """(E, N, N, 8): by observer and neighbour."""
+    heard: Tensor
+    """(E, N, N): which of the rows are there."""
+
+    def of(self, observers: Tensor) -> Observation:
+        """What some of them see, by their indices."""
+        return Observation(self.own[:, observers], self.rows[:, observers], self.heard[:, observers])
+
+
+class Env:
+    """Many fleets of one size.
+
+    Args:
+        generator: draws everything; its device is that of all tensors.
+    """
+
+    def __init__(
+        self,
+        settings: EnvSettings,
+        objective: Objective,
+        environments: int,
+        aircraft: int,
+        generator: torch.Generator,
+    ) -> None:
+        self.settings = settings
+        self.objective = objective
+        self.environments, self.aircraft = environments, aircraft
+        self._generator = generator
+        self._others = 1.0 - torch.eye(aircraft, device=generator.device)
+        self.reset()
+
+    @property
+    def channel(self) -> TorchChannel:
+        """The objective's channel, with its actions."""
+        return self.objective.channel
+
+    def reset(self) -> None:
+        """New environments: in half of them everybody does something at random, in the others all the
+        same."""
+        shape, device = (self.environments, self.aircraft), self._generator.device
+        actions = len(self.channel.actions)
+        each, alike = (
+            torch.randint(actions, size, generator=self._generator, device=device)
+            for size in (shape, (shape[0], 1))
+        )
+        uniform = torch.rand((shape[0], 1), generator=self._generator, device=device) < 0.5
+        self.action = torch.where(uniform, alike, each)
+        """(E, N): what everybody does now; indices into the channel's actions."""
+        identity = torch.randint(2, (*shape, 4), generator=self._generator, device=device)
+        self.identity = identity.to(torch.float32) * 2.0 - 1.0
+        self.place(draw(self.settings.world, *shape, self._generator))
+
+    def place(self, world: World) -> None:
+        """Go on in this world."""
+        self.world = world
+        self._distance = world.distance_m()
+        loss = path_loss_db(self._distance, self.channel) + world.shadowing_db
+        reach = self.channel.reach(loss, world.wifi_channel, world.busy)
+        self._conflict = conflict_weight(torch, self._distance, world.closing_mps(self._distance))
+        self.air = Air(reach, self._conflict * self._others)
+
+    def observe(self) -> Observation:
+        """What everybody sees now."""
+        rates = self.channel.rates[self.action]
+        reach = torch.stack(self.air.reach.modes, -1)
+        packets = None
+        if self.settings.lossy:
+            loads = self.channel.loads(self.air.reach, self.action)
+            packets = self.channel.packets(self.air.reach, loads)
+        on = (rates > 0)[:, None].to(torch.float32) * reach
+        if packets is not None:
+            on = on * self._received(packets)
+        rows = neighbour_rows(torch, self._distance, self._conflict, rates[:, None] * on)
+        success, measured = self._success(on, packets)
+        return Observation(own_row(torch, rates, success, measured, self.identity), rows, on.amax(-1))
+
+    def _received(self, packets: Packets) -> Tensor:
+        """(E, receiver, sender, 3): on which transports something was heard lately, by chance."""
+        level = self.channel.level_of[self.action][:, None]
+        delays = [self.channel.log_delay_at(mode, level[..., mode], packets) for mode in range(3)]
+        missing = torch.exp(-HEARD_S * torch.exp(-torch.stack(delays, -1)))
+        luck = torch.rand(missing.shape, generator=self._generator, device=missing.device)
+        return (luck >= missing).to(torch.float32)
+
+    def _success(self, on: Tensor, packets: Packets | None) -> tuple[Tensor, Tensor]:
+        """(E, N, 3) each: share of the packets of those who are heard that survive, counted as aboard where
+        few are near (`companion.atmc.senses.SuccessMeter`), and where it is known. In a crowd it is surer
+        aboard, where all within `NEAR_M` are counted."""
+        shape = (*self.action.shape, 3)
+        if packets is None:
+            # The paper's aircraft measure nothing.
+            return on.new_zeros(shape), on.new_zeros(shape)
+        p = packets
+        alive = torch.exp(torch.stack([p.ble4, p.pointer + p.auxiliary, p.wifi], -1))
+        heard = on.sum(2)
+        counted = heard.clamp(min=1.0, max=float(FEWEST_SENDERS)) / heard.clamp(min=1.0)
+        rates = self.channel.rates[self.action][:, None]
+        expected = SHARE_MEMORY_S * counted * (rates * on).sum(2)
+        measured = (expected >= FEWEST_EXPECTED).to(torch.float32)
+        # A mean of few arrivals is mostly chance.
+        whole = expected * torch.tensor(SCAN_SHARE, device=on.device)
+        mean = (alive * on).sum(2) / heard.clamp(min=1.0)
+        arrived = torch.poisson(whole * mean, generator=self._generator)
+        return (arrived / whole.clamp(min=1e-6)).clamp(max=1.0), measured
+
+    def act(self, action: Tensor, moving: Tensor | None = None) -> Tensor:
+        """Change what is sent; positions stay.
+
+        Args:
+            action: (E, N).
+            moving: (E, N), who changes; None: all.
+
+        Returns:
+            Cost (s) of each aircraft's messages, (E, N).
+        """
+        self.action = action if moving is None else torch.where(moving, action, self.action)
+        return costs(self.objective, self.air, self.action)
+
+    def state(self) -> dict[str, Any]:
+        """Everything but the generator, for `load`."""
+        world = {f.name: getattr(self.world, f.name) for f in fields(self.world)}
+        return {"world": world, "action": self.action, "identity": self.identity}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        device = self._generator.device
+        self.action, self.identity = state["action"].to(device), state["identity"].to(device)
+        self.place(World(**{name: part.to(device) for name, part in state["world"].items()}))
+
+    def go_on(self) -> None:
+        """The next positions."""
+        s = self.settings
+        if s.positions == "flown":
+            self.place(move(self.world, s.step_s))
+        elif s.side_drawn == "step":
+            self.place(draw(s.world, self.environments, self.aircraft, self._generator))
+        else:
+            self.place(redraw(self.world, self._generator))
+
+
+def path_loss_db(distance_m: Tensor, channel: TorchChannel) -> Tensor:
+    """Log-distance path loss without shadowing (dB)."""
+    p = channel.parameters.propagation
+    return p.loss_at_1m_db + 10.0 * p.exponent * torch.log10(distance_m)
+
+
+def paper_reward(cost_s: Tensor, reaches: Tensor, local: float = 1.0, shared: float = 1.0) -> Tensor:
+    """The paper's reward, alpha r_local + beta r_global (section "Reward Function"), in seconds.
+
+    Args:
+        cost_s: (E, N), each one's mean delay to those it reaches.
+        reaches: (E, N), whether it reaches anybody: both parts are sums over those, and empty without them.
+    """
+    mean = cost_s.mean(1, keepdim=True)
+    return (-local * cost_s + shared * (mean - cost_s)) * reaches

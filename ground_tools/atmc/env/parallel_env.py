@@ -1,0 +1,110 @@
+"""The environment as a PettingZoo `ParallelEnv`: one fleet, every aircraft an agent.
+
+For algorithms of other libraries; ours take `env.Env`, of which this is a thin adapter. An episode ends by
+time only (truncation), so that a learner looks ahead beyond its last step.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Discrete
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from companion.atmc.actions import PAPER_ACTIONS, Action
+from ground_tools.atmc.env.channel import TorchChannel
+from ground_tools.atmc.env.environment import Env, EnvSettings, paper_reward
+from ground_tools.atmc.env.objective import PaperObjective
+from ground_tools.atmc.learners.flat import flat, inputs
+from sitl_mocks.channel.parameters import ChannelParameters
+
+Floats = NDArray[np.float32]
+Infos = dict[str, dict[str, float]]
+
+
+class AtmcParallelEnv(ParallelEnv[str, Floats, int]):  # type: ignore[misc]
+    """The paper's task, on the CPU.
+
+    Agents are called "uav_0" and so on. An observation is a row of `flat.flat`, a reward is in s, and the
+    info of each agent gives its mean delay ("delay_s").
+
+    Args:
+        aircraft: in the fleet.
+        steps: in an episode.
+        settings: of the environment.
+        actions: what an aircraft may send; one protocol each.
+        parameters: of the channel.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"name": "dmuca_atmc_v0", "render_modes": []}
+
+    def __init__(
+        self,
+        aircraft: int = 10,
+        steps: int = 100,
+        settings: EnvSettings | None = None,
+        actions: tuple[Action, ...] = PAPER_ACTIONS,
+        parameters: ChannelParameters | None = None,
+    ) -> None:
+        self.possible_agents = [f"uav_{number}" for number in range(aircraft)]
+        self.agents: list[str] = []
+        self.render_mode = None
+        self._steps, self._done = steps, 0
+        self._generator = torch.Generator()
+        self._generator.seed()
+        objective = PaperObjective(TorchChannel(parameters or ChannelParameters(), actions))
+        self._env = Env(settings or EnvSettings(), objective, 1, aircraft, self._generator)
+        box = Box(0.0, 2.0, (inputs(aircraft),), np.float32)
+        self.observation_spaces = dict.fromkeys(self.possible_agents, box)
+        self.action_spaces = {agent: Discrete(len(actions)) for agent in self.possible_agents}
+
+    def observation_space(self, agent: str) -> Box:
+        """The same for all."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Discrete[Any]:
+        """Indices into the actions."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Floats], Infos]:
+        """Begin an episode; a seed makes all that follows the same again."""
+        if seed is not None:
+            self._generator.manual_seed(seed)
+        self.agents = list(self.possible_agents)
+        self._done = 0
+        self._env.reset()
+        return self._observations(), {agent: {} for agent in self.agents}
+
+    def step(
+        self, actions: dict[str, int]
+    ) -> tuple[dict[str, Floats], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        """All choose at the same time; then everybody is somewhere else."""
+        agents = self.agents
+        if not agents:
+            return {}, {}, {}, {}, {}
+        chosen = torch.tensor([[int(actions[agent]) for agent in agents]])
+        cost_s = self._env.act(chosen)
+        reward = paper_reward(cost_s, cost_s > 0.0)[0].tolist()
+        self._env.go_on()
+        self._done += 1
+        over = self._done >= self._steps
+        infos = {agent: {"delay_s": s} for agent, s in zip(agents, cost_s[0].tolist(), strict=True)}
+        observations = self._observations()
+        if over:
+            self.agents = []
+        return (
+            observations,
+            dict(zip(agents, reward, strict=True)),
+            dict.fromkeys(agents, False),
+            dict.fromkeys(agents, over),
+            infos,
+        )
+
+    def _observations(self) -> dict[str, Floats]:
+        rows: Floats = flat(self._env.observe())[0].numpy()
+        return dict(zip(self.agents, rows, strict=True))

@@ -1,0 +1,86 @@
+"""The algorithms of `ground-tools atmc train`. A new one is a function here and its line in `ALGORITHMS`.
+
+Nothing here loads PyTorch before it is needed: every `ground-tools` command reads this list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+if TYPE_CHECKING:
+    import torch
+
+    from ground_tools.atmc.learners.learner import Learner
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What an algorithm consists of."""
+
+    settings: msgspec.Struct
+    """Its defaults; their type is that of its configuration file. `--episodes` sets `episodes`."""
+    make: Callable[[Any, int, torch.device], Learner]
+    """From settings, seed and device."""
+
+
+@dataclass(frozen=True, slots=True)
+class Algorithm:
+    """One of them."""
+
+    words: str
+    """For the help."""
+    parts: Callable[[], Parts]
+    validate_every: int = 10
+    """Rounds."""
+    checkpoint_every: int = 50
+    """Rounds."""
+
+
+def _madqn() -> Parts:
+    from ground_tools.atmc.learners.madqn import Madqn, MadqnSettings
+
+    return Parts(MadqnSettings(), Madqn)
+
+
+def _madqn_shared() -> Parts:
+    from ground_tools.atmc.learners.madqn import Madqn, SharedMadqnSettings
+
+    return Parts(SharedMadqnSettings(), Madqn)
+
+
+def _maddpg() -> Parts:
+    from ground_tools.atmc.learners.maddpg import Maddpg, MaddpgSettings
+
+    return Parts(MaddpgSettings(), Maddpg)
+
+
+def _iac() -> Parts:
+    from ground_tools.atmc.learners.iac import Iac, IacSettings
+
+    return Parts(IacSettings(), Iac)
+
+
+def _flying() -> Parts:
+    from ground_tools.atmc.learners.flying_policy import FlyingLearner, FlyingSettings
+
+    return Parts(FlyingSettings(), FlyingLearner)
+
+
+def _set_paper() -> Parts:
+    from ground_tools.atmc.learners.flying_policy import PAPER_FLEETS, FlyingLearner, FlyingSettings
+
+    return Parts(FlyingSettings(objective="paper", fleets=PAPER_FLEETS, episodes=40), FlyingLearner)
+
+
+ALGORITHMS: Final[dict[str, Algorithm]] = {
+    "madqn": Algorithm("the paper's MADQN-ATMC: a network for each aircraft", _madqn),
+    "madqn-shared": Algorithm("the same with one network for all", _madqn_shared),
+    "maddpg": Algorithm("the paper's baseline with critics that see everything", _maddpg),
+    "iac": Algorithm("the paper's baseline of independent actors and critics", _iac),
+    "flying": Algorithm("the set network that flies: awareness, any number of neighbours", _flying, 2, 2),
+    "set-paper": Algorithm("the set network on the paper's objective", _set_paper, 2, 2),
+}

@@ -1,0 +1,181 @@
+"""The paper's observation as one row of numbers, and the networks that take it: one for each aircraft, or one
+for all.
+
+Neighbours stand nearest first, each with its distance, protocol and rate and a 1; zeros follow for those who
+are not heard. `companion.atmc.networks.FlatNetwork` computes the same aboard in NumPy.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+
+import msgspec
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from companion.atmc import policy, policy_file
+from companion.atmc.actions import Action
+from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
+from ground_tools.atmc.env.environment import Observation
+from ground_tools.atmc.env.tasks import MAX_BYTES
+
+COLUMNS = ("log_distance", "ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
+"""Of each neighbour; a 1 follows where it is heard."""
+OWN = ("ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
+_COLUMNS = [NEIGHBOUR_COLUMNS.index(name) for name in COLUMNS]
+_OWN = [OWN_COLUMNS.index(name) for name in OWN]
+
+
+def inputs(aircraft: int) -> int:
+    """Length of a row."""
+    return len(OWN) + (aircraft - 1) * (len(COLUMNS) + 1)
+
+
+def flat(observation: Observation) -> Tensor:
+    """What each aircraft sees as one row, (E, N, inputs(N))."""
+    rows, heard = observation.rows, observation.heard > 0
+    environments, aircraft, _ = heard.shape
+    nearest = torch.where(heard, rows[..., 0], math.inf).argsort(-1)[..., : aircraft - 1]
+    there = heard.gather(-1, nearest)[..., None].to(rows.dtype)
+    wanted = rows[..., _COLUMNS]
+    chosen = wanted.gather(2, nearest[..., None].expand(*nearest.shape, len(COLUMNS)))
+    neighbours = torch.cat([chosen * there, there], -1).reshape(environments, aircraft, -1)
+    return torch.cat([observation.own[..., _OWN], neighbours], -1)
+
+
+class Stack(nn.Module):
+    """Networks of one shape side by side, relu between their layers.
+
+    One multiplication for all of them at each layer: several times faster than one after the other.
+
+    Args:
+        networks: how many.
+        sizes: of the input, the hidden layers and the output.
+        generator: draws the weights: Glorot uniform, biases 0, as the dense layers of the paper's TensorFlow.
+    """
+
+    def __init__(self, networks: int, sizes: Sequence[int], generator: torch.Generator) -> None:
+        super().__init__()
+        device = generator.device
+        self.weights = nn.ParameterList()
+        self.biases = nn.ParameterList()
+        for before, after in itertools.pairwise(sizes):
+            bound = math.sqrt(6.0 / (before + after))
+            drawn = torch.rand(networks, before, after, generator=generator, device=device)
+            self.weights.append(nn.Parameter((2.0 * drawn - 1.0) * bound))
+            self.biases.append(nn.Parameter(torch.zeros(networks, 1, after, device=device)))
+
+    @property
+    def networks(self) -> int:
+        """How many."""
+        return int(self.weights[0].shape[0])
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(networks, batch, input) to (networks, batch, output)."""
+        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = torch.baddbmm(bias, torch.relu(x) if index else x, weight)
+        return x
+
+    def after_first(self, x: Tensor) -> Tensor:
+        """From what the first layer gives, (networks, batch, first hidden), to (networks, batch, output)."""
+        for weight, bias in zip(list(self.weights)[1:], list(self.biases)[1:], strict=True):
+            x = torch.baddbmm(bias, torch.relu(x), weight)
+        return x
+
+    def of_all(self, x: Tensor) -> Tensor:
+        """(E, N, input) to (E, N, output): aircraft n by network n, or all by the only one."""
+        if self.networks == 1:
+            return self(x.reshape(1, -1, x.shape[-1])).reshape(*x.shape[:-1], -1)  # type: ignore[no-any-return]
+        return self(x.transpose(0, 1)).transpose(0, 1)  # type: ignore[no-any-return]
+
+
+def soft_update(target: Stack, network: Stack, share: float) -> None:
+    """theta' <- tau theta + (1 - tau) theta'."""
+    with torch.no_grad():
+        torch._foreach_lerp_(list(target.parameters()), list(network.parameters()), share)
+
+
+def clipped(gradients: Sequence[Tensor], norm: float) -> list[Tensor]:
+    """Gradients of a stack's parameters, each network's by itself no longer than `norm`."""
+    squares = torch.stack([gradient.square().sum((1, 2)) for gradient in gradients]).sum(0)
+    factor = (norm / squares.sqrt().clamp(min=1e-12)).clamp(max=1.0)[:, None, None]
+    return [gradient * factor for gradient in gradients]
+
+
+def frozen(
+    stack: Stack, actions: Sequence[Action], name: str, results: Mapping[str, float], examples: Tensor
+) -> bytes:
+    """The policy file of a stack whose greatest output is the choice.
+
+    Args:
+        results: measured, for people.
+        examples: rows of some aircraft, (cases, inputs), for its golden cases.
+    """
+    tensors = {}
+    for index, (weight, bias) in enumerate(zip(stack.weights, stack.biases, strict=True)):
+        tensors[f"layer{index}.weight"] = _array(weight.transpose(1, 2))
+        tensors[f"layer{index}.bias"] = _array(bias[:, 0])
+    neighbours = (examples.shape[-1] - len(OWN)) // (len(COLUMNS) + 1)
+    metadata = policy.Metadata(
+        kind="flat",
+        objective="paper",
+        decisions="together",
+        name=name,
+        neighbours=neighbours,
+        agents=stack.networks,
+        neighbour_columns=COLUMNS,
+        own_columns=OWN,
+        actions=tuple(actions),
+        bounds=policy.Bounds(
+            neighbour_low=(0.0,) * len(COLUMNS),
+            neighbour_high=(math.log10(math.hypot(1e4, 1e4)) / 4.0, *(1.0,) * (len(COLUMNS) - 1)),
+            own_low=(0.0,) * len(OWN),
+            own_high=(1.0,) * len(OWN),
+        ),
+        results=dict(results),
+        golden=(policy.Golden(own=(0.0,) * len(OWN_COLUMNS), rows=(), q=(0.0,) * len(actions)),),
+    )
+    unchecked = policy.Policy(metadata, tensors, name)
+    golden = tuple(
+        policy.golden_of(unchecked, *_whole_rows(row), agent=index % stack.networks)
+        for index, row in enumerate(_array(examples))
+    )
+    metadata = msgspec.structs.replace(metadata, golden=golden)
+    return policy.encode(metadata, tensors, max_bytes=MAX_BYTES)
+
+
+def thawed(data: bytes, name: str) -> Stack:
+    """The stack of a policy file, on the CPU.
+
+    Raises:
+        PolicyError: names the file and what is wrong with it.
+    """
+    _, tensors = policy_file.read(data, name, MAX_BYTES)
+    layers = [(tensors[f"layer{i}.weight"], tensors[f"layer{i}.bias"]) for i in range(len(tensors) // 2)]
+    networks, _, first = layers[0][0].shape
+    sizes = (first, *(bias.shape[1] for _, bias in layers))
+    stack = Stack(networks, sizes, torch.Generator())
+    with torch.no_grad():
+        for index, (weight, bias) in enumerate(layers):
+            stack.weights[index].copy_(torch.from_numpy(weight).transpose(1, 2))
+            stack.biases[index].copy_(torch.from_numpy(bias)[:, None])
+    return stack
+
+
+def _whole_rows(row: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A flat row as the observation that it came from, all columns of the schema."""
+    own = np.zeros(len(OWN_COLUMNS))
+    own[_OWN] = row[: len(OWN)]
+    table = row[len(OWN) :].reshape(-1, len(COLUMNS) + 1)
+    table = table[table[:, -1] > 0]
+    rows = np.zeros((len(table), len(NEIGHBOUR_COLUMNS)))
+    rows[:, _COLUMNS] = table[:, :-1]
+    return own, rows
+
+
+def _array(tensor: Tensor) -> NDArray[np.float32]:
+    return np.ascontiguousarray(tensor.detach().cpu().numpy(), np.float32)

@@ -1,0 +1,140 @@
+"""Independent actor-critic (IAC in Christianos et al., 2020): an actor and a critic for each aircraft, which
+both see what that aircraft sees. On-policy: every few steps the fleet learns from those steps and forgets
+them, so that there is no replay buffer to fill first.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+import torch
+from msgspec import Meta
+from torch import Tensor
+
+from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
+from ground_tools.atmc.learners.flat import Stack, clipped, frozen
+
+
+class IacSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the paper's table says of all algorithms is taken from there; the rest was tuned
+    (docs/atmc-baselines.md)."""
+
+    task: TaskSettings = TaskSettings()
+    episodes: Count = 1000
+    learn_every: Count = 10
+    """Steps that an update learns from."""
+    discount: Share = 0.95
+    learning_rate: Annotated[float, Meta(gt=0)] = 3e-4
+    """Of actors and critics."""
+    entropy: Annotated[float, Meta(ge=0)] = 0.01
+    """Times the entropy of the choices, taken from the actors' loss."""
+    gradient_clip: Annotated[float, Meta(gt=0)] = 0.5
+    """Greatest norm of the gradient of each network."""
+    hidden: tuple[Count, ...] = (256, 128)
+
+
+class Iac:
+    """A `Learner`."""
+
+    def __init__(self, settings: IacSettings, seed: int, device: torch.device) -> None:
+        s = self.settings = settings
+        self.rounds, self.done = s.episodes, 0
+        g = self._generator = torch.Generator(device).manual_seed(seed)
+        self._task = PaperTask(s.task, g)
+        uavs = s.task.uavs
+        self.actor = Stack(uavs, (self._task.inputs, *s.hidden, len(self._task.actions)), g)
+        self.critic = Stack(uavs, (self._task.inputs, *s.hidden, 1), g)
+        self._parameters = [*self.actor.parameters(), *self.critic.parameters()]
+        self._adam = torch.optim.Adam(self._parameters, lr=s.learning_rate, fused=True)
+
+    def train(self) -> dict[str, float]:
+        """One episode."""
+        s = self.settings
+        tally = Tally(s.task.uavs, self._task.device)
+        seen = self._task.reset()
+        path: list[tuple[Tensor, Tensor, Tensor]] = []
+        for step in range(s.task.steps):
+            action = self._draw(seen)
+            then, reward, cost_s = self._task.step(action)
+            path.append((seen, action, reward))
+            if len(path) == s.learn_every or step + 1 == s.task.steps:
+                tally.learned(self._learn(path, then))
+                path = []
+            tally.add(reward, cost_s)
+            seen = then
+        self.done += 1
+        return tally.metrics()
+
+    def _draw(self, seen: Tensor) -> Tensor:
+        """Choices (N,) by the actors' probabilities."""
+        with torch.no_grad():
+            logits = self.actor.of_all(seen[None])[0]
+        # The least of exponential times divided by the probabilities falls on each choice with its own.
+        times = torch.empty_like(logits).exponential_(generator=self._generator)
+        return (logits - times.log()).argmax(-1)
+
+    def _learn(self, path: list[tuple[Tensor, Tensor, Tensor]], then: Tensor) -> Tensor:
+        """One update, from a few steps in a row and what is seen then. Returns the critics' mean loss."""
+        s = self.settings
+        seen, action, reward = (torch.stack(part, 1) for part in zip(*path, strict=True))  # (N, steps, ...)
+        with torch.no_grad():
+            after = self.critic(then[:, None])[:, 0, 0]
+            returns = discounted(reward, after, s.discount)
+        value = self.critic(seen)[..., 0]
+        logs = torch.log_softmax(self.actor(seen), -1)
+        chosen = logs.gather(-1, action[..., None])[..., 0]
+        entropy = -(logs.exp() * logs).sum(-1)
+        critic_loss = (returns - value).square().mean(1).sum()
+        actor_loss = -((returns - value).detach() * chosen + s.entropy * entropy).mean(1).sum()
+        gradients = torch.autograd.grad(actor_loss + critic_loss, self._parameters)
+        of_actor = len(list(self.actor.parameters()))
+        parts = (gradients[:of_actor], gradients[of_actor:])
+        for parameter, gradient in zip(
+            self._parameters, [g for part in parts for g in clipped(part, s.gradient_clip)], strict=True
+        ):
+            parameter.grad = gradient
+        self._adam.step()
+        found: Tensor = critic_loss.detach() / s.task.uavs
+        return found
+
+    def _best(self, seen: Tensor) -> Tensor:
+        """(E, N, inputs) to (E, N)."""
+        with torch.no_grad():
+            return self.actor.of_all(seen).argmax(-1)
+
+    def validate(self) -> dict[str, float]:
+        """Delays (ms) of the most probable choices."""
+        return self._task.validate(self._best)
+
+    def state(self) -> dict[str, Any]:
+        """See `Learner.state`."""
+        return {
+            "done": self.done,
+            "actor": self.actor.state_dict(),
+            "critic": self.critic.state_dict(),
+            "adam": self._adam.state_dict(),
+            "generator": self._generator.get_state(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """See `Learner.load`."""
+        self.done = state["done"]
+        self.actor.load_state_dict(state["actor"])
+        self.critic.load_state_dict(state["critic"])
+        self._adam.load_state_dict(state["adam"])
+        self._generator.set_state(state["generator"])
+
+    def frozen(self, name: str, results: dict[str, float]) -> bytes:
+        """See `Learner.frozen`."""
+        return frozen(self.actor, self._task.actions, name, results, self._task.examples())
+
+
+def discounted(reward: Tensor, after: Tensor, discount: float) -> Tensor:
+    """Discounted sums of the rewards (N, steps) from each step on, with the value (N,) of what is seen after
+    the last one."""
+    found, total = [], after
+    for step in reversed(range(reward.shape[1])):
+        total = reward[:, step] + discount * total
+        found.append(total)
+    return torch.stack(found[::-1], 1)

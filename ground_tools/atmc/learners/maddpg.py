@@ -1,0 +1,192 @@
+"""MADDPG (Lowe et al., 2017) for the paper's task: an actor for each aircraft, which sees what that aircraft
+sees, and a critic for each, which in training sees what all see and do.
+
+Choices are discrete: an actor gives logits, and a choice is drawn by the straight-through Gumbel-softmax: one
+choice forwards, the softmax backwards. Drawing explores. Rewards are standardised by mean and deviation over
+the first full buffer. As in MADQN-ATMC the buffer holds 250 episodes, learning begins when it is full, and
+the last step of an episode is no end of the task.
+
+All aircraft learn from the same drawn moments, and a critic's first layer is linear: the fleet's row goes
+through it once, and another action of one's own only adds and takes a row of weights.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+import torch
+from msgspec import Meta
+from torch import Tensor
+from torch.nn import functional
+
+from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
+from ground_tools.atmc.learners.flat import Stack, clipped, frozen, soft_update
+from ground_tools.atmc.learners.replay_buffer import Batch, Replay
+
+Rate = Annotated[float, Meta(gt=0)]
+
+
+class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the paper's table says of all algorithms is taken from there; the rest was tuned
+    (docs/atmc-baselines.md)."""
+
+    task: TaskSettings = TaskSettings()
+    episodes: Count = 1000
+    batch: Count = 256
+    buffer_steps: Count = 25_000
+    """Steps that the buffer holds. Learning begins when it is full."""
+    learn_every: Count = 5
+    """Steps from one update to the next; the original takes 100 samples."""
+    discount: Share = 0.95
+    actor_rate: Rate = 3e-4
+    critic_rate: Rate = 1e-3
+    soft_update: Share = 0.01
+    """Share of the network in the target network after an update; the original's. The paper's 0.999 is not
+    slow, and an actor that follows a critic needs it slow."""
+    temperature: Rate = 1.0
+    """Of the softmax backwards."""
+    logit_cost: Annotated[float, Meta(ge=0)] = 1e-3
+    """Times the mean square of the logits, added to the actors' loss; the original's."""
+    gradient_clip: Rate = 0.5
+    """Greatest norm of the gradient of each network; the original's."""
+    hidden: tuple[Count, ...] = (256, 128)
+
+
+class Maddpg:
+    """A `Learner`."""
+
+    def __init__(self, settings: MaddpgSettings, seed: int, device: torch.device) -> None:
+        s = self.settings = settings
+        self.rounds, self.done = s.episodes, 0
+        g = self._generator = torch.Generator(device).manual_seed(seed)
+        self._task = PaperTask(s.task, g)
+        self._uavs, self._actions = s.task.uavs, len(self._task.actions)
+        sizes = (self._task.inputs, *s.hidden, self._actions)
+        whole = (self._uavs * (self._task.inputs + self._actions), *s.hidden, 1)
+        self.actor, self.actor_target = Stack(self._uavs, sizes, g), Stack(self._uavs, sizes, g)
+        self.critic, self.critic_target = Stack(self._uavs, whole, g), Stack(self._uavs, whole, g)
+        self.actor_target.load_state_dict(self.actor.state_dict())
+        self.critic_target.load_state_dict(self.critic.state_dict())
+        self._actor_adam = torch.optim.Adam(self.actor.parameters(), lr=s.actor_rate, fused=True)
+        self._critic_adam = torch.optim.Adam(self.critic.parameters(), lr=s.critic_rate, fused=True)
+        self.replay = Replay(s.buffer_steps, self._uavs, self._task.inputs, device)
+        # Of rewards: mean and deviation, known when the buffer is full.
+        self._scale = torch.tensor([0.0, 1.0], device=device)
+
+    def train(self) -> dict[str, float]:
+        """One episode."""
+        s = self.settings
+        tally = Tally(self._uavs, self._task.device)
+        seen = self._task.reset()
+        for step in range(s.task.steps):
+            with torch.no_grad():
+                action = self._draw(self.actor.of_all(seen[None]))[0].argmax(-1)
+            then, reward, cost_s = self._task.step(action)
+            self.replay.add(seen, action, reward, then)
+            if self.replay.added == s.buffer_steps:
+                self._scale = torch.stack([self.replay.reward.mean(), self.replay.reward.std()])
+            if self.replay.full and (step + 1) % s.learn_every == 0:
+                tally.learned(self._learn())
+            tally.add(reward, cost_s)
+            seen = then
+        self.done += 1
+        return tally.metrics()
+
+    def _draw(self, logits: Tensor) -> Tensor:
+        """Choices (..., actions), one 1 each, by the Gumbel-softmax; gradients go through its softmax."""
+        noise = torch.empty_like(logits).exponential_(generator=self._generator).log().neg()
+        soft = torch.softmax((logits + noise) / self.settings.temperature, -1)
+        hard = functional.one_hot(soft.argmax(-1), self._actions).to(soft.dtype)
+        return hard + soft - soft.detach()
+
+    def _learn(self) -> Tensor:
+        """One update of every network. Returns the mean loss of the critics."""
+        s = self.settings
+        batch = self.replay.sample_steps(s.batch, self._generator)
+        taken = functional.one_hot(batch.action, self._actions).to(batch.seen.dtype)
+        with torch.no_grad():
+            next_value = self._value(
+                self.critic_target, batch.then, self._draw(self.actor_target(batch.then))
+            )
+            reward = (batch.reward - self._scale[0]) / self._scale[1]
+            wanted = reward + s.discount * next_value
+        loss = (wanted - self._value(self.critic, batch.seen, taken)).square().mean(1).sum()
+        _step(self._critic_adam, self.critic, loss, s.gradient_clip)
+        self._improve(batch, taken)
+        soft_update(self.actor_target, self.actor, s.soft_update)
+        soft_update(self.critic_target, self.critic, s.soft_update)
+        found: Tensor = loss.detach() / self._uavs
+        return found
+
+    def _value(self, critic: Stack, seen: Tensor, choice: Tensor) -> Tensor:
+        """Values (N, batch) of what all see (N, batch, inputs) and choose (N, batch, actions)."""
+        x = torch.cat([seen, choice], -1).transpose(0, 1).reshape(1, seen.shape[1], -1)
+        found: Tensor = critic(x.expand(self._uavs, -1, -1))[..., 0]
+        return found
+
+    def _improve(self, batch: Batch, taken: Tensor) -> None:
+        """One update of the actors: each one's own choice in place of the one taken, the others' as taken."""
+        s = self.settings
+        logits = self.actor(batch.seen)
+        change = self._draw(logits) - taken
+        x = torch.cat([batch.seen, taken], -1).transpose(0, 1).reshape(1, s.batch, -1)
+        each = torch.arange(self._uavs, device=x.device)
+        with torch.no_grad():
+            weight, bias = self.critic.weights[0], self.critic.biases[0]
+            first = torch.baddbmm(bias, x.expand(self._uavs, -1, -1), weight)
+            blocks = weight.reshape(self._uavs, self._uavs, -1, weight.shape[-1])
+            own = blocks[each, each, self._task.inputs :]  # (N, actions, hidden)
+        value = self.critic.after_first(torch.baddbmm(first, change, own))
+        loss = -value.mean(1).sum() + s.logit_cost * logits.square().mean((1, 2)).sum()
+        _step(self._actor_adam, self.actor, loss, s.gradient_clip)
+
+    def _best(self, seen: Tensor) -> Tensor:
+        """(E, N, inputs) to (E, N)."""
+        with torch.no_grad():
+            return self.actor.of_all(seen).argmax(-1)
+
+    def validate(self) -> dict[str, float]:
+        """Delays (ms) of the most probable choices."""
+        return self._task.validate(self._best)
+
+    def state(self) -> dict[str, Any]:
+        """See `Learner.state`."""
+        return {
+            "done": self.done,
+            "scale": self._scale,
+            "replay": self.replay.state(),
+            "generator": self._generator.get_state(),
+            **{name: part.state_dict() for name, part in self._parts().items()},
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """See `Learner.load`."""
+        self.done, self._scale = state["done"], state["scale"].to(self._task.device)
+        self.replay.load(state["replay"])
+        self._generator.set_state(state["generator"])
+        for name, part in self._parts().items():
+            part.load_state_dict(state[name])
+
+    def _parts(self) -> dict[str, Stack | torch.optim.Optimizer]:
+        return {
+            "actor": self.actor,
+            "actor_target": self.actor_target,
+            "critic": self.critic,
+            "critic_target": self.critic_target,
+            "actor_adam": self._actor_adam,
+            "critic_adam": self._critic_adam,
+        }
+
+    def frozen(self, name: str, results: dict[str, float]) -> bytes:
+        """See `Learner.frozen`."""
+        return frozen(self.actor, self._task.actions, name, results, self._task.examples())
+
+
+def _step(adam: torch.optim.Optimizer, networks: Stack, loss: Tensor, clip: float) -> None:
+    """One step of these networks alone."""
+    parameters = list(networks.parameters())
+    gradients = torch.autograd.grad(loss, parameters)
+    for parameter, gradient in zip(parameters, clipped(gradients, clip), strict=True):
+        parameter.grad = gradient
+    adam.step()

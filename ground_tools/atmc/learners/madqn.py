@@ -1,0 +1,155 @@
+"""MADQN-ATMC, the paper's Algorithm 1 and its table of training parameters.
+
+Ten aircraft, each with a Q network and a replay buffer of its own. Option: one network for all of them, which
+learns from what any of them met.
+
+Left open by the paper and chosen here: an episode begins with random actions; the last step of an episode is
+no end of the task, so that its target looks ahead like every other one's; the initial weights (`flat.Stack`).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+import torch
+from msgspec import Meta
+from torch import Tensor
+
+from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
+from ground_tools.atmc.learners.flat import Stack, frozen, soft_update
+from ground_tools.atmc.learners.replay_buffer import Replay
+
+
+class MadqnSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The defaults are those of the paper's table."""
+
+    task: TaskSettings = TaskSettings()
+    shared_network: bool = False
+    episodes: Count = 1000
+    batch: Count = 256
+    """Experiences that each network learns from in an update."""
+    buffer_steps: Count = 25_000
+    """Steps that the buffer holds, with the experience of every aircraft: 250 episodes. Learning begins when
+    it is full."""
+    discount: Share = 0.95
+    learning_rate: Annotated[float, Meta(gt=0)] = 1e-4
+    soft_update: Share = 0.999
+    """tau: share of the network in the target network after an update, as the paper has it."""
+    first_exploration: Share = 1.0
+    last_exploration: Share = 0.1
+    exploration_episodes: Count = 500
+    hidden: tuple[Count, ...] = (256, 128)
+
+
+class SharedMadqnSettings(MadqnSettings, frozen=True, kw_only=True):
+    """The same with one network, which takes one batch in an update."""
+
+    shared_network: bool = True
+
+
+class Madqn:
+    """A `Learner`."""
+
+    def __init__(self, settings: MadqnSettings, seed: int, device: torch.device) -> None:
+        s = self.settings = settings
+        self.rounds, self.done = s.episodes, 0
+        self._generator = torch.Generator(device).manual_seed(seed)
+        self._task = PaperTask(s.task, self._generator)
+        networks = 1 if s.shared_network else s.task.uavs
+        sizes = (self._task.inputs, *s.hidden, len(self._task.actions))
+        self.network = Stack(networks, sizes, self._generator)
+        self.target = Stack(networks, sizes, self._generator)
+        self.target.load_state_dict(self.network.state_dict())
+        # Adam looks at each weight by itself: one for all networks is the same as one for each.
+        self._adam = torch.optim.Adam(self.network.parameters(), lr=s.learning_rate, fused=True)
+        self.replay = Replay(s.buffer_steps, s.task.uavs, self._task.inputs, device)
+
+    def train(self) -> dict[str, float]:
+        """One episode."""
+        s = self.settings
+        rate = exploration_rate(s, self.done + 1)
+        tally = Tally(s.task.uavs, self._task.device)
+        seen = self._task.reset()
+        for _ in range(s.task.steps):
+            action = self._explore(seen, rate)
+            then, reward, cost_s = self._task.step(action)
+            self.replay.add(seen, action, reward, then)
+            if self.replay.full:
+                tally.learned(self._learn())
+            tally.add(reward, cost_s)
+            seen = then
+        self.done += 1
+        return tally.metrics() | {"exploration": rate}
+
+    def _explore(self, seen: Tensor, rate: float) -> Tensor:
+        """Actions (N,): of each aircraft a random one, or the best one that its network knows."""
+        uavs, device = self.settings.task.uavs, self._task.device
+        drawn = torch.rand(uavs, generator=self._generator, device=device)
+        some = torch.randint(len(self._task.actions), (uavs,), generator=self._generator, device=device)
+        return torch.where(drawn < rate, some, self._best(seen[None])[0])
+
+    def _best(self, seen: Tensor) -> Tensor:
+        """(E, N, inputs) to (E, N)."""
+        with torch.no_grad():
+            return self.network.of_all(seen).argmax(-1)
+
+    def _learn(self) -> Tensor:
+        """One update of every network. Returns the mean of their losses."""
+        s = self.settings
+        batch = self.replay.sample(s.batch, self.network.networks, self._generator)
+        with torch.no_grad():
+            wanted = td_target(batch.reward, self.target(batch.then), s.discount)
+        value = self.network(batch.seen).gather(-1, batch.action[..., None])[..., 0]
+        # Mean over the batch, sum over the networks: each one's gradient is that of its own loss.
+        loss = (wanted - value).square().mean(1).sum()
+        self._adam.zero_grad()
+        loss.backward()
+        self._adam.step()
+        soft_update(self.target, self.network, s.soft_update)
+        found: Tensor = loss.detach() / self.network.networks
+        return found
+
+    def validate(self) -> dict[str, float]:
+        """Delays (ms) of the greedy policy."""
+        return self._task.validate(self._best)
+
+    def state(self) -> dict[str, Any]:
+        """See `Learner.state`."""
+        return {
+            "done": self.done,
+            "network": self.network.state_dict(),
+            "target": self.target.state_dict(),
+            "adam": self._adam.state_dict(),
+            "replay": self.replay.state(),
+            "generator": self._generator.get_state(),
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """See `Learner.load`."""
+        self.done = state["done"]
+        self.network.load_state_dict(state["network"])
+        self.target.load_state_dict(state["target"])
+        self._adam.load_state_dict(state["adam"])
+        self.replay.load(state["replay"])
+        self._generator.set_state(state["generator"])
+
+    def frozen(self, name: str, results: dict[str, float]) -> bytes:
+        """See `Learner.frozen`."""
+        return frozen(self.network, self._task.actions, name, results, self._task.examples())
+
+
+def exploration_rate(settings: MadqnSettings, episode: int) -> float:
+    """e of an episode, of which the first is 1 (Algorithm 1, lines 5 to 9)."""
+    s = settings
+    if episode < s.exploration_episodes:
+        return (
+            s.first_exploration
+            - episode * (s.first_exploration - s.last_exploration) / s.exploration_episodes
+        )
+    return s.last_exploration
+
+
+def td_target(reward: Tensor, next_values: Tensor, discount: float) -> Tensor:
+    """y = r + gamma max_a Q'(o', a): rewards (...), the target network's values (..., actions)."""
+    return reward + discount * next_values.amax(-1)

@@ -1,0 +1,405 @@
+"""Every manoeuvre of one aircraft, explained: why, what was done, what came of it, what else was possible.
+
+A manoeuvre is an interval in which the law flew and its chosen velocity left the wanted one because of other
+aircraft or a fence, or in which a guarded vehicle was taken out of its mission; gaps up to `GAP_S` belong to
+it. A command that lags behind a corner of the path for the acceleration limit alone is none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import msgspec
+
+from companion.adjustable_parameters import applied
+from companion.authority.table import HOLDING, State
+from companion.config import Config
+from companion.errors import ConfigError
+from companion.event_record import Step
+from companion.events import AuthorityChanged, Decision, FenceDownloaded, Settings, VehicleParameters
+from companion.geometry import Vec3
+from companion.ownship import Ownship
+from ground_tools.inspect.explain.why import Alternative, Explainer, HalfSpace, Look
+from ground_tools.inspect.read.read_run import AircraftRecord
+
+LEFT_MPS = 0.3
+"""The chosen velocity has left the wanted one when they are farther apart than this."""
+GAP_S = 5.0
+_FENCE = frozenset({"fence", "outside the fence"})
+_HOLDING = frozenset(state.value for state in HOLDING)
+_LEAST_TURN_DEG, _LEAST_CHANGE_MPS, _LEAST_LEVEL_MPS = 3.0, 0.2, 0.3
+_TOO_FAST_MPS = 1.0
+"""That a vehicle was taken at so much more than the wanted speed is said."""
+_MOST_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """One manoeuvre; times are the aircraft's own `now_s`."""
+
+    start_s: float
+    end_s: float
+    guarded: bool
+    """A guarded vehicle was taken out of its mission; False: the law flew all along."""
+    tracks: tuple[str, ...]
+    """In conflict, or with an active half-space, at any time; the first ones first."""
+    track: str | None
+    """Of those in conflict at the start, the one that would have come nearest; None: a fence."""
+    time_to_closest_s: float | None
+    """At the start, at the wanted velocity, to that track."""
+    closest_m: float | None
+    """As `time_to_closest_s`; slant."""
+    limits: tuple[str, ...]
+    """What else bounded the velocity at any time, of `law.LIMITS`."""
+    feasible: bool
+    """Every decision kept every half-space."""
+    deviation_m: float | None
+    """Most from the timed path's point, until it was regained; None without a path."""
+    regained_s: float | None
+    """When it was back within `avoidance.regained_m` of the path's point; None: not before the next manoeuvre
+    or the record's end."""
+    nearest_track: str | None
+    """The track that came nearest meanwhile."""
+    nearest_m: float | None
+    """As the law predicted it then, not as it was."""
+    nearest_s: float | None
+    decision: Decision
+    """At the start."""
+    half_spaces: tuple[HalfSpace, ...]
+    """At the start; geometry of the velocity space, NED (m/s)."""
+    alternatives: tuple[Alternative, ...]
+    """At the start."""
+    strongest: Decision
+    """The one whose chosen velocity is farthest from the wanted one."""
+    why: str
+    done: str
+    came: str
+    instead: tuple[str, ...]
+    """The alternatives at the start, each with what it would have led to. Where the law changed its mind
+    within the manoeuvre they are not judged again."""
+
+    @property
+    def text(self) -> str:
+        """All of it in a few sentences."""
+        instead = f"Instead, at its start: {'; '.join(self.instead)}." if self.instead else ""
+        return " ".join(words for words in (self.why, self.done, self.came, instead) if words)
+
+
+@dataclass(slots=True)
+class _Open:
+    """A manoeuvre that goes on."""
+
+    start_s: float
+    guarded: bool
+    decision: Decision
+    look: Look
+    strongest: Decision
+    end_s: float = 0.0
+    tracks: dict[str, None] = field(default_factory=dict)
+    limits: dict[str, None] = field(default_factory=dict)
+    feasible: bool = True
+    deviation_m: float | None = None
+    regained_s: float | None = None
+    nearest: tuple[float, float, str] | None = None
+    """Distance, when, track."""
+
+    def take(self, now_s: float, decision: Decision) -> None:
+        self.end_s, self.regained_s = now_s, None
+        self.tracks |= dict.fromkeys(t.track_id for t in decision.tracks if t.conflict or t.active)
+        self.limits |= dict.fromkeys(name for name in decision.limits if name != "speed")
+        self.feasible = self.feasible and decision.feasible
+        if _left(decision) > _left(self.strongest):
+            self.strongest = decision
+        for track in decision.tracks:
+            distance = math.dist(track.position_ned_m, decision.position_ned_m)
+            if self.nearest is None or distance < self.nearest[0]:
+                self.nearest = distance, now_s, track.track_id
+
+    def follow(self, now_s: float, decision: Decision, regained_m: float) -> None:
+        """The distance from the path, on to where it is regained."""
+        if decision.path_ned_m is None or self.regained_s is not None:
+            return
+        away = math.dist(decision.path_ned_m, decision.position_ned_m)
+        self.deviation_m = max(self.deviation_m or 0.0, away)
+        if away <= regained_m:
+            self.regained_s = now_s
+
+
+def _left(decision: Decision) -> float:
+    """How far (m/s) the chosen velocity is from the wanted one."""
+    return math.dist(decision.wanted_ned_mps, decision.chosen_ned_mps)
+
+
+class _Finder:
+    def __init__(self, config: Config) -> None:
+        self._configured = self._config = config
+        self._vehicle: VehicleParameters | None = None
+        self._areas = self._config.fence
+        self.own = Ownship()
+        self._guarded = self._watching = False
+        self._warned: tuple[float, Decision] | None = None
+        self._explainer = Explainer(self._config)
+        self.open: _Open | None = None
+        self._closed: _Open | None = None
+        """Over, but not back on the path."""
+
+    def _renew(self) -> None:
+        self._explainer.configure(self._config, self._vehicle, self._areas)
+
+    def _authority(self, event: AuthorityChanged) -> None:
+        held = event.state in _HOLDING
+        self._guarded = held and (self._guarded or event.previous == State.WATCHING.value)
+        self._watching = event.state == State.WATCHING.value
+
+    def step(self, step: Step) -> Iterator[_Open]:
+        """Yields what is over and followed to its end."""
+        for event in step.events:
+            self.own.take(event, step.now_s)
+            self._take(event)
+        self._explainer.note(step.now_s, self.own.velocity_ned_mps)
+        for command in step.commands:
+            if isinstance(command, Decision):
+                yield from self._decision(step.now_s, command)
+            elif isinstance(command, AuthorityChanged):
+                self._authority(command)
+
+    def _take(self, item: object) -> None:
+        match item:
+            case VehicleParameters():
+                self._vehicle = item
+                self._renew()
+            case FenceDownloaded():
+                if self._config.limits.fence == "vehicle":
+                    self._areas = item.areas
+                    self._renew()
+            case Settings():
+                self._config = applied(self._configured, item)
+                self._renew()
+
+    def _decision(self, now_s: float, decision: Decision) -> Iterator[_Open]:
+        if self._watching:
+            self._warned = (now_s, decision) if any(t.conflict for t in decision.tracks) else None
+        if self.open is not None and (self._watching or now_s - self.open.end_s > GAP_S):
+            yield from self.close()
+        bound = any(t.active for t in decision.tracks) or not _FENCE.isdisjoint(decision.limits)
+        left = _left(decision) > LEFT_MPS and bound
+        if not self._watching and (left or self._guarded):
+            if self.open is None:
+                yield from self._flush()
+                self._begin(now_s, decision)
+            assert self.open is not None
+            self.open.take(now_s, decision)
+        for one in (self.open, self._closed):
+            if one is not None:
+                one.follow(now_s, decision, self._config.avoidance.regained_m)
+
+    def _begin(self, now_s: float, decision: Decision) -> None:
+        why, at_s = decision, now_s
+        if self._guarded and self._warned is not None and not any(t.conflict for t in decision.tracks):
+            at_s, why = self._warned
+        try:
+            height_m = None if self.own.position is None else self.own.position.height_above_home_m
+            look = self._explainer.look(at_s, why, height_m, self.own.sigma_m)
+        except (ConfigError, ValueError):  # a fence of the record that no flight would have taken
+            look = Look((), ())
+        self.open = _Open(now_s, self._guarded, why, look, decision)
+
+    def close(self) -> Iterator[_Open]:
+        """The open one is over; the one before it is not followed any more."""
+        yield from self._flush()
+        self._closed, self.open = self.open, None
+
+    def _flush(self) -> Iterator[_Open]:
+        if self._closed is not None:
+            yield self._closed
+        self._closed = None
+
+    def rest(self) -> Iterator[_Open]:
+        """What the end of the record leaves."""
+        yield from self.close()
+        yield from self._flush()
+
+
+def find(record: AircraftRecord) -> tuple[Manoeuvre, ...]:
+    """Every manoeuvre of a record, in one pass over its steps; none of a record without its header, or of the
+    law "none"."""
+    if record.header is None or record.header.config.avoidance.law == "none":
+        return ()
+    finder = _Finder(record.header.config)
+    found: list[_Open] = []
+    for step in record.steps():
+        found += finder.step(step)
+    found += finder.rest()
+    return tuple(_finished(one) for one in found)
+
+
+class Starts:
+    """The manoeuvres of one aircraft as they begin, of a record that grows."""
+
+    def __init__(self, config: Config) -> None:
+        self._finder = None if config.avoidance.law == "none" else _Finder(config)
+        self._told: _Open | None = None
+
+    def step(self, step: Step) -> tuple[str, Decision] | None:
+        """Why a manoeuvre began with the next step, in words, and by which decision; None where none did."""
+        if self._finder is None:
+            return None
+        for _over in self._finder.step(step):
+            pass
+        one = self._finder.open
+        if one is None or one is self._told:
+            return None
+        self._told = one
+        return _why(one), one.decision
+
+
+def _finished(one: _Open) -> Manoeuvre:
+    track = min(
+        (t for t in one.decision.tracks if t.conflict),
+        key=lambda t: (t.closest_m, t.track_id),
+        default=None,
+    ) or min(
+        (t for t in one.decision.tracks if t.active), key=lambda t: (t.closest_m, t.track_id), default=None
+    )
+    nearest_m, nearest_s, nearest_track = one.nearest or (None, None, None)
+    done = _done(one)
+    return Manoeuvre(
+        start_s=one.start_s,
+        end_s=one.end_s,
+        guarded=one.guarded,
+        tracks=tuple(one.tracks),
+        track=None if track is None else track.track_id,
+        time_to_closest_s=None if track is None else track.time_to_closest_s,
+        closest_m=None if track is None else track.closest_m,
+        limits=tuple(one.limits),
+        feasible=one.feasible,
+        deviation_m=one.deviation_m,
+        regained_s=one.regained_s,
+        nearest_track=nearest_track,
+        nearest_m=nearest_m,
+        nearest_s=nearest_s,
+        decision=one.decision,
+        half_spaces=one.look.half_spaces,
+        alternatives=one.look.alternatives,
+        strongest=one.strongest,
+        why=_why(one),
+        done=done,
+        came=_came(one),
+        instead=tuple(outcome(other) for other in one.look.alternatives[1:]),
+    )
+
+
+def _why(one: _Open) -> str:
+    conflicts = sorted(
+        (t for t in one.decision.tracks if t.conflict), key=lambda t: (t.closest_m, t.track_id)
+    )
+    if conflicts:
+        ways = [
+            f"within {t.closest_m:.1f} m of {t.track_id} in {t.time_to_closest_s:.1f} s (volume "
+            f"{t.radius_m:.1f} m, information {t.age_s:.1f} s old)"
+            for t in conflicts[:_MOST_NAMED]
+        ]
+        more = f" and {len(conflicts) - _MOST_NAMED} more" if len(conflicts) > _MOST_NAMED else ""
+        return f"The wanted velocity would have come {', '.join(ways)}{more}."
+    bounds = [t.track_id for t in one.decision.tracks if t.active]
+    bounds += [name for name in one.decision.limits if name != "speed"]
+    return f"The wanted velocity was bounded by {', '.join(bounds) or 'a conflict seen just before'}."
+
+
+def change(wanted: Vec3, chosen: Vec3) -> str:
+    """How a velocity differs from the wanted one, in words."""
+    level = math.hypot(wanted[0], wanted[1]), math.hypot(chosen[0], chosen[1])
+    words = []
+    if min(level) >= _LEAST_LEVEL_MPS:
+        turn = math.degrees(
+            math.atan2(
+                wanted[0] * chosen[1] - wanted[1] * chosen[0], wanted[0] * chosen[0] + wanted[1] * chosen[1]
+            )
+        )
+        if abs(turn) >= _LEAST_TURN_DEG:
+            words.append(f"turned {'right' if turn > 0.0 else 'left'} by {abs(turn):.0f} deg")
+    faster = level[1] - level[0]
+    if abs(faster) >= _LEAST_CHANGE_MPS:
+        words.append(f"{'faster' if faster > 0.0 else 'slower'} by {abs(faster):.1f} m/s")
+    down = chosen[2] - wanted[2]
+    if abs(down) >= _LEAST_CHANGE_MPS:
+        words.append(f"{abs(down):.1f} m/s {'down' if down > 0.0 else 'up'}wards")
+    return ", ".join(words) or "hardly changed"
+
+
+def _done(one: _Open) -> str:
+    most = change(one.strongest.wanted_ned_mps, one.strongest.chosen_ned_mps)
+    taken = "Taken out of its mission for" if one.guarded else "Left the wanted velocity for"
+    flown, wanted = (math.hypot(*v[:2]) for v in (one.decision.velocity_ned_mps, one.decision.wanted_ned_mps))
+    fast = one.guarded and flown - wanted >= _TOO_FAST_MPS
+    slowed = f", at {flown:.1f} m/s where {wanted:.1f} m/s were wanted" if fast else ""
+    words = f"{taken} {one.end_s - one.start_s:.1f} s{slowed}; at its most the command was {most}"
+    bounds = [*one.tracks, *one.limits]
+    words += f"; bounded by {', '.join(bounds)}" if bounds else ""
+    return f"{words}." if one.feasible else f"{words}. Not every half-space could be kept."
+
+
+def _came(one: _Open) -> str:
+    parts = []
+    if one.nearest is not None:
+        distance, when_s, track = one.nearest
+        after_s = when_s - one.start_s
+        parts.append(
+            f"nearest was {track} at {distance:.1f} m, as predicted then, {after_s:.1f} s after its start"
+        )
+    if one.deviation_m is not None:
+        back = "was not regained before the next one or the end"
+        if one.regained_s is not None:
+            back = f"was regained {one.regained_s - one.end_s:.1f} s after its end"
+        parts.append(f"at most {one.deviation_m:.1f} m from the timed path, which {back}")
+    words = "; ".join(parts)
+    return words[:1].upper() + words[1:] + "." if words else ""
+
+
+def outcome(one: Alternative) -> str:
+    """An alternative and what it would have led to, in words."""
+    if one.closest_track is None or one.closest_m is None:
+        led = "no traffic"
+    else:
+        led = f"{one.closest_m:.1f} m from {one.closest_track} in {one.closest_in_s:.1f} s"
+    return f"{one.name}: {led}, {verdict(one)}"
+
+
+def verdict(one: Alternative) -> str:
+    """What kept an alternative from being flown, in words."""
+    if one.excluded_by:
+        causes = ", ".join(f"{cause} (by {short:.1f} m/s)" for cause, short in one.excluded_by[:_MOST_NAMED])
+        return f"excluded by {causes}"
+    if one.from_wanted_mps == 0.0:
+        return "no half-space excludes it yet, but in a conflict the law keeps to the right"
+    enters = f", though in the volume of {', '.join(one.enters)} now or later" if one.enters else ""
+    return f"allowed{enters}, {one.from_wanted_mps:.1f} m/s from the wanted velocity"
+
+
+def figures(one: Manoeuvre) -> dict[str, object]:
+    """A manoeuvre ready for JSON."""
+    return {
+        "start_s": one.start_s,
+        "end_s": one.end_s,
+        "guarded": one.guarded,
+        "tracks": list(one.tracks),
+        "track": one.track,
+        "time_to_closest_s": one.time_to_closest_s,
+        "closest_m": one.closest_m,
+        "limits": list(one.limits),
+        "feasible": one.feasible,
+        "deviation_m": one.deviation_m,
+        "regained_s": one.regained_s,
+        "nearest": {"track": one.nearest_track, "distance_m": one.nearest_m, "time_s": one.nearest_s},
+        "half_spaces": [
+            {**msgspec.to_builtins(space), "point_ned_mps": list(space.point_ned_mps)}
+            for space in one.half_spaces
+        ],
+        "alternatives": msgspec.to_builtins(one.alternatives),
+        "why": one.why,
+        "done": one.done,
+        "came": one.came,
+        "instead": list(one.instead),
+    }

@@ -1,0 +1,350 @@
+"""What one aircraft's record tells, in columns: gathered in one pass, and small beside the record.
+
+Everything that comes often (positions, decisions, messages) is kept as numbers; what comes rarely (who flew,
+alerts, words, changes of mode) as the events and commands themselves. Times are the aircraft's own `now_s`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from array import array
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from companion.autopilot.dialect import in_mode
+from companion.event_record import Step
+from companion.events import (
+    AlertChanged,
+    AnyCommand,
+    AnyEvent,
+    AuthorityChanged,
+    Broadcast,
+    BroadcastChanged,
+    CurrentMode,
+    Decision,
+    EstimatorState,
+    FenceDownloaded,
+    FenceRefused,
+    GlobalPosition,
+    GnssFix,
+    Heartbeat,
+    LandedState,
+    MissionDownloaded,
+    MissionRefused,
+    ModeRefused,
+    RadioState,
+    RemoteIdHeard,
+    RemoteIdModule,
+    Say,
+    SetMode,
+    Settings,
+    TrackFlagged,
+    TransportsChosen,
+    VehicleParameters,
+    VehicleText,
+    VehicleTime,
+)
+from companion.geometry import LocalFrame
+from companion.remote_id.messages import BasicId, Location
+from companion.traffic.fix import make_fix
+from ground_tools.inspect.read.spill import BLOCK, Spill
+
+Array = NDArray[np.float64]
+
+_OWN_AGE_S = 2.0
+"""A distance is taken from an own position of at most this age."""
+_CLOCK_OFF_S = 5.0
+"""A sender's timestamp farther than this from reception is not believed."""
+
+_RARE = (
+    AlertChanged,
+    AuthorityChanged,
+    BroadcastChanged,
+    FenceDownloaded,
+    FenceRefused,
+    MissionDownloaded,
+    MissionRefused,
+    ModeRefused,
+    RadioState,
+    Say,
+    SetMode,
+    Settings,
+    TrackFlagged,
+    TransportsChosen,
+    VehicleParameters,
+    VehicleText,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What was received from one radio address."""
+
+    now_s: Array
+    """(n,) of every frame."""
+    transports: tuple[str, ...]
+    uas_ids: tuple[str, ...]
+    """Identities that were sent from there."""
+    near: Array
+    """(m, 2) of now_s and the slant distance (m) to the aircraft's own position: a row a second, the least of
+    it. By the reported position, moved on to reception; horizontal where a height is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackFacts:
+    """How the law saw one track: a row a second, of the decisions in it."""
+
+    now_s: Array
+    """(n,) of the nearest decision of each second."""
+    distance_m: Array
+    """(n,) slant, the least of the second; what the law predicted, not what was."""
+    age_s: Array
+    """(n,) of the information, the oldest of the second."""
+    conflict: NDArray[np.bool_]
+    """(n,) at any decision of the second."""
+    adsb: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Decisions:
+    """Every decision of the law, in numbers."""
+
+    now_s: Array
+    """(n,)"""
+    speeds_mps: NDArray[np.float32]
+    """(n, 3) flown, wanted, chosen."""
+    feasible: NDArray[np.bool_]
+    """(n,)"""
+    conflict: NDArray[np.bool_]
+    """(n,) with any track."""
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """One aircraft."""
+
+    steps: int
+    start_s: float
+    """`now_s` of the first step; 0 without any."""
+    end_s: float
+    fixes: Array
+    """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising.
+    Many of them lie in a temporary file (`spill`)."""
+    max_height_m: float | None
+    """Above home; None without fixes."""
+    decided: Array
+    """The same by the decisions, where there are no fixes at all; else none."""
+    decisions: Decisions
+    utc_offset_s: float | None
+    """What to add to `now_s` for UTC; None where the aircraft never knew it."""
+    undulation_m: float
+    """How far mean sea level lies above the ellipsoid (m); 0 where its GNSS does not say."""
+    sent: dict[str, Array]
+    """By transport: now_s of every broadcast."""
+    heard: dict[str, Heard]
+    """By radio address."""
+    tracks: dict[str, TrackFacts]
+    rare: tuple[tuple[float, AnyEvent | AnyCommand], ...]
+    """(now_s, what), in order: whatever does not come in numbers. Of what is told again and again (heartbeat,
+    landed, estimator, Remote ID module) each change."""
+
+    @property
+    def duration_s(self) -> float:
+        """From the first step to the last."""
+        return self.end_s - self.start_s
+
+
+@dataclass(slots=True)
+class _Track:
+    adsb: bool
+    rows: array[float] = field(default_factory=lambda: array("d"))
+    second: float = -math.inf
+
+
+class Gatherer:
+    """Takes steps one by one; `facts` tells what they held."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+        self.start_s = self.end_s = 0.0
+        self.fixes = array("d")
+        """The last ones; those before are in `_spill`."""
+        self._spill = Spill(7)
+        self.max_height_m: float | None = None
+        self.decided = array("d")
+        self.decisions = array("d")
+        self.speeds = array("f")
+        self.feasible, self.conflict = bytearray(), bytearray()
+        self.utc = array("d")
+        self.undulation = array("d")
+        self.sent: dict[str, array[float]] = {}
+        self.heard: dict[str, tuple[array[float], set[str], set[str], array[float]]] = {}
+        self.frame: LocalFrame | None = None
+        self.tracks: dict[str, _Track] = {}
+        self.rare: list[tuple[float, AnyEvent | AnyCommand]] = []
+        self.last: dict[object, object] = {}
+        self._beat: Heartbeat | None = None
+
+    def step(self, step: Step) -> None:
+        """The next one."""
+        self.start_s = step.now_s if self.steps == 0 else self.start_s
+        self.end_s = step.now_s
+        self.steps += 1
+        for item in itertools.chain(step.events, step.commands):
+            self._item(step.now_s, item)
+
+    def _item(self, now_s: float, item: AnyEvent | AnyCommand) -> None:
+        match item:
+            case GlobalPosition():
+                del self.decided[:]
+                if len(self.fixes) >= 7 and self.fixes[-7] >= now_s:
+                    del self.fixes[-7:]  # of several in one step the last counts
+                height_m = item.height_above_home_m
+                if self.max_height_m is None or height_m > self.max_height_m:
+                    self.max_height_m = height_m
+                place = (item.lat_deg, item.lon_deg, item.alt_msl_m)
+                if len(self.fixes) >= 7 * BLOCK:
+                    # The last one may yet be replaced.
+                    self._spill.write(memoryview(self.fixes)[:-7])
+                    del self.fixes[:-7]
+                self.fixes.extend((now_s, *place, *item.velocity_ned_mps))
+            case RemoteIdHeard():
+                self._hear(now_s, item)
+            case Broadcast():
+                self.sent.setdefault(item.transport, array("d")).append(now_s)
+            case Decision():
+                self._decide(now_s, item)
+            case GnssFix():
+                if item.alt_ellipsoid_m is not None:
+                    self.undulation.append(item.alt_ellipsoid_m - item.alt_msl_m)
+            case VehicleTime():
+                if item.utc_s is not None:
+                    self.utc.append(item.utc_s - now_s)
+            case Heartbeat():
+                self._beat = item
+                self._change(now_s, item, (item.custom_mode, item.armed, item.firmware))
+            case CurrentMode():
+                if self._beat is not None:
+                    self._item(now_s, in_mode(self._beat, item.custom_mode))
+            case LandedState() | EstimatorState():
+                self._change(now_s, item, item)
+            case RemoteIdModule():
+                self._change(now_s, item, item, item.component_id)
+            case _ if isinstance(item, _RARE):
+                self.rare.append((now_s, item))
+
+    def _change(self, now_s: float, item: AnyEvent, state: object, of: int = 0) -> None:
+        if self.last.get((type(item), of)) != state:
+            self.last[type(item), of] = state
+            self.rare.append((now_s, item))
+
+    def _hear(self, now_s: float, event: RemoteIdHeard) -> None:
+        times, transports, names, near = self.heard.setdefault(
+            event.address, (array("d"), set(), set(), array("d"))
+        )
+        times.append(now_s)
+        transports.add(event.transport)
+        names.update(m.uas_id for m in event.messages if isinstance(m, BasicId) and m.uas_id)
+        for message in event.messages:
+            if isinstance(message, Location) and (distance := self._distance_m(now_s, message)) is not None:
+                if not near or now_s - math.floor(near[-2]) >= 1.0:
+                    near.extend((now_s, distance))
+                elif distance < near[-1]:
+                    near[-2], near[-1] = now_s, distance
+
+    def _distance_m(self, now_s: float, message: Location) -> float | None:
+        """From the own position to a reported one, moved on to now."""
+        if len(self.fixes) < 7 or now_s - self.fixes[-7] > _OWN_AGE_S:
+            return None
+        lat, lon, alt = self.fixes[-6], self.fixes[-5], self.fixes[-4]
+        self.frame = self.frame or LocalFrame(lat, lon, alt)
+        utc = self.utc[-1] if self.utc else None
+        undulation = self.undulation[-1] if self.undulation else None
+        fix = make_fix(message, now_s, utc, self.frame, undulation, _CLOCK_OFF_S)
+        if fix is None:
+            return None
+        age = 0.0 if fix.stamp_s is None else max(now_s - fix.stamp_s, 0.0)
+        velocity = fix.velocity or (0.0, 0.0, 0.0)
+        own = self.frame.to_ned(lat, lon, alt)
+        away = [p + v * age - o for p, v, o in zip(fix.position, velocity, own, strict=True)]
+        return math.hypot(*(away if fix.vertical_known else away[:2]))
+
+    def _decide(self, now_s: float, one: Decision) -> None:
+        conflict = False
+        for track in one.tracks:
+            conflict |= track.conflict
+            found = self.tracks.setdefault(track.track_id, _Track(track.adsb))
+            distance = math.dist(track.position_ned_m, one.position_ned_m)
+            if now_s - found.second >= 1.0:
+                found.second = math.floor(now_s)
+                found.rows.extend((now_s, distance, track.age_s, track.conflict))
+                continue
+            rows = found.rows
+            if distance < rows[-3]:
+                rows[-4], rows[-3] = now_s, distance
+            rows[-2], rows[-1] = max(rows[-2], track.age_s), max(rows[-1], track.conflict)
+        self.decisions.append(now_s)
+        velocities = one.velocity_ned_mps, one.wanted_ned_mps, one.chosen_ned_mps
+        self.speeds.extend(math.hypot(*velocity) for velocity in velocities)
+        self.feasible.append(one.feasible)
+        self.conflict.append(conflict)
+        if not self.fixes:
+            if len(self.decided) >= 7 and self.decided[-7] >= now_s:
+                del self.decided[-7:]
+            place = pymap3d.ned2geodetic(*one.position_ned_m, *one.origin)
+            self.decided.extend((now_s, *place, *one.velocity_ned_mps))
+
+    def facts(self) -> Facts:
+        """Everything taken. They are the same numbers, not a copy: no step can be taken any more."""
+        return Facts(
+            steps=self.steps,
+            start_s=self.start_s,
+            end_s=self.end_s,
+            fixes=self._all_fixes(),
+            max_height_m=self.max_height_m,
+            decided=np.asarray(self.decided).reshape(-1, 7),
+            decisions=Decisions(
+                now_s=np.asarray(self.decisions),
+                speeds_mps=np.asarray(self.speeds).reshape(-1, 3),
+                feasible=np.frombuffer(self.feasible, dtype=np.bool_),
+                conflict=np.frombuffer(self.conflict, dtype=np.bool_),
+            ),
+            utc_offset_s=float(np.median(self.utc)) if self.utc else None,
+            undulation_m=float(np.median(self.undulation)) if self.undulation else 0.0,
+            sent={name: np.asarray(times) for name, times in self.sent.items()},
+            heard={
+                address: Heard(
+                    np.asarray(times),
+                    tuple(sorted(transports)),
+                    tuple(sorted(names)),
+                    np.asarray(near).reshape(-1, 2),
+                )
+                for address, (times, transports, names, near) in self.heard.items()
+            },
+            tracks={name: _track_facts(found) for name, found in self.tracks.items()},
+            rare=tuple(self.rare),
+        )
+
+    def _all_fixes(self) -> Array:
+        if self._spill:
+            self._spill.write(memoryview(self.fixes))
+            return self._spill.rows()
+        return np.asarray(self.fixes).reshape(-1, 7)
+
+
+def _track_facts(found: _Track) -> TrackFacts:
+    rows = np.asarray(found.rows).reshape(-1, 4)
+    return TrackFacts(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] > 0, found.adsb)
+
+
+def gather(steps: Iterable[Step]) -> Facts:
+    """The facts of one aircraft's steps, in one pass."""
+    gatherer = Gatherer()
+    for step in steps:
+        gatherer.step(step)
+    return gatherer.facts()

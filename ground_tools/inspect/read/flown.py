@@ -1,0 +1,386 @@
+"""What was flown: positions of all aircraft of a run in one local frame and on one time line.
+
+Simulated aircraft leave their true positions in the run folder. Where every aircraft has them, paths and
+separations are true. Otherwise they are the aircraft's own (GLOBAL_POSITION_INT as its heart took it in, or,
+without any, those of its decisions): a separation then is what the aircraft's own navigation says, to within
+GNSS error. `Flown.positions` says which.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from companion.config import AvoidanceConfig
+from companion.errors import ConfigError
+from companion.events import Heartbeat, Landed, LandedState
+from companion.geometry import Vec3
+from ground_tools.inspect.read.read_run import AircraftRecord, Run
+from ground_tools.inspect.read.spill import BLOCK, release, spilled
+from ground_tools.inspect.read.timeline import TimeLine, time_line
+from ground_tools.inspect.read.truth import ORIGIN
+
+Array = NDArray[np.float64]
+Line = Callable[[Array, Array], tuple[Array, Array]]
+"""What is kept of (n,) times and distances."""
+
+GRID_S = 0.05
+"""Step of the time line on which separations are taken."""
+PART_S = 600.0
+"""So much of a pair's time is looked at at once."""
+MAX_GAP_S = 2.0
+"""Between two own positions farther apart than this the place in between is not known."""
+MAX_ERROR_M = 200.0
+"""Truth farther than this from the aircraft's own positions belongs to another frame or flight."""
+SAME_M = 2.0
+"""Two recordings of one aircraft are nearer than this to each other, where clocks agree to some 0.1 s."""
+TRUE = "true positions"
+OWN = "own GNSS positions"
+_ZERO = np.zeros(0)
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """Where one aircraft was."""
+
+    name: str
+    time_s: Array
+    """(n,) on the common time line, rising."""
+    position_ned_m: Array
+    """(n, 3) in the common frame."""
+    radius_m: float
+    """Conflict radius it was configured with."""
+    on_ground_s: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) of when it came to stand or was disarmed, and when it flew again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Separation:
+    """Slant distance of two aircraft over the time that both were recorded."""
+
+    first: str
+    second: str
+    time_s: Array
+    """(n,)"""
+    distance_m: Array
+    """(n,), NaN where either position is not known, or either stands on the ground."""
+    minimum_m: float | None
+    """None where they were never known in the air at once."""
+    minimum_time_s: float | None
+    required_m: float
+    """Both conflict radii together."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """All paths of a run."""
+
+    origin: Vec3
+    """lat_deg, lon_deg, alt_msl_m of the common frame."""
+    paths: tuple[Path, ...]
+    """What was flown, by `positions`."""
+    own: tuple[Path, ...]
+    """Where the aircraft took themselves to be."""
+    positions: str
+    """TRUE or OWN."""
+    offsets_s: dict[str, float]
+    """What to add to an aircraft's `now_s` for the common time line."""
+    clock: str
+    """Which time line it is, in words."""
+    from_path: bool
+    """It counts from the start of the timed paths."""
+    problems: tuple[str, ...]
+    """Why there is no truth where some was found."""
+    utc_at_zero_s: float | None
+    """UTC at 0 of the common time line; None where it is not known."""
+
+
+def flown(run: Run) -> Flown:
+    """Paths of all aircraft of a run.
+
+    Raises:
+        ConfigError: no aircraft recorded a position.
+    """
+    line = time_line(run)
+    fixes = {record.name: fixes_of(record) for record in run.aircraft}
+    known = [fix for fix in fixes.values() if len(fix)]
+    has_truth = any(record.truth is not None for record in run.aircraft)
+    if not known and not has_truth:
+        raise ConfigError(f"{run.folder}: no aircraft recorded a position")
+    origin = ORIGIN if has_truth else (float(known[0][0, 1]), float(known[0][0, 2]), float(known[0][0, 3]))
+    own = tuple(
+        Path(
+            record.name,
+            fixes[record.name][:, 0] + line.offsets_s[record.name],
+            _positions(fixes[record.name], origin),
+            _radius_m(record),
+            _on_ground(record) + line.offsets_s[record.name],
+        )
+        for record in run.aircraft
+        if len(fixes[record.name])
+    )
+    true, problem = _true_paths(run, line, own) if has_truth else ((), None)
+    if not true and not own:
+        raise ConfigError(f"{run.folder}: no aircraft recorded a position: {problem}")
+    problems: tuple[str, ...] = () if problem is None else (f"true positions not used: {problem}",)
+    problems += _twice(own) if run.others else ()
+    kind = TRUE if true else OWN
+    return Flown(
+        origin=origin,
+        paths=true or own,
+        own=own,
+        positions=kind,
+        offsets_s=line.offsets_s,
+        clock=line.words,
+        from_path=line.from_path,
+        problems=problems,
+        utc_at_zero_s=line.utc_at_zero_s,
+    )
+
+
+def placed(run: Run) -> Flown:
+    """Paths of all aircraft; of a run in which nobody recorded a position its clocks alone, in a frame of no
+    meaning."""
+    try:
+        return flown(run)
+    except ConfigError:
+        pass
+    line = time_line(run)
+    return Flown(
+        origin=(0.0, 0.0, 0.0),
+        paths=(),
+        own=(),
+        positions=OWN,
+        offsets_s=line.offsets_s,
+        clock=line.words,
+        from_path=line.from_path,
+        problems=("No aircraft recorded a position: nothing is drawn in space.",),
+        utc_at_zero_s=line.utc_at_zero_s,
+    )
+
+
+def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[Path, ...], str | None]:
+    """True paths of all aircraft, or of none and why."""
+    if line.utc_at_zero_s is None:
+        return (), f"they are by UTC, and the time line is {line.words}"
+    paths = []
+    for record in run.aircraft:
+        if record.truth is None:
+            return (), f"there are none of {record.name}"
+        time = record.truth[:, 0] - line.utc_at_zero_s
+        ground = _on_ground(record) + line.offsets_s[record.name]
+        paths.append(Path(record.name, time, record.truth[:, 1:], _radius_m(record), ground))
+    by_name = {path.name: path for path in own}
+    for path in paths:
+        if path.name in by_name and (away := _median_distance_m(path, by_name[path.name])) > MAX_ERROR_M:
+            return (), f"those of {path.name} are {away:.0f} m from where it took itself to be"
+    return tuple(paths), None
+
+
+def _twice(own: tuple[Path, ...]) -> tuple[str, ...]:
+    """What is one aircraft in two inputs, by all that positions tell."""
+    return tuple(
+        f"{one.name} and {other.name} were within {SAME_M:g} m of each other most of the time: if that is "
+        "one aircraft, recorded twice, their separation means nothing"
+        for one, other in itertools.combinations(own, 2)
+        if _median_distance_m(one, other) < SAME_M
+    )
+
+
+def _median_distance_m(first: Path, second: Path) -> float:
+    """Over the time that both are known; infinite without any."""
+    inside = (second.time_s >= first.time_s[0]) & (second.time_s <= first.time_s[-1])
+    away = np.linalg.norm(at(first, second.time_s[inside]) - second.position_ned_m[inside], axis=1)
+    known = away[~np.isnan(away)]
+    return float(np.median(known)) if len(known) else float("inf")
+
+
+def _radius_m(record: AircraftRecord) -> float:
+    return (record.header.config.avoidance if record.header else AvoidanceConfig()).conflict_radius_m
+
+
+def _on_ground(record: AircraftRecord) -> Array:
+    """(n, 2) of spans of its `now_s`; unknown counts as flying."""
+    spans: list[tuple[float, float]] = []
+    landed, armed, since_s = False, True, None
+    for now_s, what in record.facts.rare:
+        if isinstance(what, LandedState):
+            landed = what.landed is Landed.ON_GROUND
+        elif isinstance(what, Heartbeat):
+            armed = what.armed
+        stands = landed or not armed
+        if stands and since_s is None:
+            since_s = now_s
+        elif not stands and since_s is not None:
+            spans.append((since_s, now_s))
+            since_s = None
+    if since_s is not None:
+        spans.append((since_s, np.inf))
+    return np.array(spans).reshape(-1, 2)
+
+
+def separations(paths: tuple[Path, ...]) -> list[Separation]:
+    """Separation of every pair, the closest pair first; pairs never known at once come last."""
+    return _of_pairs(paths, lambda time, distance: (time, distance))
+
+
+def thinned(paths: tuple[Path, ...], every_s: float) -> list[Separation]:
+    """As `separations`, of each line the least of every so many seconds."""
+    return _of_pairs(paths, lambda time, distance: least_in_bins(time, distance, every_s))
+
+
+def closest(paths: tuple[Path, ...]) -> list[Separation]:
+    """As `separations`, without the lines: of a flight of any length only a part is in memory at once."""
+    return _of_pairs(paths, None)
+
+
+def _of_pairs(paths: tuple[Path, ...], line: Line | None) -> list[Separation]:
+    found = [_separation(a, b, line) for a, b in itertools.combinations(paths, 2)]
+    return sorted(found, key=lambda s: np.inf if s.minimum_m is None else s.minimum_m)
+
+
+def crossing(ways: Flown, pairs: Sequence[Separation]) -> Array:
+    """(3,) where the pairs come closest, on average over the pairs that come near at all.
+
+    `pairs` are such as are known at once, the closest first.
+    """
+    by_name = {path.name: path for path in ways.paths}
+    near = [pair for pair in pairs if (pair.minimum_m or 0.0) <= 5.0 * pair.required_m] or pairs[:1]
+    middles = [
+        place(by_name[name], pair.minimum_time_s or 0.0)
+        for pair in near
+        for name in (pair.first, pair.second)
+    ]
+    return np.asarray(np.mean(middles, axis=0), dtype=np.float64)
+
+
+def least_of(pairs: Sequence[Separation]) -> tuple[Array, Array]:
+    """(n,) times and (n,) least separation of any pair at each, where one is known."""
+    time = np.unique(np.concatenate([pair.time_s for pair in pairs]))
+    rows = np.full((len(pairs), len(time)), np.inf)
+    for row, pair in zip(rows, pairs, strict=True):
+        inside = (time >= pair.time_s[0]) & (time <= pair.time_s[-1])
+        distance = np.interp(time[inside], pair.time_s, np.nan_to_num(pair.distance_m, nan=np.inf))
+        row[inside] = np.where(np.isnan(distance), np.inf, distance)
+    least = rows.min(axis=0)
+    known = np.isfinite(least)
+    return time[known], least[known]
+
+
+def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Array]:
+    """Of the rows of each `bin_s` the one with the least value: no minimum is lost."""
+    if not len(time_s):
+        return time_s, values
+    bins = np.floor(time_s / bin_s)
+    order = np.lexsort((values, bins))
+    rows = order[np.append(True, np.diff(bins[order]) > 0.0)]
+    return time_s[rows], values[rows]
+
+
+def to_ned(geodetic: Array, origin: Vec3) -> Array:
+    """(n, 3) of lat_deg, lon_deg, alt_m to (n, 3) north, east, down (m) from `origin`."""
+    if not len(geodetic):
+        return np.zeros((0, 3))
+    n, e, d = pymap3d.geodetic2ned(geodetic[:, 0], geodetic[:, 1], geodetic[:, 2], *origin)
+    return np.column_stack([n, e, d])
+
+
+def _positions(fixes: Array, origin: Vec3) -> Array:
+    """(n, 3) of fixes, as many in a temporary file as they are."""
+    found = spilled(
+        (to_ned(fixes[at : at + BLOCK, 1:4], origin) for at in range(0, len(fixes), BLOCK)), columns=3
+    )
+    release(fixes)
+    return found
+
+
+def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array:
+    """(n, 3) NED positions (m) of one local frame in another one."""
+    if frame_origin == origin or not len(position_ned_m):
+        return position_ned_m
+    n, e, d = position_ned_m.T
+    return to_ned(np.column_stack(pymap3d.ned2geodetic(n, e, d, *frame_origin)), origin)
+
+
+def fixes_of(record: AircraftRecord) -> Array:
+    """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising."""
+    facts = record.facts
+    return facts.fixes if len(facts.fixes) else facts.decided
+
+
+def _separation(first: Path, second: Path, line: Line | None) -> Separation:
+    required = first.radius_m + second.radius_m
+    least: tuple[float, float] | None = None
+    lines = [(_ZERO, _ZERO)]
+    for time, relative in _relative(first, second):
+        distance = np.linalg.norm(relative, axis=1)
+        if line is not None:
+            # What begins a part ended the one before.
+            joint = int(len(lines) > 1)
+            lines.append(line(time[joint:], distance[joint:]))
+        if not np.isnan(distance).all():
+            found = _closest(time, relative)
+            least = found if least is None else min(least, found)
+        release(first.position_ned_m)
+        release(second.position_ned_m)
+    time, distance = (np.concatenate(rows) for rows in zip(*lines, strict=True))
+    least_m, least_s = least or (None, None)
+    return Separation(first.name, second.name, time, distance, least_m, least_s, required)
+
+
+def _relative(first: Path, second: Path) -> Iterator[tuple[Array, Array]]:
+    """(n,) times and (n, 3) of the first from the second, NaN where either is not known or stands on the
+    ground; part by part of the time that both were recorded."""
+    start = max(first.time_s[0], second.time_s[0])
+    end = min(first.time_s[-1], second.time_s[-1])
+    ground = np.concatenate([first.on_ground_s, second.on_ground_s])
+    for begin in np.arange(start, max(end, np.nextafter(start, np.inf)), PART_S) if start <= end else ():
+        stop = min(begin + PART_S, end)
+        near = between(first, begin, stop), between(second, begin, stop)
+        # The samples themselves belong to the line: the closest approach must not fall between its points.
+        samples = np.concatenate([*(path.time_s for path in near), [stop]])
+        time = np.union1d(np.arange(begin, stop, GRID_S), samples[(samples >= begin) & (samples <= stop)])
+        relative = at(near[0], time) - at(near[1], time)
+        for start_s, end_s in ground[(ground[:, 0] <= stop) & (ground[:, 1] >= begin)]:
+            relative[(time >= start_s) & (time <= end_s)] = np.nan
+        yield time, relative
+
+
+def between(path: Path, start_s: float, end_s: float) -> Path:
+    """The part of a path from the last sample at or before a time to the first at or after another one."""
+    first = max(int(np.searchsorted(path.time_s, start_s, "right")) - 1, 0)
+    last = int(np.searchsorted(path.time_s, end_s, "left")) + 1
+    return replace(path, time_s=path.time_s[first:last], position_ned_m=path.position_ned_m[first:last])
+
+
+def place(path: Path, time_s: float) -> Array:
+    """(3,) position at a time, that of the nearest end outside the path's."""
+    near = between(path, time_s, time_s)
+    return np.array([np.interp(time_s, near.time_s, axis) for axis in near.position_ned_m.T])
+
+
+def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:
+    """Least distance and its time, between the samples too: there the relative motion is straight."""
+    step = np.diff(relative_m, axis=0)
+    length2 = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
+    share = np.clip(-np.einsum("ij,ij->i", relative_m[:-1], step) / length2, 0.0, 1.0)
+    places = np.vstack([relative_m, relative_m[:-1] + share[:, None] * step])
+    times = np.concatenate([time_s, time_s[:-1] + share * np.diff(time_s)])
+    distance = np.linalg.norm(places, axis=1)
+    closest = int(np.nanargmin(distance))
+    return float(distance[closest]), float(times[closest])
+
+
+def at(path: Path, time_s: Array) -> Array:
+    """(n, 3) positions at times inside the path's, NaN inside gaps."""
+    position = np.column_stack([np.interp(time_s, path.time_s, axis) for axis in path.position_ned_m.T])
+    after = np.clip(np.searchsorted(path.time_s, time_s), 1, max(len(path.time_s) - 1, 1))
+    if len(path.time_s) > 1:
+        gap = path.time_s[after] - path.time_s[after - 1]
+        position[gap > MAX_GAP_S] = np.nan
+    return position

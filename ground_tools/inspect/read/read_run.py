@@ -1,0 +1,350 @@
+"""Reading what was recorded: a run folder, one event record, or a telemetry log (.tlog) of any vehicle.
+
+A run folder has `manifest.json`, `summary.json` where there is one, and every aircraft's event record. A run
+that was killed is read as far as it was written, and an aircraft whose event record is missing or unreadable
+by its .tlog. What could not be read is said in `problems`, and what was read stands beside it. A folder
+`unavoided` inside holds the same encounter flown without avoidance. In a swarm's run folder, each companion
+made a run folder of its own inside; they are read as one run.
+"""
+
+from __future__ import annotations
+
+import functools
+import glob
+import json
+import os
+import stat
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion import event_record
+from companion.errors import ConfigError, PeerDataError
+from companion.event_record import Header, Step
+from ground_tools.inspect.read import read_tlog
+from ground_tools.inspect.read.facts import Facts, gather
+from ground_tools.inspect.read.link_health import LinkHealth
+from ground_tools.inspect.read.truth import read_truth
+
+_OTHER_KINDS = {
+    b"\xa3\x95": "an ArduPilot dataflash log",
+    b"ULog": "a PX4 log (ULog)",
+    b"\x89PNG": "a picture",
+    b"\x1f\x8b": "compressed: unpack it first",
+    b"RRF2": "a Rerun recording: open it with rerun",
+    b"PK": "an archive: unpack it first",
+}
+"""First bytes of files that people have beside their logs."""
+TELLING_S = 0.05
+"""A log's clock that was off by more is worth a note."""
+STAMPED = (
+    "no vehicle told UTC (SYSTEM_TIME): it is that of the log's own stamps, by the clock of whoever wrote it"
+)
+NOT_REGULAR = "not a regular file (a folder, a FIFO or a device)"
+
+
+@dataclass(frozen=True, slots=True)
+class AircraftRecord:
+    """What one aircraft recorded: what entered and left its companion's heart, or its telemetry."""
+
+    name: str
+    header: Header | None
+    """None for a telemetry log, and where the event record was cut off before it."""
+    facts: Facts
+    steps: Callable[[], Iterator[Step]]
+    """Every step in order, read from the file anew: a long record does not fit into memory. Damage ends it,
+    as it did when the facts were gathered."""
+    truth: NDArray[np.float64] | None = None
+    """(n, 4) of utc_s, north_m, east_m, down_m; None where its true positions are not known."""
+    tlog: bool = False
+    """Read from a telemetry log: `now_s` is the log's UTC."""
+    stamped: bool = False
+    """Of a telemetry log in which no vehicle told UTC: that of its stamps stands unchecked."""
+    link_of: Callable[[], LinkHealth | None] = lambda: None
+
+    @property
+    def link(self) -> LinkHealth | None:
+        """How well the autopilot's link carried; read from the .tlog beside the event record when first asked
+        for. None where there is none, or none that can be laid on this record's time."""
+        return self.link_of()
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run: a folder's, a log's, or several together."""
+
+    folder: Path
+    """The folder, or the file that was read."""
+    manifest: dict[str, Any] | None
+    """None where there is none, or none that can be read."""
+    summary: dict[str, Any] | None
+    """Like `manifest`."""
+    aircraft: tuple[AircraftRecord, ...]
+    problems: tuple[str, ...]
+    """What is damaged or missing, one line each."""
+    notes: tuple[str, ...] = ()
+    """What the input is and does not tell, one line each; nothing of it is wrong."""
+    others: int = 0
+    """How many more runs were put together with the one in `folder`."""
+
+    @property
+    def name(self) -> str:
+        """The folder's or file's name."""
+        path = self.folder.resolve()
+        name = path.name if path.is_dir() else path.stem
+        return f"{name} and {self.others} more" if self.others else name
+
+    @property
+    def recording(self) -> Path:
+        """Where its recording goes unless told otherwise."""
+        if self.others:
+            return (self.folder if self.folder.is_dir() else self.folder.parent) / "together.rrd"
+        return self.folder / "inspect.rrd" if self.folder.is_dir() else self.folder.with_suffix(".rrd")
+
+
+def is_regular(path: Path) -> bool:
+    """Whether a path can be read as a file, and again from its beginning: a FIFO waits for a writer for ever.
+
+    True too for what cannot be looked at: opening it says why.
+    """
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError:
+        return True
+
+
+def read_unavoided(folder: Path) -> Run | None:
+    """The run without avoidance that belongs to a run folder; None where there is none."""
+    inner = folder / "unavoided"
+    return read_run(inner) if inner.is_dir() else None
+
+
+def read_run(path: Path) -> Run:
+    """Read a run folder, an event record or a telemetry log.
+
+    Raises:
+        ConfigError: there is no such file or folder, or nothing of a flight could be read from it.
+    """
+    try:
+        if not stat.S_ISDIR(path.stat().st_mode):
+            return _file(path)
+        # A glob passes over what it may not list.
+        os.scandir(path).close()
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such run folder or file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    problems: list[str] = []
+    notes: list[str] = []
+    manifest, manifest_problem = read_json(path / "manifest.json")
+    summary, summary_problem = read_json(path / "summary.json")
+    problems += [problem for problem in (manifest_problem, summary_problem) if problem is not None]
+    aircraft: list[AircraftRecord] = []
+    for events, tlog in _flights(path, manifest, problems):
+        aircraft += _flight(events, tlog, path, problems, notes)
+    if not aircraft:
+        found = (
+            "; ".join(problems) or "no event record (*.events) and no telemetry log (*.tlog) in this folder"
+        )
+        raise ConfigError(f"{path}: {found}")
+    return Run(path, manifest, summary, tuple(aircraft), tuple(problems), tuple(notes))
+
+
+def _file(path: Path) -> Run:
+    """A run of one file."""
+    problems: list[str] = []
+    notes: list[str] = []
+    if not is_regular(path):
+        raise ConfigError(f"{path}: {NOT_REGULAR}")
+    with path.open("rb") as stream:
+        head = stream.read(8)
+    for magic, kind in _OTHER_KINDS.items():
+        if head.startswith(magic):
+            raise ConfigError(
+                f"{path}: {kind}; expected a run folder, an event record (.events) or a telemetry log (.tlog)"
+            )
+    if head.startswith(event_record.MAGIC[:-1]):
+        aircraft = _flight(path, _beside(path), path.parent, problems, notes)
+    else:
+        aircraft = _flight(None, path, path.parent, problems, notes)
+    if not aircraft:
+        raise ConfigError(f"{path.parent / problems[0]}" if problems else f"{path}: holds nothing")
+    return Run(path, None, None, tuple(aircraft), tuple(problems), tuple(notes))
+
+
+def _beside(events: Path) -> Path | None:
+    tlog = events.with_suffix(".tlog")
+    return tlog if tlog.is_file() else None
+
+
+def _flights(
+    folder: Path, manifest: dict[str, Any] | None, problems: list[str]
+) -> list[tuple[Path | None, Path | None]]:
+    """Event record and telemetry log of every aircraft, one of them at least."""
+    events = {path.stem: path for path in _regular(folder.glob("*.events"), problems)}
+    tlogs = {path.stem: path for path in _regular(folder.glob("*.tlog"), problems)}
+    if manifest is not None:
+        problems += [
+            f"{name}: no event record: shown by its telemetry log" for name in sorted({*tlogs} - {*events})
+        ]
+    if events or tlogs:
+        return [(events.get(name), tlogs.get(name)) for name in sorted({*events, *tlogs})]
+    return _nested(folder, manifest, problems)
+
+
+def _regular(paths: Iterable[Path], problems: list[str]) -> list[Path]:
+    found = sorted(paths)
+    problems += [f"{path.name}: {NOT_REGULAR}" for path in found if not is_regular(path)]
+    return [path for path in found if is_regular(path)]
+
+
+def _nested(
+    folder: Path, manifest: dict[str, Any] | None, problems: list[str]
+) -> list[tuple[Path | None, Path | None]]:
+    """Those of a swarm: in `<utc>-<name>/` of every aircraft in its manifest."""
+    names = (manifest or {}).get("aircraft")
+    found: list[tuple[Path | None, Path | None]] = []
+    for name in names if isinstance(names, list) else []:
+        # Names of run folders begin with their time: the last is the latest.
+        inside = f"*-{glob.escape(str(name))}/{glob.escape(str(name))}"
+        events = _regular(folder.glob(f"{inside}.events"), problems)
+        tlogs = _regular(folder.glob(f"{inside}.tlog"), problems)
+        if not events:
+            problems.append(f"{name}: no event record")
+        elif len(events) > 1:
+            problems.append(f"{name}: {len(events)} event records; the last is taken")
+        if events or tlogs:
+            found.append((events[-1], _beside(events[-1])) if events else (None, tlogs[-1]))
+    return found
+
+
+def read_json(path: Path) -> tuple[dict[str, Any] | None, str | None]:
+    """The JSON object in a file, or None and what is wrong with it; neither where there is no file."""
+    if not is_regular(path):
+        return None, f"{path.name}: {NOT_REGULAR}"
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        return None, None
+    except OSError as error:
+        return None, f"{path.name}: cannot be read: {error.strerror}"
+    except (ValueError, RecursionError) as error:
+        return None, f"{path.name}: {error}"
+    if not isinstance(value, dict):
+        return None, f"{path.name}: not a JSON object"
+    return value, None
+
+
+def _flight(
+    events: Path | None, tlog: Path | None, folder: Path, problems: list[str], notes: list[str]
+) -> list[AircraftRecord]:
+    """By the event record, or where that tells nothing by the telemetry log; the truth lies in `folder`."""
+    if events is not None:
+        one = _aircraft(events, tlog, folder, problems)
+        if one.facts.steps or (tlog is None and one.header is not None):
+            return [one]
+    if tlog is None:
+        return []
+    try:
+        log = read_tlog.read(tlog)
+    except PeerDataError as error:
+        problems.append(str(error))
+        return []
+    except OSError as error:
+        problems.append(f"{tlog.name}: cannot be read: {error.strerror}")
+        return []
+    problems += log.problems
+    if events is not None:
+        problems.append(f"{events.name}: no step of it can be read: shown by its telemetry log")
+    if not log.vehicles:
+        problems.append(f"{tlog.name}: no vehicle: no autopilot's HEARTBEAT in {log.counts.records} records")
+    found = []
+    for vehicle in log.vehicles:
+        name = tlog.stem if len(log.vehicles) == 1 else f"{tlog.stem} {vehicle.system_id}"
+        notes.append(f"{name}: system {vehicle.system_id}: {vehicle.about}")
+        notes.append(f"{name}: not in the log: {', '.join(vehicle.missing)}")
+        if abs(vehicle.facts.utc_offset_s or 0.0) > TELLING_S:
+            notes.append(f"{name}: the log's clock was {_off(vehicle.facts)} the vehicle's UTC, which counts")
+        found.append(
+            AircraftRecord(
+                name,
+                None,
+                vehicle.facts,
+                vehicle.steps,
+                truth=_truth(folder, name, problems),
+                tlog=True,
+                stamped=not log.tells_utc,
+                link_of=functools.partial(_given, vehicle.link),
+            )
+        )
+    if found and not log.tells_utc:
+        notes.append(f"{tlog.name}: {STAMPED}")
+    return found
+
+
+def _off(facts: Facts) -> str:
+    offset = facts.utc_offset_s or 0.0
+    return f"{abs(offset):.2f} s {'behind' if offset > 0.0 else 'ahead of'}"
+
+
+def _given(link: LinkHealth) -> LinkHealth:
+    return link
+
+
+def _aircraft(path: Path, tlog: Path | None, folder: Path, problems: list[str]) -> AircraftRecord:
+    name = path.name.removesuffix(".events")
+    headers: list[Header] = []
+    before = len(problems)
+    facts = gather(_steps(path, headers, problems))
+    if not headers and len(problems) == before:
+        problems.append(f"{path.name}: no header")
+
+    def steps() -> Iterator[Step]:
+        return _steps(path, [], [])
+
+    @functools.cache
+    def link() -> LinkHealth | None:
+        if tlog is None or facts.utc_offset_s is None:
+            return None
+        try:
+            # A companion writes its log by the vehicle's UTC.
+            return read_tlog.read_health(tlog).moved(-facts.utc_offset_s)
+        except (PeerDataError, OSError):
+            return None
+
+    header = headers[0] if headers else None
+    return AircraftRecord(name, header, facts, steps, _truth(folder, name, problems), link_of=link)
+
+
+def _truth(folder: Path, name: str, problems: list[str]) -> NDArray[np.float64] | None:
+    path = folder / f"{name}.truth.csv"
+    if not is_regular(path):
+        problems.append(f"{path.name}: {NOT_REGULAR}")
+        return None
+    try:
+        return read_truth(path)
+    except PeerDataError as error:
+        problems.append(str(error))
+        return None
+
+
+def _steps(path: Path, headers: list[Header], problems: list[str]) -> Iterator[Step]:
+    """The steps of a file, its headers and what is damaged put aside."""
+    try:
+        with path.open("rb") as stream:
+            reader = event_record.Reader(stream, path.name)
+            for entry in reader.records():
+                if isinstance(entry, Header):
+                    headers.append(entry)
+                else:
+                    yield entry
+            if headers and (torn := stream.seek(0, os.SEEK_END) - reader.offset):
+                problems.append(f"{path.name}: torn: the last {torn} bytes are no whole record")
+    except PeerDataError as error:
+        problems.append(f"{error}; read up to there" if headers else str(error))
+    except OSError as error:
+        problems.append(f"{path.name}: cannot be read: {error.strerror}")

@@ -1,0 +1,173 @@
+"""The common time line of a run's aircraft, and several runs put on one.
+
+In a lock-step run, and among companions on one machine, `now_s` of the steps is one clock for all. Elsewhere
+each companion counts from its own boot: there, UTC of the autopilots (SYSTEM_TIME) puts them together, to
+within the latency of the links and the error of the autopilots' clocks. A telemetry log has UTC of its own.
+Where all fly timed paths that start at one UTC, the line counts from that start, as the paths do. `words`
+says which it is.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ground_tools.inspect.read.read_run import AircraftRecord, Run
+
+SHARED_CLOCK_S = 0.05
+"""Clocks that agree with UTC alike to within this are one clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeLine:
+    """How each aircraft's clock, and UTC, lie on the common line."""
+
+    offsets_s: dict[str, float]
+    """What to add to an aircraft's `now_s`."""
+    utc_at_zero_s: float | None
+    """None where not every aircraft knew UTC."""
+    words: str
+    from_path: bool = False
+    """It counts from the start of the timed paths."""
+
+
+def time_line(run: Run) -> TimeLine:
+    """The time line of a run."""
+    to_utc = {record.name: record.facts.utc_offset_s for record in run.aircraft}
+    known = {name: offset for name, offset in to_utc.items() if offset is not None}
+    if len(known) < len(to_utc):
+        words = "the companion's own clock"
+        if len(to_utc) > 1:
+            silent = ", ".join(name for name in to_utc if name not in known)
+            words = f"one clock taken for granted: no UTC from {silent}"
+        return TimeLine(dict.fromkeys(to_utc, 0.0), None, words)
+    values = list(known.values())
+    # Small numbers plot better: the line counts from the first step of all.
+    if any(record.tlog for record in run.aircraft):
+        words = _utc_of_logs(run.aircraft)
+        zero = _first_start(run.aircraft)
+    elif max(values) - min(values) <= SHARED_CLOCK_S:
+        known = dict.fromkeys(known, float(np.median(values)))
+        zero = min(record.facts.start_s for record in run.aircraft) + float(np.median(values))
+        words = "one clock shared by all aircraft" if len(known) > 1 else "the companion's own clock"
+    else:
+        words = "UTC of the autopilots"
+        zero = _first_start(run.aircraft)
+    start = _start_of_paths(run)
+    if start is not None:
+        zero, words = start, f"{words}; 0 is the start of the timed paths"
+    offsets = {name: offset - zero for name, offset in known.items()}
+    return TimeLine(offsets, zero, words, from_path=start is not None)
+
+
+def _utc_of_logs(aircraft: Sequence[AircraftRecord]) -> str:
+    """Where UTC comes from, some of it from telemetry logs."""
+    stamped = [record.name for record in aircraft if record.stamped]
+    told = "UTC that the vehicles told (SYSTEM_TIME)"
+    own = "the log's own stamps" if len(stamped) == 1 else "their logs' own stamps"
+    if not stamped:
+        return told
+    if len(stamped) == len(aircraft):
+        return f"UTC of {own}: no vehicle told it"
+    return f"{told}; of {', '.join(stamped)} that of {own}"
+
+
+def _first_start(aircraft: Sequence[AircraftRecord]) -> float:
+    """UTC of the first step of all; every one knows UTC."""
+    return min(record.facts.start_s + (record.facts.utc_offset_s or 0.0) for record in aircraft)
+
+
+def _start_of_paths(run: Run) -> float | None:
+    """UTC at which the timed paths of all aircraft start; None where that is not one moment."""
+    starts = {
+        record.header.config.flight.start_utc_s
+        if record.header is not None and record.header.config.flight.start == "utc"
+        else None
+        for record in run.aircraft
+    }
+    return starts.pop() if len(starts) == 1 else None
+
+
+def together(runs: Sequence[Run]) -> Run:
+    """Several runs as one, all aircraft on one UTC time line, their names distinct.
+
+    Who does not know UTC cannot be laid on it: a run in which somebody does gives it to its others, whose
+    clock is taken for the same; a run in which nobody does is left out, and `problems` says so, as they say
+    which runs have no time in common with any other. A run that is given twice is one.
+    """
+    given: dict[Path, Run] = {}
+    twice = [run for run in runs if given.setdefault(run.folder.resolve(), run) is not run]
+    runs = list(given.values())
+    if len(runs) == 1:
+        return replace(runs[0], problems=(*runs[0].problems, *map(_twice, twice)))
+    problems = [_twice(run) for run in twice]
+    problems += [f"{run.name}: {problem}" for run in runs for problem in run.problems]
+    notes = [f"{run.name}: {note}" for run in runs for note in run.notes]
+    placed: list[tuple[Run, list[AircraftRecord]]] = []
+    for run in runs:
+        offsets = [one.facts.utc_offset_s for one in run.aircraft if one.facts.utc_offset_s is not None]
+        if offsets:
+            common = float(np.median(offsets))
+            placed.append((run, [_with_utc(one, common, run.name, problems) for one in run.aircraft]))
+        else:
+            problems.append(f"{run.name}: nobody in it knows UTC: it cannot be laid beside the others")
+    if not placed:
+        placed = [(runs[0], list(runs[0].aircraft))]
+    spans = [(run.name, *_span(aircraft)) for run, aircraft in placed]
+    for name, start, end in spans:
+        others = [one for one in spans if one[0] != name]
+        if others and all(end < other[1] or other[2] < start for other in others):
+            problems.append(
+                f"{name}: no time in common with the others ({utc_words(start)} to {utc_words(end)})"
+            )
+    return Run(
+        runs[0].folder,
+        None,
+        None,
+        _distinct([(run, one) for run, aircraft in placed for one in aircraft]),
+        tuple(problems),
+        tuple(notes),
+        len(runs) - 1,
+    )
+
+
+def _twice(run: Run) -> str:
+    return f"{run.folder}: given more than once: shown once"
+
+
+def _with_utc(record: AircraftRecord, common_s: float, run: str, problems: list[str]) -> AircraftRecord:
+    if record.facts.utc_offset_s is not None:
+        return record
+    problems.append(f"{run}: {record.name}: no UTC: its clock is taken for that of the others in this run")
+    return replace(record, facts=replace(record.facts, utc_offset_s=common_s))
+
+
+def _span(aircraft: Sequence[AircraftRecord]) -> tuple[float, float]:
+    """UTC of the first and last step."""
+    ends = [one.facts.end_s + (one.facts.utc_offset_s or 0.0) for one in aircraft]
+    return _first_start(aircraft), max(ends)
+
+
+def utc_words(utc_s: float) -> str:
+    """A moment (Unix seconds), to the second."""
+    return time.strftime("%Y-%m-%d %H:%M:%SZ", time.gmtime(utc_s))
+
+
+def _distinct(aircraft: Sequence[tuple[Run, AircraftRecord]]) -> tuple[AircraftRecord, ...]:
+    """A name that several have gets its run's, and where that does not help, a number."""
+    names = [one.name for _, one in aircraft]
+    taken: set[str] = set()
+    found = []
+    for run, one in aircraft:
+        name = wanted = one.name if names.count(one.name) == 1 else f"{one.name} ({run.name})"
+        number = 1
+        while name in taken:
+            number += 1
+            name = f"{wanted} {number}"
+        taken.add(name)
+        found.append(replace(one, name=name))
+    return tuple(found)

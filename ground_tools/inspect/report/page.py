@@ -1,0 +1,213 @@
+"""A run as one page of HTML: the summary's tables, plots and every manoeuvre; it opens offline and prints.
+
+The page asks for nothing and runs nothing (its own Content-Security-Policy forbids both). Everything that
+comes from logs is hostile and is escaped.
+"""
+
+from __future__ import annotations
+
+import html
+from pathlib import Path
+from typing import Any
+
+from companion.config import LimitsConfig
+from companion.errors import ConfigError
+from ground_tools.inspect.explain import manoeuvres
+from ground_tools.inspect.explain.manoeuvres import Manoeuvre
+from ground_tools.inspect.read.flown import GRID_S, flown, thinned
+from ground_tools.inspect.read.read_run import Run
+from ground_tools.inspect.report import plots, terminal
+from ground_tools.inspect.report.terminal import Rows, number, plain
+
+MOST_DRAWN = 24
+"""Manoeuvres whose velocity space is drawn; the others stand in words."""
+_LONGEST_WORD = 20
+"""A longer one may be broken anywhere."""
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+_STYLE = """
+:root { color-scheme: light; }
+body { font: 15px/1.45 system-ui, "DejaVu Sans", sans-serif; color: #1b1b1b; background: #fff;
+  max-width: 1060px; margin: 0 auto; padding: 1.2rem; }
+h1 { font-size: 1.5rem; margin: 0 0 .3rem; overflow-wrap: anywhere; }
+h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 2px solid #0072b2; break-after: avoid; }
+h3 { font-size: 1rem; margin: 1.2rem 0 .3rem; break-after: avoid; overflow-wrap: anywhere; }
+p, li { overflow-wrap: anywhere; }
+.verdicts li { font-weight: 600; }
+.bad { color: #b00020; }
+.gone { background: #fff6dd; border-left: 4px solid #e69f00; padding: .5rem .8rem; }
+table { border-collapse: collapse; width: 100%; font-size: 12.5px; margin: .4rem 0 1rem; }
+th { text-align: left; vertical-align: bottom; border-bottom: 1.5px solid #555;
+  padding: .2rem .5rem .2rem 0; }
+td { border-bottom: 1px solid #ddd; padding: .2rem .5rem .2rem 0; vertical-align: top;
+  font-variant-numeric: tabular-nums; }
+td.long { overflow-wrap: anywhere; }
+tr { break-inside: avoid; }
+tbody tr:nth-child(-n+4), tbody tr:nth-last-child(-n+4):not(:last-child) { break-after: avoid; }
+figure { margin: .6rem 0; break-inside: avoid; }
+figure svg { width: 100%; height: auto; }
+.manoeuvre figure svg { max-width: 34rem; }
+figcaption { font-size: 12.5px; color: #444; }
+.manoeuvre { break-inside: avoid; }
+.note { font-size: 12.5px; color: #444; }
+@page { size: A4; margin: 14mm; }
+@media print {
+  body { max-width: none; padding: 0; font-size: 10pt; }
+  table { font-size: 8pt; }
+  .page { break-before: page; }
+  nav { display: none; }
+}
+"""
+
+
+def write(run: Run, figures: dict[str, Any], path: Path) -> None:
+    """Write the report of a run.
+
+    Args:
+        figures: of `summary.describe`.
+
+    Raises:
+        ConfigError: matplotlib is not installed, or `path` cannot be written.
+    """
+    text = page(run, figures)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--report: {path}: cannot be written: {error.strerror}") from error
+
+
+def page(run: Run, figures: dict[str, Any]) -> str:
+    """The report, whole."""
+    told = [_section(title, _table(rows)) for title, rows in terminal.sections(figures)]
+    # The conflicts come first, and are followed by what they looked like.
+    parts = [_head(run, figures), *told[:1], *_drawings(run, figures), *told[1:]]
+    parts += _manoeuvres(run, figures)
+    title = escaped(f"{figures['run']}: flight report")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{title}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
+        + "\n".join(parts)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def escaped(text: object) -> str:
+    """As it stands in the page: nothing of it is markup, and nothing invisible."""
+    return html.escape(plain(text))
+
+
+def _head(run: Run, figures: dict[str, Any]) -> str:
+    manifest = run.manifest or {}
+    facts = [
+        f"{words} {manifest[key]}"
+        for key, words in (
+            ("what", "made by"),
+            ("dmuca", "version"),
+            ("git_commit", "commit"),
+            ("seed", "seed"),
+        )
+        if manifest.get(key) is not None
+    ]
+    software = {one["software"] for one in figures["aircraft"] if one["software"] is not None}
+    facts += [f"flown by version {version}" for version in sorted(software)]
+    verdicts = "".join(
+        f"<li{' class=bad' if 'LOST' in words or 'NOT' in words else ''}>{escaped(words)}</li>"
+        for words in terminal.verdicts(figures)
+    )
+    damage = terminal.damage(figures)
+    gone = "".join(f"<li>{escaped(words)}</li>" for words in damage)
+    return (
+        f"<h1>{escaped(figures['run'])}</h1>\n<p>{escaped(terminal.head(figures))}</p>\n"
+        + (f'<p class="note">{escaped("; ".join(facts))}</p>\n' if facts else "")
+        + f'<ul class="verdicts">{verdicts}</ul>\n'
+        + (f'<div class="gone"><strong>Damaged or missing</strong><ul>{gone}</ul></div>' if damage else "")
+    )
+
+
+def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
+    try:
+        ways = flown(run)
+    except ConfigError:  # told among the problems
+        return []
+    ends = [time for path in ways.paths for time in path.time_s[[0, -1]]]
+    every_s = max((max(ends) - min(ends)) / plots.MOST_POINTS, GRID_S)
+    pairs = [pair for pair in thinned(ways.paths, every_s) if pair.minimum_m is not None]
+    found: list[tuple[str, str, str | None]] = [
+        ("Paths from above", f"By {ways.positions}.", plots.paths(ways, pairs)),
+        (
+            "Separation",
+            f"The closest {min(len(pairs), plots.MOST_LINES)} of {len(pairs)} pairs, while any is near.",
+            plots.separation(pairs) if pairs else None,
+        ),
+        ("Who flew, modes, events and alerts", "", plots.lanes(run, ways, figures["aircraft"])),
+        ("Height", "", plots.heights(ways)),
+        ("Speeds", "Of every decision of the law.", plots.speeds(run, ways)),
+        ("Age of information", "The oldest of every second, as the law decided.", plots.ages(run, ways)),
+        ("Broadcasts", "Each rate over the five before it.", plots.rates(run, ways)),
+    ]
+    return [
+        _section(title, f"<figure>{drawing}<figcaption>{escaped(words)}</figcaption></figure>")
+        for title, words, drawing in found
+        if drawing is not None
+    ]
+
+
+def _manoeuvres(run: Run, figures: dict[str, Any]) -> list[str]:
+    parts: list[str] = []
+    drawn = 0
+    for record, one in zip(run.aircraft, figures["aircraft"], strict=True):
+        limits = LimitsConfig() if record.header is None else record.header.config.limits
+        for found, row in zip(manoeuvres.find(record), one["manoeuvres"], strict=True):
+            drawing = plots.velocities(found, limits.max_speed_mps) if drawn < MOST_DRAWN else None
+            drawn += drawing is not None
+            parts.append(_manoeuvre(one["name"], found, row, drawing))
+    if not parts:
+        return []
+    note = (
+        "<p class=note>What else could have been flown, each by what it led to if every track kept its "
+        "velocity; the half-spaces are the law's own, at the start of the manoeuvre. In the drawings the "
+        "tinted side of a line is excluded at the vertical speed found; x: excluded, o: allowed.</p>"
+    )
+    return [_section("Every manoeuvre", note + "\n".join(parts), new_page=True)]
+
+
+def _manoeuvre(name: str, one: Manoeuvre, row: dict[str, Any], drawing: str | None) -> str:
+    words = "".join(f"<p>{escaped(row[key])}</p>" for key in ("why", "done", "came") if row[key])
+    head = ["", "instead, at its start", "nearest", "(m)", "in (s)", "verdict"]
+    rows = [head] + [
+        [
+            "" if index == 0 else str(index),
+            other.name,
+            other.closest_track or "-",
+            number(other.closest_m),
+            number(other.closest_in_s),
+            manoeuvres.verdict(other),
+        ]
+        for index, other in enumerate(one.alternatives[1:])
+    ]
+    when = f"{row['start_s']:.1f} to {row['end_s']:.1f} s"
+    return (
+        f'<div class="manoeuvre"><h3>{escaped(name)}, {when}</h3>{words}'
+        + _table(rows)
+        + (f"<figure>{drawing}</figure>" if drawing else "")
+        + "</div>"
+    )
+
+
+def _section(title: str, body: str, new_page: bool = False) -> str:
+    return f"<section{' class=page' if new_page else ''}><h2>{escaped(title)}</h2>\n{body}</section>"
+
+
+def _table(rows: Rows) -> str:
+    head = "".join(f"<th>{escaped(cell)}</th>" for cell in rows[0])
+    body = "".join(
+        f"<tr{' class=bad' if terminal.alarming(row) else ''}>{''.join(map(_cell, row))}</tr>"
+        for row in rows[1:]
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _cell(text: str) -> str:
+    long = max(map(len, text.split()), default=0) > _LONGEST_WORD
+    return f"<td{' class=long' if long else ''}>{escaped(text)}</td>"

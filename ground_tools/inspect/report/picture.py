@@ -1,0 +1,221 @@
+"""`ground-tools picture RUN`: one picture of a run: the paths around the crossing, and how close they came.
+
+With an unavoided run beside it (a folder `unavoided` in the run, or --unavoided) both are drawn. matplotlib
+is an optional dependency and imported on use.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.errors import ConfigError
+from ground_tools.common.figure import drawn
+from ground_tools.inspect.read.flown import (
+    Array,
+    Flown,
+    Separation,
+    crossing,
+    flown,
+    from_frame,
+    least_of,
+    separations,
+)
+from ground_tools.inspect.read.read_run import Run, read_run, read_unavoided
+from ground_tools.inspect.viewer.palette import LIMIT, colour, hexadecimal
+
+HALF_WIDTH_M = 120.0
+"""The view from above reaches this far from the crossing."""
+MAX_LABELS = 10
+"""More aircraft than this are drawn without names."""
+_TOP_OF_REQUIRED = 6.0
+"""Distances are drawn up to this many times the required one, over the time that any is below."""
+_WITHOUT = "#7a7a7a"
+_WITH = hexadecimal(colour(0))
+_LIMIT = hexadecimal(LIMIT)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `ground-tools picture`."""
+    parser.description = "Draw a run: paths around the crossing, and the separation over time."
+    parser.epilog = "example: ground-tools picture runs/20260101T000000Z-demo --out encounter.png"
+    parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="picture to write")
+    parser.add_argument(
+        "--unavoided",
+        type=Path,
+        metavar="RUN",
+        help="the same encounter without avoidance (default: RUN/unavoided)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """`ground-tools picture`. Returns 0.
+
+    Raises:
+        ConfigError: a folder that is no run, a picture that cannot be written, or matplotlib is missing.
+    """
+    run = read_run(args.run_folder)
+    other = read_run(args.unavoided) if args.unavoided else read_unavoided(args.run_folder)
+    avoided, unavoided = flown(run), None if other is None else flown(other)
+    draw(avoided, unavoided, args.out, lateness(run))
+    print(f"wrote {args.out}; distances by {_positions(avoided, unavoided)}")
+    return 0
+
+
+def lateness(run: Run) -> str:
+    """How late messages arrived in a simulated run, in words; empty where its summary does not say."""
+    match (run.summary or {}).get("delay_s"):
+        case [int() | float() as low, int() | float() as high]:
+            return f"Remote ID {low:g} to {high:g} s late"
+        case _:
+            return ""
+
+
+def draw(avoided: Flown, unavoided: Flown | None, path: Path, words: str = "") -> None:
+    """Write the picture to `path`; `words` join its title.
+
+    Raises:
+        ConfigError: fewer than two aircraft were in the air at once, `path` cannot be written, or matplotlib
+            is not installed.
+    """
+    pairs = _known(avoided)
+    before = [] if unavoided is None else _known(unavoided)
+    if not pairs:
+        raise ConfigError("no two aircraft of this run were in the air at once: nothing to draw")
+    centre = crossing(avoided, pairs) if unavoided is None or not before else crossing(unavoided, before)
+    if unavoided is not None and before:
+        centre = from_frame(centre[None, :], unavoided.origin, avoided.origin)[0]
+    with drawn(path, (13, 6.6)) as figure:
+        figure.suptitle(title(avoided, pairs, before, words), fontsize=16, fontweight="bold")
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+        _view_from_above(left, avoided, unavoided, centre)
+        _over_time(right, pairs, before, _positions(avoided, unavoided))
+
+
+def title(avoided: Flown, pairs: list[Separation], before: list[Separation], words: str) -> str:
+    """What the picture shows, in figures."""
+    head = f"{len(avoided.paths)} aircraft" + (f", {words}" if words else "")
+    with_avoidance = f"{pairs[0].minimum_m:.1f} m with avoidance"
+    without = f", {before[0].minimum_m:.1f} m without" if before else ""
+    return f"{head}: closest {with_avoidance}{without}"
+
+
+def _positions(avoided: Flown, unavoided: Flown | None) -> str:
+    """Whose positions both are by."""
+    kinds = dict.fromkeys([avoided.positions, *([unavoided.positions] if unavoided else [])])
+    return " and ".join(kinds)
+
+
+def _known(ways: Flown) -> list[Separation]:
+    return [pair for pair in separations(ways.paths) if pair.minimum_m is not None]
+
+
+def _view_from_above(axes: Any, avoided: Flown, unavoided: Flown | None, centre: Array) -> None:
+    axes.set_title("Paths seen from above")
+    if unavoided is not None:
+        for index, path in enumerate(unavoided.paths):
+            track = from_frame(path.position_ned_m, unavoided.origin, avoided.origin) - centre
+            label = "without avoidance" if index == 0 else None
+            axes.plot(track[:, 1], track[:, 0], color=_WITHOUT, lw=1.2, ls=(0, (4, 3)), label=label, zorder=2)
+    for index, path in enumerate(avoided.paths):
+        shade = hexadecimal(colour(index))
+        track = path.position_ned_m - centre
+        label = "flown with avoidance" if index == 0 else None
+        axes.plot(track[:, 1], track[:, 0], color=shade, lw=2.2, label=label, zorder=3)
+        _ends(axes, track, shade, path.name if len(avoided.paths) <= MAX_LABELS else None)
+    axes.plot([], [], "o", color="#444444", mfc="white", mew=1.8, label="enters the view")
+    axes.plot([], [], "o", color="#444444", label="leaves the view")
+    axes.set(xlim=(-HALF_WIDTH_M, HALF_WIDTH_M), ylim=(-HALF_WIDTH_M, HALF_WIDTH_M), aspect="equal")
+    axes.set(xlabel="east of the crossing (m)", ylabel="north of the crossing (m)")
+    _legend(axes)
+
+
+def _legend(axes: Any) -> None:
+    """Below the axes, where it hides nothing."""
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=13, frameon=False)
+
+
+def _ends(axes: Any, track: Array, shade: str, name: str | None) -> None:
+    """Markers where the path enters and leaves the view, and the aircraft's name at its entry."""
+    inside = np.flatnonzero(np.abs(track[:, :2]).max(axis=1) <= HALF_WIDTH_M - 3.0)
+    if not len(inside):
+        return
+    first, last = track[inside[0]], track[inside[-1]]
+    axes.plot(first[1], first[0], "o", color=shade, mfc="white", mew=2, ms=8, zorder=4)
+    axes.plot(last[1], last[0], "o", color=shade, ms=8, zorder=4)
+    if name is not None:
+        _name(axes, first, track[inside[min(len(inside) - 1, len(inside) // 6)]] - first, shade, name)
+
+
+def _name(axes: Any, at: Array, along: Array, shade: str, name: str) -> None:
+    """The aircraft's name beside its path's entry, on the side with more room."""
+    heading = along[:2] / max(float(np.hypot(along[0], along[1])), 1e-6)
+    north, east = at[:2] + 14.0 * heading
+    to_middle = 1.0 if east < 0.0 else -1.0
+    # Near the view's edge there is room only towards its middle, and in the middle itself it does not matter.
+    to_east = -to_middle if 0.3 < abs(east) / HALF_WIDTH_M < 0.55 else to_middle
+    # A steep path has room beside it, a flat one above or below.
+    steep = abs(heading[0]) > 0.6
+    offset = (10.0 * to_east, 0.0) if steep else (0.0, -11.0 if north > 0.0 else 11.0)
+    side = "left" if to_east > 0.0 else "right"
+    axes.annotate(
+        name,
+        (east, north),
+        offset,
+        textcoords="offset points",
+        ha=side,
+        va="center",
+        color=shade,
+        fontsize=12,
+        fontweight="bold",
+        path_effects=_halo(),
+        zorder=5,
+    )
+
+
+def _over_time(axes: Any, pairs: list[Separation], before: list[Separation], positions: str) -> None:
+    axes.set_title("Distance between the closest two aircraft")
+    required = max(pair.required_m for pair in pairs)
+    top = _TOP_OF_REQUIRED * required
+    shown = []
+    for found, shade, words in ((before, _WITHOUT, "without avoidance"), (pairs, _WITH, "with avoidance")):
+        if not found:
+            continue
+        time, least = least_of(found)
+        axes.plot(time, least, color=shade, lw=2.6, label=words)
+        _mark(axes, found[0], shade, words)
+        near = time[least <= top]
+        shown += list(near[[0, -1]]) if len(near) else [time[0], time[-1]]
+    axes.axhline(required, color=_LIMIT, lw=2, ls="--", label=f"must stay above {required:g} m")
+    axes.axhspan(0.0, required, color=_LIMIT, alpha=0.08, lw=0)
+    axes.set(xlim=(min(shown), max(shown)), ylim=(0.0, top))
+    axes.set(xlabel="time (s)", ylabel=f"distance by {positions} (m)")
+    _legend(axes)
+
+
+def _mark(axes: Any, closest: Separation, shade: str, words: str) -> None:
+    """The closest approach of a run, with its figure."""
+    at = (closest.minimum_time_s, closest.minimum_m)
+    axes.plot(*at, "o", color=shade, ms=7)
+    beside = words == "without avoidance"
+    axes.annotate(
+        f"{closest.minimum_m:.1f} m",
+        at,
+        (-10, 2) if beside else (0, -9),
+        textcoords="offset points",
+        ha="right" if beside else "center",
+        va="center" if beside else "top",
+        color=shade,
+        fontweight="bold",
+        path_effects=_halo(),
+    )
+
+
+def _halo() -> list[Any]:
+    from matplotlib import patheffects
+
+    return [patheffects.withStroke(linewidth=3, foreground="white")]

@@ -1,0 +1,311 @@
+"""A run in figures: closest approaches and what was done, each flight, manoeuvre and broadcast, what went
+wrong and what is damaged or missing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from companion.avoidance.alerts import Level
+from companion.errors import ConfigError
+from companion.events import AlertChanged, AuthorityChanged
+from companion.runtime.record.disk import RUN
+from ground_tools.inspect.explain import air, manoeuvres
+from ground_tools.inspect.explain.manoeuvres import Manoeuvre
+from ground_tools.inspect.read import flight
+from ground_tools.inspect.read.flown import Separation, closest, flown
+from ground_tools.inspect.read.read_run import AircraftRecord, Run
+from ground_tools.inspect.read.timeline import time_line
+from ground_tools.inspect.report.terminal import text as text
+
+NEAR = 3.0
+"""Pairs that stayed farther apart than so many times their limit, and never conflicted, are no conflict."""
+_SAME_TIME_S, _FAR_OFF_M = 1.5, 5.0
+_HEARD = "Remote ID, as heard"
+_BEFORE_S = 60.0
+"""A manoeuvre that ended longer before the closest approach has nothing to do with it."""
+
+
+def describe(run: Run) -> dict[str, Any]:
+    """Figures of a run, ready for JSON; without any position there are no separations in them. All times are
+    on the common time line that `clock` names."""
+    ways = None
+    pairs: list[Separation] = []
+    unknown: tuple[str, ...] = ()
+    try:
+        ways = flown(run)
+        pairs, unknown = closest(ways.paths), ways.problems
+    except ConfigError as error:
+        unknown = (str(error),)
+    line = time_line(run)
+    air_rows, air_problems = _air(run.summary)
+    done = {record.name: manoeuvres.find(record) for record in run.aircraft}
+    offsets = line.offsets_s
+    return {
+        "run": run.name,
+        "clock": line.words,
+        "utc_at_zero_s": line.utc_at_zero_s,
+        "positions": ways.positions if ways else None,
+        "conflicts": _conflicts(run, pairs, done, offsets),
+        "aircraft": [_aircraft(record, done[record.name], offsets[record.name]) for record in run.aircraft],
+        "separations": [
+            {
+                "pair": [pair.first, pair.second],
+                "minimum_m": pair.minimum_m,
+                "minimum_time_s": pair.minimum_time_s,
+                "required_m": pair.required_m,
+                "kept": None if pair.minimum_m is None else pair.minimum_m >= pair.required_m,
+            }
+            for pair in pairs
+        ],
+        "air": air_rows,
+        "notes": list(run.notes),
+        "problems": [*run.problems, *_cut_off(run, offsets), *unknown, *air_problems],
+    }
+
+
+def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
+    """That a companion's run has no summary, which it writes as it ends."""
+    if run.summary is not None or (run.manifest or {}).get("what") != RUN:
+        return []
+    return [
+        f"{record.name}: the companion did not end by itself (killed, hung, power lost), or still runs: "
+        f"nothing is known after {record.facts.end_s + offsets[record.name]:.1f} s"
+        for record in run.aircraft
+    ]
+
+
+def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str]]:
+    """What the run's own summary tells of the air, by ordered pair, and what of it cannot be read."""
+    rows = (summary or {}).get("air", [])
+    wanted = {
+        "sender": str,
+        "receiver": str,
+        "sent": int,
+        "delivered": int,
+        "information_age_mean_s": float | None,
+        "information_age_max_s": float | None,
+    }
+    try:
+        return [{key: msgspec.convert(row[key], kind) for key, kind in wanted.items()} for row in rows], []
+    except (KeyError, TypeError, msgspec.ValidationError):
+        return [], ["summary.json: air: not as a run writes it"]
+
+
+def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float) -> dict[str, Any]:
+    facts = record.facts
+    authority = [what.state for _, what in facts.rare if isinstance(what, AuthorityChanged)]
+    levels = [what.level for _, what in facts.rare if isinstance(what, AlertChanged)]
+    return {
+        "name": record.name,
+        "software": None if record.header is None else record.header.software,
+        "law": None if record.header is None else record.header.config.avoidance.law,
+        "use": None if record.header is None else record.header.config.flight.use,
+        "steps": facts.steps,
+        "duration_s": facts.duration_s,
+        "broadcasts": sum(len(times) for times in facts.sent.values()),
+        "heard": sum(len(heard.now_s) for heard in facts.heard.values()),
+        "decisions": len(facts.decisions.now_s),
+        "conflicts": int(facts.decisions.conflict.sum()),
+        "cautions": levels.count(Level.CAUTION),
+        "warnings": levels.count(Level.WARNING),
+        "infeasible": int((~facts.decisions.feasible).sum()),
+        "oldest_track_s": max((float(track.age_s.max()) for track in facts.tracks.values()), default=None),
+        "authority": authority[-1] if authority else None,
+        "flight": flight.flight(record, offset_s),
+        "manoeuvres": [_moved(manoeuvres.figures(one), offset_s) for one in done],
+        "alerts": flight.alerts(record, offset_s),
+        "remote_id": _moved_sent(air.gather(record), offset_s),
+        "link": _link(record),
+        "faults": flight.faults(record, offset_s),
+        "missing": flight.missing(record),
+    }
+
+
+def _link(record: AircraftRecord) -> list[dict[str, Any]]:
+    """How well the telemetry carried each component's frames; empty without a telemetry log."""
+    return [
+        {
+            "component": f"{one.system_id}/{one.component_id}",
+            "frames": one.frames,
+            "missing": one.missing,
+            "missing_percent": 100.0 * one.missing_share,
+            "silences": len(one.gaps_s),
+            "longest_silence_s": float(one.gaps_s[:, 1].max()) if len(one.gaps_s) else None,
+        }
+        for one in (record.link.components if record.link is not None else ())
+    ]
+
+
+def _moved(figures: dict[str, Any], offset_s: float) -> dict[str, Any]:
+    """A manoeuvre's times on the common line."""
+    for key in ("start_s", "end_s", "regained_s"):
+        figures[key] = None if figures[key] is None else figures[key] + offset_s
+    nearest = figures["nearest"]
+    nearest["time_s"] = None if nearest["time_s"] is None else nearest["time_s"] + offset_s
+    return figures
+
+
+def _moved_sent(figures: dict[str, Any], offset_s: float) -> dict[str, Any]:
+    for row in figures["sent"]:
+        row["longest_at_s"] = None if row["longest_at_s"] is None else row["longest_at_s"] + offset_s
+    return figures
+
+
+# ---------------------------------------------------------------- conflicts
+
+
+def _conflicts(
+    run: Run,
+    pairs: list[Separation],
+    done: dict[str, tuple[Manoeuvre, ...]],
+    offsets: dict[str, float],
+) -> list[dict[str, Any]]:
+    """Pairs of the run that came near or were in conflict, and heard aircraft that were, closest first."""
+    records = {record.name: record for record in run.aircraft}
+    rows = []
+    for pair in pairs:
+        if pair.minimum_m is None or pair.minimum_time_s is None:
+            continue
+        seen = [
+            (records[a], _identity(records[b]))
+            for a, b in ((pair.first, pair.second), (pair.second, pair.first))
+        ]
+        conflicted = any(_in_conflict(record, track) for record, track in seen)
+        if not conflicted and pair.minimum_m > NEAR * pair.required_m:
+            continue
+        rows.append(
+            {
+                "pair": [pair.first, pair.second],
+                "time_s": pair.minimum_time_s,
+                "minimum_m": pair.minimum_m,
+                "required_m": pair.required_m,
+                "kept": pair.minimum_m >= pair.required_m,
+                "by": "positions",
+                "done": [
+                    _what_was_done(record, track, done[record.name], at_s)
+                    + _taken_to_be(record, track, at_s, pair.minimum_m)
+                    for record, track in seen
+                    for at_s in (pair.minimum_time_s - offsets[record.name],)
+                ],
+            }
+        )
+    own = {_identity(record) for record in run.aircraft}
+    for record in run.aircraft:
+        for track in sorted((record.facts.tracks.keys() | _warned_of(record)) - own):
+            if not _in_conflict(record, track) and track not in _warned_of(record):
+                continue
+            closest = _closest_of(record, track)
+            if closest is None:
+                continue
+            least, at_s, by = closest
+            rows.append(
+                {
+                    "pair": [record.name, track],
+                    "time_s": at_s + offsets[record.name],
+                    "minimum_m": least,
+                    "required_m": None,
+                    "kept": None,
+                    "by": by,
+                    "done": [
+                        _what_was_done(record, track, done[record.name], at_s)
+                        + (_who_flew(record, at_s) if by == _HEARD else "")
+                    ],
+                }
+            )
+    return sorted(rows, key=lambda row: (row["minimum_m"], row["pair"]))
+
+
+def _warned_of(record: AircraftRecord) -> set[str]:
+    """Tracks that a caution or warning was given for."""
+    return {
+        what.track_id
+        for _, what in record.facts.rare
+        if isinstance(what, AlertChanged) and what.level >= Level.CAUTION
+    }
+
+
+def _closest_of(record: AircraftRecord, track: str) -> tuple[float, float, str] | None:
+    """Least distance to a track, when and by what: as predicted while the law decided, and as heard while it
+    did not, as after a pilot took over."""
+    found = []
+    facts = record.facts.tracks.get(track)
+    if facts is not None:
+        row = int(facts.distance_m.argmin())
+        by = "ADS-B, as predicted aboard" if facts.adsb else "Remote ID, as predicted aboard"
+        found.append((float(facts.distance_m[row]), float(facts.now_s[row]), by))
+    decided_s = record.facts.decisions.now_s
+    for heard in record.facts.heard.values():
+        if track in heard.uas_ids:
+            # A decision stands for the time before and after it.
+            first = np.searchsorted(decided_s, heard.near[:, 0] - _SAME_TIME_S)
+            last = np.searchsorted(decided_s, heard.near[:, 0] + _SAME_TIME_S)
+            alone = heard.near[first == last]
+            found.extend((float(distance), float(now_s), _HEARD) for now_s, distance in alone)
+    return min(found, default=None)
+
+
+def _who_flew(record: AircraftRecord, at_s: float) -> str:
+    """The state then, and why."""
+    last = None
+    for now_s, what in record.facts.rare:
+        if isinstance(what, AuthorityChanged) and now_s <= at_s:
+            last = what
+    return "" if last is None else f"; {last.state} then: {last.reason}"
+
+
+def _identity(record: AircraftRecord) -> str:
+    """What others know the aircraft by."""
+    return record.name if record.header is None else record.header.config.identity.uas_id
+
+
+def _in_conflict(record: AircraftRecord, track: str) -> bool:
+    facts = record.facts.tracks.get(track)
+    return facts is not None and bool(facts.conflict.any())
+
+
+def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ...], at_s: float) -> str:
+    """By one aircraft about a track, around a time of its own clock."""
+    near = [
+        one
+        for one in done
+        if track in one.tracks and one.start_s <= at_s + manoeuvres.GAP_S and one.end_s >= at_s - _BEFORE_S
+    ]
+    if near:
+        ways = "; ".join(
+            f"{'taken out of its mission, ' if one.guarded else ''}"
+            f"{manoeuvres.change(one.strongest.wanted_ned_mps, one.strongest.chosen_ned_mps)} "
+            f"for {one.end_s - one.start_s:.1f} s"
+            for one in near
+        )
+        return f"{record.name} {ways}"
+    return f"{record.name} {_why_nothing(record, track, at_s)}"
+
+
+def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: float) -> str:
+    """What the law took the distance to be then, where that is far from what it was."""
+    facts = record.facts.tracks.get(track)
+    if facts is None:
+        return ""
+    row = int(abs(facts.now_s - at_s).argmin())
+    seen_m = float(facts.distance_m[row])
+    if abs(float(facts.now_s[row]) - at_s) > _SAME_TIME_S or abs(seen_m - distance_m) < _FAR_OFF_M:
+        return ""
+    return f" (it took the distance to be {seen_m:.1f} m then)"
+
+
+def _why_nothing(record: AircraftRecord, track: str, at_s: float) -> str:
+    if record.header is None:
+        return "has no companion in its log"
+    config = record.header.config
+    if config.flight.use == "watch":
+        return "only watched"
+    if config.avoidance.law == "none":
+        return 'did nothing: law "none"'
+    facts = record.facts.tracks.get(track)
+    if facts is None:
+        decided = abs(record.facts.decisions.now_s - at_s).min(initial=np.inf) <= _SAME_TIME_S
+        return "did nothing: not seen by its law" if decided else "did nothing: its law did not decide then"
+    return "did nothing about it" if facts.conflict.any() else "did nothing: no conflict for its law"

@@ -1,0 +1,376 @@
+"""The figures of a run in the terminal.
+
+What comes from logs (identities, texts) is hostile: it is printed as plain text, without markup, and
+characters that steer a terminal are shown as their codes.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from ground_tools.inspect.read.timeline import utc_words
+
+PIPED_WIDTH = 120
+"""Characters a line where there is no terminal."""
+_NAME = 24
+"""Characters of the first column that are not broken up."""
+_MOST_ROWS = 40
+"""Of one table; what is left out is counted, and stands whole in --json."""
+_SHARES = ("median_s", "p95_s", "worst_s")
+
+
+def plain(text: object) -> str:
+    """The text with every character that is not printable as its code."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """A figure, or "-" where it is not known."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def text(figures: dict[str, Any]) -> str:
+    """The figures of `summary.describe` as a terminal of `PIPED_WIDTH` shows them, without colour."""
+    stream = io.StringIO()
+    show(figures, Console(file=stream, width=PIPED_WIDTH, color_system=None, force_terminal=False))
+    return stream.getvalue().rstrip("\n")
+
+
+def console() -> Console:
+    """What to print to: the terminal, or a fixed width where the output is piped."""
+    found = Console(highlight=False)
+    return found if found.is_terminal else Console(highlight=False, width=PIPED_WIDTH, color_system=None)
+
+
+def show(figures: dict[str, Any], console: Console) -> None:
+    """Print the figures of `summary.describe`."""
+    line(console, head(figures), "bold")
+    for words in verdicts(figures):
+        bad = any(mark in words for mark in ("LOST", "NOT"))
+        line(console, f"  {words}", "bold red" if bad else "")
+    for words in damage(figures):
+        line(console, f"  {words}", "yellow")
+    console.print()
+    for title, rows in sections(figures):
+        show_table(console, title, rows)
+    for one in figures["aircraft"]:
+        for row in one["manoeuvres"]:
+            line(console, f"{one['name']}, {row['start_s']:.1f} to {row['end_s']:.1f} s", "bold")
+            for words in sentences(row):
+                console.print(Padding(Text(plain(words)), (0, 0, 0, 2), expand=False))
+
+
+def head(figures: dict[str, Any]) -> str:
+    """Which run it is, and by what its times and distances are."""
+    zero = figures["utc_at_zero_s"]
+    return (
+        f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
+        f"{f'at 0 s: {utc_words(zero)}; ' if zero is not None else ''}"
+        f"distances by {figures['positions'] or 'no positions'}"
+    )
+
+
+def verdicts(figures: dict[str, Any]) -> list[str]:
+    """What matters first, one line each: separation, Remote ID, manoeuvres, faults."""
+    known = [row for row in figures["separations"] if row["minimum_m"] is not None]
+    lost = [row for row in known if not row["kept"]]
+    found = []
+    if known:
+        least = known[0]
+        how = f"kept by {len(known)} of {len(known)} pairs"
+        if lost:
+            how = f"LOST by {len(lost)} of {len(known)} pairs"
+        found.append(
+            f"Separation {how}; {' - '.join(least['pair'])}: closest {least['minimum_m']:.2f} m at "
+            f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {kept(least['kept'])})"
+        )
+    elif len(figures["aircraft"]) > 1:
+        found.append("Separation: no two aircraft of this run were known at one time")
+    else:
+        found.append("Separation: not known with one aircraft alone")
+    found += _verdicts_on_remote_id(figures["aircraft"])
+    for words, key in (("Manoeuvres", "manoeuvres"), ("Faults and warnings", "faults")):
+        found.append(f"{words}: {sum(len(one[key]) for one in figures['aircraft'])}")
+    return found
+
+
+def _verdicts_on_remote_id(aircraft: Sequence[dict[str, Any]]) -> list[str]:
+    found = []
+    regions: dict[str, list[dict[str, Any]]] = {}
+    for one in aircraft:
+        if one["remote_id"]["region"] is not None:
+            regions.setdefault(one["remote_id"]["region"], []).append(one)
+    for region, members in regions.items():
+        rows = [row for one in members for row in one["remote_id"]["sent"] if row["kept"] is not None]
+        broken = [
+            one["name"]
+            for one in members
+            if one["remote_id"]["not_legal_s"] > 0.0
+            or any(row["kept"] is False for row in one["remote_id"]["sent"])
+        ]
+        if broken:
+            found.append(f"Remote ID: floor of region {region} NOT kept by {', '.join(broken)}")
+        elif rows:
+            found.append(f"Remote ID: floor of region {region} kept by all {len(members)}")
+        else:
+            found.append(f"Remote ID: region {region} sets no floor for what was sent")
+    return found
+
+
+def damage(figures: dict[str, Any]) -> list[str]:
+    """What is damaged or missing, one line each."""
+    gone = [f"missing: {one['name']}: {words}" for one in figures["aircraft"] for words in one["missing"]]
+    problems = [f"problem: {words}" for words in figures["problems"]]
+    return [*problems, *(f"note: {words}" for words in figures.get("notes", ())), *gone]
+
+
+def sentences(row: dict[str, Any]) -> list[str]:
+    """A manoeuvre in words: why, what was done, what came of it; then each alternative at its start."""
+    found = [row[key] for key in ("why", "done", "came") if row[key]]
+    return [*found, *(f"- at its start, {words}" for words in row["instead"])]
+
+
+Rows = list[list[str]]
+"""The first one is the head."""
+
+
+def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
+    """Every table of a run: title and rows; such as have no rows are left out."""
+    aircraft = figures["aircraft"]
+    found = [
+        ("Conflicts", _conflicts(figures["conflicts"])),
+        ("Other pairs" if figures["conflicts"] else "Pairs", _separations(figures)),
+        ("Faults and warnings", _faults(aircraft)),
+        ("Flights", _flights(aircraft)),
+        ("Decisions and alerts", _decisions(aircraft)),
+        ("Modes", _spans(aircraft, "modes", "mode")),
+        ("Who flew", _spans(aircraft, "authority", "state", "reason")),
+        ("Manoeuvres", _manoeuvres(aircraft)),
+        ("Remote ID sent", _sent(aircraft)),
+        ("Remote ID heard", _heard(aircraft)),
+        ("Age of information when the law decided", _ages(aircraft)),
+        ("The simulated air, by the run's own summary", _air(figures["air"])),
+        ("Telemetry link (missing by their numbers: lost, or never logged)", _link(aircraft)),
+    ]
+    return [(title, rows) for title, rows in found if len(rows) > 1]
+
+
+def kept(value: bool | None) -> str:
+    """A verdict in words."""
+    return {True: "kept", False: "LOST", None: "-"}[value]
+
+
+def alarming(row: Sequence[str]) -> bool:
+    """Whether a row of a table tells of a loss or of something not kept."""
+    return any(cell.startswith(("LOST", "NOT ")) or cell == "NO" for cell in row)
+
+
+def _conflicts(rows: Sequence[dict[str, Any]]) -> Rows:
+    head = ["pair", "at (s)", "closest (m)", "limit (m)", "", "what was done"]
+    return [head] + [
+        [
+            " - ".join(row["pair"]),
+            number(row["time_s"]),
+            number(row["minimum_m"], 2),
+            number(row["required_m"]),
+            kept(row["kept"]) if row["by"] == "positions" else row["by"],
+            "; ".join(row["done"]),
+        ]
+        for row in rows
+    ]
+
+
+def _separations(figures: dict[str, Any]) -> Rows:
+    """Of the pairs that were in no conflict."""
+    told = [row["pair"] for row in figures["conflicts"]]
+    return [["pair", "at (s)", "closest (m)", "limit (m)", ""]] + [
+        [
+            " - ".join(row["pair"]),
+            number(row["minimum_time_s"]),
+            number(row["minimum_m"], 2) if row["minimum_m"] is not None else "never known at one time",
+            number(row["required_m"]),
+            kept(row["kept"]),
+        ]
+        for row in figures["separations"]
+        if row["pair"] not in told
+    ]
+
+
+def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = ["aircraft", "record (s)", "armed (s)", "flown (m)", "fastest (m/s)", "highest (m)", "use", "law"]
+    return [head] + [
+        [
+            one["name"],
+            number(one["duration_s"]),
+            number(one["flight"]["armed_s"]),
+            number(one["flight"]["distance_m"], 0),
+            number(one["flight"]["max_speed_mps"]),
+            number(one["flight"]["max_height_m"]),
+            one["use"] or "-",
+            one["law"] or "-",
+        ]
+        for one in aircraft
+    ]
+
+
+def _decisions(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    """Of those that decided or alerted."""
+    keys = ("decisions", "conflicts", "infeasible", "cautions", "warnings")
+    return [["aircraft", "decisions", "in conflict", "kept not all half-spaces", "cautions", "warnings"]] + [
+        [one["name"], *(str(one[key]) for key in keys)] for one in aircraft if any(one[key] for key in keys)
+    ]
+
+
+def _each(
+    head: list[str],
+    aircraft: Sequence[dict[str, Any]],
+    rows: Callable[[dict[str, Any]], Sequence[dict[str, Any]]],
+    cells: Callable[[dict[str, Any]], list[str]],
+) -> Rows:
+    """A line for every row of every aircraft, which it begins with."""
+    return [["aircraft", *head], *([one["name"], *cells(row)] for one in aircraft for row in rows(one))]
+
+
+def _spans(aircraft: Sequence[dict[str, Any]], key: str, state: str, reason: str | None = None) -> Rows:
+    words = [state, reason] if reason else [state]
+    return _each(
+        ["from (s)", "to (s)", *words],
+        aircraft,
+        lambda one: one["flight"][key],
+        lambda row: [number(row["from_s"]), number(row["to_s"]), *(row[word] for word in words)],
+    )
+
+
+def _link(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = ["component", "frames", "missing", "missing (%)", "silences", "longest (s)"]
+    return _each(
+        head,
+        aircraft,
+        lambda one: one["link"],
+        lambda row: [
+            row["component"],
+            str(row["frames"]),
+            str(row["missing"]),
+            number(row["missing_percent"], 2),
+            str(row["silences"]),
+            number(row["longest_silence_s"]),
+        ],
+    )
+
+
+def _manoeuvres(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = ["from (s)", "to (s)", "because of", "would have come (m)", "in (s)"]
+    head += ["nearest then (m)", "off the path (m)", "other limits", "feasible"]
+    return _each(
+        head,
+        aircraft,
+        lambda one: one["manoeuvres"],
+        lambda row: [
+            number(row["start_s"]),
+            number(row["end_s"]),
+            ", ".join(row["tracks"]) or ", ".join(row["limits"]),
+            number(row["closest_m"]),
+            number(row["time_to_closest_s"]),
+            number(row["nearest"]["distance_m"]),
+            number(row["deviation_m"]),
+            ", ".join(row["limits"]) or "-",
+            "yes" if row["feasible"] else "NO",
+        ],
+    )
+
+
+def _sent(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = ["aircraft", "region", "transport", "message", "sent", "a second", "longest gap (s)", "legal (s)"]
+    rows = [
+        [
+            one["name"],
+            one["remote_id"]["region"] or "-",
+            row["transport"],
+            row["message"],
+            str(row["count"]),
+            number(row["rate_hz"], 2),
+            number(row["longest_s"], 2),
+            number(row["legal_s"], 2),
+            f"NOT kept: {row['over_legal']} times" if row["kept"] is False else kept(row["kept"]),
+        ]
+        for one in aircraft
+        for row in one["remote_id"]["sent"]
+    ]
+    for one in aircraft:
+        told = one["remote_id"]
+        if told["not_legal_s"] > 0.0:
+            because = "; ".join(told["not_legal_because"])
+            words = f"NOT legal for {told['not_legal_s']:.1f} s: {because}"
+            rows.append([one["name"], told["region"] or "-", "", "", "", "", "", "", words])
+    return [[*head, ""], *rows]
+
+
+def _heard(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    head = ["from", "transport", "frames", "lost", "silent (s)", "latency: median", "95 %", "worst (s)"]
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        late = row["latency"] or {}
+        return [
+            ", ".join(row["identities"]) or row["address"],
+            row["transport"],
+            str(row["frames"]),
+            "not known" if row["lost"] is None else f"{row['lost']} of {row['lost_of']}",
+            number(row["longest_silence_s"], 2),
+            *(number(late.get(key), 2) for key in _SHARES),
+        ]
+
+    return _each(head, aircraft, lambda one: one["remote_id"]["heard"], cells)
+
+
+def _ages(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    return _each(
+        ["track", "median (s)", "95 % (s)", "worst (s)"],
+        aircraft,
+        lambda one: one["remote_id"]["ages"],
+        lambda row: [row["track"], *(number(row[key], 2) for key in _SHARES)],
+    )
+
+
+def _faults(aircraft: Sequence[dict[str, Any]]) -> Rows:
+    return _each(
+        ["at (s)", "what", "in words"],
+        aircraft,
+        lambda one: one["faults"],
+        lambda row: [number(row["time_s"]), row["what"], row["text"]],
+    )
+
+
+def _air(rows: Sequence[dict[str, Any]]) -> Rows:
+    found = [["from", "to", "frames", "delivered", "age: mean (s)", "worst (s)"]]
+    for row in rows:
+        ages = [number(row[key], 2) for key in ("information_age_mean_s", "information_age_max_s")]
+        found.append([row["sender"], row["receiver"], str(row["sent"]), str(row["delivered"]), *ages])
+    return found
+
+
+def line(console: Console, words: str, style: str = "") -> None:
+    """Print a line as it is, however long."""
+    console.print(Text(plain(words), style=style), soft_wrap=True)
+
+
+def show_table(console: Console, title: str, rows: Rows) -> None:
+    """Print a table, cut off after `_MOST_ROWS`."""
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
+    for column, words in enumerate(rows[0]):
+        least = max(map(len, words.split()), default=0)
+        if column == 0:
+            least = min(max(len(plain(row[0])) for row in rows), _NAME)
+        table.add_column(words, overflow="fold", min_width=least)
+    for row in rows[1 : _MOST_ROWS + 1]:
+        table.add_row(*(Text(plain(cell)) for cell in row), style="bold red" if alarming(row) else "")
+    console.print(table)
+    if len(rows) > _MOST_ROWS + 1:
+        line(console, f"  {len(rows) - 1 - _MOST_ROWS} more rows: see --json")

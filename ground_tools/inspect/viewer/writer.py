@@ -1,0 +1,515 @@
+"""Puts a run into a Rerun recording piece by piece, in columns (`send_columns`).
+
+A `Writer` knows a `Scene` and takes what comes: steps of an aircraft, paths that were flown, distances. It
+serves a file that is converted and a flight that goes on alike; its memory is that of a piece. The frame is
+drawn as x east, y north, z up (m). rerun is imported on use: its import takes seconds, and it is an optional
+dependency.
+
+Two time lines: `time` is the run's, `encounter` holds what a viewer opens on, from the encounter's time 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.avoidance.law import VERTICAL_SCALE, separation_m
+from companion.errors import ConfigError
+from companion.event_record import Step
+from companion.events import TrackView
+from ground_tools.inspect.explain.why import HalfSpace
+from ground_tools.inspect.read.flown import Array, Path, Separation, least_in_bins, least_of
+from ground_tools.inspect.viewer.palette import (
+    ALERTS,
+    AUTHORITY,
+    LEVELS,
+    LIMIT,
+    PAIR,
+    WANTED,
+    Rgb,
+    faded,
+    pale,
+)
+from ground_tools.inspect.viewer.pieces import UNKNOWN, Note, Piece, Places, Watch
+from ground_tools.inspect.viewer.scene import Aircraft, Scene
+
+WHOLE = "time"
+ENCOUNTER = "encounter"
+SHOWN_S = 3.0
+"""A position is drawn until the next one, and no longer than this."""
+ARROW_S = 5.0
+"""Arrows reach as far as the velocity leads in this time."""
+SQUARE_M = 6.0
+"""Half the side of the squares that half-spaces are drawn as."""
+OLD_S = 5.0
+"""Predictions from information of this age are drawn grey."""
+DRAWN_S = 0.2
+"""Distances are drawn as the least of each such time."""
+RANGE_S = 1.0
+"""The same of the distances to tracks, as the law saw them."""
+MARK_PX = 3.5, 2.5
+"""Radius of markers, at any distance: of what is a warning or worse, and of others, such as switches."""
+AGE_S = 5.0
+"""Ages of information are drawn as the greatest of each such time: a loss stands out of their saw teeth."""
+
+HELD_ROWS = 2000
+"""Parts of a line are sent together until they are so many rows: each costs memory until the end."""
+
+_SHAPES = {
+    "Arrows3D": "vectors",
+    "Ellipsoids3D": "half_sizes",
+    "LineStrips3D": "strips",
+    "Points3D": "positions",
+}
+"""The component without which nothing is drawn."""
+
+_LEGEND = f"""
+In space, in each aircraft's colour:
+
+- large point with a name: the aircraft, where it takes itself to be; around it its own conflict volume
+- thick line: what it flew; thin pale line and small grey point: its timed path
+- arrows, {ARROW_S:g} s long: grey the velocity it wanted, coloured the one its law chose
+- pale points: another one as it heard it, where its message said
+- small points: another one as its law predicted it, the greyer the older (grey from {OLD_S:g} s on)
+- pale ellipsoid around a track: the volume that the law cleared, while that track is in its way
+- line to a track: pale while in conflict; strong while that track bounds the chosen velocity
+- square at the tip of a chosen arrow: the half-space of a track that bounds it, its tick to what is allowed
+- points of constant size, small where nothing is wrong: what happened there; point at one to read it
+
+Speed: thick flown, pale chosen, grey wanted. Distance to heard traffic: as the law saw it, the least of each
+{RANGE_S:g} s. Ages: the greatest of each {AGE_S:g} s. Link: frames that are missing of each component
+(system/component), by their numbers, in each second; what a radio says of itself, in its own units.
+
+Time line `encounter` holds what lies around the first conflict, `time` the whole run: switch below.
+"""
+
+
+def rerun() -> Any:
+    """The module.
+
+    Raises:
+        ConfigError: it is not installed.
+    """
+    try:
+        import pyarrow
+        import rerun as module
+    except ImportError as error:
+        raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'") from error
+    # Arrow's own allocator keeps what is freed between pieces.
+    pyarrow.set_memory_pool(pyarrow.system_memory_pool())
+    return module
+
+
+class Writer:
+    """Writes one scene into a stream."""
+
+    def __init__(self, stream: Any, scene: Scene) -> None:
+        self._rr = rerun()
+        self._stream = stream
+        self._scene = scene
+        self._aircraft = {one.name: one for one in scene.aircraft}
+        self._watches = {one.name: Watch(one, scene.origin) for one in scene.aircraft}
+        self._known: set[str] = set()
+        self._last_ned_m: dict[str, Array] = {}
+        self._held: dict[str, list[tuple[Array, Array]]] = {}
+        """By entity: times and values of a line that are yet to be sent."""
+        self._due: dict[str, tuple[str, float]] = {}
+        """By entity: its archetype, and the time of its last row, which is to go when it is stale."""
+        stream.log("/", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        about = self._rr.TextDocument(_LEGEND, media_type="text/markdown")
+        stream.log(self._entity("about"), about, static=True)
+
+    def settle(self, now_s: float = math.inf) -> None:
+        """Send what is held, and take away what was drawn last and is stale now; at the end of a run, all."""
+        for entity in list(self._held):
+            self._send_held(entity)
+        for entity, due in list(self._due.items()):
+            if now_s - due[1] > SHOWN_S:
+                self._blank(entity, *self._due.pop(entity))
+
+    def say(self, time_s: float, text: str) -> None:
+        """A line about the whole run."""
+        self.notes("run", [Note(time_s, "INFO", text)])
+
+    def steps(self, name: str, steps: Iterable[Step]) -> None:
+        """The next steps of one aircraft; all of them in one piece of the time line (`Scene.piece`)."""
+        one, piece = self._aircraft[name], self._watches[name].take(steps)
+        self._own(one, piece)
+        self._decisions(one, piece)
+        self._tracks(one, piece)
+        self._half_spaces(one, piece)
+        for address, places in piece.heard.items():
+            self._heard(one, address, places)
+        for lane, states in piece.states.items():
+            self._lane(lane, name, states)
+        self.notes(name, piece.notes)
+        self._markers(one, piece)
+
+    def tell(self, name: str, note: Note, where_ned_m: Array) -> None:
+        """Something that happened to an aircraft, and where, found in more than its steps."""
+        self.notes(name, [note])
+        self.mark(name, [note], where_ned_m.reshape(1, 3))
+
+    def flown(self, path: Path, latitudes: Array) -> None:
+        """The next part of the path that an aircraft flew.
+
+        Args:
+            path: of one piece of the time line, and the first sample after it.
+            latitudes: (n, 2) lat_deg, lon_deg of its samples.
+        """
+        rr, rgb = self._rr, self._aircraft[path.name].rgb
+        when = path.time_s[:1]
+        strip = rr.LineStrips3D.columns(strips=[enu(path.position_ned_m)])
+        entity = self._entity("aircraft", path.name, "flown")
+        self._style(entity, rr.LineStrips3D.from_fields(colors=[rgb], radii=[-1.5]))
+        self._send(entity, when, strip, clip=True)
+        entity = self._entity("map", path.name, "flown")
+        self._style(entity, rr.GeoLineStrings.from_fields(colors=[rgb], radii=[-2.0]))
+        self._send(entity, when, rr.GeoLineStrings.columns(line_strings=[latitudes]), clip=True)
+
+    def distances(self, pairs: Sequence[Separation], required_m: float) -> None:
+        """The next part of every pair's distance, and that of whichever two are closest."""
+        if not pairs:
+            return
+        for pair in pairs:
+            known = ~np.isnan(pair.distance_m)
+            time, least = least_in_bins(pair.time_s[known], pair.distance_m[known], DRAWN_S)
+            self._line(("separation", f"{pair.first} - {pair.second}"), time, least, PAIR, 1.0)
+        time, least = least_in_bins(*least_of(pairs), DRAWN_S)
+        rgb = self._scene.aircraft[0].rgb
+        self._line(("separation", "closest two"), time, least, rgb, 3.0)
+        if len(time):
+            limit = np.full(2, required_m)
+            self._line(("separation", f"required {required_m:g} m"), time[[0, -1]], limit, LIMIT, 3.0)
+
+    def closest(self, pair: Separation, where_ned_m: Array) -> None:
+        """Mark where and when a pair came closest."""
+        if pair.minimum_m is None or pair.minimum_time_s is None:
+            return
+        lost = pair.minimum_m < pair.required_m
+        words = f"{pair.first} - {pair.second} closest: {pair.minimum_m:.1f} m"
+        words += f", {pair.required_m:g} m were to be kept" if lost else f" ({pair.required_m:g} m kept)"
+        note = Note(pair.minimum_time_s, "CRITICAL" if lost else "INFO", words, marked=True)
+        self.notes("pairs", [note])
+        self.mark("closest", [note], where_ned_m.reshape(1, 3))
+
+    def link(self, name: str, what: str, time_s: Array, values: Array) -> None:
+        """A figure of a link's health."""
+        self._line(("link", f"{name} {what}"), time_s, values, self._aircraft[name].rgb, 1.5)
+
+    def _own(self, one: Aircraft, piece: Piece) -> None:
+        rr, rgb = self._rr, one.rgb
+        time, place = piece.own_s, piece.own_ned_m
+        if not len(time):
+            time, place = piece.decided_s, piece.decided_ned_m
+        if not len(time):
+            return
+        self._last_ned_m[one.name] = place[-1]
+        self._points(("aircraft", one.name, "own"), time, place, rgb, 1.2, one.name, named=True)
+        entity = self._entity("aircraft", one.name, "volume")
+        radius = one.avoidance.conflict_radius_m
+        size = (radius, radius, radius / VERTICAL_SCALE)
+        self._style(entity, rr.Ellipsoids3D.from_fields(colors=[rgb], line_radii=[-0.5]))
+        sizes = np.tile(np.array(size, np.float32), (len(time), 1))
+        columns = rr.Ellipsoids3D.columns(centers=enu(place), half_sizes=sizes)
+        self._send_until_stale(entity, "Ellipsoids3D", time, columns)
+        if len(piece.own_s):
+            entity = self._entity("map", one.name, "own")
+            self._style(entity, rr.GeoPoints.from_fields(colors=[rgb], radii=[-6.0]))
+            self._send(entity, time, rr.GeoPoints.columns(positions=piece.own_geodetic[:, :2]))
+            self._line(("speed", one.name, "flown"), time, piece.speed_mps, rgb, 2.5)
+
+    def _decisions(self, one: Aircraft, piece: Piece) -> None:
+        time, rgb = piece.decided_s, one.rgb
+        if not len(time):
+            # Without a law there may still be somebody who commands speeds.
+            self._line(("speed", one.name, "chosen"), piece.setpoint_s, piece.setpoint_mps, pale(rgb), 1.5)
+            return
+        for what, velocity, shade in (
+            ("wanted", piece.wanted_ned_mps, WANTED),
+            ("chosen", piece.chosen_ned_mps, rgb),
+        ):
+            self._arrows((one.name, what), time, piece.decided_ned_m, velocity, shade)
+            colour = pale(rgb) if what == "chosen" else WANTED
+            self._line(("speed", one.name, what), time, np.linalg.norm(velocity, axis=1), colour, 1.0)
+        if not len(piece.path_s):
+            return
+        rr = self._rr
+        self._points(("aircraft", one.name, "path point"), piece.path_s, piece.path_ned_m, WANTED, 0.6, "")
+        entity = self._entity("aircraft", one.name, "path")
+        self._style(entity, rr.LineStrips3D.from_fields(colors=[pale(rgb)], radii=[-0.6]))
+        strip = rr.LineStrips3D.columns(strips=[enu(piece.path_ned_m)])
+        self._send(entity, piece.path_s[:1], strip, clip=True)
+
+    def _tracks(self, one: Aircraft, piece: Piece) -> None:
+        """Where the law took others to be, how old that was, and the volumes of those in its way."""
+        seen = [track for tracks in piece.seen for track in tracks]
+        if not len(piece.decided_s):
+            return
+        rr, rgb = self._rr, one.rgb
+        entity = self._entity("aircraft", one.name, "predicted")
+        self._style(entity, rr.Points3D.from_fields(radii=[0.7], show_labels=False))
+        columns = rr.Points3D.columns(
+            positions=enu(piece.seen_ned_m),
+            colors=[faded(rgb, track.age_s / OLD_S) for track in seen],
+            labels=[f"{t.track_id} as {one.name} predicts it, {t.age_s:.1f} s old" for t in seen],
+        )
+        lengths = np.array([len(tracks) for tracks in piece.seen])
+        if seen:
+            self._send_until_stale(entity, "Points3D", piece.decided_s, columns, lengths)
+        self._in_the_way(one, piece)
+        times, own = (np.repeat(rows, lengths, axis=0) for rows in (piece.decided_s, piece.decided_ned_m))
+        away = np.linalg.norm(piece.seen_ned_m - own, axis=1)
+        rows: dict[str, list[tuple[float, float, float]]] = {}
+        for time, track, distance in zip(times, seen, away, strict=True):
+            rows.setdefault(track.track_id, []).append((time, track.age_s, distance))
+        for track_id, found in rows.items():
+            when, ages, distances = np.array(found).T
+            name = f"{track_id} at {one.name}"
+            at, least = least_in_bins(when, distances, RANGE_S)
+            self._line(("range", name), at, least, rgb, 1.5)
+            at, less = least_in_bins(when, -ages, AGE_S)
+            self._line(("age", name), at, -less, rgb, 1.0)
+
+    def _in_the_way(self, one: Aircraft, piece: Piece) -> None:
+        """Volumes of tracks in conflict or at an active half-space, and lines to them."""
+        rr = self._rr
+        flags = np.array([t.conflict or t.active for tracks in piece.seen for t in tracks], dtype=bool)
+        entity = self._entity("aircraft", one.name, "in the way")
+        if not flags.any() and entity not in self._known:
+            return
+        lengths = np.array([sum(t.conflict or t.active for t in tracks) for tracks in piece.seen])
+        found = [t for tracks in piece.seen for t in tracks if t.conflict or t.active]
+        places = enu(piece.seen_ned_m[flags])
+        self._style(entity, rr.Ellipsoids3D.from_fields(line_radii=[-0.4], show_labels=False))
+        columns = rr.Ellipsoids3D.columns(
+            centers=places,
+            half_sizes=np.array([_half_size(one, track) for track in found], np.float32).reshape(-1, 3),
+            colors=[pale(one.rgb)] * len(found),
+            labels=[_in_words(one, track) for track in found],
+        )
+        self._send_until_stale(entity, "Ellipsoids3D", piece.decided_s, columns, lengths)
+        own = np.repeat(enu(piece.decided_ned_m), lengths, axis=0)
+        lines = self._entity("aircraft", one.name, "sight")
+        self._style(lines, rr.LineStrips3D.from_fields(radii=[-0.8]))
+        columns = rr.LineStrips3D.columns(
+            strips=np.stack([own, places], axis=1),
+            colors=[LIMIT if track.active else pale(LIMIT) for track in found],
+        )
+        self._send_until_stale(lines, "LineStrips3D", piece.decided_s, columns, lengths)
+
+    def _half_spaces(self, one: Aircraft, piece: Piece) -> None:
+        """Of tracks that bound the velocity: a square on the plane where the chosen velocity leads."""
+        if not piece.bounds:
+            return
+        rr = self._rr
+        entity = self._entity("aircraft", one.name, "half-spaces")
+        self._style(entity, rr.LineStrips3D.from_fields(radii=[-1.2], show_labels=False))
+        shapes = [
+            (square(bound.position_ned_m, bound.velocity_ned_mps, space), f"{space.cause} bounds {one.name}")
+            for bound in piece.bounds
+            for space in bound.half_spaces
+        ]
+        columns = rr.LineStrips3D.columns(
+            strips=[enu(shape) for shape, _ in shapes],
+            colors=[LIMIT] * len(shapes),
+            labels=[label for _, label in shapes],
+        )
+        times = np.array([bound.time_s for bound in piece.bounds])
+        lengths = np.array([len(bound.half_spaces) for bound in piece.bounds])
+        self._send_until_stale(entity, "LineStrips3D", times, columns, lengths)
+
+    def _heard(self, one: Aircraft, address: str, places: Places) -> None:
+        parts = ("aircraft", one.name, "heard", address)
+        self._points(parts, places.time_s, places.position_ned_m, pale(one.rgb), 0.9, places.label)
+        known = ~np.isnan(places.rssi_dbm)
+        self.link(one.name, f"hears {address} (dBm)", places.time_s[known], places.rssi_dbm[known])
+
+    def _lane(self, lane: str, name: str, states: list[tuple[float, str]]) -> None:
+        rr = self._rr
+        entity = self._entity(lane, name)
+        shades = {"authority": AUTHORITY, "alert": ALERTS}.get(lane)
+        if shades is not None:
+            config = rr.StateConfiguration(values=list(shades), colors=list(shades.values()))
+            self._style(entity, config)
+        columns = rr.StateChange.columns(state=[state or UNKNOWN for _, state in states])
+        self._send(entity, np.array([time for time, _ in states]), columns, clip=True)
+
+    def notes(self, name: str, notes: Sequence[Note]) -> None:
+        """Lines about one aircraft, in order; all of one piece of the time line."""
+        if notes:
+            who = [self._scene.name] if self._scene.name else []
+            if name in self._aircraft:
+                who.append(name)
+            columns = self._rr.TextLog.columns(
+                text=[": ".join([" ".join(who), note.text] if who else [note.text]) for note in notes],
+                level=[note.level for note in notes],
+            )
+            self._send(self._entity("events", name), np.array([note.time_s for note in notes]), columns)
+
+    def _markers(self, one: Aircraft, piece: Piece) -> None:
+        marked = [note for note in piece.notes if note.marked]
+        last = self._last_ned_m.get(one.name)
+        if not marked or last is None:
+            return
+        times = np.array([note.time_s for note in marked])
+        path_s, path = piece.own_s, piece.own_ned_m
+        if not len(path_s):
+            path_s, path = np.zeros(1), last.reshape(1, 3)
+        where = np.column_stack([np.interp(times, path_s, axis) for axis in path.T])
+        self.mark(one.name, marked, where)
+
+    def mark(self, name: str, notes: Sequence[Note], where_ned_m: Array) -> None:
+        """Points at (n, 3) where each of the notes happened, in order; all of one piece of the time line."""
+        rr = self._rr
+        entity = self._entity("markers", name)
+        self._style(entity, rr.Points3D.from_fields(show_labels=False))
+        columns = rr.Points3D.columns(
+            positions=enu(where_ned_m),
+            colors=[LEVELS[note.level] for note in notes],
+            radii=[-MARK_PX[note.level == "INFO"] for note in notes],
+            labels=[note.text for note in notes],
+        )
+        self._send(entity, np.array([note.time_s for note in notes]), columns)
+
+    def _arrows(
+        self, parts: tuple[str, str], time_s: Array, from_ned_m: Array, velocity: Array, rgb: Rgb
+    ) -> None:
+        rr = self._rr
+        entity = self._entity("aircraft", *parts)
+        self._style(entity, rr.Arrows3D.from_fields(colors=[rgb], radii=[0.5]))
+        columns = rr.Arrows3D.columns(vectors=enu(ARROW_S * velocity), origins=enu(from_ned_m))
+        self._send_until_stale(entity, "Arrows3D", time_s, columns)
+
+    def _line(self, parts: tuple[str, ...], time_s: Array, values: Array, rgb: Rgb, width: float) -> None:
+        if not len(time_s):
+            return
+        entity = self._entity(*parts)
+        named = [self._scene.name] if self._scene.name else []
+        style = self._rr.SeriesLines(colors=[rgb], widths=[width], names=[" ".join([*named, *parts[1:]])])
+        self._style(entity, style)
+        held = self._held.setdefault(entity, [])
+        if held and self._scene.piece(held[-1][0][0])[1] != self._scene.piece(time_s[0])[1]:
+            self._send_held(entity)
+            held = self._held.setdefault(entity, [])
+        held.append((time_s, values))
+        if sum(len(times) for times, _ in held) >= HELD_ROWS:
+            self._send_held(entity)
+
+    def _send_held(self, entity: str) -> None:
+        times, values = (np.concatenate(rows) for rows in zip(*self._held.pop(entity), strict=True))
+        self._send(entity, times, self._rr.Scalars.columns(scalars=values))
+
+    def _points(
+        self,
+        parts: tuple[str, ...],
+        time_s: Array,
+        position_ned_m: Array,
+        rgb: Rgb,
+        radius_m: float,
+        label: str,
+        *,
+        named: bool = False,
+    ) -> None:
+        rr = self._rr
+        entity = self._entity(*parts)
+        labels = [label] if label else None
+        self._style(
+            entity,
+            rr.Points3D.from_fields(colors=[rgb], radii=[radius_m], labels=labels, show_labels=named),
+        )
+        columns = rr.Points3D.columns(positions=enu(position_ned_m))
+        self._send_until_stale(entity, "Points3D", time_s, columns)
+
+    def _send_until_stale(
+        self,
+        entity: str,
+        archetype: str,
+        time_s: Array,
+        columns: Any,
+        lengths: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Rows that are drawn no longer than SHOWN_S where no other follows, in whichever piece."""
+        due = self._due.pop(entity, None)
+        if due is not None and time_s[0] - due[1] > SHOWN_S:
+            self._blank(entity, *due)
+        each = np.ones(len(time_s), dtype=np.int64) if lengths is None else lengths
+        times, counts = until_stale(time_s, each)
+        self._send(entity, times, columns.partition(counts))
+        self._due[entity] = archetype, float(time_s[-1])
+
+    def _blank(self, entity: str, archetype: str, last_s: float) -> None:
+        empty = {_SHAPES[archetype]: np.zeros((0, 3), np.float32)}
+        columns = getattr(self._rr, archetype).columns(**empty).partition([0])
+        self._send(entity, np.array([last_s + SHOWN_S]), columns)
+
+    def _style(self, entity: str, style: Any) -> None:
+        """Log what holds for all of an entity's rows, once."""
+        if entity not in self._known:
+            self._known.add(entity)
+            self._stream.log(entity, style, static=True)
+
+    def _send(self, entity: str, time_s: Array, columns: Any, *, clip: bool = False) -> None:
+        """Rows of one piece of the time line.
+
+        Args:
+            clip: rows outside the encounter stand at its ends too: what they tell outlasts them.
+        """
+        rr, one = self._rr, self._scene.encounter
+        times = [rr.TimeColumn(WHOLE, duration=time_s)]
+        if one is not None and (clip or one.start_s <= time_s[0] <= one.end_s):
+            times.append(rr.TimeColumn(ENCOUNTER, duration=one.clipped(time_s)))
+        self._stream.send_columns(entity, times, columns)
+
+    def _entity(self, *parts: str) -> str:
+        escape = self._rr.escape_entity_path_part
+        return "/".join([self._scene.root, *(escape(part) for part in parts)])
+
+
+def until_stale(time_s: Array, lengths: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Rows of so many points each, and a row of none where the next one comes later than SHOWN_S."""
+    last = np.append(np.diff(time_s) > SHOWN_S, False)
+    times = np.concatenate([time_s, time_s[last] + SHOWN_S])
+    counts = np.concatenate([lengths, np.zeros(last.sum(), dtype=np.int64)])
+    order = np.argsort(times, kind="stable")
+    return times[order], counts[order]
+
+
+def square(position_ned_m: Array, velocity_ned_mps: Array, space: HalfSpace) -> Array:
+    """(7, 3) of a line around a square on a half-space's plane, and to the side that is allowed.
+
+    Velocities are drawn from the own position, as the arrows are.
+    """
+    normal = np.array(space.normal_ned)
+    on_plane = velocity_ned_mps + normal * space.short_mps(tuple(velocity_ned_mps))
+    middle = position_ned_m + ARROW_S * on_plane
+    level = np.cross(normal, (0.0, 0.0, 1.0) if abs(normal[2]) < 0.9 else (1.0, 0.0, 0.0))
+    side = SQUARE_M * level / np.linalg.norm(level)
+    up = np.cross(normal, side)
+    corners = [middle + side + up, middle + side - up, middle - side - up, middle - side + up]
+    return np.array([middle + 0.5 * SQUARE_M * normal, middle, *corners, corners[0]])
+
+
+def enu(position_ned_m: Array) -> NDArray[np.float32]:
+    """(n, 3) east, north, up."""
+    return np.column_stack([position_ned_m[:, 1], position_ned_m[:, 0], -position_ned_m[:, 2]]).astype(
+        np.float32
+    )
+
+
+def _half_size(one: Aircraft, track: TrackView) -> tuple[float, float, float]:
+    """Of the volume that the law kept clear."""
+    crewed = track.adsb and track.radius_m >= separation_m(one.avoidance, True)[0]
+    tall = separation_m(one.avoidance, crewed)[1]
+    return (track.radius_m, track.radius_m, track.radius_m / tall)
+
+
+def _in_words(one: Aircraft, track: TrackView) -> str:
+    return (
+        f"{one.name} clears {track.track_id}: {track.closest_m:.0f} m in {track.time_to_closest_s:.0f} s, "
+        f"heard {track.age_s:.1f} s ago"
+    )

@@ -1,0 +1,247 @@
+"""`ground-tools paper closed-loop`: from the policy over the radio channel to the separation.
+
+The paper draws the delays of its avoidance experiment from fixed intervals. Here they come out of the policy
+and the packets on the air, encounter by encounter, the same ones for each method.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+
+from companion.config import AtmcConfig
+from companion.errors import ConfigError
+from companion.runtime.warm import warm_up
+from ground_tools.channel import options
+from ground_tools.common.figure import drawn
+from ground_tools.common.kept_lines import Kept
+from ground_tools.common.progress import progress
+from ground_tools.common.workers import in_parallel
+from ground_tools.paper.closed_loop import table
+from ground_tools.paper.closed_loop.cells import cell
+from ground_tools.paper.closed_loop.flights import (
+    ATMC,
+    CONDITIONS,
+    DENSE,
+    METHODS,
+    SEPARATION_M,
+    UNAVOIDED,
+    Flight,
+    Row,
+    rows_of,
+)
+from sitl_mocks import settings
+from sitl_mocks.channel import parameters
+from sitl_mocks.choosing import read_policy
+from sitl_mocks.encounters import MAX_SIDE_BY_SIDE
+
+Cells = dict[tuple[str, str], Kept[Row]]
+"""By condition and method."""
+
+NAME: Final = "closed-loop"
+_CONFIG: Final = Path(__file__).parents[3] / "config"
+ENCOUNTERS: Final = 200
+CROWD: Final = 12
+_MAX_ENCOUNTERS: Final = 100_000
+_COLOURS: Final = {"sparse": "#2a78d6", "dense": "#e34948", "loaded": "#eda100"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of closed-loop alone."""
+    group = parser.add_argument_group(NAME)
+    group.add_argument(
+        "--encounters",
+        type=int,
+        default=ENCOUNTERS,
+        metavar="N",
+        help=f"by each method under each condition (default: {ENCOUNTERS})",
+    )
+    group.add_argument("--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), metavar="C",
+                       help=f"of {', '.join(CONDITIONS)} (default: all)")  # fmt: skip
+    group.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS), metavar="M",
+                       help=f"of {', '.join(METHODS)} (default: all)")  # fmt: skip
+    group.add_argument(
+        "--policy",
+        type=Path,
+        default=_CONFIG / "policies" / "atmc.safetensors",
+        metavar="FILE",
+        help=f"what {ATMC} flies with (default: config/policies/atmc.safetensors)",
+    )
+    group.add_argument(
+        "--region",
+        type=Path,
+        default=_CONFIG / "regions" / "us.toml",
+        metavar="FILE",
+        help="whose legal sets are chosen from (default: config/regions/us.toml)",
+    )
+    group.add_argument(
+        "--crowd",
+        type=int,
+        default=CROWD,
+        metavar="N",
+        help=f"encounters side by side under {DENSE} (default: {CROWD}, some 36 aircraft)",
+    )
+    group.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly what is missing, and show all. Returns 0.
+
+    Raises:
+        ConfigError: an option is wrong, a file cannot be read or written, or matplotlib is missing.
+    """
+    _check(args)
+    folder = args.out / NAME
+    options.make_folder(folder)
+    cells, missing = plan(args, folder)
+    words = Console(stderr=args.json)
+    path = args.out / f"{NAME}.png"
+    with drawn(path, (15, 6.5)) as figure:
+        if missing:
+            _fly(cells, missing, args.processes or os.cpu_count() or 1, words)
+        rows = _shown(args, cells)
+        _draw(figure, rows)
+    if args.json:
+        for row in table.json_rows(rows):
+            print(json.dumps(row, allow_nan=False))
+    else:
+        table.show(rows, words)
+    _write(folder / "table.md", table.markdown(rows))
+    words.print(f"wrote {path}, {folder / 'table.md'}", soft_wrap=True, highlight=False)
+    return 0
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text)
+    except OSError as error:
+        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
+
+
+def _check(args: argparse.Namespace) -> None:
+    options.check_seed(args.seed)
+    for key, value, most in (
+        ("encounters", args.encounters, _MAX_ENCOUNTERS),
+        ("crowd", args.crowd, MAX_SIDE_BY_SIDE),
+        ("processes", args.processes, 1024),
+    ):
+        if value is not None and not 1 <= value <= most:
+            raise ConfigError(f"--{key}: {value}: allowed 1 to {most}")
+
+
+def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tuple[str, str], Flight]]]:
+    """The cells that are asked for, and the flights that they lack, each with its cell's key.
+
+    Raises:
+        ConfigError: a file cannot be read, or is wrong.
+    """
+    region = settings.load_region(args.region)
+    channel = parameters.load(_CONFIG / "channel" / "standard.toml")
+    policy = None
+    if ATMC in args.methods:
+        wanted = settings.Scenario(atmc=AtmcConfig(policy=str(args.policy)), region=region)
+        try:
+            policy = read_policy(wanted)
+        except ConfigError as error:
+            raise ConfigError(f"--policy: {error}; --methods without {ATMC} takes none") from error
+    cells: Cells = {}
+    missing = []
+    for condition in args.conditions:
+        size = args.crowd if condition == DENSE else 1
+        for method in args.methods:
+            # Without avoidance nothing hangs on the air.
+            runs = seeds_of(args.seed, args.encounters, 1 if method == UNAVOIDED else size)
+            flights = [Flight(condition, method, seeds, region, channel, policy) for seeds in runs]
+            kept = cells[condition, method] = cell(folder, flights[0], size)
+            missing += [((condition, method), f) for f in flights if not set(f.seeds) <= kept.rows.keys()]
+    return cells, missing
+
+
+def seeds_of(seed: int, encounters: int, size: int) -> list[tuple[int, ...]]:
+    """Seeds of the encounters of each run; the last run may have more than are asked for."""
+    first = seed * _MAX_ENCOUNTERS
+    return [tuple(range(first + at, first + at + size)) for at in range(0, encounters, size)]
+
+
+def _shown(args: argparse.Namespace, cells: Cells) -> dict[tuple[str, str], list[Row]]:
+    """The encounters that are asked for, in their order."""
+    first = args.seed * _MAX_ENCOUNTERS
+    wanted = range(first, first + args.encounters)
+    return {key: [cell.rows[n] for n in wanted if n in cell.rows] for key, cell in cells.items()}
+
+
+# ---------------------------------------------------------------- flying
+
+
+def _fly(
+    cells: Cells,
+    missing: Sequence[tuple[tuple[str, str], Flight]],
+    processes: int,
+    words: Console,
+) -> None:
+    """Fly on several processes; each run is kept as soon as it is over."""
+    warm_up()
+    with progress("runs", len(missing)) as advance:
+        for (key, _), rows in in_parallel(_rows, missing, processes, words):
+            cells[key].add(rows)
+            advance()
+
+
+def _rows(item: tuple[tuple[str, str], Flight]) -> list[Row]:
+    return rows_of(item[1])
+
+
+# ---------------------------------------------------------------- the picture
+
+
+def _draw(figure: Any, cells: table.Rows) -> None:
+    """Three panels: age of information, least separation, share of encounters with a loss."""
+    figure.suptitle(
+        "Closed loop: from the choice of transports to the separation", fontsize=16, fontweight="bold"
+    )
+    methods = list(dict.fromkeys(method for _, method in cells))
+    conditions = list(dict.fromkeys(condition for condition, _ in cells))
+    by_key = {measure.key: measure for measure in table.MEASURES}
+    panels = figure.subplots(1, 3, sharey=True)
+    for axes, key in zip(panels, ("age_mean_s", "separation_m", "lost_share"), strict=True):
+        measure = by_key[key]
+        for index, condition in enumerate(conditions):
+            shift = 0.22 * (index - (len(conditions) - 1) / 2.0)
+            _points(axes, cells, condition, methods, measure, shift)
+        axes.set_xlabel(measure.title)
+        axes.set_xlim(left=0.0)
+    panels[1].axvline(SEPARATION_M, color="black", lw=1.2)
+    panels[0].set_yticks(range(len(methods)), [METHODS[method].words for method in methods])
+    panels[0].invert_yaxis()
+    handles, labels = panels[1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(conditions), frameon=False)
+
+
+def _points(
+    axes: Any,
+    cells: table.Rows,
+    condition: str,
+    methods: Sequence[str],
+    measure: table.Measure,
+    shift: float,
+) -> None:
+    """One condition's values with their intervals."""
+    label: str | None = condition
+    for place, method in enumerate(methods):
+        rows = cells.get((condition, method))
+        found = table.number(rows, measure) if rows else None
+        if found is None or found.value is None:
+            continue
+        colour = _COLOURS[condition]
+        if found.interval is not None:
+            axes.plot(
+                [measure.scale * value for value in found.interval], [place + shift] * 2, color=colour, lw=2.2
+            )
+        axes.plot([measure.scale * found.value], [place + shift], "o", color=colour, ms=6, label=label)
+        label = None

@@ -1,0 +1,226 @@
+"""Figure "Convergence performance of different algorithms", and the delays that the paper gives for them.
+
+Drawn from the results of training runs that stand in results/atmc (`ground-tools atmc collect`): training
+takes hours. A curve is the interquartile mean over the seeds, its band a 95 % bootstrap interval, both of
+means over 10 episodes. The reward is the sum over the aircraft, the mean of a step, in s, while exploring.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground_tools.atmc.commands.results import CONVERGENCE, NAMES, UAV_EVERY, Results, Run, read
+from ground_tools.common.figure import drawn
+from ground_tools.paper.report import Comparison, Report, Statement
+
+Floats = NDArray[np.float64]
+
+PUBLISHED_MS: Final = {
+    ("madqn", "high"): 1855.28,
+    ("madqn", "low"): 246.82,
+    ("madqn", "dynamic"): 1050.46,
+    ("maddpg", "dynamic"): 1302.18,
+}
+CONVERGED_BY: Final = {"madqn": 500, "maddpg": 800}
+"""Episodes, as published."""
+WITHIN: Final = 0.1
+"""Of the way from the first to the last reward: nearer than this is converged, farther behind the median of
+the aircraft is failed."""
+_KEYS: Final = {"high": "high_ms", "low": "low_ms", "dynamic": "delay_ms"}
+COLOURS: Final = {"madqn": "#d55e00", "madqn-shared": "#5a5a5a", "maddpg": "#a06e28", "iac": "#cc79a7"}
+"""None of them is that of a protocol, beside which they stand in other figures."""
+_PANELS: Final = ("madqn", "maddpg", "iac")
+_END: Final = 10
+"""Last points of a curve that its end is the mean of: 100 episodes."""
+_DRAWS: Final = 2000
+
+
+def report(path: Path = CONVERGENCE) -> Report:
+    """The figure's statements, and the delays beside the published ones.
+
+    Raises:
+        ConfigError: there is no file of results.
+    """
+    results = read(path)
+    return Report(
+        title="Convergence performance of different algorithms, 10 aircraft",
+        notes=(
+            f"Seeds: {', '.join(f'{NAMES[a]} {len(results.of(a))}' for a in _present(results))}.",
+            f"Converged: from there on within {WITHIN:.0%} of the way from first to last reward, means of 10 "
+            "episodes; asked for each seed.",
+            "An aircraft fails where its reward ends behind the fleet's median by more than that.",
+            "Delays in ms: policy of the best validation, interquartile mean over seeds, ±: its bootstrap "
+            f"error, none for one seed; {results.configurations:,} environments of each size.",
+        ),
+        statements=tuple(statements(results)),
+        comparisons=tuple(comparisons(results)),
+    )
+
+
+def statements(results: Results) -> list[Statement]:
+    """What the paper says of the figure, asked of each seed."""
+    found = []
+    for algorithm, by in CONVERGED_BY.items():
+        runs = results.of(algorithm)
+        episodes = {run.seed: converged_at(run) for run in runs}
+        found.append(
+            Statement(
+                f"{NAMES[algorithm]} converges within {by} episodes",
+                f"at {_span(list(episodes.values()))}",
+                {f"seed {seed}": episode <= by for seed, episode in episodes.items()},
+            )
+        )
+    best = {run.seed: min(ms for _, ms in run.validation) for run in results.of("madqn")}
+    ends = {run.seed: run.last["delay_ms"] for run in results.of("iac")}
+    worst = max(best.values(), default=math.nan)
+    found.append(
+        Statement(
+            "IAC does not converge to what MADQN-ATMC reaches",
+            f"{_span(list(ends.values()))} ms at the end",
+            {f"seed {seed}": delay > (1.0 + WITHIN) * worst for seed, delay in ends.items() if best},
+        )
+    )
+    for algorithm, words, wanted in (
+        ("madqn", "all 10 aircraft reach the optimum", range(1)),
+        ("maddpg", "two aircraft fail", range(2, 3)),
+        ("iac", "most aircraft fail", range(6, 11)),
+    ):
+        failed = {run.seed: failures(run) for run in results.of(algorithm)}
+        found.append(
+            Statement(
+                f"{NAMES[algorithm]}: {words}",
+                f"{_span(list(failed.values()))} fail",
+                {f"seed {seed}": number in wanted for seed, number in failed.items()},
+            )
+        )
+    return [statement for statement in found if statement.checks]
+
+
+def comparisons(results: Results) -> list[Comparison]:
+    """Delays of every algorithm by density."""
+    found = []
+    for algorithm in _present(results):
+        for density, key in _KEYS.items():
+            values = np.array([[run.best[key]] for run in results.of(algorithm)])
+            labels: dict[str, str | float] = {
+                "mode": algorithm,
+                "wifi_channels": "shared",
+                "rate": "-",
+                "sigma_db": 0.0,
+                "density": density,
+            }
+            ours, error = float(iqm(values)[0]), math.nan
+            if len(values) > 1:
+                error = float(resampled(values).std(0)[0])
+            published = PUBLISHED_MS.get((algorithm, density))
+            found.append(Comparison(NAMES[algorithm], labels, ours, error, published))
+    return found
+
+
+def draw(path: Path, source: Path = CONVERGENCE) -> None:
+    """Four panels: all algorithms, and the aircraft of three of them.
+
+    Raises:
+        ConfigError: `path` cannot be written, matplotlib is missing, or there is no file of results.
+    """
+    with drawn(path, (15, 10)) as figure:
+        results = read(source)
+        panels = figure.subplots(2, 2).ravel()
+        _system(panels[0], results)
+        for axes, algorithm, letter in zip(panels[1:], _PANELS, "bcd", strict=True):
+            if runs := results.of(algorithm):
+                _aircraft(axes, min(runs, key=lambda run: min(ms for _, ms in run.validation)), letter)
+            else:
+                axes.set_title(f"({letter}) {NAMES[algorithm]}: no run is kept")
+
+
+def _system(axes: Any, results: Results) -> None:
+    """Reward of the fleet, all algorithms."""
+    for algorithm in _present(results):
+        curves = np.array([binned(run.reward) for run in results.of(algorithm)])
+        episodes = UAV_EVERY * (np.arange(curves.shape[1]) + 0.5)
+        low, high = np.percentile(resampled(curves), (2.5, 97.5), axis=0)
+        colour = COLOURS[algorithm]
+        axes.fill_between(episodes, low, high, color=colour, alpha=0.22, lw=0)
+        axes.plot(
+            episodes,
+            iqm(curves),
+            color=colour,
+            lw=1.8,
+            label=f"{NAMES[algorithm]} ({len(curves)} seed{'s' * (len(curves) > 1)})",
+        )
+    axes.set_title("(a) fleet, interquartile mean and 95 % interval over seeds")
+    axes.set_xlabel("episode")
+    axes.set_ylabel("reward of a step (s)")
+    axes.legend(loc="lower right", frameon=False)
+
+
+def _aircraft(axes: Any, run: Run, letter: str) -> None:
+    """Reward of each aircraft of one run."""
+    for number, values in enumerate(run.reward_uav):
+        episodes = UAV_EVERY * (np.arange(len(values)) + 0.5)
+        axes.plot(episodes, values, lw=1.1, color=f"C{number}", label=f"{number + 1}")
+    axes.set_title(f"({letter}) aircraft of {NAMES[run.algorithm]}, seed {run.seed}")
+    axes.set_xlabel("episode")
+    axes.set_ylabel("reward of a step (s)")
+    axes.legend(loc="lower right", frameon=False, ncols=5, fontsize=10)
+
+
+# ------------------------------------------------------------ numbers
+
+
+def converged_at(run: Run) -> int:
+    """Episode after which the fleet's reward stays near that of the end; the last one where it does not."""
+    curve = binned(run.reward)
+    end = float(curve[-_END:].mean())
+    far = np.abs(curve - end) > WITHIN * abs(end - curve[0])
+    return UAV_EVERY * (int(np.flatnonzero(far)[-1]) + 1 if far.any() else 0)
+
+
+def failures(run: Run) -> int:
+    """Aircraft whose reward ends far behind the fleet's median."""
+    curves = np.array(run.reward_uav)
+    ends = curves[:, -_END:].mean(1)
+    way = abs(float(np.median(ends)) - float(curves[:, 0].mean()))
+    return int((ends < np.median(ends) - WITHIN * way).sum())
+
+
+def binned(values: Sequence[float]) -> Floats:
+    """Means over `UAV_EVERY` episodes; what is left over at the end is left out."""
+    whole = len(values) // UAV_EVERY * UAV_EVERY
+    found: Floats = np.array(values[:whole], float).reshape(-1, UAV_EVERY).mean(1)
+    return found
+
+
+def iqm(values: Floats) -> Floats:
+    """Interquartile mean over the first axis but one, (..., seeds, points): a quarter of the seeds, rounded
+    down, left out at either end."""
+    seeds = values.shape[-2]
+    cut = seeds // 4
+    ordered: Floats = np.sort(values, axis=-2)[..., cut : seeds - cut, :]
+    found: Floats = ordered.mean(-2)
+    return found
+
+
+def resampled(values: Floats) -> Floats:
+    """Interquartile means of seeds drawn with replacement, (seeds, points) to (draws, points)."""
+    rng = np.random.default_rng(1)
+    found: Floats = iqm(values[rng.integers(0, len(values), (_DRAWS, len(values)))])
+    return found
+
+
+def _present(results: Results) -> list[str]:
+    return [algorithm for algorithm in NAMES if results.of(algorithm)]
+
+
+def _span(values: Sequence[float]) -> str:
+    if not values:
+        return "-"
+    low, high = f"{min(values):,.0f}", f"{max(values):,.0f}"
+    return low if low == high else f"{low} to {high}"
