@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -158,3 +159,17 @@ def loaded(modules):
     code = f"import {modules}, sys; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     return {name.split(".")[0] for name in done.stdout.split()}
+
+
+def test_the_architecture_page_shows_these_rooms():
+    from tests.support import rooms
+
+    assert rooms.page_with_diagram(rooms.PAGE.read_text()) == rooms.PAGE.read_text()
+
+
+def test_every_file_that_the_architecture_page_names_exists():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    named = re.findall(r"`((?:companion/)?[a-z_]+/[a-z_/]+(?:\.py|/))`", text)
+    assert len(named) > 30
+    missing = [name for name in named if not any((ROOT / top / name).exists() for top in ("", "companion"))]
+    assert not missing

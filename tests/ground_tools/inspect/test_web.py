@@ -104,7 +104,12 @@ def test_however_it_ends_no_viewer_is_left(tmp_path: Path, sent: signal.Signals,
     """SIGHUP: the terminal was closed."""
     path = tmp_path / "x.rrd"
     path.write_bytes(CONTENT)
-    words = "import sys, pathlib; from ground_tools.inspect.viewer.web import serve; serve(pathlib.Path(sys.argv[1]))"
+    lines = (
+        "import pathlib, sys",
+        "from ground_tools.inspect.viewer.web import serve",
+        "serve(pathlib.Path(sys.argv[1]))",
+    )
+    words = "\n".join(lines)
     with subprocess.Popen([sys.executable, "-c", words, path], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert "127.0.0.1" in process.stdout.readline()
