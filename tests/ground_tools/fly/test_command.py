@@ -59,6 +59,7 @@ def flying(monkeypatch):
     return with_one
 
 
+@pytest.mark.usefixtures("hangup_ends")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_the_vehicle_holding(flying, number, capsys):
     vehicle = flying(lambda: os.kill(os.getpid(), number))
@@ -66,6 +67,7 @@ def test_a_signal_leaves_the_vehicle_holding(flying, number, capsys):
     assert vehicle.told == [FlightMode.HOLD, "closed"]
 
 
+@pytest.mark.usefixtures("hangup_ends")
 def test_a_terminal_that_is_gone_does_not_keep_it_from_holding(flying, monkeypatch):
     def gone(*_: object) -> None:
         raise OSError(5, "Input/output error")

@@ -94,6 +94,7 @@ def runs(pid: int) -> bool:
     return False
 
 
+@pytest.mark.usefixtures("hangup_ends")
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="prctl(2), /proc")
 @pytest.mark.parametrize(
     ("sent", "code"),
