@@ -164,6 +164,10 @@ class Judge:
             self._breach(now_s, "refused", f"mode {self._selected[1]} was accepted and not entered")
         self._selected = None
 
+    def declined(self) -> None:
+        """The vehicle has not accepted the choice."""
+        self._selected = None
+
     def shows(self, now_s: float, custom_mode: int, *, armed: bool) -> None:
         """The vehicle's own mode, whenever it may have changed."""
         if not armed:
@@ -247,6 +251,16 @@ class Judge:
             elif self._choices and message_id in (_HEARTBEAT, _CURRENT_MODE):
                 payload = raw[10 : 10 + min(raw[1], 4)].ljust(4, b"\0")
                 self._note_shown(now_s, sent_s, int.from_bytes(payload, "little"))
+
+    def stops(self, now_s: float) -> None:
+        """The companion stands still from now on: what it may not have read yet, it reads when it goes on.
+        Give it to `reads` again then."""
+        if not now_s < self._gone_s < math.inf:
+            return
+        for choice in self._choices:
+            if choice.readable_s > now_s:
+                choice.readable_s = math.inf
+        self._gone_s = min((choice.readable_s for choice in self._choices), default=math.inf)
 
     def _note_shown(self, now_s: float, sent_s: float, custom_mode: int) -> None:
         for choice in self._choices:

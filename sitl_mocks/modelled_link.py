@@ -60,10 +60,17 @@ class ModelledLink:
             None: until nothing waits. At all other times it reads until nothing waits.
         routed: a router sends each frame as a datagram of its own; False: what the vehicle sends at once
             shares datagrams.
+        buffered: False: a real kernel stands behind the router, and what arrives is only `news`.
     """
 
     def __init__(
-        self, kind: Kind, rng: np.random.Generator, *, portions: int | None = None, routed: bool = True
+        self,
+        kind: Kind,
+        rng: np.random.Generator,
+        *,
+        portions: int | None = None,
+        routed: bool = True,
+        buffered: bool = True,
     ) -> None:
         self.kind: Kind = kind
         self.weather = Weather()
@@ -72,6 +79,7 @@ class ModelledLink:
         """Frames that found the buffer full."""
         self._rng = rng
         self._routed = routed
+        self._buffered = buffered
         self._count = 0
         self._way: list[tuple[float, int, float, tuple[bytes, ...]]] = []
         """Down: when it arrives, a number, when it was sent, its frames."""
@@ -152,6 +160,9 @@ class ModelledLink:
 
     def _arrive(self, sent_s: float, frames: tuple[bytes, ...]) -> None:
         """Into the kernel's buffer: what does not fit is lost, and that is the newest."""
+        if not self._buffered:
+            self._news += [(sent_s, frame) for frame in frames]
+            return
         size = sum(map(len, frames))
         cost = datagram_cost(size) if self.kind == "udp" else size
         if self._buffer_bytes + cost > _BUFFER_BYTES[self.kind]:
@@ -170,6 +181,11 @@ class ModelledLink:
         self._release(now_s)
         news, self._news = self._news, []
         return news
+
+    @property
+    def under_way(self) -> bool:
+        """Something is still to arrive."""
+        return bool(self._way or self._up)
 
     @property
     def waiting(self) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -19,6 +19,8 @@ from companion.errors import ConfigError
 from sitl_mocks.vehicle_manners import VehicleMode
 
 if TYPE_CHECKING:
+    from sitl_mocks.judge import Judge
+    from sitl_mocks.modelled_link import ModelledLink
     from sitl_mocks.soak_world import World
 
 _ACK = int(mavlink.MAVLINK_MSG_ID_COMMAND_ACK)
@@ -63,6 +65,35 @@ def from_json(value: dict[str, Any]) -> Fault:
     return fault
 
 
+class Place(Protocol):
+    """Where a vehicle, its companion and the link between them can be got at from outside; real or not."""
+
+    traffic_hz: float
+    """Frames of others that a router sends down the companion's link."""
+
+    @property
+    def now_s(self) -> float:
+        """The clock of the link and the judge."""
+
+    @property
+    def link(self) -> ModelledLink:
+        """The router."""
+
+    @property
+    def judge(self) -> Judge:
+        """Of this vehicle and companion."""
+
+    @property
+    def interposer(self) -> Interposer:
+        """Between the link and the vehicle."""
+
+    def stop(self, for_s: float, *, in_step: bool) -> None:
+        """The companion stands still."""
+
+    def pilot_selects(self, mode: VehicleMode) -> bool:
+        """Return whether the vehicle took the mode."""
+
+
 def begin(world: World, fault: Fault) -> None:
     """It begins now."""
     _BEGIN[fault.kind](world, fault)
@@ -74,71 +105,84 @@ def end(world: World, fault: Fault) -> None:
         _END[fault.kind](world, fault)
 
 
+def begin_outside(place: Place, fault: Fault) -> None:
+    """It begins now; one of `OUTSIDE`."""
+    _BEGIN_OUTSIDE[fault.kind](place, fault)
+
+
+def end_outside(place: Place, fault: Fault) -> None:
+    """It is over."""
+    if fault.kind in _END_OUTSIDE:
+        _END_OUTSIDE[fault.kind](place, fault)
+
+
 # ------------------------------------------------------------ the kinds
 
+_Act = Callable[[Place, Fault], None]
 
-def _cut(world: World, stands: bool) -> None:
+
+def _cut(world: Place, stands: bool) -> None:
     weather = world.link.weather
     weather.down_stands = weather.up_stands = stands
 
 
-def _set(name: str, before: Any) -> tuple[Callable[[World, Fault], None], Callable[[World, Fault], None]]:
+def _set(name: str, before: Any) -> tuple[_Act, _Act]:
     """A fault of the way whose number is the value, and what there was before."""
 
-    def begins(world: World, fault: Fault) -> None:
+    def begins(world: Place, fault: Fault) -> None:
         setattr(world.link.weather, name, fault.numbers[0] if fault.numbers else True)
 
-    def ends(world: World, fault: Fault) -> None:
+    def ends(world: Place, fault: Fault) -> None:
         setattr(world.link.weather, name, before)
 
     return begins, ends
 
 
-def _late(world: World, fault: Fault) -> None:
+def _late(world: Place, fault: Fault) -> None:
     """A router that holds everything up; what crosses on the way takes longer by that."""
     world.link.weather.delay_s = fault.numbers[0]
     world.judge.crossing_s += fault.numbers[0]
 
 
-def _in_time(world: World, fault: Fault) -> None:
+def _in_time(world: Place, fault: Fault) -> None:
     world.link.weather.delay_s = 0.0
     world.judge.crossing_s -= fault.numbers[0]
 
 
-def _fast(world: World, fault: Fault) -> None:
+def _fast(world: Place, fault: Fault) -> None:
     world.link.weather.rate_bps = math.inf
     world.link.hurry(world.now_s)
 
 
-def _answers(world: World, fault: Fault) -> None:
+def _answers(world: Place, fault: Fault) -> None:
     """The kind is the manner."""
     world.interposer.manner = fault.kind
 
 
-def _answers_right(world: World, fault: Fault) -> None:
+def _answers_right(world: Place, fault: Fault) -> None:
     world.interposer.manner = ""
 
 
-def _burst(world: World, fault: Fault) -> None:
+def _burst(world: Place, fault: Fault) -> None:
     """Others' frames, all at once."""
     frames = others_frames()
     world.link.tell(world.now_s, [frames[n % len(frames)] for n in range(int(fault.numbers[0]))])
 
 
-def _traffic(world: World, fault: Fault) -> None:
+def _traffic(world: Place, fault: Fault) -> None:
     world.traffic_hz = fault.numbers[0]
 
 
-def _no_traffic(world: World, fault: Fault) -> None:
+def _no_traffic(world: Place, fault: Fault) -> None:
     world.traffic_hz = 0.0
 
 
-def _stall(world: World, fault: Fault) -> None:
+def _stall(world: Place, fault: Fault) -> None:
     """The number tells where it stands: 1 between a step and its sending."""
     world.stop(fault.lasts_s, in_step=bool(fault.numbers and fault.numbers[0]))
 
 
-def _modes(world: World, fault: Fault) -> None:
+def _modes(world: Place, fault: Fault) -> None:
     """One after the other, at the same moment."""
     for mode in fault.modes:
         world.pilot_selects(VehicleMode(mode))
@@ -163,16 +207,9 @@ def _no_sticks(world: World, fault: Fault) -> None:
     world.vehicle.troubles.sticks = (0.0, 0.0, 0.0, 0.0)
 
 
-_BEGIN: Final[dict[str, Callable[[World, Fault], None]]] = {
+_BEGIN_OUTSIDE: Final[dict[str, _Act]] = {
     "link": lambda w, f: _cut(w, stands=True),
-    "reboot": lambda w, f: w.vehicle.reboot(flies_on=True),
-    "gnss": lambda w, f: setattr(w.vehicle.troubles, "gnss_lost", True),
-    "estimator": lambda w, f: setattr(w.vehicle.troubles, "estimator_bad", True),
     "mode": _modes,
-    "sticks": _sticks,
-    "garbage": _garbage,
-    "mission": _mission,
-    "companion": lambda w, f: w.restart_companion(),
     "stall": _stall,
     "burst": _burst,
     "traffic": _traffic,
@@ -186,11 +223,8 @@ _BEGIN: Final[dict[str, Callable[[World, Fault], None]]] = {
     "unanswered": _answers,
     "denied": _answers,
 }
-_END: Final[dict[str, Callable[[World, Fault], None]]] = {
+_END_OUTSIDE: Final[dict[str, _Act]] = {
     "link": lambda w, f: _cut(w, stands=False),
-    "gnss": lambda w, f: setattr(w.vehicle.troubles, "gnss_lost", False),
-    "estimator": lambda w, f: setattr(w.vehicle.troubles, "estimator_bad", False),
-    "sticks": _no_sticks,
     "traffic": _no_traffic,
     "late": _in_time,
     "duplicate": _set("duplicate", 0.0)[1],
@@ -202,18 +236,36 @@ _END: Final[dict[str, Callable[[World, Fault], None]]] = {
     "unanswered": _answers_right,
     "denied": _answers_right,
 }
+OUTSIDE: Final = tuple(_BEGIN_OUTSIDE)
+"""Kinds that need nothing but the outside of vehicle and companion."""
+_BEGIN: Final[dict[str, Callable[[World, Fault], None]]] = {
+    **_BEGIN_OUTSIDE,
+    "reboot": lambda w, f: w.vehicle.reboot(flies_on=True),
+    "gnss": lambda w, f: setattr(w.vehicle.troubles, "gnss_lost", True),
+    "estimator": lambda w, f: setattr(w.vehicle.troubles, "estimator_bad", True),
+    "sticks": _sticks,
+    "garbage": _garbage,
+    "mission": _mission,
+    "companion": lambda w, f: w.restart_companion(),
+}
+_END: Final[dict[str, Callable[[World, Fault], None]]] = {
+    **_END_OUTSIDE,
+    "gnss": lambda w, f: setattr(w.vehicle.troubles, "gnss_lost", False),
+    "estimator": lambda w, f: setattr(w.vehicle.troubles, "estimator_bad", False),
+    "sticks": _no_sticks,
+}
 KINDS: Final = tuple(_BEGIN)
 
 
 class Interposer:
     """A vehicle that answers the companion's mode requests otherwise than it acts on them."""
 
-    def __init__(self) -> None:
+    def __init__(self, system_id: int = 1) -> None:
         self.manner = ""
         """disobeyed: acknowledged, not carried out; unanswered: carried out, not acknowledged; denied:
         carried out, and refused in words."""
         self._answers: list[bytes] = []
-        self._writer = MavlinkWriter(1, 1)
+        self._writer = MavlinkWriter(system_id, 1)
 
     def up(self, data: bytes) -> bytes:
         """What of the companion's bytes the vehicle sees."""

@@ -277,16 +277,16 @@ class _Unpickler(pickle.Unpickler):
         return self._shared[pid]
 
 
-def bounds_of(firmware: Firmware, use: Use) -> Bounds:
-    """What a companion of `new_companion` may do on this firmware."""
+def bounds_of(firmware: Firmware, use: Use, limits: LimitsConfig = _LIMITS) -> Bounds:
+    """What a companion may do on this firmware; by default one of `new_companion`."""
     modes = MANNERS[firmware].custom_modes
     given = {VehicleMode.MISSION}
     if use == "fly":
         given |= {VehicleMode.EXTERNAL} | ({VehicleMode.HOLD} if firmware is Firmware.PX4 else set())
     return Bounds(
-        max_speed_mps=_LIMITS.max_speed_mps,
-        max_climb_mps=_LIMITS.max_climb_mps,
-        max_descent_mps=_LIMITS.max_descent_mps,
+        max_speed_mps=limits.max_speed_mps,
+        max_climb_mps=limits.max_climb_mps,
+        max_descent_mps=limits.max_descent_mps,
         external=modes[VehicleMode.EXTERNAL],
         given=frozenset(modes[mode] for mode in given),
         px4_modes=firmware is Firmware.PX4,

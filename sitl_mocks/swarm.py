@@ -1,7 +1,8 @@
 """`sitl-mocks swarm`: an encounter in real time; every vehicle, every companion and the air is a process.
 
 MAVLink and the air's datagrams go over UDP on loopback. Positions come from the vehicles' own truth files, so
-that the verdict does not rest on what the companions believe.
+that the verdict does not rest on what the companions believe. With `--faults` each companion is examined
+while something goes wrong around it (`swarm_faults`).
 """
 
 from __future__ import annotations
@@ -28,17 +29,22 @@ from companion.config import EtherRadio, RecordConfig
 from companion.errors import ConfigError
 from companion.runtime.record.recorder import create_run_folder, write_json, write_manifest
 from companion.toml_reader import without_none
-from sitl_mocks import choosing, demo
+from sitl_mocks import choosing, demo, swarm_faults
 from sitl_mocks.demo_report import command as command_here
 from sitl_mocks.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
 from sitl_mocks.settings import RANDOM, Scenario
+from sitl_mocks.swarm_faults import Examination, schedule_of
 from sitl_mocks.swarm_report import limit_m, report_of, show
 from sitl_mocks.vehicle_manners import VehicleMode
 
-_EXAMPLE = "example: sitl-mocks swarm --duration 120 --delay 0 1"
+_EXAMPLE = (
+    "example: sitl-mocks swarm --duration 120 --delay 0 1; sitl-mocks swarm --aircraft 3 --faults --seed 7"
+)
 START_S = 15.0
 """From starting the processes to the paths' time 0: interpreters and kernels load on few cores."""
 _END_S = 15.0
+_ANYWHERE_M = 10_000.0
+"""In an examination pilots have flown the vehicle elsewhere when the companion takes it again."""
 
 
 @dataclass(slots=True)
@@ -77,11 +83,12 @@ class Process:
 
 
 class Swarm:
-    """The processes of one run. `close` ends whatever still runs."""
+    """The processes of one run, and who stands between them. `close` ends whatever still runs."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.processes: list[Process] = []
+        self.examinations: list[Examination] = []
         self._logs: list[IO[str]] = []
 
     def start(self, name: str, *arguments: str, piped: bool) -> Process:
@@ -143,6 +150,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=120.0,
         help="seconds flown around the middle of the paths (default 120)",
     )
+    parser.add_argument(
+        "--faults",
+        action="store_true",
+        help="an examination: stalled companions, bad links and pilots who take over, drawn from the seed; "
+        "ends with 1 when a rule is broken, not when aircraft come close",
+    )
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder goes")
     parser.add_argument("--json", action="store_true", help="print the verdict as one JSON object")
 
@@ -181,12 +194,16 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         report = _fly(swarm, scenario, arguments, console)
     finally:
+        for examination in swarm.examinations:
+            examination.close()
         swarm.close()
     write_json(folder / "summary.json", report)
     if arguments.json:
         print(json.dumps(report))
     else:
         show(report, console)
+        if arguments.faults:
+            swarm_faults.show(report["faults"], console)  # type: ignore[arg-type]
     console.print(f"run folder: {folder}", soft_wrap=True)
     console.print(f"look at it: {command_here('ground-tools')} inspect {folder} --summary", soft_wrap=True)
     return 0 if report["ok"] else 1
@@ -202,16 +219,26 @@ def _fly(
         *_ether_options(scenario, swarm.folder), piped=True,
     )  # fmt: skip
     radio = "127.0.0.1:" + ether.expect(r"ether on .*:(\d+)")
-    vehicles = [_start_vehicle(swarm, scenario, n, name, paths[n]) for n, name in enumerate(names)]
-    ports = [vehicle.expect(r"link udpin:.*:(\d+)") for vehicle in vehicles]
+    links = 1 + arguments.faults
+    vehicles = [_start_vehicle(swarm, scenario, n, name, paths[n], links) for n, name in enumerate(names)]
+    ports = [[vehicle.expect(r"link udpin:.*:(\d+)") for _ in range(links)] for vehicle in vehicles]
     start_utc_s = time.time() + START_S
+    if arguments.faults:
+        _examine(swarm, scenario, arguments, paths, ports, start_utc_s)
+        near_m = _ANYWHERE_M
+        to_vehicles = [one.link_name for one in swarm.examinations]
+    else:
+        near_m = None
+        to_vehicles = [f"udpout:127.0.0.1:{port}" for (port,) in ports]
     companions = []
-    for name, path, port in zip(names, paths, ports, strict=True):
+    for name, path, link in zip(names, paths, to_vehicles, strict=True):
         config = companion_config(scenario, name, path, None)
         config = msgspec.structs.replace(
             config,
-            vehicle=msgspec.structs.replace(config.vehicle, link=f"udpout:127.0.0.1:{port}"),
-            flight=msgspec.structs.replace(config.flight, start_utc_s=start_utc_s),
+            vehicle=msgspec.structs.replace(config.vehicle, link=link),
+            flight=msgspec.structs.replace(
+                config.flight, start_utc_s=start_utc_s, start_within_m=near_m or config.flight.start_within_m
+            ),
             radio=(EtherRadio(address=radio),),
             record=RecordConfig(folder=str(swarm.folder), name=name),
         )
@@ -220,12 +247,54 @@ def _fly(
         companions.append(
             swarm.start(name, "companion.commands.cli", "run", "--config", str(file), piped=False)
         )
-    interrupted = _watch(swarm, start_utc_s, arguments.duration, console)
-    bad = swarm.end(companions) + swarm.end(vehicles) + swarm.end([ether])
+    for examination, companion in zip(swarm.examinations, companions, strict=bool(swarm.examinations)):
+        examination.watch(companion.child)
+    bad: list[str] = []
+    try:
+        interrupted = _watch(swarm, start_utc_s, arguments.duration, console)
+    except ConfigError as error:
+        if not arguments.faults:
+            raise
+        # Of an examination that is a finding.
+        interrupted, bad = False, [str(error)]
+    for examination in swarm.examinations:
+        examination.rest()
+    bad += swarm.end(companions)
+    faults = swarm_faults.end_all(swarm.examinations, swarm.folder)
+    bad += swarm.end(vehicles) + swarm.end([ether])
     left = {name: vehicle.last_json() for name, vehicle in zip(names, vehicles, strict=True)}
-    return report_of(
+    report = report_of(
         swarm.folder, scenario, left, ether.last_json(), bad, start_utc_s, interrupted=interrupted
     )
+    return swarm_faults.judged(report, faults) if arguments.faults else report
+
+
+def _examine(
+    swarm: Swarm,
+    scenario: Scenario,
+    arguments: argparse.Namespace,
+    paths: list[Points],
+    ports: list[list[str]],
+    start_utc_s: float,
+) -> None:
+    """Between each vehicle and its companion."""
+    begins_s = time.monotonic() + start_utc_s - time.time()
+    for number, name in enumerate(names_of(scenario, arguments.seed)):
+        options = vehicle_options(scenario, number, paths[number])
+        first, second = map(int, ports[number])
+        examination = Examination(
+            name,
+            options.firmware,
+            options.system_id,
+            (first, second),
+            scenario.limits,
+            begins_s,
+            schedule_of(arguments.seed, number, arguments.duration),
+            arguments.seed,
+            swarm.folder,
+        )
+        swarm.examinations.append(examination)
+        examination.start()
 
 
 def _ether_options(scenario: Scenario, folder: Path) -> list[str]:
@@ -243,13 +312,16 @@ def _ether_options(scenario: Scenario, folder: Path) -> list[str]:
     return options
 
 
-def _start_vehicle(swarm: Swarm, scenario: Scenario, number: int, name: str, path: Points) -> Process:
+def _start_vehicle(
+    swarm: Swarm, scenario: Scenario, number: int, name: str, path: Points, links: int
+) -> Process:
     options = vehicle_options(scenario, number, path)
     north, east, down = options.start_position_ned_m
     return swarm.start(
         f"vehicle-{name}", "sitl_mocks.cli", "serve",
         "--firmware", options.firmware.value, "--system-id", str(options.system_id),
-        "--link", "udpin:127.0.0.1:0", "--home", str(HOME.lat_deg), str(HOME.lon_deg), str(HOME.alt_m),
+        *(["--link", "udpin:127.0.0.1:0"] * links),
+        "--home", str(HOME.lat_deg), str(HOME.lon_deg), str(HOME.alt_m),
         "--mode", (options.start_mode or VehicleMode.HOLD).value, "--airborne", str(-down),
         "--start", str(north), str(east), "--seed", str(number),
         "--gnss-sigma", str(options.gnss_horizontal_sigma_m), str(options.gnss_vertical_sigma_m),

@@ -43,7 +43,8 @@ _LONG_SHARE = 0.15
 _AROUND_S = 0.5
 """The pilot selects at most so long before or after what goes wrong."""
 _HELD: Final = (VehicleMode.EXTERNAL, VehicleMode.BRAKE)
-_PILOTS: Final = ("rtl", "land", "hold", "manual")
+PILOTS: Final = ("rtl", "land", "hold", "manual")
+"""Modes that a pilot selects against a companion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +115,7 @@ def case_of(seed: int, number: int, troubles: Sequence[str]) -> Case:
     lasts_s = 0.0 if trouble in ("modes", "burst") else lasts_s
     selects_s = float(rng.uniform(max(0.0, begins_s - _AROUND_S), begins_s + lasts_s + _AROUND_S))
     count = 2 if trouble == "modes" or rng.random() < 0.15 else 1
-    modes = tuple(str(mode) for mode in rng.choice(_PILOTS, count, replace=False))
+    modes = tuple(str(mode) for mode in rng.choice(PILOTS, count, replace=False))
     faults.append(Fault("mode", round(selects_s, 3), modes=modes))
     after_s = _LONG_S if rng.random() < _LONG_SHARE else _SOON_S
     return Case(

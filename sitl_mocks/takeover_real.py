@@ -12,7 +12,6 @@ import math
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -23,21 +22,18 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.readers import unpack
-from companion.autopilot.wire import CURRENT_MODE, FrameScanner, MavlinkWriter
 from companion.events import Firmware
 from sitl_mocks.judge import Breach, Judge
 from sitl_mocks.modelled_link import KINDS, Kind
+from sitl_mocks.pilot_link import ARM, SET_MODE, PilotLink
 from sitl_mocks.soak_world import bounds_of
 from sitl_mocks.takeover_wire import Wire
-from sitl_mocks.vehicle_flight import FORCE
 from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
 
-_GRACE_S = 0.15
+GRACE_S: Final = 0.15
 """A step of the companion that was under way when the pilot's mode came may still send."""
-_CAUSE_S = 1.5
+CAUSE_S: Final = 1.5
 _READY_S = 60.0
 _RETAKEN_S = 25.0
 _DISARMED_S = 1.2
@@ -49,7 +45,6 @@ _WATCH_S = (1.0, 4.5)
 _LONGEST_S = 10.0
 _HEIGHT_M = 400.0
 _PILOTS: Final = (VehicleMode.RTL, VehicleMode.LAND, VehicleMode.HOLD, VehicleMode.MANUAL)
-_ARMED = 128
 _TRAJECTORY = """altitude = "home"
 waypoint = [
   { t_s = 0.0, lat_deg = 47.397, lon_deg = 8.545, alt_m = 400.0 },
@@ -133,9 +128,6 @@ class RealFlight:
         self._stack = contextlib.ExitStack()
         self._armed = True
         self._mode: int | None = None
-        self._acks: list[tuple[int, int]] = []
-        self._scanner = FrameScanner()
-        self._writer = MavlinkWriter(255, 190)
         try:
             self._begin()
         except BaseException:
@@ -153,14 +145,11 @@ class RealFlight:
         self._wait(lambda: "ready" in log.read_text(), vehicle, "the vehicle is not ready")
         ports = [int(port) for port in re.findall(r"link udpin:127\.0\.0\.1:(\d+)", log.read_text())]
         bounds = bounds_of(self.firmware, "fly")
-        self.judge = Judge(bounds, grace_s=_GRACE_S, cause_s=_CAUSE_S)
+        self.judge = Judge(bounds, grace_s=GRACE_S, cause_s=CAUSE_S)
         self._wire = Wire(self.link, ports[0], self.judge)
         self._stack.callback(self._wire.close)
-        self._station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._stack.callback(self._station.close)
-        self._station.connect(("127.0.0.1", ports[1]))
-        self._station.setblocking(False)
-        self._command(511, float(CURRENT_MODE), 5e4)
+        self._pilot = PilotLink(self.firmware, ports[1])
+        self._stack.callback(self._pilot.close)
         (folder / "path.toml").write_text(_TRAJECTORY)
         config = folder / "companion.toml"
         config.write_text(_CONFIG.format(link=self._wire.name, folder=folder / "runs"))
@@ -203,7 +192,7 @@ class RealFlight:
         self.judge.breaches.clear()
         begins_s = time.monotonic()
         os.kill(self._companion.pid, signal.SIGSTOP)
-        while _state(self._companion.pid) not in "Tt":
+        while state_of(self._companion.pid) not in "Tt":
             self._pump(0.001)
         self._wire.stopped()
         ends_s, selects_s = begins_s + case.stall_s, begins_s + case.selects_s
@@ -226,22 +215,16 @@ class RealFlight:
     def _select(self, mode: VehicleMode) -> None:
         """Until the vehicle has accepted it."""
         self.judge.selects(time.monotonic(), self._modes[mode])
-        self._ask_mode(mode)
-        self._acknowledged(176)
+        self._pilot.ask_mode(mode)
+        self._acknowledged(SET_MODE)
         self._show(self._modes[mode])
         self.judge.accepted(time.monotonic())
 
-    def _ask_mode(self, mode: VehicleMode) -> None:
-        number = self._modes[mode]
-        px4 = self.firmware is Firmware.PX4
-        params = (number >> 16 & 0xFF, number >> 24) if px4 else (number, 0)
-        self._command(176, 1.0, *map(float, params))
-
     def _acknowledged(self, command: int) -> None:
         give_up_s = time.monotonic() + 1.0
-        while (command, 0) not in self._acks:
+        while (command, 0) not in self._pilot.answers:
             if time.monotonic() > give_up_s:
-                raise NoFlightError(f"the vehicle does not accept command {command}: {self._acks}")
+                raise NoFlightError(f"the vehicle does not accept command {command}: {self._pilot.answers}")
             self._pump(0.002)
 
     def give_back(self) -> None:
@@ -250,11 +233,11 @@ class RealFlight:
         Raises:
             NoFlightError: it does not, or has ended.
         """
-        self._command(400, 0.0, FORCE)
-        self._acknowledged(400)
-        self._ask_mode(self._start_mode)
+        self._pilot.arm(armed=False)
+        self._acknowledged(ARM)
+        self._pilot.ask_mode(self._start_mode)
         self._pump(_DISARMED_S)
-        self._command(400, 1.0, FORCE)
+        self._pilot.arm(armed=True)
         self._until_held(_RETAKEN_S)
 
     def _until_held(self, patience_s: float) -> None:
@@ -272,13 +255,6 @@ class RealFlight:
 
     # ------------------------------------------------------------ the second link
 
-    def _command(self, number: int, *params: float) -> None:
-        filled = (*params, *([0.0] * (7 - len(params))))
-        message = mavlink.MAVLink_command_long_message(1, 1, number, 0, *filled)
-        self._acks.clear()
-        with contextlib.suppress(OSError):
-            self._station.send(self._writer.pack(message))
-
     def _pump(self, for_s: float) -> None:
         self._pump_until(lambda: False, for_s)
 
@@ -289,29 +265,19 @@ class RealFlight:
             if left_s <= 0.0:
                 return
             self._wire.pump(min(left_s, 0.002))
-            self._hear()
+            self._pilot.hear(self._heard)
 
-    def _hear(self) -> None:
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            while True:
-                for frame in self._scanner.frames(self._station.recv(65536)):
-                    if frame.system_id != 1 or frame.component_id != 1:
-                        continue
-                    fields = unpack(frame.message_id, frame.payload)
-                    if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                        self._armed = bool(fields[3] & _ARMED)
-                        self._show(fields[0])
-                    elif frame.message_id == CURRENT_MODE:
-                        self._show(fields[0])
-                    elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
-                        self._acks.append((fields[0], fields[1]))
+    def _heard(self, custom_mode: int, armed: bool | None) -> None:
+        self._armed = self._armed if armed is None else armed
+        self._show(custom_mode)
 
     def _show(self, custom_mode: int) -> None:
         self._mode = custom_mode
         self.judge.shows(time.monotonic(), custom_mode, armed=self._armed)
 
 
-def _state(pid: int) -> str:
+def state_of(pid: int) -> str:
+    """Of a process, as the kernel writes it; "T": stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
 
 

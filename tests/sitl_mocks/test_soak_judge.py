@@ -203,3 +203,32 @@ def test_setpoints_are_of_a_fresh_position_and_arrive_fresh():
     assert table.rules == []
     table.send(1.6, setpoint(), after_s=0.3)
     assert table.rules == ["stale", "old"]
+
+
+def test_what_a_companion_may_not_have_read_before_it_stopped_it_reads_when_it_goes_on():
+    table = Table()
+    judge = table.judge = Judge(bounds_of(Firmware.ARDUPILOT, "guard"), grace_s=0.15)
+    judge.shows(0.0, AUTO, armed=True)
+    table.read(0.0, position(), heartbeat(AUTO))
+    table.send(0.1, asks(GUIDED))
+    judge.shows(0.1, GUIDED, armed=True)
+    table.keep_reading(0.15, 1.0)
+    table.pilot(1.02, RTL)
+    table.read(1.05, position(), heartbeat(RTL))
+    judge.stops(1.1)
+    table.read(4.0, position(), heartbeat(RTL), sent_s=1.05)
+    table.read(4.0, position())
+    table.send(4.05, setpoint())
+    assert judge.breaches == []
+    table.send(4.2, setpoint())
+    assert [breach.rule for breach in judge.breaches] == ["setpoint"]
+
+
+def test_a_mode_that_was_read_before_the_stop_stays_read():
+    table = Table()
+    table.keep_reading(0.15, 1.0)
+    table.pilot(1.02, RTL)
+    table.read(1.05, position(), heartbeat(RTL))
+    table.judge.stops(1.5)
+    table.send(1.6, asks(GUIDED))
+    assert [breach.rule for breach in table.judge.breaches] == ["request"]

@@ -39,13 +39,14 @@ CASES = {
 @pytest.fixture(scope="module")
 def verdicts(tmp_path_factory):
     """Of all, flown side by side."""
+    folders = {place: tmp_path_factory.mktemp("takeover") for place in CASES}
 
     def flown(place):
         cases = [
             RealCase(number, stall_s, selects_s, mode, traffic_hz, 1.0)
             for number, (stall_s, selects_s, mode, traffic_hz) in enumerate(CASES[place])
         ]
-        return fly_cases(*place, cases, tmp_path_factory.mktemp("takeover"))
+        return fly_cases(*place, cases, folders[place])
 
     with ThreadPoolExecutor(len(CASES)) as pool:
         return dict(zip(CASES, pool.map(flown, CASES), strict=True))
