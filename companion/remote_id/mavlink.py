@@ -162,7 +162,7 @@ def encode_odid(
 def encode_message_pack(
     messages: Sequence[Message], target_system: int, target_component: int, id_or_mac: bytes = NO_ID
 ) -> tuple[int, bytes]:
-    """Encode 1 to 9 messages as one OPEN_DRONE_ID_MESSAGE_PACK. Raises ValueError like `codec.encode_pack`."""
+    """Encode 1 to 9 messages as one OPEN_DRONE_ID_MESSAGE_PACK. Raises ValueError (`codec.encode_pack`)."""
     to = _to(target_system, target_component, id_or_mac)
     packed = encode_pack(messages)[-MESSAGE_SIZE * len(messages) :]
     return MESSAGE_PACK, _PACK.pack(*to.target, to.id_or_mac, MESSAGE_SIZE, len(messages), packed)
