@@ -142,7 +142,7 @@ class FrameReceiver:
 
 
 def _read_all(frames: Sequence[Frame]) -> Payload:
-    """Return the messages of all Remote ID structures of a frame. A message in several of them counts once."""
+    """Return the messages of all Remote ID structures of a frame, each message only once."""
     messages: list[Message] = []
     faults: list[str] = []
     for frame in frames:

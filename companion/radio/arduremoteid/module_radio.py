@@ -116,7 +116,7 @@ class ArduRemoteIdTransport:
             raise
         self._restarts = self._module.restarts
 
-    # ------------------------------------------------------------ what it can do
+    # ------------------------------------------------------------ capabilities
 
     @property
     def capabilities(self) -> frozenset[str]:

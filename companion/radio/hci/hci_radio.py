@@ -53,9 +53,9 @@ class _Link:
         self._output: deque[bytes] = deque()
 
     def pump(self, longest_s: float = _SELECT_S) -> bool:
-        """Send pending packets, wait, and process what arrived. Return True if more data is likely.
+        """Send pending packets, wait, and process what arrived. Return True after a full read.
 
-        More data is likely after a full read.
+        After a full read, more data is likely.
 
         Raises:
             OSError: the channel is lost.

@@ -82,7 +82,7 @@ class HciSession:
         self._waiting.append((HciCommand(Opcode.RESET), self._reset_done))
         self._next_command(now_s)
 
-    # ------------------------------------------------------------ in and out
+    # ------------------------------------------------------------ input and output
 
     @property
     def next_s(self) -> float:

@@ -288,7 +288,7 @@ def _check_pack(vector: Fields) -> Iterator[str]:
     if accepted:
         yield from _check_pack_decoding(vector, bytes_of(vector, "hex"))
     elif 0 <= size <= 0xFF and 0 <= count <= 0xFF:
-        # Our encoder cannot produce a wrong size or count, so such packs are only given to our decoder.
+        # Our encoder cannot be asked for a wrong size or count, so the decoder is tested with them.
         pack = bytes((0xF2, size, count)) + b"".join(bytes_of(part, "hex") for part in parts)
         yield from _check_refusal(pack, decode_pack)
 
