@@ -48,7 +48,7 @@ LENGTH_MAX: Final = 255
 _ID_SIZE: Final = 20
 _TIMESTAMP: Final = struct.Struct("<I")
 _CHECKS_PER_S: Final = 20
-"""Most signatures checked per second, so that a flood of false ones cannot exhaust the processor."""
+"""Maximum number of signatures checked per second, so that a flood of false ones cannot exhaust the processor."""
 
 
 @dataclass(frozen=True, slots=True)

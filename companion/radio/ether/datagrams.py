@@ -7,8 +7,7 @@
 
 | kind | direction | body |
 |---|---|---|
-| 1 JOIN | client -> air | name, UTF-8, 1 to 80 bytes. Repeated every 2 s; 10 s of silence end the membership
-|
+| 1 JOIN | client -> air | name, UTF-8, 1 to 80 bytes. Repeated every 2 s; after 10 s of silence it has left |
 | 2 LEAVE | client -> air | empty |
 | 3 SEND | client -> air | transport, address, frame |
 | 4 HEARD | air -> client | transport, address, frame |

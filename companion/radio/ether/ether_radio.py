@@ -14,7 +14,7 @@ from companion.radio.radio import Health
 from companion.remote_id.messages import Message
 
 _MAX_READS = 256
-"""Most datagrams read per call, so that a flood does not hold up the loop."""
+"""Maximum number of datagrams read per call, so that a flood does not hold up the loop."""
 _SILENT_AFTER_S = 3 * datagrams.JOIN_PERIOD_S
 
 

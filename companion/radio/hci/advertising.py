@@ -196,7 +196,7 @@ class AdvertisingSet:
         """Why the last frame was not sent."""
         self.troubles_in_row = 0
         self.troubled_since_s = float("-inf")
-        """Time of the first of these troubles."""
+        """Time of the first trouble in the current row."""
         self.sent_s = float("-inf")
         """Time of the last confirmed frame."""
         self._trouble_s = float("-inf")

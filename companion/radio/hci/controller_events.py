@@ -49,7 +49,7 @@ class CommandResult:
     """Num_HCI_Command_Packets: number of commands that the controller accepts now."""
     status: int
     data: bytes = b""
-    """Return parameters after the status."""
+    """The return parameters that follow the status."""
 
 
 @dataclass(frozen=True, slots=True)

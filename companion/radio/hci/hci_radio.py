@@ -27,7 +27,7 @@ from companion.remote_id.messages import Message
 from companion.remote_id.transports import BLE5
 
 _MAX_FRAMES: Final = 64
-"""Most frames read per call of `heard`, so that a flood does not hold up the loop."""
+"""Maximum number of frames read per call of `heard`, so that a flood does not hold up the loop."""
 _SELECT_S: Final = 0.25
 _FLOOD_PAUSE_S: Final = 0.002
 """Pause after a full read, because this thread shares the processor with the flight loop."""
@@ -55,7 +55,7 @@ class _Link:
     def pump(self, longest_s: float = _SELECT_S) -> bool:
         """Send pending packets, wait, and process what arrived. Return True after a full read.
 
-        After a full read, more data is likely.
+        After a full read, more data is probably waiting.
 
         Raises:
             OSError: the channel is lost.

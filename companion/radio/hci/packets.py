@@ -15,7 +15,7 @@ from typing import Final
 H4_COMMAND: Final = 0x01
 
 MAX_FRAGMENT: Final = 251
-"""Most bytes of advertising data in one LE Set Extended Advertising Data command."""
+"""Maximum bytes of advertising data in one LE Set Extended Advertising Data command."""
 LEGACY_DATA_SIZE: Final = 31
 
 _INTERVAL_100_MS: Final = 160

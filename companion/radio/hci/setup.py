@@ -49,7 +49,7 @@ class Abilities:
     extended: bool = False
     coded: bool = False
     max_data: int = packets.LEGACY_DATA_SIZE
-    """Most bytes of advertising data in a set."""
+    """Maximum bytes of advertising data in a set."""
     sets: dict[str, SetCommands | LegacyCommands] = field(default_factory=dict)
     """Commands that send on each transport."""
     hears: frozenset[str] = frozenset()

@@ -6,8 +6,8 @@ channel. The element replaces the `vendor_elements` of hostapd's own configurati
 
 hostapd repeats the beacon by itself, so an element stays on the air until it is replaced. We therefore remove
 the element when no new one comes for `_STALE_AFTER_S`, and on `close`. A killed process cannot do that. Its
-last element is repeated until hostapd restarts, a new companion broadcasts, or a user runs `hostapd_cli set
-vendor_elements ""; hostapd_cli update_beacon`.
+last element is repeated until hostapd restarts, a new companion broadcasts, or a user runs
+`hostapd_cli set vendor_elements ""; hostapd_cli update_beacon`.
 """
 
 from __future__ import annotations

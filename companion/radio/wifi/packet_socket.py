@@ -32,7 +32,7 @@ _SYSFS: Final = Path("/sys/class/net")
 
 _MAX_FRAME: Final = 1 << 16
 _MAX_READS: Final = 256
-"""Most frames read per call, so that a busy channel does not hold up the loop."""
+"""Maximum number of frames read per call, so that a busy channel does not hold up the loop."""
 _RECEIVE_BUFFER: Final = 1 << 20
 _RETRY_S: Final = 1.0
 _OVERLOAD: Final = frozenset((errno.EAGAIN, errno.ENOBUFS))
@@ -54,8 +54,7 @@ _FILTER: Final = (
     (0x06, 0, 0, 0),  # drop everything else in the kernel
     (0x06, 0, 0, 0x40000),
 )
-"""Classic BPF (code, jump if true, jump if false, k) that passes only frame kinds that can carry Remote ID.
-"""
+"""Classic BPF (code, jump if true, jump if false, k). Passes only frame kinds that can carry Remote ID."""
 
 
 class PacketSocket:

@@ -47,7 +47,7 @@ class Sniffed:
     """Coded PHY: a coding indicator follows the access address."""
     rssi_dbm: float | None = None
     crc_ok: bool | None = None
-    """None if the sniffer did not check it."""
+    """Whether the CRC is correct; None if the sniffer did not check it."""
     chained: bool = False
     """The sniffer reports an AUX_CHAIN_IND, which is the later part of an advertisement."""
 

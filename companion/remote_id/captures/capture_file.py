@@ -15,7 +15,7 @@ from typing import BinaryIO, Final, NamedTuple
 from companion.errors import ConfigError, PeerDataError
 
 _PCAP_NS_PER_TICK: Final = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}
-"""Keyed by magic number, which also determines the byte order."""
+"""Nanoseconds per tick by magic number. The magic number also determines the byte order."""
 _SECTION: Final = 0x0A0D0D0A
 _BYTE_ORDER: Final = 0x1A2B3C4D
 _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 1, 2, 3, 6

@@ -61,7 +61,7 @@ class CapturedFrame:
     """Address of the transmitter, lower-case hex with colons."""
     rssi_dbm: float | None = None
     crc_ok: bool | None = None
-    """None if neither the file nor the frame shows it."""
+    """Whether the checksum is correct; None if neither the file nor the frame shows it."""
     counter: int | None = None
     payload: bytes | None = None
     """A message or a pack as received, including padding."""
