@@ -142,7 +142,7 @@ class FrameReceiver:
 
 
 def _read_all(frames: Sequence[Frame]) -> Payload:
-    """Return the messages of all Remote ID structures of a frame, each message only once."""
+    """Return the messages of all Remote ID structures of a frame. Repeats across structures are dropped."""
     messages: list[Message] = []
     faults: list[str] = []
     for frame in frames:

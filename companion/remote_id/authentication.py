@@ -48,7 +48,7 @@ LENGTH_MAX: Final = 255
 _ID_SIZE: Final = 20
 _TIMESTAMP: Final = struct.Struct("<I")
 _CHECKS_PER_S: Final = 20
-"""Maximum number of signatures checked per second, so that a flood of false ones cannot exhaust the processor."""
+"""Maximum number of signatures checked per second. A flood of false ones must not exhaust the processor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +108,7 @@ class _PageSet:
             return self._take_head(page)
         number, data = page.page, page.data[:PAGE_DATA].ljust(PAGE_DATA, b"\0")
         if self.head is not None and self.pages.get(number, data) != data:
-            # A page that we hold has arrived with new content: the next set has begun, and we missed its page
-            # 0.
+            # A page that we hold arrived with new content: the next set has begun, and its page 0 was missed.
             self.head, self.pages, self.early = None, {}, {}
         if self.head is None:
             self.early[number] = data
