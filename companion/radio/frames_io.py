@@ -1,8 +1,8 @@
-"""Messages to the frames of each transport and back: the pure part of every radio that handles raw frames.
+"""Converts between messages and the frames of each transport. Shared by all radios that handle raw frames.
 
-BLE 4 carries one message per frame; BLE 5, the Wi-Fi beacon and the Wi-Fi NAN action frame carry a pack.
-Counters and the radio address stay steady per transmitter, because receivers tell aircraft and lost frames
-apart by them.
+BLE 4 carries one message per frame. BLE 5, the Wi-Fi beacon and the Wi-Fi NAN action frame carry a pack.
+Counters and the radio address stay steady per transmitter, because receivers use them to tell aircraft apart
+and to detect lost frames.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ TRANSPORTS = frozenset((BLE4, BLE5, WIFI_BEACON, WIFI_NAN))
 
 
 def radio_address(identity: str) -> str:
-    """A radio address (six hex octets with colons) that is always the same for an identity.
+    """Derive a radio address (six hex octets with colons) that is always the same for an identity.
 
-    The two highest bits make it a BLE random static address, the two lowest of the first octet a locally
-    administered unicast MAC address: one address serves all transports.
+    The two highest bits of the first octet make it a BLE random static address. The two lowest bits make it a
+    locally administered unicast MAC address. One address thus serves all transports.
     """
     digest = bytearray(hashlib.sha256(identity.encode()).digest()[:6])
     digest[0] = (digest[0] & 0b0011_1100) | 0b1100_0010
@@ -42,10 +42,10 @@ def radio_address(identity: str) -> str:
 
 
 class FrameSender:
-    """Frames of one transmitter, numbered per transport.
+    """Builds the frames of one transmitter, numbered per transport.
 
     Args:
-        address: radio address of the transmitter; Wi-Fi frames carry it, BLE advertising data does not.
+        address: Radio address of the transmitter. Wi-Fi frames carry it, BLE advertising data does not.
     """
 
     def __init__(self, address: str) -> None:
@@ -53,7 +53,7 @@ class FrameSender:
         self._counters = Counters()
 
     def frames(self, transport: str, messages: Sequence[Message]) -> list[bytes]:
-        """The frames that bring these messages once, in order; none for no messages.
+        """Return the frames that carry these messages once, in order; none if there are no messages.
 
         Raises:
             ValueError: a transport outside `TRANSPORTS`, or messages that cannot be sent.
@@ -78,36 +78,37 @@ class FrameSender:
 
 
 class FrameReceiver:
-    """What a radio heard, as events; what is wrong with it, as counts."""
+    """Converts received frames to events, and counts faulty ones."""
 
     def __init__(self) -> None:
         self.heard = 0
-        """Frames with at least one message that could be read."""
+        """Number of frames with at least one readable message."""
         self.bad = 0
-        """Frames that broke the protocol, in part or wholly."""
+        """Number of frames that violate the protocol, in part or wholly."""
         self.foreign = 0
-        """Sound frames of somebody else's, without Remote ID."""
+        """Number of valid frames without Remote ID, sent by other devices."""
         self.last_error: str | None = None
-        """What was wrong with the last bad frame."""
+        """Fault of the last bad frame."""
 
     def receive(
         self, transport: str, address: str, frame: bytes, rssi_dbm: float | None = None
     ) -> RemoteIdHeard | None:
-        """The event of one frame; None where it holds no message that can be read.
+        """Return the event of one frame; None if it holds no readable message.
 
-        Of a damaged pack the sound messages are given, so that one bad message does not hide an aircraft; of
-        several Remote ID structures in one frame, the messages of all.
+        The valid messages of a damaged pack are returned, so that one bad message does not hide an aircraft.
+        If a frame holds several Remote ID structures, the event contains the messages of all.
 
         Args:
-            transport: one of `TRANSPORTS`; another one raises ValueError.
-            address: transmitter as the radio reports it. A Wi-Fi frame's own source address goes before it.
-            frame: the bytes as the radio reports them.
-            rssi_dbm: signal strength, where the radio reports it.
+            transport: One of `TRANSPORTS`. Another value raises ValueError.
+            address: Transmitter as the radio reports it. The source address inside a Wi-Fi frame takes
+                precedence.
+            frame: Bytes as the radio reports them.
+            rssi_dbm: Signal strength, if the radio reports it.
         """
         return self._receive(lambda: parse_frames(transport, frame), address, rssi_dbm)
 
     def receive_wifi(self, frame: bytes, rssi_dbm: float | None = None) -> RemoteIdHeard | None:
-        """As `receive`, for any 802.11 frame: it tells by itself its transport and who sent it."""
+        """Same as `receive` for any 802.11 frame. Transport and transmitter are read from the frame."""
         return self._receive(lambda: parse_wifi_frames(frame), "", rssi_dbm)
 
     def _receive(
@@ -141,7 +142,7 @@ class FrameReceiver:
 
 
 def _read_all(frames: Sequence[Frame]) -> Payload:
-    """The messages of all of a frame's Remote ID structures, one that stands in several of them once."""
+    """Return the messages of all Remote ID structures of a frame. Repeats across structures are dropped."""
     messages: list[Message] = []
     faults: list[str] = []
     for frame in frames:

@@ -1,4 +1,7 @@
-"""No radio: sends nowhere and hears nothing, and says so. For bench tests and for flights that only watch."""
+"""A placeholder for a missing radio: it neither sends nor receives, and its `health` says so.
+
+It is meant for bench tests and for flights that only observe.
+"""
 
 from __future__ import annotations
 
@@ -10,42 +13,42 @@ from companion.remote_id.messages import Message
 
 
 class NullTransport:
-    """A `Radio` without a radio behind it."""
+    """A `Radio` without hardware."""
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """None."""
+        """No transports."""
         return frozenset()
 
     @property
     def hears(self) -> frozenset[str]:
-        """Nothing."""
+        """No transports."""
         return frozenset()
 
     @property
     def own_addresses(self) -> frozenset[str]:
-        """None."""
+        """No addresses."""
         return frozenset()
 
     @property
     def wifi_channel(self) -> int | None:
-        """None."""
+        """None, as there is no Wi-Fi."""
         return None
 
     def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
-        """Nothing to prepare."""
+        """Do nothing."""
         return ()
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
-        """Raises ValueError: there is nothing to send with."""
+        """Raise ValueError, because there is nothing to send with."""
         raise ValueError(f"no radio: {transport!r} cannot be sent")
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
-        """Nothing, ever."""
+        """Return no messages."""
         return []
 
     def health(self, now_s: float) -> Health:
-        """Never ok: nobody sees this aircraft and it sees nobody."""
+        """Report a state that is never ok: this aircraft is not visible to others and cannot see them."""
         return Health(
             ok=False,
             text="no radio (backend null): nothing is sent and nobody is heard",
@@ -55,4 +58,4 @@ class NullTransport:
         )
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""

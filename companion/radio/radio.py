@@ -1,4 +1,4 @@
-"""The one interface between Remote ID messages and a radio."""
+"""Interface between Remote ID messages and a radio."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from companion.remote_id.messages import Message
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """State of a radio, in words a pilot reads."""
+    """State of a radio, in words for the pilot."""
 
     ok: bool
     text: str
@@ -22,17 +22,18 @@ class Health:
     can_send: frozenset[str] = frozenset()
     """Transports that the radio can send on now; a subset of its capabilities."""
     confirmed: frozenset[str] | None = None
-    """Transports that the radio itself reports as being on the air now (a module's status); None where it
-    cannot tell."""
+    """Transports that the radio itself reports as being on the air now (a module's status); None if it cannot
+    tell."""
     missing: tuple[str, ...] = ()
-    """What this radio could do with other hardware, rights or settings, one plain sentence each."""
+    """One plain sentence for each function that needs other hardware, rights or settings."""
 
 
 class Radio(Protocol):
-    """A radio (or several) that sends and hears Remote ID. Implementations own their sockets.
+    """One or several radios that send and receive Remote ID. Implementations own their sockets.
 
-    Opening one (its constructor) may take seconds and raises ConfigError; after that nothing blocks, and only
-    ValueError is raised, for messages or transports that cannot be sent: what fails shows in `health`.
+    Opening one (its constructor) may take seconds and raises ConfigError. After that nothing blocks. Only
+    ValueError is raised, for messages or transports that cannot be sent; `health` reports every other
+    failure.
     """
 
     @property
@@ -42,30 +43,30 @@ class Radio(Protocol):
 
     @property
     def hears(self) -> frozenset[str]:
-        """Transports that it listens to; a radio does not hear what it sends itself."""
+        """Transports that it receives. A radio does not receive its own transmissions."""
         ...
 
     @property
     def own_addresses(self) -> frozenset[str]:
-        """Radio addresses that it sends from (lower-case hex with colons), as others report them."""
+        """Radio addresses that it sends from (lower-case hex with colons), as other receivers report them."""
         ...
 
     @property
     def wifi_channel(self) -> int | None:
-        """Channel that its Wi-Fi frames go out on; None without Wi-Fi."""
+        """Channel of its Wi-Fi frames; None without Wi-Fi."""
         ...
 
     def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
-        """Prepare for these transports and message rates (per second), before arming; may take seconds.
+        """Prepare for these transports and message rates (per second), before arming. May take seconds.
 
         Args:
-            probe: change nothing, here or on the hardware, and only say what would be changed.
+            probe: Change nothing, here or on the hardware. Only report what would be changed.
 
         Returns:
-            The rates of a radio that repeats by itself, in words: what was set on it, what it had already.
+            Sentences about the rates of a radio that repeats by itself: which were set, which it had already.
 
         Raises:
-            ConfigError: the hardware cannot, in words.
+            ConfigError: the hardware cannot do it. The text says why.
         """
         ...
 
@@ -78,13 +79,13 @@ class Radio(Protocol):
         ...
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
-        """What arrived since the last call. Bad frames are counted, never raised."""
+        """Return the messages that arrived since the last call. Bad frames are counted, never raised."""
         ...
 
     def health(self, now_s: float) -> Health:
-        """State now."""
+        """Return the current state."""
         ...
 
     def close(self) -> None:
-        """Go off the air and release the radio."""
+        """Stop sending and release the radio."""
         ...

@@ -1,19 +1,21 @@
-"""Authentication messages: pages <-> data (ASTM F3411-22a section 5.4.5.8), and Ed25519 signatures in them.
+"""Authentication messages (ASTM F3411-22a section 5.4.5.8): split, assemble, sign and verify with Ed25519.
 
-The standard fixes the pages (17 bytes on page 0, 23 on each of up to 15 more) and the number of the type:
-1 UAS ID signature, 2 operator ID signature, 3 message set signature, 4 by network Remote ID, 5 specific
-method (RFC 9575, DRIP), 10-15 private. What is signed, with which algorithm and key, it leaves to the signer.
-So this is a convention of ours, which only a sender that follows it passes:
+The standard defines the pages (17 bytes on page 0, 23 on each of up to 15 more) and the type numbers: 1 UAS
+ID signature, 2 operator ID signature, 3 message set signature, 4 by network Remote ID, 5 specific method (RFC
+9575, DRIP), 10-15 private. It leaves the signed content, algorithm and key to the signer. We therefore use a
+convention of our own, and only a sender that follows it passes the check:
 
-- Ed25519 (RFC 8032), 64 bytes of signature, four pages; the key of an identity is configured, not heard.
+- Ed25519 (RFC 8032), 64 bytes of signature, four pages. The public key of an identity is configured, never
+  received over the air.
 - Type 1: the 20-byte UAS ID field as in the Basic ID, then the page-0 timestamp (u32, little-endian). It
-  vouches for the identity and the time alone: whoever hears it can send it on within its freshness, and with
-  another position.
-- Type 3: the 25-byte messages of the same pack in their order, authentication pages left out, then the
-  timestamp. It vouches for the position too. Messages are encoded anew for the check, in protocol version 2
-  with reserved bits zero.
+  authenticates only the identity and the time. A receiver can replay it while it is fresh, and with another
+  position.
+- Type 3: the 25-byte messages of the same pack in their order, without authentication pages, then the
+  timestamp. It authenticates the position too. For the check, messages are encoded again, in protocol version
+  2 with reserved bits zero.
 
-The other types are assembled and shown, never judged. DRIP's (type 5) need its registries to know a key.
+The other types are assembled and displayed but never verified. Verifying DRIP (type 5) would need its
+registries to obtain a key.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from companion.remote_id.codec import encode
 from companion.remote_id.messages import Authentication, Message
 from companion.remote_id.wire_values import utc_from_wire, utc_to_wire
 
-# Loaded where a key is: 8 MB that an aircraft without keys does without.
+# Imported only where a key is used, which saves 8 MB on an aircraft without keys.
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
@@ -41,17 +43,17 @@ PAGE_0_DATA: Final = 17
 PAGE_DATA: Final = 23
 LAST_PAGE: Final = 15
 LENGTH_MAX: Final = 255
-"""What the length byte can say, although 16 pages hold more."""
+"""Largest value of the length byte, although 16 pages could hold more."""
 
 _ID_SIZE: Final = 20
 _TIMESTAMP: Final = struct.Struct("<I")
 _CHECKS_PER_S: Final = 20
-"""Signatures checked at most: a flood of false ones must not take the processor."""
+"""Maximum number of signatures checked per second. A flood of false ones must not exhaust the processor."""
 
 
 @dataclass(frozen=True, slots=True)
 class AuthenticationData:
-    """The pages of one Authentication, put together."""
+    """One Authentication assembled from its pages."""
 
     auth_type: int
     timestamp_utc_s: float | None
@@ -59,12 +61,12 @@ class AuthenticationData:
 
     @property
     def page_count(self) -> int:
-        """Pages that the data takes."""
+        """Number of pages that the data takes."""
         return 1 + max(0, -(-(len(self.data) - PAGE_0_DATA) // PAGE_DATA))
 
 
 def split(authentication: AuthenticationData) -> tuple[Authentication, ...]:
-    """The pages to send, page 0 first. Raises ValueError for more than 255 bytes."""
+    """Split the data into the pages to send, page 0 first. Raises ValueError for more than 255 bytes."""
     data, count = authentication.data, authentication.page_count
     if len(data) > LENGTH_MAX:
         raise ValueError(f"authentication data of {len(data)} bytes; allowed: up to {LENGTH_MAX}")
@@ -88,10 +90,11 @@ def split(authentication: AuthenticationData) -> tuple[Authentication, ...]:
 
 @dataclass(slots=True)
 class _PageSet:
-    """Pages of one type from one source, as far as heard.
+    """Pages of one type received so far from one source.
 
-    A page does not say which page 0 it belongs to. Pages normally come in order, so those behind a page 0
-    are its own; earlier ones stand in for what is missing (they may have overtaken it), and give way.
+    A page does not state which page 0 it belongs to. Pages normally arrive in order, so those received after
+    a page 0 belong to it. Pages received earlier may have overtaken page 0, so they fill gaps until the same
+    page arrives after it.
     """
 
     touched_s: float
@@ -100,12 +103,12 @@ class _PageSet:
     early: dict[int, bytes] = field(default_factory=dict)
 
     def take(self, page: Authentication) -> bool:
-        """Take in one page; whether anything is new."""
+        """Take in one page. Return whether it adds anything new."""
         if page.page == 0:
             return self._take_head(page)
         number, data = page.page, page.data[:PAGE_DATA].ljust(PAGE_DATA, b"\0")
         if self.head is not None and self.pages.get(number, data) != data:
-            # Another content of a page that we have: the next set has begun, and its page 0 was missed.
+            # A page that we hold arrived with new content: the next set has begun, and its page 0 was missed.
             self.head, self.pages, self.early = None, {}, {}
         if self.head is None:
             self.early[number] = data
@@ -126,7 +129,7 @@ class _PageSet:
         return True
 
     def data(self) -> AuthenticationData | None:
-        """The whole, once no page is missing."""
+        """Return the complete data; None while a page is missing."""
         head = self.head
         if head is None or head.last_page is None or head.length is None:
             return None
@@ -140,12 +143,12 @@ class _PageSet:
 
 
 class Assembler:
-    """Puts the pages of many sources together; sets that stay without news are given up.
+    """Assembles the pages of many sources, and drops sets that receive no more pages.
 
     Args:
-        max_sets: sets of pages held at once, one for each source and type; the longest untouched goes first.
-            A set takes at most 2 x 15 pages.
-        timeout_s: a set is begun anew after this long without a page.
+        max_sets: Number of page sets held at once, one for each source and type. The one untouched for
+            longest is dropped first. A set holds at most 2 x 15 pages.
+        timeout_s: After this long without a page, the next page starts the set anew.
     """
 
     def __init__(self, max_sets: int = 256, timeout_s: float = 15.0) -> None:
@@ -154,17 +157,17 @@ class Assembler:
         self._sets: OrderedDict[tuple[str, int], _PageSet] = OrderedDict()
 
     def __len__(self) -> int:
-        """Sets held."""
+        """Number of page sets held."""
         return len(self._sets)
 
     def held_bytes(self) -> int:
-        """Bytes of page data held."""
+        """Number of bytes of page data held."""
         return sum(
             len(part) for s in self._sets.values() for part in (*s.pages.values(), *s.early.values())
         ) + sum(len(s.head.data) for s in self._sets.values() if s.head is not None)
 
     def take(self, source: str, page: Authentication, now_s: float) -> AuthenticationData | None:
-        """Take in one page; the whole, where this page completed or changed it (a repetition does not)."""
+        """Take in one page. Return the complete data if this page completed or changed it, else None."""
         key = (source, page.auth_type)
         pages = self._sets.pop(key, None)
         if pages is None or now_s - pages.touched_s > self.timeout_s:
@@ -182,10 +185,10 @@ class Assembler:
 def signed_bytes(
     auth_type: int, identity: str, messages: Sequence[Message], timestamp_utc_s: float | None
 ) -> bytes:
-    """What a signature of type 1 or 3 covers (module docstring).
+    """Return the bytes that a signature of type 1 or 3 covers (see the module docstring).
 
     Args:
-        messages: of the pack; type 1 does not look at them.
+        messages: Messages of the pack. Type 1 does not use them.
 
     Raises:
         ValueError: another type, a message that cannot be sent, or nothing to sign.
@@ -208,21 +211,21 @@ def sign_pages(
     messages: Sequence[Message],
     timestamp_utc_s: float,
 ) -> tuple[Authentication, ...]:
-    """The four pages of a signature; type 3's go into one pack with the messages. Raises ValueError."""
+    """Sign, and return the four pages. Type 3 pages go into one pack with the messages. Raises ValueError."""
     stamp = utc_from_wire(utc_to_wire("Authentication.timestamp_utc_s", timestamp_utc_s))
     signature = key.sign(signed_bytes(auth_type, identity, messages, stamp))
     return split(AuthenticationData(auth_type, stamp, signature))
 
 
 class Verifier:
-    """Checks signatures of the identities whose keys are configured.
+    """Verifies signatures of the identities whose keys are configured.
 
     Args:
-        keys: identity -> raw Ed25519 public key, 64 hex digits.
-        fresh_s: a signature counts while its timestamp is this near to our UTC.
+        keys: Identity -> raw Ed25519 public key, 64 hex digits.
+        fresh_s: Largest allowed difference between a signature's timestamp and our UTC.
 
     Raises:
-        ConfigError: names the identity.
+        ConfigError: an identity or key is invalid. The text names the identity.
     """
 
     def __init__(self, keys: Mapping[str, str], fresh_s: float = 10.0) -> None:
@@ -232,11 +235,11 @@ class Verifier:
         self._checks_s = 0.0
 
     def knows(self, identity: str) -> bool:
-        """Whether this identity has a key."""
+        """Whether a key is configured for this identity."""
         return identity in self._keys
 
     def verify(self, identity: str, data: AuthenticationData, messages: Sequence[Message]) -> bool:
-        """Whether the signature is the identity's own, over what it should cover; False without a key."""
+        """Whether the signature is valid for this identity and its signed bytes. False without a key."""
         key = self._keys.get(identity)
         if key is None:
             return False
@@ -257,17 +260,17 @@ class Verifier:
         not_before_utc_s: float,
         now_s: float,
     ) -> bool | None:
-        """Whether the signature holds here and now: genuine, fresh, and not older than the last from there.
+        """Whether the signature is genuine, fresh, and not older than the last one from this address.
 
         Args:
-            messages: of the frame that completed the data.
-            utc_s: our UTC; None while unknown.
-            not_before_utc_s: timestamp of the last one that held, of the same radio address. Other addresses
-                have their own, because transports are not heard in the order of sending.
+            messages: Messages of the frame that completed the data.
+            utc_s: Our UTC; None while unknown.
+            not_before_utc_s: Timestamp of the last valid signature from the same radio address. It is kept
+                per address, because the transports may not be received in the order of sending.
 
         Returns:
-            None where it cannot be judged: no key, a type that is not ours, a message set that is not in this
-            frame, own time unknown, or more signatures than are checked in a second.
+            None if it cannot be judged: no key, a type that we do not verify, a message set that is not
+                complete in this frame, unknown own time, or more signatures than are checked per second.
         """
         if not self.knows(identity) or utc_s is None:
             return None
@@ -292,10 +295,12 @@ class Verifier:
 
 
 def public_key_hex(text: str, folder: Path) -> str:
-    """A configured key as 64 hex digits: given so, or as the path (relative to `folder`) of a PEM file.
+    """Return a configured key as 64 hex digits.
+
+    It is given as hex digits, or as the path (relative to `folder`) of a PEM file.
 
     Raises:
-        ConfigError: what it is instead.
+        ConfigError: the text is neither. The error says what it is instead.
     """
     if _is_hex_key(text):
         return text.lower()
@@ -332,7 +337,7 @@ def _key(identity: str, text: str) -> Ed25519PublicKey:
 
 
 def _id_field(identity: str) -> bytes:
-    """The identity as it lies in a Basic ID. Raises ValueError."""
+    """Return the identity as a Basic ID field. Raises ValueError."""
     data = identity.encode("latin-1", errors="replace")
     if not identity or len(data) > _ID_SIZE or data.decode("latin-1") != identity:
         raise ValueError(f"identity is {identity!r}; allowed: 1 to {_ID_SIZE} Latin-1 characters")

@@ -1,18 +1,19 @@
-"""Remote ID payloads <-> messages: what the rest of the companion calls.
+"""Converts between Remote ID payloads and messages. The rest of the companion calls this module.
 
-ASTM F3411-22a section 5.4; `wire_messages` has the 25-byte layouts, `wire_values` the scalings. There are two
-kinds of reading:
+The format is that of ASTM F3411-22a section 5.4. `wire_messages` holds the 25-byte layouts, `wire_values` the
+scalings. There are two ways to read a payload:
 
-- `decode` and `decode_pack` are all or nothing, as the public reference decoder (opendroneid-core-c) but for
-  one thing: of a pack it leaves out an authentication page that contradicts itself, and takes the rest.
-- `read_payload` and `decode_payload` are for a receiver: every message of a pack that can be read is
-  returned, so that one reserved type or a torn end does not hide an aircraft's Location. A pack of zero
-  messages, which transmitters send before they know anything, is simply empty.
+- `decode` and `decode_pack` are all or nothing, like the public reference decoder (opendroneid-core-c). There
+  is one difference: if an authentication page in a pack contradicts itself, the reference leaves out that
+  page and takes the rest, while `decode_pack` refuses the pack.
+- `read_payload` and `decode_payload` are for a receiver. They return every readable message of a pack, so
+  that one reserved type or a truncated end does not hide an aircraft's Location. A pack of zero messages is
+  simply empty. Transmitters send such packs before they have any data.
 
-On both: any protocol version is taken (later ones are to stay readable), reserved bits and bytes behind the
-payload are ignored, reserved enumeration numbers are kept (`messages.WireCode`), and values that the standard
-does not allow are unknown (`wire_values`). Only `PeerDataError` is raised for bad bytes, only ValueError for
-a message that cannot be sent.
+Both ways accept any protocol version, so that later versions stay readable. They ignore reserved bits and
+bytes after the payload, and keep reserved enumeration numbers (`messages.WireCode`). Values that the standard
+does not allow become unknown (`wire_values`). Bad bytes raise only `PeerDataError`; a message that cannot be
+sent raises only ValueError.
 """
 
 from __future__ import annotations
@@ -53,23 +54,23 @@ PACK_MAX_MESSAGES: Final = 9
 
 _LOCATION: Final = 1
 _decode_again = lru_cache(maxsize=1024)(decode)
-"""Every pack of an aircraft repeats its identities and texts; messages are immutable, so one serves all."""
+"""Cached `decode`. An aircraft repeats its identities and texts in every pack, and messages are immutable."""
 
 _PACK_HEAD: Final = PACK_TYPE << 4 | PROTOCOL_VERSION
 
 
 class Payload(NamedTuple):
-    """What a receiver made of one payload."""
+    """Messages that a receiver could read from one payload, and the faults it found."""
 
     messages: tuple[Message, ...]
     faults: tuple[str, ...]
-    """In words: each part that had to be left out, or that breaks the standard."""
+    """Descriptions of the parts that had to be left out or that violate the standard."""
 
 
 def encode_pack(messages: Sequence[Message]) -> bytes:
-    """A pack of 1 to 9 messages in the order given. Raises ValueError.
+    """Encode 1 to 9 messages as a pack, in the order given. Raises ValueError.
 
-    A pack holds at most two Basic IDs, any number of authentication pages and one of each other message.
+    A pack holds at most two Basic IDs, any number of authentication pages, and one of each other message.
     """
     if not 1 <= len(messages) <= PACK_MAX_MESSAGES:
         raise ValueError(f"pack of {len(messages)} messages; allowed: 1 to {PACK_MAX_MESSAGES}")
@@ -81,7 +82,7 @@ def encode_pack(messages: Sequence[Message]) -> bytes:
 
 
 def decode_pack(data: bytes) -> tuple[Message, ...]:
-    """All messages of a pack that keeps the standard throughout; bytes behind it are ignored.
+    """Decode all messages of a pack that is free of faults. Bytes after the pack are ignored.
 
     Raises PeerDataError at the first fault, and for a pack without messages.
     """
@@ -94,10 +95,10 @@ def decode_pack(data: bytes) -> tuple[Message, ...]:
 
 
 def read_payload(data: bytes) -> Payload:
-    """One message or a pack, whichever the first byte says, as far as it can be read.
+    """Read one message or a pack, as the first byte indicates, as far as it is readable.
 
-    Bytes behind it (padding) are ignored. Raises PeerDataError where not even the head of a pack, or the one
-    message, is sound.
+    Bytes after it (padding) are ignored. Raises PeerDataError if the pack header or the single message is
+    invalid.
     """
     if not data:
         raise PeerDataError("empty payload")
@@ -107,9 +108,9 @@ def read_payload(data: bytes) -> Payload:
 
 
 def decode_payload(data: bytes) -> tuple[Message, ...]:
-    """The messages of `read_payload`; none for a pack that announces none.
+    """Return the messages of `read_payload`. A pack that announces no messages yields none.
 
-    Raises PeerDataError where no message could be read although some were announced.
+    Raises PeerDataError if messages were announced but none could be read.
     """
     messages, faults = read_payload(data)
     if faults and not messages:
@@ -124,7 +125,7 @@ def _most_of(kind: type[Message]) -> int:
 
 
 def _read_pack(data: bytes) -> Payload:
-    """Every sound message of a pack, and what was wrong with the rest."""
+    """Return every valid message of a pack, and the faults of the rest."""
     if len(data) < PACK_HEADER_SIZE:
         raise PeerDataError(f"pack of {len(data)} bytes, shorter than its head of {PACK_HEADER_SIZE}")
     if data[0] >> 4 != PACK_TYPE:
@@ -144,7 +145,7 @@ def _read_pack(data: bytes) -> Payload:
         offset = PACK_HEADER_SIZE + index * MESSAGE_SIZE
         try:
             raw = bytes(data[offset : offset + MESSAGE_SIZE])
-            # A Location is new every time, and would only drive the others out.
+            # A Location is new every time. In the cache it would only displace the other messages.
             message = decode(raw) if raw[0] >> 4 == _LOCATION else _decode_again(raw)
         except PeerDataError as error:
             faults.append(f"pack message {index + 1} (offset {offset}): {error}")
@@ -152,7 +153,8 @@ def _read_pack(data: bytes) -> Payload:
         kind = type(message)
         count = counts[kind] = counts.get(kind, 0) + 1
         if count > 1 and count > _most_of(kind):
-            # Which of two Locations holds cannot be told: the first stays, as in a receiver that stops there.
+            # We cannot tell which of two Locations is right. The first one is kept, as in a receiver that
+            # stops reading there.
             faults.append(f"pack message {index + 1} (offset {offset}) is one {kind.__name__} too many")
             continue
         messages.append(message)

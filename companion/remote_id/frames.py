@@ -1,18 +1,19 @@
-"""Remote ID payloads <-> the bytes that a radio sends and hears.
+"""Converts between Remote ID payloads and the bytes that a radio sends and receives.
 
-Byte-exact both ways (ASTM F3411-22a sections 5.4.5 to 5.4.8; Bluetooth Core vol. 3 part C section 11 for
-advertising data; IEEE 802.11 sections 9.3.3 and 9.4.2 for beacons; Wi-Fi Alliance, Neighbor Awareness
+Both directions are byte-exact (ASTM F3411-22a sections 5.4.5 to 5.4.8; Bluetooth Core vol. 3 part C section
+11 for advertising data; IEEE 802.11 sections 9.3.3 and 9.4.2 for beacons; Wi-Fi Alliance, Neighbor Awareness
 Networking, for service discovery):
 
 - BLE 4: AdvData of a legacy advertisement, 31 bytes, one message.
 - BLE 5: AdvData of an extended advertisement on the Coded PHY, one pack.
 - Wi-Fi Beacon: the whole management frame (no radiotap header, no FCS), one pack in a vendor element.
-- Wi-Fi NAN: the service discovery action frame, one pack in a service descriptor. A transmitter sends a
-  synchronisation beacon beside it, which holds no Remote ID.
+- Wi-Fi NAN: the service discovery action frame, one pack in a service descriptor. A transmitter also sends a
+  synchronisation beacon, which holds no Remote ID.
 
-A reader walks every structure, element or attribute, because Remote ID may stand behind others, or more than
-once. What follows a torn one cannot be found; what stands before it is given, and of a torn Remote ID
-structure as much as came: `codec.read_payload` says what its payload lacks.
+A reader walks through every structure, element or attribute, because Remote ID may follow others or occur
+more than once. If one is truncated, whatever follows it cannot be found, but everything before it is
+returned. A truncated Remote ID structure is returned as far as it was received; `codec.read_payload` reports
+what its payload lacks.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _SERVICE_DATA: Final = 0x16
 _ASTM_UUID: Final = b"\xfa\xff"
 """0xFFFA, assigned to ASTM International, little-endian."""
 _APPLICATION: Final = 0x0D
-"""Open Drone ID among ASTM's applications."""
+"""Open Drone ID, one of ASTM's application codes."""
 _SERVICE_DATA_HEAD: Final = bytes((_SERVICE_DATA,)) + _ASTM_UUID + bytes((_APPLICATION,))
 
 _BEACON: Final = 0x80
@@ -54,14 +55,14 @@ _ADDRESS: Final = re.compile("[0-9a-fA-F]{2}(?::[0-9a-fA-F]{2}){5}")
 _FCS_SIZE: Final = 4
 
 _NAN_GROUP: Final = b"\x51\x6f\x9a\x01\x00\x00"
-"""Destination of everything in NAN."""
+"""Destination address of the NAN action frames."""
 _NAN_CLUSTER: Final = b"\x50\x6f\x9a\x01\x00\xff"
 _NAN_HEAD: Final = b"\x50\x6f\x9a\x13"
-"""The Wi-Fi Alliance's OUI and NAN among its types."""
+"""OUI of the Wi-Fi Alliance and its type number for NAN."""
 _NAN_ACTION_HEAD: Final = b"\x04\x09" + _NAN_HEAD
-"""Public action, vendor specific."""
+"""Category public action, action vendor specific."""
 _NAN_SERVICE_ID: Final = bytes.fromhex("8869199d9209")
-"""Start of SHA-256 of "org.opendroneid.remoteid"."""
+"""First bytes of the SHA-256 of "org.opendroneid.remoteid"."""
 _NAN_INTERVAL_TU: Final = 512
 _MASTER_PREFERENCE: Final = 0xFE
 _RANDOM_FACTOR: Final = 0xEA
@@ -70,29 +71,29 @@ _INSTANCE: Final = 1
 _DESCRIPTOR_FIXED: Final = struct.Struct("<6sBBB")
 """Service ID, instance ID, requestor instance ID, service control."""
 _MATCHING_FILTER, _RESPONSE_FILTER, _SERVICE_INFO, _BINDING_BITMAP = 0x04, 0x08, 0x10, 0x40
-"""Service control: what else the descriptor holds."""
+"""Service control bits that indicate further parts of the descriptor."""
 _UPDATE_INDICATOR: Final = 0x0200
-"""Extension control: the service update indicator follows."""
+"""Extension control bit: a service update indicator follows."""
 
 
 class Frame(NamedTuple):
-    """Remote ID as one frame carried it."""
+    """One Remote ID structure, as received in a frame."""
 
     transport: str
     address: str | None
-    """Transmitter, lower-case hex with colons; None where the frame's bytes do not hold it (BLE)."""
+    """Address of the transmitter, lower-case hex with colons; None if the frame does not hold it (BLE)."""
     counter: int
-    """0-255; a repetition carries the same counter."""
+    """Message counter, 0-255. A repetition carries the same counter."""
     payload: bytes
-    """A message or a pack, perhaps padded or cut short: for `codec.read_payload`."""
+    """A message or a pack, possibly padded or truncated, as input for `codec.read_payload`."""
 
 
 class NotRemoteIdError(PeerDataError):
-    """A sound frame without Remote ID: most of what a radio hears, and no fault of the peer."""
+    """A valid frame without Remote ID. Most received frames are of this kind; it is no fault of the peer."""
 
 
 class NanSyncBeaconError(NotRemoteIdError):
-    """The synchronisation beacon of a NAN transmitter of Remote ID, which itself holds none."""
+    """The synchronisation beacon of a NAN transmitter of Remote ID. It holds no Remote ID itself."""
 
     def __init__(self, address: str) -> None:
         super().__init__(f"NAN synchronisation beacon of {address}")
@@ -100,9 +101,9 @@ class NanSyncBeaconError(NotRemoteIdError):
 
 
 def parse_frames(transport: str, data: bytes) -> tuple[Frame, ...]:
-    """Every Remote ID structure, at least one, in what arrived on a transport; nearly always just one.
+    """Return every Remote ID structure (at least one, usually just one) of a frame received on a transport.
 
-    Raises NotRemoteIdError where the frame holds none (for that transport), PeerDataError where it is broken,
+    Raises NotRemoteIdError if the frame holds none for that transport, PeerDataError if it is broken,
     ValueError for an unknown transport.
     """
     parser = _PARSERS.get(transport)
@@ -115,7 +116,7 @@ def parse_frames(transport: str, data: bytes) -> tuple[Frame, ...]:
 
 
 def parse_frame(transport: str, data: bytes) -> Frame:
-    """The first of `parse_frames`, which raises for both."""
+    """Return the first result of `parse_frames`. Raises the same errors."""
     return parse_frames(transport, data)[0]
 
 
@@ -123,14 +124,14 @@ def parse_frame(transport: str, data: bytes) -> Frame:
 
 
 def build_ble4(message: bytes, counter: int) -> bytes:
-    """The 31 bytes of AdvData for one 25-byte message. Raises ValueError."""
+    """Build the 31 bytes of AdvData for one 25-byte message. Raises ValueError."""
     if len(message) != MESSAGE_SIZE or message[0] >> 4 == PACK_TYPE:
         raise ValueError(f"payload of {len(message)} bytes; allowed on BLE 4: one message of {MESSAGE_SIZE}")
     return _service_data(message, counter)
 
 
 def build_ble5(pack: bytes, counter: int) -> bytes:
-    """AdvData of 9 + 25 N bytes for a pack of N messages. Raises ValueError."""
+    """Build AdvData of 9 + 25 N bytes for a pack of N messages. Raises ValueError."""
     return _service_data(_check_pack(pack), counter)
 
 
@@ -140,11 +141,11 @@ def _service_data(payload: bytes, counter: int) -> bytes:
 
 
 def _parse_advertising_data(transport: str, data: bytes) -> tuple[Frame, ...]:
-    """Remote ID in AdvData (reassembled, where it came in several PDUs)."""
+    """Find Remote ID in AdvData. AdvData received in several PDUs must be reassembled before."""
     found = []
     fault = None
     offset = 0
-    while offset < len(data) and data[offset]:  # a length of 0 ends the data early; what follows is padding
+    while offset < len(data) and data[offset]:  # a length of 0 ends the data early; the rest is padding
         end = offset + 1 + data[offset]
         if end > len(data):
             fault = _torn("advertising structure", data[offset], offset, len(data))
@@ -159,20 +160,20 @@ def _parse_advertising_data(transport: str, data: bytes) -> tuple[Frame, ...]:
 
 
 def parse_wifi(data: bytes) -> Frame:
-    """The first of `parse_wifi_frames`, which raises for both."""
+    """Return the first result of `parse_wifi_frames`. Raises the same errors."""
     return parse_wifi_frames(data)[0]
 
 
 def parse_wifi_frames(data: bytes) -> tuple[Frame, ...]:
-    """Every Remote ID structure, at least one, in any 802.11 frame from its frame control on.
+    """Return every Remote ID structure (at least one) of an 802.11 frame that starts at frame control.
 
-    Read are beacons and probe responses (transport `WIFI_BEACON`) and NAN action frames (`WIFI_NAN`), with or
-    without FCS. Raises NotRemoteIdError where the frame holds none, NanSyncBeaconError (one of those) for the
-    beacon beside NAN action frames, PeerDataError where it is broken.
+    Reads beacons and probe responses (transport `WIFI_BEACON`) and NAN action frames (`WIFI_NAN`), with or
+    without FCS. Raises NotRemoteIdError if the frame holds none, its subclass NanSyncBeaconError for the
+    synchronisation beacon of a NAN transmitter, and PeerDataError if the frame is broken.
     """
     if len(data) < 2:
         raise PeerDataError(f"Wi-Fi frame of {len(data)} bytes")
-    kind, flags = data[0], data[1]  # all other flags do not matter here
+    kind, flags = data[0], data[1]  # the other flags are irrelevant here
     if kind not in (_BEACON, _PROBE_RESPONSE, _ACTION):
         raise NotRemoteIdError(f"frame control 0x{kind:02x} is of no kind that carries Remote ID")
     body_at = _MAC_HEADER.size + (_HT_CONTROL_SIZE if flags & _ORDER else 0)
@@ -187,14 +188,17 @@ def parse_wifi_frames(data: bytes) -> tuple[Frame, ...]:
 def _type_length_content(
     data: bytes, offset: int, length_size: int, what: str
 ) -> tuple[list[tuple[int, bytes]], str | None]:
-    """Type and content of every element or attribute, a torn one as far as it goes; and what is torn."""
+    """Return type and content of every element or attribute, and a text about a truncated one.
+
+    The content of a truncated one is returned as far as it goes.
+    """
     found = []
     head = 1 + length_size
     while offset + head <= len(data):
         size = int.from_bytes(data[offset + 1 : offset + head], "little")
         end = offset + head + size
         if end > len(data) and len(data) - offset <= _FCS_SIZE:
-            break  # the frame check sequence that some receivers leave on
+            break  # the frame check sequence, which some receivers do not remove
         found.append((data[offset], data[offset + head : end]))
         if end > len(data):
             return found, _torn(f"{what} 0x{data[offset]:02x}", size, offset, len(data))
@@ -208,9 +212,10 @@ def _type_length_content(
 def build_beacon(
     pack: bytes, counter: int, address: str, *, ssid: str = "", interval_tu: int = 100, tsf_us: int = 0
 ) -> bytes:
-    """The management frame, without FCS, of 51 + SSID + 25 N bytes. Raises ValueError.
+    """Build the beacon frame, without FCS, of 51 + SSID + 25 N bytes. Raises ValueError.
 
-    `interval_tu` is in units of 1024 us. The sequence number is 0: the transmitting driver numbers frames.
+    `interval_tu` is in units of 1024 us. The sequence number is 0, because the transmitting driver numbers
+    frames.
     """
     name = ssid.encode("utf-8")
     if len(name) > _SSID_MAX:
@@ -230,7 +235,7 @@ def build_beacon(
 
 
 def build_vendor_element(pack: bytes, counter: int) -> bytes:
-    """The vendor element alone, for an access point that builds its own beacons. Raises ValueError."""
+    """Build the vendor element alone, for an access point that builds its own beacons. Raises ValueError."""
     content = _VENDOR_HEAD + bytes((_check_counter(counter),)) + _check_pack(pack)
     return bytes((_VENDOR_ELEMENT, len(content))) + content
 
@@ -257,9 +262,9 @@ def _parse_elements(data: bytes, offset: int, address: str) -> tuple[Frame, ...]
 
 
 def build_nan_action(pack: bytes, counter: int, address: str) -> bytes:
-    """The service discovery action frame, without FCS, of 54 + 25 N bytes. Raises ValueError.
+    """Build the service discovery action frame, without FCS, of 54 + 25 N bytes. Raises ValueError.
 
-    The sequence number is 0: the transmitting driver numbers frames.
+    The sequence number is 0, because the transmitting driver numbers frames.
     """
     info = bytes((_check_counter(counter),)) + _check_pack(pack)
     descriptor = _DESCRIPTOR_FIXED.pack(_NAN_SERVICE_ID, _INSTANCE, 0, _SERVICE_INFO)
@@ -274,14 +279,14 @@ def build_nan_action(pack: bytes, counter: int, address: str) -> bytes:
 
 
 def build_nan_sync_beacon(address: str, tsf_us: int = 0) -> bytes:
-    """The synchronisation beacon, 72 bytes without FCS, of a cluster of which we are the anchor master.
+    """Build the synchronisation beacon, 72 bytes without FCS, of a cluster whose anchor master we are.
 
-    It goes out beside the action frames, every 512 TU, or receivers do not wake up for them. `tsf_us` is the
-    sender's clock, which most drivers fill in themselves. Raises ValueError.
+    It must be sent every 512 TU in addition to the action frames. Otherwise receivers do not wake up for
+    them. `tsf_us` is the sender's clock, which most drivers fill in themselves. Raises ValueError.
     """
     mac = address_bytes(address)
     rank = mac + bytes((_RANDOM_FACTOR, _MASTER_PREFERENCE))
-    hops_and_anchor_time = bytes(1 + 4)  # 0: the anchor master itself
+    hops_and_anchor_time = bytes(1 + 4)  # both 0: we are the anchor master
     content = b"".join(
         (
             _NAN_HEAD,
@@ -299,7 +304,7 @@ def _attribute(kind: int, content: bytes) -> bytes:
 
 
 def _announces_remote_id(vendor: bytes) -> bool:
-    """Whether a vendor element is NAN's and lists the Remote ID service."""
+    """Whether a vendor element belongs to NAN and lists the Remote ID service."""
     if not vendor.startswith(_NAN_HEAD):
         return False
     attributes, _ = _type_length_content(vendor, len(_NAN_HEAD), 2, "attribute")
@@ -318,7 +323,10 @@ def _parse_action(data: bytes, offset: int, address: str) -> tuple[Frame, ...]:
 
 
 def _service_info(descriptor: bytes) -> bytes | None:
-    """The service info of a descriptor; None where it is another service's or holds none (a subscriber)."""
+    """Return the service info of a descriptor.
+
+    None if the descriptor belongs to another service or holds no service info (a subscriber).
+    """
     if len(descriptor) < _DESCRIPTOR_FIXED.size:
         return None
     service, _, _, control = _DESCRIPTOR_FIXED.unpack_from(descriptor)
@@ -332,7 +340,7 @@ def _service_info(descriptor: bytes) -> bytes | None:
 
 
 def _length(data: bytes, at: int) -> int:
-    """A length byte, 0 where it was cut off."""
+    """Return a length byte; 0 if it was cut off."""
     return data[at] if at < len(data) else 0
 
 
@@ -346,7 +354,7 @@ def _torn(what: str, size: int, offset: int, total: int) -> str:
 def _frames(
     transport: str, address: str | None, found: Sequence[bytes], fault: str | None
 ) -> tuple[Frame, ...]:
-    """The frames of what was found, each counter and payload, or the error that says why there are none."""
+    """Return the frames of the structures found. Raises an error that says why there are none."""
     frames = tuple(
         Frame(transport=transport, address=address, counter=content[0], payload=content[1:])
         for content in found
@@ -368,7 +376,7 @@ def _check_counter(counter: int) -> int:
 
 
 def _check_pack(pack: bytes) -> bytes:
-    """The pack, where head and length agree."""
+    """Return the pack if its header and length agree; raise ValueError otherwise."""
     sound = len(pack) > PACK_HEADER_SIZE and pack[0] >> 4 == PACK_TYPE and pack[1] == MESSAGE_SIZE
     if not sound or pack[2] > PACK_MAX_MESSAGES or len(pack) != PACK_HEADER_SIZE + pack[2] * MESSAGE_SIZE:
         raise ValueError(f"payload {pack.hex()}; allowed: a pack of 1 to {PACK_MAX_MESSAGES} messages")
@@ -376,7 +384,7 @@ def _check_pack(pack: bytes) -> bytes:
 
 
 def address_bytes(address: str) -> bytes:
-    """The six octets of a radio address. Raises ValueError."""
+    """Convert a radio address to its six octets. Raises ValueError."""
     if not _ADDRESS.fullmatch(address):
         raise ValueError(f"address is {address!r}; allowed: six octets like 02:00:00:ab:cd:ef")
     return bytes.fromhex(address.replace(":", ""))
@@ -391,17 +399,18 @@ _PARSERS: Final[dict[str, Callable[[bytes], tuple[Frame, ...]]]] = {
 
 
 class Counters:
-    """Message counters of one transmitter, steady per transport.
+    """Message counters of one transmitter, kept per transport.
 
-    On BLE 4 every message type has its own, elsewhere the pack has one. A counter steps by 1 when the content
-    changes, and wraps from 255 to 0; so a receiver knows a repetition without comparing.
+    On BLE 4 every message type has its own counter; elsewhere the pack has one. A counter increases by 1 when
+    the content changes, and wraps from 255 to 0. A receiver can therefore recognise a repetition without
+    comparing contents.
     """
 
     def __init__(self) -> None:
         self._last: dict[tuple[str, int], tuple[int, bytes]] = {}
 
     def next(self, transport: str, payload: bytes) -> int:
-        """The counter to send with this payload (a message or a pack, not empty)."""
+        """Return the counter to send with this payload (a message or a pack, not empty)."""
         key = (transport, payload[0] >> 4)
         last = self._last.get(key)
         if last is None:

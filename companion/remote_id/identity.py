@@ -1,16 +1,17 @@
-"""Whether identities are well formed, before they go on the air.
+"""Checks that identities are well formed before they go on the air.
 
-- Serial number: ANSI/CTA-2063-A. Four characters of manufacturer code, one that gives the length of the rest
-  (1 to 9, A to F for 10 to 15), and the rest; digits and capital letters, without O and I.
+- Serial number: ANSI/CTA-2063-A. Four characters of manufacturer code, one character for the length of the
+  rest (1 to 9, A to F for 10 to 15), and the rest. Allowed are digits and capital letters without O and I.
 - EU operator number: ASD-STAN EN 4709-002, Implementing Regulation (EU) 2019/947. Country (ISO 3166-1
   alpha-3), 12 lower-case letters and digits, one checksum character; then "-" and three secret characters,
-  known to operator and registry alone. The checksum is Luhn mod 36 over the 12 and the three secret
-  characters: without these it cannot be verified.
-- CAA registration: ASTM F3411-22a, capital letters, digits and dots; hyphens are taken too.
-- UTM-assigned UUID: RFC 9562, 16 bytes. Session id: the first byte is its type, managed by ICAO: 1 a DRIP
-  entity tag (RFC 9374, an IPv6 address of 2001:30::/28), 2 an IEEE 1609.2 HashedId8.
+  known only to the operator and the registry. The checksum is Luhn mod 36 over the 12 characters and the
+  three secret ones, so it cannot be verified without the secret characters.
+- CAA registration: ASTM F3411-22a, capital letters, digits and dots. Hyphens are accepted too.
+- UTM-assigned UUID: RFC 9562, 16 bytes.
+- Session ID: the first byte is its type, managed by ICAO: 1 a DRIP entity tag (RFC 9374, an IPv6 address of
+  2001:30::/28), 2 an IEEE 1609.2 HashedId8.
 
-No error text repeats a secret character: logs are read by others.
+No error text repeats a secret character, because other people read the logs.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Verdict = Literal["valid", "cannot be verified"]
 
 SERIAL_MAX: Final = 20
 PUBLIC_LENGTH: Final = 16
-"""Characters of an EU operator number that go on the air."""
+"""Number of characters of an EU operator number that go on the air."""
 
 _SERIAL_ALPHABET: Final = "0123456789ABCDEFGHJKLMNPQRSTUVWXYZ"
 _SERIAL_HEAD: Final = 5
@@ -38,9 +39,9 @@ _EU_STATES: Final = frozenset((
     "CHE", "ISL", "LIE", "NOR",
 ))
 # fmt: on
-"""Member states of the EU, and the four that take part in EASA."""
+"""Member states of the EU, and the four other states that take part in EASA."""
 _NUMBER: Final = re.compile("[0-9A-Za-z]{11,}")
-"""How a text begins that is meant as an EU operator number, with some mistakes."""
+"""Beginning of a text that is meant as an EU operator number, possibly with mistakes."""
 
 ON_AIR_MAX: Final = 20
 _REGISTRATION: Final = re.compile("[0-9A-Z.-]+")
@@ -49,7 +50,7 @@ _SESSION_BYTES: Final = {1: 1 + 16, 2: 1 + 8}
 
 
 def check_serial(text: str) -> None:
-    """Check a serial number by ANSI/CTA-2063-A. Raises ValueError saying what is wrong at which character."""
+    """Check a serial number against ANSI/CTA-2063-A. Raises ValueError naming the wrong character."""
     for at, character in enumerate(text, start=1):
         if at != _SERIAL_HEAD and character not in _SERIAL_ALPHABET:
             raise ValueError(
@@ -75,13 +76,13 @@ def check_serial(text: str) -> None:
 
 
 def check_operator_id_eu(text: str) -> Verdict:
-    """Check an EU operator number, whole ("FIN87astrdge12k8-xyz") or without its secret characters.
+    """Check an EU operator number, complete ("FIN87astrdge12k8-xyz") or without its secret characters.
 
     Returns:
-        "valid" where the checksum holds, "cannot be verified" where the secret characters are missing.
+        "valid" if the checksum is correct, "cannot be verified" if the secret characters are missing.
 
     Raises:
-        ValueError: it is wrong; says what, at which character.
+        ValueError: the number is wrong. The text says what is wrong at which character.
     """
     public = text.partition("-")[0] if "-" in text else text[: max(_COUNTRY, _public_length(len(text)))]
     public = public[:PUBLIC_LENGTH]
@@ -116,10 +117,11 @@ def check_operator_id_eu(text: str) -> Verdict:
 
 
 def public_operator_id(text: str) -> str:
-    """What of an operator number may go on the air: of an EU one the 16 public characters, else all of it.
+    """Return the part of an operator number that may go on the air.
 
-    Whatever stands behind the public part of a number that begins as an EU one is taken for secret, in either
-    case of letters, so that a mistyped number gives nothing away.
+    This is the 16 public characters of an EU number, or the whole text of any other number. If a number
+    begins like an EU one, in upper or lower case, everything after its public part is treated as secret, so
+    that a mistyped number reveals nothing.
     """
     found = _NUMBER.match(text) if text[:_COUNTRY].upper() in _EU_STATES else None
     if found is None:
@@ -129,18 +131,18 @@ def public_operator_id(text: str) -> str:
 
 
 def _public_length(length: int) -> int:
-    """How much of a number without a hyphen stands before its secret characters, if it is some short."""
+    """Length of the public part of a number without a hyphen; the number may be too short."""
     return length if length == PUBLIC_LENGTH else min(PUBLIC_LENGTH, length - _SECRET)
 
 
 def check_registration(text: str) -> None:
-    """Check a CAA registration by ASTM F3411-22a. Raises ValueError saying what is allowed."""
+    """Check a CAA registration against ASTM F3411-22a. Raises ValueError saying what is allowed."""
     if not _REGISTRATION.fullmatch(text):
         raise ValueError(f"{text!r}: a registration holds capital letters, digits, '.' and '-'")
 
 
 def check_uuid(data: bytes) -> None:
-    """Check a UTM-assigned UUID by RFC 9562. Raises ValueError naming the byte."""
+    """Check a UTM-assigned UUID against RFC 9562. Raises ValueError naming the byte."""
     if len(data) != _UUID_BYTES:
         raise ValueError(f"{len(data)} bytes; a UUID has {_UUID_BYTES}")
     if data[8] & 0b1100_0000 != 0b1000_0000:
@@ -148,13 +150,13 @@ def check_uuid(data: bytes) -> None:
 
 
 def check_session(data: bytes) -> list[str]:
-    """Check a specific session id by its type.
+    """Check a specific session ID according to its type.
 
     Returns:
-        What cannot be verified here, a plain sentence each.
+        One sentence for each thing that cannot be verified here.
 
     Raises:
-        ValueError: names the byte.
+        ValueError: the ID is wrong. The text names the byte.
     """
     kind = data[0] if data else 0
     if kind == 0:
@@ -174,7 +176,7 @@ def check_session(data: bytes) -> list[str]:
 
 
 def raw_bytes(text: str) -> bytes:
-    """The bytes that `BasicId.uas_id` stands for."""
+    """Return the bytes that `BasicId.uas_id` represents. Raises ValueError for a character beyond U+00FF."""
     try:
         return text.encode("latin-1")
     except UnicodeEncodeError as error:
@@ -187,7 +189,10 @@ def is_printable_ascii(text: str) -> bool:
 
 
 def _luhn_36(text: str) -> str:
-    """Check character of Luhn mod 36: from the right every second value doubled, its base-36 digits added."""
+    """Return the check character of Luhn mod 36.
+
+    Every second value from the right is doubled, and its base-36 digits are added.
+    """
     total = 0
     for at, character in enumerate(reversed(text)):
         value = _BASE_36.index(character) * (1 if at % 2 else 2)

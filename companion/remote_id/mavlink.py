@@ -1,14 +1,14 @@
-"""Remote ID messages <-> MAVLink's OPEN_DRONE_ID_* payloads (common.xml, messages 12900-12919).
+"""Converts between Remote ID messages and MAVLink OPEN_DRONE_ID_* payloads (common.xml, 12900-12919).
 
 MAVLink carries the same fields as ASTM F3411-22a in its own units: 1e-7 degrees, centimetres a second,
-hundredths of a degree, metres as 32-bit floats, and its own numbers for "unknown", which are `None` here.
-A payload is laid out in wire order (fields sorted by size, as MAVLink does); the tests hold every layout
-against pymavlink's.
+hundredths of a degree, metres as 32-bit floats. Its special values for "unknown" are `None` here. A payload
+is laid out in wire order (fields sorted by size, as in MAVLink). The tests compare every layout with
+pymavlink's.
 
-Limits are those of `codec`, both ways: what is sent here can go on the air, and so can what is read. MAVLink
-is the finer of the two, so a message that came from the air goes through it unaltered. Two kinds of
-timestamp are unknown although they are numbers: 0, and a System's at 2106 and later, which is what a sender
-makes of a clock that stands before 2019 (PX4 without GNSS time).
+The limits of `codec` apply in both directions: a message that is encoded or decoded here can also go on the
+air. MAVLink has the finer resolution, so a message received over the air passes through it unaltered. Two
+kinds of timestamp are treated as unknown although they are numbers: 0, and 2106 or later. A sender whose
+clock is before 2019 (PX4 without GNSS time) produces the latter.
 """
 
 from __future__ import annotations
@@ -62,28 +62,29 @@ ARM_STATUS: Final = 12918
 SYSTEM_UPDATE: Final = 12919
 
 COMPONENT_ID: Final = 236
-"""MAV_COMP_ID_ODID_TXRX_1: the usual id of a vehicle's Remote ID transmitter."""
+"""MAV_COMP_ID_ODID_TXRX_1: the usual component ID of a vehicle's Remote ID transmitter."""
 MAV_TYPE: Final = 34
 """MAV_TYPE_ODID."""
 NO_ID: Final = bytes(20)
-"""`id_or_mac` of own data; any other value marks what a receiver heard of somebody else."""
+"""`id_or_mac` for own data. Any other value marks data that a receiver got from another aircraft."""
 
 _DIRECTION_UNKNOWN: Final = 36100
 _SPEED_UNKNOWN: Final = 25500
 _CLIMB_UNKNOWN: Final = 6300
 _ALTITUDE_UNKNOWN_M: Final = -1000.0
 _ALTITUDE_LOWEST_M: Final = -999.9999
-"""As near to "unknown" as a 32-bit float can keep apart from it."""
+"""Lowest known altitude. As a 32-bit float it is still distinct from "unknown", -1000 m."""
 _TIMESTAMP_UNKNOWN_S: Final = 65535.0
 _UNDERFLOW: Final = 2**32 - round(EPOCH_2019_UTC_S)
-"""Unix time 0 as seconds since 2019, in 32 bits."""
+"""Unix time 0 as seconds since 2019, wrapped to an unsigned 32-bit integer."""
 _PAGE_0_DATA: Final = 17
 _PACK_ROOM: Final = 225
 _GOOD_TO_ARM: Final = 0
 _PRE_ARM_FAIL: Final = 1
 _ERROR_BYTES: Final = 50
 
-# Each begins or ends with target_system, target_component and (but for two) id_or_mac.
+# All but ARM_STATUS hold target_system and target_component; of these, all but SYSTEM_UPDATE also hold
+# id_or_mac.
 _BASIC_ID: Final = struct.Struct("<BB20sBB20s")
 _LOCATION: Final = struct.Struct("<iiffffHHhBB20sBBBBBBB")
 _AUTHENTICATION: Final = struct.Struct("<IBB20sBBBB23s")
@@ -99,7 +100,7 @@ _TEXT_IDS: Final = (IdType.SERIAL_NUMBER, IdType.CAA_REGISTRATION)
 
 @dataclass(frozen=True, slots=True)
 class SystemUpdate:
-    """OPEN_DRONE_ID_SYSTEM_UPDATE: the part of a System that changes while the operator walks."""
+    """OPEN_DRONE_ID_SYSTEM_UPDATE: the fields of a System that change while the operator moves."""
 
     operator_lat_deg: float | None
     operator_lon_deg: float | None
@@ -109,22 +110,22 @@ class SystemUpdate:
 
 @dataclass(frozen=True, slots=True)
 class Odid:
-    """What one OPEN_DRONE_ID_* message says."""
+    """Content of one OPEN_DRONE_ID_* message."""
 
     target_system: int
-    """0 is everybody."""
+    """0 addresses all systems."""
     target_component: int
     id_or_mac: bytes
-    """20 bytes, `NO_ID` for own data."""
+    """20 bytes; `NO_ID` for own data."""
     messages: tuple[Message, ...] = ()
-    """One; several, or none, from a MESSAGE_PACK; none from a SYSTEM_UPDATE."""
+    """One message; any number from a MESSAGE_PACK; none from a SYSTEM_UPDATE."""
     system_update: SystemUpdate | None = None
     faults: tuple[str, ...] = ()
-    """In words: what of a MESSAGE_PACK had to be left out."""
+    """Descriptions of the parts of a MESSAGE_PACK that had to be left out."""
 
     @property
     def address(self) -> str:
-        """`id_or_mac` as radios write it: a MAC with colons, anything longer as plain hexadecimal."""
+        """`id_or_mac` in the notation of radios: a MAC with colons, anything longer as plain hexadecimal."""
         data = self.id_or_mac.rstrip(b"\0")
         if not data:
             return ""
@@ -134,7 +135,7 @@ class Odid:
 
 @dataclass(frozen=True, slots=True)
 class _To:
-    """Head common to the messages."""
+    """Fields that most messages share."""
 
     target: tuple[int, int]
     id_or_mac: bytes
@@ -146,11 +147,11 @@ class _To:
 def encode_odid(
     message: Message, target_system: int, target_component: int, id_or_mac: bytes = NO_ID
 ) -> tuple[int, bytes]:
-    """Message id and payload.
+    """Encode a message. Return its message ID and payload.
 
     Raises:
-        ValueError: a message that cannot go on the air (`codec.encode`), or one that MAVLink cannot hold (a
-            System of the year 2106 or later); a target or `id_or_mac` that does not fit.
+        ValueError: a message that cannot go on the air (`codec.encode`); one that MAVLink cannot hold (a
+            timestamp in 2106 or later); a target or `id_or_mac` that does not fit.
     """
     encode(message)
     to = _to(target_system, target_component, id_or_mac)
@@ -161,14 +162,14 @@ def encode_odid(
 def encode_message_pack(
     messages: Sequence[Message], target_system: int, target_component: int, id_or_mac: bytes = NO_ID
 ) -> tuple[int, bytes]:
-    """1 to 9 messages as one OPEN_DRONE_ID_MESSAGE_PACK. Raises ValueError as `codec.encode_pack`."""
+    """Encode 1 to 9 messages as one OPEN_DRONE_ID_MESSAGE_PACK. Raises ValueError (`codec.encode_pack`)."""
     to = _to(target_system, target_component, id_or_mac)
     packed = encode_pack(messages)[-MESSAGE_SIZE * len(messages) :]
     return MESSAGE_PACK, _PACK.pack(*to.target, to.id_or_mac, MESSAGE_SIZE, len(messages), packed)
 
 
 def encode_arm_status(ready: bool, text: str) -> tuple[int, bytes]:
-    """OPEN_DRONE_ID_ARM_STATUS; the text is cut at 50 bytes and what is not ASCII becomes "?"."""
+    """Encode OPEN_DRONE_ID_ARM_STATUS. The text is cut at 50 bytes; non-ASCII characters become "?"."""
     error = text.encode("ascii", "replace").replace(b"\0", b"?")[:_ERROR_BYTES]
     return ARM_STATUS, _ARM_STATUS.pack(_GOOD_TO_ARM if ready else _PRE_ARM_FAIL, error)
 
@@ -278,12 +279,12 @@ _WRITERS: Final[dict[type[Message], tuple[int, Callable[..., bytes]]]] = {
 
 
 def decode_odid(message_id: int, payload: bytes) -> Odid:
-    """What a payload says; zeros that MAVLink cut from its end are put back. See `READABLE`.
+    """Decode a payload of one of the `READABLE` messages. Zeros that MAVLink cut from its end are restored.
 
-    A MESSAGE_PACK is read as far as it can be (`codec.read_payload`); its `faults` say what was left out.
+    A MESSAGE_PACK is read as far as possible (`codec.read_payload`); its `faults` describe what was left out.
 
     Raises:
-        PeerDataError: a value that cannot be, with field and limit; or a message id outside `READABLE`.
+        PeerDataError: an invalid value, named with field and limit; or a message ID outside `READABLE`.
     """
     reader = _READERS.get(message_id)
     if reader is None:
@@ -293,14 +294,14 @@ def decode_odid(message_id: int, payload: bytes) -> Odid:
     try:
         odid = read(fields)
         for message in odid.messages:
-            encode(message)  # holds every limit
+            encode(message)  # checks every limit
     except ValueError as error:
         raise PeerDataError(str(error)) from error
     return odid
 
 
 def decode_arm_status(payload: bytes) -> tuple[bool, str]:
-    """OPEN_DRONE_ID_ARM_STATUS: whether it is good to arm, and why not."""
+    """Decode OPEN_DRONE_ID_ARM_STATUS: whether it is good to arm, and the reason if not."""
     status, error = _ARM_STATUS.unpack(payload.ljust(_ARM_STATUS.size, b"\0")[: _ARM_STATUS.size])
     return status == _GOOD_TO_ARM, text_from_wire(error)
 
@@ -354,7 +355,7 @@ def _read_location(fields: tuple[Any, ...]) -> Odid:
         vertical_accuracy_m=_bound(VERTICAL_ACCURACY_M, "Location.vertical_accuracy_m", vertical),
         baro_accuracy_m=_bound(VERTICAL_ACCURACY_M, "Location.baro_accuracy_m", baro_acc),
         speed_accuracy_mps=_bound(SPEED_ACCURACY_MPS, "Location.speed_accuracy_mps", speed_acc),
-        # Sent in milliseconds; the rest is the 32-bit float's own noise.
+        # Sent in milliseconds. Further digits are rounding noise of the 32-bit float.
         timestamp_s=None if timestamp == _TIMESTAMP_UNKNOWN_S else round(timestamp, 3),
         timestamp_accuracy_s=_bound(TIMESTAMP_ACCURACY_S, "Location.timestamp_accuracy_s", time_acc),
     )
@@ -421,7 +422,7 @@ def _read_system_update(fields: tuple[Any, ...]) -> Odid:
     lat_e7, lon_e7, altitude, timestamp, system, component = fields
     lat_deg, lon_deg = _position(lat_e7, lon_e7)
     update = SystemUpdate(lat_deg, lon_deg, _metres(altitude), _utc_s(timestamp))
-    encode(updated(System(), update))  # holds the limits, which are a System's
+    encode(updated(System(), update))  # checks the limits, which are those of a System
     return Odid(system, component, NO_ID, system_update=update)
 
 
@@ -432,7 +433,7 @@ def _read_pack(fields: tuple[Any, ...]) -> Odid:
 
 
 def updated(system: System, update: SystemUpdate) -> System:
-    """A System with the operator's place and time of an update."""
+    """Return the System with the operator position and timestamp of the update."""
     return System(
         operator_location_type=system.operator_location_type,
         classification_type=system.classification_type,
@@ -460,4 +461,4 @@ _READERS: Final[dict[int, tuple[struct.Struct, Callable[[tuple[Any, ...]], Odid]
     SYSTEM_UPDATE: (_SYSTEM_UPDATE, _read_system_update),
 }
 READABLE: Final = frozenset(_READERS)
-"""Message ids that `decode_odid` reads."""
+"""IDs of the messages that `decode_odid` reads."""

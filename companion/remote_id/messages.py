@@ -1,7 +1,7 @@
 """ASTM F3411-22a broadcast messages in SI units.
 
-A value is what a person means (metres, m/s, degrees, Unix seconds); `None` is unknown. How it lies on the
-wire, and what the wire can hold, is `companion.remote_id.codec`'s.
+Values are in everyday units (metres, m/s, degrees, Unix seconds); `None` means unknown.
+`companion.remote_id.codec` defines the wire format and the value ranges that it can hold.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ import msgspec
 
 
 class WireCode(enum.IntEnum):
-    """An enumeration as wide as its bits on the wire.
+    """An enumeration that covers every number its bit field can hold.
 
-    A number that the standard reserves is kept as a member named `RESERVED_n`, so that a newer peer's message
-    is neither lost nor altered; a number that does not fit the bits raises ValueError.
+    A number that the standard reserves becomes a member named `RESERVED_n`, so that a message from a newer
+    peer is neither lost nor altered. A number that does not fit the bit field raises ValueError.
     """
 
     @classmethod
     def _highest(cls) -> int:
-        """Greatest number that fits the field."""
+        """Return the greatest number that fits the field."""
         return 15
 
     @classmethod
@@ -35,7 +35,7 @@ class WireCode(enum.IntEnum):
 
 
 class IdType(WireCode):
-    """What a Basic ID holds."""
+    """Kind of identity that a Basic ID holds."""
 
     NONE = 0
     SERIAL_NUMBER = 1
@@ -66,7 +66,7 @@ class UaType(WireCode):
 
 
 class Status(WireCode):
-    """Operational status in a Location."""
+    """Operational status that a Location reports."""
 
     UNDECLARED = 0
     GROUND = 1
@@ -76,7 +76,7 @@ class Status(WireCode):
 
 
 class HeightType(WireCode):
-    """What `Location.height_m` is measured from."""
+    """Reference from which `Location.height_m` is measured."""
 
     ABOVE_TAKEOFF = 0
     ABOVE_GROUND = 1
@@ -87,7 +87,7 @@ class HeightType(WireCode):
 
 
 class OperatorLocationType(WireCode):
-    """Where `System`'s operator position comes from."""
+    """Source of the operator position in `System`."""
 
     TAKEOFF = 0
     LIVE_GNSS = 1
@@ -99,7 +99,7 @@ class OperatorLocationType(WireCode):
 
 
 class ClassificationType(WireCode):
-    """Whose categories `System` carries."""
+    """Region whose categories `System` carries."""
 
     UNDECLARED = 0
     EU = 1
@@ -112,21 +112,21 @@ class ClassificationType(WireCode):
 class _Message(
     msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True, forbid_unknown_fields=True
 ):
-    """Common to all messages."""
+    """Base class of all messages."""
 
 
 class BasicId(_Message, frozen=True):
-    """Who: one identity of the aircraft."""
+    """One identity of the aircraft."""
 
     id_type: IdType
     ua_type: UaType
     uas_id: str
-    """Serial number and CAA registration: text. Every other type: up to 20 raw bytes, one character (Latin-1)
-    for each, without the padding behind them."""
+    """Text for a serial number or CAA registration. Other types hold up to 20 raw bytes, one Latin-1
+    character per byte, without the trailing padding."""
 
 
 class Location(_Message, frozen=True):
-    """Where and how fast, at one moment."""
+    """Position and velocity of the aircraft at one moment."""
 
     status: Status = Status.UNDECLARED
     lat_deg: float | None = None
@@ -138,11 +138,11 @@ class Location(_Message, frozen=True):
     direction_deg: float | None = None
     """Course over ground, clockwise from true north, [0, 360)."""
     speed_mps: float | None = None
-    """Horizontal."""
+    """Horizontal speed."""
     vertical_speed_mps: float | None = None
-    """Positive up."""
+    """Vertical speed, positive up."""
     horizontal_accuracy_m: float | None = None
-    """Upper bound of the declared category (95 %)."""
+    """Upper bound of the declared accuracy category (95 %)."""
     vertical_accuracy_m: float | None = None
     baro_accuracy_m: float | None = None
     speed_accuracy_mps: float | None = None
@@ -152,18 +152,19 @@ class Location(_Message, frozen=True):
 
 
 class Authentication(_Message, frozen=True):
-    """One page of authentication data. Pages are assembled by the receiver."""
+    """One page of authentication data. The receiver assembles the pages."""
 
     auth_type: int
     page: int
     data: bytes
-    """Page 0: up to 17 bytes; others: up to 23. As received: with the padding, which `length` tells apart."""
+    """Up to 17 bytes on page 0, up to 23 on the others. Received data includes the padding; `length` tells
+    where the padding starts."""
     last_page: int | None = None
-    """Page 0 only."""
+    """Number of the last page. Only on page 0."""
     length: int | None = None
-    """Page 0 only: bytes in all pages together."""
+    """Total bytes of data in all pages. Only on page 0."""
     timestamp_utc_s: float | None = None
-    """Page 0 only."""
+    """Unix time. Only on page 0."""
 
 
 class SelfId(_Message, frozen=True):
@@ -174,7 +175,7 @@ class SelfId(_Message, frozen=True):
 
 
 class System(_Message, frozen=True):
-    """Where the operator is, and the area of a group flight."""
+    """Position of the operator, and area of a group flight."""
 
     operator_location_type: OperatorLocationType = OperatorLocationType.TAKEOFF
     classification_type: ClassificationType = ClassificationType.UNDECLARED
@@ -191,11 +192,11 @@ class System(_Message, frozen=True):
 
 
 class OperatorId(_Message, frozen=True):
-    """Registration of the operator."""
+    """Registration number of the operator."""
 
     operator_id_type: int
     operator_id: str
 
 
 Message = BasicId | Location | Authentication | SelfId | System | OperatorId
-"""Every message but the pack, which is a way to send several at once and never a value of its own."""
+"""Any message except the pack. A pack is only a way to send several messages at once."""

@@ -1,4 +1,4 @@
-"""What a region's law asks of a broadcast: plain data, read from a profile file in `config/regions`."""
+"""Legal requirements of a region for Remote ID broadcasts, read from a profile file in `config/regions`."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ TransportName = Literal["ble4", "ble5", "wifi", "nan"]
 
 
 class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One region's floor. The default asks for nothing."""
+    """Minimum requirements of one region. The default requires nothing."""
 
     name: str = "none"
     source: str = ""
-    """Where the numbers stand (law, means of compliance)."""
+    """Source of the numbers (law, means of compliance)."""
     transport_sets: tuple[tuple[TransportName, ...], ...] = ()
-    """Legal are these sets, and every larger one; the first is preferred. Empty: anything is legal."""
+    """Legal transport sets. A superset of any of them is legal too. The first is preferred. Empty: all are
+    legal."""
     location_period_s: Seconds | None = None
     """Longest time between two Locations on each transport of the legal set."""
     location_max_age_s: Seconds = 1.0
@@ -26,13 +27,13 @@ class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     basic_id_period_s: Seconds | None = None
     system_period_s: Seconds | None = None
     other_period_s: Seconds | None = None
-    """Self ID, Operator ID, Authentication, where they are configured."""
+    """Longest time between two Self IDs, Operator IDs or Authentications, where they are configured."""
     beacon_channels: tuple[int, ...] = ()
-    """Wi-Fi channels on which a beacon keeps the common floor."""
+    """Wi-Fi channels on which the periods above apply to beacons."""
     beacon_period_elsewhere_s: Seconds | None = None
     """Longest time between two beacons on any other channel."""
     serial_number: Literal["cta-2063-a", "any"] = "any"
-    """Form that a serial number must have."""
+    """Required form of a serial number."""
     operator_id: Literal["eu", "any"] = "any"
-    """Form that an operator ID must have, with its checksum."""
+    """Required form of an operator ID, including its checksum."""
     operator_id_required: bool = False

@@ -1,7 +1,7 @@
-"""One Remote ID message <-> its 25 bytes.
+"""Converts between one Remote ID message and its 25 bytes.
 
-Layouts are those of ASTM F3411-22a section 5.4, read off the public reference implementation
-opendroneid-core-c; `wire_values` has the scalings, `codec` the packs and the rules for reading.
+The layouts are those of ASTM F3411-22a section 5.4, read off the public reference implementation
+opendroneid-core-c. `wire_values` holds the scalings, `codec` the packs and the rules for reading.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ from companion.remote_id.wire_values import (
 
 MESSAGE_SIZE: Final = 25
 PROTOCOL_VERSION: Final = 2
-"""Of F3411-22a: what is sent."""
+"""Protocol version of F3411-22a, used for every message that we send."""
 PACK_TYPE: Final = 0xF
 
 _PAGE_0_DATA: Final = 17
 _PAGE_DATA: Final = 23
 _LAST_PAGE_MAX: Final = 15
 
-# The first byte of every layout is type and version; x is reserved.
+# The first byte of every layout holds type and version; x is reserved.
 _BASIC_ID: Final = struct.Struct("<BB20s3x")
 _LOCATION: Final = struct.Struct("<BBBBBiiHHHBBHBx")
 _AUTH_PAGE_0: Final = struct.Struct("<BBBBI17s")
@@ -72,7 +72,7 @@ _SELF_ID: Final = struct.Struct("<BB23s")
 _SYSTEM: Final = struct.Struct("<BBiiHBHHBHIx")
 _OPERATOR_ID: Final = struct.Struct("<BB20s3x")
 
-# Looked up by number: an enumeration's own call is ten times as slow.
+# Lookup by number, because calling the enumeration takes ten times as long.
 _ID_TYPES: Final = tuple(IdType(code) for code in range(16))
 _UA_TYPES: Final = tuple(UaType(code) for code in range(16))
 _STATUSES: Final = tuple(Status(code) for code in range(16))
@@ -88,7 +88,7 @@ _TEXT_IDS: Final = (IdType.SERIAL_NUMBER, IdType.CAA_REGISTRATION)
 
 
 def encode(message: Message) -> bytes:
-    """The 25 bytes of a message, protocol version 2. Raises ValueError for what the wire cannot hold."""
+    """Encode a message in 25 bytes, protocol version 2. Raises ValueError for values that do not fit."""
     writer = _WRITERS.get(type(message))
     if writer is None:
         raise TypeError(f"{type(message).__name__} is not a Remote ID message")
@@ -96,7 +96,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(data: bytes) -> Message:
-    """The message in exactly 25 bytes. Raises PeerDataError."""
+    """Decode the message in exactly 25 bytes. Raises PeerDataError."""
     if len(data) != MESSAGE_SIZE:
         raise PeerDataError(f"message of {len(data)} bytes, expected {MESSAGE_SIZE}")
     reader = _READERS[data[0] >> 4]
@@ -107,7 +107,7 @@ def decode(data: bytes) -> Message:
 
 
 def message_type(message: Message) -> int:
-    """The number of a message's type on the wire, 0 to 5."""
+    """Return the number of a message's type on the wire, 0 to 5."""
     return _TYPES[type(message)]
 
 

@@ -1,15 +1,16 @@
-"""SI values <-> the integers that stand for them in a Remote ID message.
+"""Converts between SI values and the integers that represent them in a Remote ID message.
 
 Scalings, limits and the integers that mean "unknown" are those of ASTM F3411-22a section 5.4 (the same in
-ASD-STAN EN 4709-002), read off the public reference implementation opendroneid-core-c. Rounding is to nearest
-everywhere, as both standards ask; the reference itself truncates altitude, vertical speed and radius.
+ASD-STAN EN 4709-002), read off the public reference implementation opendroneid-core-c. All values are rounded
+to nearest, as both standards require. The reference itself truncates altitude, vertical speed and radius.
 
-Towards the wire a value outside its range, NaN and infinity raise ValueError naming field, value and limits.
-From the wire an integer that the standard does not allow (a latitude of 111 degrees, a timestamp of 90
-minutes after the hour) is unknown, `None`: peers do send them and the rest of their message stands.
+When encoding, a value outside its range, NaN and infinity raise ValueError, which names field, value and
+limits. When decoding, an integer that the standard does not allow (a latitude of 111 degrees, a timestamp of
+90 minutes after the hour) becomes unknown, `None`. Peers do send such integers, and the rest of their message
+is valid.
 
-A known value never turns into the wire's "unknown" by rounding, but for three that are themselves what the
-world takes for unknown: an altitude of exactly -1000 m, a position of 0, 0 (a receiver without fix), and a
+Rounding never turns a known value into the integer for "unknown". There are three exceptions, which receivers
+treat as unknown anyway: an altitude of exactly -1000 m, a position of 0, 0 (a receiver without fix), and a
 date of 2019-01-01 00:00.
 """
 
@@ -19,7 +20,7 @@ from bisect import bisect_left
 from typing import Final, NoReturn
 
 EPOCH_2019_UTC_S: Final = 1546300800.0
-"""2019-01-01 00:00 UTC in Unix seconds: where System and Authentication timestamps start."""
+"""2019-01-01 00:00 UTC in Unix seconds: the epoch of System and Authentication timestamps."""
 
 _ALTITUDE_MIN_M: Final = -1000.0
 _ALTITUDE_MAX_M: Final = 31767.5
@@ -36,12 +37,12 @@ _UINT32_MAX: Final = 0xFFFF_FFFF
 
 
 def refuse(field: str, value: object, allowed: str) -> NoReturn:
-    """Raise the ValueError of a value that the wire cannot hold."""
+    """Raise ValueError for a value that the wire format cannot hold."""
     raise ValueError(f"{field} is {value!r}; allowed: {allowed}")
 
 
 def check_integer(field: str, value: int, highest: int) -> int:
-    """`value` where it is a whole number from 0 to `highest`; else ValueError."""
+    """Return `value` if it is an integer from 0 to `highest`; raise ValueError otherwise."""
     if not isinstance(value, int) or not 0 <= value <= highest:
         refuse(field, value, f"0 to {highest}")
     return value
@@ -51,17 +52,17 @@ def check_integer(field: str, value: int, highest: int) -> int:
 
 
 def altitude_to_wire(field: str, metres: float | None) -> int:
-    """Altitude or height (m) as u16; unknown is 0."""
+    """Encode an altitude or height (m) as u16; unknown is 0."""
     if metres is None:
         return 0
     if not _ALTITUDE_MIN_M <= metres <= _ALTITUDE_MAX_M:
         refuse(field, metres, "-1000 to 31767.5 m")
-    # The lowest half step would round to 0, the wire's unknown.
+    # The lowest half step would round to 0, which means unknown.
     return round((metres + 1000.0) * 2.0) or int(metres > _ALTITUDE_MIN_M)
 
 
 def altitude_from_wire(raw: int) -> float | None:
-    """u16 as metres."""
+    """Decode a u16 as metres."""
     return raw * 0.5 - 1000.0 if raw else None
 
 
@@ -69,9 +70,10 @@ def altitude_from_wire(raw: int) -> float | None:
 
 
 def position_to_wire(prefix: str, lat_deg: float | None, lon_deg: float | None) -> tuple[int, int]:
-    """Latitude and longitude (degrees) as two i32; unknown is 0, 0. Half a position is refused.
+    """Encode latitude and longitude (degrees) as two i32; unknown is 0, 0.
 
-    `prefix` stands before `lat_deg` and `lon_deg` in the names of the fields.
+    Raises ValueError if only one of the two is known. `prefix` precedes `lat_deg` and `lon_deg` in the field
+    names of error texts.
     """
     if lat_deg is None or lon_deg is None:
         if lat_deg is not lon_deg:
@@ -85,7 +87,7 @@ def position_to_wire(prefix: str, lat_deg: float | None, lon_deg: float | None) 
 
 
 def position_from_wire(lat: int, lon: int) -> tuple[float, float] | tuple[None, None]:
-    """Two i32 as degrees."""
+    """Decode two i32 as degrees."""
     if (lat or lon) and -_LAT_MAX <= lat <= _LAT_MAX and -_LON_MAX <= lon <= _LON_MAX:
         return lat / 1e7, lon / 1e7
     return None, None
@@ -95,7 +97,7 @@ def position_from_wire(lat: int, lon: int) -> tuple[float, float] | tuple[None, 
 
 
 def direction_to_wire(field: str, degrees: float | None) -> tuple[int, int]:
-    """Course (degrees, 0 to 360) as the east/west bit and 0-179 within that half; unknown is 1, 181."""
+    """Encode a course (0 to 360 degrees) as east/west bit and 0-179 within that half; unknown is 1, 181."""
     if degrees is None:
         return 1, _DIRECTION_UNKNOWN - 180
     if not 0.0 <= degrees <= 360.0:
@@ -105,7 +107,7 @@ def direction_to_wire(field: str, degrees: float | None) -> tuple[int, int]:
 
 
 def _direction(east_west: int, raw: int) -> float | None:
-    # Transmitters are seen that leave the bit clear and put 180-255 into the byte.
+    # Some transmitters leave the bit clear and put 180-255 into the byte.
     degrees = raw + 180 * east_west
     if degrees > 360:
         return None
@@ -113,14 +115,17 @@ def _direction(east_west: int, raw: int) -> float | None:
 
 
 DIRECTIONS_DEG: Final = tuple(_direction(bit, raw) for bit in (0, 1) for raw in range(256))
-"""Degrees [0, 360) or None, at index `east_west << 8 | byte`."""
+"""Course in degrees [0, 360) or None, at index `east_west << 8 | byte`."""
 
 
 # ---------------------------------------------------------------- speeds
 
 
 def speed_to_wire(field: str, mps: float | None) -> tuple[int, int]:
-    """Horizontal speed (m/s) as multiplier bit and u8: 0.25 m/s steps to 63.75, then 0.75; unknown 1, 255."""
+    """Encode horizontal speed (m/s) as multiplier bit and u8.
+
+    Steps are 0.25 m/s up to 63.75 m/s, then 0.75 m/s. Unknown is 1, 255.
+    """
     if mps is None:
         return 1, 255
     if 0.0 <= mps <= _SLOW_MAX_MPS:
@@ -135,11 +140,11 @@ SPEEDS_MPS: Final[tuple[float | None, ...]] = (
     *(_SLOW_MAX_MPS + raw * 0.75 for raw in range(255)),
     None,
 )
-"""Horizontal speed or None, at index `multiplier << 8 | byte`."""
+"""Horizontal speed (m/s) or None, at index `multiplier << 8 | byte`."""
 
 
 def climb_to_wire(field: str, mps: float | None) -> int:
-    """Vertical speed (m/s, up) as i8 in 0.5 m/s steps; unknown is 126."""
+    """Encode vertical speed (m/s, positive up) as i8 in 0.5 m/s steps; unknown is 126."""
     if mps is None:
         return _CLIMB_UNKNOWN
     if not -_CLIMB_MAX_MPS <= mps <= _CLIMB_MAX_MPS:
@@ -153,14 +158,14 @@ def _climb(byte: int) -> float | None:
 
 
 CLIMBS_MPS: Final = tuple(_climb(byte) for byte in range(256))
-"""Vertical speed or None, at the index of the unsigned byte."""
+"""Vertical speed (m/s) or None, at the index of the unsigned byte."""
 
 
 # ---------------------------------------------------------------- time
 
 
 def hour_time_to_wire(field: str, seconds: float | None) -> int:
-    """Seconds after the UTC hour as tenths, u16; unknown is 0xFFFF."""
+    """Encode seconds after the UTC hour as tenths, u16; unknown is 0xFFFF."""
     if seconds is None:
         return _TENTHS_UNKNOWN
     if not 0.0 <= seconds <= 3600.0:
@@ -169,12 +174,15 @@ def hour_time_to_wire(field: str, seconds: float | None) -> int:
 
 
 def hour_time_from_wire(raw: int) -> float | None:
-    """Tenths as seconds after the UTC hour."""
+    """Decode tenths of a second as seconds after the UTC hour."""
     return raw / 10.0 if raw <= _TENTHS_IN_HOUR else None
 
 
 def utc_to_wire(field: str, utc_s: float | None) -> int:
-    """Unix time (s) as whole seconds since 2019, u32; unknown is 0, what transmitters without time send."""
+    """Encode Unix time (s) as whole seconds since 2019, u32.
+
+    Unknown is 0, which is what transmitters without time send.
+    """
     if utc_s is None:
         return 0
     seconds = utc_s - EPOCH_2019_UTC_S
@@ -184,7 +192,7 @@ def utc_to_wire(field: str, utc_s: float | None) -> int:
 
 
 def utc_from_wire(raw: int) -> float | None:
-    """Seconds since 2019 as Unix time."""
+    """Decode seconds since 2019 as Unix time."""
     return raw + EPOCH_2019_UTC_S if raw else None
 
 
@@ -192,7 +200,7 @@ def utc_from_wire(raw: int) -> float | None:
 
 
 def radius_to_wire(field: str, metres: float) -> int:
-    """Radius (m) in tens of metres, u8."""
+    """Encode a radius (m) in tens of metres, u8."""
     if not 0.0 <= metres <= 2550.0:
         refuse(field, metres, "0 to 2550 m")
     return round(metres / 10.0)
@@ -202,14 +210,14 @@ def radius_to_wire(field: str, metres: float) -> int:
 
 
 class AccuracyScale:
-    """The categories of one kind of accuracy; each declares that the error (95 %) is below its bound.
+    """Categories of one kind of accuracy. Each category declares that the error (95 %) is below its bound.
 
-    `bounds[category]` is the bound (m, m/s or s); None for category 0 (unknown, or worse than the widest) and
-    for the categories that the standard reserves.
+    `bounds[category]` is the bound (m, m/s or s). It is None for category 0 (unknown, or worse than the
+    widest bound) and for the categories that the standard reserves.
     """
 
     def __init__(self, *bounds: float) -> None:
-        """`bounds` of category 1, 2, ... in that order."""
+        """`bounds` are those of categories 1, 2, ... in that order."""
         ascending = sorted((bound, 1 + at) for at, bound in enumerate(bounds))
         self.highest = len(bounds)
         self.bounds: Final[tuple[float | None, ...]] = (None, *bounds, *([None] * (15 - len(bounds))))
@@ -218,7 +226,7 @@ class AccuracyScale:
         self._codes: Final = (*(code for _, code in ascending), 0)
 
     def category(self, field: str, accuracy: float | None) -> int:
-        """The tightest category whose bound is not below `accuracy`; 0 for None or beyond the widest."""
+        """Return the tightest category whose bound is at least `accuracy`; 0 for None or beyond them all."""
         exact = self._exact.get(accuracy)
         if exact is not None:
             return exact
@@ -227,7 +235,7 @@ class AccuracyScale:
         return self._codes[bisect_left(self._ascending, accuracy)]
 
     def bound(self, category: int) -> float | None:
-        """Upper bound of a category 0 to 15; None where unknown or reserved."""
+        """Return the upper bound of a category 0 to 15; None if unknown or reserved."""
         return self.bounds[check_integer("accuracy category", category, 15)]
 
 
@@ -235,7 +243,7 @@ HORIZONTAL_ACCURACY_M: Final = AccuracyScale(
     18520.0, 7408.0, 3704.0, 1852.0, 926.0, 555.6, 185.2, 92.6, 30.0, 10.0, 3.0, 1.0
 )
 VERTICAL_ACCURACY_M: Final = AccuracyScale(150.0, 45.0, 25.0, 10.0, 3.0, 1.0)
-"""Of geodetic and barometric altitude."""
+"""Accuracy of geodetic and barometric altitude."""
 SPEED_ACCURACY_MPS: Final = AccuracyScale(10.0, 3.0, 1.0, 0.3)
 TIMESTAMP_ACCURACY_S: Final = AccuracyScale(*(tenths / 10.0 for tenths in range(1, 16)))
 
@@ -244,14 +252,14 @@ TIMESTAMP_ACCURACY_S: Final = AccuracyScale(*(tenths / 10.0 for tenths in range(
 
 
 def text_to_wire(field: str, text: str, size: int) -> bytes:
-    """Text as Latin-1; the caller's struct pads it to `size` with NULs."""
+    """Encode text as Latin-1. The caller's struct pads it to `size` with NULs."""
     if "\0" in text:
         refuse(field, text, "text without NUL")
     return raw_text_to_wire(field, text, size)
 
 
 def raw_text_to_wire(field: str, text: str, size: int) -> bytes:
-    """Bytes held one to a character (Latin-1), NULs included."""
+    """Encode raw bytes that are held as one Latin-1 character each; NULs are allowed."""
     try:
         data = text.encode("latin-1")
     except UnicodeEncodeError:
@@ -262,10 +270,10 @@ def raw_text_to_wire(field: str, text: str, size: int) -> bytes:
 
 
 def text_from_wire(data: bytes) -> str:
-    """Text up to the first NUL."""
+    """Decode Latin-1 text up to the first NUL."""
     return data.partition(b"\0")[0].decode("latin-1")
 
 
 def raw_text_from_wire(data: bytes) -> str:
-    """All bytes but the padding."""
+    """Decode all bytes but the trailing NUL padding, one Latin-1 character per byte."""
     return data.rstrip(b"\0").decode("latin-1")

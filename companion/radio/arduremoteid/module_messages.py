@@ -1,8 +1,8 @@
-"""A module with ArduRemoteID firmware at the far end of a byte link: what it says, and asking it for things.
+"""MAVLink exchange with an ArduRemoteID module over a byte link: reads its reports and its parameters.
 
-Facts are those of the firmware, version 1.14. Parameters are asked for by name, because their count is one
-too small in a list; values are 32-bit floats throughout; texts (UAS_ID) cannot be had. Neither socket nor
-clock in here.
+The facts are those of firmware version 1.14. Parameters are requested by name, because in a list their count
+is one too small. All values are 32-bit floats; texts (UAS_ID) cannot be read. This module uses neither socket
+nor clock.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PARAMETERS: Final = (
     "BT4_RATE",
     "BT5_RATE",
 )
-"""What is read. Nothing else is kept, whatever is sent."""
+"""Parameters that are read. All others are ignored."""
 SETTABLE: Final = frozenset(name for name in PARAMETERS if name.endswith("_RATE"))
 
 _HEARTBEAT_PERIOD_S: Final = 1.0
@@ -52,53 +52,53 @@ _BANNER: Final = b"ArduRemoteID version"
 _TEXT_BYTES: Final = 50
 _RAW_KEPT: Final = 512
 _LOST_FRAMES: Final = 8
-"""Frames that may be missing at once; a greater step of the sequence number is a restart."""
+"""Frames that may be lost at once. A greater step of the sequence number counts as a restart."""
 _FRAMES_PER_S: Final = 4
 _REORDERED: Final = 248
 
 
 class ByteLink(Protocol):
-    """What this needs of `companion.runtime.links.kept_link.KeptLink`. Only `wait` takes time."""
+    """The part of `companion.runtime.links.kept_link.KeptLink` that is used here. Only `wait` takes time."""
 
     def wait(self, timeout_s: float) -> None:
-        """Until bytes come, at most this long."""
+        """Wait until bytes arrive, at most this long."""
         ...
 
     def receive(self, now_s: float) -> bytes:
-        """What has arrived."""
+        """Return the bytes that have arrived."""
         ...
 
     def send(self, data: bytes) -> None:
-        """Send now, or lose it."""
+        """Send now. Bytes that cannot be sent now are lost."""
         ...
 
     def close(self) -> None:
-        """Release it."""
+        """Release the link."""
         ...
 
 
 class Module:
-    """The far end.
+    """The module at the far end of the link.
 
     Args:
-        link: used by nobody else.
-        system_id: the vehicle's; the module takes that of the first heartbeat it hears.
+        link: Link that only this object uses.
+        system_id: System ID of the vehicle. The module adopts that of the first heartbeat it receives.
     """
 
     def __init__(self, link: ByteLink, system_id: int) -> None:
         self.params: dict[str, float] = {}
-        """As last heard, of `PARAMETERS`."""
+        """Last received values of `PARAMETERS`."""
         self.heard_s: float | None = None
-        """Last heartbeat."""
+        """Time of the last heartbeat."""
         self.arm: tuple[float, bool, str] | None = None
-        """Last ARM_STATUS: when, good to arm, why not."""
+        """Last ARM_STATUS: time, good to arm, reason if not."""
         self.said = ""
-        """Last STATUSTEXT."""
+        """Text of the last STATUSTEXT."""
         self.restarts = 0
         self.others: set[int] = set()
-        """Components heard that are no module."""
+        """IDs of other components that send on the link."""
         self.raw = b""
-        """End of all that came."""
+        """Last bytes received."""
         self._link = link
         self._system_id = system_id
         self._scanner = FrameScanner()
@@ -110,25 +110,25 @@ class Module:
 
     @property
     def corrupt(self) -> int:
-        """Damaged frames."""
+        """Number of damaged frames."""
         return self._scanner.counts.corrupt
 
     @property
     def asking(self) -> bool:
-        """Whether answers are still waited for; each is asked for `_ASK_TIMES` times."""
+        """Whether answers are still expected. Each parameter is requested at most `_ASK_TIMES` times."""
         return bool(self._asked)
 
     def alive(self, now_s: float) -> bool:
-        """Whether it has been heard lately."""
+        """Whether a heartbeat was received recently."""
         return self.heard_s is not None and now_s - self.heard_s <= SILENT_AFTER_S
 
     def exchange(self, now_s: float) -> None:
-        """Take in what came, send what is due. Never blocks."""
+        """Read what arrived and send what is due. Never blocks."""
         data = self._link.receive(now_s)
         if data:
             seen = len(self.raw)
             text = self.raw + data
-            # The banner may have come in two pieces; one that was found before is not found again.
+            # The banner may arrive in two pieces. The search start prevents finding the same banner twice.
             if text.find(_BANNER, max(seen - len(_BANNER) + 1, 0)) >= 0:
                 self._restarted()
             self.raw = text[-_RAW_KEPT:]
@@ -146,12 +146,12 @@ class Module:
             self._link.send(out)
 
     def ask(self, *names: str) -> None:
-        """Have these parameters read, from the next exchange on."""
+        """Request these parameters, starting with the next exchange."""
         self._asked.update(dict.fromkeys(names, _ASK_TIMES))
         self._ask_s = -math.inf
 
     def set(self, name: str, value: float) -> None:
-        """Set a rate above zero, once: every set wears the module's flash. Its answer shows in `params`.
+        """Set a rate above zero, once, because every set wears the module's flash. `params` shows the answer.
 
         Raises:
             ValueError: another parameter (some of them ruin the module), or a rate of zero (it leaves the
@@ -163,7 +163,7 @@ class Module:
         self._link.send(self._writer.pack_payload(_PARAM_SET_ID, payload))
 
     def send(self, payloads: list[tuple[int, bytes]]) -> None:
-        """Send some payloads at once."""
+        """Send several payloads at once."""
         self._link.send(b"".join(self._writer.pack_payload(*payload) for payload in payloads))
 
     def close(self) -> None:
@@ -209,7 +209,7 @@ class Module:
             self._asked.pop(name, None)
 
     def _follow(self, frame: Frame, now_s: float) -> None:
-        """A restart shows in the sequence numbers, where the banner was lost."""
+        """Detect a restart from the sequence numbers, in case the banner was lost."""
         number = frame.raw[4] if frame.raw[0] == MAGIC_V2 else frame.raw[2]
         if self._last is not None:
             at_s, last = self._last
@@ -227,10 +227,10 @@ class Module:
 
 
 def _fields(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
-    """The payload's fields: MAVLink cuts zeros from the end, and newer dialects append."""
+    """Unpack a payload. MAVLink cuts zeros from the end, and newer dialects append fields."""
     return layout.unpack(payload.ljust(layout.size, b"\0")[: layout.size])
 
 
 def _printable(text: str) -> str:
-    """A text of the module's as it may stand in a log."""
+    """Make a text of the module safe for a log."""
     return "".join(c if c.isascii() and c.isprintable() else "?" for c in text).strip()

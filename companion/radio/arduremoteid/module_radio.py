@@ -1,14 +1,14 @@
-"""A module with ArduRemoteID firmware as a radio: it is fed over MAVLink and sends by itself.
+"""A module with ArduRemoteID firmware as a radio. We feed it over MAVLink, and it sends by itself.
 
-It has one set of data for all its transports, sends what it was told last for as long as it has power, and
-cannot be switched in flight. So transports are prepared before arming and stay as they are: a rate is never
-set to 0 (the last payload would stay on the air for ever), and nothing but rates is ever set.
+The module has one set of data for all its transports. It repeats the last data for as long as it has power,
+and cannot be switched in flight. Transports are therefore prepared before arming and stay as they are. A rate
+is never set to 0 (the last payload would stay on the air for ever), and only rates are ever set.
 
-Fed are Basic ID, Location, System, Self ID and Operator ID. The module arms only with all of them fresh
-(Location and System 3 s, the others 22 s); where nobody gives a Self ID or an Operator ID, empty ones are
-fed, which count as fresh and are not broadcast. Location and System go on the air only if their timestamp is
-not 0: a Location of the full hour is dated 3600.0, the end of the hour before it. Authentication is not fed:
-the firmware never broadcasts it.
+We feed Basic ID, Location, System, Self ID and Operator ID. The module reports good to arm only if all of
+them are fresh (Location and System 3 s, the others 22 s). Without a Self ID or Operator ID from the caller,
+empty ones are fed; they count as fresh and are not broadcast. Location and System go on the air only if their
+timestamp is not 0. A Location of the full hour is therefore dated 3600.0, the end of the previous hour.
+Authentication is not fed, because the firmware never broadcasts it.
 """
 
 from __future__ import annotations
@@ -38,20 +38,21 @@ from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 RATES: Final = {BLE4: "BT4_RATE", BLE5: "BT5_RATE", WIFI_BEACON: "WIFI_BCN_RATE", WIFI_NAN: "WIFI_NAN_RATE"}
 MAX_RATE: Final = 5
-"""Greatest rate in the firmware's own table (per second)."""
+"""Highest rate (per second) in the firmware's own parameter table."""
 _BLUETOOTH: Final = (RATES[BLE4], RATES[BLE5])
 OPEN_WAIT_S: Final = 8.0
-"""A module that starts when its port is opened needs some seconds."""
+"""A module that boots when its port is opened needs some seconds."""
 _POLL_S: Final = 0.05
 _SET_WAIT_S: Final = 1.0
 _SET_TIMES: Final = 2
 _REPEAT_S: Final = 0.08
-"""The same message, meant for several transports, is fed once in this time."""
+"""A message that is meant for several transports is fed only once within this time."""
 _FEED_PERIOD_S: Final = 5.0
 _FEED_FIRST_S: Final = 2.0
-"""After the first broadcast: until then the caller may bring a Self ID or an Operator ID itself."""
+"""Time after the first broadcast until an empty Self ID or Operator ID is fed. The caller may provide one
+before."""
 _SETTLE_S: Final = 4.0
-"""After the first broadcast the module's refusal is not judged for so long."""
+"""The module's refusal is ignored for this long after the first broadcast."""
 _FORCE_ARM_OK: Final = 1
 _DONT_SAVE_BASIC_ID: Final = 2
 _WORDS: Final = {
@@ -64,7 +65,7 @@ _WORDS: Final = {
     "OP_ID": "Operator ID",
     "OP_LOC": "operator position",
 }
-"""The firmware's own, in its ARM_STATUS."""
+"""Meaning of the words in the firmware's ARM_STATUS."""
 _EMPTY: Final[dict[type[Message], Message]] = {
     SelfId: SelfId(description_type=0, text=""),
     OperatorId: OperatorId(operator_id_type=0, operator_id=""),
@@ -72,22 +73,22 @@ _EMPTY: Final[dict[type[Message], Message]] = {
 
 
 class _Feed(NamedTuple):
-    """One message on its way to the module."""
+    """One message to feed to the module."""
 
     key: object
-    """What the module, or the caller, holds one of."""
+    """Message type, with the ID type for a Basic ID. One message is kept for each key."""
     message: Message
     payload: tuple[int, bytes]
 
 
 class ArduRemoteIdTransport:
-    """A `Radio` whose radio is such a module.
+    """A `Radio` that uses such a module.
 
     Args:
-        link: the module's own; closed with this. On a failure to open it is closed too.
-        system_id: the vehicle's.
-        clock: monotonic, s; read only while opening and in `configure`.
-        name: of the link, for the words of an error.
+        link: The module's own link. It is closed with this object, and also if opening fails.
+        system_id: System ID of the vehicle.
+        clock: Monotonic clock (s). Read only while opening and in `configure`.
+        name: Name of the link, for error texts.
 
     Raises:
         ConfigError: no module answers.
@@ -102,7 +103,7 @@ class ArduRemoteIdTransport:
         self._configured = False
         self._wanted: frozenset[str] = frozenset()
         self._raised: dict[str, float] = {}
-        """Bluetooth rates changed since the module started, with what they were."""
+        """Previous values of the Bluetooth rates that changed since the module started."""
         self._restarts = 0
         self._first_s: float | None = None
         self._fed: dict[object, tuple[float, Message]] = {}
@@ -115,11 +116,11 @@ class ArduRemoteIdTransport:
             raise
         self._restarts = self._module.restarts
 
-    # ------------------------------------------------------------ what it can do
+    # ------------------------------------------------------------ capabilities
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """What is on; until configured also what an unlocked module can switch on."""
+        """Transports that are on. Until configured, also those that an unlocked module can switch on."""
         if self._configured or self._locked:
             return self._on | self._wanted
         return frozenset(t for t, name in RATES.items() if name in self._module.params)
@@ -131,24 +132,25 @@ class ArduRemoteIdTransport:
 
     @property
     def own_addresses(self) -> frozenset[str]:
-        """Unknown: the module draws new ones at each start and does not tell them."""
+        """Unknown: the module chooses new addresses at each start and does not report them."""
         return frozenset()
 
     @property
     def wifi_channel(self) -> int | None:
-        """WIFI_CHANNEL."""
+        """Value of WIFI_CHANNEL."""
         channel = self._module.params.get("WIFI_CHANNEL")
         return int(channel) if channel and self.capabilities & {WIFI_BEACON, WIFI_NAN} else None
 
     def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
-        """Switch on what is wanted and off. Only too low a rate is set: each set wears the module's flash.
+        """Switch on the wanted transports that are off, and raise rates that are too low.
 
-        A Bluetooth transport that is switched on here comes on the air when the module is power-cycled:
-        `health` says so, and then that it is there.
+        No other rate is set, because each set wears the module's flash. A Bluetooth transport that is
+        switched on here comes on the air when the module is power-cycled. `health` reports this, and later
+        that the transport is on.
 
         Raises:
-            ConfigError: a transport or rate that the module does not have; a locked module; one that does
-                not take a value.
+            ConfigError: a transport or rate that the module does not support, a locked module, or a value
+                that it does not accept.
         """
         for transport, rate in rates.items():
             self._check_rate(transport, rate)
@@ -200,12 +202,15 @@ class ArduRemoteIdTransport:
             self._sent += len(fresh)
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
-        """Nothing; the link to the module is kept going."""
+        """Return nothing, but keep the exchange with the module going."""
         self._exchange(now_s)
         return []
 
     def health(self, now_s: float) -> Health:
-        """The module's own word, where it can be believed."""
+        """Return the state that the module reports.
+
+        With FORCE_ARM_OK in OPTIONS its ARM_STATUS proves nothing, so `confirmed` is None.
+        """
         alive = self._module.alive(now_s)
         waiting = self._waiting
         can_send = self._on - waiting if alive else frozenset()
@@ -231,7 +236,11 @@ class ArduRemoteIdTransport:
         )
 
     def close(self) -> None:
-        """Release the link. The module stays on the air: what it is left with says no position, and why."""
+        """Release the link.
+
+        The module keeps sending. We leave it with a Location that has no position and reports a system
+        failure.
+        """
         if self._first_s is not None:
             self._module.send([self._encoded(Location(status=Status.REMOTE_ID_SYSTEM_FAILURE))])
         self._module.close()
@@ -288,7 +297,7 @@ class ArduRemoteIdTransport:
             )
 
     def _outcome(self, name: str, rate: int, *, probe: bool) -> str:
-        """What is done for a transport that is to have this rate."""
+        """Describe what happens to the rate of one transport."""
         before = self._module.params[name]
         if before >= rate:
             return f"{name} stays at {before:g}"
@@ -307,7 +316,7 @@ class ArduRemoteIdTransport:
             self._module.set(name, rate)
             if self._wait_for(lambda: params[name] == rate, _SET_WAIT_S):
                 return
-            # The answer may have been lost: read before the flash is written again.
+            # The answer may have been lost. Read the value before writing the flash again.
             self._module.ask(name)
             if self._wait_for(lambda: params[name] == rate, _SET_WAIT_S):
                 return
@@ -319,7 +328,7 @@ class ArduRemoteIdTransport:
     def _exchange(self, now_s: float) -> None:
         self._module.exchange(now_s)
         if self._module.restarts != self._restarts:
-            # It has forgotten all that it was told, and Bluetooth starts with the rates as they are now.
+            # The module has lost all fed data. Its Bluetooth has started with the current rates.
             self._restarts = self._module.restarts
             self._raised.clear()
             self._fed = {key: (-math.inf, m) for key, (_, m) in self._fed.items() if key in _EMPTY}
@@ -334,7 +343,7 @@ class ArduRemoteIdTransport:
         return before is None or before[1] != feed.message or now_s - before[0] >= _REPEAT_S
 
     def _due_feed(self, given: set[object], now_s: float) -> list[_Feed]:
-        """Self ID and Operator ID that the module needs now: what was given last, or empty."""
+        """Return the Self ID and Operator ID that the module needs now: the last given, or empty ones."""
         assert self._first_s is not None
         due = []
         for kind, empty in _EMPTY.items():
@@ -351,12 +360,12 @@ class ArduRemoteIdTransport:
 
     @property
     def _locked(self) -> bool:
-        # Without the parameter nothing is known: then nothing is written.
+        # Without this parameter the lock state is unknown, so nothing is written.
         return self._module.params.get("LOCK_LEVEL", 1.0) > 0.0
 
     @property
     def _waiting(self) -> frozenset[str]:
-        """Transports whose first start waits for the module's next one."""
+        """Transports that were off and come on the air only when the module restarts."""
         return frozenset(t for t, name in RATES.items() if self._raised.get(name) == 0.0)
 
     def _option(self, bit: int) -> bool:
@@ -367,7 +376,7 @@ class ArduRemoteIdTransport:
         return self._module.alive(now_s) and arm is not None and arm[1] and now_s - arm[0] <= SILENT_AFTER_S
 
     def _wrong(self, now_s: float) -> list[str]:
-        """What keeps it from sending as it should, in words."""
+        """Describe the faults that keep the module from sending as required."""
         module = self._module
         if not module.alive(now_s):
             return [f"module silent for {now_s - (module.heard_s or 0.0):.0f} s"]

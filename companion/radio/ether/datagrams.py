@@ -7,15 +7,15 @@
 
 | kind | direction | body |
 |---|---|---|
-| 1 JOIN | client -> air | name, UTF-8, 1 to 80 bytes. Repeated every 2 s: who is silent for 10 s has left |
+| 1 JOIN | client -> air | name, UTF-8, 1 to 80 bytes. Repeated every 2 s; after 10 s of silence it has left |
 | 2 LEAVE | client -> air | empty |
 | 3 SEND | client -> air | transport, address, frame |
 | 4 HEARD | air -> client | transport, address, frame |
-| 5 WELCOME | air -> client | clients now on the air, u16 little-endian. Answers every JOIN |
+| 5 WELCOME | air -> client | number of clients now on the air, u16 little-endian. Answers every JOIN |
 
-transport: 1 BLE 4, 2 BLE 5, 3 Wi-Fi beacon, 4 Wi-Fi NAN. address: 6 bytes as they are written, most
-significant first. frame: 1 to 1,000 bytes. Any valid datagram of an unknown client joins it; without
-a JOIN its name is its port.
+transport: 1 BLE 4, 2 BLE 5, 3 Wi-Fi beacon, 4 Wi-Fi NAN. address: 6 bytes as written, most significant first.
+frame: 1 to 1,000 bytes. Any valid datagram from an unknown client also joins that client. Without a JOIN, its
+name is its port.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ MAX_DATAGRAM = 1100
 MAX_NAME_BYTES = 80
 MAX_FRAME_BYTES = 1000
 SILENCE_S = 10.0
-"""A client that sent nothing for this long has left."""
+"""A client that sends nothing for this long is removed."""
 JOIN_PERIOD_S = 2.0
-"""How often a client says that it is still there."""
+"""Period at which a client repeats JOIN to stay on the air."""
 
 _HEAD = struct.Struct("<2sBB")
 _CLIENTS = struct.Struct("<H")
@@ -45,19 +45,19 @@ _TRANSPORTS = {code: name for name, code in _CODES.items()}
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """A client enters, or says that it is still there."""
+    """A client joins, or confirms that it is still present."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class Leave:
-    """A client says goodbye."""
+    """A client leaves."""
 
 
 @dataclass(frozen=True, slots=True)
 class Send:
-    """A client puts a frame on the air."""
+    """A client sends a frame."""
 
     transport: str
     address: str
@@ -66,7 +66,7 @@ class Send:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """The air brings a frame."""
+    """The air delivers a frame to a client."""
 
     transport: str
     address: str
@@ -75,7 +75,7 @@ class Heard:
 
 @dataclass(frozen=True, slots=True)
 class Welcome:
-    """The air lives, and this many clients are on it."""
+    """The air answers a JOIN with the number of clients on it."""
 
     clients: int
 
@@ -84,10 +84,10 @@ Datagram = Join | Leave | Send | Heard | Welcome
 
 
 def encode(datagram: Datagram) -> bytes:
-    """The bytes of a datagram.
+    """Encode a datagram.
 
     Raises:
-        ValueError: a name, address, transport or frame outside what the module's table allows.
+        ValueError: a name, address, transport or frame outside the limits in the module docstring.
     """
     match datagram:
         case Join(name=name):
@@ -106,10 +106,10 @@ def encode(datagram: Datagram) -> bytes:
 
 
 def decode(data: bytes) -> Datagram:
-    """The datagram in `data`.
+    """Decode the datagram in `data`.
 
     Raises:
-        PeerDataError: these bytes are none (says which field).
+        PeerDataError: the bytes are no valid datagram. The text names the field.
     """
     if len(data) < _HEAD.size:
         raise PeerDataError(f"ether datagram of {len(data)} bytes")
@@ -136,7 +136,7 @@ def parse_endpoint(text: str, key: str) -> tuple[str, int]:
     """Split "HOST:PORT".
 
     Raises:
-        ConfigError: it is not one (names `key`).
+        ConfigError: the text has another form. The error names `key`.
     """
     host, _, port = text.rpartition(":")
     if not host or not (port.isascii() and port.isdigit()) or int(port) > 65535:

@@ -1,4 +1,4 @@
-"""Simulated radio: real Remote ID frames to and from the simulated air, over UDP on loopback."""
+"""Simulated radio: exchanges real Remote ID frames with the simulated air, over UDP on loopback."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from companion.radio.radio import Health
 from companion.remote_id.messages import Message
 
 _MAX_READS = 256
-"""Datagrams taken per call: a flood must not hold up the loop."""
+"""Maximum number of datagrams read per call, so that a flood does not hold up the loop."""
 _SILENT_AFTER_S = 3 * datagrams.JOIN_PERIOD_S
 
 
 class EtherTransport:
-    """A `Radio` whose radio is a client of the simulated air.
+    """A `Radio` that is a client of the simulated air.
 
     Args:
         endpoint: "HOST:PORT" of the air (config key radio.address).
-        name: how the air calls this aircraft in its statistics, up to 80 bytes of UTF-8.
-        address: own radio address, as `frames_io.radio_address` derives it.
+        name: Name of this aircraft in the air's statistics, up to 80 bytes of UTF-8.
+        address: Own radio address, as `frames_io.radio_address` derives it.
 
     Raises:
-        ConfigError: `endpoint` cannot be reached by name or form.
+        ConfigError: `endpoint` has a wrong form or cannot be resolved.
     """
 
     def __init__(self, endpoint: str, name: str, address: str) -> None:
@@ -52,7 +52,7 @@ class EtherTransport:
         except (OSError, TypeError) as error:  # TypeError: a zero byte in the name
             self._socket.close()
             raise ConfigError(f"radio.address: {endpoint!r}: {error}") from error
-        # The air hears of us before the first frame, so that nothing sent meanwhile is missed.
+        # Join before sending the first frame, so that no frame of others is missed meanwhile.
         self._put(self._join)
 
     @property
@@ -62,21 +62,21 @@ class EtherTransport:
 
     @property
     def hears(self) -> frozenset[str]:
-        """All of them, while the air answers: it gives every frame of the others."""
+        """All transports while the air answers, because it delivers every frame of the others."""
         return TRANSPORTS if self._answers(self._now_s) else frozenset()
 
     @property
     def own_addresses(self) -> frozenset[str]:
-        """The one that the frames carry."""
+        """The address that the frames carry."""
         return frozenset((self._address,))
 
     @property
     def wifi_channel(self) -> int | None:
-        """The channel of the standard: the simulated air has no other."""
+        """Always 6, the standard channel. The simulated air has no other."""
         return 6
 
     def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
-        """Nothing to prepare."""
+        """Do nothing."""
         return ()
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
@@ -89,7 +89,7 @@ class EtherTransport:
                 self._unsent += 1
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
-        """What arrived since the last call. Bad frames and datagrams are counted, never raised."""
+        """Return what arrived since the last call. Bad frames and datagrams are counted, never raised."""
         self._keep_joined(now_s)
         events = []
         for _ in range(_MAX_READS):
@@ -98,7 +98,7 @@ class EtherTransport:
             except BlockingIOError:
                 break
             except OSError:
-                # Nobody at the port: the kernel reports it on the next call; `health` tells of the silence.
+                # The kernel reports that no process listens at the port. `health` reports the silence.
                 continue
             event = self._take(data, now_s)
             if event is not None:
@@ -106,7 +106,7 @@ class EtherTransport:
         return events
 
     def health(self, now_s: float) -> Health:
-        """Ok while the air answers and takes what is sent."""
+        """Report ok while the air answers."""
         if self._answered_s is None:
             text = f"simulated air at {self._endpoint}: no answer yet"
         elif not self._answers(now_s):
@@ -125,7 +125,7 @@ class EtherTransport:
         )
 
     def close(self) -> None:
-        """Say goodbye and release the socket."""
+        """Leave the air and release the socket."""
         self._put(datagrams.encode(Leave()))
         self._socket.close()
 
@@ -156,6 +156,6 @@ class EtherTransport:
         try:
             self._socket.send(data)
         except OSError:
-            # A full buffer, or nobody at the port: a radio does not stop for that. Counted by the caller.
+            # The buffer is full or no process listens. A radio does not stop for that; the caller counts it.
             return False
         return True

@@ -1,8 +1,8 @@
-"""One advertising set: frames go out one by one, one advertising event each, and are counted when they did.
+"""One advertising set. It sends frames one by one, in one advertising event each, and counts those sent.
 
-A set stops by itself after its event, so what is on the air is never older than what was asked last, and
-nothing stays there when this program ends in whatever way. Not so on a controller without extended
-advertising: there the last frame of a killed program goes on, until the controller is reset or unplugged.
+A set stops by itself after its event. Therefore nothing outdated is on the air, and nothing stays there after
+this program ends in any way. A controller without extended advertising is different: the last frame of a
+killed program is repeated until the controller is reset or unplugged.
 """
 
 from __future__ import annotations
@@ -20,50 +20,55 @@ NAMES: Final = {BLE4: "BLE 4", BLE5: "BLE 5 Long Range"}
 
 _MAX_WAITING: Final = 32
 _CONFIRM_S: Final = 0.5
-"""An event lasts 20 ms at most and begins within 10 ms; the controller may have others to do before."""
+"""Longest wait for a confirmation. An event lasts at most 20 ms and begins within 10 ms, but the controller
+may have other events to process first."""
 _LEGACY_EVENT_S: Final = 0.125
-"""Legacy advertising knows no number of events and is switched off by hand. It begins at once or after the
-first interval of 100 ms, as the controller likes: a frame goes out once or twice, with the same counter."""
+"""Legacy advertising has no event count and is switched off by a command. It begins at once or after the
+first interval of 100 ms, depending on the controller. A frame is therefore sent once or twice, with the same
+counter."""
 _FORGIVEN_S: Final = 5.0
-"""A trouble is believed to last this long; then the set may be tried again."""
+"""A trouble is cleared after this time, so that the set may be tried again."""
 _SENT: Final = frozenset((Status.SUCCESS, Status.ADVERTISING_TIMEOUT, Status.LIMIT_REACHED))
-"""Limit Reached is what the standard asks for. No duration is ever set, so that a controller which says
-Advertising Timeout can mean nothing else."""
+"""The standard requires Limit Reached. We never set a duration, so a controller that reports Advertising
+Timeout must mean the same."""
 
 _MESSAGE_AT: Final = 6
 """Offset of the message in a BLE 4 frame."""
 _MANIFOLD: Final = frozenset((0, 2))
-"""Message types that stand side by side (Basic ID, Authentication): their next byte tells them apart."""
+"""Message types of which several may coexist (Basic ID, Authentication). The next byte tells them apart."""
 
 Key = tuple[int, ...]
 _FIRST: Final[Key] = (1,)
-"""The Location on BLE 4."""
+"""Key of the Location on BLE 4."""
 
 
 @dataclass(slots=True)
 class HciCounts:
-    """What happened so far, whatever controllers and channels came and went."""
+    """Counts since the start, across all controllers and channels."""
 
     sent: int = 0
     """Advertising events that the controller confirmed."""
     lost: int = 0
-    """Frames that never went out: the radio was down, or too many waited."""
+    """Frames that were never sent, because the radio was down or too many were waiting."""
     replaced: int = 0
-    """Frames overtaken by a newer one of their kind."""
+    """Frames replaced by a newer one of their kind before they were sent."""
     refused: int = 0
-    """Commands with an error in the answer."""
+    """Commands that the controller answered with an error."""
     unconfirmed: int = 0
-    """Advertising events that the controller was given but never reported."""
+    """Advertising events that were started but never reported by the controller."""
     malformed: int = 0
-    """Events that could not be read."""
+    """HCI events that could not be parsed."""
     garbage: int = 0
-    """Bytes that belonged to no event."""
+    """Bytes that belonged to no HCI event."""
     overrun: int = 0
-    """Frames heard that nobody took in time."""
+    """Received frames that were dropped because they were not fetched in time."""
 
 
 def frame_key(transport: str, index: int, frame: bytes) -> Key:
-    """What a newer frame replaces: the same message on BLE 4, the pack of the same place elsewhere."""
+    """Return the key under which a newer frame replaces an older one.
+
+    On BLE 4 this is the kind of message, elsewhere the index of the pack in its broadcast.
+    """
     if transport != BLE4:
         return (index,)
     kind = frame[_MESSAGE_AT] >> 4
@@ -71,10 +76,10 @@ def frame_key(transport: str, index: int, frame: bytes) -> Key:
 
 
 class FrameQueue:
-    """Frames that wait for their set: first come, first served, but Locations before all.
+    """Frames that wait for their set: first in, first out, but Locations take precedence.
 
-    Never two Locations in a row while others wait: on a controller slower than the asked rate they would
-    leave no time for the identity.
+    Two Locations are never sent in a row while other frames wait. On a controller slower than the requested
+    rate they would leave no time for the identity.
     """
 
     def __init__(self, transport: str, counts: HciCounts) -> None:
@@ -87,7 +92,7 @@ class FrameQueue:
         return len(self._waiting)
 
     def put(self, frames: Sequence[bytes]) -> None:
-        """Add frames of one broadcast."""
+        """Add the frames of one broadcast."""
         for index, frame in enumerate(frames):
             key = frame_key(self._transport, index, frame)
             if key in self._waiting:
@@ -98,7 +103,7 @@ class FrameQueue:
             self._waiting[key] = frame
 
     def take(self) -> bytes | None:
-        """The next frame."""
+        """Remove and return the next frame; None if none waits."""
         if not self._waiting:
             return None
         key = next(iter(self._waiting))
@@ -109,51 +114,51 @@ class FrameQueue:
         return self._waiting.pop(key)
 
     def clear(self) -> None:
-        """Give up what waits: it would go out late."""
+        """Drop the waiting frames, because they would be sent late."""
         self._counts.lost += len(self._waiting)
         self._waiting.clear()
 
 
 class SetCommands:
-    """How a set is driven with the extended commands."""
+    """Drives a set with the extended commands."""
 
     confirms: Final = True
-    """The controller reports the end of the event."""
+    """The controller reports the end of each advertising event."""
     event_s: Final = _CONFIRM_S
 
     def __init__(self, handle: int) -> None:
         self.handle = handle
 
     def load(self, frame: bytes) -> list[HciCommand]:
-        """New data."""
+        """Return the commands that load new data."""
         return packets.set_data(self.handle, frame)
 
     def enable(self) -> HciCommand:
-        """One event."""
+        """Return the command that starts one event."""
         return packets.set_enable(self.handle, 1)
 
     def disable(self) -> HciCommand:
-        """Off."""
+        """Return the command that stops advertising."""
         return packets.set_disable(self.handle)
 
 
 class LegacyCommands:
-    """How the only set of a controller without extended advertising is driven."""
+    """Drives the only set of a controller without extended advertising."""
 
     confirms: Final = False
     event_s: Final = _LEGACY_EVENT_S
     handle: Final = 0
 
     def load(self, frame: bytes) -> list[HciCommand]:
-        """New data."""
+        """Return the commands that load new data."""
         return [packets.legacy_data(frame)]
 
     def enable(self) -> HciCommand:
-        """Events, 100 ms apart, until disabled."""
+        """Return the command that starts events, 100 ms apart, until disabled."""
         return packets.legacy_enable(True)
 
     def disable(self) -> HciCommand:
-        """Off."""
+        """Return the command that stops advertising."""
         return packets.legacy_enable(False)
 
 
@@ -164,18 +169,18 @@ class _State(enum.Enum):
     ON_AIR = enum.auto()
     DISABLING = enum.auto()
     ENDED = enum.auto()
-    """Counted; only the answer to Enable or Disable is still to come."""
+    """The event was counted. Only the answer to Enable or Disable is pending."""
 
 
 Done = Callable[[int, float], None]
-"""Called with a command's status and the time."""
+"""Callback that receives a command's status and the time."""
 
 
 class AdvertisingSet:
-    """The states of one set.
+    """State machine of one advertising set.
 
     Args:
-        submit: hands a command to the controller, and calls back with its status.
+        submit: Hands a command to the controller, and calls back with its status.
     """
 
     def __init__(
@@ -188,12 +193,12 @@ class AdvertisingSet:
         self.transport = transport
         self.handle = commands.handle
         self.trouble: str | None = None
-        """Why the last frame did not go out."""
+        """Why the last frame was not sent."""
         self.troubles_in_row = 0
         self.troubled_since_s = float("-inf")
-        """The first of these."""
+        """Time of the first trouble in the current row."""
         self.sent_s = float("-inf")
-        """When the last frame was confirmed."""
+        """Time of the last confirmed frame."""
         self._trouble_s = float("-inf")
         self.queue = FrameQueue(transport, counts)
         self._commands = commands
@@ -205,11 +210,11 @@ class AdvertisingSet:
 
     @property
     def next_s(self) -> float:
-        """When `advance` has to be called at the latest."""
+        """Latest time for the next call of `advance`."""
         return self._until_s if self._state is _State.ON_AIR else float("inf")
 
     def advance(self, now_s: float) -> None:
-        """Begin the next frame, or end one whose time is over."""
+        """Start the next frame, or end one whose time is over."""
         if self.trouble is not None and now_s - self._trouble_s > _FORGIVEN_S:
             self.trouble = None
         if self._state is _State.IDLE:
@@ -225,7 +230,7 @@ class AdvertisingSet:
             self._submit(self._commands.disable(), self._disabled)
 
     def terminated(self, status: int, now_s: float) -> None:
-        """The controller reports that the set has stopped."""
+        """Handle the controller's report that the set has stopped."""
         awaited = self._state in (_State.ENABLING, _State.ON_AIR, _State.DISABLING)
         if not awaited or not self._commands.confirms:
             return
@@ -273,7 +278,7 @@ class AdvertisingSet:
             return False
         self._note(f"{NAMES[self.transport]}: {status_words(status)}", now_s)
         self._state = _State.IDLE
-        if self.troubles_in_row < 2:  # what is queued would meet the same answer at once
+        if self.troubles_in_row < 2:  # queued frames would get the same answer now
             self.advance(now_s)
         return True
 

@@ -1,4 +1,4 @@
-"""Ways to a Bluetooth controller: a Linux user channel, a UART, or TCP. Each takes and gives H4 packets.
+"""Channels to a Bluetooth controller: Linux user channel, UART, or TCP. Each carries H4 packets.
 
 Opening may take seconds; after that nothing blocks.
 """
@@ -24,7 +24,7 @@ _FORMS: Final = "user:NUMBER, uart:DEVICE:BAUD or tcp:HOST:PORT"
 _CONNECT_S: Final = 3.0
 READ_SIZE: Final = 4096
 
-# Linux <linux/socket.h> and <net/bluetooth/hci.h>. Not from `socket`: many builds of Python lack them.
+# From Linux <linux/socket.h> and <net/bluetooth/hci.h>. Many builds of Python lack them in `socket`.
 _AF_BLUETOOTH: Final = 31
 _BTPROTO_HCI: Final = 1
 _HCI_CHANNEL_USER: Final = 1
@@ -34,14 +34,14 @@ _ERFKILL: Final = 132
 
 
 class Channel(Protocol):
-    """Non-blocking bytes to and from one controller."""
+    """Non-blocking byte channel to one controller."""
 
     def fileno(self) -> int:
-        """For `select`."""
+        """Return the file descriptor for `select`."""
         ...
 
     def receive(self) -> bytes:
-        """Some of what has arrived; empty when nothing has.
+        """Return some of the bytes that have arrived; empty if there are none.
 
         Raises:
             OSError: the channel is lost.
@@ -49,7 +49,7 @@ class Channel(Protocol):
         ...
 
     def send(self, data: bytes) -> int:
-        """How much of one packet was taken: all, a part (UART, TCP), or nothing now.
+        """Send one packet and return how many bytes were accepted: all, a part (UART, TCP), or none now.
 
         Raises:
             OSError: the channel is lost.
@@ -57,7 +57,7 @@ class Channel(Protocol):
         ...
 
     def close(self) -> None:
-        """Release it."""
+        """Release the channel."""
         ...
 
 
@@ -65,7 +65,7 @@ def open_channel(name: str) -> Channel:
     """Open the channel that `name` (config key radio.channel) describes.
 
     Raises:
-        ConfigError: not a name of a channel, or it cannot be opened; says what to do.
+        ConfigError: the name has a wrong form, or the channel cannot be opened. The text says what to do.
     """
     kind, _, rest = name.partition(":")
     where, _, number = rest.rpartition(":")
@@ -80,18 +80,18 @@ def open_channel(name: str) -> Channel:
 
 
 class _SocketChannel:
-    """What the two sockets have in common."""
+    """Base class of the two socket channels."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
         self._socket.setblocking(False)
 
     def fileno(self) -> int:
-        """For `select`."""
+        """Return the file descriptor for `select`."""
         return self._socket.fileno()
 
     def receive(self) -> bytes:
-        """Some of what has arrived. Raises OSError."""
+        """Return some of the bytes that have arrived. Raises OSError."""
         try:
             data = self._socket.recv(READ_SIZE)
         except BlockingIOError:
@@ -101,7 +101,7 @@ class _SocketChannel:
         return data
 
     def send(self, data: bytes) -> int:
-        """How much was taken. Raises OSError."""
+        """Return how many bytes were accepted. Raises OSError."""
         try:
             return self._socket.send(data)
         except BlockingIOError:
@@ -113,14 +113,14 @@ class _SocketChannel:
 
 
 class UserChannel(_SocketChannel):
-    """The Linux kernel's HCI user channel: one packet a read and a write, the controller is ours alone."""
+    """The Linux kernel's HCI user channel: one packet per read and write, exclusive use of the controller."""
 
     def __init__(self, number: int) -> None:
         try:
             sock = socket.socket(_AF_BLUETOOTH, socket.SOCK_RAW, _BTPROTO_HCI)
         except OSError as error:
             raise ConfigError(user_channel_error(number, error.errno or 0)) from error
-        # `socket.bind` of Python 3.11 knows no HCI channels, so the C library's it is.
+        # `socket.bind` of Python 3.11 does not support HCI channels, so we call bind of the C library.
         address = _SOCKADDR_HCI.pack(_AF_BLUETOOTH, number, _HCI_CHANNEL_USER)
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.bind(sock.fileno(), address, len(address)) != 0:
@@ -131,7 +131,7 @@ class UserChannel(_SocketChannel):
 
 
 def user_channel_error(number: int, code: int) -> str:
-    """Why a user channel cannot be had, and what to do."""
+    """Explain why a user channel cannot be opened, and what to do."""
     down = f'"systemctl stop bluetooth" and "hciconfig hci{number} down" free it'
     reasons = {
         errno.EPERM: "not allowed: the program needs the capability CAP_NET_ADMIN (or root)",
@@ -148,36 +148,36 @@ def user_channel_error(number: int, code: int) -> str:
 
 
 class TcpChannel(_SocketChannel):
-    """H4 over TCP: a virtual controller, or one on another machine."""
+    """H4 over TCP, for a virtual controller or one on another machine."""
 
     def __init__(self, host: str, port: int) -> None:
         name = f"tcp:{host}:{port}"
         try:
             sock = socket.create_connection((host, port), timeout=_CONNECT_S)
-        except ValueError as error:  # what no name can hold: a zero byte, a label of more than 63 bytes
+        except ValueError as error:  # no valid name: a zero byte, a label of more than 63 bytes
             raise ConfigError(f"radio.channel: {name}: {host!r} is no host name") from error
         except OSError as error:
             raise ConfigError(f"radio.channel: {name}: {error.strerror or error}") from error
         try:
-            if sock.getsockname() == sock.getpeername():  # TCP connects to itself, sometimes
+            if sock.getsockname() == sock.getpeername():  # a TCP socket can connect to itself
                 raise ConnectionRefusedError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except OSError as error:  # also where the other side has hung up again
+        except OSError as error:  # also if the other side has already hung up
             sock.close()
             raise ConfigError(f"radio.channel: {name}: {error.strerror}") from error
         super().__init__(sock)
 
     def receive(self) -> bytes:
-        """Some of what has arrived. Raises OSError."""
+        """Return some of the bytes that have arrived. Raises OSError."""
         data = super().receive()
         if sys.platform == "linux":
-            # A controller that writes an event in pieces waits up to 40 ms for each one's acknowledgement.
+            # A controller that writes an event in pieces waits up to 40 ms for each acknowledgement.
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         return data
 
 
 class UartChannel:
-    """H4 on a serial port with RTS/CTS, as the standard asks (Core vol. 4 part A section 2)."""
+    """H4 on a serial port with RTS/CTS, as the standard requires (Core vol. 4 part A section 2)."""
 
     def __init__(self, device: str, baud: int) -> None:
         try:
@@ -190,12 +190,12 @@ class UartChannel:
             self._port.reset_input_buffer()
 
     def fileno(self) -> int:
-        """For `select`."""
+        """Return the file descriptor for `select`."""
         return self._fd
 
     def receive(self) -> bytes:
-        """Some of what has arrived. Raises OSError."""
-        # A device that is gone reads as ready and empty; one that has nothing is not ready.
+        """Return some of the bytes that have arrived. Raises OSError."""
+        # A device that is gone reads as ready and empty. One without data is not ready.
         if not select.select([self._fd], [], [], 0.0)[0]:
             return b""
         try:
@@ -207,7 +207,7 @@ class UartChannel:
         return data
 
     def send(self, data: bytes) -> int:
-        """How much was taken. Raises OSError."""
+        """Return how many bytes were accepted. Raises OSError."""
         try:
             return os.write(self._fd, data)
         except BlockingIOError:
@@ -216,6 +216,6 @@ class UartChannel:
     def close(self) -> None:
         """Close the port."""
         with contextlib.suppress(OSError, termios.error):
-            termios.tcflush(self._fd, termios.TCOFLUSH)  # else closing waits for a line that CTS holds
+            termios.tcflush(self._fd, termios.TCOFLUSH)  # else close waits while CTS blocks the line
         with contextlib.suppress(OSError):
             self._port.close()

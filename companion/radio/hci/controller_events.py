@@ -1,6 +1,6 @@
-"""Bluetooth HCI events as bytes, and their framing on a stream.
+"""Bluetooth HCI events as bytes, and their framing in a stream.
 
-Bluetooth Core 5.4: vol. 4 part E section 7.7, vol. 4 part A (H4). Readers raise `PeerDataError`.
+Bluetooth Core 5.4: vol. 4 part E section 7.7, vol. 4 part A (H4). Parsers raise `PeerDataError`.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ class CommandResult:
 
     opcode: int
     credit: int
-    """Num_HCI_Command_Packets: how many commands the controller takes now."""
+    """Num_HCI_Command_Packets: number of commands that the controller accepts now."""
     status: int
     data: bytes = b""
-    """Return parameters behind the status."""
+    """The return parameters that follow the status."""
 
 
 @dataclass(frozen=True, slots=True)
 class HardwareError:
-    """Section 7.7.16."""
+    """Hardware Error, section 7.7.16."""
 
     code: int
 
@@ -74,7 +74,7 @@ class Report:
 
     legacy: bool
     address: bytes
-    """As on the wire: lowest octet first."""
+    """Address in wire order, lowest octet first."""
     sid: int
     rssi_dbm: float | None
     data_status: DataStatus
@@ -83,7 +83,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Reports:
-    """All of one event."""
+    """All reports of one event."""
 
     reports: tuple[Report, ...]
 
@@ -92,10 +92,10 @@ HciEvent = CommandResult | HardwareError | SetTerminated | Reports
 
 
 def parse_event(packet: bytes) -> HciEvent | None:
-    """An event from its code on; None for one that is of no use here.
+    """Parse an event that starts with its code. Return None for an event that is not used here.
 
     Raises:
-        PeerDataError: it is cut short, or its lengths disagree.
+        PeerDataError: the event is cut short, or its lengths disagree.
     """
     if len(packet) < 2 or len(packet) != 2 + packet[1]:
         raise PeerDataError(f"HCI event of {len(packet)} bytes does not have the length that it announces")
@@ -180,22 +180,22 @@ def _check_end(body: bytes, offset: int) -> None:
 
 
 class H4Reader:
-    """Cuts a stream into HCI events.
+    """Splits a stream into HCI events.
 
-    A byte that cannot start an event means that the stream slipped: bytes are dropped up to the next that
-    looks like the start of an event which this host expects.
+    A byte that cannot start an event means that the stream is out of step. Bytes are then dropped up to the
+    next one that looks like the start of an event which this host expects.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._in_step = True
         self.dropped = 0
-        """Bytes that belonged to no event."""
+        """Number of bytes that belonged to no event."""
         self.dropped_in_row = 0
-        """Of these, since the last whole event."""
+        """Number of bytes dropped since the last complete event."""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The events that are now whole, from their code on."""
+        """Return the events that are now complete, starting with their code."""
         buffer = self._buffer
         buffer += data
         events = []

@@ -1,7 +1,7 @@
-"""A Bluetooth controller driven with raw HCI: BLE 4 and BLE 5 Long Range at once, and scanning.
+"""A Bluetooth controller driven with raw HCI. It sends BLE 4 and BLE 5 Long Range at once, and scans.
 
-A thread of its own talks to the controller, so that frames follow each other at the controller's pace and not
-at the flight loop's, and so that a lost controller is opened anew while the flight goes on.
+A separate thread talks to the controller. Frames thus follow each other at the pace of the controller and not
+of the flight loop, and a lost controller is reopened while the flight goes on.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from companion.remote_id.messages import Message
 from companion.remote_id.transports import BLE5
 
 _MAX_FRAMES: Final = 64
-"""Frames read per call of `heard`: a flood must not hold up the loop."""
+"""Maximum number of frames read per call of `heard`, so that a flood does not hold up the loop."""
 _SELECT_S: Final = 0.25
 _FLOOD_PAUSE_S: Final = 0.002
-"""After a full read: this thread shares the processor with the flight loop."""
+"""Pause after a full read, because this thread shares the processor with the flight loop."""
 _GOODBYE_S: Final = 0.5
 _PAUSE_S: Final = 1.0
-"""Before the first attempt to open a lost controller again; doubled with each further one."""
+"""Pause before the first attempt to reopen a lost controller. It doubles with each further attempt."""
 _LONGEST_PAUSE_S: Final = 15.0
 _STEADY_S: Final = 20.0
-"""A session that lasted this long was sound: the next loss starts with the first pause."""
+"""After a session that lasted this long, the pause starts again at its first value."""
 _JOIN_S: Final = 10.0
 
 
 class _Link:
-    """A channel with the session on it, for one thread at a time; `lock` guards the session."""
+    """A channel and its session. One thread uses it at a time; `lock` guards the session."""
 
     def __init__(
         self, channel: Channel, session: HciSession, lock: threading.Lock, woken: socket.socket
@@ -53,7 +53,9 @@ class _Link:
         self._output: deque[bytes] = deque()
 
     def pump(self, longest_s: float = _SELECT_S) -> bool:
-        """Send what is to be sent, wait, take in what has come. True after a full read: more is likely.
+        """Send pending packets, wait, and process what arrived. Return True after a full read.
+
+        After a full read, more data is probably waiting.
 
         Raises:
             OSError: the channel is lost.
@@ -76,7 +78,7 @@ class _Link:
         return len(data) == READ_SIZE
 
     def say_goodbye(self) -> None:
-        """Off the air, if the controller still answers."""
+        """Stop advertising and scanning, if the controller still answers."""
         end_s = time.monotonic() + _GOODBYE_S
         with self._lock:
             self.session.stop(time.monotonic())
@@ -95,16 +97,16 @@ class _Link:
 
 
 class HciTransport:
-    """A `Radio` whose radio is a Bluetooth controller that no other software uses.
+    """A `Radio` that uses a Bluetooth controller which no other software uses.
 
     Args:
         channel: user:NUMBER, uart:DEVICE:BAUD or tcp:HOST:PORT (config key radio.channel).
-        address: own radio address, as `frames_io.radio_address` derives it.
-        send: advertise.
-        listen: scan.
+        address: Own radio address, as `frames_io.radio_address` derives it.
+        send: Advertise.
+        listen: Scan.
 
     Raises:
-        ConfigError: no channel, no controller behind it, or one that can do nothing of this.
+        ConfigError: no channel, no controller behind it, or a controller that supports none of this.
     """
 
     def __init__(self, channel: str, address: str, *, send: bool, listen: bool) -> None:
@@ -136,12 +138,12 @@ class HciTransport:
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """What the controller can advertise."""
+        """Transports that the controller can advertise on."""
         return self._capabilities
 
     @property
     def hears(self) -> frozenset[str]:
-        """What it scans for; nothing while there is no controller."""
+        """Transports that it scans for; none while there is no controller."""
         with self._lock:
             link = self._link
             if link is None or link.session.failure is not None:
@@ -150,16 +152,16 @@ class HciTransport:
 
     @property
     def own_addresses(self) -> frozenset[str]:
-        """The one of all its advertising sets."""
+        """The address that all its advertising sets share."""
         return frozenset((self._address,)) if self._send else frozenset()
 
     @property
     def wifi_channel(self) -> int | None:
-        """None: Bluetooth."""
+        """Always None for Bluetooth."""
         return None
 
     def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
-        """Nothing to prepare: every frame is an advertising event of its own."""
+        """Do nothing, because every frame is an advertising event of its own."""
         return ()
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
@@ -181,7 +183,7 @@ class HciTransport:
         self._wake()
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
-        """What arrived since the last call, up to a limit. Bad frames are counted, never raised."""
+        """Return what arrived since the last call, up to a limit. Bad frames are counted, never raised."""
         frames: list[HeardFrame] = []
         with self._lock:
             waiting = self._link.session.heard if self._link is not None else None
@@ -191,7 +193,7 @@ class HciTransport:
         return [event for event in received if event is not None]
 
     def health(self, now_s: float) -> Health:
-        """State of the controller; `frames_sent` are the advertising events that it confirmed."""
+        """Report the controller's state. `frames_sent` counts the advertising events that it confirmed."""
         with self._lock:
             link = self._link
             failure = self._lost if link is None else link.session.failure
@@ -223,7 +225,7 @@ class HciTransport:
         )
 
     def close(self) -> None:
-        """Advertising and scanning off, channel released."""
+        """Stop advertising and scanning, and release the channel."""
         if self._closed.is_set():
             return
         self._closed.set()
@@ -256,7 +258,7 @@ class HciTransport:
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
                 try:
                     link = self._bring_up()
-                except Exception as error:  # told in `health`; a radio's fault must not end the flight
+                except Exception as error:  # `health` reports it; a radio's fault must not end the flight
                     with self._lock:
                         self._lost = str(error) if isinstance(error, ConfigError) else _fault(error)
                     continue
@@ -268,7 +270,7 @@ class HciTransport:
                 pause_s = _PAUSE_S
 
     def _serve(self, link: _Link) -> None:
-        """Until the controller is lost, or this transport closed."""
+        """Run a session until the controller is lost or this transport is closed."""
         try:
             while not self._closed.is_set() and link.session.failure is None:
                 if link.pump():
@@ -278,7 +280,7 @@ class HciTransport:
             failure = link.session.failure
         except OSError as error:
             failure = error.strerror or str(error)
-        except Exception as error:  # the radio goes on: a new session begins with a Reset
+        except Exception as error:  # the radio continues: a new session starts with a Reset
             failure = _fault(error)
         link.channel.close()
         with self._lock:
@@ -288,10 +290,10 @@ class HciTransport:
                 each.queue.clear()
 
     def _bring_up(self) -> _Link:
-        """Open the channel and set the controller up.
+        """Open the channel and set up the controller.
 
         Raises:
-            ConfigError: either fails.
+            ConfigError: one of the two failed.
         """
         channel = open_channel(self._name)
         session = HciSession(

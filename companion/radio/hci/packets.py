@@ -1,7 +1,7 @@
-"""Bluetooth HCI as bytes: addresses, error codes and the commands. The events are `hci_events`.
+"""Bluetooth HCI as bytes: addresses, error codes and commands. `controller_events` holds the events.
 
 Bluetooth Core 5.4: vol. 4 part E section 7 (commands), vol. 4 part A (H4, the UART framing), vol. 1 part F
-(error codes). Everything is little-endian, addresses too.
+(error codes). All values are little-endian, including addresses.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final
 H4_COMMAND: Final = 0x01
 
 MAX_FRAGMENT: Final = 251
-"""Bytes of advertising data in one LE Set Extended Advertising Data."""
+"""Maximum bytes of advertising data in one LE Set Extended Advertising Data command."""
 LEGACY_DATA_SIZE: Final = 31
 
 _INTERVAL_100_MS: Final = 160
@@ -52,19 +52,19 @@ class Opcode(enum.IntEnum):
 
     @property
     def words(self) -> str:
-        """The name that the standard gives it."""
+        """Name of the command in the standard."""
         return self.name.replace("_", " ").title().replace("Le ", "LE ").replace(" Of ", " of ")
 
 
 class Phy(enum.IntEnum):
-    """Section 7.8.53."""
+    """PHYs, section 7.8.53."""
 
     LE_1M = 1
     CODED = 3
 
 
 class Status(enum.IntEnum):
-    """Error codes that matter here; vol. 1 part F section 1.3."""
+    """Error codes that are used here; vol. 1 part F section 1.3."""
 
     SUCCESS = 0x00
     UNKNOWN_COMMAND = 0x01
@@ -94,25 +94,25 @@ _STATUS_WORDS: Final = {
 
 
 def status_words(status: int) -> str:
-    """An error code for people."""
+    """Describe an error code in words."""
     words = {int(code): text for code, text in _STATUS_WORDS.items()}.get(status)
     return words or f"error code 0x{status:02x}"
 
 
 @dataclass(frozen=True, slots=True)
 class HciCommand:
-    """A command; the standard's name and the bytes behind its opcode and length."""
+    """A command: its opcode, and the parameter bytes after opcode and length."""
 
     opcode: Opcode
     parameters: bytes = b""
 
     def packet(self) -> bytes:
-        """With the H4 type in front, as every channel takes it."""
+        """Return the packet with the H4 type in front, as every channel expects it."""
         return struct.pack("<BHB", H4_COMMAND, self.opcode, len(self.parameters)) + self.parameters
 
 
 def address_bytes(address: str) -> bytes:
-    """Six octets with colons, as the air has them: lowest first. Raises ValueError."""
+    """Convert six octets with colons to wire order, lowest first. Raises ValueError."""
     octets = bytes.fromhex(address.replace(":", ""))
     if len(octets) != 6:
         raise ValueError(f"address is {address!r}; allowed: six octets like c2:00:00:ab:cd:ef")
@@ -120,32 +120,32 @@ def address_bytes(address: str) -> bytes:
 
 
 def address_text(octets: bytes) -> str:
-    """Lower-case hex with colons, most significant octet first."""
+    """Convert wire octets to lower-case hex with colons, most significant octet first."""
     return octets[::-1].hex(":")
 
 
 def event_mask() -> HciCommand:
-    """Hardware Error (bit 15) and LE Meta (bit 61); section 7.3.1."""
+    """Enable Hardware Error (bit 15) and LE Meta (bit 61); section 7.3.1."""
     return HciCommand(Opcode.SET_EVENT_MASK, struct.pack("<Q", 1 << 15 | 1 << 61))
 
 
 def le_event_mask() -> HciCommand:
-    """Advertising reports (bits 1 and 12) and Advertising Set Terminated (bit 17); section 7.8.1."""
+    """Enable advertising reports (bits 1 and 12) and Advertising Set Terminated (bit 17); section 7.8.1."""
     return HciCommand(Opcode.LE_SET_EVENT_MASK, struct.pack("<Q", 1 << 1 | 1 << 12 | 1 << 17))
 
 
 def random_address(address: str) -> HciCommand:
-    """Section 7.8.4."""
+    """Set the random address of the controller; section 7.8.4."""
     return HciCommand(Opcode.LE_SET_RANDOM_ADDRESS, address_bytes(address))
 
 
 def set_parameters(handle: int, *, legacy: bool, phy: Phy) -> HciCommand:
-    """A non-connectable, non-scannable, undirected advertising set; section 7.8.53.
+    """Set up a non-connectable, non-scannable, undirected advertising set; section 7.8.53.
 
     Args:
-        handle: of the set; also its SID (0 to 15).
-        legacy: True sends the PDUs of BLE 4.
-        phy: primary and secondary.
+        handle: Handle of the set; also its SID (0 to 15).
+        legacy: True sends BLE 4 PDUs.
+        phy: Primary and secondary PHY.
     """
     interval = _INTERVAL_100_MS.to_bytes(3, "little")
     return HciCommand(
@@ -166,12 +166,12 @@ def set_parameters(handle: int, *, legacy: bool, phy: Phy) -> HciCommand:
 
 
 def set_random_address(handle: int, address: str) -> HciCommand:
-    """Section 7.8.52."""
+    """Set the random address of an advertising set; section 7.8.52."""
     return HciCommand(Opcode.LE_SET_ADVERTISING_SET_RANDOM_ADDRESS, bytes((handle,)) + address_bytes(address))
 
 
 def set_data(handle: int, data: bytes) -> list[HciCommand]:
-    """The commands that load advertising data, in fragments where it is long; section 7.8.54."""
+    """Return the commands that load advertising data, in fragments if it is long; section 7.8.54."""
     pieces = [data[start : start + MAX_FRAGMENT] for start in range(0, len(data), MAX_FRAGMENT)] or [b""]
     complete, first, middle, last = 3, 1, 0, 2
     operations = [complete] if len(pieces) == 1 else [first, *[middle] * (len(pieces) - 2), last]
@@ -186,19 +186,22 @@ def set_data(handle: int, data: bytes) -> list[HciCommand]:
 
 
 def set_enable(handle: int, max_events: int) -> HciCommand:
-    """Advertise this many events (1 to 255), then stop by itself; section 7.8.56."""
+    """Advertise this many events (1 to 255), after which the set stops by itself; section 7.8.56."""
     return HciCommand(
         Opcode.LE_SET_EXTENDED_ADVERTISING_ENABLE, struct.pack("<BBBHB", 1, 1, handle, 0, max_events)
     )
 
 
 def set_disable(handle: int) -> HciCommand:
-    """Stop one set."""
+    """Stop one advertising set."""
     return HciCommand(Opcode.LE_SET_EXTENDED_ADVERTISING_ENABLE, struct.pack("<BBBHB", 0, 1, handle, 0, 0))
 
 
 def scan_parameters(phys: Sequence[Phy], interval: int, window: int) -> HciCommand:
-    """Passive, everything accepted; `interval` and `window` in 0.625 ms on each PHY; section 7.8.64."""
+    """Scan passively and accept all advertisers; section 7.8.64.
+
+    `interval` and `window` are in units of 0.625 ms and apply to each PHY.
+    """
     bits = sum(1 << (phy - 1) for phy in phys)
     return HciCommand(
         Opcode.LE_SET_EXTENDED_SCAN_PARAMETERS,
@@ -207,12 +210,12 @@ def scan_parameters(phys: Sequence[Phy], interval: int, window: int) -> HciComma
 
 
 def scan_enable() -> HciCommand:
-    """Without duplicate filter, until disabled; section 7.8.65."""
+    """Scan without duplicate filter until disabled; section 7.8.65."""
     return HciCommand(Opcode.LE_SET_EXTENDED_SCAN_ENABLE, struct.pack("<BBHH", 1, 0, 0, 0))
 
 
 def legacy_parameters() -> HciCommand:
-    """ADV_NONCONN_IND from the random address, every 100 ms; section 7.8.5."""
+    """Advertise ADV_NONCONN_IND from the random address, every 100 ms; section 7.8.5."""
     return HciCommand(
         Opcode.LE_SET_ADVERTISING_PARAMETERS,
         struct.pack("<HHBB", _INTERVAL_100_MS, _INTERVAL_100_MS, _NONCONNECTABLE, _RANDOM_ADDRESS)
@@ -222,24 +225,24 @@ def legacy_parameters() -> HciCommand:
 
 
 def legacy_data(data: bytes) -> HciCommand:
-    """Up to 31 bytes; section 7.8.7."""
+    """Set up to 31 bytes of advertising data; section 7.8.7."""
     return HciCommand(
         Opcode.LE_SET_ADVERTISING_DATA, bytes((len(data),)) + data.ljust(LEGACY_DATA_SIZE, b"\0")
     )
 
 
 def legacy_enable(on: bool) -> HciCommand:
-    """Section 7.8.9."""
+    """Switch legacy advertising on or off; section 7.8.9."""
     return HciCommand(Opcode.LE_SET_ADVERTISING_ENABLE, bytes((on,)))
 
 
 def legacy_scan_parameters(interval: int, window: int) -> HciCommand:
-    """Passive; section 7.8.10."""
+    """Scan passively; section 7.8.10."""
     return HciCommand(
         Opcode.LE_SET_SCAN_PARAMETERS, struct.pack("<BHHBB", 0, interval, window, _RANDOM_ADDRESS, 0)
     )
 
 
 def legacy_scan_enable() -> HciCommand:
-    """Without duplicate filter; section 7.8.11."""
+    """Scan without duplicate filter; section 7.8.11."""
     return HciCommand(Opcode.LE_SET_SCAN_ENABLE, bytes((1, 0)))

@@ -1,4 +1,4 @@
-"""Advertising reports to whole frames: long advertisements arrive in several reports."""
+"""Assembles advertising reports to complete frames. Long advertisements arrive in several reports."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from companion.radio.hci.packets import address_text
 from companion.remote_id.transports import BLE4, BLE5
 
 _REMOTE_ID_HEAD = b"\x16\xfa\xff\x0d"
-"""Service data of ASTM's Remote ID: what does not hold it is somebody else's advertisement."""
+"""Service data of ASTM Remote ID. Advertisements without it belong to other devices."""
 _MAX_DATA = 1650
-"""No advertisement is longer (Core vol. 4 part E section 7.8.57)."""
+"""Greatest length of an advertisement (Core vol. 4 part E section 7.8.57)."""
 _MAX_PARTIAL = 64
 _MAX_AGE_S = 1.0
-"""The parts of one advertisement follow each other within its airtime."""
+"""Longest age of a partial advertisement. Its parts follow each other within its airtime."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeardFrame:
-    """Advertising data that may be Remote ID."""
+    """Advertising data that may hold Remote ID."""
 
     transport: str
     address: str
@@ -35,15 +35,15 @@ class _Partial:
 
 
 class Reassembler:
-    """Puts the parts of advertisements together, by address and SID, within bounds of memory and age."""
+    """Reassembles advertisements by address and SID, with limits on memory and age."""
 
     def __init__(self) -> None:
         self._partial: OrderedDict[tuple[bytes, int], _Partial] = OrderedDict()
         self.incomplete = 0
-        """Advertisements of which the controller or this class lost a part."""
+        """Number of advertisements of which the controller or this class lost a part."""
 
     def take(self, report: Report, now_s: float) -> HeardFrame | None:
-        """The frame that this report completes, if it may be Remote ID."""
+        """Return the frame that this report completes, if it may hold Remote ID."""
         data = report.data
         if not report.legacy:
             whole = self._join(report, now_s)

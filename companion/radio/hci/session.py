@@ -1,7 +1,8 @@
-"""A host's side of one conversation with a Bluetooth controller: bytes in, bytes out, time as an argument.
+"""Host side of one session with a Bluetooth controller: bytes in, bytes out, time as an argument.
 
-From HCI Reset through probing and set-up to sending and scanning. Every fault ends the session with words
-in `failure`; a new one begins again with Reset. Commands go out one at a time, when the controller takes one.
+A session covers HCI Reset, probing, set-up, sending and scanning. Every fault ends the session and is
+described in `failure`. A new session starts again with Reset. Commands are sent one at a time, when the
+controller accepts one.
 """
 
 from __future__ import annotations
@@ -27,17 +28,18 @@ from companion.radio.hci.reports import HeardFrame, Reassembler
 from companion.radio.hci.setup import Abilities, RefusedError, set_up
 
 ANSWER_S: Final = 2.0
-"""Controllers answer within milliseconds."""
+"""Longest wait for an answer. Controllers answer within milliseconds."""
 _RESET_S: Final = 1.0
 _RESET_TRIES: Final = 3
-"""The first Reset may meet a stream that is out of step."""
+"""The first Reset may be lost in a stream that is out of step."""
 _ALIVE_S: Final = 2.0
-"""After this much silence the controller is asked something, to see whether it still answers."""
+"""After this much silence a command is sent to check whether the controller still answers."""
 _MAX_GARBAGE: Final = 4096
 _MAX_TROUBLES: Final = 3
-"""Frames in a row that did not go out: start over with a Reset, unless that would cost a set that works."""
+"""After this many frames in a row that were not sent, the session restarts with a Reset. It does not restart
+if that would interrupt a set that works."""
 _IN_USE_S: Final = 5.0
-"""A set that sent something in this time works."""
+"""A set that sent a frame within this time counts as working."""
 _MAX_HEARD: Final = 1024
 
 _WHAT_TO_CHECK: Final = (
@@ -47,23 +49,23 @@ _WHAT_TO_CHECK: Final = (
 
 
 class HciSession:
-    """One conversation.
+    """One session with a controller.
 
     Args:
-        address: own random static address, six octets with colons.
-        counts: go on from session to session.
+        address: Own random static address, six octets with colons.
+        counts: Counts that continue from session to session.
     """
 
     def __init__(self, address: str, *, send: bool, listen: bool, counts: HciCounts, now_s: float) -> None:
         self.ready = False
-        """Set-up is over."""
+        """Set-up is complete."""
         self.failure: str | None = None
         self.stopped = False
-        """The Reset of `stop` was answered."""
+        """The controller has answered the Reset of `stop`."""
         self.abilities = Abilities()
         self.sets: dict[str, AdvertisingSet] = {}
         self.heard: deque[HeardFrame] = deque()
-        """Frames that may be Remote ID; the caller takes them out."""
+        """Frames that may hold Remote ID. The caller removes them."""
         self._counts = counts
         self._reader = H4Reader()
         self._reassembler = Reassembler()
@@ -80,11 +82,11 @@ class HciSession:
         self._waiting.append((HciCommand(Opcode.RESET), self._reset_done))
         self._next_command(now_s)
 
-    # ------------------------------------------------------------ in and out
+    # ------------------------------------------------------------ input and output
 
     @property
     def next_s(self) -> float:
-        """When `tick` has to be called at the latest."""
+        """Latest time for the next call of `tick`."""
         times = [each.next_s for each in self.sets.values()]
         if self._is_idle:
             times.append(self._alive_s + _ALIVE_S)
@@ -103,16 +105,16 @@ class HciSession:
 
     @property
     def trouble(self) -> str | None:
-        """What the last frames ran into."""
+        """Current troubles of the advertising sets; None if there are none."""
         return "; ".join(each.trouble for each in self.sets.values() if each.trouble is not None) or None
 
     def packets(self) -> list[bytes]:
-        """What to send to the controller now."""
+        """Return and clear the packets to send to the controller."""
         output, self._output = self._output, []
         return output
 
     def offer(self, transport: str, frames: Sequence[bytes], now_s: float) -> None:
-        """Frames to send, one advertising event each; lost where the radio is not up."""
+        """Queue frames, one advertising event each. They are lost if the radio is not up."""
         target = self.sets.get(transport)
         if target is None or not self.ready or self.failure is not None:
             self._counts.lost += len(frames)
@@ -122,7 +124,7 @@ class HciSession:
         self._next_command(now_s)
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Bytes from the controller."""
+        """Process bytes from the controller."""
         if self.failure is not None:
             return
         before = self._reader.dropped
@@ -152,7 +154,7 @@ class HciSession:
         self.tick(now_s)
 
     def tick(self, now_s: float) -> None:
-        """Time passes."""
+        """Process timeouts, and send what is due."""
         if self.failure is not None:
             return
         if now_s >= self._answer_by_s:
@@ -171,7 +173,7 @@ class HciSession:
         return any(each.sent_s > since_s for each in self.sets.values())
 
     def stop(self, now_s: float) -> None:
-        """Off the air and out of scanning, by a Reset; `stopped` when it is answered."""
+        """Stop advertising and scanning with a Reset. `stopped` becomes True when it is answered."""
         self.ready = False
         for each in self.sets.values():
             each.queue.clear()
@@ -205,11 +207,11 @@ class HciSession:
 
     def _result(self, result: CommandResult, now_s: float) -> None:
         if not self._reset_answered and result.opcode != Opcode.RESET:
-            return  # left over from whoever used the controller before
+            return  # left over from the previous user of the controller
         self._credit = result.credit
         if result.opcode != self._outstanding:
             if self._outstanding is None and result.credit:
-                self._answer_by_s = float("inf")  # waited only for leave to go on
+                self._answer_by_s = float("inf")  # we only waited for permission to send a command
             return
         self._outstanding = None
         self._answer_by_s = float("inf")
@@ -249,7 +251,7 @@ class HciSession:
         self.stopped = True
 
     def _step(self, resume: Callable[[], HciCommand], now_s: float) -> None:
-        """Run the set-up on to its next command."""
+        """Advance the set-up to its next command."""
         try:
             command = resume()
         except StopIteration as end:

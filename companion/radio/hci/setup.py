@@ -1,4 +1,4 @@
-"""Probing a Bluetooth controller and setting it up: one script of commands, from after the Reset to the scan.
+"""Script of commands that probes and sets up a Bluetooth controller, from after the Reset to the scan.
 
 Bluetooth Core 5.4 vol. 4 part E: section 6.27 (supported commands), vol. 6 part B section 4.6 (LE features).
 """
@@ -17,7 +17,7 @@ from companion.remote_id.codec import MESSAGE_SIZE, PACK_HEADER_SIZE, PACK_MAX_M
 from companion.remote_id.transports import BLE4, BLE5
 
 _BLE5_OVERHEAD: Final = 6 + PACK_HEADER_SIZE
-"""Advertising data around the messages of a pack."""
+"""Bytes of advertising data in addition to the messages of a pack."""
 _EXTENDED_FEATURE: Final = 1 << 12
 _CODED_FEATURE: Final = 1 << 11
 _EXTENDED_SEND: Final = ((36, 1), (36, 2), (36, 3), (36, 5), (36, 6), (36, 7))
@@ -27,15 +27,16 @@ _LEGACY_SEND: Final = ((25, 5), (25, 7), (26, 1))
 _LEGACY_SCAN: Final = ((26, 2), (26, 3))
 
 _SCAN_INTERVAL: Final = 172
-"""107.5 ms: no divisor of a second, so that a sender of whole Hz does not fall into the same gap for ever."""
+"""107.5 ms. This does not divide a second, so a sender at a whole rate in Hz cannot always fall into the same
+gap."""
 _HALF_WINDOW: Final = _SCAN_INTERVAL // 2
-"""With two PHYs each has half of the time."""
+"""With two PHYs each gets half of the time."""
 
 _MISSING: Final = f"{NAMES[BLE5]} is missing"
 
 
 class RefusedError(Exception):
-    """A command of the set-up came back with an error."""
+    """The controller answered a set-up command with an error."""
 
     def __init__(self, command: HciCommand, status: int) -> None:
         super().__init__(f"{command.opcode.words}: {status_words(status)}")
@@ -43,21 +44,21 @@ class RefusedError(Exception):
 
 @dataclass(slots=True)
 class Abilities:
-    """What a controller can do and is set up for."""
+    """Abilities of a controller, and how it is set up."""
 
     extended: bool = False
     coded: bool = False
     max_data: int = packets.LEGACY_DATA_SIZE
-    """Bytes of advertising data in a set."""
+    """Maximum bytes of advertising data in a set."""
     sets: dict[str, SetCommands | LegacyCommands] = field(default_factory=dict)
-    """How to send on each transport."""
+    """Commands that send on each transport."""
     hears: frozenset[str] = frozenset()
     missing: list[str] = field(default_factory=list)
-    """What it could do with other hardware, in sentences."""
+    """One sentence for each function that needs other hardware."""
 
     @property
     def messages_per_pack(self) -> int:
-        """How many messages fit one advertisement of BLE 5."""
+        """Number of messages that fit into one BLE 5 advertisement."""
         return max(0, min(PACK_MAX_MESSAGES, (self.max_data - _BLE5_OVERHEAD) // MESSAGE_SIZE))
 
 
@@ -65,10 +66,10 @@ Script = Generator[HciCommand, bytes, None]
 
 
 def set_up(address: str, *, send: bool, listen: bool) -> Generator[HciCommand, bytes, Abilities]:
-    """Yields each command and takes the return parameters behind the status of its answer.
+    """Yield each command. The value sent back holds the return parameters after the status of its answer.
 
-    The driver throws RefusedError in where that status is an error. Raises it, or PeerDataError, where the
-    controller cannot do what is asked.
+    The caller throws RefusedError into the generator if the status is an error. Raises RefusedError or
+    PeerDataError if the controller cannot do what is required.
     """
     can = Abilities()
     yield HciCommand(Opcode.READ_LOCAL_VERSION_INFORMATION)
@@ -149,7 +150,7 @@ def _has(commands: bytes, bits: Sequence[tuple[int, int]]) -> bool:
 
 
 def _number(data: bytes, size: int) -> int:
-    """A return parameter. Raises PeerDataError where it is cut short."""
+    """Decode a return parameter. Raises PeerDataError if it is cut short."""
     if len(data) < size:
         raise PeerDataError(f"an answer of {len(data)} bytes during set-up, {size} were expected")
     return int.from_bytes(data[:size], "little")

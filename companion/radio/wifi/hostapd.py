@@ -1,12 +1,12 @@
 """Client of hostapd's control socket: a vendor element in the beacons of a running access point.
 
 The socket takes one command per datagram and answers each in order with one datagram (hostapd's ctrl_iface):
-`SET vendor_elements HEX`, then `UPDATE_BEACON`, both answered by OK; `STATUS` tells state, BSSID and channel.
-What is set replaces the `vendor_elements` of hostapd's own configuration.
+`SET vendor_elements HEX`, then `UPDATE_BEACON`, both answered by OK. `STATUS` returns state, BSSID and
+channel. The element replaces the `vendor_elements` of hostapd's own configuration.
 
-hostapd repeats the beacon by itself, so what was set stays on the air until it is replaced: the element is
-taken off when nothing new comes for `_STALE_AFTER_S`, and on `close`. A killed process cannot do that: its
-last element is repeated until hostapd starts anew, a new companion broadcasts, or somebody says
+hostapd repeats the beacon by itself, so an element stays on the air until it is replaced. We therefore remove
+the element when no new one comes for `_STALE_AFTER_S`, and on `close`. A killed process cannot do that. Its
+last element is repeated until hostapd restarts, a new companion broadcasts, or a user runs
 `hostapd_cli set vendor_elements ""; hostapd_cli update_beacon`.
 """
 
@@ -33,24 +33,24 @@ _STALE_AFTER_S: Final = 3.0
 _MAX_ANSWER: Final = 1 << 14
 _BSSID: Final = re.compile("(?!00:00:00:00:00:00)[0-9a-f]{2}(?::[0-9a-f]{2}){5}")
 MAX_ELEMENT: Final = 2 + 255
-"""Bytes of one element with its head (IEEE 802.11 section 9.4.2.1)."""
+"""Size in bytes of one element including its header (IEEE 802.11 section 9.4.2.1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ApStatus:
-    """What hostapd says about one access point."""
+    """State of one access point, as reported by hostapd."""
 
     state: str
     """ENABLED while it sends beacons."""
     bssid: str | None = None
-    """Lower-case hex with colons; None where hostapd does not tell."""
+    """Lower-case hex with colons; None if hostapd does not report it."""
     channel: int | None = None
     beacon_interval_tu: int | None = None
     """Time between beacons in units of 1024 us."""
 
 
 def parse_status(text: str, interface: str) -> ApStatus:
-    """The answer to STATUS, one `key=value` a line. What is missing or unreadable in it is None."""
+    """Parse the answer to STATUS, one `key=value` per line. Missing or unreadable values become None."""
     values = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
     index = next(
         (key[4:-1] for key, name in values.items() if key.startswith("bss[") and name == interface), "0"
@@ -68,28 +68,28 @@ class HostapdControl:
     """One access point of a running hostapd.
 
     Args:
-        path: control socket of the access point's interface (config key radio.hostapd).
+        path: Control socket of the access point's interface (config key radio.hostapd).
 
     Raises:
-        ConfigError: nobody answers there; says what to do.
+        ConfigError: hostapd does not answer there. The text says what to do.
     """
 
     def __init__(self, path: str) -> None:
         self.path = path
         self.updates = 0
-        """Times that hostapd changed its beacon as told."""
+        """Number of times that hostapd changed its beacon on our command."""
         self.failures = 0
-        """Commands that it refused, did not answer, or could not be given."""
+        """Number of commands that it refused or did not answer, or that could not be sent."""
         self._silence: str | None = None
         """Why hostapd does not answer or send beacons; None while it does."""
         self._doubt: str | None = None
-        """Why its beacon may hold something else than the last element; None where it took that."""
+        """Why its beacon may not hold the last element; None if hostapd accepted that element."""
         self._pending: deque[tuple[str, float]] = deque()
         self._set_ok = False
         self._element = b""
         self._element_s = 0.0
         self._touched = False
-        """An element was set at least once."""
+        """True once an element was set."""
         self._polled_s: float | None = None
         self._number = 0
         try:
@@ -112,14 +112,14 @@ class HostapdControl:
 
     @property
     def trouble(self) -> str | None:
-        """Why our element is not on the air, in words; None when nothing stands against it."""
+        """Why our element is not on the air, in words; None if no problem is known."""
         return self._silence or self._doubt
 
     def set_element(self, element: bytes, now_s: float) -> None:
-        """Put an element into the beacon in place of the last one; empty takes it off.
+        """Replace the element in the beacon. An empty element removes it.
 
         Raises:
-            ValueError: longer than an element can be.
+            ValueError: the element is too long.
         """
         if len(element) > MAX_ELEMENT:
             raise ValueError(f"element of {len(element)} bytes; allowed: up to {MAX_ELEMENT}")
@@ -129,7 +129,7 @@ class HostapdControl:
             self._command(_UPDATE, now_s)
 
     def poll(self, now_s: float) -> None:
-        """Take hostapd's answers; ask how it is once a second; take an old element off the air."""
+        """Read hostapd's answers, ask for its status once a second, and remove a stale element."""
         self._collect()
         if self._pending and now_s - self._pending[0][1] > _ANSWER_TIMEOUT_S:
             self._lose(f"no answer to {_word(self._pending[0][0])} for {_ANSWER_TIMEOUT_S:g} s")
@@ -140,11 +140,11 @@ class HostapdControl:
         self._polled_s = now_s
         self._command("STATUS", now_s)
         if self._doubt is not None and self._silence is None:
-            # The next broadcast waits for us to be able again: find out with what can never be out of date.
+            # No broadcast comes while we report trouble. Test with an empty element, which is never stale.
             self.set_element(b"", now_s)
 
     def close(self) -> None:
-        """Take the element off the air and release the socket."""
+        """Remove the element from the air and release the socket."""
         self._socket.settimeout(_CLOSE_TIMEOUT_S)
         if self._touched:
             self.set_element(b"", 0.0)
@@ -152,7 +152,7 @@ class HostapdControl:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _greet(self) -> ApStatus:
-        """PING and STATUS, waited for."""
+        """Send PING and STATUS, and wait for the answers."""
         name = f"radio.hostapd: {self.path!r}"
         self._socket.settimeout(_OPEN_TIMEOUT_S)
         try:
@@ -172,7 +172,7 @@ class HostapdControl:
         return self._socket.recv(_MAX_ANSWER).decode(errors="replace")
 
     def _command(self, command: str, now_s: float) -> bool:
-        """Send a command whose answer is taken later; False where that failed."""
+        """Send a command whose answer is read later. Return False if sending failed."""
         try:
             self._socket.sendto(command.encode(), self.path)
         except OSError as error:
@@ -186,9 +186,9 @@ class HostapdControl:
             try:
                 answer = self._socket.recv(_MAX_ANSWER).decode(errors="replace").strip()
             except OSError:
-                return  # nothing there; whoever is gone shows when the next command is given
+                return  # no answer yet; a lost hostapd shows at the next command
             if answer.startswith("<") or not self._pending:
-                continue  # an event, or an answer nobody waits for
+                continue  # an event, or an answer to no pending command
             self._take(self._pending.popleft()[0], answer)
 
     def _take(self, command: str, answer: str) -> None:
@@ -210,7 +210,11 @@ class HostapdControl:
         self._silence = None if state == "ENABLED" else f"hostapd sends no beacons: its state is {state}"
 
     def _lose(self, why: str) -> None:
-        """hostapd is gone or hangs: forget what it owes, and never take a late answer for another's."""
+        """Handle a hostapd that is gone or hangs.
+
+        Forgets pending answers and changes to a new socket, so that a late answer is not taken for another
+        command's.
+        """
         if self._silence is None:
             self.failures += 1
         self._silence = f"hostapd: {why}"
@@ -227,7 +231,7 @@ class HostapdControl:
         self._socket.setblocking(False)
 
     def _bind(self) -> socket.socket:
-        """A socket with a path of its own, as hostapd answers to nothing else."""
+        """Bind a socket to a path of its own. hostapd cannot answer a socket without one."""
         self._number += 1
         path = self._folder / str(self._number)
         fresh = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -249,7 +253,7 @@ def _positive(text: str) -> int | None:
 
 
 def _explain(error: Exception) -> str:
-    """An error of the socket in words that say what to do."""
+    """Describe a socket error in words that say what to do."""
     match error:
         case FileNotFoundError():
             return "no such socket: is hostapd running, with ctrl_interface=FOLDER in its configuration?"

@@ -1,6 +1,6 @@
-"""A raw socket on a monitor interface (packet(7)): 802.11 frames with their radiotap header, both ways.
+"""A raw socket on a monitor interface (packet(7)), for 802.11 frames with radiotap header in both directions.
 
-Whether the interface can do that is found out when it is opened, and told in words that say what to do. An
+Opening checks whether the interface supports this, and reports problems in words that say what to do. An
 interface that vanishes or goes down in flight is opened again when it is back.
 """
 
@@ -32,15 +32,15 @@ _SYSFS: Final = Path("/sys/class/net")
 
 _MAX_FRAME: Final = 1 << 16
 _MAX_READS: Final = 256
-"""Frames taken per call: a busy channel must not hold up the loop."""
+"""Maximum number of frames read per call, so that a busy channel does not hold up the loop."""
 _RECEIVE_BUFFER: Final = 1 << 20
 _RETRY_S: Final = 1.0
 _OVERLOAD: Final = frozenset((errno.EAGAIN, errno.ENOBUFS))
-"""The frame is lost, the interface is not."""
+"""Errors after which the frame is lost but the interface still works."""
 
 _FILTER: Final = (
     (0x20, 0, 0, 0xFFFFF004),  # packet type
-    (0x15, 10, 0, 4),  # outgoing: what another socket of this machine injects
+    (0x15, 10, 0, 4),  # outgoing: injected by another socket of this machine
     (0x30, 0, 0, 3),  # radiotap length, high byte
     (0x64, 0, 0, 8),
     (0x07, 0, 0, 0),
@@ -51,31 +51,31 @@ _FILTER: Final = (
     (0x15, 3, 0, 0x80),  # beacon
     (0x15, 2, 0, 0x50),  # probe response
     (0x15, 1, 0, 0xD0),  # action
-    (0x06, 0, 0, 0),  # everything else never leaves the kernel
+    (0x06, 0, 0, 0),  # drop everything else in the kernel
     (0x06, 0, 0, 0x40000),
 )
-"""Classic BPF (code, jump if true, jump if false, k): only the three kinds of frame that carry Remote ID."""
+"""Classic BPF (code, jump if true, jump if false, k). Passes only frame kinds that can carry Remote ID."""
 
 
 class PacketSocket:
     """Raw socket on one monitor interface.
 
     Args:
-        key: configuration key that names the interface, for errors.
-        interface: its name.
-        channel: what it must be tuned to, where the driver tells.
-        listen: receive frames; otherwise it only sends.
+        key: Configuration key that names the interface, for error texts.
+        interface: Name of the interface.
+        channel: Channel that it must be tuned to, if the driver reports it.
+        listen: Receive frames. Otherwise the socket only sends.
 
     Raises:
-        ConfigError: it cannot be used; says what to do.
+        ConfigError: the interface cannot be used. The text says what to do.
     """
 
     def __init__(self, key: str, interface: str, channel: int, *, listen: bool) -> None:
         self.interface = interface
         self.trouble: str | None = None
-        """What is wrong with it now."""
+        """Current problem; None if there is none."""
         self.dropped = 0
-        """Frames that the kernel lost because they were not fetched in time."""
+        """Number of frames that the kernel dropped because they were not fetched in time."""
         self._key = key
         self._channel = channel
         self._listen = listen
@@ -83,7 +83,7 @@ class PacketSocket:
         self._socket = self._open()
 
     def keep_open(self, now_s: float) -> None:
-        """Open it again when it was lost, once a second."""
+        """Try once a second to reopen a lost interface."""
         if self.trouble is None or (self._tried_s is not None and now_s - self._tried_s < _RETRY_S):
             return
         self._tried_s = now_s
@@ -96,7 +96,7 @@ class PacketSocket:
         self._socket, self.trouble = fresh, None
 
     def send(self, data: bytes) -> bool:
-        """Send a frame with its radiotap header; False where the interface did not take it."""
+        """Send a frame with its radiotap header. Return False if the interface did not accept it."""
         try:
             self._socket.send(data)
         except OSError as error:
@@ -106,7 +106,7 @@ class PacketSocket:
         return True
 
     def receive(self) -> list[bytes]:
-        """Frames with their radiotap header that came since the last call, up to a limit."""
+        """Return the frames (with radiotap header) that arrived since the last call, up to a limit."""
         frames: list[bytes] = []
         while len(frames) < _MAX_READS:
             try:
@@ -130,8 +130,8 @@ class PacketSocket:
         try:
             statistics = self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
         except OSError:
-            return  # a lost interface is told of elsewhere
-        self.dropped += int(struct.unpack("=II", statistics)[1])  # reading sets the kernel's count to zero
+            return  # a lost interface is reported elsewhere
+        self.dropped += int(struct.unpack("=II", statistics)[1])  # reading resets the kernel's count
 
     def _open(self) -> socket.socket:
         check_monitor(self._key, self.interface, self._channel)
@@ -157,10 +157,10 @@ class PacketSocket:
 
 
 def check_monitor(key: str, interface: str, channel: int) -> None:
-    """Check that an interface exists, hands out radiotap, is up, and is tuned as configured.
+    """Check that an interface exists, uses radiotap, is up, and is tuned as configured.
 
     Raises:
-        ConfigError: which of these fails, and the command that mends it.
+        ConfigError: a check failed. The text says which one, and the command that fixes it.
     """
     try:
         names = [name for _, name in socket.if_nameindex()]
@@ -172,7 +172,7 @@ def check_monitor(key: str, interface: str, channel: int) -> None:
             hardware = _ask(control, _SIOCGIFHWADDR, interface)
             flags = _ask(control, _SIOCGIFFLAGS, interface)
             frequency = _ask(control, _SIOCGIWFREQ, interface)
-    except OSError as error:  # no descriptor or memory left to ask with
+    except OSError as error:  # no file descriptor or memory left
         raise ConfigError(f"{key}: {interface!r}: cannot be looked at: {error.strerror}") from error
     if hardware is None or flags is None:
         raise ConfigError(f"{key}: {interface!r} vanished while it was looked at")
@@ -190,9 +190,10 @@ def check_monitor(key: str, interface: str, channel: int) -> None:
 
 
 def tuned_channel(iwreq: bytes) -> int | None:
-    """The channel in the kernel's answer to SIOCGIWFREQ; None where it names none.
+    """Return the channel in the kernel's answer to SIOCGIWFREQ; None if it gives none.
 
-    The answer is a name of 16 bytes, then mantissa i32 and exponent i16 in Hz, or a channel number itself.
+    The answer is a name of 16 bytes, then mantissa i32 and exponent i16 of the frequency in Hz. Instead of a
+    frequency it may hold the channel number.
     """
     mantissa, exponent = struct.unpack_from("ih", iwreq, 16)
     if exponent == 0 and 0 < mantissa < 1000:
@@ -201,7 +202,7 @@ def tuned_channel(iwreq: bytes) -> int | None:
 
 
 def channel_of(frequency_mhz: int) -> int | None:
-    """The channel with this centre frequency, in the bands of 2.4 and 5 GHz (IEEE 802.11 annex E)."""
+    """Return the channel with this centre frequency in the 2.4 and 5 GHz bands (IEEE 802.11 annex E)."""
     if frequency_mhz == 2484:
         return 14
     for start, first, last in ((2407, 1, 13), (5000, 32, 177)):
@@ -223,7 +224,7 @@ def _why_no_monitor(interface: str, kind: int) -> str:
 
 
 def _ask(control: socket.socket, request: int, interface: str) -> bytes | None:
-    """The kernel's answer about an interface; None where it has none (no such interface, not this kind)."""
+    """Ask the kernel about an interface; None if it has no answer (no such interface, or another kind)."""
     try:
         return fcntl.ioctl(control, request, interface.encode().ljust(_IFREQ_SIZE, b"\0"))
     except OSError:

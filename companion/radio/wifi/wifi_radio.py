@@ -1,12 +1,12 @@
-"""Remote ID on Wi-Fi with a Linux card: beacons by hostapd, injected frames, listening in monitor mode.
+"""Remote ID on Wi-Fi with a Linux card: beacons by hostapd, injected frames, reception in monitor mode.
 
 - hostapd puts the element into the beacons of its access point and repeats them by itself (`hostapd`).
-- Injection sends every broadcast once, as an 802.11 frame of our own: `wifi` beacons where no hostapd does,
-  and `nan` action frames with the synchronisation beacon that has to go out beside them.
-- The monitor hears both. What the card reports back of its own transmissions is not hearing: frames with
-  radiotap TX flags are left out, and so are those from the addresses that this radio sends from which hold
-  what it sent lately (anything else from there is somebody who copied the address). To hear its own
-  transmissions by a second card, configure that one as a radio of its own.
+- Injection sends every broadcast once, as an 802.11 frame of our own: `wifi` beacons if hostapd does not send
+  them, and `nan` action frames together with the required synchronisation beacon.
+- The monitor interface receives both. The card's reports of its own transmissions do not count as received.
+  Frames with radiotap TX flags are therefore dropped, as are frames from our own addresses that hold recently
+  sent content. Any other frame from our addresses comes from a device that copied the address. To receive our
+  own transmissions with a second card, configure that card as a separate radio.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from companion.remote_id.messages import Message
 from companion.remote_id.transports import WIFI_BEACON, WIFI_NAN
 
 SYNC_PERIOD_S: Final = 512 * 1024e-6
-"""NAN: a synchronisation beacon every 512 TU."""
+"""NAN period: a synchronisation beacon every 512 TU."""
 _NAN_IN_USE_S: Final = 3.0
-"""Synchronisation goes on for so long after the last NAN broadcast."""
+"""Synchronisation continues for this long after the last NAN broadcast."""
 _RATE_2_4_GHZ: Final = 2
-"""1 Mb/s in units of 500 kb/s: the farthest reach."""
+"""1 Mb/s in units of 500 kb/s, the rate with the longest range."""
 _RATE_5_GHZ: Final = 12
-"""6 Mb/s: there are no lower ones."""
+"""6 Mb/s, the lowest rate on 5 GHz."""
 _SLOW_BEACONS_TU: Final = 195
-"""Beacons farther apart than 0.2 s keep no rate of 5 a second."""
+"""0.2 s. A longer beacon interval cannot reach 5 beacons per second."""
 _BEACON: Final = 0x80
 _SOURCE_AT, _SEQUENCE_AT, _TSF_AT = 10, 22, 24
 _REMEMBERED: Final = 32
-"""What was sent: more than goes out in the time that a frame waits to be read."""
+"""Number of sent frames remembered; more than are sent while a received frame waits to be read."""
 
 _Part = TypeVar("_Part", HostapdControl, PacketSocket)
 
 
 class WifiTransport:
-    """A `Radio` of one Wi-Fi card.
+    """A `Radio` that uses one Wi-Fi card.
 
     Args:
-        config: its parts; each of them that cannot be opened is told of in `health`.
-        address: sent from by injection; where hostapd tells its BSSID, that is used instead.
+        config: Its parts. `health` reports each part that cannot be opened.
+        address: Source address for injection. If hostapd reports its BSSID, that is used instead.
 
     Raises:
-        ConfigError: no part can be opened; says why each.
+        ConfigError: no part can be opened. The text says why for each.
     """
 
     def __init__(self, config: WifiRadio, address: str) -> None:
@@ -79,7 +79,7 @@ class WifiTransport:
         self._receiver = FrameReceiver()
         self._radiotap = build_radiotap(_RATE_2_4_GHZ if channel <= 14 else _RATE_5_GHZ)
         self._lately: deque[bytes] = deque(maxlen=_REMEMBERED)
-        """Sent content, from behind the fields that drivers number themselves."""
+        """Content of sent frames, starting after the header fields that drivers fill in themselves."""
         self._sequence = 0
         self._nan_s: float | None = None
         self._sync_s: float | None = None
@@ -100,21 +100,21 @@ class WifiTransport:
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """Beacons by hostapd; beacons and NAN by injection."""
+        """Beacons with hostapd; beacons and NAN with injection."""
         if self._inject is not None:
             return frozenset((WIFI_BEACON, WIFI_NAN))
         return frozenset((WIFI_BEACON,)) if self._hostapd is not None else frozenset()
 
     @property
     def hears(self) -> frozenset[str]:
-        """Both, while the monitor interface works, and on the right channel."""
+        """Beacons and NAN while the monitor interface works and is on the right channel."""
         if self._monitor is None or self._monitor.trouble is not None or self._off_channel() is not None:
             return frozenset()
         return frozenset((WIFI_BEACON, WIFI_NAN))
 
     @property
     def own_addresses(self) -> frozenset[str]:
-        """hostapd's BSSID and the address that is injected."""
+        """hostapd's BSSID, and the source address of injected frames."""
         addresses = {self._sender.address} if self._inject is not None else set()
         if self._hostapd is not None and self._hostapd.status.bssid is not None:
             addresses.add(self._hostapd.status.bssid)
@@ -122,21 +122,24 @@ class WifiTransport:
 
     @property
     def wifi_channel(self) -> int | None:
-        """hostapd's, or as configured (which an injecting card is held to where its driver tells)."""
+        """Channel that hostapd reports, else the configured one.
+
+        An injecting card must be tuned to that channel, if its driver reports it.
+        """
         if not self.capabilities:
             return None
         told = None if self._hostapd is None else self._hostapd.status.channel
         return told or self._config.channel
 
     def configure(self, rates: Mapping[str, int], *, probe: bool = False) -> tuple[str, ...]:
-        """Nothing to prepare. Raises ConfigError for a transport outside `capabilities`."""
+        """Check the transports. Raises ConfigError for a transport outside `capabilities`."""
         wrong = sorted(rates.keys() - self.capabilities)
         if wrong:
             raise ConfigError(f"radio: this Wi-Fi radio cannot send {', '.join(wrong)}{self._because()}")
         return ()
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
-        """Send these messages once: into hostapd's beacon, or as one injected frame (per 9 messages).
+        """Send these messages once: in hostapd's beacon, or as one injected frame (per 9 messages).
 
         Raises:
             ValueError: a transport outside `capabilities`, or messages that cannot be sent.
@@ -164,7 +167,7 @@ class WifiTransport:
                 self._unsent += 1
 
     def heard(self, now_s: float) -> list[RemoteIdHeard]:
-        """What arrived since the last call. Bad frames are counted, never raised."""
+        """Return what arrived since the last call. Bad frames are counted, never raised."""
         self._tick(now_s)
         self._synchronise(now_s)
         if self._monitor is None or self._monitor.trouble is not None:
@@ -174,7 +177,7 @@ class WifiTransport:
         return [event for event in events if event is not None]
 
     def health(self, now_s: float) -> Health:
-        """Ok while every configured part works."""
+        """Report ok while every configured part works."""
         parts = self._parts()
         notes = [trouble if trouble else text for text, trouble in parts]
         if self._unsent:
@@ -194,13 +197,13 @@ class WifiTransport:
         )
 
     def close(self) -> None:
-        """Go off the air and release the card."""
+        """Stop sending and release the card."""
         for part in (self._hostapd, self._inject, self._monitor):
             if part is not None:
                 part.close()
 
     def _parts(self) -> list[tuple[str, str | None]]:
-        """What each open part does, and its trouble."""
+        """Return a description of each open part, and its trouble."""
         parts = []
         if self._hostapd is not None:
             text = f"beacons by hostapd {self._hostapd.path}"
@@ -245,7 +248,7 @@ class WifiTransport:
                 part.keep_open(now_s)
 
     def _synchronise(self, now_s: float) -> None:
-        """The NAN synchronisation beacon, when its time has come and NAN is in use."""
+        """Send the NAN synchronisation beacon if it is due and NAN is in use."""
         if self._nan_s is None or now_s - self._nan_s > _NAN_IN_USE_S:
             self._sync_s = None
             return
@@ -256,7 +259,7 @@ class WifiTransport:
         self._put(build_nan_sync_beacon(self._sender.address), now_s)
 
     def _put(self, frame: bytes, now_s: float) -> bool:
-        """Inject a frame, numbered: most drivers do that again, some leave it to us."""
+        """Inject a frame with a sequence number. Most drivers overwrite the number, some leave it to us."""
         if self._inject is None or self._inject.trouble is not None:
             return False
         sent = self._inject.send(self._radiotap + stamp(frame, self._sequence, round(now_s * 1e6)))
@@ -283,11 +286,11 @@ class WifiTransport:
 
 
 def stamp(frame: bytes, sequence: int, tsf_us: int) -> bytes:
-    """A management frame with its sequence number and, in a beacon, its timestamp (IEEE 802.11, 9.3.3).
+    """Return a management frame with its sequence number and, in a beacon, timestamp (IEEE 802.11, 9.3.3).
 
     Args:
-        sequence: 0-4095.
-        tsf_us: the sender's clock; taken modulo 2**64.
+        sequence: Sequence number, 0-4095.
+        tsf_us: Clock of the sender; taken modulo 2**64.
     """
     head = frame[:_SEQUENCE_AT] + struct.pack("<H", sequence << 4)
     if frame[0] != _BEACON:

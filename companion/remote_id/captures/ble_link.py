@@ -1,8 +1,9 @@
-"""Bluetooth LE packets as sniffers capture them -> advertising data.
+"""Reads advertising data from Bluetooth LE packets as sniffers capture them.
 
-Link layer packets: Bluetooth Core vol. 6 part B sections 2.1 to 2.3 and 3.1.1 (CRC). What stands before them:
-the nRF sniffer's header (protocol versions 1 to 3) and LINKTYPE_BLUETOOTH_LE_LL_WITH_PHDR of tcpdump.org.
-An advertisement that goes on in AUX_CHAIN_IND PDUs is not put together: its first PDU is read.
+Link layer packets follow Bluetooth Core vol. 6 part B sections 2.1 to 2.3 and 3.1.1 (CRC). The supported
+capture headers are the nRF sniffer's (protocol versions 1 to 3) and LINKTYPE_BLUETOOTH_LE_LL_WITH_PHDR of
+tcpdump.org. An advertisement that continues in AUX_CHAIN_IND PDUs is not reassembled; only its first PDU is
+read.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from companion.remote_id.transports import BLE4, BLE5
 _ADVERTISING_ACCESS: Final = b"\xd6\xbe\x89\x8e"
 _CRC_SIZE: Final = 3
 _CRC_START: Final = 0xAAAAAA
-"""0x555555, bits reversed like all of the CRC here."""
+"""0x555555 with reversed bit order. The whole CRC is calculated bit-reversed here."""
 _CRC_POLYNOMIAL: Final = 0xDA6000
 _ADDRESS_SIZE: Final = 6
 
@@ -30,7 +31,7 @@ _HAS_ADDRESS, _HAS_AUX_POINTER = 0x01, 0x10
 _NORDIC_HEAD: Final = 7
 _NORDIC_BLE_HEAD: Final = 10
 _NORDIC_PACKETS: Final = {2, 6}
-"""Kinds of its messages that hold a packet: advertising, and (all, in version 1) data."""
+"""nRF sniffer message types that hold a packet: 2 is advertising, 6 is data (in version 1, any packet)."""
 _PHDR: Final = struct.Struct("<BbbB4sH")
 _CODED: Final = 2
 _AUX_CHAIN: Final = 1
@@ -38,33 +39,36 @@ _AUX_CHAIN: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class Sniffed:
-    """A link layer packet and what the sniffer says about it."""
+    """A link layer packet and what the sniffer reports about it."""
 
     packet: bytes
-    """From the access address to the CRC."""
+    """Bytes from the access address to the CRC."""
     coded: bool = False
-    """Coded PHY: a coding indicator stands behind the access address."""
+    """Coded PHY: a coding indicator follows the access address."""
     rssi_dbm: float | None = None
     crc_ok: bool | None = None
-    """None where the sniffer did not check it."""
+    """Whether the CRC is correct; None if the sniffer did not check it."""
     chained: bool = False
-    """The sniffer knows it as AUX_CHAIN_IND, the later part of an advertisement."""
+    """The sniffer reports an AUX_CHAIN_IND, which is the later part of an advertisement."""
 
 
 @dataclass(frozen=True, slots=True)
 class Advertisement:
-    """The advertising data of one PDU."""
+    """Advertising data of one PDU."""
 
     transport: str
     address: str | None
-    """None where the PDU holds none."""
+    """Address of the advertiser; None if the PDU holds none."""
     data: bytes
     continues: bool
-    """More of it came in a further PDU."""
+    """The advertisement continues in a further PDU."""
 
 
 def strip_nordic(data: bytes) -> Sniffed:
-    """LINKTYPE_NORDIC_BLE. Raises NotRemoteIdError for messages of the sniffer itself, PeerDataError."""
+    """Strip the header of LINKTYPE_NORDIC_BLE.
+
+    Raises NotRemoteIdError for messages of the sniffer itself, PeerDataError for a broken header.
+    """
     if len(data) <= _NORDIC_HEAD:
         raise PeerDataError(f"nRF sniffer header of {len(data)} bytes, at least {_NORDIC_HEAD + 1} expected")
     version, kind, head_size = data[3], data[6], data[7]
@@ -86,7 +90,7 @@ def strip_nordic(data: bytes) -> Sniffed:
 
 
 def strip_pseudo_header(data: bytes) -> Sniffed:
-    """LINKTYPE_BLUETOOTH_LE_LL_WITH_PHDR. Raises PeerDataError."""
+    """Strip the header of LINKTYPE_BLUETOOTH_LE_LL_WITH_PHDR. Raises PeerDataError."""
     if len(data) < _PHDR.size:
         raise PeerDataError(f"BLE pseudo-header of {len(data)} bytes, {_PHDR.size} expected")
     _, signal, _, _, _, flags = _PHDR.unpack_from(data)
@@ -102,7 +106,7 @@ def strip_pseudo_header(data: bytes) -> Sniffed:
 
 
 def crc_holds(sniffed: Sniffed) -> bool:
-    """Whether the packet is sound: the sniffer's word, where it has none the packet's own CRC."""
+    """Whether the packet is intact, as the sniffer reports it or else by the packet's own CRC."""
     if sniffed.crc_ok is not None:
         return sniffed.crc_ok
     pdu, crc = _pdu_and_crc(sniffed)
@@ -110,9 +114,9 @@ def crc_holds(sniffed: Sniffed) -> bool:
 
 
 def advertisement(sniffed: Sniffed) -> Advertisement:
-    """The advertising data in a packet that `crc_holds`.
+    """Return the advertising data of a packet for which `crc_holds` is true.
 
-    Raises NotRemoteIdError where it is another kind of packet, PeerDataError where it contradicts itself.
+    Raises NotRemoteIdError for another kind of packet, PeerDataError for inconsistent lengths.
     """
     pdu, _ = _pdu_and_crc(sniffed)
     kind, payload = pdu[0] & 15, pdu[2:]
@@ -142,7 +146,7 @@ def advertisement(sniffed: Sniffed) -> Advertisement:
 
 
 def _pdu_and_crc(sniffed: Sniffed) -> tuple[bytes, bytes]:
-    """PDU with its header, and CRC, of an advertising channel packet."""
+    """Return the PDU with its header, and the CRC, of an advertising channel packet."""
     packet = sniffed.packet
     if len(packet) < len(_ADVERTISING_ACCESS):
         raise PeerDataError(f"BLE packet of {len(packet)} bytes, shorter than its access address")

@@ -1,8 +1,8 @@
-"""Packets of a capture file: pcap and pcapng, as tcpdump, Wireshark and sniffers write them.
+"""Reads the packets of a capture file: pcap and pcapng, as written by tcpdump, Wireshark and sniffers.
 
-Formats: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. Times are kept to the nanosecond, a file may
-hold several interfaces with different link types, and a file that ends inside a packet gives all whole ones
-before it says so.
+The formats are draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. Times keep nanosecond resolution. A file
+may hold several interfaces with different link types. If a file ends inside a packet, all complete packets
+are returned before the error is raised.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import BinaryIO, Final, NamedTuple
 from companion.errors import ConfigError, PeerDataError
 
 _PCAP_NS_PER_TICK: Final = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}
-"""By magic number, which also tells the byte order."""
+"""Nanoseconds per tick by magic number. The magic number also determines the byte order."""
 _SECTION: Final = 0x0A0D0D0A
 _BYTE_ORDER: Final = 0x1A2B3C4D
 _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 1, 2, 3, 6
 _TIME_RESOLUTION, _TIME_OFFSET = 9, 14
-"""Options of an interface."""
+"""Option codes of an interface block."""
 _MAX_BYTES: Final = 1 << 24
-"""No packet is as large; a length beyond it is damage, not a reason to fill the memory."""
+"""Upper limit for a length. A greater length means a damaged file, and must not exhaust the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,20 +30,21 @@ class Packet:
     """One captured packet."""
 
     number: int
-    """From 1, as capture tools count."""
+    """Packet number, counted from 1 as capture tools do."""
     time_ns: int | None
-    """Unix time; None where the file holds none."""
+    """Unix time; None if the file holds none."""
     link_type: int
     """LINKTYPE_ value (tcpdump.org/linktypes.html)."""
     data: bytes
 
 
 def read_packets(stream: BinaryIO, name: str) -> Iterator[Packet]:
-    """The packets of the file, in order; `name` stands in the errors.
+    """Return the packets of the file in order. Error texts contain `name`.
 
     Raises:
-        ConfigError: it is no capture file.
-        PeerDataError: it is damaged or ends inside a packet; names the packet and its byte offset.
+        ConfigError: the file is no capture file.
+        PeerDataError: the file is damaged or ends inside a packet. The text gives the packet number and byte
+            offset.
     """
     head = stream.read(4)
     for order in ("<", ">"):
@@ -58,13 +59,13 @@ def read_packets(stream: BinaryIO, name: str) -> Iterator[Packet]:
 
 
 def is_capture(head: bytes) -> bool:
-    """Whether a file that begins with these four bytes is a capture."""
+    """Whether a file that begins with these four bytes is a capture file."""
     numbers = (int.from_bytes(head, "little"), int.from_bytes(head, "big"))
     return any(number == _SECTION or number in _PCAP_NS_PER_TICK for number in numbers)
 
 
 class _Source:
-    """The file's bytes with their place, for errors."""
+    """Bytes of the file, with the position for error texts."""
 
     def __init__(self, stream: BinaryIO, name: str, order: str, offset: int) -> None:
         self._stream = stream
@@ -72,10 +73,10 @@ class _Source:
         self.order = order
         self.offset = offset
         self.number = 1
-        """Of the packet that comes next."""
+        """Number of the next packet."""
 
     def take(self, size: int) -> bytes:
-        """Exactly so many bytes."""
+        """Read exactly `size` bytes."""
         if not 0 <= size <= _MAX_BYTES:
             raise self.damaged(f"has a length of {size} bytes")
         data = self._stream.read(size)
@@ -85,7 +86,7 @@ class _Source:
         return data
 
     def take_or_end(self, size: int) -> bytes | None:
-        """So many bytes; None at the end of the file."""
+        """Read exactly `size` bytes; return None at the end of the file."""
         data = self._stream.read(size)
         if not data:
             return None
@@ -95,13 +96,13 @@ class _Source:
         return data
 
     def unpack(self, layout: str, data: bytes, at: int = 0) -> tuple[int, ...]:
-        """The integers that stand in `data` from `at` on."""
+        """Unpack integers from `data`, starting at offset `at`."""
         if len(data) - at < struct.calcsize("<" + layout):
             raise self.damaged(f"has {len(data) - at} bytes where its head should be")
         return struct.unpack_from(self.order + layout, data, at)
 
     def damaged(self, how: str) -> PeerDataError:
-        """The error of what is being read."""
+        """Return the error for the packet that is being read."""
         return PeerDataError(f"{self._name}: packet {self.number}, at byte {self.offset}, {how}")
 
 
@@ -110,7 +111,7 @@ class _Source:
 
 def _read_pcap(source: _Source, ns_per_tick: int) -> Iterator[Packet]:
     *_, link_type = source.unpack("HHiIII", source.take(20))
-    link_type &= 0xFFFF  # the upper bits tell the length of a frame check sequence
+    link_type &= 0xFFFF  # the upper bits give the length of a frame check sequence
     while (head := source.take_or_end(16)) is not None:
         seconds, ticks, captured, _ = source.unpack("IIII", head)
         data = source.take(captured)
@@ -132,7 +133,7 @@ def _read_pcapng(source: _Source) -> Iterator[Packet]:
     interfaces: list[_Interface] = []
     _read_section_head(source)
     while (head := source.take_or_end(4)) is not None:
-        if int.from_bytes(head, "big") == _SECTION:  # the same in either byte order
+        if int.from_bytes(head, "big") == _SECTION:  # the same value in either byte order
             _read_section_head(source)
             interfaces = []
             continue
@@ -156,7 +157,7 @@ def _read_section_head(source: _Source) -> None:
 
 
 def _read_block(source: _Source, length_field: bytes, already: int = 0) -> bytes:
-    """The body of a block, of which type and length (and `already` bytes) have been read."""
+    """Return the body of a block whose type, length and first `already` bytes have been read."""
     (length,) = source.unpack("I", length_field)
     if length % 4 or length < 12 + already:
         raise source.damaged(f"has a block of {length} bytes")

@@ -1,7 +1,8 @@
 """The radiotap header that a monitor interface puts before each 802.11 frame (radiotap.org).
 
-Read as the standard defines it: a chain of presence words, fields in bit order at their natural alignment
-(counted from the start of the header), words of other namespaces skipped by the length that stands in them.
+It is read as the standard defines it: a chain of presence words, then the fields in bit order at their
+natural alignment (counted from the start of the header). Data of other namespaces is skipped by the length
+given in it.
 """
 
 from __future__ import annotations
@@ -58,9 +59,9 @@ _FIELDS: Final[tuple[tuple[int, int], ...]] = (
     (1, 1),  # 26 zero-length PSDU
     (2, 4),  # 27 L-SIG
 )
-"""Alignment and size of each field by its bit. Bit 28 says that the rest of the header is a list of TLVs."""
+"""Alignment and size of each field by its bit. Bit 28 means that the rest of the header is a list of TLVs."""
 _VENDOR_HEAD: Final = (2, 6)
-"""OUI, sub-namespace, length of what follows."""
+"""Alignment and size of the vendor header: OUI, sub-namespace, length of the data after it."""
 
 _FLAG_FCS: Final = 0x10
 _FLAG_BAD_FCS: Final = 0x40
@@ -71,24 +72,26 @@ _FCS_SIZE: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class Radiotap:
-    """A captured frame and what the card says about it."""
+    """A captured frame and what the card reports about it."""
 
     frame: bytes
-    """802.11, without frame check sequence; empty only where the card reports that none was sent."""
+    """802.11 frame without frame check sequence. Empty only if the card reports a zero-length PSDU."""
     rssi_dbm: float | None
     channel_mhz: int | None
     """Centre frequency."""
     bad_fcs: bool
-    """The frame failed its check sequence (or that of its PLCP header): do not believe its bytes."""
+    """The frame's check sequence or PLCP header failed, so its bytes must not be trusted."""
     transmitted: bool
-    """The card reports a frame that it sent itself (it has TX flags), not one that it heard."""
+    """The card sent this frame itself (TX flags are present); it did not receive it."""
 
 
 def parse_radiotap(data: bytes) -> Radiotap:
-    """The frame behind the header. Of a field given several times (per antenna) the first counts.
+    """Parse the header and return the frame after it.
+
+    If a field is given several times (per antenna), the first one counts.
 
     Raises:
-        PeerDataError: the header is torn or contradicts itself; names the offset.
+        PeerDataError: the header is truncated or inconsistent. The text names the offset.
     """
     if len(data) < _HEAD.size:
         raise PeerDataError(f"radiotap header of {len(data)} bytes, shorter than its {_HEAD.size} fixed ones")
@@ -117,11 +120,11 @@ def parse_radiotap(data: bytes) -> Radiotap:
 
 
 def build_radiotap(rate_500kbps: int = 2, *, no_ack: bool = True) -> bytes:
-    """Header for a frame to inject: rate and TX flags, 12 bytes. Raises ValueError.
+    """Build the header for a frame to inject: rate and TX flags, 12 bytes. Raises ValueError.
 
     Args:
-        rate_500kbps: legacy rate in units of 500 kb/s; 2 is 1 Mb/s (2.4 GHz only), 12 is 6 Mb/s.
-        no_ack: expect no acknowledgement, so that the frame is sent once.
+        rate_500kbps: Legacy rate in units of 500 kb/s; 2 is 1 Mb/s (2.4 GHz only), 12 is 6 Mb/s.
+        no_ack: Expect no acknowledgement, so that the frame is sent only once.
     """
     if not 0 < rate_500kbps <= 0xFF:
         raise ValueError(f"rate_500kbps is {rate_500kbps!r}; allowed: 1 to 255")
@@ -131,7 +134,7 @@ def build_radiotap(rate_500kbps: int = 2, *, no_ack: bool = True) -> bytes:
 
 
 def _walk(data: bytes, length: int) -> Iterator[tuple[int, int]]:
-    """Bit and offset of each field of the radiotap namespace, all of it inside the header."""
+    """Yield bit and offset of each field of the radiotap namespace. All lie inside the header."""
     words = _presence_words(data, length)
     offset = _HEAD.size + _WORD.size * (len(words) - 1)
     vendor = False
@@ -143,7 +146,7 @@ def _walk(data: bytes, length: int) -> Iterator[tuple[int, int]]:
                     yield bit, offset
                     offset += size
             if word >> _TLV & 1:
-                return  # what follows is told apart by its own types, none of which is read here
+                return  # the following TLVs carry their own types; we read none of them
         if word >> _VENDOR_NAMESPACE & 1:
             if word >> _RADIOTAP_NAMESPACE & 1:
                 raise PeerDataError(f"radiotap presence word 0x{word:08x} names two namespaces")
@@ -154,7 +157,7 @@ def _walk(data: bytes, length: int) -> Iterator[tuple[int, int]]:
         elif word >> _RADIOTAP_NAMESPACE & 1:
             vendor = False
         elif not vendor:
-            return  # a word that goes on counting at bit 32, where nothing is defined
+            return  # this word continues with bit 32, where no field is defined
 
 
 def _presence_words(data: bytes, length: int) -> list[int]:
@@ -169,7 +172,7 @@ def _presence_words(data: bytes, length: int) -> list[int]:
 
 
 def _place(offset: int, alignment: int, size: int, length: int, name: str) -> int:
-    """Where a field begins, aligned; PeerDataError where it does not end inside the header."""
+    """Return the aligned start of a field. Raises PeerDataError if it does not end inside the header."""
     start = (offset + alignment - 1) // alignment * alignment
     if start + size > length:
         raise PeerDataError(f"radiotap {name} of {size} bytes at {start} runs past the end at {length}")

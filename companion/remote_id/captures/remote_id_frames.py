@@ -1,7 +1,8 @@
-"""Remote ID in capture files: what each frame of a recording of Bluetooth LE or Wi-Fi holds.
+"""Finds Remote ID in capture files: reads each frame of a Bluetooth LE or Wi-Fi recording.
 
-Link types (tcpdump.org/linktypes.html): nRF sniffer, Bluetooth LE with pseudo-header and plain, 802.11 with
-radiotap header and plain. A frame whose checksum failed is reported as such and its content not believed.
+Supported link types (tcpdump.org/linktypes.html) are nRF sniffer, Bluetooth LE with and without
+pseudo-header, and 802.11 with and without radiotap header. A frame with a wrong checksum is reported as such,
+and its content is not read.
 """
 
 from __future__ import annotations
@@ -34,57 +35,57 @@ from companion.remote_id.transports import WIFI_NAN
 
 
 class Kind(enum.Enum):
-    """What a captured frame is."""
+    """Kind of a captured frame."""
 
     REMOTE_ID = "Remote ID"
     SYNC_BEACON = "NAN synchronisation beacon"
-    """Of a transmitter of Remote ID; holds none."""
+    """Synchronisation beacon of a Remote ID transmitter; it holds no Remote ID itself."""
     FOREIGN = "foreign"
-    """Sound, and of something else."""
+    """Valid frame without Remote ID."""
     BAD_CRC = "bad CRC"
     BROKEN = "broken"
-    """Breaks the rules of its link, so that no Remote ID could be looked for."""
+    """The frame violates the rules of its link, so it could not be searched for Remote ID."""
 
 
 @dataclass(frozen=True, slots=True)
 class CapturedFrame:
-    """One frame of a capture; of a frame with several Remote ID structures, one of them."""
+    """One frame of a capture. A frame with several Remote ID structures yields one of these for each."""
 
     number: int
-    """From 1, as capture tools count."""
+    """Frame number, counted from 1 as capture tools do."""
     time_ns: int | None
-    """Unix time."""
+    """Unix time; None if the file holds none."""
     kind: Kind
     transport: str | None = None
     address: str | None = None
-    """Transmitter, lower-case hex with colons."""
+    """Address of the transmitter, lower-case hex with colons."""
     rssi_dbm: float | None = None
     crc_ok: bool | None = None
-    """None where neither the file nor the frame tells."""
+    """Whether the checksum is correct; None if neither the file nor the frame shows it."""
     counter: int | None = None
     payload: bytes | None = None
-    """A message or a pack as it came, with padding."""
+    """A message or a pack as received, including padding."""
     messages: tuple[Message, ...] = ()
-    """All that could be read."""
+    """All messages that could be read."""
     faults: tuple[str, ...] = ()
-    """What could not, in words."""
+    """Descriptions of the parts that could not be read."""
 
 
 class _Link(NamedTuple):
-    """What the link's own header says, and how to read on."""
+    """Fields of the link's own header, and the function that reads the rest."""
 
     rssi_dbm: float | None
     crc_ok: bool | None
     find: Callable[[], tuple[tuple[Frame, ...], str | None]]
-    """Its frames of Remote ID, and why they may be cut short."""
+    """Returns the Remote ID frames, and the reason if they may be truncated."""
 
 
 def read_capture(stream: BinaryIO, name: str) -> Iterator[CapturedFrame]:
-    """Every frame of a capture file in order; `name` stands in the errors.
+    """Yield every frame of a capture file in order. Error texts contain `name`.
 
     Raises:
-        ConfigError: it is no capture file, or one of another kind of link.
-        PeerDataError: the file is damaged or ends inside a frame; all frames before were given.
+        ConfigError: the file is no capture file, or has an unsupported link type.
+        PeerDataError: the file is damaged or ends inside a frame. All frames before it have been yielded.
     """
     for packet in read_packets(stream, name):
         link = _LINKS.get(packet.link_type)

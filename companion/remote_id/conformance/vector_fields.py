@@ -1,12 +1,12 @@
-"""A vector file's fields <-> our messages, for the conformance check.
+"""Converts between the fields of a vector file and our messages, for the conformance check.
 
-A vector file states values in SI units and decimal degrees under the names of the public reference
-implementation (opendroneid-core-c); enumerations and accuracies as their wire numbers; "unknown" as the
-reference's special values (direction 361, horizontal speed 255, vertical speed 63, altitude -1000, position
-0/0, time after the hour 65535, time since 2019 0).
+A vector file gives values in SI units and decimal degrees under the names of the public reference
+implementation (opendroneid-core-c). Enumerations and accuracies are given as their wire numbers. "Unknown" is
+given as the reference's special values (direction 361, horizontal speed 255, vertical speed 63, altitude
+-1000, position 0/0, time after the hour 65535, time since 2019 0).
 
-`stated` reads those values off the bytes on its own, without the codec, so that the two check each other and
-values that our messages call unknown are compared too.
+`stated` reads those values from the bytes independently of the codec. The two thus check each other, and
+values that our messages treat as unknown are compared too.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ TRUNCATED_STEPS: Final[Mapping[str, float]] = {
     "operator_altitude_geo_m": 0.5,
     "area_radius_m": 10.0,
 }
-"""Wire step of each field that the reference truncates where we round to nearest."""
+"""Wire step of each field that the reference truncates and we round to nearest."""
 
 HIGHEST_CATEGORY: Final[Mapping[str, int]] = {
     "horiz_accuracy": HORIZONTAL_ACCURACY_M.highest,
@@ -65,11 +65,11 @@ HIGHEST_CATEGORY: Final[Mapping[str, int]] = {
     "baro_accuracy": VERTICAL_ACCURACY_M.highest,
     "speed_accuracy": SPEED_ACCURACY_MPS.highest,
 }
-"""Accuracies above these are reserved: our messages hold bounds, so they go out as unknown, 0."""
+"""Accuracies above these are reserved. Our messages hold bounds, so they send those as unknown, 0."""
 
 
 def text_of(fields: Fields, name: str) -> str:
-    """A text field; ConfigError where it is missing or something else."""
+    """Return a text field. Raises ConfigError if it is missing or no text."""
     value = fields.get(name)
     if not isinstance(value, str):
         raise ConfigError(f"field {name!r} is {value!r}, expected text")
@@ -77,7 +77,7 @@ def text_of(fields: Fields, name: str) -> str:
 
 
 def bytes_of(fields: Fields, name: str) -> bytes:
-    """A field of hexadecimal bytes."""
+    """Return the bytes of a hexadecimal field. Raises ConfigError."""
     text = text_of(fields, name)
     try:
         return bytes.fromhex(text)
@@ -86,7 +86,7 @@ def bytes_of(fields: Fields, name: str) -> bytes:
 
 
 def number_of(fields: Fields, name: str) -> float:
-    """A numeric field."""
+    """Return a numeric field. Raises ConfigError."""
     value = fields.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(f"field {name!r} is {value!r}, expected a number")
@@ -94,7 +94,7 @@ def number_of(fields: Fields, name: str) -> float:
 
 
 def integer_of(fields: Fields, name: str) -> int:
-    """A field of a whole number."""
+    """Return an integer field. Raises ConfigError."""
     value = number_of(fields, name)
     if not isinstance(value, int):
         raise ConfigError(f"field {name!r} is {value!r}, expected a whole number")
@@ -102,9 +102,9 @@ def integer_of(fields: Fields, name: str) -> int:
 
 
 def message_of(kind: str, fields: Fields) -> Message:
-    """The message that a vector's fields stand for.
+    """Return the message that a vector's fields represent.
 
-    Raises ValueError where a message cannot hold them, ConfigError where they are not fields of this kind.
+    Raises ValueError if a message cannot hold them, ConfigError if they are not fields of this kind.
     """
     maker = _MAKERS.get(kind)
     if maker is None:
@@ -113,13 +113,13 @@ def message_of(kind: str, fields: Fields) -> Message:
 
 
 def stated(data: bytes) -> tuple[str, Stated]:
-    """Kind and fields of 25 bytes as a vector file states them, values that no standard allows too."""
+    """Return kind and fields of 25 bytes as a vector file gives them, including invalid values."""
     kind, read = _STATERS[data[0] >> 4]
     return kind, read(data)
 
 
 def as_received(fields: Fields) -> Fields:
-    """Fields with every value that the standard does not allow replaced by the one for unknown."""
+    """Return the fields with every value that the standard does not allow replaced by the one for unknown."""
     result = dict(fields)
     for prefix in ("", "operator_"):
         lat, lon = f"{prefix}latitude_deg", f"{prefix}longitude_deg"
@@ -273,7 +273,7 @@ def _state_basic_id(data: bytes) -> Stated:
     result: Stated = {"id_type": data[1] >> 4, "ua_type": data[1] & 15, "uas_id_hex": data[2:22].hex()}
     if data[1] >> 4 in (1, 2):
         result["uas_id"] = _text(data[2:22])
-        # What stands behind the text's end is nobody's business.
+        # The content after the end of the text is ignored.
         result["uas_id_hex"] = data[2:22].split(b"\0")[0].ljust(20, b"\0").hex()
     return result
 

@@ -1,10 +1,10 @@
 """Checks the codec and the frames against a file of reference vectors (`companion remote-id check`).
 
-The file comes from the public reference implementation (opendroneid-core-c): JSON with groups of vectors,
-each with an `id`, a `type`, whether the reference accepted it, and the bytes. Where a vector says that its
-values do not lie on the wire's steps (`on_grid` false) the fields that the reference truncates, and we round,
-may differ by one step; everything else has to agree to the bit. Both directions are checked, and so is that
-the file's bytes and its own decoding of them agree.
+The file comes from the public reference implementation (opendroneid-core-c). It is JSON with groups of
+vectors. Each vector has an `id`, a `type`, whether the reference accepted it, and the bytes. If `on_grid` is
+false, the values of a vector lie between the steps of the wire format. Then the fields that the reference
+truncates and we round may differ by one step. Everything else must agree to the bit. Both directions are
+checked, and also that the file's bytes agree with its own decoding of them.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ from companion.remote_id.messages import Message
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 _RAW: Final = "raw"
-"""Type of a pack's part that is no message of the standard: only its bytes are given."""
+"""Type of a pack's part that is no message of the standard; only its bytes are given."""
 _AUTHENTICATION_TYPE: Final = 2
 _NEAR: Final = 1e-8
-"""Decimal rounding in the file, far below every wire step."""
+"""Tolerance for decimal rounding in the file, far below every wire step."""
 
 _RESERVED_BITS: Final[Mapping[int, bytes]] = {
     0: bytes(22) + b"\xff\xff\xff",
@@ -65,16 +65,16 @@ _RESERVED_BITS: Final[Mapping[int, bytes]] = {
 
 @dataclass
 class Report:
-    """What a check found."""
+    """Result of a check."""
 
     checked: Counter[str] = field(default_factory=Counter)
-    """Vectors checked, by type."""
+    """Number of vectors checked, by type."""
     differences: list[str] = field(default_factory=list)
-    """One line each, naming the vector."""
+    """One line per difference, naming the vector."""
 
 
 def check_file(path: Path) -> Report:
-    """Check every vector of a file (plain or gzip). Raises ConfigError where it is not a vector file."""
+    """Check every vector of a file (plain or gzip). Raises ConfigError if it is not a vector file."""
     try:
         data = path.read_bytes()
         content = json.loads(gzip.decompress(data) if path.suffix == ".gz" else data, parse_int=_integer)
@@ -89,12 +89,12 @@ def check_file(path: Path) -> Report:
 
 
 def _integer(digits: str) -> int | float:
-    """A JSON integer; one beyond every field as a float, which compares with others without overflow."""
+    """Convert a JSON integer; too large ones become float, so that comparisons cannot overflow."""
     return int(digits) if len(digits) < 20 else float(digits)
 
 
 def check_vectors(content: object) -> Report:
-    """Check the parsed content of a vector file. Raises ConfigError where it is none."""
+    """Check the parsed content of a vector file. Raises ConfigError if it is none."""
     groups = content.get("vectors") if isinstance(content, dict) else None
     if not isinstance(groups, dict) or not all(isinstance(group, list) for group in groups.values()):
         raise ConfigError("no 'vectors' with lists of vectors in it")
@@ -142,7 +142,10 @@ def _accepted(vector: Fields) -> bool:
 
 
 def _contradiction(vector: Fields) -> str | None:
-    """What the reference encoded has bytes, what it refused has none."""
+    """Describe a vector in which `accepted` and `hex` contradict each other.
+
+    A vector that the reference encoded has bytes; one that it refused has none.
+    """
     if "hex" in vector and _accepted(vector) is (vector["hex"] is None):
         return f"'accepted' is {_accepted(vector)}, which 'hex' contradicts: {vector['hex']!r}"
     return None
@@ -152,7 +155,7 @@ def _contradiction(vector: Fields) -> str | None:
 
 
 def _check_message(vector: Fields) -> Iterator[str]:
-    """Encoding of `input`, and decoding of the reference's bytes."""
+    """Check the encoding of `input` and the decoding of the reference's bytes."""
     accepted = _accepted(vector)
     if (contradiction := _contradiction(vector)) is not None:
         yield contradiction
@@ -176,7 +179,10 @@ def _encode(vector: Fields) -> bytes:
 
 
 def _compare_encoding(vector: Fields, ours: bytes, theirs: bytes) -> Iterator[str]:
-    """Our 25 bytes against the reference's; on the grid these hold every number of the input as it is."""
+    """Compare our 25 bytes with the reference's.
+
+    If the vector is on the grid, the bytes must also hold every number of the input exactly.
+    """
     exact = vector.get("on_grid", True) is not False
     yield from _compare_bytes(ours, theirs, exact=exact)
     if exact and len(ours) == len(theirs) and ours[0] == theirs[0]:
@@ -187,7 +193,7 @@ def _compare_encoding(vector: Fields, ours: bytes, theirs: bytes) -> Iterator[st
 
 
 def _compare_bytes(ours: bytes, theirs: bytes, *, exact: bool) -> Iterator[str]:
-    """Our 25 bytes against the reference's, field by field where they may differ."""
+    """Compare our 25 bytes with the reference's, field by field where they may differ."""
     if ours == theirs:
         return
     if len(ours) != len(theirs) or ours[0] != theirs[0]:
@@ -219,7 +225,7 @@ def _within_step(name: str, ours: object, theirs: object) -> bool:
 
 
 def _compare_decoding(vector: Fields, kind_name: str, decoded_name: str, data: bytes) -> Iterator[str]:
-    """Our decoding of the reference's 25 bytes, and what they hold, against what the file states."""
+    """Compare our decoding of the reference's 25 bytes, and the fields in them, with the file's decoding."""
     try:
         ours = decode(data)
     except PeerDataError as error:
@@ -265,7 +271,7 @@ def _compare_messages(ours: Message, expected: Message) -> Iterator[str]:
 
 
 def _check_pack(vector: Fields) -> Iterator[str]:
-    """Building a pack and reading it. A refused one has to be refused both ways."""
+    """Check building and reading of a pack. Both must refuse a pack that the reference refused."""
     parts = _list(vector, "messages")
     size = integer_of(vector, "single_message_size") if "single_message_size" in vector else MESSAGE_SIZE
     count = integer_of(vector, "message_count") if "message_count" in vector else len(parts)
@@ -282,13 +288,13 @@ def _check_pack(vector: Fields) -> Iterator[str]:
     if accepted:
         yield from _check_pack_decoding(vector, bytes_of(vector, "hex"))
     elif 0 <= size <= 0xFF and 0 <= count <= 0xFF:
-        # Length and number that our encoder cannot be asked for are put before our decoder.
+        # Our encoder cannot be asked for a wrong size or count, so the decoder is tested with them.
         pack = bytes((0xF2, size, count)) + b"".join(bytes_of(part, "hex") for part in parts)
         yield from _check_refusal(pack, decode_pack)
 
 
 def _check_part(part: Fields) -> Iterator[str]:
-    """A message of a pack by itself, of a refused one too; a raw one is just its bytes."""
+    """Check one message of a pack by itself, even if the pack is refused. A raw part is only bytes."""
     theirs = bytes_of(part, "hex")
     if text_of(part, "type") == _RAW:
         return
@@ -340,9 +346,10 @@ def _check_pack_decoding(vector: Fields, data: bytes) -> Iterator[str]:
 
 
 def _without_unsound_pages(pack: bytes) -> bytes:
-    """The pack without authentication pages that contradict themselves: the reference leaves those out.
+    """Return the pack without authentication pages that contradict themselves.
 
-    `decode_pack` refuses the whole pack instead. A pack that is itself unsound comes back as it is.
+    The reference leaves those out, while `decode_pack` refuses the whole pack. A pack that is itself invalid
+    is returned unchanged.
     """
     end = PACK_HEADER_SIZE + pack[2] * MESSAGE_SIZE if len(pack) >= PACK_HEADER_SIZE else 0
     if not PACK_HEADER_SIZE < end <= len(pack) or pack[2] > PACK_MAX_MESSAGES:
@@ -371,7 +378,7 @@ def _check_refusal(data: bytes, reader: Callable[[bytes], object]) -> Iterator[s
 
 
 def _check_decode(vector: Fields) -> Iterator[str]:
-    """Bytes that are only decoded."""
+    """Check a vector that only holds bytes to decode."""
     data = bytes_of(vector, "hex")
     is_pack = bool(data) and data[0] >> 4 == PACK_TYPE
     if not _accepted(vector):
@@ -392,7 +399,7 @@ def _check_frame(
     build: Callable[[bytes, int], bytes],
     address: str | None,
 ) -> Iterator[str]:
-    """Building a frame and reading it."""
+    """Check building and reading of a frame."""
     payload, counter, theirs = (
         bytes_of(vector, payload_name),
         integer_of(vector, "counter"),
@@ -443,7 +450,7 @@ def _check_nan_action(vector: Fields) -> Iterator[str]:
 
 
 def _check_nan_sync_beacon(vector: Fields) -> Iterator[str]:
-    """Building one, and telling it from a frame that holds Remote ID."""
+    """Check building a beacon, and recognising that it holds no Remote ID."""
     address, theirs = bytes_of(vector, "mac").hex(":"), bytes_of(vector, "hex")
     try:
         ours = frames.build_nan_sync_beacon(address)
