@@ -9,19 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.errors import ConfigError
+from companion.system import Onboard
+from sitl_mocks.autopilot import MockVehicle
+from sitl_mocks.judge import Judge
+from sitl_mocks.modelled_link import ModelledLink
 from sitl_mocks.vehicle_manners import VehicleMode
-
-if TYPE_CHECKING:
-    from sitl_mocks.judge import Judge
-    from sitl_mocks.modelled_link import ModelledLink
-    from sitl_mocks.soak_world import World
 
 _ACK = int(mavlink.MAVLINK_MSG_ID_COMMAND_ACK)
 _COMMAND_LONG = int(mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
@@ -92,6 +91,24 @@ class Place(Protocol):
 
     def pilot_selects(self, mode: VehicleMode) -> bool:
         """Return whether the vehicle took the mode."""
+
+
+class World(Place, Protocol):
+    """A place in which the vehicle and the companion can be got at from within, too."""
+
+    @property
+    def vehicle(self) -> MockVehicle:
+        """The simulated vehicle."""
+
+    @property
+    def onboard(self) -> Onboard:
+        """The companion."""
+
+    def station_says(self, kind: str, *fields: Any) -> None:
+        """A ground station sends the vehicle a message, by its name in the dialect."""
+
+    def restart_companion(self) -> None:
+        """A new companion takes the place of the one that is there."""
 
 
 def begin(world: World, fault: Fault) -> None:
