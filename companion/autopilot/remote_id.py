@@ -4,11 +4,11 @@
   a receiver on the link.
 - A message without an `id_or_mac` is about the operator (SYSTEM, SYSTEM_UPDATE, OPERATOR_ID, SELF_ID). It
   must target our vehicle or all systems, and come from one of these senders:
-  - Another system that is a ground station. A system is one if it has said so in a HEARTBEAT. A system that
-    has sent no HEARTBEAT yet is one if its id is 240 or more (QGroundControl and Mission Planner use 255). A
-    message that targets our vehicle by its id is accepted from any other system, because only a ground
-    station has a reason to send it. A broadcast of another vehicle is not accepted: PX4 and ArduPilot send
-    their own SYSTEM to all.
+  - Another system that is a ground station. A system is one if it has declared itself one in a HEARTBEAT. A
+    system that has sent no HEARTBEAT yet is one if its id is 240 or more (QGroundControl and Mission Planner
+    use 255). A message that targets our vehicle by its id is accepted from any other system, because only a
+    ground station has a reason to send it. A broadcast of another vehicle is not accepted: PX4 and ArduPilot
+    send their own SYSTEM to all.
   - Our autopilot. ArduPilot relays what it has received, but goes on relaying it, with the old timestamp,
     when the ground station has gone. A relayed SYSTEM therefore counts only if its timestamp is known and
     differs from the previous one (the first one only sets the reference), and only while no ground station is

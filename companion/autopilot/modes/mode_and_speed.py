@@ -1,5 +1,5 @@
-"""Asks the vehicle for a mode and for the speed of its mission. Both requests end when somebody else flies
-it.
+"""Asks the vehicle for a mode and for the speed of its mission. Both requests end when the pilot or a
+failsafe takes over.
 
 A speed given with a mode is sent right after each request for that mode. A speed given alone is sent until
 the vehicle has answered it (MAV_CMD_DO_CHANGE_SPEED), as long as the mission is flown.
@@ -69,8 +69,7 @@ class ModeAndSpeed:
             self._speed = None
             before = self._mode
             if before is None and self._cancelled is not None and self._cancelled.may_be_entered(now_s):
-                # If the vehicle enters the mode of the cancelled request, that is not the pilot's choice
-                # either.
+                # The vehicle entering the mode of the cancelled request is not the pilot's choice either.
                 before = self._cancelled
             self._cancelled = None
             self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._told, now_s, before)
