@@ -1,4 +1,4 @@
-"""What the vehicle's own parameters mean for the companion, in words for the operator."""
+"""Remarks for the operator on what the vehicle's own parameters mean for the companion."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from companion.events import Firmware, MissionItem, VehicleParameters
 
 LEAST_TIMEOUT_S = 0.5
 LEAST_SETPOINTS = 5
-"""The vehicle's setpoint timeout should outlast a hitch of the loop and some lost frames."""
+"""Shortest setpoint timeout of the vehicle, in setpoint periods. It should outlast a delay of the loop and
+some lost frames."""
 CREWED_MPS = 80.0
-"""Crewed aircraft in low airspace are seldom faster."""
+"""Assumed speed of crewed aircraft. In low airspace they are seldom faster."""
 _SINGLE = 1.0 + 1e-6
-"""What is told as 5.3 is 5.3000002: missions and parameters have single precision."""
+"""Tolerance for single precision in missions and parameters: 5.3 arrives as 5.3000002."""
 
 
 def remarks(config: Config, vehicle: VehicleParameters) -> list[str]:
-    """What of the vehicle's parameters the operator should know, in words; where the companion only watches,
-    what concerns the traffic."""
+    """Remarks on the vehicle's parameters that the operator should know, in words. If the companion only
+    watches, they concern only the traffic."""
     late = late_traffic(config, vehicle)
     return [*([] if late is None else [late]), *_flown(config, vehicle)]
 
 
 def late_traffic(config: Config, vehicle: VehicleParameters) -> str | None:
-    """Why crewed traffic is told of later than the law could use it, in words; None when it is not."""
+    """Why crewed traffic is reported later than the law could use it, in words; None when it is not."""
     receiver, radius = vehicle.adsb_type, vehicle.adsb_radius_m
     if receiver is None or receiver.value == 0 or radius is None:
         return None
@@ -44,7 +45,7 @@ def late_traffic(config: Config, vehicle: VehicleParameters) -> str | None:
 
 
 def _flown(config: Config, vehicle: VehicleParameters) -> list[str]:
-    """Of a vehicle that is to be flown or guarded."""
+    """Remarks for a vehicle that the companion flies or guards."""
     if config.flight.use == "watch":
         return []
     dialect, limits, rate_hz = DIALECTS[vehicle.firmware], config.limits, config.flight.setpoint_rate_hz
@@ -83,7 +84,7 @@ def restarting(vehicle: VehicleParameters) -> str | None:
 
 
 def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[MissionItem]) -> str | None:
-    """That a guarded mission is flown faster than the companion may fly, in words; None when it is not."""
+    """Why a guarded mission is faster than the companion may fly, in words; None when it is not."""
     changes, own = speed_changes(items)
     asked = [(speed_mps, f"mission item {seq}: {speed_mps:g} m/s") for seq, speed_mps in changes]
     cruise = vehicle.cruise_mps or vehicle.speed_mps
@@ -91,7 +92,7 @@ def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[M
         asked.append((cruise.value, f"{cruise.name} {cruise.value:g}"))
     most_mps, who = max(asked, default=(0.0, ""))
     if vehicle.firmware is Firmware.PX4 and vehicle.speed_mps is not None:
-        # ArduPilot flies what a mission asks for, whatever its own speed is.
+        # ArduPilot flies the speed that a mission asks for, even above its own speed parameter.
         most_mps = min(most_mps, vehicle.speed_mps.value)
     limit_mps = effective(limits, vehicle).max_speed_mps
     if most_mps <= limit_mps * _SINGLE:
@@ -104,7 +105,7 @@ def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[M
 
 
 def no_receiver(vehicle: VehicleParameters) -> str | None:
-    """That the vehicle has no ADS-B receiver, in words; None when it has, or does not tell."""
+    """Remark that the vehicle has no ADS-B receiver, in words; None when it has one or does not report it."""
     receiver = vehicle.adsb_type
     if receiver is None or receiver.value != 0:
         return None

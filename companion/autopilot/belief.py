@@ -1,4 +1,4 @@
-"""Who is believed on a link with a key, and words for what the key keeps out."""
+"""Decides which frames are accepted on a signed link, and explains what was rejected."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ _ALL_REFUSED = {
     Refusal.STALE: "dated more than a minute before ours: the autopilot does not hear us, or it is a replay",
     Refusal.CROWDED: "of one sender too many on this link",
 }
-"""What to say where nothing of the vehicle is believed."""
+"""Explanations for the case that every frame of the vehicle is rejected."""
 
 
 class Belief:
-    """Judges frames, and remembers how the vehicle's fared."""
+    """Checks the signature of each frame and tracks whether the vehicle's own frames are accepted."""
 
     def __init__(self, signing: Signing, heard: HeardVehicle) -> None:
         self._signing = signing
         self._heard = heard
         self._believed_s: float | None = None
         self._refused: tuple[Refusal, float] | None = None
-        """Why the vehicle's last refused frame was, and when."""
+        """Why the latest rejected frame of the vehicle was rejected, and when."""
 
     def believes(self, frame: Frame, now_s: float) -> bool:
-        """Whether a frame may get any further."""
+        """Whether a frame is accepted."""
         refused = self._signing.refusal(frame)
         if self._heard.may_be_ours(frame):
             if refused is None:
@@ -37,7 +37,7 @@ class Belief:
         return refused is None
 
     def disbelief(self, now_s: float) -> str | None:
-        """What is kept out, in words; None when that is nothing."""
+        """What is being rejected, in words; None when nothing is."""
         heard_s = self._believed_s
         if self._refused is not None and (heard_s is None or now_s - heard_s > LOST_AFTER_S):
             reason, refused_s = self._refused

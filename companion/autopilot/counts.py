@@ -1,4 +1,4 @@
-"""What a MAVLink link counts, for status lines and reports."""
+"""Counters of a MAVLink link, for status lines and reports."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from companion.autopilot.wire import WireCounts
 
 @dataclass(slots=True, kw_only=True)
 class LinkCounts(RemoteIdCounts):
-    """What the link has met and done so far."""
+    """What the link has received and done so far."""
 
     wire: WireCounts
-    """Framing: messages, unknown, corrupt, skipped bytes."""
+    """Framing counters: messages, unknown, corrupt, skipped bytes."""
     taken: int = 0
     """Messages of our vehicle that were decoded."""
     unneeded: int = 0
-    """Messages of our vehicle that nothing here needs: checked, not decoded."""
+    """Messages of our vehicle that are not needed: their checksum was verified, but they were not decoded."""
     foreign: int = 0
-    """Messages of other systems and components, or answers meant for them."""
+    """Messages of other systems and components, and answers addressed to them."""
     bad_values: int = 0
-    """Messages with values that no honest vehicle sends."""
+    """Messages with values that no correct vehicle sends."""
     no_position: int = 0
-    """GLOBAL_POSITION_INT before the vehicle knew where it is, ADSB_VEHICLE without a position."""
+    """GLOBAL_POSITION_INT before the vehicle knew its position, and ADSB_VEHICLE without a position."""
     acks_accepted: int = 0
     acks_refused: int = 0
     reboots: int = 0
@@ -32,20 +32,21 @@ class LinkCounts(RemoteIdCounts):
     stream_requests: int = 0
     parameter_requests: int = 0
     settings_requests: int = 0
-    """Requests of ground stations for parameters of our own."""
+    """Requests of ground stations for our own parameters."""
     settings_refused: int = 0
-    """PARAM_SET with a value that is not allowed."""
+    """PARAM_SET requests with a value that is not allowed."""
     information_requests: int = 0
-    """Requests of ground stations for messages and files about us."""
+    """Requests of ground stations for messages and files about the companion."""
     information_refused: int = 0
-    """Of them, damaged ones, and those for what there is not."""
+    """Of these requests, the damaged ones and those for something that does not exist."""
     mode_requests: int = 0
     setpoints: int = 0
     setpoints_dropped: int = 0
-    """Setpoints not sent: no vehicle, one that cannot be commanded, or replaced before they were drained."""
+    """Setpoints that were not sent. There was no vehicle, it cannot be commanded, or the setpoint was
+    replaced or too old before it was drained."""
     overflows: int = 0
-    """Times the undrained queue was thrown away."""
+    """How often the undrained send queue was discarded."""
     clock_reads: int = 0
-    """Answers to our TIMESYNC that tell something."""
+    """Answers to our TIMESYNC that gave a reading of the vehicle's clock."""
     clock_answers: int = 0
-    """Answers of ours to the vehicle's TIMESYNC."""
+    """Our answers to the vehicle's TIMESYNC."""

@@ -1,11 +1,11 @@
 """How ArduPilot Copter and PX4 multicopters differ, as data and small functions.
 
-What they have in common stands here too: both fly the same setpoint, in one frame, with one mask for each
-manner of the nose.
+The module also holds what they share: both take the same velocity setpoint in the same frame, with one type
+mask for a given yaw and one for a held heading.
 
 Mode numbers are those of ArduCopter's `Mode::Number` and of PX4's `px4_custom_mode` (main mode in bits 16-23,
-sub mode in bits 24-31). A mode counts as entered only when the heartbeat's `custom_mode` says so: PX4
-acknowledges modes that it then does not enter.
+sub mode in bits 24-31). A mode counts as entered only when the heartbeat's `custom_mode` shows it, because
+PX4 acknowledges modes that it then does not enter.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from companion.config import FlightConfig
 from companion.events import Firmware, FlightMode, Heartbeat
 
 CUSTOM_MODE_ENABLED = 1
-"""MAV_MODE_FLAG_CUSTOM_MODE_ENABLED: `custom_mode` means something; also param 1 of DO_SET_MODE."""
+"""MAV_MODE_FLAG_CUSTOM_MODE_ENABLED: `custom_mode` is valid. It is also param 1 of DO_SET_MODE."""
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED."""
 CMD_DO_SET_MODE = 176
@@ -28,18 +28,19 @@ CMD_SET_MESSAGE_INTERVAL = 511
 CMD_REQUEST_MESSAGE = 512
 
 VELOCITY_YAW_MASK = 0x9C7
-"""POSITION_TARGET_TYPEMASK: the three velocity axes and the yaw count. ArduPilot drops a vector with any axis
-ignored."""
+"""POSITION_TARGET_TYPEMASK that uses the three velocity axes and the yaw. ArduPilot drops the whole velocity
+vector if any axis is ignored."""
 VELOCITY_YAW_RATE_MASK = 0x5C7
-"""The three velocity axes and the yaw rate count; with a rate of 0 both hold the nose where it is. With
-neither yaw nor rate (0xDC7) PX4 holds it too, but ArduPilot turns it as WP_YAW_BEHAVIOR says."""
+"""POSITION_TARGET_TYPEMASK that uses the three velocity axes and the yaw rate. With a yaw rate of 0, both
+firmwares hold the heading. With neither yaw nor yaw rate (0xDC7), PX4 still holds it, but ArduPilot turns the
+nose as WP_YAW_BEHAVIOR says."""
 FRAME_LOCAL_NED = 1
-"""MAV_FRAME_LOCAL_NED, the one frame that both fly as velocity north, east, down."""
+"""MAV_FRAME_LOCAL_NED. This is the frame in which both firmwares take a velocity as north, east, down."""
 
 FIRMWARES = {3: Firmware.ARDUPILOT, 12: Firmware.PX4}
-"""MAV_AUTOPILOT of the autopilots that we know."""
+"""MAV_AUTOPILOT values of the supported autopilots."""
 AUTOPILOT_INVALID = 8
-"""MAV_AUTOPILOT_INVALID: a component that is no autopilot."""
+"""MAV_AUTOPILOT_INVALID: the component is not an autopilot."""
 
 _MULTIROTORS = frozenset({2, 3, 13, 14, 15, 29, 35, 43})
 _HELICOPTER = 4
@@ -62,7 +63,7 @@ _UNSUPPORTED = {
 
 @dataclass(frozen=True, slots=True)
 class ModeCommand:
-    """One flight mode as commanded: params 2 and 3 of DO_SET_MODE and the number that confirms it."""
+    """Command for one flight mode: params 2 and 3 of DO_SET_MODE, and the mode number that confirms it."""
 
     custom_mode: int
     param2: float
@@ -71,65 +72,66 @@ class ModeCommand:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A parameter that the companion needs to know."""
+    """A vehicle parameter that the companion needs."""
 
     field: str
-    """Of `VehicleParameters`."""
+    """Name of the field in `VehicleParameters`."""
     names: tuple[tuple[str, float], ...]
-    """Its name in each generation of the firmware, with the factor from its unit to SI."""
+    """Name of the parameter in each firmware generation, with the factor that converts its unit to SI."""
     lowest: float
     highest: float
-    """SI; a value outside is not believed."""
+    """Plausible range in SI units, from `lowest` to `highest`. A value outside it is rejected."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """One autopilot's mode numbers, parameters, and what it does when setpoints stop."""
+    """One autopilot's mode numbers, parameters, and behaviour when setpoints stop."""
 
     firmware: Firmware
     modes: dict[int, FlightMode]
     commands: dict[FlightMode, ModeCommand]
     names: dict[int, str]
     mode_known_s: float
-    """For how long the mode in a heartbeat is still the vehicle's: one that says each change at once is known
-    until a heartbeat is missing; of one that says it once a second only what it has just said (what
-    CURRENT_MODE adds to that, `mode_request.ModeTold` says)."""
+    """How long the mode in a heartbeat may be trusted (seconds). ArduPilot announces each change at once, so
+    its mode is known until a heartbeat is missing. PX4 reports its mode once a second, so only a heartbeat
+    that has just arrived counts. `mode_request.ModeTold` describes what CURRENT_MODE adds."""
     wanted: tuple[Wanted, ...]
     integers_bytewise: bool
-    """PARAM_VALUE holds an integer's own bytes; False: every value is cast to float."""
+    """True: PARAM_VALUE holds an integer's own bytes. False: every value is cast to float."""
     silence: str
-    """What it does when setpoints stop for longer than its timeout, if `loss_action` is not known."""
+    """What the autopilot does when setpoints stop for longer than its timeout, if `loss_action` is not
+    known."""
     silence_by_action: dict[int, str]
-    """The same for each `loss_action`."""
+    """The same for each value of `loss_action`."""
     crashing_actions: frozenset[int]
-    """Of them, those that stop the motors in the air."""
+    """Values of `loss_action` that stop the motors in the air."""
     idle_fence_actions: frozenset[int]
     """Values of `fence_action` with which the vehicle flies through its own fence."""
 
     def mode(self, base_mode: int, custom_mode: int) -> FlightMode:
-        """What the companion makes of a heartbeat's mode."""
+        """Convert a heartbeat's mode to a `FlightMode`."""
         if not base_mode & CUSTOM_MODE_ENABLED:
             return FlightMode.OTHER
         return self.modes.get(custom_mode, FlightMode.OTHER)
 
     def command(self, mode: FlightMode) -> ModeCommand:
-        """How to ask for a mode.
+        """DO_SET_MODE parameters for a mode.
 
         Raises:
-            ValueError: OTHER is not a mode that can be asked for.
+            ValueError: the mode cannot be commanded (OTHER).
         """
         if mode not in self.commands:
             raise ValueError(f"{mode} cannot be commanded")
         return self.commands[mode]
 
     def after_silence(self, loss_action: int | None) -> str:
-        """What it does when setpoints stop, in words that follow "it"."""
+        """What the autopilot does when setpoints stop, in words that follow "it"."""
         if loss_action is None:
             return self.silence
         return self.silence_by_action.get(loss_action, self.silence)
 
     def name(self, custom_mode: int) -> str:
-        """The mode's name in the autopilot's own words."""
+        """The autopilot's own name for a mode."""
         return self.names.get(custom_mode, f"mode {custom_mode}")
 
 
@@ -155,7 +157,7 @@ ARDUPILOT = Dialect(
     commands={
         FlightMode.EXTERNAL: _ardupilot(4),
         FlightMode.MISSION: _ardupilot(3),
-        # BRAKE, not LOITER: without a remote control LOITER reads a low throttle and descends.
+        # BRAKE rather than LOITER: without a remote control LOITER reads a low throttle and descends.
         FlightMode.HOLD: _ardupilot(17),
         FlightMode.STICKS: _ardupilot(5),
     },
@@ -164,9 +166,9 @@ ARDUPILOT = Dialect(
         for number, entry in mavlink.enums["COPTER_MODE"].items()
         if not entry.name.endswith("_ENUM_END")
     },
-    # Copter::set_mode sends a heartbeat.
+    # ArduCopter's Copter::set_mode sends a heartbeat at every change.
     mode_known_s=1.5,
-    # Since 4.7 WP_*, in metres; before WPNAV_*, in centimetres.
+    # Since 4.7 the names are WP_*, in metres. Before, they were WPNAV_*, in centimetres.
     wanted=(
         Wanted("speed_mps", (("WP_SPD", 1.0), ("WPNAV_SPEED", 0.01)), *_SPEED),
         Wanted("climb_mps", (("WP_SPD_UP", 1.0), ("WPNAV_SPEED_UP", 0.01)), *_SPEED),
@@ -175,7 +177,7 @@ ARDUPILOT = Dialect(
         Wanted("setpoint_timeout_s", (("GUID_TIMEOUT", 1.0),), *_TIMEOUT),
         Wanted("fence_action", (("FENCE_ENABLE", 1.0),), 0, 1),
         Wanted("mission_restart", (("MIS_RESTART", 1.0),), 0, 1),
-        # Before 4.1 ADSB_ENABLE.
+        # Before 4.1 the name was ADSB_ENABLE.
         Wanted("adsb_type", (("ADSB_TYPE", 1.0), ("ADSB_ENABLE", 1.0)), 0, 127),
         Wanted("adsb_radius_m", (("ADSB_LIST_RADIUS", 1.0),), 0, 1e6),
     ),
@@ -244,7 +246,7 @@ PX4 = Dialect(
         7: "disarms",
     },
     crashing_actions=frozenset({6, 7}),
-    # None and warning.
+    # GF_ACTION 0 is none, 1 is warning.
     idle_fence_actions=frozenset({0, 1}),
 )
 
@@ -254,7 +256,8 @@ DIALECTS = {Firmware.ARDUPILOT: ARDUPILOT, Firmware.PX4: PX4}
 def refusal(firmware: Firmware, vehicle_type: int) -> str | None:
     """Why this kind of vehicle (MAV_TYPE) cannot be commanded, in words; None when it can.
 
-    Mode numbers and the answer to velocity setpoints are those of multirotors: ArduPlane's mode 4 is ACRO.
+    The mode numbers and the response to velocity setpoints are those of multirotors. On ArduPlane, for
+    example, mode 4 is ACRO.
     """
     if vehicle_type in _MULTIROTORS:
         return None
@@ -268,22 +271,23 @@ def refusal(firmware: Firmware, vehicle_type: int) -> str | None:
 
 
 def flight_mode(firmware: Firmware, vehicle_type: int, base_mode: int, custom_mode: int) -> FlightMode:
-    """What the companion makes of a vehicle's mode; OTHER where the vehicle cannot be commanded."""
+    """Convert a vehicle's mode to a `FlightMode`; OTHER if the vehicle cannot be commanded."""
     if refusal(firmware, vehicle_type) is not None:
         return FlightMode.OTHER
     return DIALECTS[firmware].mode(base_mode, custom_mode)
 
 
 def in_mode(beat: Heartbeat, custom_mode: int) -> Heartbeat:
-    """A vehicle's last heartbeat with the mode that CURRENT_MODE has told since."""
+    """Copy of a vehicle's last heartbeat with the mode that a later CURRENT_MODE reported."""
     mode = flight_mode(beat.firmware, beat.vehicle_type, CUSTOM_MODE_ENABLED, custom_mode)
     return msgspec.structs.replace(beat, custom_mode=custom_mode, mode=mode)
 
 
 def impossible_rearm(firmware: Firmware, flight: FlightConfig) -> str | None:
-    """Why a pilot cannot give this autopilot back as `flight.rearm` says, in words; None when he can.
+    """Why a pilot cannot give control back to the companion as `flight.rearm` says, in words; None when
+    possible.
 
-    PX4 lets nobody select OFFBOARD while no setpoints stream, and none do once the pilot has taken over.
+    PX4 refuses OFFBOARD while no setpoints are streamed, and none are once the pilot has taken over.
     """
     if flight.use != "fly" or flight.rearm != "mode" or firmware is not Firmware.PX4:
         return None

@@ -1,8 +1,8 @@
-"""What the companion says on MAVLink, as payloads laid out in wire order: (message id, payload).
+"""Encodes the companion's MAVLink messages as (message id, payload), with the payload in wire order.
 
-Laid out here with prepared `struct`s instead of through pymavlink's message objects, because the setpoint
-leaves twenty times a second per aircraft and many aircraft share one thread in simulation. The tests hold
-every layout against pymavlink's.
+Payloads are packed with prepared `struct`s instead of pymavlink's message objects, because a setpoint is sent
+twenty times a second per aircraft and many aircraft share one thread in simulation. The tests check every
+layout against pymavlink's.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ Outgoing = tuple[int, bytes]
 
 AUTOPILOT_COMPONENT = 1
 MAX_SETPOINT_MPS = 100.0
-"""No supported vehicle is ever asked for more: a larger number is a bug of ours."""
+"""Largest speed of a setpoint. No supported vehicle is ever asked for more, so a larger number is a bug of
+ours."""
 TEXT_BYTES = 50
-"""STATUSTEXT's text field."""
+"""Length of STATUSTEXT's text field."""
 _MAX_CHUNKS = 10
 
 TYPE_ONBOARD_CONTROLLER = 18
@@ -52,24 +53,26 @@ _COLLISION_REPORT = 1
 _COLLISION_MOVE_PERPENDICULAR = 4
 _THREAT_LEVELS = (0, 1, 2)
 MAX_TOLD = 1e6
-"""Seconds or metres; what is farther away is told as this, so that no report fails."""
+"""Largest time (s) or distance (m) in COLLISION. Larger values are reported as this one, so that encoding
+never fails."""
 
 
 def heartbeat(mav_type: int = TYPE_ONBOARD_CONTROLLER) -> Outgoing:
-    """HEARTBEAT of a component that is no autopilot."""
+    """HEARTBEAT of a component that is not an autopilot."""
     return mavlink.MAVLINK_MSG_ID_HEARTBEAT, _HEARTBEAT.pack(
         0, mav_type, AUTOPILOT_INVALID, 0, _STATE_ACTIVE, _MAVLINK_VERSION
     )
 
 
 def check_velocity(velocity_ned_mps: Vec3) -> None:
-    """Refuse a velocity that no vehicle may be asked for.
+    """Reject a velocity that must not be sent as a setpoint.
 
     Raises:
-        ValueError: a component is not finite, or the speed is above `MAX_SETPOINT_MPS`: a bug of ours.
+        ValueError: a component is not finite, or the speed is above `MAX_SETPOINT_MPS`. Either is a bug of
+            ours.
     """
     north, east, down = velocity_ned_mps
-    # NaN fails the comparison, infinity exceeds it.
+    # A comparison with NaN is false, and infinity exceeds the limit.
     if not math.hypot(north, east, down) <= MAX_SETPOINT_MPS:
         raise ValueError(
             f"velocity setpoint {velocity_ned_mps} m/s is not finite or above {MAX_SETPOINT_MPS}"
@@ -79,10 +82,10 @@ def check_velocity(velocity_ned_mps: Vec3) -> None:
 def velocity_setpoint(
     velocity_ned_mps: Vec3, yaw_rad: float | None, time_boot_ms: int, system_id: int
 ) -> Outgoing:
-    """SET_POSITION_TARGET_LOCAL_NED: velocity north, east, down (m/s) and where the nose points.
+    """SET_POSITION_TARGET_LOCAL_NED with a velocity north, east, down (m/s) and a yaw.
 
     Args:
-        yaw_rad: clockwise from north; None: the nose stays where it is (yaw rate 0).
+        yaw_rad: clockwise from north. None: the heading is held (yaw rate 0).
 
     Raises:
         ValueError: see `check_velocity`.
@@ -110,7 +113,7 @@ def velocity_setpoint(
 
 
 def command_long(command: int, params: tuple[float, ...], system_id: int, confirmation: int = 0) -> Outgoing:
-    """COMMAND_LONG to the autopilot; params that are not given are 0."""
+    """COMMAND_LONG to the autopilot. Params that are not given are 0."""
     seven = (*params, *(0.0,) * (7 - len(params)))
     return mavlink.MAVLINK_MSG_ID_COMMAND_LONG, _COMMAND_LONG.pack(
         *seven, command, system_id, AUTOPILOT_COMPONENT, confirmation
@@ -125,15 +128,15 @@ def param_request_read(name: str, system_id: int) -> Outgoing:
 
 
 def statustext(severity: int, text: str, text_id: int) -> list[Outgoing]:
-    """STATUSTEXT; longer text goes in chunks under `text_id` (1-65535), cut at ten of them.
+    """STATUSTEXT. A longer text is split into chunks under `text_id` (1-65535) and cut off after ten of them.
 
-    What is not printable ASCII becomes "?": ground stations differ in what else they show, and names in a
-    text come from strangers.
+    Characters that are not printable ASCII become "?", because ground stations differ in which others they
+    show, and names in a text come from unknown senders.
     """
     data = bytes(code if 0x20 <= code < 0x7F else 0x3F for code in text.encode("ascii", "replace"))
     if len(data) <= TEXT_BYTES:
         return [(mavlink.MAVLINK_MSG_ID_STATUSTEXT, _STATUSTEXT.pack(severity, data, 0, 0))]
-    # A zero byte ends the text, so text that fills its last chunk would need an empty one behind it.
+    # A zero byte ends the text, so a text that fills its last chunk would need one more, empty chunk.
     data = data[: TEXT_BYTES * _MAX_CHUNKS - 1]
     return [
         (
@@ -145,18 +148,19 @@ def statustext(severity: int, text: str, text_id: int) -> list[Outgoing]:
 
 
 def collision(threat: Threat) -> Outgoing:
-    """COLLISION: `id` is the ICAO address where `src` is ADSB.
+    """COLLISION. `id` is the ICAO address if `src` is ADSB.
 
-    For Remote ID there is no source of its own; it is told as MAVLINK_GPS_GLOBAL_INT, the one for other
-    aircraft's own reports, with the first four bytes of the SHA-256 of the track's name: the same on every
-    aircraft, and two among a hundred tracks share one with a probability of 1e-6.
+    MAVLink has no source for Remote ID. It is reported as MAVLINK_GPS_GLOBAL_INT, the source for other
+    aircraft's own reports. Its `id` is the first four bytes of the SHA-256 of the track's name. This id is
+    the same on every aircraft, and two among a hundred tracks share one with a probability of 1e-6.
 
-    `action` is REPORT, or, where the companion flies around it, MOVE_PERPENDICULAR: the only evasive action
-    that is neither horizontal nor vertical alone, as the law's are.
+    `action` is REPORT, or MOVE_PERPENDICULAR while the companion avoids the other aircraft.
+    MOVE_PERPENDICULAR is the only evasive action that is neither horizontal nor vertical alone, and the law's
+    manoeuvres are neither.
 
     Raises:
-        ValueError: a level that MAVLink does not have, an ADS-B track not named by 24 bits in hexadecimal
-            digits: bugs of ours.
+        ValueError: a level that MAVLink does not have, or an ADS-B track whose name is not 24 bits in
+            hexadecimal digits. Both are bugs of ours.
     """
     if threat.level not in _THREAT_LEVELS:
         raise ValueError(f"MAV_COLLISION_THREAT_LEVEL {threat.level} is not defined")
@@ -179,12 +183,12 @@ def collision(threat: Threat) -> Outgoing:
 
 
 def _told(value: float) -> float:
-    """A number that fits the field; NaN stays NaN, MAVLink's "not known"."""
+    """Value limited to the range of the field. NaN stays NaN, which is MAVLink's "not known"."""
     return min(max(value, 0.0), MAX_TOLD)
 
 
 def mission_request_list(system_id: int, mission_type: int) -> Outgoing:
-    """MISSION_REQUEST_LIST: how many items are there?"""
+    """MISSION_REQUEST_LIST: asks how many items a list has."""
     return (
         mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
         _LIST.pack(system_id, AUTOPILOT_COMPONENT, mission_type),
@@ -200,6 +204,6 @@ def mission_request(seq: int, system_id: int, mission_type: int, *, as_int: bool
 
 
 def mission_ack(system_id: int, mission_type: int, *, cancelled: bool = False) -> Outgoing:
-    """MISSION_ACK: the download is complete, or given up."""
+    """MISSION_ACK: the download is complete, or cancelled."""
     result = mavlink.MAV_MISSION_OPERATION_CANCELLED if cancelled else mavlink.MAV_MISSION_ACCEPTED
     return mavlink.MAVLINK_MSG_ID_MISSION_ACK, _ACK.pack(system_id, AUTOPILOT_COMPONENT, result, mission_type)

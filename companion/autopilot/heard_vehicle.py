@@ -1,8 +1,9 @@
-"""Which vehicle is ours, and what its heartbeats and its clock say of it.
+"""Identifies our vehicle and tracks its heartbeats and its clock.
 
-It is component 1 of one system, the configured one or the first that sends an autopilot's HEARTBEAT. That one
-may be a neighbour's, which some router or radio forwards: where none was configured, a second autopilot makes
-it `unclear` which is ours, for as long as this link lives.
+Our vehicle is component 1 of one system: the configured system, or the first one that sends an autopilot's
+HEARTBEAT. That first one may be a neighbour's vehicle that a router or a radio forwards. If no system is
+configured, a second autopilot therefore makes it `unclear` which vehicle is ours, for the lifetime of this
+link.
 """
 
 from __future__ import annotations
@@ -21,32 +22,33 @@ from companion.config import VehicleConfig
 from companion.events import Firmware, Heartbeat, TwoAutopilots
 
 LOST_AFTER_S = 3.0
-"""Heartbeats further apart than this: the link dropped, or the vehicle restarted."""
+"""A longer gap between two heartbeats means that the link dropped or the vehicle restarted."""
 REBOOT_STEP_S = 1.0
-"""The vehicle's clock going back by more than this is a reboot; less is messages that overtook each other."""
+"""The vehicle has rebooted when its clock goes back by more than this. A smaller step means messages out of
+order."""
 _GROUND_STATION = 6
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """The vehicle at the other end."""
+    """The vehicle at the other end of the link."""
 
     system_id: int
     firmware: Firmware
     vehicle_type: int
     """MAV_TYPE."""
     refusal: str | None
-    """Why it cannot be commanded, in words; None when it can. Telemetry is read either way."""
+    """Why the vehicle cannot be commanded, in words; None when it can. Telemetry is read in either case."""
 
     def __str__(self) -> str:
-        """For a status line."""
+        """Text for a status line."""
         words = f"{self.firmware.value}, system {self.system_id}, MAV_TYPE {self.vehicle_type}"
         return words if self.refusal is None else f"{words}: {self.refusal}"
 
 
 class HeardVehicle:
-    """Knows nothing until the first heartbeat."""
+    """The vehicle on the link. It is unknown until the first heartbeat."""
 
     def __init__(self, config: VehicleConfig, counts: LinkCounts) -> None:
         self.vehicle: Vehicle | None = None
@@ -58,10 +60,11 @@ class HeardVehicle:
         self._boot_s: float | None = None
         self._boot_heard_s = 0.0
 
-    # ------------------------------------------------------------ whose a frame is
+    # ------------------------------------------------------------ sender and target of frames
 
     def is_ours(self, frame: Frame) -> bool:
-        """Whether a frame is the vehicle's; before one is known, whether it may tell which it is."""
+        """Whether a frame comes from our vehicle. While no vehicle is known: whether the frame may identify
+        it."""
         if frame.component_id != AUTOPILOT_COMPONENT:
             return False
         if self.vehicle is not None:
@@ -69,13 +72,14 @@ class HeardVehicle:
         return frame.message_id == _HEARTBEAT_ID and self._config.system_id in (0, frame.system_id)
 
     def may_be_ours(self, frame: Frame) -> bool:
-        """Whether a frame, of whatever message, comes from where the vehicle is or is awaited."""
+        """Whether a frame of any message comes from our vehicle, or from a system that may turn out to be
+        it."""
         wanted = self._config.system_id if self.vehicle is None else self.vehicle.system_id
         return frame.component_id == AUTOPILOT_COMPONENT and wanted in (0, frame.system_id)
 
     def is_for_us(self, target_system: int, target_component: int) -> bool:
-        """Whether an answer of the vehicle is meant for us; 0 is everybody, and what MAVLink 1 has no field
-        for. Others' are counted."""
+        """Whether an answer of the vehicle is addressed to us. Target 0 addresses everybody; it is also read
+        where MAVLink 1 has no target field. Answers to others are counted as foreign."""
         ours = (
             self.vehicle is not None
             and target_system in (0, self.vehicle.system_id)
@@ -85,10 +89,10 @@ class HeardVehicle:
             self._counts.foreign += 1
         return ours
 
-    # ------------------------------------------------------------ what it says
+    # ------------------------------------------------------------ heartbeat and clock
 
     def on_heartbeat(self, heartbeat: Heartbeat, now_s: float) -> bool:
-        """Its HEARTBEAT. Returns whether the vehicle is new, or was away."""
+        """Take the vehicle's HEARTBEAT. Returns whether the vehicle is new or was away."""
         known = self.vehicle
         dropped = known is not None and not self.is_connected(now_s)
         self._heartbeat_s = now_s
@@ -103,24 +107,25 @@ class HeardVehicle:
         return known is None or dropped
 
     def is_connected(self, now_s: float) -> bool:
-        """Whether its last heartbeat is not older than `LOST_AFTER_S`."""
+        """Whether the vehicle's last heartbeat is not older than `LOST_AFTER_S`."""
         return now_s - self._heartbeat_s <= LOST_AFTER_S
 
     def on_boot_time(self, time_boot_s: float, now_s: float) -> bool:
-        """Its clock, as some message tells it. Returns whether it has begun anew."""
+        """Take the vehicle's time since boot from a message. Returns whether the vehicle has rebooted."""
         rebooted = self._boot_s is not None and time_boot_s < self._boot_s - REBOOT_STEP_S
         self._counts.reboots += rebooted
         self._boot_s, self._boot_heard_s = time_boot_s, now_s
         return rebooted
 
     def boot_ms(self, now_s: float) -> int:
-        """What its clock must be by now; 0 while it has not told."""
+        """Estimated time since the vehicle's boot, milliseconds; 0 while it is unknown."""
         if self._boot_s is None:
             return 0
         return round((self._boot_s + max(0.0, now_s - self._boot_heard_s)) * 1e3)
 
     def second_autopilot(self, frame: Frame) -> TwoAutopilots | None:
-        """HEARTBEAT of another system or component: where it makes it unclear which vehicle is ours, once."""
+        """Event if a HEARTBEAT of another system or component makes it unclear which vehicle is ours;
+        reported once."""
         vehicle = self.vehicle
         if self._config.system_id != 0 or self.unclear is not None or vehicle is None:
             return None
@@ -134,5 +139,5 @@ class HeardVehicle:
 
 
 def from_autopilot(fields: Fields) -> bool:
-    """Whether a HEARTBEAT of component 1 is an autopilot's: some ground stations call themselves that too."""
+    """Whether a HEARTBEAT of component 1 is an autopilot's. Some ground stations also use component 1."""
     return bool(fields[1] != _GROUND_STATION and fields[2] != AUTOPILOT_INVALID)

@@ -1,31 +1,32 @@
-"""The MAVLink link to one vehicle: bytes in, events out; commands in, bytes out.
+"""The MAVLink link to one vehicle. It turns received bytes into events, and commands into bytes to send.
 
-A pure state machine: time is an argument, nothing here reads a clock or a socket. The caller's cycle is
+The link is a pure state machine: time is an argument, and nothing here reads a clock or a socket. The
+caller's cycle is
 
-    events = link.receive(data, now_s)      # as often as bytes come
+    events = link.receive(data, now_s)      # whenever bytes arrive
     link.begin_step(now_s, behind=False)    # every cycle
     events = link.advance(now_s)            # every cycle: heartbeat, retries, timeouts
-    link.send(command, now_s)               # what the heart decided
-    socket.send(link.drain())               # whole frames; what leaves is what was drained
+    link.send(command, now_s)               # a command that the core has decided
+    socket.send(link.drain())               # whole frames; drained bytes count as sent
 
-Here a frame finds who takes it, and a command who sends it. What they need of each other is which vehicle is
-ours (`heard_vehicle`) and where to put what leaves (`outbox`):
+This module passes each frame to the part that handles it, and each command to the part that sends it. The
+parts share only which vehicle is ours (`heard_vehicle`) and the send queue (`outbox`):
 
     polling             streams, parameters and the clock of the vehicle
-    mode_and_speed      the mode that it is asked for, and the speed of its mission
-    downloads           its mission and its fence
-    ground_stations     what others ask of us
-    remote_id           Remote ID of everybody, and the vehicle's own component
-    belief, signing     who is believed, on a link with a key
+    mode_and_speed      the mode that the vehicle is asked for, and the speed of its mission
+    downloads           the vehicle's mission and fence
+    ground_stations     requests of other systems to us
+    remote_id           Remote ID of all senders, and the vehicle's own Remote ID component
+    belief, signing     which frames are accepted on a link with a signing key
 
-Who is listened to: our vehicle. Vehicles forward what others send, so everything else is counted as foreign
-and left out; ADS-B traffic is the vehicle's own stream too, of what its receiver told it (a receiver's own
-frames, which ArduPilot forwards only with ADSB_TYPE = 0, would be the same aircraft twice). Remote ID comes
-from others by its nature: `remote_id` says whose. Of what others ask, only what is asked of us is taken
-(`ground_stations`).
+The link listens to our vehicle. Vehicles forward messages of other systems, so everything else is counted as
+foreign and ignored. ADS-B traffic is the vehicle's own stream of what its receiver reported; a receiver's own
+frames, which ArduPilot forwards only with ADSB_TYPE = 0, would report the same aircraft twice. Remote ID
+comes from other senders by its nature; `remote_id` defines which of them are accepted. Of the requests of
+other systems, only those addressed to us are taken (`ground_stations`).
 
-With a key (`signing`) nothing unsigned, forged or replayed gets further than its count, and all that leaves
-is signed. SETUP_SIGNING is obeyed from nobody, key or not.
+With a signing key (`signing`), unsigned, forged and replayed frames are only counted, and everything that
+leaves is signed. SETUP_SIGNING is never obeyed, with or without a key.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 
 class AutopilotLink:
-    """See the module. One object per vehicle; give it every byte of the link."""
+    """MAVLink link to one vehicle (see the module). Create one object per vehicle and give it every byte of
+    the link."""
 
     def __init__(
         self,
@@ -95,18 +97,20 @@ class AutopilotLink:
         settings: OwnParameters | None = None,
         information: ComponentInformation | None = None,
     ) -> None:
-        """A link that has heard nothing yet.
+        """Create a link that has received nothing yet.
 
         Args:
-            signing: checks what is heard and signs what is sent. None: signatures are not looked at.
-            yaw: as `flight.yaw`, for every setpoint.
-            remote_id_component: also be the vehicle's Remote ID component (236), from the first ArmStatus on.
-            identity: what that component tells the autopilot of whom it broadcasts.
-            settings: parameters of our own that ground stations may read and set. None: there are none.
-            information: tells ground stations what we are. None: nobody does.
+            signing: checks received frames and signs sent ones. None: signatures are ignored.
+            yaw: yaw policy of every setpoint, as in `flight.yaw`.
+            remote_id_component: also act as the vehicle's Remote ID component (236), from the first ArmStatus
+                on.
+            identity: Basic ID that this component sends to the autopilot.
+            settings: our own parameters that ground stations may read and set. None: there are none.
+            information: answers ground stations' requests for information about the companion. None: not
+                answered.
 
         Raises:
-            ConfigError: we would be that component twice.
+            ConfigError: `vehicle.component_id` is already the id of the Remote ID component.
         """
         if remote_id_component and config.component_id == COMPONENT_ID:
             raise ConfigError(
@@ -116,7 +120,7 @@ class AutopilotLink:
         self._scanner = FrameScanner()
         self.counts = LinkCounts(wire=self._scanner.counts)
         self.last_bad: str | None = None
-        """The latest bad value in words, for the status line."""
+        """The latest invalid value in words, for the status line."""
         self._events: list[Event] = []
         self._signing = signing
         self._heard = heard = HeardVehicle(config, self.counts)
@@ -154,7 +158,7 @@ class AutopilotLink:
 
     @property
     def vehicle(self) -> Vehicle | None:
-        """The vehicle, once its first heartbeat has come."""
+        """The vehicle; None until its first heartbeat."""
         return self._heard.vehicle
 
     @property
@@ -164,7 +168,7 @@ class AutopilotLink:
 
     @property
     def parameters(self) -> VehicleParameters | None:
-        """What the vehicle has told of its parameters; None while it is not known, or cannot be commanded."""
+        """Known parameters of the vehicle; None while the vehicle is unknown or cannot be commanded."""
         return self._polling.parameters
 
     @property
@@ -173,13 +177,13 @@ class AutopilotLink:
         return self._polling.asking
 
     def disbelief(self, now_s: float) -> str | None:
-        """What signing keeps out, in words for the status line; None when that is nothing."""
+        """What signing rejects, in words for the status line; None when nothing is rejected."""
         return None if self._belief is None else self._belief.disbelief(now_s)
 
-    # ------------------------------------------------------------ in
+    # ------------------------------------------------------------ input
 
     def receive(self, data: bytes, now_s: float) -> list[Event]:
-        """Take bytes of the link; return what they told. Damaged or senseless input is only counted."""
+        """Take bytes of the link and return their events. Damaged or invalid input is only counted."""
         self._remote_id.begin()
         if self._signing is not None:
             self._signing.advance(now_s)
@@ -228,7 +232,8 @@ class AutopilotLink:
             handler(frame, unpack(message_id, frame.payload), now_s)
             return
         self.counts.taken += 1
-        # Counted before it is judged: a stream of bad values still arrives, asking again would not mend it.
+        # Counted before its values are checked: a stream of bad values still arrives, and asking again would
+        # not help.
         self._polling.streams.received(message_id)
         fields = unpack(message_id, frame.payload)
         event = reader(fields)
@@ -244,7 +249,8 @@ class AutopilotLink:
             self._mode_and_speed.on_current_mode(event, now_s)
 
     def _on_boot_time(self, time_boot_s: float, now_s: float) -> None:
-        """When the vehicle's clock begins anew, so have its stream rates."""
+        """After a reboot, signalled by the vehicle's clock going back, its stream rates must be requested
+        again."""
         if self._heard.on_boot_time(time_boot_s, now_s):
             self._polling.on_reboot(now_s)
 
@@ -277,18 +283,20 @@ class AutopilotLink:
     # ------------------------------------------------------------ time
 
     def begin_step(self, now_s: float, *, behind: bool) -> None:
-        """A new decision is about to be made: what commands the vehicle and is too old by now is dropped.
+        """Begin a step, before a new decision is made: commands and setpoints that are too old by now are
+        dropped.
 
         Args:
-            behind: what was received since the last step was a backlog, or not all of it: no mode is asked
-                for before the vehicle shows its own anew, which it is asked to do.
+            behind: the input since the last step was a backlog, or is not complete. No mode is asked for
+                until the vehicle shows its mode again, which it is asked to do.
         """
         self._outbox.drop_old(now_s)
         if behind:
             self._mode_and_speed.forget(now_s)
 
     def advance(self, now_s: float) -> list[Event]:
-        """Do what time makes due: our heartbeat, requests for streams, retries; return what came of it."""
+        """Do what is due at this time (our heartbeat, stream requests, retries) and return the resulting
+        events."""
         if self._signing is not None:
             self._signing.advance(now_s)
         last_s = self._heartbeat_sent_s
@@ -306,7 +314,7 @@ class AutopilotLink:
         return self._take_events()
 
     def _take_events(self) -> list[Event]:
-        """All that was told. The list itself stays: the parts add to it."""
+        """All pending events. The list object itself is kept, because the parts append to it."""
         parameters = self._polling.new_parameters()
         if parameters is not None:
             self._events.append(parameters)
@@ -314,18 +322,19 @@ class AutopilotLink:
         self._events.clear()
         return events
 
-    # ------------------------------------------------------------ out
+    # ------------------------------------------------------------ output
 
     def send(self, command: Command, now_s: float) -> None:
-        """Queue one command; what cannot be done is told by an event of the next `receive` or `advance`.
+        """Queue one command. If it cannot be carried out, an event of the next `receive` or `advance` reports
+        that.
 
-        Commands that are not for the autopilot (radio, log) are a bug of the caller. An ArmStatus leaves with
-        the next `advance`, once the vehicle is known, and is repeated from then on.
+        Passing a command that is not for the autopilot (radio, log) is a bug of the caller. An ArmStatus is
+        sent with the next `advance` once the vehicle is known, and is repeated from then on.
 
         Raises:
-            ValueError: a setpoint that is not finite or absurdly fast, a mode that cannot be commanded, a
-                Threat that `encoders.collision` refuses, an ArmStatus of who is not the Remote ID component,
-                a command that is not the autopilot's: all bugs of ours.
+            ValueError: a bug of ours: a setpoint that is not finite or absurdly fast, a mode that cannot be
+                commanded, a Threat that `encoders.collision` refuses, an ArmStatus although we are not the
+                Remote ID component, or a command that is not for the autopilot.
         """
         match command:
             case VelocitySetpoint():
@@ -348,29 +357,30 @@ class AutopilotLink:
                 raise ValueError(f"{type(command).__name__} is not a command for the autopilot")
 
     def cancel_mode(self) -> None:
-        """Ask for no mode and no speed any more: who asked has given up the vehicle."""
+        """Stop asking for a mode or a speed, because the caller has given up the vehicle."""
         self._mode_and_speed.cancel()
 
     def drain(self, *, commanding: bool = True) -> bytes:
-        """What must be sent now: whole frames, the newest setpoint last.
+        """Return the bytes to send now: whole frames, the newest setpoint last.
 
         Args:
-            commanding: False: setpoint, mode and speed wait.
+            commanding: False: the setpoint, mode and speed stay in the queue.
         """
         return self._outbox.drain(commanding=commanding)
 
     def ask_for_answer(self, now_s: float) -> None:
-        """Ask the vehicle for its clock: its answer (`answered_s`) shows that it reads what it is sent."""
+        """Ask the vehicle for its clock. The answer (`answered_s`) shows that the vehicle reads what it is
+        sent."""
         self._polling.ask_for_answer(now_s)
 
     @property
     def holds(self) -> bool:
-        """A setpoint, a mode or a speed waits to leave."""
+        """Whether a setpoint, a mode or a speed waits to be sent."""
         return self._outbox.holds
 
     @property
     def answered_s(self) -> float | None:
-        """When the latest question was asked that the vehicle has answered; None: it never has."""
+        """When the latest question that the vehicle has answered was asked; None if it has answered none."""
         return self._polling.answered_s
 
     def _send_setpoint(self, command: VelocitySetpoint, now_s: float) -> None:

@@ -1,8 +1,8 @@
-"""MAVLink payloads to events: one small function per message, in one table.
+"""Converts MAVLink payloads to events, with one small function per message in one table.
 
-A reader gets the message's fields in wire order (as `struct` unpacks them; the tests hold that order against
-pymavlink's). It returns None when the message says "not known yet" and raises `PeerDataError` for values that
-no honest vehicle sends; nothing non-finite or out of range becomes an event.
+A reader gets the message's fields in wire order, as `struct` unpacks them (the tests check that order against
+pymavlink's). It returns None when the message says "not known yet", and raises `PeerDataError` for values
+that no correct vehicle sends. No non-finite or out-of-range value becomes an event.
 """
 
 from __future__ import annotations
@@ -39,39 +39,40 @@ Fields = tuple[Any, ...]
 MAX_ALTITUDE_M = 50_000.0
 MIN_ALTITUDE_M = -1_000.0
 MAX_SPEED_MPS = 327.0
-"""Largest velocity believed: beyond it GLOBAL_POSITION_INT's 16-bit centimetres are saturated."""
+"""Largest velocity accepted. Beyond it, GLOBAL_POSITION_INT's 16-bit centimetres per second are saturated."""
 MAX_LOCAL_M = 1_000_000.0
 UTC_RANGE_S = (1_420_070_400.0, 4_102_444_800.0)
-"""2015 to 2100: an autopilot whose clock says otherwise does not know the time."""
+"""Years 2015 to 2100. An autopilot whose clock is outside this range does not know the time."""
 
 MAX_ICAO = 0xFF_FFFF
 """ICAO addresses have 24 bits."""
 
 _ESTIMATES = 2 | 16
-"""ESTIMATOR_VELOCITY_HORIZ, ESTIMATOR_POS_HORIZ_ABS, the same bits as EKF_STATUS_FLAGS."""
+"""ESTIMATOR_VELOCITY_HORIZ and ESTIMATOR_POS_HORIZ_ABS. EKF_STATUS_FLAGS has the same bits."""
 _CONSTANT_POSITION = 128
-"""ESTIMATOR_CONST_POS_MODE: it assumes that it stands still."""
+"""ESTIMATOR_CONST_POS_MODE: the estimator assumes that the vehicle stands still."""
 _RC_RANGE_US = (800, 2200)
-"""Beyond it a channel is not there: 0, or 65535."""
+"""Valid pulse widths. A channel outside this range is not present (0 or 65535)."""
 _MAX_FIX_TYPE = 8
 _UINT32_MAX = 0xFFFF_FFFF
 _LANDED = dict(enumerate(Landed))
-# ADSB_FLAGS.
+# Bits of ADSB_FLAGS.
 _VALID_COORDS = 1
 _VALID_ALTITUDE = 2
 _VALID_HEADING = 4
 _VALID_VELOCITY = 8
 _VALID_CALLSIGN = 16
 _ALTITUDE_TYPES = (0, 1)
-"""ADSB_ALTITUDE_TYPE: from a barometer, from GNSS."""
+"""ADSB_ALTITUDE_TYPE: from a barometer, or from GNSS."""
 _UNPACKERS: dict[int, struct.Struct] = {i: m.unpacker for i, m in mavlink.mavlink_map.items()}
-# With the extension mission_id, which pymavlink's dialect ends before.
+# Includes the extension field mission_id, which pymavlink's dialect lacks.
 _UNPACKERS[mavlink.MAVLINK_MSG_ID_MISSION_CURRENT] = struct.Struct("<HHBBI")
 _UNPACKERS[CURRENT_MODE] = struct.Struct("<IIB")
 
 
 def unpack(message_id: int, payload: bytes) -> Fields:
-    """A payload's fields in wire order; cut zeros are put back, extensions newer than ours left off."""
+    """Fields of a payload in wire order. Truncated zeros are restored, and extensions newer than ours are
+    dropped."""
     unpacker = _UNPACKERS[message_id]
     return unpacker.unpack(payload.ljust(unpacker.size, b"\0")[: unpacker.size])
 
@@ -94,7 +95,7 @@ def _unless(unknown: tuple[int, ...], value: int, scale: float) -> float | None:
 
 
 def heartbeat(system_id: int, fields: Fields) -> Heartbeat:
-    """HEARTBEAT of an autopilot that we know.
+    """HEARTBEAT of a supported autopilot.
 
     Raises:
         PeerDataError: the autopilot is neither ArduPilot nor PX4.
@@ -114,12 +115,12 @@ def heartbeat(system_id: int, fields: Fields) -> Heartbeat:
 
 
 def current_mode(fields: Fields) -> CurrentMode:
-    """CURRENT_MODE. The mode that was intended is another one only in a failsafe; the one flown counts."""
+    """CURRENT_MODE. The mode that is flown counts; the intended mode differs from it only in a failsafe."""
     return CurrentMode(custom_mode=fields[0])
 
 
 def global_position(fields: Fields) -> GlobalPosition | None:
-    """GLOBAL_POSITION_INT; None at exactly 0, 0, which autopilots send before they know where they are."""
+    """GLOBAL_POSITION_INT; None at exactly 0, 0, which autopilots send before they know their position."""
     time_ms, lat_e7, lon_e7, alt_mm, height_mm, vx, vy, vz, _heading = fields
     if lat_e7 == 0 and lon_e7 == 0:
         return None
@@ -148,7 +149,7 @@ def local_position(fields: Fields) -> LocalPosition:
 
 
 def gnss_fix(fields: Fields) -> GnssFix:
-    """GPS_RAW_INT. Extensions that are 0 are not filled in (MAVLink 1 has none of them)."""
+    """GPS_RAW_INT. An extension field of 0 counts as not filled in (MAVLink 1 has no extensions)."""
     _usec, lat_e7, lon_e7, alt_mm, _eph, _epv, _vel, _cog, fix_type, satellites, ellipsoid_mm = fields[:11]
     h_acc, v_acc, vel_acc = fields[11:14]
     if fix_type > _MAX_FIX_TYPE:
@@ -185,8 +186,8 @@ def landed_state(fields: Fields) -> LandedState:
 
 
 def mission_current(fields: Fields) -> MissionCurrent:
-    """MISSION_CURRENT; on ArduPilot item 0 is home, so the first item flown is 1. PX4 tells with `mission_id`
-    (a checksum) when the mission is replaced, ArduPilot only with `total`."""
+    """MISSION_CURRENT. On ArduPilot item 0 is home, so the first item flown is 1. When the mission is
+    replaced, PX4 reports another `mission_id` (a checksum), and ArduPilot only another `total`."""
     seq, total, state, _mode, mission_id = fields
     complete = state == mavlink.MISSION_STATE_COMPLETE
     return MissionCurrent(seq=seq, complete=complete, total=total, mission_id=mission_id)
@@ -199,8 +200,9 @@ def ekf_status_report(fields: Fields) -> EstimatorState:
 
 
 def estimator_status(fields: Fields) -> EstimatorState:
-    """ESTIMATOR_STATUS (PX4): the same flags, but the position is constant also while it rests on the ground
-    (Ekf::get_ekf_soln_status); where the place is only assumed, the other two soon go."""
+    """ESTIMATOR_STATUS (PX4). It has the same flags, but PX4 also reports a constant position while the
+    vehicle rests on the ground (Ekf::get_ekf_soln_status), so that flag is not used. When the position is
+    only assumed, the other two flags soon disappear."""
     return EstimatorState(usable=_estimates(fields[9]))
 
 
@@ -209,7 +211,8 @@ def _estimates(flags: int) -> bool:
 
 
 def rc_channels(fields: Fields) -> RcChannels:
-    """RC_CHANNELS; roll, pitch and yaw where both firmwares have them unless mapped otherwise."""
+    """RC_CHANNELS. Roll, pitch and yaw are read from the channels that both firmwares use unless mapped
+    otherwise."""
     sticks = (fields[1], fields[2], fields[4])
     if fields[19] == 0 or not all(_RC_RANGE_US[0] <= us <= _RC_RANGE_US[1] for us in sticks):
         return RcChannels()
@@ -219,13 +222,14 @@ def rc_channels(fields: Fields) -> RcChannels:
 def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
     """ADSB_VEHICLE; None without a valid position, or at exactly 0, 0, which ArduPilot drops too.
 
-    `flags` say what is known; velocity needs both VALID_VELOCITY and VALID_HEADING. The vertical speed
-    (positive up) then counts even without VERTICAL_VELOCITY_VALID, as it does in ArduPilot (AP_Avoidance)
-    and PX4: PX4 passes on the first six flags only, so it never sets that one. SIMULATED and SOURCE_UAT
-    traffic is traffic like any other.
+    `flags` shows which fields are known. The velocity needs both VALID_VELOCITY and VALID_HEADING. The
+    vertical speed (positive up) then counts even without VERTICAL_VELOCITY_VALID, as it does in ArduPilot
+    (AP_Avoidance) and PX4: PX4 passes on the first six flags only, so it never sets that one. SIMULATED and
+    SOURCE_UAT traffic is treated like any other.
 
-    `age_s` is what the receiver told. ArduPilot keeps an aircraft for 5 s after it was last heard, repeats
-    it every second and lets `tslc` stand (AP_ADSB), so there it may be older by that much.
+    `age_s` is the age that the receiver reported. ArduPilot keeps an aircraft for 5 s after it was last
+    heard, repeats it every second and leaves `tslc` unchanged (AP_ADSB), so there the data may be older by
+    that much.
 
     Raises:
         PeerDataError: an address of more than 24 bits, a place or altitude not on Earth, an undefined type of
@@ -244,7 +248,7 @@ def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
         alt_m = _altitude("altitude", alt_mm)
     velocity = None
     if flags & _VALID_VELOCITY and flags & _VALID_HEADING:
-        # 36000 itself is PX4's upper end.
+        # PX4's range of course includes 36000.
         if course > 36_000:
             raise PeerDataError(f"course {course / 100} deg is beyond 360")
         if speed == 0xFFFF or not abs(climb) < 0x7FFF:
@@ -265,7 +269,8 @@ def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
 
 
 def _callsign(field: bytes) -> str:
-    """Text up to the first zero; what is not printable ASCII becomes "?", as it comes from strangers."""
+    """Text up to the first zero byte. Characters that are not printable ASCII become "?", because the text
+    comes from unknown senders."""
     text = field.split(b"\0", 1)[0]
     return "".join(chr(code) if 0x20 <= code < 0x7F else "?" for code in text).strip()
 
@@ -286,5 +291,5 @@ READERS: dict[int, Callable[[Fields], Event | None]] = {
 
 
 def finite_or_none(value: float) -> float | None:
-    """None for NaN and infinity, which stand for "not given" in mission params."""
+    """None for NaN and infinity, which mean "not given" in mission params."""
     return value if math.isfinite(value) else None

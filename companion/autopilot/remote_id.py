@@ -1,23 +1,29 @@
-"""Remote ID on the autopilot's link: whose OPEN_DRONE_ID_* messages are believed, and as what.
+"""Remote ID on the autopilot's link: which OPEN_DRONE_ID_* messages are accepted, and what they mean.
 
-- With an `id_or_mac`, from anybody: somebody else's Remote ID, heard by a receiver on the link.
-- Without one, about the operator (SYSTEM, SYSTEM_UPDATE, OPERATOR_ID, SELF_ID), for our vehicle or for all:
-  - From another system that is a ground station. It is one when it has said so in a HEARTBEAT; until a system
-    has sent any, when its id is 240 or more (QGroundControl and Mission Planner are 255). What names our
-    vehicle as its target is taken from any system: nobody else has a reason to. A broadcast of another
-    vehicle is not: PX4 and ArduPilot send their own SYSTEM to all.
-  - From our autopilot, which relays what it was told (ArduPilot) but goes on with it, old timestamp and all,
-    when the ground station has gone. So a relayed SYSTEM counts only when its timestamp is known and has
-    moved on since the one before it (the first only sets the mark), and not while a ground station is heard
-    itself. A relayed SYSTEM_UPDATE does not count: ArduPilot takes a SYSTEM that a receiver has heard of
-    somebody else for its own, and only the SYSTEM that it sends on then still says whose it is. One that
-    tells the take-off point is left out: PX4 fills in its home by itself, ArduPilot sends an empty one, and
-    the companion knows the take-off point better. Identities do not grow old: they are taken.
-- ARM_STATUS of another component of our vehicle: a Remote ID transmitter of its own. Also under our own id as
-  the Remote ID component (236), unless it is one that we have sent: one aircraft, one identity.
+- A message with an `id_or_mac` is accepted from any sender. It is the Remote ID of another aircraft, heard by
+  a receiver on the link.
+- A message without an `id_or_mac` is about the operator (SYSTEM, SYSTEM_UPDATE, OPERATOR_ID, SELF_ID). It
+  must target our vehicle or all systems, and come from one of these senders:
+  - Another system that is a ground station. A system is one if it has declared itself one in a HEARTBEAT. A
+    system that has sent no HEARTBEAT yet is one if its id is 240 or more (QGroundControl and Mission Planner
+    use 255). A message that targets our vehicle by its id is accepted from any other system, because only a
+    ground station has a reason to send it. A broadcast of another vehicle is not accepted: PX4 and ArduPilot
+    send their own SYSTEM to all.
+  - Our autopilot. ArduPilot relays what it has received, but goes on relaying it, with the old timestamp,
+    when the ground station has gone. A relayed SYSTEM therefore counts only if its timestamp is known and
+    differs from the previous one (the first one only sets the reference), and only while no ground station is
+    heard directly. A relayed SYSTEM_UPDATE does not count: ArduPilot takes a SYSTEM of another aircraft,
+    heard by a receiver, for its own, and only the SYSTEM that it sends on afterwards shows whose it is. A
+    relayed SYSTEM that gives the take-off point is ignored: PX4 fills in its own home, ArduPilot sends an
+    empty one, and the companion knows the take-off point better. Relayed identities do not become outdated
+    and are accepted.
+- ARM_STATUS of another component of our vehicle shows that the vehicle has a Remote ID transmitter of its
+  own. This includes our own id as the Remote ID component (236), unless we have sent that very frame: one
+  aircraft must have one identity.
 
-A SYSTEM_UPDATE becomes a System: its sender's last one, brought up to date. Without one before it nothing but
-the place and time are known, and the type is live, since an update is sent for an operator who moves.
+A SYSTEM_UPDATE becomes a System: the sender's last System with the updated fields. Without an earlier System
+only the position and time are known. The location type is then live, because updates are sent for an operator
+who moves.
 """
 
 from __future__ import annotations
@@ -55,13 +61,14 @@ from companion.remote_id.messages import (
 
 MESSAGE_IDS = READABLE | {ARM_STATUS}
 MAX_HEARD = 256
-"""Events of heard Remote ID out of one piece of input; more is a flood, and is dropped."""
+"""Largest number of events of heard Remote ID per piece of input. The rest is dropped as a flood."""
 ARM_STATUS_PERIOD_S = 0.7
-"""Ground stations call a module dead after 2.5 s and check for 1 Hz, which exactly 1 Hz fails by jitter."""
+"""Ground stations declare a module dead after 2.5 s and check for 1 Hz. A rate of exactly 1 Hz fails that
+check through jitter."""
 HEARTBEAT_PERIOD_S = 1.0
 BASIC_ID_PERIOD_S = 3.0
 _ECHOES = 32
-"""Latest own statuses: as many can come back late and are known."""
+"""Number of our latest ARM_STATUS frames that are remembered, to recognise late echoes of them."""
 _EPSILON_S = 1e-6
 _STATION_FROM_ID = 240
 _STATION_SPEAKS_S = 5.0
@@ -71,55 +78,57 @@ _UNKNOWN = System(operator_location_type=OperatorLocationType.LIVE_GNSS)
 
 @dataclass(slots=True)
 class RemoteIdCounts:
-    """What came."""
+    """Counters of Remote ID messages on the link."""
 
     remote_id_heard: int = 0
-    """Frames of other aircraft, from a receiver on the link."""
+    """Frames about other aircraft, from a receiver on the link."""
     remote_id_dropped: int = 0
     """Such frames beyond `MAX_HEARD`."""
     remote_id_faults: int = 0
     """Parts of a MESSAGE_PACK that could not be read."""
     operator_data: int = 0
-    """Frames about the operator that were taken."""
+    """Accepted frames about the operator."""
     module_reports: int = 0
-    """ARM_STATUS of a transmitter that the vehicle has."""
+    """ARM_STATUS frames of the vehicle's own transmitter."""
 
 
 class RemoteIdListener:
-    """Frames to events. Remembers one number or message for each system id at most."""
+    """Converts frames to events. Stores at most one flag and one message per system id."""
 
     def __init__(
         self, counts: RemoteIdCounts, own_components: frozenset[int], component: RemoteIdComponent | None
     ) -> None:
-        """`component` is what we are beside `own_components`; whoever else says to be it is a second one."""
+        """`component` is our own Remote ID component, in addition to `own_components`. Any other sender with
+        its component id is a second transmitter."""
         self._counts = counts
         self._own_components = own_components
         self._component = component
         self._stations: dict[int, bool] = {}
-        """Systems that have sent a HEARTBEAT: whether one of their components is a ground station."""
+        """Systems that have sent a HEARTBEAT -> whether one of their components is a ground station."""
         self._last_system: dict[int, System] = {}
         self._relayed_utc_s: float | None = None
         self._station_heard_s: float | None = None
-        """When a ground station last told the operator's place itself."""
+        """When a ground station last sent the operator's position directly."""
         self._room = MAX_HEARD
 
     def begin(self) -> None:
-        """A new piece of input."""
+        """Start a new piece of input."""
         self._room = MAX_HEARD
 
     def note_heartbeat(self, frame: Frame) -> None:
-        """HEARTBEAT of another system or component."""
+        """Take a HEARTBEAT of another system or component."""
         station = len(frame.payload) > 4 and frame.payload[4] == _TYPE_STATION
         self._stations[frame.system_id] = station or self._stations.get(frame.system_id, False)
 
     def event(self, frame: Frame, vehicle_system: int | None, now_s: float) -> Event | None:
-        """What a message of `MESSAGE_IDS` tells; None when it is none of ours.
+        """Event for a message of `MESSAGE_IDS`; None when the message is not accepted.
 
         Args:
-            vehicle_system: our vehicle's id; until it is known only heard Remote ID is taken.
+            vehicle_system: system id of our vehicle. Until it is known, only Remote ID of other aircraft is
+                accepted.
 
         Raises:
-            PeerDataError: values that cannot be.
+            PeerDataError: values that are impossible.
         """
         if frame.message_id == ARM_STATUS:
             return self._module(frame, vehicle_system)
@@ -174,7 +183,8 @@ class RemoteIdListener:
                     continue
                 kept.append(message)
             elif isinstance(message, OperatorId):
-                # A ground station may give the whole number: its secret is neither recorded nor sent.
+                # A ground station may send the whole operator number. Its secret part is neither recorded nor
+                # broadcast.
                 public = public_operator_id(message.operator_id)
                 kept.append(OperatorId(operator_id_type=message.operator_id_type, operator_id=public))
             elif isinstance(message, SelfId):
@@ -190,7 +200,7 @@ class RemoteIdListener:
         return self._stations.get(sender, sender >= _STATION_FROM_ID)
 
     def _renewed(self, system: System, now_s: float) -> bool:
-        """Whether a System that the autopilot sends tells something new about the operator."""
+        """Whether a System relayed by the autopilot carries new data about the operator."""
         before, self._relayed_utc_s = self._relayed_utc_s, system.timestamp_utc_s
         direct_s = self._station_heard_s
         return (
@@ -202,11 +212,12 @@ class RemoteIdListener:
 
 
 class RemoteIdComponent:
-    """What we say as the vehicle's Remote ID component, numbered on its own.
+    """Messages that we send as the vehicle's Remote ID component, with a sequence number of their own.
 
-    Nothing before the first report: a component that does not broadcast must not look like one that does.
+    Nothing is sent before the first report, because a component that does not broadcast must not look like
+    one that does.
 
-    The autopilot is told the identity too, since ArduPilot arms with none (DID_OPTIONS = 1) until it has one.
+    The autopilot receives the identity too: with DID_OPTIONS = 1, ArduPilot does not arm before it has one.
     """
 
     def __init__(self, identity: BasicId | None = None) -> None:
@@ -220,12 +231,13 @@ class RemoteIdComponent:
         self._beat_sent_s: float | None = None
 
     def report(self, status: ArmStatus) -> None:
-        """What to say from now on; it is due at once."""
+        """Set the status that is sent from now on; it is due at once."""
         self._status = status
         self._status_sent_s = None
 
     def has_sent(self, status: Frame) -> bool:
-        """Whether this is a status of ours that the link brings back, to the byte."""
+        """Whether this frame is, byte for byte, a status of ours that the link echoes. Signatures are
+        ignored."""
         return without_signature(status.raw) in self._statuses
 
     def due(self, system_id: int, now_s: float) -> list[bytes]:

@@ -1,12 +1,13 @@
-"""MAVLink 2 message signing: who has the key is believed, once; everybody else is not heard.
+"""MAVLink 2 message signing: frames signed with the key are accepted, each once; all other frames are
+rejected.
 
-After the MAVLink guide, "Message Signing". A signature is the first 48 bits of SHA-256 over the key and the
-frame with its link id and timestamp. Timestamps count 10 microseconds since 2015 and only ever rise: those
-sent by at least one a frame, those heard within each stream of (system, component, link id). Only a right
-signature moves what is remembered, or a forged timestamp would lock the true sender out (pymavlink's check
-notes the timestamp before it has looked at the signature, so it is not used).
+The module follows the MAVLink guide, "Message Signing". A signature is the first 48 bits of SHA-256 over the
+key and the frame with its link id and timestamp. Timestamps count 10 microseconds since 2015 and only rise:
+sent ones by at least one a frame, received ones within each stream of (system, component, link id). Only a
+correct signature changes the stored timestamps, or a forged timestamp would lock the true sender out.
+(pymavlink's check stores the timestamp before it has checked the signature, so it is not used.)
 
-No clock in here: the timestamp starts where the caller says and goes on with `now_s`.
+This module reads no clock. The timestamp starts at the value that the caller gives and advances with `now_s`.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ EPOCH_S = 1_420_070_400.0
 """Unix time of timestamp 0: 2015-01-01."""
 TICKS_PER_S = 100_000
 NEW_STREAM_TICKS = 60 * TICKS_PER_S
-"""A stream not heard before may begin this far behind our own timestamp."""
+"""How far behind our own timestamp the first frame of a new stream may be."""
 MAX_STREAMS = 64
-"""Streams remembered; only who has the key can make one."""
+"""Number of streams remembered. Only a holder of the key can create one."""
 UNSIGNED = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
-"""Believed without a signature: telemetry radios cannot sign what they say of themselves."""
+"""Messages accepted without a signature. Telemetry radios cannot sign their own status."""
 _LATEST = (1 << 48) - 1
 _HASH_BYTES = 6
 
 
 class Refusal(enum.Enum):
-    """Why a frame is not believed; the value is what such frames are called."""
+    """Why a frame is rejected. The value describes such frames in reports."""
 
     UNSIGNED = "unsigned"
     WRONG = "wrongly signed"
@@ -46,21 +47,21 @@ class Refusal(enum.Enum):
 
 @dataclass(slots=True)
 class SigningCounts:
-    """Frames judged so far."""
+    """Counters of the frames checked so far."""
 
     valid: int = 0
     unsigned: int = 0
     wrong: int = 0
-    """With a signature of another key, or of none."""
+    """Frames whose signature was made with another key, or with none."""
     replayed: int = 0
-    """Rightly signed, with a timestamp not newer than the last of their stream."""
+    """Correctly signed frames with a timestamp not newer than the last one of their stream."""
     stale: int = 0
-    """Rightly signed, first of a stream, and dated more than a minute before our own time."""
+    """Correctly signed frames, first of their stream, and dated more than a minute before our own time."""
     crowded: int = 0
-    """Rightly signed, first of a stream beyond `MAX_STREAMS`."""
+    """Correctly signed frames, first of a stream beyond `MAX_STREAMS`."""
 
     def refused(self) -> str | None:
-        """How many were not believed and why, in words; None where all were."""
+        """How many frames were rejected and why, in words; None when none were."""
         counted = (
             (self.unsigned, Refusal.UNSIGNED),
             (self.wrong, Refusal.WRONG),
@@ -73,26 +74,26 @@ class SigningCounts:
 
 
 def timestamp_at(utc_s: float) -> int:
-    """The timestamp of a Unix time; 0 before 2015."""
+    """Signing timestamp of a Unix time; 0 before 2015."""
     return min(max(int((utc_s - EPOCH_S) * TICKS_PER_S), 0), _LATEST)
 
 
 class Signing:
-    """One key at one end of a link, or of several that share it."""
+    """Signing state for one key at one end of a link, or of several links that share it."""
 
     def __init__(self, key: bytes, timestamp: int, now_s: float) -> None:
-        """Nothing heard yet.
+        """Create a state in which no frame has been received yet.
 
         Args:
             key: 32 bytes.
-            timestamp: the last one that may have been used before.
+            timestamp: the last timestamp that may have been used before.
             now_s: the caller's clock now.
         """
         if len(key) != KEY_BYTES:
             raise ValueError(f"a signing key has {KEY_BYTES} bytes, not {len(key)}")
         self.counts = SigningCounts()
         self.timestamp = min(timestamp, _LATEST)
-        """The last one used; never falls."""
+        """The last timestamp used; it never falls."""
         self._key = key
         self._ticks = int(now_s * TICKS_PER_S)
         self._ahead = self.timestamp - self._ticks
@@ -100,18 +101,18 @@ class Signing:
         self._streams: dict[tuple[int, int, int], int] = {}
 
     def advance(self, now_s: float) -> None:
-        """Let the timestamp go on with time. A clock that steps back stops it, no more."""
+        """Advance the timestamp with time. A clock that steps back only stops it."""
         self._ticks = int(now_s * TICKS_PER_S)
         self.timestamp = min(max(self.timestamp, self._ticks + self._ahead), _LATEST)
 
     def sign(self, frame: bytes, link_id: int = 0) -> bytes:
-        """A whole MAVLink 2 frame, unsigned so far, with the next timestamp and its signature."""
+        """Add the next timestamp and the signature to a whole MAVLink 2 frame that is not signed yet."""
         self.timestamp = min(self.timestamp + 1, _LATEST)
         body = flagged(frame) + bytes((link_id,)) + self.timestamp.to_bytes(6, "little")
         return body + self._hash(body)
 
     def refusal(self, frame: Frame) -> Refusal | None:
-        """Why a checked frame is not to be believed; None: it is. Counts it either way."""
+        """Why a checked frame is rejected; None if it is accepted. The frame is counted in either case."""
         refused = self._judge(frame)
         counts = self.counts
         match refused:
@@ -147,7 +148,8 @@ class Signing:
             return Refusal.CROWDED
         self._streams[stream] = timestamp
         if timestamp > self.timestamp:
-            # Ours may have no clock to start from (a computer without a battery): the peer's is as good.
+            # Our computer may have no clock to start from (no battery), so the peer's newer timestamp is
+            # adopted.
             self.timestamp = timestamp
             self._ahead = timestamp - self._ticks
         return None
@@ -156,5 +158,5 @@ class Signing:
         return sha256(self._key + body).digest()[:_HASH_BYTES]
 
     def __repr__(self) -> str:
-        """Without the key."""
+        """Representation without the key."""
         return f"Signing(timestamp={self.timestamp})"

@@ -1,4 +1,4 @@
-"""STATUSTEXT as people read it: chunks put together, control characters taken out."""
+"""Makes STATUSTEXT readable: joins its chunks and replaces control characters."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from companion.errors import PeerDataError
 from companion.events import VehicleText
 
 MAX_CHUNKS = 10
-"""A vehicle that never ends its text is cut off here."""
+"""Largest number of parts of one text. A vehicle that never ends its text is cut off here."""
 CHUNK_WAIT_S = 2.0
 _GAP = "[...]"
 _MAX_SEVERITY = 7
@@ -19,7 +19,7 @@ def _readable(data: bytes) -> str:
 
 
 class TextAssembler:
-    """Puts the chunks of one text together; a missing chunk shows as [...]."""
+    """Joins the chunks of one text. A missing chunk appears as [...]."""
 
     def __init__(self) -> None:
         self._id = 0
@@ -29,7 +29,7 @@ class TextAssembler:
         self._last_s = 0.0
 
     def feed(self, fields: Fields, now_s: float) -> list[VehicleText]:
-        """Texts completed by one STATUSTEXT (wire order).
+        """Texts completed by one STATUSTEXT (fields in wire order).
 
         Raises:
             PeerDataError: the severity is not defined.
@@ -55,11 +55,11 @@ class TextAssembler:
         return done
 
     def overdue(self, now_s: float) -> list[VehicleText]:
-        """The unfinished text, when its next chunk does not come."""
+        """The unfinished text, if its next chunk has not come within `CHUNK_WAIT_S`."""
         return self.flush() if self._parts and now_s - self._last_s > CHUNK_WAIT_S else []
 
     def flush(self, *, complete: bool = False) -> list[VehicleText]:
-        """Give out what there is and begin anew."""
+        """Return the collected text and begin a new one."""
         data = b"".join(self._parts) + (b"" if complete else _GAP.encode())
         self._parts = []
         return [VehicleText(severity=self._severity, text=_readable(data))]

@@ -1,8 +1,8 @@
 """Telemetry logs as ground stations write them.
 
 A log repeats [8-byte big-endian Unix microseconds][one MAVLink frame]. Logs of real flights are damaged:
-radio noise between frames, a tail torn off by a power cut. The reader finds its way back to the next good
-frame and counts what it stepped over; only a file that is no log at all is an error.
+there is radio noise between frames, or a power cut has torn off the end. The reader resynchronises on the
+next good frame and counts the bytes that it skipped. Only a file that is no log at all is an error.
 """
 
 from __future__ import annotations
@@ -31,40 +31,40 @@ from companion.errors import PeerDataError
 _STAMP = struct.Struct(">Q")
 _MAGIC = re.compile(rb"[\xfd\xfe]")
 _LATEST_US = 4_102_444_800_000_000
-"""The year 2100: a larger number is not a time stamp."""
+"""The year 2100. A larger number is not a time stamp."""
 _DAY_US = 86_400_000_000
 _LOOKAHEAD = 2 * (_STAMP.size + MAX_FRAME_BYTES)
-"""Bytes that must be there to judge a record: itself, and the head of the next."""
+"""Number of bytes needed to judge a record: the record itself, and the head of the next."""
 _CHUNK = 65536
 _SEARCH_LIMIT = 65536
-"""A log shows its first record within this many bytes."""
+"""The first record of a log appears within this many bytes."""
 
 
 @dataclass(slots=True)
 class TlogCounts:
-    """What a reader has met so far."""
+    """What a reader has found so far."""
 
     records: int = 0
     corrupt_spans: int = 0
-    """Places where bytes had to be stepped over to find the next record."""
+    """Places where bytes had to be skipped to find the next record."""
     corrupt_bytes: int = 0
     torn_bytes: int = 0
-    """Bytes behind the last record that belong to none."""
+    """Bytes after the last record that belong to no record."""
 
 
 class ByteSink(Protocol):
-    """Where bytes go: a file, or a queue in front of one."""
+    """Destination of bytes: a file, or a queue in front of one."""
 
     def write(self, data: bytes, /) -> object:
-        """Take bytes."""
+        """Write bytes."""
         ...
 
 
 class TlogWriter:
-    """Writes a log of one link. Received bytes may come cut anywhere: each frame becomes one record.
+    """Writes the log of one link. Received bytes may be cut anywhere; each frame becomes one record.
 
-    As the MAVLink guide asks of logs, signatures are taken off, and SETUP_SIGNING, which holds a key, is left
-    out.
+    As the MAVLink guide asks of logs, signatures are removed, and SETUP_SIGNING, which contains a key, is
+    left out.
     """
 
     def __init__(self, stream: ByteSink) -> None:
@@ -73,11 +73,11 @@ class TlogWriter:
         self._sent = FrameScanner(keep_unknown=True)
 
     def received(self, utc_s: float, data: bytes) -> None:
-        """Bytes of the vehicle; damaged ones are left out."""
+        """Record bytes received from the vehicle. Damaged ones are left out."""
         self._write(self._received, utc_s, data)
 
     def sent(self, utc_s: float, data: bytes) -> None:
-        """Bytes of ours."""
+        """Record bytes that we sent."""
         self._write(self._sent, utc_s, data)
 
     def _write(self, scanner: FrameScanner, utc_s: float, data: bytes) -> None:
@@ -88,10 +88,10 @@ class TlogWriter:
 
 
 def read_tlog(stream: BinaryIO, name: str, counts: TlogCounts | None = None) -> Iterator[tuple[float, bytes]]:
-    """Yield (utc_s, frame) for every record that is whole; known messages have a right checksum.
+    """Yield (utc_s, frame) for every whole record. Frames of known messages have a correct checksum.
 
     Args:
-        stream: The file, read as it is needed.
+        stream: The file; it is read as needed.
         name: What to call it in errors.
         counts: Filled in while reading.
 
@@ -117,10 +117,11 @@ class _Reader:
         self._at = 0
         self._ended = False
         self._stamp_us: int | None = None
-        """Time of the record before."""
+        """Time of the previous record."""
 
     def plain(self) -> Iterator[tuple[float, bytes]]:
-        """The records in the buffer, up to the first that needs a closer look: the quick way of `next`."""
+        """Yield the records in the buffer up to the first that needs a closer look. This is the fast path of
+        `next`."""
         self._fill()
         buffer = self._buffer
         at, safe = self._at, len(buffer) - _LOOKAHEAD
@@ -167,14 +168,14 @@ class _Reader:
         return stamp_us
 
     def _record(self, at: int) -> int:
-        """Length of the frame of the record at `at`; 0 when there is none."""
+        """Length of the frame of the record at `at`; 0 if there is no record."""
         if at + _STAMP.size >= len(self._buffer) or self._stamp(at) > _LATEST_US:
             return 0
         frame_at = at + _STAMP.size
         length = self._frame(frame_at)
         if length or self._buffer[frame_at] not in (MAGIC_V1, MAGIC_V2):
             return length
-        # A message that the dialect does not know: believed when another record, or the end, follows it.
+        # A message that the dialect does not know is accepted if another record, or the end, follows it.
         length = frame_length(self._buffer, frame_at)
         end = frame_at + length
         if length < 10 or end > len(self._buffer) or is_known(message_id_of(self._buffer[frame_at:end])):
@@ -186,7 +187,7 @@ class _Reader:
         return length if follows and self._stamp(end) <= _LATEST_US else 0
 
     def _frame(self, at: int) -> int:
-        """Length of the frame of a known message at `at`, checksum right; 0 when there is none."""
+        """Length of the frame of a known message at `at` with a correct checksum; 0 if there is none."""
         length = frame_length(self._buffer, at)
         if length <= 0 or at + length > len(self._buffer):
             return 0
@@ -194,14 +195,16 @@ class _Reader:
         return length if is_whole(raw) else 0
 
     def _resync(self) -> tuple[float, bytes] | None:
-        """Step over damaged bytes to the next frame that stands up to its checksum."""
+        """Skip damaged bytes up to the next frame with a correct checksum."""
         stepped = 0
         stamp_us = self._stamp_us
         if len(self._buffer) - self._at >= _STAMP.size and self._believable(self._stamp(self._at)):
-            # The damaged record's own time: noise often stands between a record's time and its frame.
+            # Use the damaged record's own time, because noise often lies between a record's time and its
+            # frame.
             stamp_us = self._stamp(self._at)
         while True:
-            # Near the end of the buffer a frame may be cut: there is more to come before that can be judged.
+            # Near the end of the buffer a frame may be cut off. It can be judged only when more bytes have
+            # been read.
             safe = len(self._buffer) - (0 if self._ended else _LOOKAHEAD)
             found = self._find_frame(safe)
             if found is not None:
@@ -213,7 +216,7 @@ class _Reader:
             if self._ended:
                 self._finish(stepped)
                 return None
-            # Keep what could still be the time stamp of a frame that begins in the bytes to come.
+            # Keep the bytes that may be the time stamp of a frame in the next chunk.
             keep = max(self._at, safe - _STAMP.size)
             stepped += keep - self._at
             self._at = keep
@@ -222,10 +225,10 @@ class _Reader:
             self._fill_more()
 
     def _find_frame(self, stop: int) -> tuple[int, int, int | None] | None:
-        """First good frame that begins before `stop`: where, how long, and its time if it has one.
+        """First good frame that begins before `stop`: its position, its length, and its time if it has one.
 
-        The first record behind a damaged head needs a time and another record after it: files of other kinds
-        hold chance frames, too, and a stream without times holds nothing else.
+        The first record after a damaged beginning needs a time and another record after it. Files of other
+        kinds contain frames by chance, and a raw stream of frames has no times; neither may pass for a log.
         """
         for match in _MAGIC.finditer(self._buffer, self._at, max(stop, self._at)):
             frame_at = match.start()

@@ -1,11 +1,11 @@
-"""MAVLink frames: cut a byte stream into checked frames, decode them, encode ours.
+"""MAVLink frames: cuts a byte stream into checked frames, decodes them, and encodes our own.
 
-pymavlink knows the message layouts; the framing is ours because a stream that never blocks, counts what it
-drops and costs microseconds is ours to answer for. No socket and no clock in here.
+pymavlink provides the message layouts. The framing is our own, because it must never block, must count what
+it drops, and must cost only microseconds. This module uses no socket and no clock.
 
-Frame layouts and the checksum (CRC-16/MCRF4XX over everything behind the magic byte, then one byte that
-stands for the layout) are those of the MAVLink 1 and 2 serialisation guide. Signatures are stepped over here;
-`signing` makes and checks them.
+Frame layouts and the checksum (CRC-16/MCRF4XX over everything after the magic byte, then one byte that stands
+for the layout) are those of the MAVLink 1 and 2 serialisation guide. Signatures are skipped here; `signing`
+makes and checks them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 MavlinkMessage = Any
-"""A decoded pymavlink message: the library has no types of its own."""
+"""A decoded pymavlink message. The library has no types of its own."""
 
 MAGIC_V1 = 0xFE
 MAGIC_V2 = 0xFD
@@ -28,22 +28,23 @@ MAX_FRAME_BYTES = 10 + 255 + 2 + 13
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")
 SIGNATURE_BYTES = 13
-"""Link id, timestamp and signature behind a signed frame."""
+"""Length of the link id, timestamp and signature at the end of a signed frame."""
 _SIGNED = 0x01
 _HEAD_V2 = struct.Struct("<BBBBBBBHB")
 
-# The standard library computes the bit-reversed twin of MAVLink's checksum: reversing the bits of every byte
-# going in and of the result coming out turns one into the other, at C speed.
+# The standard library computes the bit-reversed form of MAVLink's checksum. Reversing the bits of each input
+# byte and of the result converts one into the other, at C speed.
 _REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
 _FLIPPED = bytes((_REVERSED[_SIGNED],))
 CURRENT_MODE = 436
-"""Of standard.xml, not in pymavlink's ardupilotmega."""
+"""Message of standard.xml, missing in pymavlink's ardupilotmega dialect."""
 _CRC_EXTRA = {
     **{i: bytes([_REVERSED[m.crc_extra]]) for i, m in mavlink.mavlink_map.items()},
     CURRENT_MODE: bytes([_REVERSED[193]]),
 }
 COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA = 396, 397
-# Of common.xml, not in pymavlink's dialects nor in ArduPilot's: sent by us, unknown when they are heard.
+# Messages of common.xml that neither pymavlink's dialects nor ArduPilot's contain. We send them; received
+# ones count as unknown.
 _SENT_EXTRA = {
     COMPONENT_INFORMATION_BASIC: bytes([_REVERSED[50]]),
     COMPONENT_METADATA: bytes([_REVERSED[182]]),
@@ -53,10 +54,10 @@ _SENT_EXTRA = {
 
 @dataclass(slots=True)
 class WireCounts:
-    """What a reader has met so far."""
+    """What a reader has received so far."""
 
     messages: int = 0
-    """Frames of a known message with a right checksum."""
+    """Frames of a known message with a correct checksum."""
     unknown: int = 0
     """Well-formed frames of a message id outside the dialect."""
     corrupt: int = 0
@@ -72,19 +73,20 @@ class Frame(NamedTuple):
     system_id: int
     component_id: int
     payload: bytes
-    """As sent: MAVLink 2 cuts trailing zeros."""
+    """Payload as sent: MAVLink 2 cuts trailing zeros."""
     raw: bytes
 
 
 def checksum(body: bytes, message_id: int) -> int:
-    """Checksum of a frame's bytes between the magic byte and the checksum; the message must be known, or one
-    that is only sent."""
+    """Checksum of a frame's bytes between the magic byte and the checksum. The message must be known, or be
+    one that we only send."""
     crc = crc_hqx(_SENT_EXTRA[message_id], crc_hqx(body.translate(_REVERSED), 0xFFFF))
     return _REVERSED[crc & 0xFF] << 8 | _REVERSED[crc >> 8]
 
 
 def frame_length(buffer: bytes, at: int) -> int:
-    """Length that the header at `at` announces; 0 while too little of it is there, -1 if it is no header."""
+    """Frame length that the header at `at` announces; 0 while too little of the header is there, -1 if it is
+    none."""
     magic = buffer[at]
     if len(buffer) - at < 3:
         return 0
@@ -101,19 +103,20 @@ def is_signed(raw: bytes) -> bool:
 
 
 def flagged(frame: bytes) -> bytes:
-    """An unsigned MAVLink 2 frame with the flag that announces a signature, and the checksum for that."""
+    """An unsigned MAVLink 2 frame with the flag that announces a signature, and its checksum updated."""
     return _toggled(frame)
 
 
 def without_signature(raw: bytes) -> bytes:
-    """A frame as it would be if it had not been signed."""
+    """The frame as if it had not been signed."""
     return _toggled(raw[:-SIGNATURE_BYTES]) if is_signed(raw) else raw
 
 
 def _toggled(frame: bytes) -> bytes:
-    """A MAVLink 2 frame, up to its checksum, with the flag of signed frames turned round.
+    """A MAVLink 2 frame, up to its checksum, with the flag of signed frames inverted.
 
-    A checksum is linear: it changes by that of the changed bits alone, so this needs no message layout.
+    The checksum is linear: it changes by the checksum of the changed bits alone, so no message layout is
+    needed.
     """
     change = crc_hqx(_FLIPPED + bytes(len(frame) - 4), 0)
     toggled = bytearray(frame)
@@ -124,25 +127,26 @@ def _toggled(frame: bytes) -> bytes:
 
 
 def message_id_of(raw: bytes) -> int:
-    """Message id in a frame's header."""
+    """Message id from a frame's header."""
     if raw[0] == MAGIC_V1:
         return raw[5]
     return raw[7] | raw[8] << 8 | raw[9] << 16
 
 
 def is_known(message_id: int) -> bool:
-    """Whether the dialect has this message, so that its checksum can be verified."""
+    """Whether the dialect contains this message, so that its checksum can be verified."""
     return message_id in _CRC_EXTRA
 
 
 def checked_frame(raw: bytes) -> Frame | None:
-    """One whole frame of a known message, or None when its checksum is wrong."""
+    """One whole frame of a known message; None when its checksum is wrong."""
     return cut(raw) if is_whole(raw) else None
 
 
 def is_whole(raw: bytes) -> bool:
-    """Whether a frame, as long as its header announces, is of a known message and has its checksum."""
-    # A log has tens of millions of frames: no call more than it takes.
+    """Whether a frame of the length that its header announces is of a known message and has a correct
+    checksum."""
+    # A log has tens of millions of frames, so function calls are avoided here.
     if raw[0] == MAGIC_V1:
         stop, message_id = raw[1] + 6, raw[5]
     else:
@@ -155,7 +159,7 @@ def is_whole(raw: bytes) -> bool:
 
 
 def cut(raw: bytes) -> Frame:
-    """One whole frame in its parts; its checksum is not looked at."""
+    """Cut one whole frame into its parts; its checksum is not verified."""
     if raw[0] == MAGIC_V1:
         _, size, _, system, component, message_id = raw[:6]
         return Frame(message_id, system, component, raw[6 : 6 + size], raw)
@@ -164,7 +168,7 @@ def cut(raw: bytes) -> Frame:
 
 
 class FrameScanner:
-    """Bytes to checked frames. Feed it pieces of any size; however they are cut, the frames are the same."""
+    """Cuts bytes into checked frames. The frames are the same however the input is divided into pieces."""
 
     def __init__(self, *, keep_unknown: bool = False) -> None:
         self.counts = WireCounts()
@@ -173,14 +177,15 @@ class FrameScanner:
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes of an unfinished frame kept for the next piece; never more than `MAX_FRAME_BYTES`."""
+        """Number of bytes of an unfinished frame kept for the next piece; never more than
+        `MAX_FRAME_BYTES`."""
         return len(self._rest)
 
     def frames(self, data: bytes) -> list[Frame]:
-        """Return the frames completed by `data`; damaged ones are counted and left out.
+        """Return the frames completed by `data`. Damaged frames are counted and left out.
 
-        Frames of unknown messages are counted, and left out unless the scanner was made to keep them: a
-        record of a link must not lose what a newer dialect can read.
+        Frames of unknown messages are counted. They are left out unless the scanner was created to keep them,
+        because a record of a link must not lose what a newer dialect can read.
         """
         buffer = self._rest + data
         counts = self.counts
@@ -200,7 +205,7 @@ class FrameScanner:
             if taken == 0:
                 break
             if taken < 0:
-                # The magic byte may have been payload: look for the next one behind it.
+                # The magic byte may have been payload, so the search goes on behind it.
                 counts.corrupt += 1
                 counts.skipped_bytes += 1
                 taken = 1
@@ -209,7 +214,8 @@ class FrameScanner:
         return found
 
     def _take(self, buffer: bytes, at: int, length: int, found: list[Frame]) -> int:
-        """Bytes used up by the frame at `at`; 0: more are needed to tell; -1: it is none."""
+        """Number of bytes used by the frame at `at`; 0: more bytes are needed to decide; -1: it is not a
+        frame."""
         if length < 0:
             return -1
         raw = buffer[at : at + length]
@@ -220,12 +226,12 @@ class FrameScanner:
             self.counts.messages += 1
             found.append(frame)
             return length
-        # Its checksum cannot be verified, so it must at least end where another frame begins: damaged bytes
-        # that only look like a frame must not swallow a good one.
+        # Its checksum cannot be verified, so it must at least end where another frame begins. Otherwise
+        # damaged bytes that only look like a frame would swallow a good one.
         if at + length == len(buffer):
             if not self._keep_unknown:
                 return 0
-            # Kept for a record, where its time counts: not held back until the next frame.
+            # A record needs the time of arrival, so the frame is not held back until the next one.
         elif buffer[at + length] != MAGIC_V2 and buffer[at + length] != MAGIC_V1:
             return -1
         self.counts.unknown += 1
@@ -235,7 +241,7 @@ class FrameScanner:
 
 
 class MavlinkReader:
-    """Bytes to pymavlink messages. Feed it pieces of any size."""
+    """Decodes bytes to pymavlink messages. The pieces may be of any size."""
 
     def __init__(self) -> None:
         self._scanner = FrameScanner()
@@ -247,7 +253,7 @@ class MavlinkReader:
         return self._scanner.counts
 
     def feed(self, data: bytes) -> list[MavlinkMessage]:
-        """Return the messages completed by `data`; corrupt and unknown ones are counted and left out."""
+        """Return the messages completed by `data`. Corrupt and unknown ones are counted and left out."""
         messages: list[MavlinkMessage] = []
         for frame in self._scanner.frames(data):
             if frame.message_id not in mavlink.mavlink_map:
@@ -257,14 +263,14 @@ class MavlinkReader:
             try:
                 messages.append(self._decoder.decode(bytearray(frame.raw)))
             except (mavlink.MAVError, ValueError):
-                # ValueError: text fields that are not ASCII.
+                # ValueError is raised by text fields that are not ASCII.
                 self.counts.messages -= 1
                 self.counts.corrupt += 1
         return messages
 
 
 class MavlinkWriter:
-    """Messages to MAVLink 2 bytes, numbered as one component."""
+    """Encodes messages as MAVLink 2 bytes, with the sequence numbers of one component."""
 
     def __init__(self, system_id: int, component_id: int) -> None:
         self.encoder = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -276,7 +282,7 @@ class MavlinkWriter:
         return packed
 
     def pack_payload(self, message_id: int, payload: bytes) -> bytes:
-        """Frame a payload that is already laid out, with the next sequence number; the quick way."""
+        """Frame a payload that is already laid out, with the next sequence number. This is the fast path."""
         encoder = self.encoder
         body = payload.rstrip(b"\0") or payload[:1]
         head = _HEAD_V2.pack(

@@ -1,6 +1,7 @@
-"""The own Remote ID: what is told, on which transports, within the law, and whether it is really on the air.
+"""Our own Remote ID broadcast: its content, its transports within the law, and whether it is really on the
+air.
 
-Pure: events in, commands out. The heart asks once a step.
+The module is pure: events in, commands out. The core calls `step` once a step.
 """
 
 from __future__ import annotations
@@ -28,24 +29,25 @@ from companion.ownship import Ownship
 from companion.remote_id.messages import IdType, Location, Message, OperatorId, System
 
 MAX_RATE = 10
-"""Locations a second."""
+"""Largest number of Locations a second."""
 _MODULE_SILENT_S = 5.0
 _DETAIL = 100
-"""Characters of a radio's own words that the pilot is sent: two STATUSTEXT chunks."""
+"""Number of characters of a radio's own text that are sent to the pilot: two STATUSTEXT chunks."""
 _WELL_AFTER_S = 5.0
-"""Without trouble for so long it is well again: what comes and goes is told to the pilot once."""
+"""Remote ID counts as working again after this long without trouble, so that the pilot is told of
+intermittent trouble only once."""
 _TELL_PERIOD_S = 5.0
-"""A new trouble is told to the pilot this long after the last one at the earliest."""
+"""Least time from one report to the pilot until new trouble is reported."""
 _NOTHING = Decided({}, False, "no radio has reported yet")
 
 
 def asked_rates(config: Config) -> dict[str, int]:
-    """What the configuration asks for: transports with their Locations a second."""
+    """Transports that the configuration asks for, with their Locations a second."""
     return dict.fromkeys(config.remote_id.transports, config.remote_id.rate)
 
 
 class Broadcaster:
-    """One aircraft's broadcast. Nothing goes out before the vehicle has been heard."""
+    """Broadcast of one aircraft. Nothing is sent before the vehicle has been heard."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -56,14 +58,14 @@ class Broadcaster:
         self._monitor = SelfMonitor(config.remote_id.monitor_s)
         self._decided = _NOTHING
         self._started = False
-        """The broadcast was armed: a legal set was on the air once."""
+        """Whether the broadcast has begun. It begins once a legal set of transports can be sent."""
         self._silent: frozenset[str] = frozenset()
         self._module: RemoteIdModule | None = None
         self._module_s = 0.0
         self._module_lost = False
         self._told: tuple[object, ...] | None = None
         self._said: str | None = None
-        """The trouble that the pilot knows of."""
+        """The trouble last reported to the pilot."""
         self._said_s = self._trouble_s = -math.inf
         self._arm_status: ArmStatus | None = None
         self._lacking: str | None = None
@@ -71,12 +73,12 @@ class Broadcaster:
         self._lacking_s = -math.inf
 
     def ask(self, rates: Mapping[str, int]) -> None:
-        """What a policy wants from now on: transports with their Locations a second, up to `MAX_RATE`; those
-        with less than 1 are not wanted."""
+        """Set what a policy wants from now on: transports with their Locations a second, up to `MAX_RATE`.
+        Transports with less than 1 are not wanted."""
         self._asked = {t: min(rate, MAX_RATE) for t, rate in rates.items() if rate >= 1}
 
     def take(self, event: RadioState | OperatorData | RemoteIdModule | RemoteIdHeard, now_s: float) -> None:
-        """Something that concerns the own broadcast."""
+        """Take an event that concerns our own broadcast."""
         match event:
             case RadioState():
                 self._radio = event
@@ -90,7 +92,7 @@ class Broadcaster:
 
     @property
     def radio(self) -> RadioState:
-        """What the radios can do, as last told."""
+        """State of the radios as last reported."""
         return self._radio
 
     @property
@@ -100,12 +102,13 @@ class Broadcaster:
 
     @property
     def gives_way(self) -> bool:
-        """The vehicle has a Remote ID module of its own: nothing is broadcast from here."""
+        """Whether the vehicle has a Remote ID module of its own, so that we broadcast nothing."""
         return self._module is not None
 
     @property
     def trouble(self) -> str | None:
-        """Why Remote ID does not work as the law or the configuration asks, in words; None when it does."""
+        """Why Remote ID does not work as the law or the configuration requires, in words; None when it
+        does."""
         if self._module is not None:
             if self._module_lost:
                 return "the vehicle's Remote ID module fell silent"
@@ -120,11 +123,11 @@ class Broadcaster:
 
     @property
     def lacking(self) -> str | None:
-        """What the region asks for and nobody has told, in words; None when all is there."""
+        """Data that the region requires and that is missing, in words; None when nothing is missing."""
         return self._lacking if self._config.region.transport_sets and self._module is None else None
 
     def step(self, own: Ownship, now_s: float) -> list[Command]:
-        """What to broadcast and to say now."""
+        """Commands for this step: broadcasts, changes for the log, texts for the pilot and the ArmStatus."""
         radio = self._radio
         can_send = frozenset(radio.can_send)
         for transport in radio.confirmed:
@@ -156,10 +159,11 @@ class Broadcaster:
         return messages_of(c.identity, c.remote_id, c.region, own, self._operator, now_s, failed=failed)
 
     def _watch_module(self, own: Ownship, now_s: float) -> None:
-        """Give way to a transmitter that the vehicle has of its own: one aircraft, one identity.
+        """Stop our broadcast while the vehicle has a transmitter of its own: one aircraft must have one
+        identity.
 
-        Until the vehicle is disarmed, also when the module falls silent: that may be the link, and two
-        broadcasts of one aircraft are two aircraft to others.
+        If the module falls silent, our broadcast resumes only once the vehicle is disarmed. The silence may
+        be due to the link, and to others two broadcasts of one aircraft are two aircraft.
         """
         if self._module is None:
             return
@@ -168,7 +172,7 @@ class Broadcaster:
             self._module, self._module_lost = None, False
 
     def _log(self, rates: Mapping[str, int], commands: list[Command]) -> None:
-        """What changed."""
+        """Log a change of the broadcast."""
         if self._module is not None:
             reason = f"the vehicle's own Remote ID module (component {self._module.component_id}) broadcasts"
         else:
@@ -180,7 +184,8 @@ class Broadcaster:
             commands.append(BroadcastChanged(rates=told[0], legal=told[1], reason=trouble or reason))
 
     def _tell_pilot(self, commands: list[Command], now_s: float) -> None:
-        """What went wrong, and that it is well again; never more than one text in a while."""
+        """Report trouble, and later its end, to the pilot. `_TELL_PERIOD_S` and `_WELL_AFTER_S` limit the
+        number of texts."""
         trouble = self.trouble
         if trouble is not None:
             self._trouble_s = now_s
@@ -194,15 +199,16 @@ class Broadcaster:
             if now_s - self._said_s < _TELL_PERIOD_S:
                 return
             worst = Severity.CRITICAL if not self._decided.legal else Severity.WARNING
-            # The radio's own words change by the second: they are told with a trouble, and make none.
+            # The radio's own text changes every second. It is reported together with a trouble, but is no
+            # trouble by itself.
             words = "" if self._module is not None else self._radio.text[:_DETAIL]
             detail = f": {words}" if words else ""
             commands.append(Say(severity=worst, text=f"DMUCA {trouble}{detail}"))
         self._said, self._said_s = trouble, now_s
 
     def _tell_lacking(self, own: Ownship, commands: list[Command], now_s: float) -> None:
-        """In flight the pilot is told once of each thing that is missing in what is told; never more than one
-        text in a while."""
+        """In flight, report each kind of missing data to the pilot once, with at most one text per
+        `_TELL_PERIOD_S`."""
         lacking = self.lacking
         if not own.armed:
             self._lacking_told.clear()
@@ -214,7 +220,7 @@ class Broadcaster:
         commands.append(Say(severity=Severity.WARNING, text=f"DMUCA Remote ID: {lacking}"))
 
     def _report(self, commands: list[Command]) -> None:
-        """OPEN_DRONE_ID_ARM_STATUS, where we are the vehicle's Remote ID component."""
+        """Report OPEN_DRONE_ID_ARM_STATUS, if we are the vehicle's Remote ID component."""
         text = self.trouble or self._lacking
         status = ArmStatus(ready=text is None, text=text or "")
         if status != self._arm_status:
@@ -223,7 +229,8 @@ class Broadcaster:
 
 
 def _lacking(config: Config, messages: tuple[Message, ...]) -> str | None:
-    """What the messages lack before take-off, in the words that ground stations know from modules."""
+    """Data that the messages lack for take-off, in the words that ground stations know from Remote ID
+    modules."""
     if config.identity.id_type is IdType.NONE:
         return "missing basic_id message"
     for message in messages:

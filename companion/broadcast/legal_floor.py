@@ -1,7 +1,7 @@
-"""The region's floor under whatever is asked: which transports go on the air, and how often.
+"""The least that the region's law requires of the broadcast: which transports go on the air, and how often.
 
 A policy (or a configuration) asks for transports with a rate each. What goes on the air is that, plus what
-the region's law asks beyond it, within what the radios can send on.
+the region's law requires beyond it, as far as the radios can send it.
 """
 
 from __future__ import annotations
@@ -13,25 +13,27 @@ from dataclasses import dataclass
 from companion.remote_id.region import Region
 
 MARGIN = 0.8
-"""Of the longest legal period: a message that is due at the limit is too late once delays add up."""
+"""Share of the longest legal period that is used. A message that is due only at the limit would be late once
+delays add up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Decided:
-    """What goes on the air."""
+    """Decision on what goes on the air."""
 
     rates: dict[str, int]
-    """Locations a second that are asked for, by transport; the periods of `longest_period_s` hold as well."""
+    """Requested Locations a second, by transport. The periods of `longest_period_s` apply as well."""
     legal: bool
     reason: str
-    """Why this is not what was asked, or not legal; empty otherwise."""
+    """Why this differs from what was asked, or is not legal; empty otherwise."""
 
 
 def keep_floor(asked: Mapping[str, int], region: Region, can_send: frozenset[str]) -> Decided:
-    """The smallest legal set of transports that holds what was asked, of those that can be sent on.
+    """Return the smallest legal set of transports that contains what was asked, as far as the radios can send
+    it.
 
-    Where no legal set can be sent, the part of one that can is, together with what was asked: being seen by
-    some is better than by none. It is marked as not legal.
+    If no legal set can be sent, the part of one that can be sent is used together with what was asked: being
+    seen by some is better than by none. The decision is marked as not legal.
     """
     able = {transport: rate for transport, rate in asked.items() if transport in can_send}
     missing = sorted(asked.keys() - able.keys())
@@ -56,7 +58,7 @@ def keep_floor(asked: Mapping[str, int], region: Region, can_send: frozenset[str
 
 
 def longest_period_s(region: Region, transport: str, wifi_channel: int | None) -> float | None:
-    """Longest legal time between two Locations on a transport; None where the region sets none."""
+    """Longest legal time between two Locations on a transport; None if the region sets no limit."""
     elsewhere = region.beacon_period_elsewhere_s
     if transport == "wifi" and elsewhere is not None and wifi_channel not in (None, *region.beacon_channels):
         return elsewhere
@@ -64,7 +66,8 @@ def longest_period_s(region: Region, transport: str, wifi_channel: int | None) -
 
 
 def whole_rates(rates: Mapping[str, int], region: Region, wifi_channel: int | None) -> dict[str, int]:
-    """Whole messages a second that keep the floor with its margin, for a radio that repeats by itself."""
+    """Whole messages a second that keep the legal periods with their margin, for a radio that repeats by
+    itself."""
     found = {}
     for transport, rate in rates.items():
         period_s = longest_period_s(region, transport, wifi_channel)
@@ -75,7 +78,7 @@ def whole_rates(rates: Mapping[str, int], region: Region, wifi_channel: int | No
 def too_slow(
     rates: Mapping[str, int], region: Region, wifi_channel: int | None, loop_hz: float
 ) -> str | None:
-    """Why a loop of this rate cannot keep the floor with its margin, in words; None when it can."""
+    """Why a loop of this rate cannot keep the legal periods with their margin, in words; None when it can."""
     for transport in sorted(rates):
         period_s = longest_period_s(region, transport, wifi_channel)
         if period_s is not None and loop_hz * MARGIN * period_s < 1.0:

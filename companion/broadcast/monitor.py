@@ -1,25 +1,25 @@
-"""Is the own broadcast really on the air? Own frames heard back, or a radio's own word."""
+"""Checks whether our own broadcast is really on the air: our frames are heard back, or a radio reports it."""
 
 from __future__ import annotations
 
 
 class SelfMonitor:
-    """Watches transports that something of ours can hear, or that report on themselves.
+    """Watches transports on which a receiver of ours can hear us, or whose radio reports its own state.
 
-    A frame counts by its radio address. A stranger who sends from our address can make a dead transmitter
-    look alive: this finds faults, not attacks.
+    A frame is recognised by its radio address. A stranger who sends from our address can make a dead
+    transmitter look alive: the monitor finds faults, not attacks.
 
     Args:
-        patience_s: sent for so long without being heard is a failure.
+        patience_s: a transport has failed if it was on the air for longer than this without being heard.
     """
 
     def __init__(self, patience_s: float) -> None:
         self._patience_s = patience_s
         self._since_s: dict[str, float] = {}
-        """When each transport was last known to work, or came on the air."""
+        """When each transport was last known to work, or went on the air."""
 
     def heard(self, transport: str, now_s: float) -> None:
-        """An own frame came back, or the radio says that it is on the air."""
+        """One of our own frames was heard, or the radio reports that it is on the air."""
         if transport in self._since_s:
             self._since_s[transport] = now_s
 
@@ -27,7 +27,7 @@ class SelfMonitor:
         """Transports that should be heard and are not.
 
         Args:
-            on_air: transports that are being sent on now.
+            on_air: transports that are in use now.
             monitored: transports that could be heard.
         """
         watched = on_air & monitored

@@ -1,4 +1,4 @@
-"""What the own aircraft says about itself: its state as Remote ID messages, and where its operator is."""
+"""Remote ID messages of our own aircraft: its state, and the position of its operator."""
 
 from __future__ import annotations
 
@@ -28,21 +28,23 @@ from companion.remote_id.messages import (
 from companion.remote_id.region import Region
 
 OPERATOR_FRESH_S = 10.0
-"""An operator position that has not been renewed for this long is no longer put on the air."""
+"""An operator position that has not been renewed for this long is no longer broadcast."""
 _STAMPS = 8
-"""Latest timestamps of positions that are known: as many ground stations may repeat theirs, and a clock that
-was set back by as many seconds is past them within `OPERATOR_FRESH_S`."""
+"""Number of latest position timestamps that are remembered. As many ground stations may repeat their
+position. A clock that was set back by as many seconds has passed its old timestamps within
+`OPERATOR_FRESH_S`."""
 _ALTITUDES = (-999.5, 31767.5)
 _UTC = (1_546_300_801.0, 1_546_300_800.0 + 2**32 - 1)
-"""What a System timestamp can hold: from 2019 on."""
+"""Range of a System timestamp, from 2019 on."""
 
 
 class Operator:
-    """Where the operator is, as the ground station last said.
+    """Position of the operator as last reported by a ground station.
 
-    A position counts as renewed when its timestamp moves on, not when it is repeated: an autopilot goes on
-    relaying the last one of a ground station that has fallen silent, and two of them repeat in turn. Without
-    a timestamp each one counts. A ground station that has no position takes none away from another.
+    A position counts as renewed when its timestamp is new, not when it is repeated. An autopilot goes on
+    relaying the last position of a ground station that has fallen silent, and two senders repeat theirs in
+    turn. A position without a timestamp always counts as renewed. A ground station that has no position does
+    not remove the position of another.
     """
 
     def __init__(self) -> None:
@@ -53,7 +55,7 @@ class Operator:
         self.operator_id: OperatorId | None = None
 
     def take(self, messages: tuple[Message, ...], now_s: float) -> None:
-        """What a ground station said."""
+        """Take messages of a ground station."""
         for message in messages:
             if isinstance(message, System):
                 if message.operator_lat_deg is None or message.operator_lon_deg is None:
@@ -74,7 +76,7 @@ class Operator:
 
 
 def basic_id_of(identity: IdentityConfig) -> BasicId:
-    """Who we are."""
+    """Basic ID of our aircraft."""
     return BasicId(id_type=identity.id_type, ua_type=identity.ua_type, uas_id=identity.uas_id)
 
 
@@ -88,10 +90,11 @@ def messages_of(
     *,
     failed: bool,
 ) -> tuple[Message, ...]:
-    """Everything that is to be told now: Basic ID, Location, System, and what is configured beside them.
+    """All messages to broadcast now: Basic ID, Location, System, and those that are configured or received in
+    addition.
 
     Args:
-        failed: the own broadcast is known not to work; the Location says so.
+        failed: our broadcast is known not to work; the Location reports it.
     """
     messages: list[Message] = [basic_id_of(identity)]
     if identity.registration_id is not None:
@@ -116,11 +119,11 @@ def messages_of(
 
 
 def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
-    """Own state as a Location message.
+    """Location message of our own state.
 
-    The position is carried on along the own velocity to the tenth of a second that the timestamp can hold, so
-    that the timestamp's step adds no error. A position too old to be called present is left out and the
-    status says that the system has failed: silence would look like an empty sky.
+    The position is extrapolated along our velocity to the tenth of a second that the timestamp can hold, so
+    that the timestamp's resolution adds no error. A position that is too old is left out and the status
+    reports a system failure: sending nothing would look like an empty sky.
     """
     position, gnss = own.position, own.gnss
     if position is None or own.age_s(now_s) > max_age_s or (gnss is not None and gnss.fix_type < 2):
@@ -161,13 +164,13 @@ def location_of(own: Ownship, now_s: float, max_age_s: float) -> Location:
 
 
 def _within(value: float, low: float, high: float) -> float | None:
-    """A value that the message cannot hold is unknown to those who hear it."""
+    """The value, or None (unknown) if the message cannot hold it."""
     return value if low <= value <= high else None
 
 
 def system_of(own: Ownship, config: RemoteIdConfig, operator: Operator, now_s: float) -> System:
-    """Operator position: the ground station's while it is fresh, else the take-off point; which of the two is
-    told. Unknown when there is neither."""
+    """System message with the operator position: the ground station's while it is fresh, else the take-off
+    point. The message shows which of the two it is. The position is unknown when there is neither."""
     told = operator.system(now_s)
     altitude, utc = None, None
     if own.utc_offset_s is not None:

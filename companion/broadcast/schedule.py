@@ -1,8 +1,8 @@
-"""When each message goes out on each transport (the paper's "observe": psi messages per GNSS cycle).
+"""When each message is sent on each transport (the paper's "observe": psi messages per GNSS cycle).
 
-On BLE 5 and Wi-Fi every broadcast is a pack of all messages; BLE 4 carries one message a frame, so each
-kind has a clock of its own there. The region's periods hold whatever rate is asked, with a margin and looking
-ahead by one step. A transport that is given up goes on beside its successors for a while.
+On BLE 5 and Wi-Fi every broadcast is a pack of all messages. BLE 4 carries one message a frame, so each kind
+of message has a clock of its own there. The region's periods are kept at any requested rate, with a margin
+and looking ahead by one step. A transport that is given up stays on the air with its successors for a while.
 """
 
 from __future__ import annotations
@@ -20,27 +20,28 @@ from companion.remote_id.transports import BLE4
 GNSS_CYCLE_S = 1.0
 """T_GNSS of the paper."""
 OVERLAP_S = 1.0
-"""A transport that is given up stays this long beside its successors: every second is covered by either."""
+"""How long a transport that is given up stays on the air with its successors, so that every second is covered
+by one of them."""
 _OTHERS_PERIOD_S = 3.0
-"""Self ID and the like where the region says nothing."""
+"""Period of Self ID and the other messages for which the region sets none."""
 _LONGEST_STEP_S = 0.3
 _EPSILON_S = 1e-6
 
 
 @dataclass(slots=True)
 class _Lane:
-    """One transport on the air."""
+    """Timing of one transport on the air."""
 
     rate: int
     next_s: float
-    """When the asked rate makes the next Location due."""
+    """When the requested rate makes the next Location due."""
     sent_s: dict[type[Message], float] = field(default_factory=dict)
     leaving_s: float | None = None
-    """Since when it is only kept until its successors are there."""
+    """Since when the transport is kept only until its successors are on the air."""
 
 
 class Schedule:
-    """The clocks of all transports.
+    """Timing of all transports.
 
     Args:
         identity: spreads the phases of aircraft that are switched on together.
@@ -55,7 +56,7 @@ class Schedule:
 
     @property
     def on_air(self) -> dict[str, int]:
-        """Transports in use, with their asked rates; those that are on their way out included."""
+        """Transports in use, with their requested rates. Those that are about to leave are included."""
         return {transport: lane.rate for transport, lane in self._lanes.items()}
 
     def due(
@@ -66,17 +67,18 @@ class Schedule:
         messages: tuple[Message, ...],
         now_s: float,
     ) -> list[Broadcast]:
-        """The broadcasts for this moment.
+        """Broadcasts to send now.
 
         Args:
-            rates: transports to be on the air, Locations a second.
+            rates: transports to be on the air, with their Locations a second.
             can_send: transports that work at all.
-            wifi_channel: of the beacons; None while unknown.
-            messages: everything that is to be told, as of now: a Location, and at most eight others.
+            wifi_channel: channel of the beacons; None while unknown.
+            messages: everything to be broadcast at this time: a Location, and at most eight others.
             now_s: not before the last call's.
         """
         if self._last_s is not None:
-            # The longest recent step, slowly forgotten: what is due before the next one goes out now.
+            # The longest recent step, with slow decay. Messages that become due before the next step are sent
+            # now.
             self._step_s = min(max(now_s - self._last_s, 0.9 * self._step_s), _LONGEST_STEP_S)
         self._last_s = now_s
         self._change(rates, can_send, now_s)
@@ -111,7 +113,8 @@ class Schedule:
                 lane.next_s = min(lane.next_s, now_s + GNSS_CYCLE_S / rate)
 
     def _leave(self, now_s: float) -> None:
-        """Take transports off the air whose successors, which began at once, have been there long enough."""
+        """Take transports off the air when their successors, which began at once, have been there long
+        enough."""
         for transport, lane in list(self._lanes.items()):
             if lane.leaving_s is not None and now_s - lane.leaving_s >= OVERLAP_S:
                 del self._lanes[transport]
@@ -119,13 +122,13 @@ class Schedule:
     def _due_kinds(
         self, transport: str, lane: _Lane, limits_s: Mapping[type[Message], float | None], now_s: float
     ) -> set[type[Message]]:
-        """The kinds of messages that are due; on a transport of packs Location stands for all."""
+        """Kinds of messages that are due. On a transport that sends packs, Location stands for all."""
         kinds: set[type[Message]] = set()
         if now_s >= lane.next_s - _EPSILON_S:
             kinds.add(Location)
             cycle_s = GNSS_CYCLE_S / lane.rate
             first = Location not in lane.sent_s
-            # The rate holds over time; only the first interval is shortened, by the aircraft's own phase.
+            # The rate holds over time. Only the first interval is shortened, by the aircraft's own phase.
             lane.next_s += cycle_s * (0.5 + 0.5 * self._phase) if first else cycle_s
             if lane.next_s <= now_s:
                 lane.next_s = now_s + cycle_s
@@ -139,7 +142,7 @@ class Schedule:
     def _limits_s(
         self, transport: str, wifi_channel: int | None, kinds: set[type[Message]]
     ) -> dict[type[Message], float | None]:
-        """Time after which each kind must have gone out again; None for no limit."""
+        """Time after which each kind of message must be sent again; None for no limit."""
         region = self._region
         legal: dict[type[Message], float | None] = {
             Location: longest_period_s(region, transport, wifi_channel),
@@ -157,7 +160,7 @@ class Schedule:
         return limits_s
 
     def _late(self, lane: _Lane, kind: type[Message], limit_s: float | None, now_s: float) -> bool:
-        """Whether a limit would be overstepped by waiting for the next step."""
+        """Whether waiting for the next step would exceed the limit."""
         if limit_s is None:
             return False
         last_s = lane.sent_s.get(kind)

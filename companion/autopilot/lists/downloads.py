@@ -1,4 +1,5 @@
-"""The vehicle's mission and its fence, fetched one after the other: PX4 serves one list at a time."""
+"""Downloads the vehicle's mission and its fence one after the other, because PX4 serves one list at a
+time."""
 
 from __future__ import annotations
 
@@ -20,19 +21,20 @@ from companion.events import (
 
 
 class Downloads:
-    """One download under way, and one that waits for its end."""
+    """One download in progress, and at most one that waits for its end."""
 
     def __init__(self, heard: HeardVehicle, outbox: Outbox, events: list[Event]) -> None:
-        """`events` takes what becomes of each."""
+        """`events` receives the result of each download."""
         self._heard = heard
         self._outbox = outbox
         self._events = events
         self._download: MissionDownload | None = None
         self._next: int | None = None
-        """Type of the list to be fetched after the one under way."""
+        """Type of the list to download after the current one."""
 
     def fetch(self, mission_type: int, now_s: float) -> None:
-        """Fetch a list; the same one anew, or after the other one."""
+        """Download a list. A download of the same list begins again; the other list waits for the end of the
+        current one."""
         vehicle = self._heard.vehicle
         if vehicle is None:
             self._refuse(mission_type, "no vehicle has been heard yet")
@@ -47,17 +49,17 @@ class Downloads:
             self.advance(now_s)
 
     def on_count(self, frame: Frame, fields: Fields, now_s: float) -> None:
-        """MISSION_COUNT of our vehicle."""
+        """Take MISSION_COUNT of our vehicle."""
         download = self._answered(frame, fields[1], fields[2])
         if download is not None:
             download.on_count(fields, now_s)
             self.advance(now_s)
 
     def on_item(self, frame: Frame, fields: Fields, now_s: float) -> None:
-        """MISSION_ITEM or MISSION_ITEM_INT of our vehicle.
+        """Take MISSION_ITEM or MISSION_ITEM_INT of our vehicle.
 
         Raises:
-            PeerDataError: an item that cannot be; it ends the download.
+            PeerDataError: the item is impossible; it ends the download.
         """
         download = self._answered(frame, fields[9], fields[10])
         if download is not None:
@@ -67,14 +69,14 @@ class Downloads:
                 self.advance(now_s)
 
     def on_ack(self, frame: Frame, fields: Fields, now_s: float) -> None:
-        """MISSION_ACK of our vehicle."""
+        """Take MISSION_ACK of our vehicle."""
         download = self._answered(frame, fields[0], fields[1])
         if download is not None:
             download.on_ack(fields)
             self.advance(now_s)
 
     def _answered(self, frame: Frame, target_system: int, target_component: int) -> MissionDownload | None:
-        """The download under way, where an answer of the mission protocol is for us."""
+        """The current download, if an answer of the mission protocol is for us."""
         if self._download is None or not self._heard.is_for_us(target_system, target_component):
             return None
         if frame.raw[0] == MAGIC_V1:
@@ -82,7 +84,8 @@ class Downloads:
         return self._download
 
     def advance(self, now_s: float) -> None:
-        """Ask for what is due; tell what has come, or why it has not, and begin the one that waits."""
+        """Send the request that is due, report the result when there is one, and begin the download that
+        waits."""
         download = self._download
         if download is None:
             return

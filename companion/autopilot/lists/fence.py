@@ -1,10 +1,11 @@
-"""A geofence from the items that a vehicle holds (MAV_MISSION_TYPE_FENCE).
+"""Builds a geofence from the items that a vehicle holds (MAV_MISSION_TYPE_FENCE).
 
-A polygon comes as consecutive NAV_FENCE_POLYGON_VERTEX_* items, each with the polygon's vertex count in param
-1, a circle as one NAV_FENCE_CIRCLE_* with its radius (m) there. ArduPilot says MAV_FRAME_GLOBAL and no
-altitude, PX4 an _INT frame and the altitude that it was given; neither's areas have a height, so every global
-frame is taken. NAV_FENCE_RETURN_POINT is where ArduPilot flies after a breach, not an area, and is left out.
-Whatever else is wrong is refused: a fence understood in part is another fence.
+A polygon is a sequence of NAV_FENCE_POLYGON_VERTEX_* items, each with the polygon's vertex count in param 1.
+A circle is one NAV_FENCE_CIRCLE_* item with its radius (m) in param 1. ArduPilot uses MAV_FRAME_GLOBAL and no
+altitude, PX4 an _INT frame and the altitude that it was given. The areas of both have no height, so every
+global frame is accepted. NAV_FENCE_RETURN_POINT is where ArduPilot flies after a breach; it is not an area
+and is left out. Any other fault refuses the whole fence, because a partly understood fence is a different
+fence.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ _CIRCLES = {
     mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True,
     mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False,
 }
-"""MAV_CMD -> whether the area is to be stayed in."""
+"""MAV_CMD -> whether the vehicle must stay inside the area."""
 
 
 def areas_from_items(items: Sequence[MissionItem]) -> tuple[FenceArea, ...]:
-    """The areas of a downloaded fence, in its order.
+    """Areas of a downloaded fence, in its order.
 
     Raises:
-        PeerDataError: names the item (a polygon by its first one) and what is wrong.
+        PeerDataError: names the faulty item (a polygon by its first one) and what is wrong.
     """
     return tuple(_areas(items))
 

@@ -1,12 +1,12 @@
-"""Fetching a list of the vehicle's, its mission or its fence, item by item.
+"""Downloads a list of the vehicle, its mission or its fence, item by item.
 
-MISSION_REQUEST_LIST -> MISSION_COUNT -> (MISSION_REQUEST_INT -> MISSION_ITEM_INT) per item -> MISSION_ACK,
-each request repeated when its answer does not come; later tries for a mission use MISSION_REQUEST, which
-vehicles that hold fences by this protocol do not need; either form of item is taken.
+The sequence is MISSION_REQUEST_LIST -> MISSION_COUNT -> (MISSION_REQUEST_INT -> MISSION_ITEM_INT) per item ->
+MISSION_ACK. Each request is repeated when its answer does not come. Later tries for a mission use
+MISSION_REQUEST; vehicles that hold fences by this protocol do not need it. Either form of item is accepted.
 
-Both vehicles' answers tell by `mission_type` which list they are of. MAVLink 1 has no such field: ArduPilot
-refuses to serve a fence on a link set to it, and what an older vehicle sends would be its mission. So a fence
-is given up at the first answer in MAVLink 1.
+In the answers of both firmwares, `mission_type` shows which list they belong to. MAVLink 1 has no such field:
+ArduPilot refuses to serve a fence on a link set to it, and an older vehicle would send its mission instead. A
+fence download is therefore given up at the first answer in MAVLink 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from companion.events import MissionItem
 RETRY_S = 1.0
 MAX_TRIES = 5
 INT_TRIES = 3
-"""Tries with MISSION_REQUEST_INT before the older MISSION_REQUEST."""
+"""Number of tries with MISSION_REQUEST_INT before the older MISSION_REQUEST is used."""
 TOTAL_S = 60.0
 MAX_ITEMS = 2000
 
@@ -39,14 +39,15 @@ _RESULTS: dict[int, str] = {
 
 
 def item_from_int(fields: Fields) -> MissionItem:
-    """MISSION_ITEM_INT in wire order."""
+    """Item from MISSION_ITEM_INT in wire order."""
     x, y = fields[4:6]
     scale = 1e7 if fields[11] in GLOBAL_FRAMES else 1.0
     return _item(fields, *(None if v == _INT32_MAX else v / scale for v in (x, y)))
 
 
 def item_from_float(fields: Fields) -> MissionItem:
-    """MISSION_ITEM in wire order: degrees in single precision, some metres coarse."""
+    """Item from MISSION_ITEM in wire order. Its degrees in single precision are accurate only to some
+    metres."""
     return _item(fields, finite_or_none(fields[4]), finite_or_none(fields[5]))
 
 
@@ -69,7 +70,8 @@ def _item(fields: Fields, x: float | None, y: float | None) -> MissionItem:
 
 
 class MissionDownload:
-    """One download: `due` says what to send; ends with `items` or with `failed` (a reason)."""
+    """One download. `due` returns what to send; the download ends with `items` or with `failed` (a
+    reason)."""
 
     def __init__(
         self, system_id: int, now_s: float, *, mission_type: int = MISSION, skip_home: bool = False
@@ -86,7 +88,7 @@ class MissionDownload:
         self._next_s = now_s
 
     def due(self, now_s: float) -> Outgoing | None:
-        """What to send now; past the last try or the total time the download has failed."""
+        """Message to send now. After the last try or the total time, the download has failed."""
         if self.failed is not None:
             return self._cancel()
         if self._count is not None and len(self._got) == self._count:
@@ -106,14 +108,16 @@ class MissionDownload:
         return mission_request(len(self._got), self._system_id, self.mission_type, as_int=as_int)
 
     def _cancel(self) -> Outgoing | None:
-        """PX4 serves no other list until it hears this, or 5 s have passed. Where it serves somebody else it
-        would complain of us, so nothing is cancelled that has not begun."""
+        """MISSION_ACK that cancels the download. PX4 serves no other list until it receives this, or 5 s have
+        passed. A download that has not begun is not cancelled: PX4 may be serving another client and would
+        complain about us."""
         return (
             None if self._count is None else mission_ack(self._system_id, self.mission_type, cancelled=True)
         )
 
     def on_count(self, fields: Fields, now_s: float) -> None:
-        """MISSION_COUNT in wire order; another number than before means another mission: begin again."""
+        """Take MISSION_COUNT in wire order. Another number than before means another mission, so the download
+        begins again."""
         count, mission_type = fields[0], fields[3]
         if mission_type != self.mission_type or count == self._count:
             return
@@ -124,7 +128,7 @@ class MissionDownload:
         self._progress(now_s)
 
     def on_item(self, message_id: int, fields: Fields, now_s: float) -> None:
-        """MISSION_ITEM_INT or MISSION_ITEM in wire order; any but the awaited one is left out."""
+        """Take MISSION_ITEM_INT or MISSION_ITEM in wire order. Any item but the awaited one is ignored."""
         if fields[14] != self.mission_type or self._count is None or fields[7] != len(self._got):
             return
         as_int = message_id == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT
@@ -137,13 +141,13 @@ class MissionDownload:
         self._progress(now_s)
 
     def on_ack(self, fields: Fields) -> None:
-        """MISSION_ACK in wire order: anything but "accepted" ends the download."""
+        """Take MISSION_ACK in wire order. Any result but "accepted" ends the download."""
         result, mission_type = fields[2], fields[3]
         if mission_type == self.mission_type and result != 0:
             self.failed = f"the vehicle answered: {_RESULTS.get(result, f'result {result}')}"
 
     def on_mavlink1(self) -> None:
-        """An answer came in MAVLink 1, whatever it says."""
+        """An answer came in MAVLink 1; its content does not matter."""
         if self.mission_type != MISSION:
             self.failed = (
                 "the vehicle speaks MAVLink 1, which carries missions only; set the port to MAVLink 2"

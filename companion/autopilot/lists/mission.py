@@ -1,11 +1,12 @@
-"""A timed path from the vehicle's own mission.
+"""Builds a timed path from the vehicle's own mission.
 
-What is flown: NAV_WAYPOINT with its hold time, NAV_LOITER_TIME as a waypoint that is held, NAV_DELAY of some
-seconds, at the speed of the last DO_CHANGE_SPEED; a leg that is too steep for that as slowly as climb and
-descent allow, the way autopilots fly it. The clock starts at the place where the companion takes the vehicle,
-and every leg is straight at constant speed. The companion takes over in the air, so a NAV_TAKEOFF before the
-first waypoint is the pilot's or the autopilot's and is left out; NAV_LAND and NAV_RETURN_TO_LAUNCH end the
-path and are not flown. Everything else is refused: a mission flown in part is another mission.
+The path flies NAV_WAYPOINT with its hold time, NAV_LOITER_TIME as a waypoint that is held, and NAV_DELAY of
+some seconds, at the speed of the last DO_CHANGE_SPEED. A leg that is too steep for that speed is flown as
+slowly as climb and descent allow, the way autopilots fly it. The clock starts at the place where the
+companion takes the vehicle, and every leg is straight at constant speed. The companion takes over in the air,
+so a NAV_TAKEOFF before the first waypoint belongs to the pilot or the autopilot and is left out. NAV_LAND and
+NAV_RETURN_TO_LAUNCH end the path and are not flown. Every other item is refused, because a mission flown in
+part is a different mission.
 """
 
 from __future__ import annotations
@@ -37,16 +38,17 @@ MAX_SPEED_MPS = 100.0
 MAX_HOLD_S = 3600.0
 MAX_LEG_M = 100_000.0
 STEEPEST = 0.9
-"""Share of the allowed climb and descent that a leg is planned with: the rest closes gaps."""
+"""Share of the allowed climb and descent that a leg is planned with. The rest is a reserve for closing
+gaps."""
 SAME_PLACE_M = 0.01
-"""Points closer than this are one: times on a path rise strictly."""
+"""Points closer than this count as one, because times on a path must rise strictly."""
 
 _PLACES = frozenset({NAV_WAYPOINT, NAV_LOITER_UNLIM, NAV_LOITER_TURNS, NAV_LOITER_TIME, NAV_SPLINE_WAYPOINT})
 """Commands that lead to a place and stay in the air."""
 _MSL_FRAMES = frozenset({0, 5})
 _HOME_FRAMES = frozenset({3, 6})
 _SPEED_KINDS = (0.0, 1.0)
-"""DO_CHANGE_SPEED param 1: airspeed and ground speed, one thing to a multirotor."""
+"""DO_CHANGE_SPEED param 1: airspeed and ground speed. For a multirotor both are the same."""
 _ALLOWED = (
     "NAV_WAYPOINT, NAV_LOITER_TIME, NAV_DELAY, DO_CHANGE_SPEED, NAV_TAKEOFF before the first waypoint, "
     "and NAV_LAND or NAV_RETURN_TO_LAUNCH as the end"
@@ -66,19 +68,19 @@ def path_from_mission(
     home_alt_msl_m: float | None,
     first_seq: int | None = None,
 ) -> TrajectoryFile:
-    """The mission as a timed path above home.
+    """Return the mission as a timed path with altitudes above home.
 
     Args:
-        items: As downloaded, ArduPilot's home item left out.
+        items: As downloaded, without ArduPilot's home item.
         speed_mps: Speed along the legs until a DO_CHANGE_SPEED.
         max_climb_mps: Steep legs are flown more slowly, so that they stay below it and `max_descent_mps`.
         start: Latitude (deg), longitude (deg), height above home (m) where the clock starts.
-        first_seq: Item that the vehicle is at: waypoints before it are behind, speeds before it hold.
+        first_seq: Item that the vehicle is at. Waypoints before it are passed; speeds before it still apply.
         home_alt_msl_m: Home above mean sea level; needed by items that give altitudes above mean sea level.
 
     Raises:
-        ConfigError: an item that cannot be flown (names its number, its command and what is allowed), or no
-            waypoint at all.
+        ConfigError: an item cannot be flown (the error names its number, its command and what is allowed), or
+            there is no waypoint at all.
     """
     builder = _Builder(speed_mps, max_climb_mps, max_descent_mps, start, home_alt_msl_m)
     for item in items:
@@ -102,10 +104,12 @@ def path_from_mission(
 
 
 def speeds_at(items: Sequence[MissionItem], seq: int) -> frozenset[float | None]:
-    """Speeds (m/s) that the mission itself may have asked for by the time it is at an item; None: none.
+    """Speeds (m/s) that the mission may have set by the time the vehicle is at an item; None: it has set
+    none.
 
-    It is one, but where the mission jumps: how often it has done so is not told, so any of its speeds may
-    hold, and none where a jump passes the first of them or leads back before it.
+    Without jumps there is one such speed. With jumps any speed of the mission may apply, because the vehicle
+    does not report how often it has jumped. None is then among them if the item or a jump stands before the
+    first change of speed.
     """
     changes, _ = speed_changes(items)
     jumps = [i.seq for i in items if i.command in _JUMPS]
@@ -117,8 +121,8 @@ def speeds_at(items: Sequence[MissionItem], seq: int) -> frozenset[float | None]
 
 
 def speed_changes(items: Sequence[MissionItem]) -> tuple[list[tuple[int, float]], bool]:
-    """Items that ask for a speed: number, m/s; and whether the vehicle's own may be flown too, as a place or
-    a jump stands before the first of them, or there is none."""
+    """Items that set a speed (number, m/s), and whether the vehicle's own speed may be flown too. It may if a
+    place or a jump stands before the first of these items, or if there is none."""
     changes = []
     for item in items:
         kind, speed_mps = item.params[:2]
@@ -131,11 +135,12 @@ def speed_changes(items: Sequence[MissionItem]) -> tuple[list[tuple[int, float]]
 
 
 def place_of(item: MissionItem, height_m: float, home_alt_msl_m: float) -> Vec3 | None:
-    """Where an item leads: latitude (deg), longitude (deg), height above home (m); None: nowhere of its own.
+    """Where an item leads: latitude (deg), longitude (deg), height above home (m); None: it has no place of
+    its own.
 
     Args:
-        height_m: present height above home, where the item's altitude is left open, 0 (ArduPilot keeps its
-            altitude then) or measured from terrain.
+        height_m: present height above home. It is used if the item's altitude is left open, 0 (ArduPilot then
+            keeps its altitude) or measured from terrain.
     """
     if item.command not in _PLACES or item.lat_deg is None or item.lon_deg is None:
         return None
@@ -197,7 +202,7 @@ class _Builder:
                 item, f"{length_m / 1e3:.0f} km from the point before; allowed is {MAX_LEG_M / 1e3:.0f}"
             )
         if length_m > SAME_PLACE_M:
-            # The first leg, from wherever the vehicle happens to be, may well be straight up.
+            # The first leg starts at the vehicle's present position and may be straight up.
             steep_s = max(-down / self._climb_mps, down / self._descent_mps)
             self._add(max(length_m / self._speed_mps, steep_s), lat_deg, lon_deg, alt_m)
         if hold_s > 0:
@@ -222,7 +227,7 @@ class _Builder:
         self.waypoints.append(Waypoint(t_s=t_s, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m))
 
     def _position(self, item: MissionItem) -> Vec3:
-        """Latitude, longitude, height above home of a waypoint."""
+        """Latitude (deg), longitude (deg) and height above home (m) of a waypoint."""
         if item.frame not in _MSL_FRAMES | _HOME_FRAMES:
             raise _refused(
                 item,

@@ -1,7 +1,8 @@
-"""The mode that the vehicle is asked for, and the speed of its mission; given up when somebody else flies.
+"""Asks the vehicle for a mode and for the speed of its mission. Both requests end when the pilot or a
+failsafe takes over.
 
-A speed that comes with a mode is sent right behind each request for that mode, one that comes alone until the
-vehicle has answered it (MAV_CMD_DO_CHANGE_SPEED), for as long as the mission is flown.
+A speed given with a mode is sent right after each request for that mode. A speed given alone is sent until
+the vehicle has answered it (MAV_CMD_DO_CHANGE_SPEED), as long as the mission is flown.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _HEARTBEAT = float(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 
 @dataclass(slots=True)
 class _SpeedRequest:
-    """DO_CHANGE_SPEED, until it is answered or was sent often enough."""
+    """DO_CHANGE_SPEED, repeated until it is answered or was sent often enough."""
 
     speed_mps: float
     tries: int = 0
@@ -35,10 +36,10 @@ class _SpeedRequest:
 
 
 class ModeAndSpeed:
-    """One mode and one speed at a time, the ones asked for last."""
+    """At most one mode request and one speed request, the latest of each."""
 
     def __init__(self, heard: HeardVehicle, outbox: Outbox, events: list[Event], counts: LinkCounts) -> None:
-        """`events` takes the modes that were refused."""
+        """`events` receives the refusals of modes."""
         self._heard = heard
         self._outbox = outbox
         self._events = events
@@ -46,17 +47,17 @@ class ModeAndSpeed:
         self._told = ModeTold()
         self._mode: ModeRequest | None = None
         self._cancelled: ModeRequest | None = None
-        """The last one that was given up."""
+        """The latest request that was given up."""
         self._mode_speed_mps: float | None = None
         self._speed: _SpeedRequest | None = None
         self._mode_wanted_s = -math.inf
-        """When a HEARTBEAT was last asked for."""
+        """When a HEARTBEAT was last requested."""
 
     def ask_mode(self, command: SetMode, now_s: float) -> None:
-        """Ask for a mode, in place of what was asked for before.
+        """Ask for a mode. This replaces an earlier request.
 
         Raises:
-            ValueError: it cannot be commanded.
+            ValueError: the mode cannot be commanded.
         """
         mode, vehicle = command.mode, self._heard.vehicle
         if vehicle is None:
@@ -68,7 +69,7 @@ class ModeAndSpeed:
             self._speed = None
             before = self._mode
             if before is None and self._cancelled is not None and self._cancelled.may_be_entered(now_s):
-                # Its mode is no choice of the pilot's either.
+                # The vehicle entering the mode of the cancelled request is not the pilot's choice either.
                 before = self._cancelled
             self._cancelled = None
             self._mode = ModeRequest(mode, dialect, vehicle.system_id, self._told, now_s, before)
@@ -76,15 +77,16 @@ class ModeAndSpeed:
             self._move_mode(now_s)
 
     def ask_speed(self, speed_mps: float) -> None:
-        """Ask for the mission's speed, from the next `advance` on."""
+        """Ask for the speed of the mission, from the next `advance` on."""
         self._speed = _SpeedRequest(speed_mps)
 
     def cancel(self) -> None:
-        """Ask for nothing any more."""
+        """Give up the mode request and the speed request."""
         self._cancelled, self._mode, self._speed = self._mode or self._cancelled, None, None
 
     def forget(self, now_s: float) -> None:
-        """The input was a backlog: what it told of the mode may be old. The vehicle is asked to tell it."""
+        """The input was a backlog, so the mode that it reported may be old. Ask the vehicle to report its
+        mode."""
         self._told.forget()
         if self._mode is not None:
             self._mode.forget()
@@ -94,12 +96,12 @@ class ModeAndSpeed:
             self._outbox.queue(command_long(CMD_REQUEST_MESSAGE, (_HEARTBEAT,), vehicle.system_id))
 
     def on_heartbeat(self, event: Heartbeat, now_s: float) -> None:
-        """The vehicle says which mode it is in."""
+        """Take the mode from the vehicle's HEARTBEAT."""
         self._told.heartbeat(event.custom_mode, now_s, DIALECTS[event.firmware].mode_known_s)
         self._on_mode(now_s)
 
     def on_current_mode(self, event: CurrentMode, now_s: float) -> None:
-        """The vehicle says it between two heartbeats."""
+        """Take the mode from CURRENT_MODE, which comes between two heartbeats."""
         self._told.current_mode(event.custom_mode, now_s)
         self._on_mode(now_s)
 
@@ -109,12 +111,12 @@ class ModeAndSpeed:
             self._settle_mode()
 
     def on_text(self, text: str) -> None:
-        """A text of the vehicle, which may say why it refuses."""
+        """Take a text of the vehicle, which may explain a refusal."""
         if self._mode is not None:
             self._mode.on_text(text)
 
     def on_ack(self, command: int, result: int) -> None:
-        """COMMAND_ACK of the vehicle for us, of any command."""
+        """Take the vehicle's COMMAND_ACK addressed to us, for any command."""
         if command == CMD_DO_SET_MODE and self._mode is not None:
             self._mode.on_ack(result)
         elif command == CMD_DO_CHANGE_SPEED:
@@ -134,7 +136,7 @@ class ModeAndSpeed:
             self._counts.mode_requests += 1
             self._outbox.command(outgoing, now_s)
             if self._mode_speed_mps is not None:
-                # Right behind it: ArduPilot forgets the speed when the mode begins.
+                # Sent right after the mode, because ArduPilot forgets the speed when the mode begins.
                 self._outbox.command(_speed_command(self._mode_speed_mps, vehicle.system_id), now_s)
         self._settle_mode()
 
@@ -151,7 +153,7 @@ class ModeAndSpeed:
         if asked is None or vehicle is None:
             return
         if DIALECTS[vehicle.firmware].modes.get(self._told.custom_mode) is not FlightMode.MISSION:
-            # It is the mission's speed: whoever flies now has another.
+            # The speed belongs to the mission, which is not flown any more.
             self._speed = None
             return
         if now_s < asked.next_s:

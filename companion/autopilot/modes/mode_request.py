@@ -1,11 +1,12 @@
-"""One flight mode being asked for: sent again until the vehicle shows it in HEARTBEAT or CURRENT_MODE, given
-up with a reason.
+"""Asks for one flight mode. The request is repeated until HEARTBEAT or CURRENT_MODE shows the mode, or is
+given up with a reason.
 
 An acknowledgement proves nothing (PX4 accepts modes that it then does not enter), so only `custom_mode`
-confirms; acknowledgements and the vehicle's texts are kept for the reason. When the vehicle goes to a third
-mode meanwhile, the pilot or a failsafe has acted: the request ends there. Every try follows a message that
-shows that nobody has, the first one at once where the last message still does: it is never sent against a
-pilot whose choice is not heard yet. How long a message shows that, `ModeTold` says.
+confirms the mode. Acknowledgements and the vehicle's texts are kept for the reason. If the vehicle goes to a
+third mode meanwhile, the pilot or a failsafe has acted, and the request ends. Every try follows a message
+which shows that neither has acted. The first try is sent at once if the last message still shows that. A
+request is thus never sent against a pilot whose choice has not been received yet. `ModeTold` defines how long
+a message shows that.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from companion.events import FlightMode
 RETRY_S = 1.0
 MAX_TRIES = 5
 SILENCE_S = 3.0
-"""With nothing heard of the mode for this long after a try, the request is given up."""
+"""The request is given up if the mode has not been reported for this long after a try."""
 _PROMPT_S = 0.6
-"""CURRENT_MODE nearer together than this is told at each change too: PX4 sends it twice a second where it was
-asked for, else every 2 s."""
+"""If CURRENT_MODE messages come at most this far apart, PX4 also sends one at each change, and the mode in
+one is trusted for this long. PX4 sends them twice a second if they were requested, else every 2 s."""
 _SETTLED_S = 0.1
-"""Twice the interval with which CURRENT_MODE is asked for."""
+"""How long a try waits after a CURRENT_MODE: twice the interval at which CURRENT_MODE is requested."""
 _LONGEST_S = 2 * _SETTLED_S
-"""No try is held back for longer: PX4 tells its mode with every command that it takes, so one that turns its
-gimbal tells it without end."""
+"""Longest time that a try is held back. PX4 reports its mode with every command that it takes, so a vehicle
+whose gimbal is commanded all the time would otherwise hold it back forever."""
 
 _RESULTS: dict[int, str] = {
     number: entry.name.removeprefix("MAV_RESULT_").lower().replace("_", " ")
@@ -45,10 +46,10 @@ def result_words(result: int) -> str:
 
 @dataclass(slots=True)
 class ModeTold:
-    """The mode as HEARTBEAT or CURRENT_MODE told it last, and for how long that is the vehicle's.
+    """The mode that HEARTBEAT or CURRENT_MODE reported last, and how long it may be trusted.
 
-    PX4 sends a CURRENT_MODE with the mode that it is still in as it takes a command, and the new one an
-    interval later: nothing is to be asked for in between.
+    When PX4 takes a command, it sends a CURRENT_MODE with the mode that it is still in, and the new mode one
+    interval later. No mode must be asked for in between.
     """
 
     custom_mode: int = 0
@@ -57,19 +58,19 @@ class ModeTold:
     _current_s: float = -math.inf
 
     def heartbeat(self, custom_mode: int, now_s: float, known_s: float) -> None:
-        """HEARTBEAT; `known_s` is the dialect's `mode_known_s`."""
+        """Take HEARTBEAT; `known_s` is the dialect's `mode_known_s`."""
         self.custom_mode, self.settled_s = custom_mode, now_s
         self.known_until_s = max(self.known_until_s, now_s + known_s)
 
     def current_mode(self, custom_mode: int, now_s: float) -> None:
-        """CURRENT_MODE."""
+        """Take CURRENT_MODE."""
         self.custom_mode, self.settled_s = custom_mode, now_s + _SETTLED_S
         if now_s - self._current_s <= _PROMPT_S:
             self.known_until_s = max(self.known_until_s, now_s + _PROMPT_S)
         self._current_s = now_s
 
     def forget(self) -> None:
-        """What was told may be old: the next message that shows the mode counts."""
+        """The reported mode may be old, so it is not trusted until the next message that shows the mode."""
         self.known_until_s = self._current_s = -math.inf
 
 
@@ -85,11 +86,11 @@ class ModeRequest:
         now_s: float,
         replaced: ModeRequest | None = None,
     ) -> None:
-        """A request that has not been sent.
+        """Create a request that has not been sent.
 
         Args:
-            told: what the vehicle says of its mode, also from now on.
-            replaced: what was asked for until now.
+            told: the mode that the vehicle reports, also while the request runs.
+            replaced: the request that this one replaces.
         """
         self.mode = mode
         self.confirmed = False
@@ -101,23 +102,24 @@ class ModeRequest:
         self._from_mode = told.custom_mode
         self._expected = frozenset({told.custom_mode, self._command.custom_mode})
         if replaced is not None:
-            # The vehicle may still be on its way to what was asked for before.
+            # The vehicle may still enter the mode of the replaced request.
             self._expected |= replaced._expected
         self._replaces = replaced is not None
         self._heard = now_s <= told.known_until_s
         self._held_s: float | None = None
-        """Since when a try is held back by a mode that may not be settled."""
+        """Since when a try has been held back because the mode may not be settled."""
         self._tries = 0
         self._next_s = now_s + RETRY_S
         self._ack: int | None = None
         self._text: str | None = None
 
     def may_be_entered(self, now_s: float) -> bool:
-        """It was sent so lately that the vehicle may still enter it, or not have said so yet."""
+        """Whether the last try is so recent that the vehicle may still enter the mode, or may not have
+        reported it yet."""
         return self._tries > 0 and now_s <= self._next_s - RETRY_S + SILENCE_S
 
     def due(self, now_s: float) -> Outgoing | None:
-        """The command, when it is time to send it; after the last try the request is refused."""
+        """The command, if it is time to send it. After the last try the request is refused."""
         if self._tries and now_s < self._next_s:
             return None
         if self._tries == MAX_TRIES or (not self._heard and now_s >= self._next_s - RETRY_S + SILENCE_S):
@@ -136,11 +138,12 @@ class ModeRequest:
         return command_long(CMD_DO_SET_MODE, params, self._system_id, confirmation=self._tries - 1)
 
     def on_mode(self, now_s: float) -> None:
-        """The vehicle has told which mode it is in."""
+        """The vehicle has reported its mode."""
         custom_mode = self._told.custom_mode
         self._heard = self._heard or now_s <= self._told.known_until_s
         if custom_mode == self._command.custom_mode:
-            # Before the first try it may be left for what was asked for before.
+            # Before the first try, the vehicle may still leave this mode for the mode of the replaced
+            # request.
             self.confirmed = self._tries > 0 or not self._replaces
         elif custom_mode not in self._expected:
             name = self._dialect.name
@@ -150,15 +153,15 @@ class ModeRequest:
             )
 
     def forget(self) -> None:
-        """What was told of the mode may be old: no try before it is told again."""
+        """The reported mode may be old: send no try before the mode is reported again."""
         self._heard = False
 
     def on_ack(self, result: int) -> None:
-        """COMMAND_ACK of DO_SET_MODE."""
+        """Take COMMAND_ACK of DO_SET_MODE."""
         self._ack = result
 
     def on_text(self, text: str) -> None:
-        """A text of the vehicle that came while it was being asked."""
+        """Take a text that the vehicle sent during the request."""
         self._text = text
 
     def _reason(self) -> str:

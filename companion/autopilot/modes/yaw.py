@@ -1,7 +1,8 @@
-"""Where the nose points while the companion flies: to where the aircraft flies, or left as it is.
+"""Yaw while the companion flies: the nose faces the direction of flight, or the heading is held.
 
-Left to themselves the firmwares differ: PX4 leaves the nose alone, ArduPilot turns it as WP_YAW_BEHAVIOR
-says. So every setpoint says it. PX4 would turn to a new angle as fast as it can, so the angle moves slowly.
+Without a yaw in the setpoint the firmwares differ: PX4 holds the heading, and ArduPilot turns the nose as
+WP_YAW_BEHAVIOR says. So every setpoint specifies it. PX4 would turn to a new angle as fast as it can, so the
+commanded angle changes slowly.
 """
 
 from __future__ import annotations
@@ -12,15 +13,17 @@ from typing import Literal
 from companion.geometry import Vec3
 
 LEAST_MPS = 1.0
-"""Horizontal; slower, the direction of a velocity says little and the nose would spin in hover."""
+"""Least horizontal speed at which the nose follows the velocity. At a lower speed the direction means little,
+and the nose would spin in hover."""
 RATE_RADPS = math.radians(45.0)
 PAUSE_S = 1.0
-"""After such a pause in the setpoints the nose is where the vehicle says, not where we had turned it."""
+"""After a longer pause in the setpoints, the yaw starts from the heading that the vehicle reports, not from
+the last commanded yaw."""
 _UNKNOWN_CDEG = 36_000
 
 
 class Nose:
-    """The yaw of each setpoint."""
+    """Computes the yaw of each setpoint."""
 
     def __init__(self, policy: Literal["face", "hold"]) -> None:
         self._policy = policy
@@ -30,12 +33,14 @@ class Nose:
         self._at_s = -math.inf
 
     def heard(self, heading_cdeg: int) -> None:
-        """GLOBAL_POSITION_INT's heading (centidegrees); from 36000 on it is not known."""
+        """Take GLOBAL_POSITION_INT's heading (centidegrees). A value of 36000 or more means that it is
+        unknown."""
         known = heading_cdeg < _UNKNOWN_CDEG
         self._heading_rad = math.radians(heading_cdeg / 100.0) if known else None
 
     def yaw_rad(self, velocity_ned_mps: Vec3, now_s: float) -> float | None:
-        """Yaw (clockwise from north, -pi to pi) for a setpoint that is sent now; None: as it is."""
+        """Yaw (clockwise from north, -pi to pi) for a setpoint that is sent now; None: the heading is
+        held."""
         if self._policy == "hold":
             return None
         elapsed_s = now_s - self._at_s

@@ -1,12 +1,12 @@
-"""Reading the few parameters that the companion needs, by name.
+"""Reads the few vehicle parameters that the companion needs, by name.
 
-PARAM_REQUEST_READ -> PARAM_VALUE. A name that the vehicle does not have is answered by silence, and names
-change with the generations of a firmware: every name of a parameter is asked for until one of them is
-answered, and given up after some tries; the value is then unknown. A PARAM_VALUE that was not asked for (a
-ground station has set it) counts as well.
+The exchange is PARAM_REQUEST_READ -> PARAM_VALUE. A vehicle does not answer for a name that it does not have,
+and names change with the generations of a firmware. Every name of a parameter is therefore requested until
+one of them is answered. After some tries the parameter is given up, and its value is unknown. A PARAM_VALUE
+that was not requested (a ground station has set the parameter) counts as well.
 
-ArduPilot casts every value to float. PX4 puts the bytes of an integer into the float's place; `param_type`
-says which it is.
+ArduPilot casts every value to float. PX4 puts the bytes of an integer in place of the float; `param_type`
+shows which it is.
 """
 
 from __future__ import annotations
@@ -30,20 +30,21 @@ _VALUE_BYTES = 4
 
 
 class ParameterReader:
-    """Asks one vehicle for its parameters; `restart` begins, `due` says what to ask for."""
+    """Reads the parameters of one vehicle. `restart` begins, and `due` returns what to ask for."""
 
     def __init__(self, dialect: Dialect) -> None:
         self.known = VehicleParameters(firmware=dialect.firmware)
-        """What has been told so far."""
+        """Parameters received so far."""
         self._dialect = dialect
         self._wanted = {name: (w, scale) for w in dialect.wanted for name, scale in w.names}
         self._answered: set[str] = set()
-        """Fields told since the last restart, well or badly."""
+        """Fields answered since the last restart, with a valid or an invalid value."""
         self._tries = MAX_TRIES
         self._next_s = math.inf
 
     def restart(self, now_s: float) -> None:
-        """The vehicle is new or has begun anew: ask for everything; what was known counts until then."""
+        """The vehicle is new or has rebooted: ask for everything. Values known before stay until they are
+        replaced."""
         self._answered.clear()
         self._tries, self._next_s = 0, now_s
 
@@ -56,23 +57,24 @@ class ParameterReader:
         return self._unanswered() if self._tries <= MAX_TRIES else []
 
     def finished(self) -> bool:
-        """Nothing more is to be expected: all is told, or given up."""
+        """Whether nothing more is expected: every parameter is answered or given up."""
         return self._next_s == math.inf or not self._unanswered()
 
     def _unanswered(self) -> list[str]:
         return [name for name, (wanted, _) in self._wanted.items() if wanted.field not in self._answered]
 
     def take(self, payload: bytes, name_field: bytes, kind: int) -> None:
-        """One PARAM_VALUE; a parameter that nobody wants is left out.
+        """Take one PARAM_VALUE. A parameter that is not needed is ignored.
 
         Args:
-            payload: the whole of it; the value stands first.
+            payload: the whole payload; the value comes first.
             name_field: `param_id`.
             kind: `param_type`.
 
         Raises:
-            PeerDataError: a type that does not fit into the value's place, a value that is not of its type,
-                not finite or not plausible. It is not asked for again, and what was known before stays.
+            PeerDataError: a type that does not fit into the value's place, or a value that is not of its
+                type, not finite or not plausible. The parameter is not requested again, and its earlier value
+                stays.
         """
         name = name_field.split(b"\0", 1)[0].decode("ascii", "replace")
         if name not in self._wanted:
@@ -80,7 +82,7 @@ class ParameterReader:
         wanted, scale = self._wanted[name]
         self._answered.add(wanted.field)
         value = self._value(payload, kind, name) * scale
-        # NaN fails too.
+        # The comparison is false for NaN too.
         if not wanted.lowest <= value <= wanted.highest:
             raise PeerDataError(
                 f"parameter {name}: {value:g} is outside {wanted.lowest:g} to {wanted.highest:g}"

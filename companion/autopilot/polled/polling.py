@@ -1,4 +1,4 @@
-"""What the vehicle is asked for while it is heard: its telemetry, its parameters and its clock."""
+"""Requests to the vehicle while it is heard: for its telemetry, its parameters and its clock."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from companion.events import Event, VehicleParameters
 
 
 class Polling:
-    """Begins with the first heartbeat."""
+    """Polls the vehicle from its first heartbeat on."""
 
     def __init__(self, heard: HeardVehicle, outbox: Outbox, events: list[Event], counts: LinkCounts) -> None:
-        """`events` takes what is told of the clock."""
+        """`events` receives readings of the vehicle's clock."""
         self.streams = Streams()
         self._heard = heard
         self._outbox = outbox
@@ -27,12 +27,12 @@ class Polling:
         self._counts = counts
         self._timesync = TimeSync()
         self._parameters: ParameterReader | None = None
-        """Of a vehicle that can be commanded."""
+        """Set once the vehicle is known to be one that can be commanded."""
         self._parameters_told: VehicleParameters | None = None
 
     @property
     def parameters(self) -> VehicleParameters | None:
-        """What the vehicle has told of its parameters; None while it is not known, or cannot be commanded."""
+        """Known parameters of the vehicle; None while the vehicle is unknown or cannot be commanded."""
         return None if self._parameters is None else self._parameters.known
 
     @property
@@ -41,7 +41,7 @@ class Polling:
         return self._parameters is not None and not self._parameters.finished()
 
     def new_parameters(self) -> VehicleParameters | None:
-        """What is known of them, where that is more or other than at the last call."""
+        """Known parameters, if they have changed since the last call; else None."""
         known = self.parameters
         if known is None or known == self._parameters_told:
             return None
@@ -49,7 +49,7 @@ class Polling:
         return known
 
     def on_heartbeat(self, now_s: float, *, anew: bool) -> None:
-        """Of our vehicle. `anew`: it is new, or was away."""
+        """Take a heartbeat of our vehicle. `anew`: the vehicle is new, or was away."""
         vehicle = self._heard.vehicle
         if self._parameters is None and vehicle is not None and vehicle.refusal is None:
             self._parameters = ParameterReader(DIALECTS[vehicle.firmware])
@@ -59,19 +59,19 @@ class Polling:
             self._restart(now_s)
 
     def on_reboot(self, now_s: float) -> None:
-        """The vehicle has begun anew, and its clock with it."""
+        """The vehicle has rebooted, and its clock has restarted."""
         self._restart(now_s)
         self._timesync.restart()
 
     def _restart(self, now_s: float) -> None:
-        """It may have forgotten what was asked of it, and its parameters may be others."""
+        """The vehicle may have forgotten our requests, and its parameters may have changed."""
         if self._heard.vehicle is not None:
             self.streams.restart(now_s, self._heard.vehicle.firmware)
         if self._parameters is not None:
             self._parameters.restart(now_s)
 
     def on_param_value(self, frame: Frame, fields: Fields, _now_s: float) -> None:
-        """PARAM_VALUE of our vehicle.
+        """Take PARAM_VALUE of our vehicle.
 
         Raises:
             PeerDataError: see `ParameterReader.take`.
@@ -81,7 +81,7 @@ class Polling:
             self._parameters.take(frame.payload, name, kind)
 
     def on_timesync(self, frame: Frame, _fields: Fields, now_s: float) -> None:
-        """TIMESYNC of our vehicle: its answer to ours, or a question, which is answered."""
+        """Take TIMESYNC of our vehicle: the answer to ours, or a question, which is answered."""
         tc1, ts1, target_system, target_component = read_timesync(frame.payload)
         if tc1 != 0:
             event = self._timesync.answered(tc1, ts1, now_s)
@@ -93,7 +93,7 @@ class Polling:
             self._outbox.queue(timesync(nanoseconds(now_s), ts1, frame.system_id, frame.component_id))
 
     def advance(self, now_s: float) -> None:
-        """Ask for what is due, of a vehicle that is there to answer."""
+        """Send the requests that are due, if the vehicle is connected."""
         vehicle = self._heard.vehicle
         if vehicle is None or not self._heard.is_connected(now_s):
             return
@@ -107,14 +107,14 @@ class Polling:
         self._ask_clock(self._timesync.due(now_s), vehicle.system_id)
 
     def ask_for_answer(self, now_s: float) -> None:
-        """Ask the vehicle for its clock now, to know that it reads what it is sent."""
+        """Ask the vehicle for its clock now. The answer shows that the vehicle reads what it is sent."""
         vehicle = self._heard.vehicle
         if vehicle is not None:
             self._ask_clock(self._timesync.ask(now_s), vehicle.system_id)
 
     @property
     def answered_s(self) -> float | None:
-        """When the latest question that the vehicle has answered was asked; None: it has answered none."""
+        """When the latest question that the vehicle has answered was asked; None if it has answered none."""
         return self._timesync.answered_s
 
     def _ask_clock(self, asked_ns: int | None, system_id: int) -> None:

@@ -1,16 +1,16 @@
-"""Which telemetry the companion needs, and asking for it until it comes.
+"""Requests the telemetry that the companion needs until it comes.
 
-A fresh ArduPilot link carries only heartbeats, and rates are forgotten at a reboot; PX4 streams unasked. So
-each message is asked for once, its rate is watched, and it is asked for again when it falls short, ever more
-rarely: a vehicle that refuses is not flooded.
+A fresh ArduPilot link carries only heartbeats, and rates are forgotten at a reboot; PX4 streams without a
+request. So each message is requested once, its rate is monitored, and it is requested again when the rate
+falls short. The requests become rarer each time, so that a vehicle that refuses is not flooded.
 
-ADSB_VEHICLE comes only while there is traffic, so its silence means nothing: it is asked for three times, in
+ADSB_VEHICLE comes only while there is traffic, so its absence means nothing. It is requested three times, in
 case requests are lost, and no more once it comes. ArduPilot sends one aircraft per interval and begins its
-list (25 long by default, ADSB_LIST_MAX) anew once a second, on Copter only when asked (MAVn_ADSB is 0); PX4
-sends each report as it comes, unasked.
+list (25 long by default, ADSB_LIST_MAX) anew once a second; Copter sends it only on request (MAVn_ADSB is 0).
+PX4 sends each report as it comes, without a request.
 
-PX4 refuses HEARTBEAT at another rate than once a second; CURRENT_MODE (since 1.15) it sends twice a second at
-most, and as soon as the mode changes, but never nearer to the last one than the interval that was asked for.
+PX4 refuses to send HEARTBEAT at another rate than once a second. It sends CURRENT_MODE (since 1.15) twice a
+second at most, and as soon as the mode changes, but never closer to the last one than the requested interval.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ STREAM_RATES_HZ: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 25.0,
     CURRENT_MODE: 20.0,
 }
-"""What is asked for; HEARTBEAT and STATUSTEXT come by themselves."""
+"""Requested rates. HEARTBEAT and STATUSTEXT come without a request."""
 
 FIRMWARE_OF = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Firmware.ARDUPILOT,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Firmware.PX4,
     CURRENT_MODE: Firmware.PX4,
 }
-"""What only one firmware sends: the other says with a text each time that it does not."""
+"""Messages that only one firmware sends. The other one answers each request for them with a text."""
 
 COMES_HZ = {CURRENT_MODE: 2.0}
-"""Rate at which it comes while nothing changes, where that is not the one asked for."""
+"""Rate at which a message comes while nothing changes, if that is not the requested rate."""
 
 SPORADIC = frozenset({mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE})
-"""Comes when there is something to tell; the rate is a bound."""
+"""Messages that come only when there is something to report. Their rate is an upper bound."""
 SPORADIC_REQUESTS = 3
 
 ENOUGH = 0.5
-"""Share of the rate below which a stream is asked for again."""
+"""Share of the rate below which a stream is requested again."""
 FIRST_CHECK_S = 2.0
 LONGEST_CHECK_S = 30.0
 
@@ -70,7 +70,7 @@ class _Stream:
 
 
 class Streams:
-    """Counts what arrives and says what to ask for."""
+    """Counts arriving messages and decides what to request."""
 
     def __init__(self) -> None:
         self._streams = {
@@ -80,18 +80,18 @@ class Streams:
         self._firmware: Firmware | None = None
 
     def restart(self, now_s: float, firmware: Firmware) -> None:
-        """The vehicle is new or has forgotten its rates: ask for everything that it can send at once."""
+        """The vehicle is new or has forgotten its rates: request everything that it can send at once."""
         self._firmware = firmware
         for stream in self._streams.values():
             stream.received, stream.since_s, stream.check_s = 0, now_s, now_s
             stream.wait_s, stream.requests = FIRST_CHECK_S, 0
 
     def received(self, message_id: int) -> None:
-        """One message has arrived."""
+        """Count one message."""
         self._streams[message_id].received += 1
 
     def due(self, now_s: float) -> list[tuple[int, int]]:
-        """Message ids to ask for now, each with its interval (microseconds)."""
+        """Message ids to request now, each with its interval (microseconds)."""
         return [
             (message_id, round(1e6 / stream.rate_hz))
             for message_id, stream in self._streams.items()
@@ -102,7 +102,8 @@ class Streams:
 
     @staticmethod
     def _short(stream: _Stream, now_s: float) -> bool:
-        """Close the stream's window; True when it has to be asked for (again)."""
+        """Evaluate the stream's window and begin a new one. Returns True when the stream must be requested
+        (again)."""
         asked = stream.requests > 0
         if stream.sporadic:
             if stream.received:

@@ -1,12 +1,13 @@
-"""What we are, for ground stations: messages on request, and files over MAVLink FTP.
+"""Answers requests of ground stations about the companion: messages on request, and files over MAVLink FTP.
 
 MAV_CMD_REQUEST_MESSAGE for COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA or AUTOPILOT_VERSION is answered
-with COMMAND_ACK and the message, FILE_TRANSFER_PROTOCOL with the same. The first two may be asked of all.
-AUTOPILOT_VERSION asked of all is the autopilot's to tell: a ground station could take ours for it. Any other
-command to us alone is refused by COMMAND_ACK, as MAVLink's command protocol wants it: who is not answered
-repeats it.
+with COMMAND_ACK and the message. FILE_TRANSFER_PROTOCOL is answered with FILE_TRANSFER_PROTOCOL. The first
+two messages may be requested from all components at once. A request to all for AUTOPILOT_VERSION is left to
+the autopilot, because a ground station could take our version for the autopilot's. Any other command to us
+alone is refused by COMMAND_ACK, as MAVLink's command protocol requires: a sender without an answer repeats
+its command.
 
-What is asked is kept, a few requests at most, and answered one at a time: a flood fills no slow link.
+Requests are queued, a few at most, and answered one at a time, so that a flood does not fill a slow link.
 """
 
 from __future__ import annotations
@@ -29,24 +30,24 @@ from companion.autopilot.wire import COMPONENT_INFORMATION_BASIC, COMPONENT_META
 from companion.config import Config
 
 PERIOD_S = 0.1
-"""From one answer to the next: 3 kB/s at most."""
+"""Time from one answer to the next. It limits the answers to 3 kB/s."""
 MOST_WAITING = 8
 _FTP = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
 _VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 _OF_ALL = (COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA)
-"""What may be asked of all components at once."""
+"""Messages that may be requested from all components at once."""
 _ACCEPTED, _DENIED, _UNSUPPORTED = 0, 2, 3
-"""MAV_RESULT."""
+"""MAV_RESULT values."""
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_FTP
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 )
-"""MAV_PROTOCOL_CAPABILITY. All our parameters are floats, which is what a C cast makes of them, too."""
+"""MAV_PROTOCOL_CAPABILITY flags. All our parameters are floats, so the C cast encoding fits them too."""
 _MAJOR, _MINOR, _PATCH = (int(number) for number in re.findall(r"\d+", __version__)[:3])
 _SOFTWARE = _MAJOR << 24 | _MINOR << 16 | _PATCH << 8
-"""As AUTOPILOT_VERSION has it, of FIRMWARE_VERSION_TYPE_DEV."""
+"""Version as encoded in AUTOPILOT_VERSION, with FIRMWARE_VERSION_TYPE_DEV."""
 
 _ACK_LAYOUT = struct.Struct("<HBBiBB")
 _BASIC_LAYOUT = struct.Struct("<QII32s32s24s24s32s")
@@ -56,43 +57,44 @@ _FTP_TARGET = struct.Struct("<BBB")
 
 
 class Answer(NamedTuple):
-    """To one request."""
+    """Answer to one request."""
 
     messages: list[Outgoing]
     refused: bool
-    """By a COMMAND_ACK other than ACCEPTED, or by a NAK."""
+    """Whether the request was refused, by a COMMAND_ACK other than ACCEPTED or by a NAK."""
 
 
 class _Asker(NamedTuple):
-    """Who asked, and what; asked again it is the same."""
+    """Sender and content of a request. A repeated request is equal to the first one."""
 
     system_id: int
     component_id: int
     command: int
-    """MAV_CMD; 0: FTP."""
+    """MAV_CMD; 0 for FTP."""
     message_id: int
-    """_FTP, or the message that is wanted; -1: a number that no message has; 0: of another command."""
+    """`_FTP`, or the requested message; -1: a number that no message has; 0: another command."""
     sequence: int
-    """Of FTP."""
+    """FTP sequence number."""
 
 
 class ComponentInformation:
-    """Keeps what is asked and answers it."""
+    """Queues requests and answers them."""
 
     def __init__(self, config: Config) -> None:
-        """The files are made here, once."""
+        """Create the files, once."""
         files = metadata_files(config)
         self._general_crc = ftp.crc32(files[GENERAL])
         self._files = FileServer(files)
         self._asked: dict[_Asker, bytes] = {}
-        """With FTP's payload, in order of arrival."""
+        """Requests with their FTP payload, in order of arrival."""
         self._next_s = -math.inf
 
     def take(self, frame: Frame, system_id: int, component_id: int) -> bool:
-        """One message of another system; False: it is not for us, or too many wait already.
+        """Take one message of another system. Returns False if it is not for us, or if too many requests wait
+        already.
 
         Args:
-            system_id, component_id: ours.
+            system_id, component_id: our own.
         """
         if frame.message_id == _FTP:
             data = frame.payload.ljust(_FTP_TARGET.size + ftp.PAYLOAD_BYTES, b"\0")
@@ -103,7 +105,7 @@ class ComponentInformation:
             return self._keep(frame, 0, _FTP, ftp.sequence(payload), payload)
         if frame.message_id not in _COMMANDS:
             return False
-        # Of both commands the same fields stand in the same places.
+        # COMMAND_LONG and COMMAND_INT have these fields in the same places.
         fields = unpack(frame.message_id, frame.payload)
         wanted, command, target_system, target_component = fields[0], *fields[7:10]
         asked_of_us = (target_system, target_component) == (system_id, component_id)
@@ -112,7 +114,7 @@ class ComponentInformation:
         asked_of_all = target_system in (0, system_id) and target_component in (0, component_id)
         if not asked_of_us and not (asked_of_all and wanted in _OF_ALL):
             return False
-        # NaN and infinity are no integers either.
+        # NaN and infinity are not integers either.
         return self._keep(frame, command, int(wanted) if float(wanted).is_integer() else -1, 0, b"")
 
     def _keep(self, frame: Frame, command: int, message_id: int, sequence: int, payload: bytes) -> bool:
@@ -123,7 +125,7 @@ class ComponentInformation:
         return True
 
     def due(self, now_s: float) -> Answer | None:
-        """The next answer, if it is time for one."""
+        """The next answer, if one is due."""
         if not self._asked or now_s < self._next_s:
             return None
         self._next_s = now_s + PERIOD_S
@@ -144,7 +146,7 @@ class ComponentInformation:
         return Answer(messages, refused=content is None)
 
     def _content(self, message_id: int, now_s: float) -> bytes | None:
-        """Payload of a message about us; None: there is no such."""
+        """Payload of a message about us; None if we do not have that message."""
         boot_ms = int(now_s * 1e3) & 0xFFFF_FFFF
         if message_id == COMPONENT_INFORMATION_BASIC:
             names = (VENDOR.encode(), MODEL.encode(), __version__.encode(), b"", b"")

@@ -1,7 +1,7 @@
-"""A few constant files for MAVLink FTP: the serving side, for reading only (mavlink.io, services/ftp).
+"""Serves a few constant files over MAVLink FTP, for reading only (mavlink.io, services/ftp).
 
-A payload in, a payload out: the client asks again for what got lost, and the same request has the same
-answer. A burst is one packet long, which the protocol allows: the client asks for the next one.
+Each request payload has one reply payload. The client asks again for what got lost, and the same request has
+the same answer. A burst is one packet long, which the protocol allows: the client then asks for the next one.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 PAYLOAD_BYTES = 251
-"""Of FILE_TRANSFER_PROTOCOL."""
+"""Length of FILE_TRANSFER_PROTOCOL's payload."""
 DATA_BYTES = 239
-"""Of them, those behind the header."""
+"""Length of the payload after its header."""
 MOST_SESSIONS = 8
-"""Open files of all clients together; the one opened first is closed for the next."""
+"""Largest number of open files of all clients together. Beyond it, the file opened first is closed."""
 _HEAD = struct.Struct("<HBBBBBxI")
 _U32 = struct.Struct("<I")
-# MAV_FTP_OPCODE.
+# Values of MAV_FTP_OPCODE.
 _NONE, _TERMINATE, _RESET, _OPEN, _READ, _CRC, _BURST, _ACK, _NAK = 0, 1, 2, 4, 5, 14, 15, 128, 129
-# MAV_FTP_ERR.
+# Values of MAV_FTP_ERR.
 _DATA_SIZE, _SESSION, _EOF, _UNKNOWN, _NOT_FOUND = 3, 4, 6, 7, 10
 
 
 class Reply(NamedTuple):
-    """What is sent back."""
+    """Reply to one request."""
 
     payload: bytes
-    """`PAYLOAD_BYTES` of it."""
+    """Always `PAYLOAD_BYTES` long."""
     refused: bool
-    """A NAK, other than the end of the file."""
+    """Whether the reply is a NAK other than the end of the file."""
 
 
 class _NakError(Exception):
-    """Carries the MAV_FTP_ERR."""
+    """Carries the MAV_FTP_ERR of a NAK."""
 
     def __init__(self, error: int) -> None:
         super().__init__()
@@ -43,31 +43,31 @@ class _NakError(Exception):
 
 
 def crc32(data: bytes) -> int:
-    """MAVLink's CRC-32: that of zlib without the inversion at both ends (mavlink.io, guide/crc)."""
+    """MAVLink's CRC-32. It is zlib's without the inversion at both ends (mavlink.io, guide/crc)."""
     return zlib.crc32(data, 0xFFFF_FFFF) ^ 0xFFFF_FFFF
 
 
 def is_request(payload: bytes) -> bool:
-    """Whether a payload asks for something: an ACK or a NAK must not be answered."""
+    """Whether a payload is a request. An ACK or a NAK must not be answered."""
     return payload[3] < _ACK
 
 
 def sequence(payload: bytes) -> int:
-    """A request sent again has the same number."""
+    """Sequence number of a request. A repeated request has the same number."""
     return payload[0] | payload[1] << 8
 
 
 class FileServer:
-    """Answers for the files; a session is a client's own number for a file that it has opened."""
+    """Answers requests for the files. A session is a client's own number for a file that it has opened."""
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
-        """Serve these, by their path from the root, without a slash in front."""
+        """Serve these files, by their path from the root without a leading slash."""
         self._files = {path.encode("ascii"): data for path, data in files.items()}
         self._open: dict[tuple[int, int, int], bytes] = {}
-        """System, component and session -> the file, in order of opening."""
+        """(System, component, session) -> the open file, in order of opening."""
 
     def reply(self, system_id: int, component_id: int, request: bytes) -> Reply:
-        """One request of a client; whatever its bytes are, there is an answer.
+        """Answer one request of a client. Every request gets an answer, even an invalid one.
 
         Args:
             request: the payload, `PAYLOAD_BYTES` long.
@@ -84,14 +84,14 @@ class FileServer:
         return Reply((head + data).ljust(PAYLOAD_BYTES, b"\0"), refused)
 
     def _answer(self, key: tuple[int, int, int], opcode: int, size: int, offset: int, data: bytes) -> bytes:
-        """The data of the ACK."""
+        """Data of the ACK."""
         if opcode == _NONE:
             return b""
         if opcode == _TERMINATE:
             self._open.pop(key, None)
             return b""
         if opcode == _RESET:
-            # A client closes its own files, not those of another.
+            # A reset closes the client's own files, not those of another client.
             self._open = {k: file for k, file in self._open.items() if k[:2] != key[:2]}
             return b""
         if opcode == _OPEN:

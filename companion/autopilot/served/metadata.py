@@ -1,6 +1,6 @@
-"""The files of MAVLink's component metadata protocol: what we are, and what our parameters mean.
+"""Files of MAVLink's component metadata protocol: they describe the companion and its parameters.
 
-After general.schema.json and parameter.schema.json (mavlink.io, services/component_metadata).
+They follow general.schema.json and parameter.schema.json (mavlink.io, services/component_metadata).
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ _TEXTS = {
         f"{_NEXT_PATH}",
     ),
 }
-"""Name -> unit, short and long description."""
+"""Parameter name -> unit, short and long description."""
 
 
 def uri(path: str) -> str:
-    """Where one of the files is found, by MAVLink FTP."""
+    """MAVLink FTP address of one of the files."""
     return f"mftp:///{path}"
 
 
 def metadata_files(config: Config) -> dict[str, bytes]:
-    """Path -> content; the same for as long as the configuration is.
+    """Path -> content of each file. The content depends only on the configuration.
 
     Args:
         config: as configured, without settings.

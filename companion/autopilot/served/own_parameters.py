@@ -1,10 +1,10 @@
-"""Parameters of our own, for ground stations: the parameter protocol's answering side.
+"""Our own parameters for ground stations: the answering side of the parameter protocol.
 
-PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET of other systems are answered with PARAM_VALUE; a name or
-index that does not exist is answered by silence. All are MAV_PARAM_TYPE_REAL32, because ground stations read
-the bytes of an integer as the vehicle's firmware would write them, in one of two ways.
+PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET of other systems are answered with PARAM_VALUE. A name or
+index that does not exist gets no answer. All parameters are MAV_PARAM_TYPE_REAL32, because ground stations
+read the bytes of an integer as the vehicle's firmware would write them, in one of two ways.
 
-What is asked is kept once for each parameter and answered one at a time: neither a list nor a flood of
+Requests are queued once per parameter and answered one at a time, so that neither a list nor a flood of
 requests fills a slow link.
 """
 
@@ -25,7 +25,7 @@ from companion.errors import ConfigError
 from companion.events import Settings
 
 PERIOD_S = 0.2
-"""From one answer to the next."""
+"""Time from one answer to the next."""
 _LIST = mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST
 _READ = mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ
 _SET = mavlink.MAVLINK_MSG_ID_PARAM_SET
@@ -36,34 +36,35 @@ _INDEX = {name.encode("ascii"): index for index, name in enumerate(NAMES)}
 
 
 class Answer(NamedTuple):
-    """What became of one request."""
+    """Result of one request."""
 
     value: Outgoing
-    """PARAM_VALUE, with what counts now."""
+    """PARAM_VALUE with the value that now applies."""
     changed: Settings | None
-    """The new settings, where it was a PARAM_SET that changed something."""
+    """The new settings, if a PARAM_SET changed something."""
     refused: str | None
-    """Why a PARAM_SET was not taken, and what is allowed."""
+    """Why a PARAM_SET was refused, and what is allowed."""
 
 
 class OwnParameters:
-    """Keeps the settings and answers for them."""
+    """Holds the settings and answers requests for them."""
 
     def __init__(self, config: Config, settings: Settings) -> None:
-        """Begin with settings that were checked."""
+        """Begin with settings that have been checked."""
         self.settings = settings
         self._config = config
         self._asked: dict[int, tuple[float, int] | None] = {}
-        """Index -> value and MAV_PARAM_TYPE to be set, None only to be told; in order of arrival."""
+        """Index -> value and MAV_PARAM_TYPE to set, or None if only the value is requested; in order of
+        arrival."""
         self._next_s = -math.inf
 
     def take(self, frame: Frame, system_id: int, component_id: int) -> bool:
-        """One message of `MESSAGE_IDS`; False: it is not for us.
+        """Take one message of `MESSAGE_IDS`. Returns False if it is not for us.
 
-        A list may be asked of everybody (0); what is read or set is asked of us alone.
+        A list may be requested from everybody (0). A read or a set must be addressed to us alone.
 
         Args:
-            system_id, component_id: ours.
+            system_id, component_id: our own.
         """
         fields = unpack(frame.message_id, frame.payload)
         if frame.message_id == _LIST:
@@ -83,7 +84,7 @@ class OwnParameters:
         return True
 
     def due(self, now_s: float) -> Answer | None:
-        """The next answer, if it is time for one."""
+        """The next answer, if one is due."""
         if not self._asked or now_s < self._next_s:
             return None
         self._next_s = now_s + PERIOD_S
@@ -110,5 +111,5 @@ class OwnParameters:
 
 
 def _index(name_field: bytes) -> int:
-    """Of a name; -1: there is none."""
+    """Index of a parameter name; -1 if there is none."""
     return _INDEX.get(name_field.split(b"\0", 1)[0], -1)

@@ -1,7 +1,8 @@
-"""What other systems ask of us: parameters of our own, where there are any, and what we are.
+"""Handles requests of other systems to us: for our own parameters, if there are any, and for information
+about us.
 
-Only those messages of theirs are taken, addressed to us (`own_parameters`, `component_information`), once the
-vehicle is known and so are we.
+Only such messages that are addressed to us are taken (`own_parameters`, `component_information`). They are
+taken only once the vehicle is known, because our address contains its system id.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from companion.autopilot.wire import Frame
 from companion.events import Event, Severity
 
 _SAME_REFUSAL_S = 5.0
-"""A ground station asks again for what was refused; it is told why no more often."""
+"""A ground station repeats a refused request. The same reason is sent again only after this time."""
 
 
 class GroundStations:
-    """Takes what they ask, and answers when time makes it due."""
+    """Takes requests of ground stations and answers them when an answer is due."""
 
     def __init__(
         self,
@@ -35,11 +36,11 @@ class GroundStations:
         events: list[Event],
         counts: LinkCounts,
     ) -> None:
-        """Nothing asked yet.
+        """Create with no request.
 
         Args:
-            component_id: ours.
-            events: takes the settings that were changed.
+            component_id: our own.
+            events: receives changed settings.
         """
         self._settings = settings
         self._information = information
@@ -51,7 +52,7 @@ class GroundStations:
         self._refusal_said: tuple[str, float] = "", -math.inf
 
     def take(self, frame: Frame) -> bool:
-        """A frame that is not the vehicle's; False: it asks nothing of us."""
+        """Take a frame that is not the vehicle's. Returns False if it is not a request to us."""
         vehicle = self._heard.vehicle
         if vehicle is None or frame.system_id == vehicle.system_id:
             return False
@@ -68,7 +69,7 @@ class GroundStations:
         return True
 
     def advance(self, now_s: float) -> None:
-        """Answer what is due."""
+        """Send the answers that are due."""
         self._answer_for_settings(now_s)
         self._tell_about_us(now_s)
 
