@@ -13,10 +13,10 @@ from functools import partial
 
 import numpy as np
 
-from sitl_mocks.channel.analytic import Analytic, Fleet, fixed_mode, system_delay_s
-from sitl_mocks.channel.events import simulate
+from sitl_mocks.channel.equations.analytic import Analytic, Fleet, fixed_mode, system_delay_s
 from sitl_mocks.channel.link_budget import all_links, draw_positions, near_links
-from sitl_mocks.channel.packet_timing import PAPER, REAL, Assumptions
+from sitl_mocks.channel.packets.simulation import simulate
+from sitl_mocks.channel.packets.timing import PAPER, REAL, Assumptions
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
 
 REPEATS = 7

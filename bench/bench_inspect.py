@@ -20,8 +20,8 @@ from companion import event_record
 from companion.config import Config
 from companion.event_record import Header, Step
 from companion.events import AnyEvent, VehicleTime
-from sitl_mocks import settings
-from sitl_mocks.lockstep import fly
+from sitl_mocks.encounters import scenario_file
+from sitl_mocks.encounters.lockstep import fly
 
 LONGER = 10
 KINDS = ("recording", "summary", "report")
@@ -58,7 +58,7 @@ def flown(folder: Path) -> float:
         return take
 
     folder.mkdir()
-    fly(settings.DEFAULT, 1, record=recorder)
+    fly(scenario_file.DEFAULT, 1, record=recorder)
     return end_s
 
 

@@ -12,24 +12,24 @@ import time
 import msgspec
 
 from companion.avoidance import kernels
-from sitl_mocks import settings
-from sitl_mocks.lockstep import TICK_S, fly
+from sitl_mocks.encounters import scenario_file
+from sitl_mocks.encounters.lockstep import TICK_S, fly
 
 SECONDS = 60.0
 PARTS = {
-    "mock vehicle: fly and send": ("sitl_mocks/autopilot.py", "advance"),
-    "mock vehicle: receive": ("sitl_mocks/autopilot.py", "receive"),
+    "mock vehicle: fly and send": ("sitl_mocks/vehicle/mock_vehicle.py", "advance"),
+    "mock vehicle: receive": ("sitl_mocks/vehicle/mock_vehicle.py", "receive"),
     "companion: MAVLink in": ("companion/system.py", "receive"),
     "companion: step and MAVLink out": ("companion/system.py", "tick"),
     "of that, the heart": ("companion/core.py", "step"),
-    "air": ("sitl_mocks/ether.py", "transmit"),
+    "air": ("sitl_mocks/air/ether.py", "transmit"),
 }
 
 
 def main() -> None:
     """Print the tables."""
     kernels.warm_up()
-    scenario = msgspec.structs.replace(settings.DEFAULT, duration_s=SECONDS)
+    scenario = msgspec.structs.replace(scenario_file.DEFAULT, duration_s=SECONDS)
     print(f"{'aircraft':>10}{'CPU s':>10}{'times real time':>18}")
     for aircraft in (2, 5, 10):
         fleet = msgspec.structs.replace(scenario, aircraft=aircraft)

@@ -7,7 +7,11 @@ import sys
 from collections.abc import Sequence
 
 from companion.commands.entry_point import parser_of, run_command
-from sitl_mocks import demo, ether_server, remote_id_module_server, soak, swarm, takeover, vehicle_server
+from sitl_mocks.air import server as ether_server
+from sitl_mocks.encounters import demo, swarm
+from sitl_mocks.examinations import soak, takeover
+from sitl_mocks.remote_id_module import server as remote_id_module_server
+from sitl_mocks.vehicle import server as vehicle_server
 
 _EXAMPLES = """examples:
   sitl-mocks demo

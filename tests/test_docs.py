@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from companion import config as configuration
-from sitl_mocks import settings
+from sitl_mocks.encounters import scenario_file
 
 ROOT = Path(__file__).parents[1]
 IDENTITY = '[identity]\nuas_id = "1596B0000DMUCA01"\n'
@@ -24,7 +24,7 @@ def test_configurations_in_the_documents_load(tmp_path, name, number, block):
     path = tmp_path / "c.toml"
     if "[air]" in block:  # a scenario
         path.write_text(block)
-        settings.load(path)
+        scenario_file.load(path)
         return
     path.write_text(block if "[identity]" in block else IDENTITY + block)
     configuration.load(path)

@@ -28,7 +28,7 @@ from ground_tools.campaign import twins as twin_flight
 from ground_tools.campaign.generators import draw
 from ground_tools.campaign.world import W_PERIOD, World
 from ground_tools.common.kept_lines import Kept
-from sitl_mocks import scenario
+from sitl_mocks.encounters import scenario
 
 Table = NDArray[np.float64]
 Flags = NDArray[np.bool_]

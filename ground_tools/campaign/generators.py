@@ -2,8 +2,8 @@
 
 Each generator draws a fleet that meets around (0, 0), 100 m above the ground, at `MEETING_S`; flown as
 planned, nearly every draw loses separation. Planned speeds are 0.5 to 0.75 of the greatest speed, except on
-S1 to S3, which are `sitl_mocks.scenario`'s: an aircraft without speed in reserve cannot catch up with a timed
-path. Draws in which two aircraft begin or end nearer than `APART_M` are drawn again.
+S1 to S3, which are `sitl_mocks.encounters.scenario`'s: an aircraft without speed in reserve cannot catch up
+with a timed path. Draws in which two aircraft begin or end nearer than `APART_M` are drawn again.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Final, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl_mocks.scenario import Kind, encounter
+from sitl_mocks.encounters.scenario import Kind, encounter
 
 Rows = NDArray[np.floating[Any]]
 Paths = NDArray[np.float64]

@@ -50,7 +50,7 @@ from ground_tools.campaign import cells as campaign
 from ground_tools.campaign import flight, vehicles
 from ground_tools.campaign.cells import Cell, Look
 from ground_tools.inspect.read.truth import HEADER, ORIGIN
-from sitl_mocks.lockstep import UTC_AT_START_S
+from sitl_mocks.encounters.lockstep import UTC_AT_START_S
 
 Array = NDArray[np.float64]
 

@@ -31,11 +31,12 @@ from ground_tools.channel.comparison import VARIANTS, Case, Row
 from ground_tools.channel.options import SIDES_M, UAVS
 from ground_tools.common.figure import drawn
 from ground_tools.common.progress import progress
-from sitl_mocks.channel import packet_metrics, parameters
-from sitl_mocks.channel.analytic import Analytic, fixed_mode, system_delay_s
-from sitl_mocks.channel.delay import single_link_s
-from sitl_mocks.channel.events import Result, simulate
+from sitl_mocks.channel import parameters
+from sitl_mocks.channel.equations.analytic import Analytic, fixed_mode, system_delay_s
+from sitl_mocks.channel.equations.delay import single_link_s
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions
+from sitl_mocks.channel.packets import metrics as packet_metrics
+from sitl_mocks.channel.packets.simulation import Result, simulate
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, replace
 
-from sitl_mocks.channel.packet_timing import PAPER, REAL, Assumptions
+from sitl_mocks.channel.packets.timing import PAPER, REAL, Assumptions
 from sitl_mocks.channel.parameters import MODES
 
 _EXACT = replace(PAPER, slotted=False)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
-from sitl_mocks.channel.analytic import Analytic, Fleet, fixed_rates, system_delay_s, wifi_channels
+from sitl_mocks.channel.equations.analytic import Analytic, Fleet, fixed_rates, system_delay_s, wifi_channels
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
 

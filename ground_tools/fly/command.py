@@ -20,8 +20,8 @@ from companion.geometry import Vec3
 from ground_tools.fly import missions
 from ground_tools.fly.fleet import Fleet
 from ground_tools.fly.vehicle import Vehicle, VehicleError, load_mavsdk
-from sitl_mocks import settings
-from sitl_mocks.lockstep import paths_of
+from sitl_mocks.encounters import scenario_file
+from sitl_mocks.encounters.lockstep import paths_of
 from sitl_mocks.signals import end_signals
 
 _CONNECT_S = 30.0
@@ -163,7 +163,7 @@ def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[Missi
         return None
     if not args.scenario.exists():
         raise ConfigError(f"--scenario: {args.scenario}: no such file; some are in config/scenarios")
-    scenario = settings.load(args.scenario)
+    scenario = scenario_file.load(args.scenario)
     paths = len(paths_of(scenario, args.seed))
     if paths != count:
         raise ConfigError(

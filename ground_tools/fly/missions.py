@@ -21,8 +21,8 @@ from companion.autopilot.lists.mission import DO_CHANGE_SPEED, NAV_RETURN_TO_LAU
 from companion.errors import ConfigError
 from companion.events import MissionItem
 from companion.geometry import LocalFrame, Vec3
-from sitl_mocks.lockstep import paths_of
-from sitl_mocks.settings import Scenario
+from sitl_mocks.encounters.lockstep import paths_of
+from sitl_mocks.encounters.scenario_file import Scenario
 
 GATE_S = 3600.0
 """How long a vehicle waits at its path's beginning for the others."""

@@ -14,8 +14,7 @@ from pathlib import Path
 from companion.errors import ConfigError
 from ground_tools.inspect.read.read_run import Run, read_run
 from ground_tools.inspect.read.timeline import together
-from ground_tools.inspect.report import compare, summary, terminal
-from ground_tools.inspect.report import page as report
+from ground_tools.inspect.report import compare, page, summary, terminal
 from ground_tools.inspect.viewer import live, recording, web
 
 EXAMPLE = "example: ground-tools inspect runs/20260101T000000Z-demo, then: rerun runs/.../inspect.rrd"
@@ -105,7 +104,7 @@ def _show(one: Run, args: argparse.Namespace) -> None:
         print(json.dumps(figures))
         return
     if args.report is not None:
-        report.write(one, figures, args.report)
+        page.write(one, figures, args.report)
         print(f"wrote {args.report}")
         return
     terminal.show(figures, terminal.console())

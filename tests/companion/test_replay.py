@@ -19,7 +19,7 @@ from companion.errors import PeerDataError
 from companion.events import VelocitySetpoint
 from companion.remote_id.messages import Location
 from companion.runtime.record.recorder import write_manifest
-from sitl_mocks import lockstep, settings
+from sitl_mocks.encounters import lockstep, scenario_file
 
 DATA = Path(__file__).parents[1] / "data"
 LOGS = Path(__file__).parents[3] / "shared" / "data" / "mavlink"
@@ -33,8 +33,8 @@ def run_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     path = ((0.0, -40.0, 0.0, -60.0), (20.0, 40.0, 0.0, -60.0))
     back = ((0.0, 40.0, 0.0, -60.0), (20.0, -40.0, 0.0, -60.0))
-    scenario = settings.Scenario(
-        path=(settings.PathSettings(points=path), settings.PathSettings(points=back))
+    scenario = scenario_file.Scenario(
+        path=(scenario_file.PathSettings(points=path), scenario_file.PathSettings(points=back))
     )
     files = {}
 

@@ -20,9 +20,9 @@ from companion.radio.ether.datagrams import SILENCE_S, Heard, Join, Leave, Send,
 from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location, SelfId
-from sitl_mocks import ether_server
+from sitl_mocks.air import server as ether_server
+from sitl_mocks.air.server import MAX_CLIENTS, EtherServer
 from sitl_mocks.channel.simple import SimpleChannel
-from sitl_mocks.ether_server import MAX_CLIENTS, EtherServer
 
 PROGRAM = """
 import argparse, sys
@@ -242,7 +242,7 @@ def test_the_number_of_clients_is_bounded(
     server: EtherServer, clients: list[socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert MAX_CLIENTS >= 50
-    monkeypatch.setattr("sitl_mocks.ether_server.MAX_CLIENTS", 2)
+    monkeypatch.setattr("sitl_mocks.air.server.MAX_CLIENTS", 2)
     for name, client in zip("abc", clients, strict=True):
         send(server, 0.0, client, Join(name))
     assert server.clients == ("a", "b")

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import Firmware
-from sitl_mocks.autopilot import MockVehicle, VehicleMode, VehicleOptions
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle, VehicleMode, VehicleOptions
 
 VELOCITY = 0xDC7
 

@@ -12,9 +12,9 @@ from companion.events import AuthorityChanged, Firmware, MissionItem, RadioState
 from companion.geometry import LocalFrame
 from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
 from companion.system import Onboard
-from sitl_mocks.autopilot import MockVehicle
-from sitl_mocks.vehicle_manners import VehicleMode
-from sitl_mocks.vehicle_options import VehicleOptions
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle
+from sitl_mocks.vehicle.options import VehicleOptions
 
 HOME = LocalFrame(47.397, 8.545, 400.0)
 TICK_S = 0.05

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.tlog import read_tlog
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
-from sitl_mocks.autopilot import STEP_S, MockVehicle, VehicleOptions
+from sitl_mocks.vehicle.mock_vehicle import STEP_S, MockVehicle, VehicleOptions
 
 REPOSITORY = Path(__file__).parents[2]
 THINNED = REPOSITORY / "tests" / "data"

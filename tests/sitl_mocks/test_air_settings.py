@@ -11,12 +11,13 @@ import tomli_w
 
 from companion.errors import ConfigError
 from companion.toml_reader import without_none
-from sitl_mocks import air_settings, settings
-from sitl_mocks.air_settings import AirSettings, channel_of, with_options
-from sitl_mocks.channel.air_analytic import AnalyticChannel
-from sitl_mocks.channel.air_packets import PacketChannel
+from sitl_mocks.air import air_settings
+from sitl_mocks.air.air_settings import AirSettings, channel_of, with_options
+from sitl_mocks.channel.equations.air_analytic import AnalyticChannel
+from sitl_mocks.channel.packets.air_packets import PacketChannel
 from sitl_mocks.channel.parameters import ChannelParameters
 from sitl_mocks.channel.simple import SimpleChannel
+from sitl_mocks.encounters import scenario_file
 
 CHANNELS = Path(__file__).parents[2] / "config" / "channel"
 
@@ -28,10 +29,10 @@ def options(*words: str) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def scenario(folder: Path, air: str) -> settings.Scenario:
+def scenario(folder: Path, air: str) -> scenario_file.Scenario:
     path = folder / "s.toml"
     path.write_text(f'geometry = "S2"\n[air]\n{air}')
-    return settings.load(path)
+    return scenario_file.load(path)
 
 
 def test_each_model_gives_its_channel() -> None:
@@ -81,13 +82,13 @@ def test_parameters_are_read_beside_the_scenario_and_checked(tmp_path: Path) -> 
 
 def test_a_resolved_scenario_stands_alone(tmp_path: Path) -> None:
     """As it lies in a run folder: what the parameter file said stands in it."""
-    packets = settings.load(CHANNELS.parent / "scenarios" / "packets.toml")
+    packets = scenario_file.load(CHANNELS.parent / "scenarios" / "packets.toml")
     assert (packets.air.model, packets.air.transports, packets.air.rate) == ("packets", ("wifi",), 5)
     assert packets.channel is not None
     assert packets.channel != ChannelParameters()
     copy = tmp_path / "config.toml"
     copy.write_text(tomli_w.dumps(without_none(msgspec.to_builtins(packets))))
-    assert settings.load(copy) == packets
+    assert scenario_file.load(copy) == packets
 
 
 def test_options_replace_the_file() -> None:

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.authority.table import HOLDING, State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode
-from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from tests.sitl_mocks.guarding import TICK_S, Guarded, head_on
 
 ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4

@@ -18,14 +18,15 @@ from companion.event_record import Step
 from companion.events import BroadcastChanged, TransportsChosen
 from companion.remote_id.region import Region
 from companion.toml_reader import without_none
-from sitl_mocks import choosing, cli, lockstep, settings
-from sitl_mocks.air_settings import AirSettings
-from sitl_mocks.choosing import Chosen, RandomMind, chosen_of, shares_of
-from sitl_mocks.settings import PathSettings, Scenario
+from sitl_mocks import cli
+from sitl_mocks.air.air_settings import AirSettings
+from sitl_mocks.encounters import choosing, lockstep, scenario_file
+from sitl_mocks.encounters.choosing import Chosen, RandomMind, chosen_of, shares_of
+from sitl_mocks.encounters.scenario_file import PathSettings, Scenario
 from tests.companion.atmc.policies import FO, metadata, policy_file
 
 REGIONS = Path(__file__).parents[2] / "config" / "regions"
-US = settings.load_region(REGIONS / "us.toml")
+US = scenario_file.load_region(REGIONS / "us.toml")
 NEAR = Scenario(
     path=(
         PathSettings(points=((0.0, -25.0, 60.0, -60.0), (12.0, 25.0, 60.0, -60.0))),
@@ -63,7 +64,7 @@ def test_a_file_names_sets_region_and_policy(tmp_path):
         f'geometry = "S2"\n[air]\ntransports = ["ble4", "ble5"]\nrate = 3\nregion = "{REGIONS / "us.toml"}"\n'
         '[atmc]\npolicy = "p.safetensors"\nperiod_s = 1.0\n',
     )
-    scenario = settings.load(path)
+    scenario = scenario_file.load(path)
     assert (scenario.air.transports, scenario.air.rate) == (("ble4", "ble5"), 3)
     assert (scenario.region, scenario.air.region) == (US, None)
     assert scenario.atmc == AtmcConfig(policy=str(tmp_path / "p.safetensors"), period_s=1.0)
@@ -71,14 +72,14 @@ def test_a_file_names_sets_region_and_policy(tmp_path):
     copy.parent.mkdir()
     kept = choosing.keep(copy.parent, scenario, policy_file())
     copy.write_text(tomli_w.dumps(without_none(msgspec.to_builtins(kept))))
-    again = settings.load(copy)
+    again = scenario_file.load(copy)
     assert again.region == US
     assert choosing.read_policy(again) == policy_file()
 
 
 @pytest.mark.parametrize("word", ["rule", "fixed", "random"])
 def test_words_are_not_paths(tmp_path, word):
-    scenario = settings.load(write(tmp_path, f'geometry = "S2"\n[atmc]\npolicy = "{word}"\n'))
+    scenario = scenario_file.load(write(tmp_path, f'geometry = "S2"\n[atmc]\npolicy = "{word}"\n'))
     assert scenario.atmc.policy == word
     assert choosing.read_policy(scenario) is None
 
@@ -98,7 +99,7 @@ def test_words_are_not_paths(tmp_path, word):
 def test_wrong_keys_are_named(tmp_path, text, words):
     (tmp_path / "r.toml").write_text('name = "x"\n')
     with pytest.raises(ConfigError) as refused:
-        settings.load(write(tmp_path, 'geometry = "S2"\n' + text))
+        scenario_file.load(write(tmp_path, 'geometry = "S2"\n' + text))
     assert words in str(refused.value)
     assert str(tmp_path) in str(refused.value)
 
@@ -138,7 +139,7 @@ def test_the_swarm_has_no_random_choice(tmp_path, capsys):
 @pytest.mark.parametrize("region", ["none", "us", "eu", "jp"])
 def test_simulated_identities_are_as_each_law_asks(region):
     """What `companion check` would refuse never flies in a swarm."""
-    scenario = msgspec.structs.replace(NEAR, region=settings.load_region(REGIONS / f"{region}.toml"))
+    scenario = msgspec.structs.replace(NEAR, region=scenario_file.load_region(REGIONS / f"{region}.toml"))
     (path, _) = lockstep.paths_of(scenario, 1)
     config = lockstep.companion_config(scenario, "DMUCA001", path, "none")
     check(config, "simulated")
@@ -251,7 +252,7 @@ def test_a_run_folder_with_a_policy_stands_alone_and_replays(tmp_path, capsys):
     assert "switches a minute" in out
     policy.unlink()
     (folder,) = (tmp_path / "runs").iterdir()
-    scenario = settings.load(folder / "config.toml")
+    scenario = scenario_file.load(folder / "config.toml")
     assert scenario.region == US
     assert choosing.read_policy(scenario) == policy_file(seed=3)
     summary = json.loads((folder / "summary.json").read_text())

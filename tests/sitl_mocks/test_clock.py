@@ -13,8 +13,8 @@ from companion.autopilot.wire import MavlinkWriter
 from companion.config import Config, IdentityConfig
 from companion.events import Firmware
 from companion.system import Onboard
-from sitl_mocks.autopilot import MockVehicle
-from sitl_mocks.vehicle_options import VehicleOptions
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle
+from sitl_mocks.vehicle.options import VehicleOptions
 
 WAYS = [(0.15, 0.0), (0.0, 0.15), (0.15, 0.15), (0.02, 0.02), (0.0, 0.0)]
 """Down and up (s)."""

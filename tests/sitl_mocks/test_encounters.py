@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from companion.atmc.observation import conflict_weight
-from sitl_mocks import encounters, lockstep
-from sitl_mocks.air_settings import AirSettings
-from sitl_mocks.awareness import AgeLog, awareness_of, weights_of
-from sitl_mocks.encounters import APART_M, CELL_M, END_S, LAYER_M, converging, side_by_side
-from sitl_mocks.lockstep import Flown, Run
-from sitl_mocks.settings import PathSettings, Scenario
+from sitl_mocks.air.air_settings import AirSettings
+from sitl_mocks.encounters import draw, lockstep
+from sitl_mocks.encounters.awareness import AgeLog, awareness_of, weights_of
+from sitl_mocks.encounters.draw import APART_M, CELL_M, END_S, LAYER_M, converging, side_by_side
+from sitl_mocks.encounters.lockstep import Flown, Run
+from sitl_mocks.encounters.scenario_file import PathSettings, Scenario
 
 
 def at(rows, times):
@@ -58,7 +58,7 @@ def test_the_same_seed_is_the_same_encounter_alone_and_in_a_crowd():
     assert min(np.linalg.norm(a - b) for a, b in combinations(starts, 2)) > APART_M - 0.1
 
 
-@pytest.mark.parametrize("count", [0, encounters.MAX_SIDE_BY_SIDE + 1])
+@pytest.mark.parametrize("count", [0, draw.MAX_SIDE_BY_SIDE + 1])
 def test_nobody_and_too_many(count):
     with pytest.raises(ValueError, match="side by side"):
         side_by_side(tuple(range(count)))

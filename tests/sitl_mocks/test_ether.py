@@ -7,10 +7,10 @@ import pytest
 
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location, SelfId, Status
+from sitl_mocks.air.ether import REST, Delivery, Ether
+from sitl_mocks.air.pair_statistics import PairStats
 from sitl_mocks.channel.air import Channel, Outcome, Transmission
 from sitl_mocks.channel.simple import SimpleChannel
-from sitl_mocks.ether import REST, Delivery, Ether
-from sitl_mocks.pair_stats import PairStats
 
 
 class DistanceProbe:
@@ -214,7 +214,7 @@ def test_the_queue_is_bounded_and_says_what_it_dropped() -> None:
 
 
 def test_statistics_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl_mocks.ether.MAX_PAIRS", 4)
+    monkeypatch.setattr("sitl_mocks.air.ether.MAX_PAIRS", 4)
     ether = make()
     for i in range(10):
         ether.transmit(0.0, f"s{i}", "wifi", b"x")
@@ -367,7 +367,7 @@ def test_transports_are_counted_apart() -> None:
 
 
 def test_pairs_that_share_statistics_have_no_common_age(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl_mocks.ether.MAX_PAIRS", 1)
+    monkeypatch.setattr("sitl_mocks.air.ether.MAX_PAIRS", 1)
     ether = make()
     (position,) = location_frames("a")
     ether.transmit(0.0, "a", "wifi", position)

@@ -9,7 +9,7 @@ import pytest
 from companion.authority.table import State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.events import AuthorityChanged, Firmware, FlightMode, SetMode, SetSpeed
-from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from tests.sitl_mocks.guarding import Guarded, Sky, head_on, item, mission
 
 

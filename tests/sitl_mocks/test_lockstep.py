@@ -11,12 +11,13 @@ import pytest
 
 from companion.autopilot.tlog import read_tlog
 from companion.events import AuthorityChanged
-from sitl_mocks import cli, lockstep, settings
-from sitl_mocks.air_settings import AirSettings
-from sitl_mocks.lockstep import Flown, Run
-from sitl_mocks.settings import PathSettings, Scenario
-from sitl_mocks.swarm import window
-from sitl_mocks.verdict import deviations_of, on_path_limit_m, pairs_of
+from sitl_mocks import cli
+from sitl_mocks.air.air_settings import AirSettings
+from sitl_mocks.encounters import lockstep, scenario_file
+from sitl_mocks.encounters.lockstep import Flown, Run
+from sitl_mocks.encounters.scenario_file import PathSettings, Scenario
+from sitl_mocks.encounters.swarm import window
+from sitl_mocks.encounters.verdict import deviations_of, on_path_limit_m, pairs_of
 
 HEAD_ON = Scenario(
     path=(
@@ -28,12 +29,12 @@ HEAD_ON = Scenario(
 
 def middle_of(kind, seed, seconds=110.0):
     """The part of a drawn encounter in which everything happens, as a scenario of its own."""
-    whole = msgspec.structs.replace(settings.DEFAULT, geometry=kind)
+    whole = msgspec.structs.replace(scenario_file.DEFAULT, geometry=kind)
     paths = tuple(
         PathSettings(points=tuple(map(tuple, window(p, seconds).tolist())))
         for p in lockstep.paths_of(whole, seed)
     )
-    return msgspec.structs.replace(settings.DEFAULT, geometry=None, path=paths)
+    return msgspec.structs.replace(scenario_file.DEFAULT, geometry=None, path=paths)
 
 
 def with_delay(scenario, low, high, **air):
@@ -195,7 +196,7 @@ def test_a_channel_model_flies_by_the_command_and_says_so(tmp_path, capsys):
     assert line["channel"] == "packets"
     assert "delay_s" not in line
     (folder,) = (tmp_path / "runs").iterdir()
-    flown = settings.load(folder / "config.toml")
+    flown = scenario_file.load(folder / "config.toml")
     assert (flown.air.model, flown.channel.wifi_channels) == ("packets", "random")
     assert len(json.loads((folder / "summary.json").read_text())["air"]) == 2
 
@@ -214,7 +215,7 @@ def test_a_run_folder_is_whole(tmp_path, capsys):
     assert all(b - a > -0.1 for a, b in itertools.pairwise(times))
     assert times[0] == pytest.approx(lockstep.UTC_AT_START_S, abs=0.1)
     assert times[-1] - times[0] == pytest.approx(15.0, abs=0.2)
-    assert settings.load(folder / "config.toml").duration_s == 12.0
+    assert scenario_file.load(folder / "config.toml").duration_s == 12.0
     summary = json.loads((folder / "summary.json").read_text())
     assert [(row["sender"], row["receiver"]) for row in summary["air"]] == [
         ("DMUCA001", "DMUCA002"),
@@ -284,5 +285,5 @@ def test_the_scenarios_in_the_project_load():
     files = sorted((Path(__file__).parents[2] / "config" / "scenarios").glob("*.toml"))
     assert files
     for file in files:
-        settings.load(file)
-    assert settings.load(next(f for f in files if f.name == "s2.toml")) == settings.DEFAULT
+        scenario_file.load(file)
+    assert scenario_file.load(next(f for f in files if f.name == "s2.toml")) == scenario_file.DEFAULT

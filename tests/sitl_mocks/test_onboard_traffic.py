@@ -41,10 +41,10 @@ from companion.events import (
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
 from companion.system import Onboard
-from sitl_mocks.autopilot import MockVehicle
-from sitl_mocks.vehicle_manners import VehicleMode
-from sitl_mocks.vehicle_options import VehicleOptions
-from sitl_mocks.vehicle_traffic import CrewedFlight
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle
+from sitl_mocks.vehicle.options import VehicleOptions
+from sitl_mocks.vehicle.traffic import CrewedFlight
 
 HOME = LocalFrame(47.397, 8.545, 400.0)
 UTC_AT_ZERO_S = 1_767_225_600.0

@@ -13,7 +13,7 @@ from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.config import EtherRadio
 from companion.events import Firmware, Settings, VelocitySetpoint
 from companion.system import Onboard
-from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from tests.sitl_mocks.test_onboard_with_vehicle import TICK_S, Pair
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sitl_mocks.pair_stats import PairStats, information_age
+from sitl_mocks.air.pair_statistics import PairStats, information_age
 
 
 def test_age_of_information_is_a_saw_tooth() -> None:

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.remote_id.frames import parse_frame
 from companion.remote_id.messages import BasicId, Location, OperatorId, SelfId, System
-from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
+from sitl_mocks.remote_id_module.module import ModuleOptions, RemoteIdModule
 
 ANY = bytes(20)
 STORED = {"UAS_TYPE": 2, "UAS_ID_TYPE": 1}

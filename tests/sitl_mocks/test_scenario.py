@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sitl_mocks.scenario import HALF_AIRSPACE_M, HEIGHT_M, encounter
+from sitl_mocks.encounters.scenario import HALF_AIRSPACE_M, HEIGHT_M, encounter
 
 
 @pytest.mark.parametrize("kind", ["S1", "S2", "S3"])
@@ -55,6 +55,6 @@ def test_wrong_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="at least 2"):
         encounter("S1", 1, 0)
     # Sixty never fit on the circle, in however many draws.
-    monkeypatch.setattr("sitl_mocks.scenario._MOST_DRAWS", 100)
+    monkeypatch.setattr("sitl_mocks.encounters.scenario._MOST_DRAWS", 100)
     with pytest.raises(ValueError, match="do not fit"):
         encounter("S3", 60, 0)

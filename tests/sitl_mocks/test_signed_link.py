@@ -22,9 +22,9 @@ from companion.config import (
 )
 from companion.events import Firmware
 from companion.system import Onboard
-from sitl_mocks.autopilot import MockVehicle
-from sitl_mocks.vehicle_manners import VehicleMode
-from sitl_mocks.vehicle_options import VehicleOptions
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle
+from sitl_mocks.vehicle.options import VehicleOptions
 
 KEY, OTHER_KEY = b"\x01" * 32, b"\x02" * 32
 UTC_S = 1_767_225_600.0

@@ -7,8 +7,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkWriter
 from companion.events import Firmware
-from sitl_mocks.judge import Judge
-from sitl_mocks.soak_world import bounds_of
+from sitl_mocks.examinations.rule_judge import Judge
+from sitl_mocks.examinations.world import bounds_of
 
 GUIDED, RTL, AUTO, BRAKE, LOITER = 4, 6, 3, 17, 5
 COMPANION, VEHICLE = MavlinkWriter(1, 191), MavlinkWriter(1, 1)

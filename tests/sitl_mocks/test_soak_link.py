@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sitl_mocks.modelled_link import ModelledLink
+from sitl_mocks.examinations.modelled_link import ModelledLink
 
 
 def link(kind, **more):

@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from companion.events import Firmware
-from sitl_mocks.takeover_real import RealCase, fly_cases, real_case
-from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.examinations.takeover_real import RealCase, fly_cases, real_case
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 RTL, LOITER, LAND = VehicleMode.RTL, VehicleMode.HOLD, VehicleMode.LAND
 CASES = {

@@ -11,9 +11,10 @@ from companion.authority.modes import OurModes
 from companion.errors import ConfigError
 from companion.events import Firmware
 from companion.gate.gate import Gate
-from sitl_mocks import cli, takeover
-from sitl_mocks.soak_faults import Fault
-from sitl_mocks.takeover_cases import (
+from sitl_mocks import cli
+from sitl_mocks.examinations import takeover
+from sitl_mocks.examinations.faults import Fault
+from sitl_mocks.examinations.takeover_cases import (
     PAIRS,
     TROUBLES,
     Case,
@@ -23,7 +24,7 @@ from sitl_mocks.takeover_cases import (
     prepared,
     to_schedule,
 )
-from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 RTL_IN_A_STALL = Case(
     firmware=Firmware.ARDUPILOT,

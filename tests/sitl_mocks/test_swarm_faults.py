@@ -12,12 +12,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.events import Firmware
-from sitl_mocks.judge import Judge
-from sitl_mocks.soak_faults import OUTSIDE
-from sitl_mocks.soak_world import bounds_of
-from sitl_mocks.swarm_faults import GIVEN_BACK, broken, judged, schedule_of
-from sitl_mocks.takeover_real import GRACE_S
-from sitl_mocks.takeover_wire import Decisions, Wire
+from sitl_mocks.examinations.faults import OUTSIDE
+from sitl_mocks.examinations.rule_judge import Judge
+from sitl_mocks.examinations.swarm_faults import GIVEN_BACK, broken, judged, schedule_of
+from sitl_mocks.examinations.takeover_real import GRACE_S
+from sitl_mocks.examinations.takeover_wire import Decisions, Wire
+from sitl_mocks.examinations.world import bounds_of
 
 GUIDED, RTL = 4, 6
 COMPANION, VEHICLE = MavlinkWriter(1, 191), MavlinkWriter(1, 1)

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 from companion.events import Firmware
-from sitl_mocks.autopilot import VehicleMode, VehicleOptions
-from sitl_mocks.vehicle_traffic import CrewedFlight
+from sitl_mocks.vehicle.mock_vehicle import VehicleMode, VehicleOptions
+from sitl_mocks.vehicle.traffic import CrewedFlight
 from tests.sitl_mocks.recorded import Flight, Recording, fields_of, path_of, read, replay
 
 GUIDED, ODID, OFFBOARD = "ardupilot_sitl_guided", "ardupilot_sitl_odid_adsb", "px4_sih_offboard"

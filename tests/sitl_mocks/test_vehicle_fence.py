@@ -23,8 +23,8 @@ from companion.events import (
     MissionItem,
     Threat,
 )
-from sitl_mocks.autopilot import MockVehicle
-from sitl_mocks.vehicle_options import VehicleOptions
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle
+from sitl_mocks.vehicle.options import VehicleOptions
 from tests.sitl_mocks.test_vehicle_mission import download as download_mission
 from tests.sitl_mocks.test_vehicle_mission import plan, upload
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.errors import ConfigError
 from companion.events import Firmware, Landed, MissionItem
 from companion.geometry import LocalFrame
-from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])

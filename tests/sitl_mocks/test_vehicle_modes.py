@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.errors import ConfigError
 from companion.events import Firmware, Landed
-from sitl_mocks.autopilot import VehicleOptions
-from sitl_mocks.vehicle_manners import MANNERS, VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
+from sitl_mocks.vehicle.mock_vehicle import VehicleOptions
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])

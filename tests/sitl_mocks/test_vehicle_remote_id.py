@@ -16,7 +16,7 @@ from companion.events import ArmStatus, Firmware, OperatorData, RemoteIdHeard, R
 from companion.remote_id.mavlink import READABLE, decode_odid
 from companion.remote_id.messages import Location, System
 from companion.system import Onboard
-from sitl_mocks.autopilot import MockVehicle, VehicleOptions
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle, VehicleOptions
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 EPOCH = 1546300800

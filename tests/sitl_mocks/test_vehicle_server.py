@@ -17,9 +17,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.errors import ConfigError
-from sitl_mocks import vehicle_server
-from sitl_mocks.autopilot import VehicleOptions
-from sitl_mocks.vehicle_server import VehicleServer
+from sitl_mocks.vehicle import server as vehicle_server
+from sitl_mocks.vehicle.mock_vehicle import VehicleOptions
+from sitl_mocks.vehicle.server import VehicleServer
 
 WRITER = MavlinkWriter(1, 191)
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from companion.events import Firmware
-from sitl_mocks.vehicle_manners import VehicleMode
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])

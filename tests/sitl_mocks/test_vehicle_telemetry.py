@@ -16,10 +16,10 @@ from companion.autopilot.readers import unpack
 from companion.autopilot.wire import CURRENT_MODE, FrameScanner, MavlinkReader, MavlinkWriter
 from companion.events import Firmware
 from companion.geometry import LocalFrame
-from sitl_mocks.vehicle_manners import PX4 as PX4_MANNERS
-from sitl_mocks.vehicle_manners import VehicleMode
-from sitl_mocks.vehicle_navigation import Globe
-from sitl_mocks.vehicle_param_tables import INT32
+from sitl_mocks.vehicle.firmware.behaviour import PX4 as PX4_MANNERS
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.firmware.param_tables import INT32
+from sitl_mocks.vehicle.navigation import Globe
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])

@@ -7,7 +7,7 @@ import pytest
 from companion.errors import ConfigError
 from companion.events import AdsbVehicle, Firmware
 from companion.geometry import LocalFrame
-from sitl_mocks.vehicle_traffic import CrewedFlight
+from sitl_mocks.vehicle.traffic import CrewedFlight
 from tests.sitl_mocks.test_vehicle_fence import Line
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4

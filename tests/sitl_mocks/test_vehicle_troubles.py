@@ -11,9 +11,9 @@ from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
 from companion.events import FenceArea, Firmware, MissionItem
 from companion.geometry import LocalFrame
-from sitl_mocks.autopilot import VehicleOptions
-from sitl_mocks.vehicle_manners import MANNERS, VehicleMode, with_quirks
-from sitl_mocks.vehicle_server import options_of
+from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode, with_quirks
+from sitl_mocks.vehicle.mock_vehicle import VehicleOptions
+from sitl_mocks.vehicle.server import options_of
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 BOTH = pytest.mark.parametrize("firmware", [AP, PX4])
@@ -352,7 +352,7 @@ def test_speed_of_the_mission_after_a_break(airborne, firmware, speed):
 def test_served_vehicle_takes_parameters_and_quirks():
     import argparse
 
-    from sitl_mocks import vehicle_server
+    from sitl_mocks.vehicle import server as vehicle_server
 
     parser = argparse.ArgumentParser()
     vehicle_server.add_arguments(parser)

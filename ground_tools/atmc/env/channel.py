@@ -1,8 +1,8 @@
 """The analytic channel on PyTorch, for many fleets at once, and what one aircraft's choice does to all.
 
-The same equations as `sitl_mocks.channel.analytic` (a test holds both together), with two differences that
-training needs. Every environment is dense, all aircraft against all. And it gives the *difference cost*: what
-each aircraft's total would become for each of its actions, its own delay exactly, the delay of the others to
+The same equations as `sitl_mocks.channel.equations.analytic` (a test holds both together), with two
+differences that training needs. Every environment is dense, all aircraft against all. And it gives the
+*difference cost*: what each aircraft's total would become for each of its actions, its own delay exactly, the delay of the others to
 first order, from one forward and one backward pass.
 
 What the others send acts on a link through a few sums over them (`Loads`), each linear in what one of them
@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from companion.atmc.actions import Action
-from sitl_mocks.channel import carrier_sense
-from sitl_mocks.channel.collision import background_survival, shares_of
-from sitl_mocks.channel.delay import mean_delay_s, terms_of
-from sitl_mocks.channel.half_duplex import deaf_shares_of
+from sitl_mocks.channel.equations import carrier_sense
+from sitl_mocks.channel.equations.collision import background_survival, shares_of
+from sitl_mocks.channel.equations.delay import mean_delay_s, terms_of
+from sitl_mocks.channel.equations.half_duplex import deaf_shares_of
 from sitl_mocks.channel.link_budget import thresholds_db
 from sitl_mocks.channel.parameters import (
     MODES,

@@ -29,11 +29,11 @@ from companion.toml_reader import without_none
 from ground_tools.inspect.read.flown import MAX_GAP_S, Array, Flown, Separation, at, separations
 from ground_tools.inspect.read.flown import Path as FlownPath
 from ground_tools.inspect.read.read_run import AircraftRecord, Run, is_regular, read_json
-from sitl_mocks import settings
-from sitl_mocks.air_settings import AirSettings
+from sitl_mocks.air.air_settings import AirSettings
 from sitl_mocks.channel.simple import MAX_DELAY_S
-from sitl_mocks.lockstep import HOME
-from sitl_mocks.settings import PathSettings, Scenario, VehicleSettings
+from sitl_mocks.encounters import scenario_file
+from sitl_mocks.encounters.lockstep import HOME
+from sitl_mocks.encounters.scenario_file import PathSettings, Scenario, VehicleSettings
 
 AROUND_S = 60.0
 """Flown before and after the closest approach."""
@@ -262,7 +262,7 @@ def _simulated(run: Run) -> tuple[Scenario, int | None] | None:
         if not is_regular(folder / "config.toml"):
             continue
         try:
-            scenario = settings.load(folder / "config.toml")
+            scenario = scenario_file.load(folder / "config.toml")
         except ConfigError:
             continue
         manifest, _ = read_json(folder / "manifest.json")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from companion.errors import PeerDataError
 from companion.geometry import Vec3
-from sitl_mocks.lockstep import HOME
+from sitl_mocks.encounters.lockstep import HOME
 
 ORIGIN: Vec3 = (HOME.lat_deg, HOME.lon_deg, HOME.alt_m)
 """Latitude, longitude (degrees) and height above mean sea level (m) of the rows' origin."""

@@ -36,10 +36,10 @@ from ground_tools.paper.closed_loop.flights import (
     Row,
     rows_of,
 )
-from sitl_mocks import settings
 from sitl_mocks.channel import parameters
-from sitl_mocks.choosing import read_policy
-from sitl_mocks.encounters import MAX_SIDE_BY_SIDE
+from sitl_mocks.encounters import scenario_file
+from sitl_mocks.encounters.choosing import read_policy
+from sitl_mocks.encounters.draw import MAX_SIDE_BY_SIDE
 
 Cells = dict[tuple[str, str], Kept[Row]]
 """By condition and method."""
@@ -141,11 +141,11 @@ def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tupl
     Raises:
         ConfigError: a file cannot be read, or is wrong.
     """
-    region = settings.load_region(args.region)
+    region = scenario_file.load_region(args.region)
     channel = parameters.load(_CONFIG / "channel" / "standard.toml")
     policy = None
     if ATMC in args.methods:
-        wanted = settings.Scenario(atmc=AtmcConfig(policy=str(args.policy)), region=region)
+        wanted = scenario_file.Scenario(atmc=AtmcConfig(policy=str(args.policy)), region=region)
         try:
             policy = read_policy(wanted)
         except ConfigError as error:

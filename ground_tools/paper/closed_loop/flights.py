@@ -16,15 +16,15 @@ import numpy as np
 
 from companion.config import AtmcConfig, AvoidanceConfig, LimitsConfig
 from companion.remote_id.region import Region, TransportName
-from sitl_mocks.air_settings import AirSettings
-from sitl_mocks.awareness import AgeLog, awareness_of, weights_of
+from sitl_mocks.air.air_settings import AirSettings
+from sitl_mocks.air.ether import Ether
 from sitl_mocks.channel.parameters import BackgroundLoad, ChannelParameters
-from sitl_mocks.choosing import Chosen, fallback_share
-from sitl_mocks.encounters import side_by_side
-from sitl_mocks.ether import Ether
-from sitl_mocks.lockstep import Run, fly, names_of
-from sitl_mocks.settings import PathSettings, Scenario
-from sitl_mocks.verdict import deviations_of, pairs_of
+from sitl_mocks.encounters.awareness import AgeLog, awareness_of, weights_of
+from sitl_mocks.encounters.choosing import Chosen, fallback_share
+from sitl_mocks.encounters.draw import side_by_side
+from sitl_mocks.encounters.lockstep import Run, fly, names_of
+from sitl_mocks.encounters.scenario_file import PathSettings, Scenario
+from sitl_mocks.encounters.verdict import deviations_of, pairs_of
 
 SPARSE, DENSE, LOADED = "sparse", "dense", "loaded"
 CONDITIONS: Final = {

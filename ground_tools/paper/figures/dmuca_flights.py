@@ -1,7 +1,8 @@
 """Five aircraft as in the paper's section V, flown by each law under each delay; what each pair keeps.
 
 The paper lets all converge inside a box of 500 m x 500 m x 300 m at 250 s and gives no paths. Crossing points
-anywhere in that box hardly ever conflict (`conflicts_in_the_box`), so S2 of `sitl_mocks.scenario` is flown.
+anywhere in that box hardly ever conflict (`conflicts_in_the_box`), so S2 of `sitl_mocks.encounters.scenario`
+is flown.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from companion.config import LimitsConfig
 from ground_tools.campaign import flight, outcome, vehicles
 from ground_tools.campaign.cells import LAWS, SEPARATION_M, WORLDS, Law
 from ground_tools.campaign.world import World
-from sitl_mocks.scenario import DURATION_S, encounter
+from sitl_mocks.encounters.scenario import DURATION_S, encounter
 
 Array = NDArray[np.float64]
 Air = Literal["exact", "noisy"]

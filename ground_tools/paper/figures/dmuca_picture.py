@@ -24,7 +24,7 @@ from ground_tools.paper.figures.dmuca_flights import (
     gaps,
     table_of,
 )
-from sitl_mocks.scenario import CROSSING_S, encounter
+from sitl_mocks.encounters.scenario import CROSSING_S, encounter
 
 AIRCRAFT_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000")
 DELAY_COLOURS: Final = dict(zip(DELAYS_S, ("#9ecae1", "#4292c6", "#08306b"), strict=True))

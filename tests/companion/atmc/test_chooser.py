@@ -29,8 +29,8 @@ from companion.events import (
 )
 from companion.remote_id.messages import Location
 from companion.remote_id.region import Region
-from sitl_mocks import lockstep
-from sitl_mocks import settings as sitl_settings
+from sitl_mocks.encounters import lockstep
+from sitl_mocks.encounters import scenario_file as sitl_settings
 from tests.companion.atmc.policies import FN, FO, metadata, policy_file
 
 ALL = RadioState(can_send=("ble4", "ble5", "nan", "wifi"))

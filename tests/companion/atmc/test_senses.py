@@ -16,8 +16,8 @@ from companion.ownship import Ownship
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.traffic.reception import HEARD_S, Reception
 from companion.traffic.tracks import Traffic
+from sitl_mocks.channel.equations.reception import meeting_chances
 from sitl_mocks.channel.parameters import WIFI_CHANNELS, load
-from sitl_mocks.channel.reception import meeting_chances
 
 
 def test_the_scan_shares_are_those_of_the_receiver_that_policies_are_trained_for():

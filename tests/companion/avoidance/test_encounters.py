@@ -16,7 +16,7 @@ import pytest
 from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
-from sitl_mocks.scenario import CROSSING_S, encounter
+from sitl_mocks.encounters.scenario import CROSSING_S, encounter
 
 STEP_S = 0.1
 LAG_S = 0.5

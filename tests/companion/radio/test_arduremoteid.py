@@ -29,7 +29,7 @@ from companion.remote_id.messages import (
     UaType,
 )
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
-from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
+from sitl_mocks.remote_id_module.module import ModuleOptions, RemoteIdModule
 
 STORED = {"UAS_TYPE": 2.0, "UAS_ID_TYPE": 1.0}
 OURS = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id="ABCD123456789")

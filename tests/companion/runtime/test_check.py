@@ -39,7 +39,7 @@ from companion.radio.wifi.wifi_radio import WifiTransport
 from companion.remote_id.region import Region
 from companion.runtime import radios
 from companion.runtime.flight import Flight
-from sitl_mocks.remote_id_module import ModuleOptions, RemoteIdModule
+from sitl_mocks.remote_id_module.module import ModuleOptions, RemoteIdModule
 
 REGIONS = Path(__file__).parents[3] / "config" / "regions"
 NOT_READY = "check: NOT ready"

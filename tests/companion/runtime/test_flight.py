@@ -28,9 +28,9 @@ from companion.remote_id.region import Region
 from companion.runtime import clock, radios
 from companion.runtime.flight import Flight
 from companion.runtime.links.byte_link import LinkTrouble, Received
-from sitl_mocks.autopilot import MockVehicle
-from sitl_mocks.vehicle_manners import VehicleMode
-from sitl_mocks.vehicle_options import VehicleOptions
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle
+from sitl_mocks.vehicle.options import VehicleOptions
 
 LONG_S = 60.0
 

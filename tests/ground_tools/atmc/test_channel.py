@@ -20,7 +20,7 @@ from ground_tools.atmc.env.objective import (
 )
 from ground_tools.atmc.env.tasks import AWARENESS_CHANNEL
 from ground_tools.atmc.env.world import WorldSettings
-from sitl_mocks.channel.analytic import Analytic, Fleet
+from sitl_mocks.channel.equations.analytic import Analytic, Fleet
 from sitl_mocks.channel.link_budget import Links
 from sitl_mocks.channel.parameters import ChannelParameters, load
 

@@ -10,7 +10,7 @@ import pytest
 
 from ground_tools.channel import fixed_modes
 from ground_tools.channel.fixed_modes import Row, Settings, evaluate, mean_and_error, ratio_and_error
-from sitl_mocks.channel.delay import single_link_s
+from sitl_mocks.channel.equations.delay import single_link_s
 from sitl_mocks.channel.parameters import ChannelParameters
 
 PAPER = ChannelParameters()

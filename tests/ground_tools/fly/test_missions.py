@@ -13,7 +13,7 @@ from companion.errors import ConfigError
 from companion.events import MissionItem
 from companion.geometry import LocalFrame
 from ground_tools.fly import missions
-from sitl_mocks.settings import PathSettings, Scenario, load
+from sitl_mocks.encounters.scenario_file import PathSettings, Scenario, load
 
 ROOT = Path(__file__).parents[3]
 ORIGIN = (47.397, 8.545, 400.0)

@@ -22,11 +22,11 @@ from ground_tools.inspect.export.kml import GX, KML
 from ground_tools.inspect.read.flown import flown
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.report.summary import describe
-from sitl_mocks import demo, settings
-from sitl_mocks.air_settings import AirSettings
-from sitl_mocks.lockstep import fly
-from sitl_mocks.settings import PathSettings, Scenario, VehicleSettings
-from sitl_mocks.verdict import pairs_of
+from sitl_mocks.air.air_settings import AirSettings
+from sitl_mocks.encounters import demo, scenario_file
+from sitl_mocks.encounters.lockstep import fly
+from sitl_mocks.encounters.scenario_file import PathSettings, Scenario, VehicleSettings
+from sitl_mocks.encounters.verdict import pairs_of
 from tests.ground_tools.inspect.flights import decision, guarded, step, track, write
 from tests.ground_tools.inspect.test_inputs import write_tlog
 
@@ -46,7 +46,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def least_m(file: Path, seed: int = 1, law: str | None = None) -> float:
     """Least separation that a scenario file gives when it is flown."""
-    return min(pair.min_separation_m for pair in pairs_of(fly(settings.load(file), seed, law=law)))
+    return min(pair.min_separation_m for pair in pairs_of(fly(scenario_file.load(file), seed, law=law)))
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +83,8 @@ def test_an_incident_flown_again_comes_as_close(simulated: Path, tmp_path: Path,
     file = tmp_path / "incident.toml"
     assert run_export(folder, "--scenario", file) == 0
     assert least_m(file) == pytest.approx(was_m, abs=0.5)
-    assert settings.load(file).avoidance.conflict_radius_m == 6.0
-    assert settings.load(file).air.delay_s == (0.5, 1.0)
+    assert scenario_file.load(file).avoidance.conflict_radius_m == 6.0
+    assert scenario_file.load(file).air.delay_s == (0.5, 1.0)
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -107,7 +107,7 @@ def test_without_truth_it_is_what_the_aircrafts_own_positions_say(
     file = tmp_path / "incident.toml"
     run_export(run_folder / which, "--scenario", file)
     assert least_m(file) == pytest.approx(least, abs=0.5)
-    scenario = settings.load(file)
+    scenario = scenario_file.load(file)
     assert scenario.avoidance.law == "none"
     assert max(point[3] for path in scenario.path for point in path.points) <= -incident.LOWEST_M
 
@@ -128,7 +128,7 @@ def test_five_that_meet_come_as_close_again(tmp_path: Path) -> None:
     was_m = demo._fly_one(scenario, SEED, 0, avoided=True, folder=folder).min_separation_m
     file = tmp_path / "incident.toml"
     assert run_export(folder, "--scenario", file) == 0
-    assert len(settings.load(file).path) == 5
+    assert len(scenario_file.load(file).path) == 5
     assert least_m(file) == pytest.approx(was_m, abs=0.5)
 
 

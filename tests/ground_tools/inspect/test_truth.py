@@ -13,8 +13,8 @@ from ground_tools.inspect.read.flown import OWN, TRUE, flown, separations
 from ground_tools.inspect.read.read_run import read_run
 from ground_tools.inspect.read.truth import HEADER, read_truth
 from ground_tools.inspect.report.summary import describe, text
-from sitl_mocks import demo
-from sitl_mocks.settings import PathSettings, Scenario
+from sitl_mocks.encounters import demo
+from sitl_mocks.encounters.scenario_file import PathSettings, Scenario
 
 
 @pytest.fixture

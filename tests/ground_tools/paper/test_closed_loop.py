@@ -31,12 +31,12 @@ from ground_tools.paper.closed_loop.flights import (
     scenario_of,
 )
 from ground_tools.paper.closed_loop.table import LOST, MEASURES, difference, json_rows, markdown, number
-from sitl_mocks import settings
 from sitl_mocks.channel.parameters import ChannelParameters
+from sitl_mocks.encounters import scenario_file
 from tests.companion.atmc.policies import policy_file
 
 ROOT = Path(__file__).parents[3]
-US = settings.load_region(ROOT / "config" / "regions" / "us.toml")
+US = scenario_file.load_region(ROOT / "config" / "regions" / "us.toml")
 BY_KEY = {measure.key: measure for measure in MEASURES}
 
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from sitl_mocks.channel.air import Outcome, Transmission
-from sitl_mocks.channel.air_analytic import AnalyticChannel
-from sitl_mocks.channel.collision import survival
-from sitl_mocks.channel.delay import single_link_s
+from sitl_mocks.channel.equations.air_analytic import AnalyticChannel
+from sitl_mocks.channel.equations.collision import survival
+from sitl_mocks.channel.equations.delay import single_link_s
+from sitl_mocks.channel.equations.reception import event_period, heard_packets, scan_of
 from sitl_mocks.channel.link_budget import all_links, ranges_m, reached
 from sitl_mocks.channel.parameters import (
     MODES,
@@ -22,7 +23,6 @@ from sitl_mocks.channel.parameters import (
     Slots,
     WifiParameters,
 )
-from sitl_mocks.channel.reception import event_period, heard_packets, scan_of
 
 PAPER = ChannelParameters()
 SLOT_S = 0.000125

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sitl_mocks.air.server import MAX_CLIENTS
 from sitl_mocks.channel.air_links import AirLinks, Kept
 from sitl_mocks.channel.parameters import ChannelParameters, PropagationParameters
-from sitl_mocks.ether_server import MAX_CLIENTS
 
 PROPAGATION = PropagationParameters(shadowing_sigma_db=6.0)
 

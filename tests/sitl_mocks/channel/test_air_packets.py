@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from sitl_mocks.channel.air import Outcome, Transmission
-from sitl_mocks.channel.air_packets import MAX_BACKLOG_S, PacketChannel, _events
 from sitl_mocks.channel.link_budget import path_loss_db
-from sitl_mocks.channel.packet_reception import Coverage, Scanners, arrivals, decide
-from sitl_mocks.channel.packet_schedule import packets_of
-from sitl_mocks.channel.packet_timing import REAL, Durations
+from sitl_mocks.channel.packets.air_packets import MAX_BACKLOG_S, PacketChannel, _events
+from sitl_mocks.channel.packets.reception import Coverage, Scanners, arrivals, decide
+from sitl_mocks.channel.packets.schedule import packets_of
+from sitl_mocks.channel.packets.timing import REAL, Durations
 from sitl_mocks.channel.parameters import (
     BackgroundLoad,
     Ble5Parameters,

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.errors import ConfigError
-from sitl_mocks.channel.analytic import Analytic, Fleet, fixed_mode, system_delay_s
-from sitl_mocks.channel.collision import Shares, background_survival, shares_of, survival
-from sitl_mocks.channel.delay import mean_delay_s, single_link_s, terms_of
+from sitl_mocks.channel.equations.analytic import Analytic, Fleet, fixed_mode, system_delay_s
+from sitl_mocks.channel.equations.collision import Shares, background_survival, shares_of, survival
+from sitl_mocks.channel.equations.delay import mean_delay_s, single_link_s, terms_of
+from sitl_mocks.channel.equations.reception import matching_packets, meeting_chances, scan_of
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions, reached
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
-from sitl_mocks.channel.reception import matching_packets, meeting_chances, scan_of
 
 PAPER = ChannelParameters()
 MODEL = Analytic(PAPER)

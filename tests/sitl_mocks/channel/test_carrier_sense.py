@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from sitl_mocks.channel import carrier_sense, packet_metrics
-from sitl_mocks.channel.analytic import Analytic, Fleet, fixed_mode
-from sitl_mocks.channel.collision import Survival, shares_of, survival
-from sitl_mocks.channel.delay import mean_delay_s
-from sitl_mocks.channel.events import simulate
+from sitl_mocks.channel.equations import carrier_sense
+from sitl_mocks.channel.equations.analytic import Analytic, Fleet, fixed_mode
+from sitl_mocks.channel.equations.collision import Survival, shares_of, survival
+from sitl_mocks.channel.equations.delay import mean_delay_s
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions, near_links, reached
-from sitl_mocks.channel.packet_timing import REAL
+from sitl_mocks.channel.packets import metrics as packet_metrics
+from sitl_mocks.channel.packets.simulation import simulate
+from sitl_mocks.channel.packets.timing import REAL
 from sitl_mocks.channel.parameters import ChannelParameters, load
 
 CONFIG = Path(__file__).parents[3] / "config" / "channel"

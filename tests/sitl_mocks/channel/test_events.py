@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from sitl_mocks.channel import events as module
-from sitl_mocks.channel import packet_reception
-from sitl_mocks.channel.events import Result, simulate
-from sitl_mocks.channel.packet_metrics import loss, never_heard, sample_delay_s
-from sitl_mocks.channel.packet_timing import BLE4, BLE5, PAPER, REAL, WIFI, Assumptions
+from sitl_mocks.channel.packets import reception as packet_reception
+from sitl_mocks.channel.packets import simulation as module
+from sitl_mocks.channel.packets.metrics import loss, never_heard, sample_delay_s
+from sitl_mocks.channel.packets.simulation import Result, simulate
+from sitl_mocks.channel.packets.timing import BLE4, BLE5, PAPER, REAL, WIFI, Assumptions
 from sitl_mocks.channel.parameters import BackgroundLoad, Ble5Parameters, BleParameters, ChannelParameters
 
 PARAMETERS = ChannelParameters()

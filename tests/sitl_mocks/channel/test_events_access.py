@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from sitl_mocks.channel import packet_schedule
-from sitl_mocks.channel.events import Result, simulate
-from sitl_mocks.channel.packet_access import (
+from sitl_mocks.channel.packets import schedule as packet_schedule
+from sitl_mocks.channel.packets.access import (
     BACKOFF_SLOT_MS,
     DIFS_MS,
     MAX_BACKOFF,
@@ -18,10 +17,11 @@ from sitl_mocks.channel.packet_access import (
     WifiAccess,
     defer,
 )
-from sitl_mocks.channel.packet_metrics import loss
-from sitl_mocks.channel.packet_reception import FIRST_WIFI, Coverage, Scanners, decide
-from sitl_mocks.channel.packet_schedule import Events, packets_of, sense_carrier
-from sitl_mocks.channel.packet_timing import PAPER, REAL, WIFI, Durations
+from sitl_mocks.channel.packets.metrics import loss
+from sitl_mocks.channel.packets.reception import FIRST_WIFI, Coverage, Scanners, decide
+from sitl_mocks.channel.packets.schedule import Events, packets_of, sense_carrier
+from sitl_mocks.channel.packets.simulation import Result, simulate
+from sitl_mocks.channel.packets.timing import PAPER, REAL, WIFI, Durations
 from sitl_mocks.channel.parameters import ChannelParameters, WifiParameters
 
 LENGTH, DIFS, SLOT = 30, 5, 2

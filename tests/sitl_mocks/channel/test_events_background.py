@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from sitl_mocks.channel.packet_background import Background
-from sitl_mocks.channel.packet_timing import BLE4, BLE5, WIFI
+from sitl_mocks.channel.packets.background import Background
+from sitl_mocks.channel.packets.timing import BLE4, BLE5, WIFI
 from sitl_mocks.channel.parameters import BackgroundLoad, ChannelParameters
 
 LOAD = BackgroundLoad(ble4=0.3, wifi=0.6, burst_ms=4.0)

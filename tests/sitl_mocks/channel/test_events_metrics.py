@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from sitl_mocks.channel.events import Result, simulate
-from sitl_mocks.channel.packet_metrics import age_of_information_s, loss, never_heard, sample_delay_s
-from sitl_mocks.channel.packet_timing import BLE4, PAPER, WIFI
+from sitl_mocks.channel.packets.metrics import age_of_information_s, loss, never_heard, sample_delay_s
+from sitl_mocks.channel.packets.simulation import Result, simulate
+from sitl_mocks.channel.packets.timing import BLE4, PAPER, WIFI
 from sitl_mocks.channel.parameters import ChannelParameters
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from companion.errors import ConfigError
-from sitl_mocks.channel.packet_reception import (
+from sitl_mocks.channel.packets.reception import (
     CHANNELS_OVERLAP,
     FIRST_PRIMARY,
     FIRST_WIFI,
@@ -17,8 +17,8 @@ from sitl_mocks.channel.packet_reception import (
     arrivals,
     decide,
 )
-from sitl_mocks.channel.packet_schedule import Events, packets_of
-from sitl_mocks.channel.packet_timing import BLE4, BLE5, PAPER, REAL, WIFI, Assumptions, Durations
+from sitl_mocks.channel.packets.schedule import Events, packets_of
+from sitl_mocks.channel.packets.timing import BLE4, BLE5, PAPER, REAL, WIFI, Assumptions, Durations
 from sitl_mocks.channel.parameters import ChannelParameters
 
 PARAMETERS = ChannelParameters()

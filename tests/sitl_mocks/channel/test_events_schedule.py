@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sitl_mocks.channel.packet_reception import FIRST_PRIMARY
-from sitl_mocks.channel.packet_schedule import Events, draw_schedule, packets_of
-from sitl_mocks.channel.packet_timing import (
+from sitl_mocks.channel.packets.reception import FIRST_PRIMARY
+from sitl_mocks.channel.packets.schedule import Events, draw_schedule, packets_of
+from sitl_mocks.channel.packets.timing import (
     BLE4,
     BLE5,
     PAPER,

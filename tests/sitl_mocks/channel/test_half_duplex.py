@@ -7,13 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from sitl_mocks.channel.analytic import Analytic, Fleet
-from sitl_mocks.channel.events import simulate
-from sitl_mocks.channel.half_duplex import deaf_shares_of, log_hearing
+from sitl_mocks.channel.equations.analytic import Analytic, Fleet
+from sitl_mocks.channel.equations.half_duplex import deaf_shares_of, log_hearing
+from sitl_mocks.channel.equations.reception import meeting_chances
 from sitl_mocks.channel.link_budget import Links
-from sitl_mocks.channel.packet_timing import BLE4, BLE5, REAL
+from sitl_mocks.channel.packets.simulation import simulate
+from sitl_mocks.channel.packets.timing import BLE4, BLE5, REAL
 from sitl_mocks.channel.parameters import ChannelParameters, load
-from sitl_mocks.channel.reception import meeting_chances
 
 CONFIG = Path(__file__).parents[3] / "config/channel"
 STANDARD = load(CONFIG / "standard.toml")

@@ -10,20 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.errors import ConfigError
-from sitl_mocks.channel.parameters import (
-    MODES,
-    Ble5Parameters,
-    BleParameters,
-    ChannelParameters,
-    WifiParameters,
-)
-from sitl_mocks.channel.reception import (
+from sitl_mocks.channel.equations.reception import (
     coincidences,
     coprime_period,
     event_period,
     heard_packets,
     matching_packets,
     scan_of,
+)
+from sitl_mocks.channel.parameters import (
+    MODES,
+    Ble5Parameters,
+    BleParameters,
+    ChannelParameters,
+    WifiParameters,
 )
 
 PAPER = ChannelParameters()

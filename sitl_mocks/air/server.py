@@ -1,0 +1,249 @@
+"""The simulated air as a process: `Ether` behind a UDP socket on loopback (`sitl-mocks ether`).
+
+Datagrams are those of `companion.radio.ether.datagrams`. The process prints "ether on HOST:PORT" when it
+listens, and one JSON line with the statistics when it ends (SIGINT, SIGTERM).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import errno
+import ipaddress
+import json
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from select import select
+
+import msgspec
+import numpy as np
+
+from companion.errors import ConfigError, PeerDataError
+from companion.radio.ether import datagrams as ether_wire
+from companion.radio.ether.datagrams import Heard, Join, Leave, Send, Welcome
+from sitl_mocks.air import air_settings
+from sitl_mocks.air.air_settings import AirSettings, channel_of
+from sitl_mocks.air.ether import Ether
+from sitl_mocks.channel.air import Channel
+from sitl_mocks.signals import end_signals
+
+MAX_CLIENTS = 256
+_MAX_READS = 512
+"""Datagrams taken before what is due goes out again: a flood must not hold up deliveries."""
+_POLL_S = 0.1
+_BUFFER_BYTES = 4 * 1024 * 1024
+
+Endpoint = tuple[str, int]
+
+
+@dataclass(slots=True)
+class Counts:
+    """What the server has met."""
+
+    datagrams: int = 0
+    bad_datagrams: int = 0
+    """Not a datagram of the wire format, or one that only the server sends."""
+    refused_clients: int = 0
+    """Datagrams of endpoints beyond `MAX_CLIENTS`."""
+    unsent: int = 0
+    """Deliveries that the operating system did not take."""
+
+
+@dataclass(slots=True)
+class _Client:
+    name: str
+    last_s: float
+
+
+class EtherServer:
+    """The air on one UDP socket. The caller owns the clock: it passes `now_s` (monotonic, s).
+
+    Raises:
+        ConfigError: the endpoint is not on loopback, or cannot be bound.
+    """
+
+    def __init__(self, host: str, port: int, channel: Channel, rng: np.random.Generator) -> None:
+        self.counts = Counts()
+        self.ether = Ether(channel, rng)
+        self._clients: dict[Endpoint, _Client] = {}
+        self._by_name: dict[str, Endpoint] = {}
+        self._socket = _bind(host, port)
+
+    @property
+    def endpoint(self) -> Endpoint:
+        """Host and port where it listens."""
+        host, port = self._socket.getsockname()[:2]
+        return str(host), int(port)
+
+    @property
+    def clients(self) -> tuple[str, ...]:
+        """Names of those on the air."""
+        return tuple(self._by_name)
+
+    def wait(self, now_s: float) -> None:
+        """Sleep until a datagram comes, a delivery is due or the poll period is over."""
+        due_s = self.ether.next_due_s()
+        timeout = _POLL_S if due_s is None else min(max(due_s - now_s, 0.0), _POLL_S)
+        select([self._socket], [], [], timeout)
+
+    def step(self, now_s: float) -> None:
+        """Take in what came, send out what is due, forget who is silent."""
+        for data, endpoint in self._datagrams():
+            self.counts.datagrams += 1
+            try:
+                self._take(now_s, ether_wire.decode(data), endpoint)
+            except PeerDataError:
+                self.counts.bad_datagrams += 1
+        for delivery in self.ether.due(now_s):
+            heard = Heard(delivery.transport, delivery.address, delivery.frame)
+            self._send(ether_wire.encode(heard), self._by_name[delivery.receiver])
+        silent = [e for e, client in self._clients.items() if now_s - client.last_s > ether_wire.SILENCE_S]
+        for endpoint in silent:
+            self._drop(endpoint)
+
+    def statistics(self) -> dict[str, object]:
+        """What `sitl-mocks ether` prints at its end; pairs are named "sender>receiver"."""
+        return {
+            "clients": list(self.clients),
+            "datagrams": self.counts.datagrams,
+            "bad_datagrams": self.counts.bad_datagrams,
+            "refused_clients": self.counts.refused_clients,
+            "unsent": self.counts.unsent,
+            "pairs": {f"{a}>{b}": stats.to_dict() for (a, b), stats in self.ether.stats.items()},
+        }
+
+    def close(self) -> None:
+        """Release the socket."""
+        self._socket.close()
+
+    def _datagrams(self) -> Iterator[tuple[bytes, Endpoint]]:
+        for _ in range(_MAX_READS):
+            try:
+                # One byte more than allowed, so that an oversized datagram is seen as such.
+                yield self._socket.recvfrom(ether_wire.MAX_DATAGRAM + 1)
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                # The answer to a delivery to a client that is gone; its silence will be noticed.
+                continue
+
+    def _take(self, now_s: float, datagram: ether_wire.Datagram, endpoint: Endpoint) -> None:
+        if isinstance(datagram, Heard | Welcome):
+            raise PeerDataError("ether datagram: only the air sends this kind")
+        if isinstance(datagram, Leave):
+            self._drop(endpoint)
+            return
+        client = self._clients.get(endpoint)
+        if client is None:
+            if len(self._clients) >= MAX_CLIENTS:
+                self.counts.refused_clients += 1
+                return
+            client = self._enter(now_s, datagram, endpoint)
+        client.last_s = now_s
+        if isinstance(datagram, Join):
+            self._send(ether_wire.encode(Welcome(len(self._clients))), endpoint)
+        elif isinstance(datagram, Send):
+            self.ether.transmit(
+                now_s, client.name, datagram.transport, datagram.frame, address=datagram.address
+            )
+
+    def _enter(self, now_s: float, datagram: Join | Send, endpoint: Endpoint) -> _Client:
+        name = datagram.name if isinstance(datagram, Join) else str(endpoint[1])
+        if name in self._by_name:
+            name = f"{name}@{endpoint[1]}"
+        if name in self._by_name:
+            raise PeerDataError(f"ether client {name!r} is already here")
+        client = self._clients[endpoint] = _Client(name, now_s)
+        self._by_name[name] = endpoint
+        self.ether.join(name)
+        return client
+
+    def _drop(self, endpoint: Endpoint) -> None:
+        client = self._clients.pop(endpoint, None)
+        if client is not None:
+            del self._by_name[client.name]
+            self.ether.leave(client.name)
+
+    def _send(self, data: bytes, endpoint: Endpoint) -> None:
+        try:
+            self._socket.sendto(data, endpoint)
+        except OSError:
+            # A full buffer or a closed port loses a datagram, as UDP may.
+            self.counts.unsent += 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `sitl-mocks ether`."""
+    parser.description = "The air between simulated aircraft, over UDP on loopback. Ends on Ctrl-C."
+    parser.epilog = (
+        "example: sitl-mocks ether --listen 127.0.0.1:14640 --delay 0.2 0.8 --loss 0.1; "
+        "sitl-mocks ether --channel packets --parameters config/channel/standard.toml"
+    )
+    parser.add_argument(
+        "--listen",
+        default="127.0.0.1:14640",
+        metavar="HOST:PORT",
+        help="loopback endpoint; port 0 takes a free one",
+    )
+    air_settings.add_arguments(parser)
+    interval = parser.add_argument_group("of --channel interval")
+    interval.add_argument("--delay", type=float, nargs=2, metavar=("LOW", "HIGH"), help="delay, uniform (s)")
+    interval.add_argument("--loss", type=float, metavar="P", help="probability of loss, 0 to 1")
+    interval.add_argument("--range", type=float, metavar="M", help="nothing is heard farther (m)")
+    parser.add_argument("--seed", type=int, default=0, help="what the channel draws from")
+
+
+def run(args: argparse.Namespace) -> int:
+    """`sitl-mocks ether`: serve until SIGINT or SIGTERM.
+
+    Raises:
+        ConfigError: a channel parameter out of range, or an endpoint that cannot be bound.
+    """
+    if args.seed < 0:
+        raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
+    channel = _channel(args)
+    host, port = ether_wire.parse_endpoint(args.listen, "--listen")
+    server = EtherServer(host, port, channel, np.random.default_rng(args.seed))
+    with contextlib.closing(server), end_signals() as ended:
+        print(f"ether on {server.endpoint[0]}:{server.endpoint[1]}", flush=True)
+        while not ended:
+            server.wait(time.monotonic())
+            server.step(time.monotonic())
+        server.ether.finish(time.monotonic())
+        print(json.dumps(server.statistics()), flush=True)
+    return 0
+
+
+def _channel(args: argparse.Namespace) -> Channel:
+    air, parameters = air_settings.with_options(AirSettings(delay_s=(0.0, 0.0)), None, args)
+    for option, key in (("loss", "loss"), ("range", "range_m")):
+        value = getattr(args, option)
+        if value is None:
+            continue
+        if air.model != "interval":
+            raise ConfigError(f'--{option}: goes with --channel interval; this air is "{air.model}"')
+        air = msgspec.structs.replace(air, **{key: value})
+    return channel_of(air, parameters)
+
+
+def _bind(host: str, port: int) -> socket.socket:
+    address = "127.0.0.1" if host == "localhost" else host
+    try:
+        loopback = ipaddress.IPv4Address(address).is_loopback
+    except ValueError as error:
+        raise ConfigError(f"ether endpoint {host}:{port}: {host!r} is not an IPv4 address") from error
+    if not loopback:
+        # Whoever reaches the air can put any aircraft on it.
+        raise ConfigError(f"ether endpoint {host}:{port}: allowed on loopback (127.0.0.1) only")
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        sock.setblocking(False)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+        sock.bind((address, port))
+    except OSError as error:
+        sock.close()
+        reason = "already in use" if error.errno == errno.EADDRINUSE else str(error.strerror)
+        raise ConfigError(f"ether endpoint {host}:{port}: {reason}") from error
+    return sock

@@ -1,0 +1,209 @@
+"""From a GNSS sample to the first message heard: section "Average Transmission Delay Model", three averages.
+
+The paper sums over GNSS periods that all begin at the same phase t0 of the receiver's scan. A phase without a
+match would then never hear anything and the sum would be undefined, so here the phase is redrawn for every
+period: with F the probability that a period brings nothing,
+
+    mean delay = (E[delay; something heard] + F T_GNSS) / (1 - F).
+
+Both E and F are sums over the phases of products of the packets' probabilities. Phases with the same pattern
+give the same product, so that few terms remain (`Terms`) and a mean delay is a polynomial in the loss of one
+packet.
+
+With the parameters' `schedule` "random" the same sum is taken over events that each meet the scan at a phase
+of their own.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.remote_id.transports import BLE4, BLE5
+from sitl_mocks.channel.equations.reception import event_period, matching_packets, meeting_chances, scan_of
+from sitl_mocks.channel.parameters import ChannelParameters, Slots, check_rate
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+Hits = dict[tuple[int, ...], list[float]]
+"""Weight and weighted delay (s) by the tries failed before and the kind of the try."""
+Misses = dict[tuple[int, ...], float]
+"""Weight by the tries failed."""
+
+TRIES = 3
+"""A try is one packet of BLE 4 or Wi-Fi, or one auxiliary packet of BLE 5, which 1 to 3 pointers announce."""
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What a mode and rate gives within one GNSS period, averaged over the phases.
+
+    A term stands for all cases in which a try succeeds after `failed` earlier tries without success. Tries
+    are told apart by their number of pointers, 1 to `TRIES`; BLE 4 and Wi-Fi have only the first kind.
+    """
+
+    failed: Integers
+    """Shape (terms, TRIES): number of tries of each kind before."""
+    kind: Integers
+    """Shape (terms,): kind of the try itself, from 0."""
+    weight: Floats
+    """Shape (terms,): share of the phases."""
+    delay_s: Floats
+    """Shape (terms,): that share times the delay (s)."""
+    missed: Integers
+    """Shape (cases, TRIES): numbers of tries of a whole period, all without success."""
+    missed_weight: Floats
+    """Shape (cases,)."""
+    period_s: float
+    """T_GNSS."""
+
+
+@lru_cache(maxsize=1024)
+def terms_of(mode: str, rate: int, parameters: ChannelParameters) -> Terms:
+    """The terms of a mode and rate.
+
+    Raises:
+        ConfigError: the rate is less than 1 or more than the mode's largest.
+    """
+    check_rate(mode, rate, parameters)
+    hits: Hits = defaultdict(lambda: [0.0, 0.0])
+    misses: Misses = defaultdict(float)
+    ble = {BLE4: parameters.ble4, BLE5: parameters.ble5}.get(mode)
+    if ble is not None and ble.schedule == "random":
+        _add_draws(mode, rate, parameters, hits, misses)
+    else:
+        _add_phases(mode, rate, parameters, hits, misses)
+    keys = np.array(sorted(hits), np.int64).reshape(-1, TRIES + 1)
+    values = np.array([hits[key] for key in sorted(hits)]).reshape(-1, 2)
+    cases = sorted(misses)
+    return Terms(
+        failed=keys[:, :TRIES],
+        kind=keys[:, TRIES],
+        weight=values[:, 0],
+        delay_s=values[:, 1],
+        missed=np.array(cases, np.int64),
+        missed_weight=np.array([misses[case] for case in cases]),
+        period_s=parameters.gnss_period_ms / 1000.0,
+    )
+
+
+def _add_phases(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, misses: Misses) -> None:
+    """The paper's schedule: every phase of the scan cycle has its own fixed row of tries."""
+    slots, cycle = Slots(parameters), scan_of(mode, parameters).cycle
+    for tries in _tries(mode, rate, parameters):
+        failed = [0] * TRIES
+        for pointers, delay_slots in tries:
+            term = hits[*failed, pointers - 1]
+            term[0] += 1.0 / cycle
+            term[1] += slots.seconds(delay_slots) / cycle
+            failed[pointers - 1] += 1
+        misses[tuple(failed)] += 1.0 / cycle
+
+
+def _add_draws(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, misses: Misses) -> None:
+    """The random schedule: the sample falls anywhere between two events, and each event meets the scan by
+    chance.
+
+    Several packets of one BLE 4 event in windows count like several pointers: one of them is enough.
+    """
+    chance, delay_ms = meeting_chances(mode, parameters)
+    before: Misses = {(0,) * TRIES: 1.0}
+    for event in range(rate):
+        waited_s = ((event + 0.5) * parameters.gnss_period_ms / rate + delay_ms) / 1000.0
+        after: Misses = defaultdict(float)
+        for failed, weight in before.items():
+            after[failed] += weight * (1.0 - sum(chance))
+            for kind in np.flatnonzero(chance).tolist():
+                share = weight * chance[kind]
+                term = hits[*failed, kind]
+                term[0] += share
+                term[1] += share * waited_s
+                one_more = tuple(n + (k == kind) for k, n in enumerate(failed))
+                after[one_more] += share
+        before = after
+    misses.update(before)
+
+
+def _tries(mode: str, rate: int, parameters: ChannelParameters) -> list[list[tuple[int, int]]]:
+    """By phase: the tries of one GNSS period in their order, as number of pointers and delay in slots."""
+    scan, slots = scan_of(mode, parameters), Slots(parameters)
+    matches = matching_packets(mode, rate, parameters)
+    tries: list[list[tuple[int, int]]] = [[] for _ in range(scan.cycle)]
+    if mode != BLE5:
+        for phase, slot in zip(matches.phase.tolist(), matches.slot.tolist(), strict=True):
+            tries[phase].append((1, slot + scan.duration))  # D(delta) = delta - t0 + A_P or B_D
+        return tries
+    # D(xi) = (xi - 1) A_I + A_Offset + O_U + T_AUX, xi the event whose pointers were heard: A_I as it stands
+    # there, though the pointers keep the approximated interval.
+    period, ble5 = event_period(mode, rate, parameters), parameters.ble5
+    interval = slots.gnss_period // rate
+    behind = sum(
+        slots.of(x) for x in (ble5.auxiliary_offset_ms, ble5.auxiliary_uncertainty_ms, ble5.auxiliary_ms)
+    )
+    offsets = np.array(scan.packet_offsets)[matches.channel]
+    pointers: dict[tuple[int, int], int] = defaultdict(int)
+    for phase, event in zip(
+        matches.phase.tolist(), ((matches.slot - offsets) // period).tolist(), strict=True
+    ):
+        if event < rate:
+            pointers[phase, event] += 1
+    for (phase, event), count in sorted(pointers.items()):
+        tries[phase].append((count, event * interval + behind))
+    return tries
+
+
+def mean_delay_s(terms: Terms, first: Floats, second: Floats) -> Floats:
+    """Mean delay (s) from a GNSS sample to the first message heard of it or of a later one.
+
+    Args:
+        first: probability that one packet survives (BLE 5: one pointer); any shape.
+        second: probability that the auxiliary packet survives; 1 for BLE 4 and Wi-Fi. Same shape.
+
+    Returns:
+        Same shape; infinite where nothing can ever arrive.
+    """
+    kinds = range(1 + int(terms.kind.max(initial=0)))
+    # P_succ of each kind of try, and the powers of its complement.
+    success = [(1.0 - (1.0 - first) ** (kind + 1)) * second for kind in kinds]
+    powers = [_powers(1.0 - success[kind], int(terms.missed[:, kind].max())) for kind in kinds]
+
+    def failing(counts: Integers) -> Floats:
+        result: Floats = powers[0][counts[0]]
+        for kind in kinds[1:]:
+            result = result * powers[kind][counts[kind]]
+        return result
+
+    delivered, delay = np.zeros_like(first), np.zeros_like(first)
+    for counts, kind, weight, weighted in zip(
+        terms.failed, terms.kind, terms.weight, terms.delay_s, strict=True
+    ):
+        chance = failing(counts) * success[kind]
+        delivered += weight * chance
+        delay += weighted * chance
+    nothing = np.zeros_like(first)
+    for counts, weight in zip(terms.missed, terms.missed_weight, strict=True):
+        nothing += weight * failing(counts)
+    with np.errstate(divide="ignore"):
+        return np.asarray((delay + nothing * terms.period_s) / delivered, float)
+
+
+def _powers(base: Floats, largest: int) -> list[Floats]:
+    powers = [np.ones_like(base)]
+    for _ in range(largest):
+        powers += [powers[-1] * base]
+    return powers
+
+
+def single_link_s(mode: str, rate: int, parameters: ChannelParameters) -> float:
+    """Mean delay (s) of one sender and one receiver alone.
+
+    Raises:
+        ConfigError: the rate is less than 1 or more than the mode's largest.
+    """
+    one = np.ones(1)
+    return float(mean_delay_s(terms_of(mode, rate, parameters), one, one)[0])

@@ -1,0 +1,216 @@
+"""Who chooses the transports of simulated aircraft: the options of the commands, the policy's file, the
+random chooser, and what was chosen.
+
+Only `read_policy` and `keep` touch files; the simulation gets the policy's bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from companion.atmc.actions import SET_ACTIONS, Action, Bools, legal
+from companion.atmc.choice import Choice, Floats, Refused, Why
+from companion.atmc.policy import check_flyable, load
+from companion.config import Config, IdentityConfig
+from companion.errors import ConfigError
+from companion.event_record import Record, Step
+from companion.events import BroadcastChanged, TransportsChosen
+from companion.runtime.policy import RUN_FILE
+from companion.runtime.policy import read_policy as read_file
+from sitl_mocks.encounters import scenario_file
+from sitl_mocks.encounters.scenario_file import POLICY_WORDS, Scenario
+
+SILENT: Final = "nothing"
+"""The name of no transport at all."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that say who chooses, and by what law."""
+    parser.add_argument(
+        "--policy",
+        metavar=f"FILE|{'|'.join(POLICY_WORDS)}",
+        help="who chooses each aircraft's transports in flight (default: nobody)",
+    )
+    parser.add_argument("--region", type=Path, metavar="FILE", help="region profile (default: no law)")
+
+
+def with_options(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
+    """What the options make of a scenario.
+
+    Raises:
+        ConfigError: the region's profile cannot be read or is wrong.
+    """
+    policy, region = arguments.policy, arguments.region
+    if policy is not None:
+        where = policy if policy in POLICY_WORDS else str(Path(policy).absolute())
+        atmc = msgspec.structs.replace(scenario.atmc, policy=where)
+        scenario = msgspec.structs.replace(scenario, atmc=atmc)
+    if region is not None:
+        try:
+            scenario = msgspec.structs.replace(scenario, region=scenario_file.load_region(region))
+        except ConfigError as error:
+            raise ConfigError(f"--region: {error}") from error
+    return scenario
+
+
+def read_policy(scenario: Scenario) -> bytes | None:
+    """The scenario's policy file, tried; None where no file is named.
+
+    Raises:
+        ConfigError: it cannot be read or flown, or none of its actions is legal in the scenario's region.
+    """
+    where = scenario.atmc.policy
+    if where is None or where in POLICY_WORDS:
+        return None
+    data = read_file(Config(identity=IdentityConfig(uas_id="any"), atmc=scenario.atmc))
+    assert data is not None
+    policy = load(data, where)
+    check_flyable(policy)
+    if not legal(policy.actions, scenario.region).any():
+        raise ConfigError(
+            f"atmc.policy: {where}: none of its actions is legal in region {scenario.region.name}"
+        )
+    return data
+
+
+def keep(folder: Path, scenario: Scenario, policy: bytes | None) -> Scenario:
+    """The scenario as a run folder holds it: with the policy's file beside it."""
+    if policy is None:
+        return scenario
+    (folder / RUN_FILE).write_bytes(policy)
+    atmc = msgspec.structs.replace(scenario.atmc, policy=RUN_FILE)
+    return msgspec.structs.replace(scenario, atmc=atmc)
+
+
+@dataclass(slots=True)
+class RandomMind:
+    """Any allowed action, all with the same probability. A `Mind` for comparison; it never flies."""
+
+    rng: np.random.Generator
+
+    @property
+    def actions(self) -> tuple[Action, ...]:
+        """What it can choose."""
+        return SET_ACTIONS
+
+    def choose(
+        self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
+    ) -> Choice | Refused:
+        """See `Mind`; nothing is looked at but what is allowed."""
+        can = np.flatnonzero(allowed)
+        if not len(can):
+            return Refused(Why.NOTHING_ALLOWED, "no set of transports is legal and can be sent")
+        index = int(self.rng.choice(can))
+        return Choice(index, SET_ACTIONS[index])
+
+
+@dataclass(slots=True)
+class Chosen:
+    """What one aircraft's transports were over time."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    """By set, in words: how long it was in use."""
+    switches: int = 0
+    fallback_s: float = 0.0
+    """How long the fall-back was flown, because who was to choose could not."""
+    _by_fallback: bool = False
+    _present: str | None = None
+    _since_s: float = 0.0
+
+    def take(self, step: Step) -> None:
+        """What a step of the heart says of them."""
+        for command in step.commands:
+            if isinstance(command, BroadcastChanged):
+                self.note(step.now_s, {name: int(rate) for name, rate in command.rates})
+            elif isinstance(command, TransportsChosen):
+                self.end(step.now_s)
+                self._by_fallback = command.by == "fallback"
+
+    def note(self, now_s: float, rates: Mapping[str, int]) -> None:
+        """What is to be on the air from now on, with Locations a second; the same as before says nothing."""
+        name = words_of(rates)
+        if name == self._present:
+            return
+        self.end(now_s)
+        self.switches += self._present not in (None, SILENT)
+        self._present, self._since_s = name, now_s
+
+    def end(self, now_s: float) -> None:
+        """Time is counted up to now."""
+        if self._present is not None and self._present != SILENT:
+            self.seconds[self._present] = self.seconds.get(self._present, 0.0) + now_s - self._since_s
+            if self._by_fallback:
+                self.fallback_s += now_s - self._since_s
+        self._since_s = now_s
+
+    @property
+    def switches_per_minute(self) -> float:
+        """Of the time in which anything was sent."""
+        total_s = sum(self.seconds.values())
+        return 60.0 * self.switches / total_s if total_s > 0.0 else 0.0
+
+    def to_dict(self) -> dict[str, object]:
+        """For a JSON line."""
+        return {
+            "seconds": {name: round(s, 3) for name, s in self.seconds.items()},
+            "switches_per_minute": round(self.switches_per_minute, 3),
+            "fallback_s": round(self.fallback_s, 3),
+        }
+
+
+def chosen_of(records: Iterable[Record]) -> Chosen:
+    """What an aircraft's event record says of its transports."""
+    chosen, now_s = Chosen(), 0.0
+    for item in records:
+        if isinstance(item, Step):
+            now_s = item.now_s
+            chosen.take(item)
+    chosen.end(now_s)
+    return chosen
+
+
+def words_of(rates: Mapping[str, int]) -> str:
+    """A set of transports in words: "ble4 10 + wifi 10"."""
+    return " + ".join(f"{name} {rate:g}" for name, rate in sorted(rates.items())) or SILENT
+
+
+def shares_of(chosen: Sequence[Chosen]) -> dict[str, float]:
+    """Share of all aircraft's time on each set, the largest first."""
+    total: dict[str, float] = {}
+    for one in chosen:
+        for name, seconds in one.seconds.items():
+            total[name] = total.get(name, 0.0) + seconds
+    whole_s = sum(total.values()) or 1.0
+    return {name: s / whole_s for name, s in sorted(total.items(), key=lambda item: (-item[1], item[0]))}
+
+
+def choices_in_words(chosen: Sequence[Chosen], most: int = 5) -> str:
+    """Sets by share of time, and how often each aircraft changed."""
+    shares = list(shares_of(chosen).items())
+    if not shares:
+        return "transports: nothing was sent"
+    words = [f"{name} {100.0 * share:.0f} %" for name, share in shares[:most]]
+    if len(shares) > most:
+        words.append(f"{len(shares) - most} other sets {100.0 * sum(s for _, s in shares[most:]):.0f} %")
+    words.append(f"{mean_switches(chosen):.1f} switches a minute an aircraft")
+    if fallback_share(chosen) > 0.0:
+        words.append(f"{100.0 * fallback_share(chosen):.1f} % of the time on the fall-back")
+    return f"transports (Locations a second): {', '.join(words)}"
+
+
+def fallback_share(chosen: Sequence[Chosen]) -> float:
+    """Share of all aircraft's time on the fall-back."""
+    whole_s = sum(sum(one.seconds.values()) for one in chosen)
+    return sum(one.fallback_s for one in chosen) / whole_s if whole_s > 0.0 else 0.0
+
+
+def mean_switches(chosen: Sequence[Chosen]) -> float:
+    """Switches a minute, the mean over aircraft."""
+    return sum(one.switches_per_minute for one in chosen) / len(chosen)

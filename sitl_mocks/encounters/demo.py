@@ -1,0 +1,300 @@
+"""`sitl-mocks demo`: fly an encounter in virtual time, with and without avoidance, and say how it went."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import queue
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import ExitStack
+from multiprocessing.queues import Queue
+from pathlib import Path
+from typing import BinaryIO
+
+import msgspec
+import tomli_w
+from rich.console import Console
+from rich.progress import Progress
+
+from companion import __version__, event_record
+from companion.config import Config
+from companion.errors import ConfigError
+from companion.runtime.record.recorder import EventFile, create_run_folder, write_json, write_manifest
+from companion.runtime.warm import warm_up
+from companion.toml_reader import without_none
+from sitl_mocks.air import air_settings
+from sitl_mocks.encounters import choosing, scenario_file
+from sitl_mocks.encounters.demo_report import Outcome, Verdict, pair_rows, seed_table, show
+from sitl_mocks.encounters.lockstep import TICK_S, UTC_AT_START_S, Run, fly, paths_of
+from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
+from sitl_mocks.encounters.verdict import deviations_of, on_path_limit_m, pairs_of
+
+_TRUTH_TICKS = 2
+_EXAMPLE = "example: sitl-mocks demo --delay 1 2 --seed 7; sitl-mocks demo --seeds 1-20 --delay 2 3 --json"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `sitl-mocks demo`."""
+    parser.epilog = _EXAMPLE
+    add_scenario_arguments(parser)
+    seeds = parser.add_mutually_exclusive_group()
+    seeds.add_argument("--seed", type=int, default=1, help="what chance draws from (default 1)")
+    seeds.add_argument("--seeds", metavar="A-B", help="several seeds, on all cores, without a run folder")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder goes")
+    parser.add_argument("--json", action="store_true", help="one JSON object a line for each seed")
+
+
+def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that choose and change a scenario."""
+    parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: five aircraft, S2")
+    parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
+    air_settings.add_arguments(parser)
+    parser.add_argument(
+        "--delay",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="message delay, channel interval (s)",
+    )
+    parser.add_argument("--law", choices=("dmuca", "paper", "none"), help="avoidance law")
+    choosing.add_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly and judge. Returns 0 when every seed is ok, 1 when one is not.
+
+    Raises:
+        ConfigError: an option or the scenario file is wrong.
+    """
+    scenario = scenario_of(arguments)
+    policy = choosing.read_policy(scenario)
+    console = Console(stderr=arguments.json)
+    seconds = warm_up()
+    if seconds > 1.0:
+        console.print(f"compiled the avoidance kernels in {seconds:.1f} s (kept for the next time)")
+    if arguments.seeds is not None:
+        return _many(scenario, policy, _parse_seeds(arguments.seeds), console, as_json=arguments.json)
+    folder = create_run_folder(arguments.runs, "demo", time.time())
+    if scenario.atmc.policy == RANDOM:
+        console.print("no event records: a heart does not choose at random, so that a replay would differ")
+    kept = choosing.keep(folder, scenario, policy)
+    (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(kept))))
+    verdict = next(_fly_all(scenario, policy, [arguments.seed], console, folder))
+    write_manifest(
+        folder,
+        "sitl-mocks demo",
+        seed=arguments.seed,
+        aircraft=[d.name for d in verdict.avoided.deviations],
+        conflict_limit_m=verdict.limit_m,
+    )
+    write_json(
+        folder / "summary.json",
+        {
+            **verdict.as_dict(),
+            "pairs": pair_rows(verdict),
+            "air": verdict.avoided.air,
+            "transports": {name: chosen.to_dict() for name, chosen in verdict.avoided.chosen.items()},
+        },
+    )
+    if arguments.json:
+        print(json.dumps(verdict.as_dict()))
+    else:
+        show(verdict, folder, console)
+    return 0 if verdict.ok else 1
+
+
+def scenario_of(arguments: argparse.Namespace) -> Scenario:
+    """The scenario that the options name.
+
+    Raises:
+        ConfigError: an option or the scenario file is wrong.
+    """
+    if arguments.seed < 0:
+        raise ConfigError(f"--seed: {arguments.seed}: allowed 0 and above")
+    scenario = scenario_file.DEFAULT if arguments.scenario is None else scenario_file.load(arguments.scenario)
+    if arguments.aircraft is not None:
+        if scenario.geometry is None:
+            raise ConfigError("--aircraft: the scenario file gives the paths, and with them the number")
+        if not 2 <= arguments.aircraft <= 100:
+            raise ConfigError(f"--aircraft: {arguments.aircraft}: allowed 2 to 100")
+        scenario = msgspec.structs.replace(scenario, aircraft=arguments.aircraft)
+    air, channel = air_settings.with_options(scenario.air, scenario.channel, arguments)
+    scenario = msgspec.structs.replace(scenario, air=air, channel=channel)
+    if arguments.law is not None:
+        avoidance = msgspec.structs.replace(scenario.avoidance, law=arguments.law)
+        scenario = msgspec.structs.replace(scenario, avoidance=avoidance)
+    return choosing.with_options(scenario, arguments)
+
+
+def _parse_seeds(text: str) -> list[int]:
+    first, _, last = text.partition("-")
+    if not first.isdigit() or (last and not last.isdigit()) or (last and int(last) < int(first)):
+        raise ConfigError(f"--seeds: {text!r}: expected A-B, for instance 1-20")
+    return list(range(int(first), int(last or first) + 1))
+
+
+def _many(
+    scenario: Scenario, policy: bytes | None, seeds: list[int], console: Console, *, as_json: bool
+) -> int:
+    started = time.monotonic()
+    verdicts = []
+    for verdict in _fly_all(scenario, policy, seeds, console, None):
+        verdicts.append(verdict)
+        if as_json:
+            print(json.dumps(verdict.as_dict()), flush=True)
+    if not as_json:
+        console.print(seed_table(verdicts))
+    good = sum(v.ok for v in verdicts)
+    simulated = sum(v.avoided.simulated_s + v.unavoided.simulated_s for v in verdicts)
+    wall = time.monotonic() - started
+    console.print(
+        f"{good} of {len(verdicts)} ok; {simulated:.0f} simulated seconds in {wall:.1f} s "
+        f"({simulated / wall:.0f} times real time on {_workers(seeds)} processes)"
+    )
+    return 0 if good == len(verdicts) else 1
+
+
+# ---------------------------------------------------------------- flying, by process
+
+_progress: Queue[tuple[int, float]] | None = None
+
+
+def _initialise(progress: Queue[tuple[int, float]]) -> None:
+    global _progress
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _progress = progress
+
+
+def _fly_one(
+    scenario: Scenario,
+    seed: int,
+    task: int,
+    *,
+    avoided: bool,
+    folder: Path | None,
+    policy: bytes | None = None,
+) -> Outcome:
+    """One flight, in a worker process."""
+    started = time.monotonic()
+    paths = paths_of(scenario, seed)
+
+    def progress(share: float) -> None:
+        if _progress is not None:
+            _progress.put((task, share))
+
+    with ExitStack() as files:
+
+        def recorder(name: str, config: Config) -> Callable[[event_record.Step], None]:
+            assert folder is not None
+            header = event_record.Header(aircraft=name, software=__version__, config=config, policy=policy)
+            file = EventFile(folder / f"{name}.events", header)
+            files.callback(file.close)
+            return file.step
+
+        def tlog(name: str) -> BinaryIO:
+            assert folder is not None
+            return files.enter_context((folder / f"{name}.tlog").open("wb"))
+
+        result: Run = fly(
+            scenario,
+            seed,
+            law=None if avoided else "none",
+            policy=policy,
+            record=recorder if folder is not None and scenario.atmc.policy != RANDOM else None,
+            tlog=tlog if folder is not None else None,
+            progress=progress,
+        )
+    if folder is not None:
+        _write_truth(folder, result)
+    sent = sum(p.sent for p in result.air.values())
+    return Outcome(
+        seed=seed,
+        avoided=avoided,
+        pairs=pairs_of(result),
+        deviations=deviations_of(result, paths, on_path_limit_m(scenario)),
+        wall_s=time.monotonic() - started,
+        simulated_s=len(result.time_s) * TICK_S,
+        air=[{"sender": a, "receiver": b, **stats.to_dict()} for (a, b), stats in result.air.items()],
+        messages={"sent": sent, "delivered": sum(p.delivered for p in result.air.values())},
+        chosen=result.chosen,
+    )
+
+
+def _write_truth(folder: Path, result: Run) -> None:
+    """`<aircraft>.truth.csv` of every aircraft, as a served vehicle writes it: ten rows a second."""
+    for aircraft in result.aircraft:
+        with (folder / f"{aircraft.name}.truth.csv").open("w") as file:
+            file.write("utc_s,north_m,east_m,down_m\n")
+            for tick in range(0, len(aircraft.position_ned_m), _TRUTH_TICKS):
+                north, east, down = aircraft.position_ned_m[tick]
+                utc_s = UTC_AT_START_S + tick * TICK_S
+                file.write(f"{utc_s:.3f},{north:.3f},{east:.3f},{down:.3f}\n")
+
+
+def _workers(seeds: list[int]) -> int:
+    return min(2 * len(seeds), os.cpu_count() or 1)
+
+
+def _fly_all(
+    scenario: Scenario, policy: bytes | None, seeds: list[int], console: Console, folder: Path | None
+) -> Iterator[Verdict]:
+    """Both flights of every seed, on all cores; verdicts in the order of the seeds."""
+    context = multiprocessing.get_context("spawn")
+    shared: Queue[tuple[int, float]] = context.Queue()
+    with (
+        Progress(console=console, transient=True, disable=not console.is_terminal) as bar,
+        ProcessPoolExecutor(_workers(seeds), context, _initialise, (shared,)) as pool,
+    ):
+        tasks: dict[Future[Outcome], int] = {}
+        for seed in seeds:
+            for avoided in (True, False):
+                what = "with avoidance" if avoided else "without"
+                task = bar.add_task(f"seed {seed}, {what}", total=1.0, visible=len(seeds) <= 4)
+                where = folder if folder is None or avoided else folder / "unavoided"
+                if where is not None:
+                    where.mkdir(exist_ok=True)
+                future = pool.submit(
+                    _fly_one, scenario, seed, task, avoided=avoided, folder=where, policy=policy
+                )
+                tasks[future] = int(task)
+        outcomes: dict[tuple[int, bool], Outcome] = {}
+        waiting = list(seeds)
+        try:
+            for future in _completed(tasks, shared, bar):
+                outcome = future.result()
+                outcomes[outcome.seed, outcome.avoided] = outcome
+                while waiting and {(waiting[0], True), (waiting[0], False)} <= outcomes.keys():
+                    seed = waiting.pop(0)
+                    yield Verdict(seed, scenario, outcomes[seed, True], outcomes[seed, False])
+        except KeyboardInterrupt:
+            # The workers do not hear Ctrl-C, and the pool would wait for the flights that they have begun.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.terminate()
+            console.print("interrupted; what was flown so far stands above")
+            raise
+
+
+def _completed(
+    tasks: dict[Future[Outcome], int], shared: Queue[tuple[int, float]], bar: Progress
+) -> Iterator[Future[Outcome]]:
+    left = set(tasks)
+    while left:
+        try:
+            for future in as_completed(left, timeout=0.2):
+                bar.update(tasks[future], completed=1.0)  # type: ignore[arg-type]
+                left.discard(future)
+                yield future
+        except TimeoutError:
+            pass
+        while True:
+            try:
+                task, share = shared.get_nowait()
+            except queue.Empty:
+                break
+            bar.update(task, completed=share)  # type: ignore[arg-type]

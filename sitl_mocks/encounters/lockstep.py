@@ -1,0 +1,319 @@
+"""Several aircraft in virtual time, in one thread: vehicle, link, heart and air of each, over real bytes.
+
+Everything that crosses between two parts crosses as it would in flight: MAVLink frames between vehicle and
+companion, Remote ID frames between companions. Time is a number that this loop counts up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.atmc.chooser import Chooser
+from companion.autopilot.tlog import ByteSink, TlogWriter
+from companion.config import (
+    AtmcConfig,
+    Config,
+    FlightConfig,
+    IdentityConfig,
+    LimitsConfig,
+    RemoteIdConfig,
+    TrajectoryFile,
+    VehicleConfig,
+    Waypoint,
+)
+from companion.event_record import Step
+from companion.events import Firmware, RadioState, RemoteIdHeard
+from companion.geometry import LocalFrame
+from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
+from companion.system import Onboard
+from sitl_mocks.air.air_settings import channel_of
+from sitl_mocks.air.ether import Ether
+from sitl_mocks.air.pair_statistics import PairStats
+from sitl_mocks.encounters.choosing import Chosen, RandomMind
+from sitl_mocks.encounters.scenario import encounter
+from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle
+from sitl_mocks.vehicle.options import VehicleOptions
+
+TICK_S = 0.05
+UTC_AT_START_S = 1_767_225_590.0
+"""2025-12-31 23:59:50 UTC: the hour of the Remote ID timestamp wraps ten seconds into every run."""
+HOME = LocalFrame(47.397, 8.545, 400.0)
+_PREFIX = "1596"
+"""Manufacturer code of simulated serial numbers, where a law asks for their form."""
+_OPERATOR_EU = "FIN87astrdge12k8-xyz"
+"""The sample number of ASD-STAN EN 4709-002."""
+_DECODED = 4096
+"""Frames whose decoding is kept: all receivers of one frame read the same."""
+SETTLE_S = 3.0
+"""Time for the companions to find their vehicles and take them, before the paths' clock starts."""
+
+Points = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class Flown:
+    """What one aircraft did: true positions at every tick."""
+
+    name: str
+    position_ned_m: Points
+    """Shape (ticks, 3), local NED at home."""
+
+
+@dataclass(slots=True)
+class Run:
+    """One lock-step run."""
+
+    aircraft: list[Flown]
+    air: dict[tuple[str, str], PairStats]
+    time_s: NDArray[np.float64]
+    """Path time of every tick."""
+    chosen: dict[str, Chosen]
+    """By aircraft: the transports that it used."""
+
+
+class Aircraft:
+    """One vehicle with its companion and radio."""
+
+    def __init__(
+        self,
+        name: str,
+        options: VehicleOptions,
+        config: Config,
+        rng: np.random.Generator,
+        record: Callable[[Step], None] | None,
+        tlog: ByteSink | None,
+        policy: bytes | None = None,
+        random_choice: np.random.Generator | None = None,
+    ) -> None:
+        self.name = name
+        self.config = config
+        self.chosen = Chosen()
+        self._record = record
+        self.vehicle = MockVehicle(options, rng)
+        self.onboard = Onboard(
+            config,
+            self._take,
+            policy=policy,
+            tlog=None if tlog is None else TlogWriter(tlog),
+            utc_guess_s=UTC_AT_START_S,
+        )
+        if random_choice is not None:
+            self.onboard.heart.chooser = Chooser(config, RandomMind(random_choice), "policy")
+        address = radio_address(name)
+        self.onboard.hear(RadioState(can_send=tuple(sorted(TRANSPORTS)), own_addresses=(address,)))
+        self.sender = FrameSender(address)
+
+    def _take(self, step: Step) -> None:
+        """One step of the heart."""
+        self.chosen.take(step)
+        if self._record is not None:
+            self._record(step)
+
+
+def paths_of(scenario: Scenario, seed: int) -> list[Points]:
+    """Timed paths of all aircraft, each of shape (points, 4): time (s), north, east, down (m)."""
+    if scenario.geometry is not None:
+        return [np.asarray(p, float) for p in encounter(scenario.geometry, scenario.aircraft, seed)]
+    return [np.asarray(p.points, float) for p in scenario.path]
+
+
+def names_of(scenario: Scenario, seed: int) -> list[str]:
+    """Names of the aircraft, which are their identities on the air."""
+    return [f"DMUCA{number:03d}" for number in range(1, len(paths_of(scenario, seed)) + 1)]
+
+
+def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOptions:
+    """The mock vehicle that begins airborne at a path's start."""
+    v, limits = scenario.vehicle, scenario.limits
+    firmware = Firmware.PX4 if number % 2 else Firmware.ARDUPILOT
+    if v.firmware != "mixed":
+        firmware = Firmware(v.firmware)
+    return VehicleOptions(
+        firmware=firmware,
+        system_id=number + 1,
+        home_lat_deg=HOME.lat_deg,
+        home_lon_deg=HOME.lon_deg,
+        home_alt_msl_m=HOME.alt_m,
+        airborne=True,
+        start_mode=VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD,
+        start_position_ned_m=(float(path[0, 1]), float(path[0, 2]), float(path[0, 3])),
+        utc_at_zero_s=UTC_AT_START_S,
+        parameters=_parameters(firmware, limits),
+        max_horizontal_speed_mps=2.0 * limits.max_speed_mps,
+        max_climb_mps=limits.max_climb_mps,
+        max_descent_mps=limits.max_descent_mps,
+        max_acceleration_mps2=v.max_acceleration_mps2,
+        velocity_lag_s=v.lag_s,
+        wind_ned_mps=v.wind_ned_mps,
+        gnss_horizontal_sigma_m=v.gnss_horizontal_sigma_m,
+        gnss_vertical_sigma_m=v.gnss_vertical_sigma_m,
+        gnss_velocity_sigma_mps=v.gnss_velocity_sigma_mps,
+        gnss_correlation_s=v.gnss_correlation_s,
+    )
+
+
+def _parameters(firmware: Firmware, limits: LimitsConfig) -> dict[str, float]:
+    """Such that the vehicle's own limits bind nobody: the scenario's do."""
+    speed, climb, descent = 2.0 * limits.max_speed_mps, limits.max_climb_mps, limits.max_descent_mps
+    if firmware is Firmware.PX4:
+        return {"MPC_XY_VEL_MAX": speed, "MPC_Z_VEL_MAX_UP": climb, "MPC_Z_VEL_MAX_DN": descent}
+    return {
+        "WPNAV_SPEED": 100.0 * speed,
+        "WPNAV_SPEED_UP": 100.0 * climb,
+        "WPNAV_SPEED_DN": 100.0 * descent,
+    }
+
+
+def uas_id_of(scenario: Scenario, name: str) -> str:
+    """The identity of an aircraft: its name, as a serial number where the region asks for its form."""
+    if scenario.region.serial_number == "any":
+        return name
+    return f"{_PREFIX}{len(name):X}{name}"
+
+
+def companion_config(scenario: Scenario, name: str, path: Points, law: str | None) -> Config:
+    """The companion's configuration for one aircraft; `law` replaces the scenario's."""
+    waypoints = []
+    for t, north, east, down in path:
+        lat, lon, alt = HOME.to_geodetic(float(north), float(east), float(down))
+        waypoints.append(Waypoint(t_s=float(t), lat_deg=lat, lon_deg=lon, alt_m=alt))
+    avoidance = scenario.avoidance
+    if law is not None:
+        avoidance = msgspec.structs.replace(avoidance, law=law)
+    atmc = scenario.atmc
+    if atmc.policy == RANDOM:
+        atmc = AtmcConfig(period_s=atmc.period_s)
+    return Config(
+        identity=IdentityConfig(uas_id=uas_id_of(scenario, name)),
+        vehicle=VehicleConfig(system_id=int(name.removeprefix("DMUCA"))),
+        flight=FlightConfig(
+            use="fly", start="utc", start_utc_s=UTC_AT_START_S + SETTLE_S, take_in_flight=True
+        ),
+        limits=scenario.limits,
+        avoidance=avoidance,
+        remote_id=RemoteIdConfig(
+            transports=scenario.air.transports,
+            rate=scenario.air.rate,
+            operator_id=_OPERATOR_EU if scenario.region.operator_id == "eu" else None,
+        ),
+        region=scenario.region,
+        atmc=atmc,
+        path=TrajectoryFile(altitude="msl", waypoint=tuple(waypoints)),
+    )
+
+
+def fly(
+    scenario: Scenario,
+    seed: int,
+    *,
+    law: str | None = None,
+    policy: bytes | None = None,
+    record: Callable[[str, Config], Callable[[Step], None]] | None = None,
+    tlog: Callable[[str], ByteSink] | None = None,
+    progress: Callable[[float], None] | None = None,
+    watch: Callable[[Ether], None] | None = None,
+) -> Run:
+    """Fly a scenario once.
+
+    Args:
+        seed: fixes paths (drawn geometries), navigation errors and the channel.
+        law: replaces the scenario's law ("none" is the unavoided baseline).
+        policy: file of the policy that chooses the transports of all aircraft, as `Onboard` takes it. A
+            record must hold it in its header.
+        record: called once per aircraft with its name and configuration; returns where its steps go.
+        tlog: called once per aircraft with its name; returns where its MAVLink goes.
+        progress: called with the share done, about once per simulated second.
+        watch: called with the air at the end of every tick.
+    """
+    paths = paths_of(scenario, seed)
+    streams = np.random.SeedSequence(seed).spawn(len(paths) + 1)
+    fleet = [
+        _aircraft(scenario, number, name, path, streams[number], law, policy, record, tlog)
+        for number, (name, path) in enumerate(zip(names_of(scenario, seed), paths, strict=True))
+    ]
+    channel = channel_of(scenario.air, scenario.channel)
+    ether = Ether(channel, np.random.default_rng(streams[-1]))
+    for aircraft in fleet:
+        ether.join(aircraft.name)
+    end_s = scenario.duration_s or max(float(p[-1, 0]) for p in paths)
+    ticks = math.ceil((end_s + SETTLE_S) / TICK_S) + 1
+    truth = np.empty((len(fleet), ticks, 3))
+    by_name = {aircraft.name: aircraft for aircraft in fleet}
+    read = lru_cache(_DECODED)(FrameReceiver().receive)
+    for tick in range(ticks):
+        now_s = tick * TICK_S
+        _tick(now_s, fleet, by_name, ether, read)
+        if watch is not None:
+            watch(ether)
+        for number, aircraft in enumerate(fleet):
+            truth[number, tick] = aircraft.vehicle.position_ned_m
+        if progress is not None and tick % 20 == 0:
+            progress(tick / ticks)
+    ether.finish((ticks - 1) * TICK_S)
+    for aircraft in fleet:
+        aircraft.chosen.end((ticks - 1) * TICK_S)
+    flown = [Flown(a.name, truth[number]) for number, a in enumerate(fleet)]
+    time_s = np.arange(ticks, dtype=np.float64) * TICK_S - SETTLE_S
+    return Run(flown, ether.stats, time_s, {a.name: a.chosen for a in fleet})
+
+
+def _aircraft(
+    scenario: Scenario,
+    number: int,
+    name: str,
+    path: Points,
+    luck: np.random.SeedSequence,
+    law: str | None,
+    policy: bytes | None,
+    record: Callable[[str, Config], Callable[[Step], None]] | None,
+    tlog: Callable[[str], ByteSink] | None,
+) -> Aircraft:
+    """One aircraft of `fly`; its choices, where they are random, take nothing from its navigation's luck."""
+    config = companion_config(scenario, name, path, law)
+    drawn = np.random.default_rng(luck.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
+    return Aircraft(
+        name,
+        vehicle_options(scenario, number, path),
+        config,
+        np.random.default_rng(luck),
+        None if record is None else record(name, config),
+        None if tlog is None else tlog(name),
+        policy,
+        drawn,
+    )
+
+
+def _tick(
+    now_s: float,
+    fleet: Sequence[Aircraft],
+    by_name: dict[str, Aircraft],
+    ether: Ether,
+    read: Callable[[str, str, bytes], RemoteIdHeard | None],
+) -> None:
+    for aircraft in fleet:
+        aircraft.vehicle.advance(now_s)
+        data = aircraft.vehicle.drain()
+        if data:
+            aircraft.onboard.receive(data, now_s)
+        ether.place(aircraft.name, aircraft.vehicle.position_ned_m)
+    for delivery in ether.due(now_s):
+        receiver = by_name[delivery.receiver]
+        heard = read(delivery.transport, delivery.address, delivery.frame)
+        if heard is not None:
+            receiver.onboard.hear(heard)
+    for aircraft in fleet:
+        for broadcast in aircraft.onboard.tick(now_s):
+            for frame in aircraft.sender.frames(broadcast.transport, broadcast.messages):
+                ether.transmit(
+                    now_s, aircraft.name, broadcast.transport, frame, address=aircraft.sender.address
+                )
+        aircraft.vehicle.receive(aircraft.onboard.drain(now_s), now_s)

@@ -1,0 +1,148 @@
+"""A scenario file: who flies where, in what air, with what errors. Every key is checked.
+
+The keys of the command line (`--aircraft`, `--delay`, `--seed`) replace the file's.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from companion.config import CHOOSER_WORDS, AtmcConfig, AvoidanceConfig, LimitsConfig
+from companion.errors import ConfigError
+from companion.remote_id.region import Region
+from companion.toml_reader import decode_toml
+from sitl_mocks.air.air_settings import DEFAULT_DELAY_S, AirSettings, check_allowed, load_parameters
+from sitl_mocks.channel.parameters import ChannelParameters
+
+Positive = Annotated[float, Meta(gt=0, le=1e6)]
+NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
+
+
+class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Common to all sections."""
+
+
+class VehicleSettings(_Section, frozen=True):
+    """The simulated aircraft and its navigation errors."""
+
+    firmware: Literal["ardupilot", "px4", "mixed"] = "mixed"
+    lag_s: Annotated[float, Meta(ge=0.01, le=10)] = 0.5
+    max_acceleration_mps2: Positive = 2.5
+    wind_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gnss_horizontal_sigma_m: NotNegative = 1.5
+    gnss_vertical_sigma_m: NotNegative = 1.5
+    gnss_velocity_sigma_mps: NotNegative = 0.3
+    gnss_correlation_s: Positive = 30.0
+
+
+class PathSettings(_Section, frozen=True):
+    """One aircraft's timed path: rows of time (s), north, east, down (m)."""
+
+    points: Annotated[tuple[tuple[float, float, float, float], ...], Meta(min_length=2)]
+
+
+class Scenario(_Section, frozen=True):
+    """Everything that decides a run, but the seed's luck."""
+
+    geometry: Literal["S1", "S2", "S3"] | None = None
+    """Drawn paths; without it `path` gives them."""
+    aircraft: Annotated[int, Meta(ge=2, le=100)] = 5
+    path: tuple[PathSettings, ...] = ()
+    duration_s: Positive | None = None
+    """The end of the last path when left out."""
+    vehicle: VehicleSettings = VehicleSettings()
+    air: AirSettings = AirSettings()
+    channel: ChannelParameters | None = None
+    """What the file says that `air.parameters` names: a resolved scenario stands alone in a run folder."""
+    region: Region = Region()
+    """What the file says that `air.region` names."""
+    atmc: AtmcConfig = AtmcConfig()
+    """Who chooses the transports of all aircraft, as in a companion's file; `policy` may also be "random"."""
+    limits: LimitsConfig = LimitsConfig()
+    avoidance: AvoidanceConfig = AvoidanceConfig()
+
+    def __post_init__(self) -> None:
+        if self.channel is not None and self.air.model == "interval":
+            raise ValueError('channel: goes with air.model "analytic" or "packets"')
+
+
+RANDOM = "random"
+"""What `atmc.policy` may say only here: a legal set drawn anew at every decision."""
+POLICY_WORDS = (*CHOOSER_WORDS, RANDOM)
+DEFAULT = Scenario(geometry="S2", air=AirSettings(delay_s=DEFAULT_DELAY_S))
+"""Five aircraft crossing in an 8 m ball."""
+
+
+def load(path: Path) -> Scenario:
+    """Read and check a scenario file.
+
+    Raises:
+        ConfigError: names the file and the key.
+    """
+    scenario = decode_toml(path, Scenario)
+    if (scenario.geometry is None) == (not scenario.path):
+        raise ConfigError(f"{path}: give either geometry or path tables, and one of them")
+    if scenario.path and len(scenario.path) < 2:
+        raise ConfigError(f"{path}: path: one path; an encounter needs at least 2")
+    for number, given in enumerate(scenario.path):
+        for a, b in itertools.pairwise(given.points):
+            if b[0] <= a[0]:
+                raise ConfigError(f"{path}: path[{number}].points: time {b[0]:g} s is not after {a[0]:g} s")
+            if not all(math.isfinite(v) for v in b):
+                raise ConfigError(f"{path}: path[{number}].points: not a finite number in {b}")
+    return _with_policy(_with_region(_with_parameters(scenario, path), path), path)
+
+
+def load_region(path: Path) -> Region:
+    """Read a region profile. Raises ConfigError naming the file and the key."""
+    return decode_toml(path, Region)
+
+
+def _with_region(scenario: Scenario, path: Path) -> Scenario:
+    """The scenario with its region's profile read."""
+    name = scenario.air.region
+    if name is None:
+        return scenario
+    if scenario.region != Region():
+        raise ConfigError(f"{path}: region: give either it or air.region")
+    try:
+        region = load_region(path.parent / name)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: air.region: {error}") from error
+    air = msgspec.structs.replace(scenario.air, region=None)
+    return msgspec.structs.replace(scenario, air=air, region=region)
+
+
+def _with_policy(scenario: Scenario, path: Path) -> Scenario:
+    """The scenario with the whole path of its policy."""
+    name = scenario.atmc.policy
+    if name is None or name in POLICY_WORDS:
+        return scenario
+    atmc = msgspec.structs.replace(scenario.atmc, policy=str((path.parent / name).absolute()))
+    return msgspec.structs.replace(scenario, atmc=atmc)
+
+
+def _with_parameters(scenario: Scenario, path: Path) -> Scenario:
+    """The scenario with its channel's parameter file read."""
+    name = scenario.air.parameters
+    if name is None:
+        if scenario.channel is not None:
+            try:
+                check_allowed(scenario.air, scenario.channel)
+            except ConfigError as error:
+                raise ConfigError(f"{path}: channel: {error}") from error
+        return scenario
+    if scenario.channel is not None:
+        raise ConfigError(f"{path}: channel: give either it or air.parameters")
+    try:
+        channel = load_parameters(path.parent / name, scenario.air)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: air.parameters: {error}") from error
+    air = msgspec.structs.replace(scenario.air, parameters=None)
+    return msgspec.structs.replace(scenario, air=air, channel=channel)

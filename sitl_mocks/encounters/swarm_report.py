@@ -1,0 +1,202 @@
+"""What came of a swarm: positions of the vehicles' truth files, setpoints, frames, transports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from companion import event_record
+from companion.events import RemoteIdHeard
+from companion.radio.frames_io import radio_address
+from sitl_mocks.air.pair_statistics import information_age
+from sitl_mocks.encounters.choosing import choices_in_words, chosen_of
+from sitl_mocks.encounters.lockstep import uas_id_of
+from sitl_mocks.encounters.scenario_file import Scenario
+
+_GOOD_GAP_S = 0.1
+_WORST_GAP_S = 0.5
+_GOOD_SHARE = 0.999
+_UNHEARD = 3
+"""Frames of a pair that may lie in a socket when its companion ends."""
+
+
+def limit_m(scenario: Scenario) -> float:
+    """Separation that must hold: both conflict radii."""
+    return 2.0 * scenario.avoidance.conflict_radius_m
+
+
+def report_of(
+    folder: Path,
+    scenario: Scenario,
+    vehicles: dict[str, dict[str, object]],
+    air: dict[str, object],
+    bad: list[str],
+    start_utc_s: float,
+    *,
+    interrupted: bool,
+) -> dict[str, object]:
+    """The verdict on a run, for JSON.
+
+    Args:
+        folder: of the run.
+        vehicles: by aircraft, the last words of its vehicle.
+        air: the last words of the ether.
+        bad: processes that did not end well.
+        start_utc_s: when the paths began.
+        interrupted: by Ctrl-C.
+    """
+    names = list(vehicles)
+    separation = _separations(folder, names, start_utc_s)
+    gaps = {name: _gaps(left) for name, left in vehicles.items()}
+    pairs = _air(folder, {name: uas_id_of(scenario, name) for name in names}, air)
+    chosen = {name: chosen_of(_records(folder, name)) for name in names}
+    least = min((float(str(row["min_separation_m"])) for row in separation), default=None)
+    good_gaps = all(
+        g["share_under_100ms"] >= _GOOD_SHARE and g["largest_s"] <= _WORST_GAP_S for g in gaps.values()
+    )
+    ok = (
+        not bad
+        and not interrupted
+        and least is not None
+        and least > limit_m(scenario)
+        and good_gaps
+        and all(row["ok"] for row in pairs)
+    )
+    return {
+        "ok": ok,
+        "interrupted": interrupted,
+        "ended_badly": bad,
+        "min_separation_m": least,
+        "separations": separation,
+        "setpoint_gaps": gaps,
+        "air": pairs,
+        "policy": None if scenario.atmc.policy is None else PurePath(scenario.atmc.policy).name,
+        "transports": {name: one.to_dict() for name, one in chosen.items()},
+        "transports_in_words": choices_in_words(list(chosen.values())),
+    }
+
+
+def _separations(folder: Path, names: list[str], start_utc_s: float) -> list[dict[str, object]]:
+    truth = {}
+    for name in names:
+        rows = np.loadtxt(folder / f"{name}.truth.csv", delimiter=",", skiprows=1, ndmin=2)
+        truth[name] = rows[rows[:, 0] >= start_utc_s]
+    found: list[dict[str, object]] = []
+    for a, b in combinations(names, 2):
+        first, second = truth[a], truth[b]
+        if not len(first) or not len(second):
+            continue
+        other = np.column_stack([np.interp(first[:, 0], second[:, 0], second[:, k]) for k in (1, 2, 3)])
+        distance = np.linalg.norm(first[:, 1:4] - other, axis=1)
+        at = int(np.argmin(distance))
+        found.append(
+            {
+                "pair": [a, b],
+                "min_separation_m": round(float(distance[at]), 3),
+                "at_s": round(float(first[at, 0]) - start_utc_s, 2),
+            }
+        )
+    return found
+
+
+def _gaps(left: dict[str, object]) -> dict[str, float]:
+    received = int(str(left.get("setpoints_received", 0)))
+    late = int(str(left.get("setpoint_gaps_over_100ms", 0)))
+    largest = float(str(left.get("largest_setpoint_gap_s", "inf")))
+    share = 0.0 if received < 2 else 1.0 - late / (received - 1)
+    return {"setpoints": received, "share_under_100ms": round(share, 6), "largest_s": largest}
+
+
+def _air(folder: Path, identities: dict[str, str], statistics: dict[str, object]) -> list[dict[str, object]]:
+    """Sent and lost by the air's count, heard by each companion's own record; per ordered pair.
+
+    What was sent and not lost on the air must have been heard.
+    """
+    addresses = {radio_address(identity): name for name, identity in identities.items()}
+    pairs: dict[str, dict[str, Any]] = statistics.get("pairs", {})  # type: ignore[assignment]
+    found: list[dict[str, object]] = []
+    for receiver in identities:
+        heard = _heard(folder, receiver, addresses)
+        for sender in identities:
+            row = pairs.get(f"{identities[sender]}>{identities[receiver]}")
+            if sender == receiver or row is None:
+                continue
+            count = row["sent"]
+            unheard = count - row["lost"] - heard.get(sender, 0)
+            found.append(
+                {
+                    "sender": sender,
+                    "receiver": receiver,
+                    **row,
+                    "heard": heard.get(sender, 0),
+                    "lost_share": round(1.0 - heard.get(sender, 0) / count if count else 1.0, 4),
+                    "ok": unheard <= _UNHEARD,
+                }
+            )
+    return found
+
+
+def _heard(folder: Path, receiver: str, addresses: dict[str, str]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for item in _records(folder, receiver):
+        if isinstance(item, event_record.Step):
+            for event in item.events:
+                if isinstance(event, RemoteIdHeard):
+                    name = addresses.get(event.address, event.address)
+                    counts[name] = counts.get(name, 0) + 1
+    return counts
+
+
+def _records(folder: Path, name: str) -> Iterator[event_record.Record]:
+    """The event record of one aircraft."""
+    for file in folder.glob(f"*-{name}/*.events"):
+        with file.open("rb") as stream:
+            yield from event_record.read(stream, str(file))
+
+
+def show(report: dict[str, object], console: Console) -> None:
+    """The verdict, for people."""
+    pairs = Table(title="Least separation of each pair")
+    pairs.add_column("pair")
+    pairs.add_column("separation", justify="right")
+    pairs.add_column("at", justify="right")
+    for row in report["separations"]:  # type: ignore[attr-defined]
+        pairs.add_row(" - ".join(row["pair"]), f"{row['min_separation_m']:.2f} m", f"{row['at_s']} s")
+    console.print(pairs)
+    gaps = Table(title="Setpoints at the vehicle")
+    for name in ("aircraft", "received", "gaps under 100 ms", "largest gap"):
+        gaps.add_column(name, justify="left" if name == "aircraft" else "right")
+    for name, gap in report["setpoint_gaps"].items():  # type: ignore[attr-defined]
+        gaps.add_row(
+            name,
+            f"{gap['setpoints']}",
+            f"{100 * gap['share_under_100ms']:.2f} %",
+            f"{gap['largest_s']:.3f} s",
+        )
+    console.print(gaps)
+    lost = [row["lost_share"] for row in report["air"]]  # type: ignore[attr-defined]
+    if lost:
+        console.print(
+            f"Remote ID: {len(lost)} pairs, largest share lost {100 * max(lost):.1f} %; "
+            f"{information_age(report['air'])}"  # type: ignore[arg-type]
+        )
+    if report["policy"] is not None:
+        console.print(report["transports_in_words"], highlight=False)
+    for name in report["ended_badly"]:  # type: ignore[attr-defined]
+        console.print(f"[red]did not end well:[/] {name}")
+    if "faults" in report:
+        console.print(
+            f"least separation {report['min_separation_m']} m: reported, not judged, as a companion that is "
+            "stopped or has lost its vehicle to a pilot does not avoid"
+        )
+        return
+    word = "[bold green]OK[/]" if report["ok"] else "[bold red]FAILED[/]"
+    console.print(
+        f"{word}: least separation {report['min_separation_m']} m from the start of the timed paths"
+    )

@@ -1,0 +1,369 @@
+"""What goes wrong in a flight, as entries of a schedule that is drawn up front and can be cut down.
+
+Each kind has a function that begins it, and one that ends it where it lasts. `numbers` and `modes` are what
+was drawn for it, so that an entry says all there is to say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final, Protocol
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.wire import FrameScanner, MavlinkWriter
+from companion.errors import ConfigError
+from companion.system import Onboard
+from sitl_mocks.examinations.modelled_link import ModelledLink
+from sitl_mocks.examinations.rule_judge import Judge
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.mock_vehicle import MockVehicle
+
+_ACK = int(mavlink.MAVLINK_MSG_ID_COMMAND_ACK)
+_COMMAND_LONG = int(mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
+_DO_SET_MODE = 176
+_FAILED = 4
+_PILOTS: Final = (VehicleMode.RTL, VehicleMode.LAND, VehicleMode.HOLD, VehicleMode.MANUAL)
+"""Modes that a pilot selects against a companion: RTL, LAND, LOITER or HOLD, STABILIZE or POSCTL."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One entry. What the numbers mean, its kind says."""
+
+    kind: str
+    at_s: float
+    lasts_s: float = 0.0
+    numbers: tuple[float, ...] = ()
+    modes: tuple[str, ...] = ()
+
+
+def to_json(fault: Fault) -> dict[str, Any]:
+    """As plain values, without what is empty."""
+    return {key: value for key, value in asdict(fault).items() if value not in ((), 0.0) or key == "at_s"}
+
+
+def from_json(value: dict[str, Any]) -> Fault:
+    """The other way.
+
+    Raises:
+        ConfigError: not such an entry.
+    """
+    try:
+        fault = Fault(**value)
+        fault = replace(fault, numbers=tuple(map(float, fault.numbers)), modes=tuple(fault.modes))
+        for mode in fault.modes:
+            VehicleMode(mode)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"schedule: {value}: {error}") from error
+    if fault.kind not in _BEGIN:
+        raise ConfigError(f"schedule: {fault.kind}: no such fault; there are {', '.join(sorted(_BEGIN))}")
+    return fault
+
+
+class Place(Protocol):
+    """Where a vehicle, its companion and the link between them can be got at from outside; real or not."""
+
+    traffic_hz: float
+    """Frames of others that a router sends down the companion's link."""
+
+    @property
+    def now_s(self) -> float:
+        """The clock of the link and the judge."""
+
+    @property
+    def link(self) -> ModelledLink:
+        """The router."""
+
+    @property
+    def judge(self) -> Judge:
+        """Of this vehicle and companion."""
+
+    @property
+    def interposer(self) -> Interposer:
+        """Between the link and the vehicle."""
+
+    def stop(self, for_s: float, *, in_step: bool) -> None:
+        """The companion stands still."""
+
+    def pilot_selects(self, mode: VehicleMode) -> bool:
+        """Return whether the vehicle took the mode."""
+
+
+class World(Place, Protocol):
+    """A place in which the vehicle and the companion can be got at from within, too."""
+
+    @property
+    def vehicle(self) -> MockVehicle:
+        """The simulated vehicle."""
+
+    @property
+    def onboard(self) -> Onboard:
+        """The companion."""
+
+    def station_says(self, kind: str, *fields: Any) -> None:
+        """A ground station sends the vehicle a message, by its name in the dialect."""
+
+    def restart_companion(self) -> None:
+        """A new companion takes the place of the one that is there."""
+
+
+def begin(world: World, fault: Fault) -> None:
+    """It begins now."""
+    _BEGIN[fault.kind](world, fault)
+
+
+def end(world: World, fault: Fault) -> None:
+    """It is over; nothing to do where it is a moment's."""
+    if fault.kind in _END:
+        _END[fault.kind](world, fault)
+
+
+def begin_outside(place: Place, fault: Fault) -> None:
+    """It begins now; one of `OUTSIDE`."""
+    _BEGIN_OUTSIDE[fault.kind](place, fault)
+
+
+def end_outside(place: Place, fault: Fault) -> None:
+    """It is over."""
+    if fault.kind in _END_OUTSIDE:
+        _END_OUTSIDE[fault.kind](place, fault)
+
+
+# ------------------------------------------------------------ the kinds
+
+_Act = Callable[[Place, Fault], None]
+
+
+def _cut(world: Place, stands: bool) -> None:
+    weather = world.link.weather
+    weather.down_stands = weather.up_stands = stands
+
+
+def _set(name: str, before: Any) -> tuple[_Act, _Act]:
+    """A fault of the way whose number is the value, and what there was before."""
+
+    def begins(world: Place, fault: Fault) -> None:
+        setattr(world.link.weather, name, fault.numbers[0] if fault.numbers else True)
+
+    def ends(world: Place, fault: Fault) -> None:
+        setattr(world.link.weather, name, before)
+
+    return begins, ends
+
+
+def _late(world: Place, fault: Fault) -> None:
+    """A router that holds everything up; what crosses on the way takes longer by that."""
+    world.link.weather.delay_s = fault.numbers[0]
+    world.judge.crossing_s += fault.numbers[0]
+
+
+def _in_time(world: Place, fault: Fault) -> None:
+    world.link.weather.delay_s = 0.0
+    world.judge.crossing_s -= fault.numbers[0]
+
+
+def _fast(world: Place, fault: Fault) -> None:
+    world.link.weather.rate_bps = math.inf
+    world.link.hurry(world.now_s)
+
+
+def _answers(world: Place, fault: Fault) -> None:
+    """The kind is the manner."""
+    world.interposer.manner = fault.kind
+
+
+def _answers_right(world: Place, fault: Fault) -> None:
+    world.interposer.manner = ""
+
+
+def _burst(world: Place, fault: Fault) -> None:
+    """Others' frames, all at once."""
+    frames = others_frames()
+    world.link.tell(world.now_s, [frames[n % len(frames)] for n in range(int(fault.numbers[0]))])
+
+
+def _traffic(world: Place, fault: Fault) -> None:
+    world.traffic_hz = fault.numbers[0]
+
+
+def _no_traffic(world: Place, fault: Fault) -> None:
+    world.traffic_hz = 0.0
+
+
+def _stall(world: Place, fault: Fault) -> None:
+    """The number tells where it stands: 1 between a step and its sending."""
+    world.stop(fault.lasts_s, in_step=bool(fault.numbers and fault.numbers[0]))
+
+
+def _modes(world: Place, fault: Fault) -> None:
+    """One after the other, at the same moment."""
+    for mode in fault.modes:
+        world.pilot_selects(VehicleMode(mode))
+
+
+def _mission(world: World, fault: Fault) -> None:
+    """A ground station sends the vehicle to another item."""
+    world.station_says("mission_set_current", 1, 1, int(fault.numbers[0]))
+
+
+def _garbage(world: World, fault: Fault) -> None:
+    seed, size = fault.numbers
+    world.onboard.receive(np.random.default_rng(int(seed)).bytes(int(size)), world.now_s)
+
+
+def _sticks(world: World, fault: Fault) -> None:
+    roll, pitch, yaw = fault.numbers
+    world.vehicle.troubles.sticks = (roll, pitch, 0.0, yaw)
+
+
+def _no_sticks(world: World, fault: Fault) -> None:
+    world.vehicle.troubles.sticks = (0.0, 0.0, 0.0, 0.0)
+
+
+_BEGIN_OUTSIDE: Final[dict[str, _Act]] = {
+    "link": lambda w, f: _cut(w, stands=True),
+    "mode": _modes,
+    "stall": _stall,
+    "burst": _burst,
+    "traffic": _traffic,
+    "late": _late,
+    "duplicate": _set("duplicate", 0.0)[0],
+    "reorder": _set("reorder", 0.0)[0],
+    "slow": _set("rate_bps", math.inf)[0],
+    "down": _set("down_stands", False)[0],
+    "up": _set("up_stands", False)[0],
+    "disobeyed": _answers,
+    "unanswered": _answers,
+    "denied": _answers,
+}
+_END_OUTSIDE: Final[dict[str, _Act]] = {
+    "link": lambda w, f: _cut(w, stands=False),
+    "traffic": _no_traffic,
+    "late": _in_time,
+    "duplicate": _set("duplicate", 0.0)[1],
+    "reorder": _set("reorder", 0.0)[1],
+    "slow": _fast,
+    "down": _set("down_stands", False)[1],
+    "up": _set("up_stands", False)[1],
+    "disobeyed": _answers_right,
+    "unanswered": _answers_right,
+    "denied": _answers_right,
+}
+OUTSIDE: Final = tuple(_BEGIN_OUTSIDE)
+"""Kinds that need nothing but the outside of vehicle and companion."""
+_BEGIN: Final[dict[str, Callable[[World, Fault], None]]] = {
+    **_BEGIN_OUTSIDE,
+    "reboot": lambda w, f: w.vehicle.reboot(flies_on=True),
+    "gnss": lambda w, f: setattr(w.vehicle.troubles, "gnss_lost", True),
+    "estimator": lambda w, f: setattr(w.vehicle.troubles, "estimator_bad", True),
+    "sticks": _sticks,
+    "garbage": _garbage,
+    "mission": _mission,
+    "companion": lambda w, f: w.restart_companion(),
+}
+_END: Final[dict[str, Callable[[World, Fault], None]]] = {
+    **_END_OUTSIDE,
+    "gnss": lambda w, f: setattr(w.vehicle.troubles, "gnss_lost", False),
+    "estimator": lambda w, f: setattr(w.vehicle.troubles, "estimator_bad", False),
+    "sticks": _no_sticks,
+}
+KINDS: Final = tuple(_BEGIN)
+
+
+class Interposer:
+    """A vehicle that answers the companion's mode requests otherwise than it acts on them."""
+
+    def __init__(self, system_id: int = 1) -> None:
+        self.manner = ""
+        """disobeyed: acknowledged, not carried out; unanswered: carried out, not acknowledged; denied:
+        carried out, and refused in words."""
+        self._answers: list[bytes] = []
+        self._writer = MavlinkWriter(system_id, 1)
+
+    def up(self, data: bytes) -> bytes:
+        """What of the companion's bytes the vehicle sees."""
+        if self.manner != "disobeyed":
+            return data
+        kept = []
+        for frame in FrameScanner(keep_unknown=True).frames(data):
+            if _is_mode_request(frame.message_id, frame.payload):
+                self._answers.append(self._ack(0, (frame.system_id, frame.component_id)))
+            else:
+                kept.append(frame.raw)
+        return b"".join(kept)
+
+    def down(self, frames: list[bytes]) -> list[bytes]:
+        """What of the vehicle's frames the companion sees."""
+        answers, self._answers = self._answers, []
+        if self.manner not in ("unanswered", "denied"):
+            return frames + answers
+        kept = []
+        for raw in frames:
+            if raw[7] == _ACK and raw[8] == raw[9] == 0 and raw[10] == _DO_SET_MODE and raw[11] == 0:
+                if self.manner == "denied" and raw[1] >= 10:
+                    answers.append(self._ack(_FAILED, (raw[18], raw[19])))
+            else:
+                kept.append(raw)
+        return kept + answers
+
+    def _ack(self, result: int, to: tuple[int, int]) -> bytes:
+        return self._writer.pack(mavlink.MAVLink_command_ack_message(_DO_SET_MODE, result, 0, 0, *to))
+
+
+def _is_mode_request(message_id: int, payload: bytes) -> bool:
+    return message_id == _COMMAND_LONG and int.from_bytes(payload[28:30], "little") == _DO_SET_MODE
+
+
+def others_frames() -> list[bytes]:
+    """What else a router sends down: a neighbour's telemetry, a ground station, a radio."""
+    neighbour, station, radio = MavlinkWriter(77, 1), MavlinkWriter(255, 190), MavlinkWriter(51, 68)
+    frames = []
+    for n in range(20):
+        messages: list[tuple[MavlinkWriter, Any]] = [
+            (neighbour, mavlink.MAVLink_attitude_message(1000 + 50 * n, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)),
+            (neighbour, mavlink.MAVLink_vfr_hud_message(5.0, 5.0, 90, 30, 440.0, 0.1)),
+            (neighbour, mavlink.MAVLink_servo_output_raw_message(n, 0, *range(1500, 1508))),
+        ]
+        if n % 10 == 0:
+            messages.append((station, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
+        if n % 5 == 0:
+            messages.append((radio, mavlink.MAVLink_radio_status_message(200, 190, 90, 40, 40, 0, 0)))
+        frames += [writer.pack(message) for writer, message in messages]
+    return frames
+
+
+# ------------------------------------------------------------ drawing
+
+
+def drawn(kind: str, at_s: float, lasts_s: float, rng: np.random.Generator) -> Fault:
+    """One of a kind, with all that it needs."""
+    numbers: tuple[float, ...] = ()
+    modes: tuple[str, ...] = ()
+    match kind:
+        case "mode":
+            modes = tuple(str(rng.choice([m.value for m in _PILOTS])) for _ in range(1 + rng.integers(2)))
+        case "sticks":
+            numbers = tuple(float(rng.uniform(-1.0, 1.0)) for _ in range(3))
+        case "garbage":
+            numbers = float(rng.integers(1 << 32)), float(rng.integers(1, 5000))
+        case "mission":
+            numbers = (float(rng.integers(1, 5)),)
+        case "stall":
+            lasts_s = float(np.exp(rng.uniform(np.log(0.05), np.log(20.0))))
+            numbers = (float(rng.random() < 0.3),)
+        case "burst":
+            numbers = (float(rng.integers(10, 1000)),)
+        case "traffic":
+            numbers = (float(np.exp(rng.uniform(np.log(10.0), np.log(500.0)))),)
+        case "late":
+            numbers = (float(rng.uniform(0.02, 3.0)),)
+        case "duplicate" | "reorder":
+            numbers = (float(rng.uniform(0.05, 0.5)),)
+        case "slow":
+            numbers = (float(rng.uniform(2e3, 1e5)),)
+    moment = kind in ("reboot", "mode", "garbage", "mission", "companion", "burst")
+    return Fault(kind, round(at_s, 3), 0.0 if moment else round(lasts_s, 3), numbers, modes)

@@ -1,0 +1,92 @@
+"""A pilot's own MAVLink link to a served vehicle (UDP, loopback): modes, arming, the vehicle's answers."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Callable
+from typing import Final
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.readers import unpack
+from companion.autopilot.wire import CURRENT_MODE, FrameScanner, MavlinkWriter
+from companion.events import Firmware
+from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
+from sitl_mocks.vehicle.flight import FORCE
+
+SET_MODE: Final = 176
+ARM: Final = 400
+_SET_INTERVAL = 511
+_MODE_INTERVAL_US = 5e4
+_READ_BYTES = 65536
+
+
+class PilotLink:
+    """Commands to one vehicle, and its answers. Nothing here blocks.
+
+    Args:
+        port: where the vehicle listens for this link alone.
+    """
+
+    def __init__(self, firmware: Firmware, port: int, system_id: int = 1) -> None:
+        self.modes = MANNERS[firmware].custom_modes
+        self.answers: list[tuple[int, int]] = []
+        """Commands with their results since the last one was sent."""
+        self._px4 = firmware is Firmware.PX4
+        self._system_id = system_id
+        self._scanner = FrameScanner()
+        self._writer = MavlinkWriter(255, 190)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.connect(("127.0.0.1", port))
+        self._socket.setblocking(False)
+        self._command(_SET_INTERVAL, float(CURRENT_MODE), _MODE_INTERVAL_US)
+
+    def close(self) -> None:
+        """Release the socket."""
+        self._socket.close()
+
+    def ask_mode(self, mode: VehicleMode) -> None:
+        """Ask for a mode, once."""
+        number = self.modes[mode]
+        params = (number >> 16 & 0xFF, number >> 24) if self._px4 else (number, 0)
+        self._command(SET_MODE, 1.0, *map(float, params))
+
+    def arm(self, *, armed: bool) -> None:
+        """Arm, or disarm in the air."""
+        self._command(ARM, float(armed), FORCE)
+
+    def _command(self, number: int, *params: float) -> None:
+        filled = (*params, *([0.0] * (7 - len(params))))
+        message = mavlink.MAVLink_command_long_message(self._system_id, 1, number, 0, *filled)
+        self.answers.clear()
+        with contextlib.suppress(OSError):
+            self._socket.send(self._writer.pack(message))
+
+    def hear(self, shown: Callable[[int, bool | None], None] | None = None) -> None:
+        """Read what has come.
+
+        Args:
+            shown: called with what each message tells, as `mode_told` gives it.
+        """
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while True:
+                for frame in self._scanner.frames(self._socket.recv(_READ_BYTES)):
+                    if frame.system_id != self._system_id or frame.component_id != 1:
+                        continue
+                    if frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
+                        fields = unpack(frame.message_id, frame.payload)
+                        self.answers.append((fields[0], fields[1]))
+                    elif shown is not None and (told := mode_told(frame.message_id, frame.payload)):
+                        shown(*told)
+
+
+def mode_told(message_id: int, payload: bytes) -> tuple[int, bool | None] | None:
+    """The mode (`custom_mode`) that an autopilot's message tells, and whether the vehicle is armed (None: not
+    told with it); None for all other messages."""
+    if message_id == CURRENT_MODE:
+        return unpack(message_id, payload)[0], None
+    if message_id != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+        return None
+    fields = unpack(message_id, payload)
+    return fields[0], bool(fields[3] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)

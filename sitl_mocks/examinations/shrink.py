@@ -1,0 +1,96 @@
+"""The shortest schedule that still breaks a rule: delta debugging on its entries, then on their times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from sitl_mocks.examinations.faults import Fault
+from sitl_mocks.examinations.soak_flights import BrokenRuleError
+
+Breaks = Callable[[tuple[Fault, ...], float], BrokenRuleError | None]
+"""Flies entries until a time (s); the error where the same rule is broken."""
+_TRIES: Final = 80
+_AFTER_S = 1.0
+_EARLIEST_S: Final = (60.0, 120.0)
+"""Where the first trouble of a short schedule is tried; a vehicle is in the air by then."""
+_SHARES: Final = (0.1, 0.5, 0.8)
+
+
+class _Search:
+    """The shortest so far. Gives up after a number of flights: what is found by then is short enough."""
+
+    def __init__(self, faults: tuple[Fault, ...], error: BrokenRuleError, breaks: Breaks) -> None:
+        self.faults = tuple(fault for fault in faults if fault.at_s <= error.at_s)
+        self.error = error
+        self._breaks = breaks
+        self._left = _TRIES
+
+    @property
+    def until_s(self) -> float:
+        return round(self.error.at_s + _AFTER_S, 3)
+
+    def keeps(self, faults: tuple[Fault, ...], until_s: float | None = None) -> bool:
+        """Take these in place of what there was, if they break the rule."""
+        if self._left <= 0 or not faults:
+            return False
+        self._left -= 1
+        error = self._breaks(faults, self.until_s if until_s is None else until_s)
+        if error is None:
+            return False
+        self.faults, self.error = tuple(f for f in faults if f.at_s <= error.at_s), error
+        return True
+
+    def earlier(self) -> None:
+        """Leave out the time before."""
+        first_s = min(fault.at_s for fault in self.faults)
+        for start_s in (*_EARLIEST_S, first_s - self.error.flight_s):
+            if 0.0 < start_s < first_s and self.keeps(moved(self.faults, start_s - first_s)):
+                return
+
+    def last_few(self) -> None:
+        """Mostly what came last is enough."""
+        for count in (1, 2, 4, 8):
+            last = sorted(self.faults, key=lambda fault: fault.at_s)[-count:]
+            if len(last) < len(self.faults) and self.keeps(tuple(last)):
+                return
+
+    def fewer(self) -> None:
+        """Without each part, of ever smaller size."""
+        size = max(1, len(self.faults) // 2)
+        while size >= 1:
+            at = 0
+            while at < len(self.faults) and len(self.faults) > 1:
+                if not self.keeps(self.faults[:at] + self.faults[at + size :]):
+                    at += size
+            size //= 2
+
+    def briefer(self) -> None:
+        """Each trouble shorter, as far as it goes."""
+        for number, fault in enumerate(self.faults):
+            for share in _SHARES:
+                brief = replace(fault, lasts_s=round(share * fault.lasts_s, 3))
+                if fault.lasts_s > 0.0 and self.keeps(
+                    (*self.faults[:number], brief, *self.faults[number + 1 :])
+                ):
+                    break
+
+
+def moved(faults: tuple[Fault, ...], by_s: float) -> tuple[Fault, ...]:
+    """The same, all earlier or later."""
+    return tuple(replace(fault, at_s=round(fault.at_s + by_s, 3)) for fault in faults)
+
+
+def shortest(
+    faults: tuple[Fault, ...], error: BrokenRuleError, breaks: Breaks
+) -> tuple[tuple[Fault, ...], float]:
+    """The fewest and shortest entries found, and until when they must be flown (s)."""
+    search = _Search(faults, error, breaks)
+    if search.faults:
+        search.last_few()
+        search.earlier()
+        search.fewer()
+        search.earlier()
+        search.briefer()
+    return search.faults, search.until_s

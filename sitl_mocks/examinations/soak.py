@@ -1,0 +1,265 @@
+"""`sitl-mocks soak`: hours of flights in virtual time with random troubles, watched by rules of its own.
+
+One vehicle flies its mission again and again, with a companion that guards or flies it; others cross its way;
+links, navigation, autopilot, pilot, companion and radio fail at random. What may never happen is judged from
+what crosses the link (`judge`), and not by what the companion says of itself. What goes wrong is a schedule,
+drawn up front: a seed fixes everything, and what breaks a rule is cut down to the shortest that does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field, replace
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from companion.errors import ConfigError
+from companion.events import Firmware
+from sitl_mocks.examinations.faults import Fault, drawn, from_json, to_json
+from sitl_mocks.examinations.modelled_link import KINDS as LINKS
+from sitl_mocks.examinations.modelled_link import Kind, ModelledLink
+from sitl_mocks.examinations.shrink import shortest
+from sitl_mocks.examinations.soak_flights import BrokenRuleError, Flights, Told
+from sitl_mocks.examinations.world import Use
+
+_TROUBLES: Final = (
+    "link", "reboot", "gnss", "estimator", "mode", "sticks", "garbage", "mission", "companion", "stall",
+    "burst", "traffic", "late", "duplicate", "reorder", "slow", "down", "up", "disobeyed", "unanswered",
+    "denied",
+)  # fmt: skip
+_FIRST_S = 60.0
+_MEAN_S = 90.0
+"""Between the end of one trouble and the next."""
+_WITH_PILOT = 0.3
+"""Share of the troubles around which the pilot selects a mode, too."""
+_AROUND_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """All that fixes one run."""
+
+    firmware: Firmware
+    use: Use
+    seed: int
+    link: Kind
+    until_s: float
+    faults: tuple[Fault, ...]
+
+
+@dataclass(slots=True)
+class Flown:
+    """What came of a soak."""
+
+    hours: float
+    link: str
+    told: Told
+    memory_mb: list[float] = field(default_factory=list)
+    """Resident, at the end of each simulated hour."""
+
+
+def schedule_of(firmware: Firmware, use: Use, seed: int, hours: float) -> Schedule:
+    """Draw what goes wrong in some hours."""
+    rng = np.random.default_rng((seed, list(Firmware).index(firmware), use == "fly", 99))
+    until_s, at_s = hours * 3600.0, _FIRST_S
+    link = LINKS[int(rng.integers(len(LINKS)))]
+    faults: list[Fault] = []
+    while at_s < until_s:
+        kind = _TROUBLES[int(rng.integers(len(_TROUBLES)))]
+        fault = drawn(kind, at_s, float(rng.uniform(1.0, 40.0)), rng)
+        faults.append(fault)
+        if kind != "mode" and rng.random() < _WITH_PILOT:
+            selects_s = float(rng.uniform(at_s - _AROUND_S, at_s + fault.lasts_s + _AROUND_S))
+            faults.append(drawn("mode", selects_s, 0.0, rng))
+        at_s += fault.lasts_s + float(rng.exponential(_MEAN_S))
+    return Schedule(firmware, use, seed, link, until_s, tuple(faults))
+
+
+def to_file(schedule: Schedule, portions: int | None) -> dict[str, Any]:
+    """As plain values."""
+    given = asdict(schedule) | {"faults": [to_json(fault) for fault in schedule.faults]}
+    return given | {"firmware": schedule.firmware.value, "portions": portions}
+
+
+def from_file(value: dict[str, Any]) -> tuple[Schedule, int | None]:
+    """The other way.
+
+    Raises:
+        ConfigError: not such a schedule.
+    """
+    try:
+        given = dict(value)
+        portions = given.pop("portions")
+        given["firmware"] = Firmware(given["firmware"])
+        given["faults"] = tuple(from_json(fault) for fault in given["faults"])
+        schedule = Schedule(**given)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"schedule: not one of sitl-mocks soak: {error!r}") from error
+    if schedule.use not in ("guard", "fly") or schedule.link not in LINKS:
+        raise ConfigError(f"schedule: {schedule.use!r} or {schedule.link!r}: no such use or link")
+    return schedule, portions
+
+
+def fly(schedule: Schedule, portions: int | None = None) -> Flown:
+    """Fly one schedule to its end.
+
+    Args:
+        portions: as `ModelledLink` takes it.
+
+    Raises:
+        BrokenRuleError: a rule was broken.
+    """
+    rng = np.random.default_rng((schedule.seed, 98))
+    flights = Flights(
+        schedule.firmware,
+        schedule.use,
+        schedule.seed,
+        ModelledLink(schedule.link, rng, portions=portions),
+    )
+    flights.plan(*schedule.faults)
+    flown = Flown(round(schedule.until_s / 3600.0, 4), schedule.link, flights.told)
+    hour_s = 3600.0
+    while flights.now_s < schedule.until_s:
+        try:
+            flights.step()
+        except BrokenRuleError as error:
+            error.flight_s = flights.flight_s
+            raise
+        except Exception as error:
+            words = f"{type(error).__name__}: {error}"
+            raise BrokenRuleError("exception", flights.now_s, words) from error
+        if flights.now_s >= hour_s:
+            hour_s += 3600.0
+            flown.memory_mb.append(round(_resident_mb(), 1))
+    flown.memory_mb.append(round(_resident_mb(), 1))
+    return flown
+
+
+def soak(firmware: Firmware, use: Use, seed: int, hours: float, portions: int | None = None) -> Flown:
+    """Fly one pair for some simulated hours.
+
+    Raises:
+        BrokenRuleError: a rule was broken.
+    """
+    return fly(schedule_of(firmware, use, seed, hours), portions)
+
+
+def _resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 1e6
+
+
+def shorten(schedule: Schedule, error: BrokenRuleError, portions: int | None) -> Schedule:
+    """The shortest schedule found that breaks the same rule."""
+
+    def breaks(faults: tuple[Fault, ...], until_s: float) -> BrokenRuleError | None:
+        try:
+            fly(replace(schedule, faults=faults, until_s=until_s), portions)
+        except BrokenRuleError as other:
+            return other if other.rule == error.rule else None
+        return None
+
+    faults, until_s = shortest(schedule.faults, error, breaks)
+    return replace(schedule, faults=faults, until_s=until_s)
+
+
+def _pair(
+    firmware: Firmware, use: Use, seed: int, hours: float, portions: int | None
+) -> Flown | tuple[str, dict[str, Any]]:
+    """One pair's verdict; where a rule was broken its words and the shortest schedule."""
+    schedule = schedule_of(firmware, use, seed, hours)
+    try:
+        return fly(schedule, portions)
+    except BrokenRuleError as error:
+        return str(error), to_file(shorten(schedule, error, portions), portions)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `sitl-mocks soak`."""
+    parser.description = (
+        "Hours of flights with random troubles, in virtual time: both firmwares' manners, guarded and flown. "
+        "Ends with 1 when a rule is broken, and says with which seed, when, and with which troubles at least."
+    )
+    parser.epilog = "example: sitl-mocks soak --hours 24 --seed 1"
+    parser.add_argument(
+        "--hours", type=float, default=1.0, metavar="H", help="simulated, in all (default: 1)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="default: 1")
+    parser.add_argument(
+        "--portions",
+        type=int,
+        metavar="N",
+        help="portions that the companion reads after a stall before it decides (default: all that waits)",
+    )
+    parser.add_argument("--schedule", type=Path, metavar="FILE", help="fly what this file says, alone")
+    parser.add_argument(
+        "--out", type=Path, default=Path(), metavar="FOLDER", help="where schedules go that break a rule"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """`sitl-mocks soak`. Returns 0, or 1 where a rule was broken.
+
+    Raises:
+        ConfigError: an option out of range, or a file that is no schedule.
+    """
+    if args.schedule is not None:
+        return _replay(args.schedule)
+    if not 0.0 < args.hours <= 1000.0:
+        raise ConfigError(f"--hours: {args.hours:g}: allowed above 0 to 1000")
+    if args.seed < 0:
+        raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
+    pairs: list[tuple[Firmware, Use]] = list(product(Firmware, ("guard", "fly")))
+    hours, broken = args.hours / len(pairs), False
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(len(pairs), os.cpu_count() or 1), mp_context=spawn) as pool:
+        began = time.monotonic()
+        flown = {pool.submit(_pair, *pair, args.seed, hours, args.portions): pair for pair in pairs}
+        for future in as_completed(flown):
+            firmware, use = flown[future]
+            result = future.result()
+            if isinstance(result, Flown):
+                row = asdict(result)
+                report = {"firmware": firmware.value, "use": use, "after_s": round(time.monotonic() - began)}
+                print(json.dumps(report | row.pop("told") | row), flush=True)
+            else:
+                broken = True
+                _tell_broken(f"{args.seed}-{firmware.value}-{use}", *result, args.out)
+    if not broken:
+        print(f"{args.hours:g} simulated hours, seed {args.seed}: no rule broken", flush=True)
+    return int(broken)
+
+
+def _tell_broken(name: str, words: str, schedule: dict[str, Any], folder: Path) -> None:
+    path = folder / f"soak-{name}.json"
+    try:
+        path.write_text(json.dumps(schedule, indent=1) + "\n")
+    except OSError as error:
+        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
+    print(f"broken: {name}, {words}")
+    print(f"  as short as it gets: {json.dumps(schedule)}")
+    print(f"  sitl-mocks soak --schedule {path}", flush=True)
+
+
+def _replay(path: Path) -> int:
+    try:
+        value = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--schedule: {path}: {error}") from error
+    if not isinstance(value, dict):
+        raise ConfigError(f"--schedule: {path}: not a JSON object")
+    try:
+        fly(*from_file(value))
+    except BrokenRuleError as error:
+        print(f"broken: {error}")
+        return 1
+    print("no rule broken")
+    return 0

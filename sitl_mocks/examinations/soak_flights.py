@@ -1,0 +1,173 @@
+"""Flights one after another in a `World`: a pilot who starts each of them, and what comes of them.
+
+The vehicle takes off, flies its mission, comes home, and takes off again; a companion guards or flies it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from companion.authority.table import HOLDING, State
+from companion.events import Firmware, Landed
+from sitl_mocks.examinations.faults import Fault
+from sitl_mocks.examinations.modelled_link import ModelledLink
+from sitl_mocks.examinations.world import Use, World
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+
+PATIENCE_S = 1800.0
+"""A flight that is not over by then is stuck."""
+SETTLED_S = 30.0
+"""After the last trouble, until the companion must be at work again."""
+_ON_GROUND_S = 5.0
+_LOOKS_S = 1.0
+_FLOWN_S = 600.0
+"""A path that is flown ends in the air: the pilot ends the flight."""
+
+
+class BrokenRuleError(Exception):
+    """A rule was broken.
+
+    Args:
+        rule: its name.
+        at_s: when.
+    """
+
+    def __init__(self, rule: str, at_s: float, words: str) -> None:
+        super().__init__(f"at {at_s:.2f} s: {rule}: {words}")
+        self.rule, self.at_s, self.words = rule, at_s, words
+        self.flight_s = 0.0
+        """When the flight began in which it was."""
+
+
+@dataclass(slots=True)
+class Told:
+    """What came of the flights."""
+
+    flights: int = 0
+    taken: int = 0
+    given_back: int = 0
+    yielded: int = 0
+    faults: int = 0
+    setpoints: int = 0
+    troubles: dict[str, int] = field(default_factory=dict)
+
+
+class Flights(World):
+    """See the module. `step` raises BrokenRuleError for the first rule that is broken."""
+
+    def __init__(self, firmware: Firmware, use: Use, seed: int, link: ModelledLink | None = None) -> None:
+        super().__init__(firmware, use, seed, link)
+        self.told = Told()
+        self.quiet_from_s = 0.0
+        """End of the last trouble."""
+        self.flight_s = 0.0
+        """Since when this flight lasts."""
+        self._armed_s = 0.0
+        self._on_mission_s = 0.0
+        """Since when the vehicle flies its mission in the air."""
+        self._pilot_s = 0.0
+        """When the pilot looks next."""
+        self._state = State.STANDBY
+        self._authority = True
+        """Not lost in this flight."""
+
+    def step(self) -> None:
+        """As a world's, with its pilot and its judge.
+
+        Raises:
+            BrokenRuleError: a rule was broken.
+        """
+        self._pilot()
+        super().step()
+        self._count()
+        self.told.setpoints = self.judge.setpoints
+        for breach in self.judge.breaches:
+            raise BrokenRuleError(breach.rule, breach.at_s, breach.words)
+
+    def began(self, fault: Fault) -> None:
+        """As a world's; what a router holds up comes after its end."""
+        held_s = fault.numbers[0] if fault.kind == "late" else 0.0
+        self.quiet_from_s = max(self.quiet_from_s, self.now_s + fault.lasts_s + held_s)
+        self.told.troubles[fault.kind] = self.told.troubles.get(fault.kind, 0) + 1
+
+    def restart_companion(self) -> None:
+        """As a world's: what was known of it is void."""
+        super().restart_companion()
+        self._state = State.STANDBY
+        self._authority = self._authority and not self.vehicle.armed
+
+    def _count(self) -> None:
+        """For the pilot, who knows what a ground station shows, and for the report; the judge asks nobody."""
+        state = self.onboard.heart.state
+        if not self.vehicle.armed:
+            self._authority = True
+        if state is self._state:
+            return
+        before, self._state = self._state, state
+        told = self.told
+        told.taken += state in HOLDING and before not in HOLDING
+        told.given_back += state is State.WATCHING and before in HOLDING
+        told.faults += state is State.FAULT
+        if state is State.YIELDED:
+            told.yielded += 1
+            self._authority = False
+
+    @property
+    def at_work(self) -> bool:
+        """What must be so when nothing has been wrong for a while: the companion flies, or looks on."""
+        on_mission = self.vehicle.mode is VehicleMode.MISSION
+        return self._state in HOLDING | ({State.WATCHING} if on_mission else set())
+
+    # ------------------------------------------------------------ the pilot
+
+    def _pilot(self) -> None:
+        """Starts the next flight from the ground; brings a vehicle back that hangs somewhere."""
+        now_s, vehicle = self.now_s, self.vehicle
+        if now_s < self._pilot_s:
+            return
+        self._pilot_s = now_s + _LOOKS_S
+        if not vehicle.armed:
+            if now_s - self._armed_s > _ON_GROUND_S:
+                self._begin_flight()
+            return
+        self._armed_s = now_s
+        if now_s - self.flight_s > PATIENCE_S:
+            raise BrokenRuleError("stuck", now_s, f"a flight of {PATIENCE_S:g} s: {self._words()}")
+        if vehicle.mode is not VehicleMode.MISSION or vehicle.landed is not Landed.IN_AIR:
+            self._on_mission_s = now_s
+        quiet_s = now_s - self.quiet_from_s
+        if quiet_s > SETTLED_S and vehicle.landed is Landed.IN_AIR and not self.at_work:
+            self._set_right(quiet_s)
+        if self.use == "fly" and now_s - self.flight_s > _FLOWN_S:
+            self._go_home()
+
+    def _set_right(self, quiet_s: float) -> None:
+        if not self._authority:
+            self._go_home()
+        elif self.vehicle.mode is not VehicleMode.MISSION:
+            self.pilot_selects(VehicleMode.MISSION)
+        elif self.now_s - self._on_mission_s > SETTLED_S:
+            words = f"nothing wrong for {quiet_s:.0f} s, and: {self._words()}"
+            raise BrokenRuleError("idle", self.now_s, words)
+
+    def _go_home(self) -> None:
+        if self.vehicle.mode not in (VehicleMode.RTL, VehicleMode.LAND):
+            self.pilot_selects(VehicleMode.RTL)
+
+    def _begin_flight(self) -> None:
+        self.told.flights += 1
+        self.flight_s = self.now_s
+        self._pilot_s = self.now_s + 5.0
+        self.pilot_selects(VehicleMode.HOLD)
+        self.station_says("command_long", 1, 1, 400, 0, 1.0, 0, 0, 0, 0, 0, 0)
+        if self.vehicle.armed:
+            self.station_says("mission_set_current", 1, 1, 0)
+            self.pilot_selects(VehicleMode.MISSION)
+            self.station_says("command_long", 1, 1, 300, 0, 0, 0, 0, 0, 0, 0, 0)
+
+    def _words(self) -> str:
+        heart = self.onboard.heart
+        return (
+            f"{heart.state.value}, vehicle {self.vehicle.mode.value}, armed {self.vehicle.armed}, waits for "
+            f"{heart.waits_for(self.now_s)}, at {[round(x) for x in self.vehicle.position_ned_m]}"
+        )

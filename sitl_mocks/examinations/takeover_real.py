@@ -1,0 +1,337 @@
+"""`sitl-mocks takeover --real`: the same examination with real processes, sockets and signals.
+
+`companion run` and `sitl-mocks serve` are processes; a router of ours (`takeover_wire`) stands between them.
+The companion holds the vehicle, is stopped (SIGSTOP), the pilot selects a mode on a second link, the
+companion goes on (SIGCONT). Disarming gives authority back, and the next case begins.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from companion.events import Firmware
+from sitl_mocks.examinations.modelled_link import KINDS, Kind
+from sitl_mocks.examinations.pilot_link import ARM, SET_MODE, PilotLink
+from sitl_mocks.examinations.rule_judge import Breach, Judge
+from sitl_mocks.examinations.takeover_wire import Wire
+from sitl_mocks.examinations.world import bounds_of
+from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
+
+GRACE_S: Final = 0.15
+"""A step of the companion that was under way when the pilot's mode came may still send."""
+CAUSE_S: Final = 1.5
+_READY_S = 60.0
+_RETAKEN_S = 25.0
+_DISARMED_S = 1.2
+"""Longer than from one heartbeat to the next."""
+_HELD_S = 0.4
+"""Setpoints stream for so long before a case begins."""
+_WATCH_S = (1.0, 4.5)
+"""After the companion goes on; one case in four for long, until a fault is over."""
+_LONGEST_S = 10.0
+_HEIGHT_M = 400.0
+_PILOTS: Final = (VehicleMode.RTL, VehicleMode.LAND, VehicleMode.HOLD, VehicleMode.MANUAL)
+_TRAJECTORY = """altitude = "home"
+waypoint = [
+  { t_s = 0.0, lat_deg = 47.397, lon_deg = 8.545, alt_m = 400.0 },
+  { t_s = 3600.0, lat_deg = 47.450, lon_deg = 8.545, alt_m = 400.0 },
+]
+"""
+_CONFIG = """[identity]
+uas_id = "TAKEOVER"
+[vehicle]
+link = "{link}"
+system_id = 1
+wait_s = 40.0
+[flight]
+use = "fly"
+trajectory = "path.toml"
+take_in_flight = true
+start_within_m = 10000.0
+[limits]
+max_speed_mps = 6.0
+[avoidance]
+law = "none"
+[record]
+folder = "{folder}"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class RealCase:
+    """What is done in one case."""
+
+    number: int
+    stall_s: float
+    selects_s: float
+    """After the stop (s)."""
+    mode: VehicleMode
+    traffic_hz: float
+    watch_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RealVerdict:
+    """What came of one; `trouble` where nothing can be said."""
+
+    firmware: Firmware
+    link: Kind
+    case: RealCase
+    breaches: tuple[Breach, ...]
+    trouble: str | None = None
+
+
+def real_case(seed: int, number: int) -> RealCase:
+    """Case `number` of a seed."""
+    rng = np.random.default_rng((seed, number))
+    stall_s = float(rng.uniform(0.1, _LONGEST_S))
+    return RealCase(
+        number=number,
+        stall_s=round(stall_s, 3),
+        selects_s=round(float(rng.uniform(0.0, stall_s + 0.3)), 3),
+        mode=_PILOTS[int(rng.integers(len(_PILOTS)))],
+        traffic_hz=round(float(np.exp(rng.uniform(math.log(10.0), math.log(500.0)))), 1),
+        watch_s=_WATCH_S[int(rng.random() < 0.25)],
+    )
+
+
+class NoFlightError(Exception):
+    """The companion did not take the vehicle."""
+
+
+class RealFlight:
+    """One vehicle, one companion and the wire between them, for cases one after another.
+
+    Raises:
+        NoFlightError: a process ended, or the companion does not take the vehicle.
+    """
+
+    def __init__(self, firmware: Firmware, link: Kind, folder: Path) -> None:
+        self.firmware, self.link = firmware, link
+        self._modes = MANNERS[firmware].custom_modes
+        self._start_mode = VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD
+        self._folder = folder
+        self._stack = contextlib.ExitStack()
+        self._armed = True
+        self._mode: int | None = None
+        try:
+            self._begin()
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def _begin(self) -> None:
+        folder = self._folder
+        vehicle = self._process(
+            "vehicle", "sitl_mocks.cli", "serve", "--firmware", self.firmware.value,
+            "--link", "udpin:127.0.0.1:0", "--link", "udpin:127.0.0.1:0",
+            "--airborne", str(_HEIGHT_M), "--mode", self._start_mode.value,
+        )  # fmt: skip
+        log = folder / "vehicle.log"
+        self._wait(lambda: "ready" in log.read_text(), vehicle, "the vehicle is not ready")
+        ports = [int(port) for port in re.findall(r"link udpin:127\.0\.0\.1:(\d+)", log.read_text())]
+        bounds = bounds_of(self.firmware, "fly")
+        self.judge = Judge(bounds, grace_s=GRACE_S, cause_s=CAUSE_S)
+        self._wire = Wire(self.link, ports[0], self.judge)
+        self._stack.callback(self._wire.close)
+        self._pilot = PilotLink(self.firmware, ports[1])
+        self._stack.callback(self._pilot.close)
+        (folder / "path.toml").write_text(_TRAJECTORY)
+        config = folder / "companion.toml"
+        config.write_text(_CONFIG.format(link=self._wire.name, folder=folder / "runs"))
+        self._companion = self._process("companion", "companion.commands.cli", "run", "--config", str(config))
+        self._until_held(_READY_S)
+
+    def _process(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
+        log = self._stack.enter_context((self._folder / f"{name}.log").open("wb"))
+        child = subprocess.Popen(
+            [sys.executable, "-u", "-m", *arguments],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self._stack.callback(_end, child)
+        return child
+
+    def _wait(self, done: Callable[[], bool], child: subprocess.Popen[bytes], words: str) -> None:
+        give_up_s = time.monotonic() + _READY_S
+        while not done():
+            if child.poll() is not None or time.monotonic() > give_up_s:
+                raise NoFlightError(words)
+            time.sleep(0.05)
+
+    def close(self) -> None:
+        """End the processes."""
+        self._stack.close()
+
+    # ------------------------------------------------------------ one case
+
+    def fly(self, case: RealCase) -> RealVerdict:
+        """One case, with a vehicle that the companion holds.
+
+        Raises:
+            NoFlightError: the vehicle does not take the pilot's mode.
+        """
+        self._wire.traffic_hz = case.traffic_hz
+        self._pump(0.2)
+        self.judge.breaches.clear()
+        begins_s = time.monotonic()
+        os.kill(self._companion.pid, signal.SIGSTOP)
+        while state_of(self._companion.pid) not in "Tt":
+            self._pump(0.001)
+        self._wire.stopped()
+        ends_s, selects_s = begins_s + case.stall_s, begins_s + case.selects_s
+        for at_s in sorted((ends_s, selects_s)):
+            self._pump(at_s - time.monotonic())
+            if at_s == ends_s:
+                self._go_on()
+            else:
+                self._select(case.mode)
+        self._pump(case.watch_s)
+        breaches = tuple(b._replace(at_s=round(b.at_s - begins_s, 3)) for b in self.judge.first())
+        self._wire.traffic_hz = 0.0
+        return RealVerdict(self.firmware, self.link, case, breaches)
+
+    def _go_on(self) -> None:
+        self._wire.pump(0.0)
+        self._wire.continues()
+        os.kill(self._companion.pid, signal.SIGCONT)
+
+    def _select(self, mode: VehicleMode) -> None:
+        """Until the vehicle has accepted it."""
+        self.judge.selects(time.monotonic(), self._modes[mode])
+        self._pilot.ask_mode(mode)
+        self._acknowledged(SET_MODE)
+        self._show(self._modes[mode])
+        self.judge.accepted(time.monotonic())
+
+    def _acknowledged(self, command: int) -> None:
+        give_up_s = time.monotonic() + 1.0
+        while (command, 0) not in self._pilot.answers:
+            if time.monotonic() > give_up_s:
+                raise NoFlightError(f"the vehicle does not accept command {command}: {self._pilot.answers}")
+            self._pump(0.002)
+
+    def give_back(self) -> None:
+        """Disarmed for a moment, in the air: authority is given anew, and the companion takes it.
+
+        Raises:
+            NoFlightError: it does not, or has ended.
+        """
+        self._pilot.arm(armed=False)
+        self._acknowledged(ARM)
+        self._pilot.ask_mode(self._start_mode)
+        self._pump(_DISARMED_S)
+        self._pilot.arm(armed=True)
+        self._until_held(_RETAKEN_S)
+
+    def _until_held(self, patience_s: float) -> None:
+        """In the mode that flies setpoints, and they stream."""
+        external = self._modes[VehicleMode.EXTERNAL]
+        give_up_s, since_s = time.monotonic() + patience_s, math.inf
+        while time.monotonic() - since_s < _HELD_S:
+            self._pump(0.02)
+            now_s = time.monotonic()
+            streams = self._mode == external and now_s - self.judge.setpoint_s < 0.2
+            since_s = min(since_s, now_s) if streams else math.inf
+            if self._companion.poll() is not None or now_s > give_up_s:
+                words = (self._folder / "companion.log").read_text()[-600:]
+                raise NoFlightError(f"the vehicle is not taken (mode {self._mode}): {words}")
+
+    # ------------------------------------------------------------ the second link
+
+    def _pump(self, for_s: float) -> None:
+        self._pump_until(lambda: False, for_s)
+
+    def _pump_until(self, done: Callable[[], bool], for_s: float) -> None:
+        end_s = time.monotonic() + for_s
+        while not done():
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                return
+            self._wire.pump(min(left_s, 0.002))
+            self._pilot.hear(self._heard)
+
+    def _heard(self, custom_mode: int, armed: bool | None) -> None:
+        self._armed = self._armed if armed is None else armed
+        self._show(custom_mode)
+
+    def _show(self, custom_mode: int) -> None:
+        self._mode = custom_mode
+        self.judge.shows(time.monotonic(), custom_mode, armed=self._armed)
+
+
+def state_of(pid: int) -> str:
+    """Of a process, as the kernel writes it; "T": stopped."""
+    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    if child.poll() is None:
+        child.send_signal(signal.SIGCONT)
+        child.kill()
+    child.wait()
+
+
+def fly_cases(firmware: Firmware, link: Kind, cases: list[RealCase], folder: Path) -> list[RealVerdict]:
+    """Cases of one firmware and link; a companion that ended is started anew."""
+    found: list[RealVerdict] = []
+    flight: RealFlight | None = None
+    try:
+        for case in cases:
+            try:
+                flight = _ready(flight, firmware, link, folder / f"{firmware.value}-{link}-{case.number}")
+                found.append(flight.fly(case))
+            except NoFlightError as error:
+                found.append(RealVerdict(firmware, link, case, (), str(error)))
+                if flight is not None:
+                    flight.close()
+                flight = None
+    finally:
+        if flight is not None:
+            flight.close()
+    return found
+
+
+def _ready(flight: RealFlight | None, firmware: Firmware, link: Kind, folder: Path) -> RealFlight:
+    """The same flight, where its companion takes the vehicle again; else another."""
+    if flight is not None:
+        try:
+            flight.give_back()
+        except NoFlightError:
+            flight.close()
+        else:
+            return flight
+    folder.mkdir(parents=True)
+    return RealFlight(firmware, link, folder)
+
+
+def many_real(seed: int, cases: int, jobs: int, folder: Path) -> list[RealVerdict]:
+    """The cases 0 to `cases` of a seed, in turn by firmware and link, on some threads."""
+    turns = {
+        place: [real_case(seed, number) for number in range(k, cases, len(PLACES))]
+        for k, place in enumerate(PLACES)
+    }
+    with ThreadPoolExecutor(jobs) as pool:
+        flown = [pool.submit(fly_cases, *place, mine, folder) for place, mine in turns.items() if mine]
+        return [verdict for future in flown for verdict in future.result()]
+
+
+PLACES: Final[tuple[tuple[Firmware, Kind], ...]] = tuple(
+    (firmware, link) for firmware in Firmware for link in KINDS
+)

@@ -1,0 +1,531 @@
+"""A mock MAVLink vehicle with the manners of ArduPilot Copter or PX4: bytes in, bytes out.
+
+Pure: no clock, no socket, no file; time and the random generator are passed in, so the same bytes at the same
+times give the same flight, bit for bit. Use:
+
+    vehicle = MockVehicle(VehicleOptions(firmware=Firmware.PX4), numpy.random.default_rng(1))
+    vehicle.receive(data, now_s)
+    vehicle.advance(now_s)
+    data = vehicle.drain()
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import deque
+from collections.abc import Callable
+
+import numpy
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.signing import Signing, timestamp_at
+from companion.autopilot.wire import Frame, MavlinkMessage
+from companion.errors import ConfigError
+from companion.events import Landed
+from companion.geometry import LocalFrame, Vec3
+from sitl_mocks.vehicle.commands import LATE_S, Command, CommandDesk, read_command
+from sitl_mocks.vehicle.dynamics import STEP_S
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.flight import Flight
+from sitl_mocks.vehicle.links import Link, Payload, SetpointMessage
+from sitl_mocks.vehicle.navigation import NOISE_STEPS, NavigationError
+from sitl_mocks.vehicle.options import VehicleOptions
+from sitl_mocks.vehicle.served.mission import (
+    MissionBook,
+    StoredItem,
+    fault_of,
+    stored,
+    stored_fence,
+)
+from sitl_mocks.vehicle.served.mission_desk import MissionDesk
+from sitl_mocks.vehicle.served.params import ParamBook
+from sitl_mocks.vehicle.served.remote_id import ODID_MESSAGES, RemoteIdRelay
+from sitl_mocks.vehicle.setpoints import interpret
+from sitl_mocks.vehicle.telemetry import Telemetry
+from sitl_mocks.vehicle.traffic import Traffic
+from sitl_mocks.vehicle.troubles import Troubles
+
+__all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
+
+COMPONENT = 1
+REBOOT_S = 2.4
+_LINKS_OWN = frozenset({mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE})
+"""Commands that the link carries out by itself."""
+STATUS_S = 0.5
+"""PX4 publishes its status so often, and at each change: CURRENT_MODE follows."""
+KEPT_COLLISIONS = 100
+_ADSB = int(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE)
+_EPSILON_S = 1e-9
+# REQUEST_DATA_STREAM: stream -> message ids.
+_DATA_STREAMS = {
+    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
+        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
+    ),
+    mavlink.MAV_DATA_STREAM_POSITION: (
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    ),
+    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
+    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
+    mavlink.MAV_DATA_STREAM_EXTRA3: (
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    ),
+}
+
+
+class MockVehicle:
+    """One vehicle on any number of links. `start_s` is the now_s at which its motion begins.
+
+    Raises ConfigError for a mission in the options that cannot be flown.
+    """
+
+    def __init__(self, options: VehicleOptions, rng: numpy.random.Generator, start_s: float = 0.0) -> None:
+        self.options = options
+        self.setpoints_received = 0
+        """SET_POSITION_TARGET_LOCAL_NED addressed to this vehicle, flown or not."""
+        self.largest_setpoint_gap_s = 0.0
+        """Longest time between two of them."""
+        self.setpoint_gaps_over_100ms = 0
+        self.reboots = 0
+        self.collisions: deque[tuple[float, MavlinkMessage]] = deque(maxlen=KEPT_COLLISIONS)
+        """The last COLLISION messages, each with when it came."""
+        self._manners = options.manners
+        self._last_setpoint_s: float | None = None
+        self._late_acks: list[tuple[Command, tuple[int, int]]] = []
+        self._start_s = start_s
+        self._steps = 0
+        self._down_until_s = -math.inf
+        self._errors = NavigationError(options, rng, NOISE_STEPS * STEP_S)
+        self.signing: Signing | None = None
+        """Shared by all links, as on the real ones."""
+        if options.signing_key is not None:
+            utc_s = 0.0 if options.utc_at_zero_s is None else options.utc_at_zero_s + start_s
+            self.signing = Signing(options.signing_key, timestamp_at(utc_s), start_s)
+        self._links: dict[int, Link] = {}
+        self._routes: dict[tuple[int, int], int] = {}
+        self._handlers: dict[str, Callable[[MavlinkMessage, Link, float], None]] = {
+            "COMMAND_LONG": self._take_command,
+            "COMMAND_INT": self._take_command,
+            "SET_MODE": self._take_set_mode,
+            "TIMESYNC": self._answer_timesync,
+            "PARAM_REQUEST_LIST": self._list_params,
+            "PARAM_REQUEST_READ": self._read_param,
+            "PARAM_SET": self._set_param,
+            "REQUEST_DATA_STREAM": self._take_data_stream,
+            "COLLISION": self._note_collision,
+            "HEARTBEAT": self._note_heartbeat,
+        }
+        self._params = ParamBook(
+            self._manners,
+            options.parameters,
+            system_id=options.system_id,
+            legacy_names=options.legacy_parameter_names,
+        )
+        items = tuple(stored(item) for item in options.mission)
+        for seq, item in enumerate(items):
+            if (fault := fault_of(item)) is not None:
+                raise ConfigError(f"mission item {seq} cannot be flown (MAV_MISSION_RESULT {fault})")
+        self._book = MissionBook(self._manners, home_item(options), items)
+        fence = MissionBook(self._manners, None, stored_fence(options.fence, self._manners))
+        self._missions = MissionDesk(self._manners, (self._book, fence))
+        home = LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
+        self.troubles = Troubles(self._manners, self._params, fence, home, rc_connected=options.rc_connected)
+        """Battery, estimator, GNSS, sticks: to be set from outside."""
+        self._traffic = Traffic(
+            options.traffic,
+            home,
+            options.geoid_separation_m,
+            listed=self._manners.adsb_listed,
+        )
+        self._boot(options, start_s, boot_s=-options.boot_time_offset_s)
+        self.open_link(0)
+
+    def _boot(self, options: VehicleOptions, now_s: float, boot_s: float) -> None:
+        manners = self._manners
+        self._flight = Flight(options, manners, self._params, self._book, now_s)
+        self._telemetry = Telemetry(
+            options, manners, self._flight, self._book, self._errors, self.troubles, boot_s
+        )
+        self._remote_id = None
+        if options.did_enable:
+            self._remote_id = RemoteIdRelay(self._telemetry.remote_id_location, now_s)
+        self._desk = CommandDesk(
+            manners,
+            self._flight,
+            self._telemetry,
+            options.home_alt_msl_m,
+            self._send_text,
+            self._remote_id_refusal,
+        )
+        self._shown_mode = self._flight.mode
+        self._shown_armed = self._flight.armed
+        self._status_s = -math.inf
+
+    # ------------------------------------------------------------ truth
+
+    @property
+    def now_s(self) -> float:
+        """Time up to which the motion is integrated."""
+        return self._start_s + self._steps * STEP_S
+
+    @property
+    def position_ned_m(self) -> Vec3:
+        """True position in the LocalFrame of home (with its MSL altitude)."""
+        body = self._flight.body
+        return body.north, body.east, body.down
+
+    @property
+    def velocity_ned_mps(self) -> Vec3:
+        """True velocity over ground."""
+        body = self._flight.body
+        return body.vn, body.ve, body.vd
+
+    @property
+    def yaw_rad(self) -> float:
+        """True heading, clockwise from north."""
+        return self._flight.body.yaw
+
+    @property
+    def mode(self) -> VehicleMode:
+        """The mode flown."""
+        return self._flight.mode
+
+    @property
+    def custom_mode(self) -> int:
+        """The mode's number in this firmware's heartbeat."""
+        return self._manners.custom_modes[self._flight.mode]
+
+    @property
+    def armed(self) -> bool:
+        """Motors may turn."""
+        return self._flight.armed
+
+    @property
+    def failsafe(self) -> bool:
+        """Where a failsafe led: the stream of setpoints was lost, or one of the troubles."""
+        return self._flight.failsafe
+
+    @property
+    def landed(self) -> Landed:
+        """What EXTENDED_SYS_STATE tells."""
+        return self._flight.landed
+
+    @property
+    def mission_seq(self) -> int:
+        """Item being flown, in the firmware's own numbering."""
+        return self._flight.runner.seq
+
+    # ------------------------------------------------------------ the pilot
+
+    def pilot_selects(self, mode: VehicleMode) -> bool:
+        """The pilot's switch, by radio and not by MAVLink; return whether the vehicle took the mode."""
+        refused = self._flight.set_mode(mode, self.now_s)
+        self._after_change()
+        return refused is None
+
+    # ------------------------------------------------------------ links
+
+    def open_link(self, link: int) -> None:
+        """Open a link, or open it anew: only what every fresh link carries."""
+        self._links[link] = Link(
+            self.options.system_id, self._manners.fresh_streams, self.now_s, self.signing, link % 256
+        )
+
+    def close_link(self, link: int) -> None:
+        """Forget a link, its rates and what waits on it."""
+        self._links.pop(link, None)
+        self._routes = {route: via for route, via in self._routes.items() if via != link}
+
+    def cut_link(self, link: int = 0) -> None:
+        """Nothing crosses this link any more, either way; what is sent meanwhile is lost."""
+        self._links[link].cut = True
+
+    def mend_link(self, link: int = 0) -> None:
+        """A cut link carries again, with the rates that were asked for."""
+        self._links[link].cut = False
+
+    def reboot(self, *, flies_on: bool = False) -> None:
+        """The autopilot restarts, also in flight: deaf and mute for REBOOT_S, then as after a boot.
+
+        In the air the motors stop and it falls; with `flies_on` it hovers and is armed afterwards, in the
+        boot mode (as after a watchdog reset).
+        """
+        self.reboots += 1
+        self._down_until_s = self.now_s + REBOOT_S
+        if self._flight.on_ground or not flies_on:
+            self._flight.disarm(force=True)
+        else:
+            self._flight.fail_over(self._manners.boot_mode)
+        self._flight.texts.clear()
+
+    def drain(self, link: int = 0) -> bytes:
+        """Bytes to send on a link."""
+        if link not in self._links:
+            self.open_link(link)
+        return self._links[link].drain()
+
+    def receive(self, data: bytes, now_s: float, link: int = 0) -> None:
+        """Take bytes that arrived at `now_s` on a link; a vehicle that reboots hears nothing."""
+        if link not in self._links:
+            self.open_link(link)
+        endpoint = self._links[link]
+        if self.signing is not None:
+            self.signing.advance(now_s)
+        messages = endpoint.feed(data)
+        if now_s < self._down_until_s:
+            return
+        for frame, message in messages:
+            if len(self._links) > 1 and self._manners.forwards:
+                self._forward(frame, message, link)
+            system = getattr(message, "target_system", 0)
+            component = getattr(message, "target_component", 0)
+            if system in (0, self.options.system_id) and component in (0, COMPONENT):
+                if isinstance(message, SetpointMessage):
+                    self._take_setpoint(message, now_s)
+                else:
+                    self._handle(message, endpoint, link, now_s)
+                    if self._remote_id is not None and frame.message_id in ODID_MESSAGES:
+                        self._remote_id.take(frame, message, now_s)
+        self._after_change()
+
+    def advance(self, now_s: float) -> None:
+        """Fly in whole steps up to `now_s`, and send what is due on the way."""
+        if self._steps == 0:
+            self._send_due(self._start_s)
+        while self._start_s + (self._steps + 1) * STEP_S <= now_s + _EPSILON_S:
+            if self._steps % NOISE_STEPS == 0:
+                self._errors.advance()
+                self.troubles.step(self._flight, self._start_s + self._steps * STEP_S)
+            self._flight.step(self._start_s + self._steps * STEP_S)
+            self._steps += 1
+            self._send_due(self._start_s + self._steps * STEP_S)
+
+    # ------------------------------------------------------------ sending
+
+    def _send_due(self, at_s: float) -> None:
+        if self.signing is not None:
+            self.signing.advance(at_s)
+        if at_s < self._down_until_s:
+            return
+        if self._down_until_s > -math.inf:
+            self._down_until_s = -math.inf
+            self._wake(at_s)
+        while self._late_acks and self._late_acks[0][0].now_s + LATE_S <= at_s:
+            command, to = self._late_acks.pop(0)
+            result = self._desk.set_mode_late(command)
+            command.link.send(mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *to))
+        self._after_change()
+        if at_s - self._status_s >= STATUS_S - _EPSILON_S:
+            self._publish_status(at_s)
+        builders = self._telemetry.builders
+        for number, link in self._links.items():
+            for message_id in link.due(at_s):
+                if message_id == _ADSB:
+                    for report in self._traffic.due(number, at_s):
+                        link.send(report)
+                elif (built := builders[message_id](at_s)) is not None:
+                    link.send(built)
+            if link.mode_is_news and link.tells_mode(at_s):
+                link.mode_is_news = False
+                link.send(self._telemetry.current_mode(at_s))
+            if link.params_due:
+                index = link.params_due.popleft()
+                link.send(self._params.message(self._params.names[index], index))
+        if self._remote_id is not None:
+            for message in self._remote_id.due(at_s):
+                self._broadcast(message)
+        for asked, request in self._missions.tick(at_s):
+            if asked in self._links:
+                self._links[asked].send(request)
+
+    def _after_change(self) -> None:
+        """Tell what a step or a message has changed."""
+        flight, runner = self._flight, self._flight.runner
+        if flight.mode is not self._shown_mode:
+            self._tell_mode_left(self._shown_mode)
+            self._shown_mode = flight.mode
+            if self._manners.heartbeat_on_mode_change:
+                self._broadcast(self._telemetry.heartbeat(self.now_s))
+        if flight.armed is not self._shown_armed:
+            self._shown_armed = flight.armed
+            self._publish_status(self.now_s)
+            if flight.armed:
+                self._broadcast(self._telemetry.home_position(self.now_s))
+        relay = [] if self._remote_id is None else [self._remote_id.texts]
+        for texts in (flight.texts, *relay, *(book.texts for book in self._missions.books)):
+            for severity, text in texts:
+                self._send_text(severity, text)
+            texts.clear()
+        if runner.reached or runner.texts:
+            for seq in runner.reached:
+                self._broadcast(mavlink.MAVLink_mission_item_reached_message(seq))
+            for text in runner.texts:
+                self._send_text(int(mavlink.MAV_SEVERITY_INFO), text)
+            runner.reached.clear()
+            runner.texts.clear()
+
+    def _publish_status(self, now_s: float) -> None:
+        self._status_s = now_s
+        for link in self._links.values():
+            link.mode_is_news = self._manners.tells_current_mode
+
+    def _tell_mode_left(self, mode: VehicleMode) -> None:
+        """PX4 publishes its status as it takes a command, and again when it has changed the mode: where
+        CURRENT_MODE may be sent, it tells the old mode once more, and the new one an interval later."""
+        if not self._manners.tells_current_mode:
+            return
+        for link in self._links.values():
+            if link.tells_mode(self.now_s):
+                link.send(self._telemetry.mode_told(mode, mode))
+        self._publish_status(self.now_s)
+
+    def _remote_id_refusal(self, now_s: float) -> str | None:
+        if self._remote_id is None or not self.options.did_require:
+            return None
+        return self._remote_id.refusal(now_s)
+
+    def _broadcast(self, message: MavlinkMessage | Payload) -> None:
+        for link in self._links.values():
+            link.send(message)
+
+    def _send_text(self, severity: int, text: str) -> None:
+        if not self._manners.speaks:
+            return
+        self._broadcast(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
+
+    def _forward(self, frame: Frame, message: MavlinkMessage | SetpointMessage, link: int) -> None:
+        """Pass a frame on: to everybody when it has no target, else to where its target was heard."""
+        self._routes[frame.system_id, frame.component_id] = link
+        target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
+        if target == (self.options.system_id, COMPONENT):
+            return
+        for other, endpoint in self._links.items():
+            known = any(
+                via == other and target[0] in (0, system) and target[1] in (0, component)
+                for (system, component), via in self._routes.items()
+            )
+            if other != link and (target[0] == 0 or known):
+                endpoint.pass_on(frame.raw)
+
+    def _wake(self, at_s: float) -> None:
+        """After a reboot: where it stood, with its stored mission and parameters, and nothing asked for."""
+        body, on_ground = self._flight.body, self._flight.on_ground
+        standing = dataclasses.replace(
+            self.options,
+            airborne=self._flight.armed and not on_ground,
+            start_position_ned_m=self.position_ned_m,
+            start_velocity_ned_mps=self.velocity_ned_mps,
+            start_yaw_rad=self.yaw_rad,
+            start_mode=self._manners.boot_mode,
+        )
+        self._missions.reboot()
+        self.troubles.reboot()
+        self._boot(standing, at_s, boot_s=at_s)
+        if not self._flight.armed and not on_ground:
+            # Still falling.
+            fallen, self._flight.on_ground = self._flight.body, False
+            fallen.down, fallen.vn, fallen.ve, fallen.vd = body.down, body.vn, body.ve, body.vd
+        for link in self._links.values():
+            link.drain()
+            link.reset(self._manners.fresh_streams, at_s)
+
+    # ------------------------------------------------------------ taking messages
+
+    def _handle(self, message: MavlinkMessage, endpoint: Link, link: int, now_s: float) -> None:
+        kind = message.get_type()
+        handler = self._handlers.get(kind)
+        if handler is not None:
+            handler(message, endpoint, now_s)
+        elif kind.startswith("MISSION_"):
+            self._book.current_seq = self._flight.runner.seq
+            for answer in self._missions.handle(message, now_s, link):
+                endpoint.send(answer)
+            self._flight.runner.sync()
+
+    def _take_setpoint(self, message: SetpointMessage, now_s: float) -> None:
+        self.setpoints_received += 1
+        if self._last_setpoint_s is not None:
+            gap_s = now_s - self._last_setpoint_s
+            self.largest_setpoint_gap_s = max(self.largest_setpoint_gap_s, gap_s)
+            self.setpoint_gaps_over_100ms += gap_s > 0.1
+        self._last_setpoint_s = now_s
+        setpoint = interpret(message, self._manners, self.position_ned_m, self.yaw_rad)
+        if setpoint is not None:
+            self._flight.take_setpoint(setpoint, now_s)
+
+    def _take_command(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        to = (message.get_srcSystem(), message.get_srcComponent())
+        command = read_command(message, endpoint, now_s)
+        if command.number not in _LINKS_OWN:
+            # PX4's Commander publishes its status with every command, whatever it makes of it.
+            self._publish_status(now_s)
+        for result in self._desk.execute(command):
+            if result is None:
+                self._late_acks.append((command, to))
+            else:
+                endpoint.send(mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to))
+        if self._desk.reboot_asked:
+            self._desk.reboot_asked = False
+            self.reboots += 1
+            self._down_until_s = now_s + REBOOT_S
+
+    def _take_set_mode(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        if message.target_system != self.options.system_id:
+            return
+        result = self._desk.enter_custom(message.custom_mode, now_s)
+        if self._manners.set_mode_acked:
+            to = (message.get_srcSystem(), message.get_srcComponent())
+            endpoint.send(
+                mavlink.MAVLink_command_ack_message(mavlink.MAVLINK_MSG_ID_SET_MODE, result, 0, 0, *to)
+            )
+
+    def _answer_timesync(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        if message.tc1 == 0:
+            endpoint.send(mavlink.MAVLink_timesync_message(self._telemetry.boot_ns(now_s), message.ts1))
+
+    def _note_heartbeat(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        self.troubles.hear(message, now_s)
+
+    def _note_collision(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        self.collisions.append((now_s, message))
+
+    def _list_params(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        endpoint.params_due.clear()
+        endpoint.params_due.extend(range(len(self._params.names)))
+
+    def _read_param(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        answer = self._params.read(message.param_id, message.param_index)
+        if answer is not None:
+            endpoint.send(answer)
+
+    def _set_param(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        answer = self._params.set(message.param_id, message.param_value)
+        if answer is not None:
+            endpoint.send(answer)
+
+    def _take_data_stream(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        if not self._manners.data_streams:
+            return
+        wanted = message.req_stream_id
+        on = message.start_stop and message.req_message_rate
+        interval = 1.0 / message.req_message_rate if on else None
+        for stream, message_ids in _DATA_STREAMS.items():
+            if wanted in (mavlink.MAV_DATA_STREAM_ALL, stream):
+                for message_id in message_ids:
+                    endpoint.set_interval(message_id, interval, now_s)
+
+
+def home_item(options: VehicleOptions) -> StoredItem:
+    """Home as ArduPilot shows it: mission item 0."""
+    return StoredItem(
+        mavlink.MAV_CMD_NAV_WAYPOINT,
+        mavlink.MAV_FRAME_GLOBAL,
+        (0.0, 0.0, 0.0, 0.0),
+        round(options.home_lat_deg * 1e7),
+        round(options.home_lon_deg * 1e7),
+        options.home_alt_msl_m,
+    )

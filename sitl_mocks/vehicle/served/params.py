@@ -1,0 +1,66 @@
+"""The mock vehicle's parameters and their two encodings on the wire."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.wire import MavlinkMessage
+from sitl_mocks.vehicle.firmware.behaviour import Manners
+from sitl_mocks.vehicle.firmware.param_tables import REAL32
+
+ECHO_INDEX = 65535
+"""param_index of a value that was not asked for by its index, as ArduPilot sends it."""
+
+
+class ParamBook:
+    """Named values in a fixed order. Integers are cast to float (ArduPilot) or are its bytes (PX4)."""
+
+    def __init__(
+        self, manners: Manners, values: Mapping[str, float], *, system_id: int, legacy_names: bool
+    ) -> None:
+        """`values` replace the firmware's own, by today's names."""
+        renames = manners.legacy_names if legacy_names else {}
+        self._bytewise = manners.param_bytewise
+        self._types: dict[str, int] = {}
+        self._values: dict[str, float] = {}
+        for name, (value, kind) in sorted(manners.params.items()):
+            shown = renames.get(name, name)
+            self._types[shown] = kind
+            own = float(system_id) if name in ("MAV_SYSID", "MAV_SYS_ID") else value
+            self._values[shown] = values.get(name, own)
+        self.names = tuple(self._values)
+
+    def get(self, name: str) -> float:
+        """Value by name. Raises KeyError."""
+        return self._values[name]
+
+    def message(self, name: str, index: int | None = None) -> MavlinkMessage:
+        """PARAM_VALUE of a known name."""
+        shown = self.names.index(name) if index is None else index
+        value = self._values[name]
+        kind = self._types[name]
+        if self._bytewise and kind != REAL32:
+            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+        return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.names), shown)
+
+    def read(self, name: str, index: int) -> MavlinkMessage | None:
+        """Answer to PARAM_REQUEST_READ (by index when it is not negative); None is silence."""
+        if index >= 0:
+            return self.message(self.names[index]) if index < len(self.names) else None
+        return self.message(name) if name in self._values else None
+
+    def set(self, name: str, wire_value: float) -> MavlinkMessage | None:
+        """Take a PARAM_SET and return its echo; None is silence (unknown name, or not a number)."""
+        if name not in self._values:
+            return None
+        kind = self._types[name]
+        if self._bytewise and kind != REAL32:
+            self._values[name] = float(struct.unpack("<i", struct.pack("<f", wire_value))[0])
+        elif wire_value != wire_value or abs(wire_value) == float("inf"):
+            return None
+        else:
+            self._values[name] = wire_value if kind == REAL32 else float(round(wire_value))
+        return self.message(name, None if self._bytewise else ECHO_INDEX)

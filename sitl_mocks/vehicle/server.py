@@ -1,0 +1,242 @@
+"""One mock vehicle in real time on UDP and TCP: `sitl-mocks serve`.
+
+The only part of the mock vehicle with sockets, a clock and signals. Prints one line per link with the port it
+got ("link udpin:127.0.0.1:14550"), then "ready"; at its end one JSON line with where the vehicle was left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import selectors
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy
+
+from companion.errors import ConfigError
+from companion.events import Firmware
+from sitl_mocks.signals import end_signals
+from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
+from sitl_mocks.vehicle.mock_vehicle import STEP_S, MockVehicle
+from sitl_mocks.vehicle.options import VehicleOptions
+from sitl_mocks.vehicle.ports import Airframe, Port, open_port
+
+_TRUTH_PERIOD_S = 0.1
+_EXAMPLE = """examples:
+  sitl-mocks serve --firmware px4 --link udpout:127.0.0.1:14540
+  sitl-mocks serve --link tcpin:127.0.0.1:5760 --link udpin:127.0.0.1:0 --airborne 50 --gnss-sigma 1.5 2.5 0.1
+"""
+
+
+class VehicleServer:
+    """A mock vehicle behind sockets. The caller owns the clock: `now_s` is s since the vehicle's start.
+
+    Raises:
+        ConfigError: a link that cannot be opened; sockets opened before it are released.
+    """
+
+    def __init__(self, options: VehicleOptions, links: list[str], rng: numpy.random.Generator) -> None:
+        self.vehicle = MockVehicle(options, rng)
+        self.vehicle.close_link(0)
+        airframe = Airframe(self.vehicle)
+        self._reboots = 0
+        self._ports: list[Port] = []
+        self._selector = selectors.DefaultSelector()
+        try:
+            for spec in links:
+                self._ports.append(open_port(spec, airframe))
+        except ConfigError:
+            self.close()
+            raise
+        self._watch()
+
+    @property
+    def names(self) -> list[str]:
+        """The links with their real ports."""
+        return [port.name for port in self._ports]
+
+    def wait(self, timeout_s: float) -> None:
+        """Sleep until something can be read, at most `timeout_s`."""
+        self._selector.select(max(timeout_s, 0.0))
+
+    def turn(self, now_s: float) -> None:
+        """Fly up to now, take what came, send what is due."""
+        self.vehicle.advance(now_s)
+        for port in self._ports:
+            port.take(now_s)
+        for port in self._ports:
+            port.send()
+        if self.vehicle.reboots != self._reboots:
+            self._reboots = self.vehicle.reboots
+            for port in self._ports:
+                port.reboot()
+        self._watch()
+
+    def close(self) -> None:
+        """Release every socket."""
+        for port in self._ports:
+            port.close()
+        self._selector.close()
+
+    def _watch(self) -> None:
+        """Keep the selector in step with clients that came and went."""
+        sockets = {sock.fileno(): sock for port in self._ports for sock in port.sockets()}
+        watched = self._selector.get_map()
+        for key in [key for key in watched.values() if sockets.get(key.fd) is not key.fileobj]:
+            self._selector.unregister(key.fileobj)
+        for number, sock in sockets.items():
+            if number not in self._selector.get_map():
+                self._selector.register(sock, selectors.EVENT_READ)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `sitl-mocks serve`."""
+    parser.description = (
+        "One MAVLink vehicle in real time, with the manners of ArduPilot Copter or PX4. Ends on Ctrl-C."
+    )
+    parser.epilog = _EXAMPLE
+    add = parser.add_argument
+    add("--firmware", choices=[f.value for f in Firmware], default="ardupilot", help="whose manners")
+    add(
+        "--link",
+        action="append",
+        metavar="KIND:HOST:PORT",
+        help="udpout, udpin or tcpin; may be given several times; port 0 takes a free one "
+        "(default udpout:127.0.0.1:14550)",
+    )
+    add("--system-id", type=int, default=1, help="MAVLink system id (1-255)")
+    add("--home", type=float, nargs=3, default=(47.397, 8.545, 400.0), metavar=("LAT", "LON", "ALT"),
+        help="home in deg, deg and m above mean sea level")  # fmt: skip
+    add("--airborne", type=float, metavar="HEIGHT", help="start armed in the air at this height (m)")
+    add("--start", type=float, nargs=2, default=(0.0, 0.0), metavar=("NORTH", "EAST"),
+        help="start this far from home (m)")  # fmt: skip
+    add(
+        "--mode", choices=[m.value for m in VehicleMode], help="start in this mode (default: hold in the air)"
+    )
+    add("--wind", type=float, nargs=2, default=(0.0, 0.0), metavar=("NORTH", "EAST"),
+        help="where the wind blows to (m/s)")  # fmt: skip
+    add("--gnss-sigma", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("H", "V", "SPEED"),
+        help="navigation errors: horizontal and vertical (m), speed (m/s)")  # fmt: skip
+    add("--no-rc", action="store_true", help="no pilot's radio: ArduPilot's LOITER descends")
+    add("--did", choices=["off", "enable", "require"], default="off", help="ArduPilot's Remote ID: "
+        "relay what it is told, or also require it to arm")  # fmt: skip
+    add("--param", action="append", default=[], metavar="NAME=VALUE", help="start with this parameter value")
+    add("--quirk", action="append", default=[], metavar="NAME=VALUE", help="replace one manner of the "
+        "firmware, as in nose_follows_velocity=false or loss_mode=hold")  # fmt: skip
+    add("--seed", type=int, default=0, help="seed of the navigation errors")
+    add("--truth", type=Path, metavar="FILE", help="write the true positions here (CSV, ten a second)")
+
+
+def options_of(args: argparse.Namespace) -> VehicleOptions:
+    """The vehicle that the arguments ask for. Raises ConfigError."""
+    height = args.airborne
+    horizontal, vertical, speed = args.gnss_sigma
+    return VehicleOptions(
+        firmware=Firmware(args.firmware),
+        system_id=args.system_id,
+        home_lat_deg=args.home[0],
+        home_lon_deg=args.home[1],
+        home_alt_msl_m=args.home[2],
+        airborne=height is not None,
+        start_position_ned_m=(args.start[0], args.start[1], 0.0 if height is None else -height),
+        start_mode=None if args.mode is None else VehicleMode(args.mode),
+        rc_connected=not args.no_rc,
+        parameters=_parameters(args.param),
+        quirks=_quirks(args.quirk),
+        did_enable=args.did != "off",
+        did_require=args.did == "require",
+        utc_at_zero_s=time.time(),
+        wind_ned_mps=(args.wind[0], args.wind[1], 0.0),
+        gnss_horizontal_sigma_m=horizontal,
+        gnss_vertical_sigma_m=vertical,
+        gnss_velocity_sigma_mps=speed,
+    )
+
+
+def _parameters(given: list[str]) -> dict[str, float]:
+    values = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            values[name] = float(value)
+        except ValueError as error:
+            raise ConfigError(f"--param {text!r}: allowed is NAME=NUMBER") from error
+    return values
+
+
+def _quirks(given: list[str]) -> dict[str, object]:
+    """A value is JSON (true, 2.5, null), or the name of a mode."""
+    values: dict[str, object] = {}
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            values[name] = json.loads(value)
+        except ValueError:
+            values[name] = value
+    return values
+
+
+def run(args: argparse.Namespace) -> int:
+    """`sitl-mocks serve`: fly in real time until SIGINT or SIGTERM.
+
+    Raises:
+        ConfigError: an option out of range, or a link that cannot be opened.
+    """
+    if args.seed < 0:
+        raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
+    links = args.link or ["udpout:127.0.0.1:14550"]
+    with end_signals() as ended:
+        server = VehicleServer(options_of(args), links, numpy.random.default_rng(args.seed))
+        with contextlib.closing(server):
+            for name in server.names:
+                print(f"link {name}", flush=True)
+            print("ready", flush=True)
+            start_s = time.monotonic()
+            with _truth(args.truth) as truth:
+                while not ended:
+                    now_s = time.monotonic() - start_s
+                    server.wait(server.vehicle.now_s + STEP_S - now_s)
+                    server.turn(time.monotonic() - start_s)
+                    truth(server.vehicle)
+            print(json.dumps(_left(server.vehicle)), flush=True)
+    return 0
+
+
+@contextlib.contextmanager
+def _truth(path: Path | None) -> Iterator[Callable[[MockVehicle], None]]:
+    """A function that notes a vehicle's true position ten times a second: UTC (s), north, east, down (m)."""
+    if path is None:
+        yield lambda vehicle: None
+        return
+    try:
+        file = path.open("w")
+    except OSError as error:
+        raise ConfigError(f"--truth: {path}: cannot be written: {error.strerror}") from error
+    with file:
+        file.write("utc_s,north_m,east_m,down_m\n")
+        noted_s = -1.0
+
+        def note(vehicle: MockVehicle) -> None:
+            nonlocal noted_s
+            if vehicle.now_s - noted_s >= _TRUTH_PERIOD_S:
+                noted_s = vehicle.now_s
+                utc_s = (vehicle.options.utc_at_zero_s or 0.0) + vehicle.now_s
+                north, east, down = vehicle.position_ned_m
+                file.write(f"{utc_s:.3f},{north:.3f},{east:.3f},{down:.3f}\n")
+
+        yield note
+
+
+def _left(vehicle: MockVehicle) -> dict[str, object]:
+    return {
+        "time_s": round(vehicle.now_s, 2),
+        "position_ned_m": [round(value, 2) for value in vehicle.position_ned_m],
+        "mode": vehicle.mode.value,
+        "armed": vehicle.armed,
+        "setpoints_received": vehicle.setpoints_received,
+        "largest_setpoint_gap_s": round(vehicle.largest_setpoint_gap_s, 3),
+        "setpoint_gaps_over_100ms": vehicle.setpoint_gaps_over_100ms,
+    }

@@ -1,0 +1,368 @@
+"""The messages that the mock vehicle sends by itself, each built from the present state.
+
+A message id that is not in `Telemetry.known` is one that the vehicle does not know. ADSB_VEHICLE is built per
+link, by `sitl_mocks.vehicle.traffic`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.autopilot.wire import CURRENT_MODE, MavlinkMessage
+from companion.events import Landed
+from companion.geometry import Vec3
+from sitl_mocks.vehicle.firmware.behaviour import Manners, VehicleMode
+from sitl_mocks.vehicle.flight import Flight
+from sitl_mocks.vehicle.links import Payload
+from sitl_mocks.vehicle.navigation import Globe, NavigationError
+from sitl_mocks.vehicle.options import VehicleOptions
+from sitl_mocks.vehicle.served.mission import MissionBook
+from sitl_mocks.vehicle.served.remote_id import home_system, location
+from sitl_mocks.vehicle.troubles import Troubles
+
+Builder = Callable[[float], MavlinkMessage | Payload | None]
+"""None: the vehicle has nothing to tell."""
+
+# Layouts of the messages that are sent many times a second, in their order on the wire.
+_GLOBAL_POSITION = struct.Struct("<IiiiihhhH")
+_SIX_FLOATS = struct.Struct("<I6f")
+_POSITION_TARGET = struct.Struct("<I11fHB")
+_GPS_RAW = struct.Struct("<QiiiHHHHBBiIIII")
+_CURRENT_MODE = struct.Struct("<IIB")
+
+_LANDED = {
+    Landed.ON_GROUND: mavlink.MAV_LANDED_STATE_ON_GROUND,
+    Landed.IN_AIR: mavlink.MAV_LANDED_STATE_IN_AIR,
+    Landed.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
+    Landed.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
+}
+# Gyroscope, accelerometer, compass, barometer, GPS, rate and attitude control, motor outputs, AHRS.
+_SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x8000 | 0x200000
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+)
+_ESTIMATOR_GOOD = 0x33F
+"""Attitude, velocities, places (also predicted), heights: bits 0 to 5, 8 and 9."""
+_ESTIMATOR_LOST = 0x025
+"""Attitude, vertical velocity, height."""
+_FIRST_FIX_S = 8.0
+"""From boot to the first place that GNSS gives; the estimator may take longer."""
+_MIN_ACCURACY_M = 0.3
+_MIN_SPEED_ACCURACY_MPS = 0.1
+_GRAVITY = 9.81
+
+
+class Telemetry:
+    """Builds messages at a time (the caller's `now_s`, at which the flight state holds)."""
+
+    def __init__(
+        self,
+        options: VehicleOptions,
+        manners: Manners,
+        flight: Flight,
+        book: MissionBook,
+        errors: NavigationError,
+        troubles: Troubles,
+        boot_s: float,
+    ) -> None:
+        self.boot_s = boot_s
+        """now_s at which the vehicle's own clock read 0."""
+        self._options = options
+        self._manners = manners
+        self._flight = flight
+        self._book = book
+        self._errors = errors
+        self._troubles = troubles
+        self._globe = Globe(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
+        builders: dict[int, Builder] = {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._origin,
+            mavlink.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._timesync,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.autopilot_version,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self.home_position,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
+            mavlink.MAVLINK_MSG_ID_RC_CHANNELS: self._rc_channels,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery_status,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: self._position_target,
+            manners.estimator_message: self._estimator_status,
+        }
+        if manners.tells_fence:
+            builders[mavlink.MAVLINK_MSG_ID_FENCE_STATUS] = self._fence_status
+        if mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION in manners.fresh_streams:
+            builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION] = self.remote_id_location
+            builders[mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM] = self._remote_id_system
+        if manners.tells_current_mode:
+            builders[CURRENT_MODE] = self.current_mode
+        self.builders: Mapping[int, Builder] = builders
+        self.known = frozenset((*builders, mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE))
+
+    def boot_ns(self, now_s: float) -> int:
+        """The vehicle's own clock (ns)."""
+        return round((now_s - self.boot_s) * 1e9)
+
+    def position_ned_m(self) -> Vec3:
+        """Where the vehicle believes it is."""
+        body, error = self._flight.body, self._errors.errors
+        return body.north + error[0], body.east + error[1], body.down + error[2]
+
+    def velocity_ned_mps(self) -> Vec3:
+        """How the vehicle believes it moves."""
+        body, error = self._flight.body, self._errors.errors
+        return body.vn + error[3], body.ve + error[4], body.vd + error[5]
+
+    def heartbeat(self, now_s: float) -> MavlinkMessage:
+        """HEARTBEAT."""
+        flight, manners = self._flight, self._manners
+        base = manners.base_modes[flight.mode] | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if flight.armed else 0)
+        if flight.failsafe:
+            status = mavlink.MAV_STATE_CRITICAL
+        elif flight.on_ground and flight.landing_detected:
+            status = mavlink.MAV_STATE_STANDBY
+        else:
+            status = mavlink.MAV_STATE_ACTIVE
+        mode = manners.custom_modes[flight.mode]
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_QUADROTOR, manners.autopilot_id, base, mode, status, 3
+        )
+
+    def current_mode(self, now_s: float) -> Payload:
+        """CURRENT_MODE."""
+        return self.mode_told(self._flight.mode, self._flight.intended)
+
+    def mode_told(self, mode: VehicleMode, intended: VehicleMode) -> Payload:
+        """CURRENT_MODE of any mode."""
+        manners = self._manners
+        numbers = manners.custom_modes[mode], manners.custom_modes[intended]
+        return Payload(CURRENT_MODE, _CURRENT_MODE.pack(*numbers, manners.standard_modes.get(mode, 0)))
+
+    def home_position(self, now_s: float) -> MavlinkMessage:
+        """HOME_POSITION: the origin of the local frame."""
+        lat, lon, alt = self._home()
+        nan = math.nan
+        usec = round((now_s - self.boot_s) * 1e6)
+        return mavlink.MAVLink_home_position_message(
+            lat, lon, alt, 0.0, 0.0, 0.0, [nan, nan, nan, nan], 0.0, 0.0, 0.0, usec
+        )
+
+    def _home(self) -> tuple[int, int, int]:
+        options = self._options
+        lat, lon = round(options.home_lat_deg * 1e7), round(options.home_lon_deg * 1e7)
+        return lat, lon, round(options.home_alt_msl_m * 1e3)
+
+    def _boot_ms(self, now_s: float) -> int:
+        return round((now_s - self.boot_s) * 1e3) & 0xFFFFFFFF
+
+    def _global_position(self, now_s: float) -> Payload | None:
+        known = self._flight.knows_place(now_s)
+        if not known and self._manners.global_position_stops:
+            return None
+        lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
+        if not known and now_s - self.boot_s < _FIRST_FIX_S:
+            lat, lon = 0.0, 0.0
+        vn, ve, vd = self.velocity_ned_mps()
+        heading = round(math.degrees(self._flight.body.yaw) % 360.0 * 100.0) % 36000
+        body = _GLOBAL_POSITION.pack(
+            self._boot_ms(now_s),
+            round(lat * 1e7),
+            round(lon * 1e7),
+            round(alt * 1e3),
+            round((alt - self._options.home_alt_msl_m) * 1e3),
+            round(vn * 1e2),
+            round(ve * 1e2),
+            round(vd * 1e2),
+            heading,
+        )
+        return Payload(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, body)
+
+    def _local_position(self, now_s: float) -> Payload | None:
+        if not self._flight.knows_place(now_s):
+            return None
+        body = _SIX_FLOATS.pack(self._boot_ms(now_s), *self.position_ned_m(), *self.velocity_ned_mps())
+        return Payload(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, body)
+
+    def _position_target(self, now_s: float) -> Payload | None:
+        """What the firmware makes of the setpoints: a velocity, zero where it flies none."""
+        flight = self._flight
+        external = flight.mode is VehicleMode.EXTERNAL
+        if not (external or self._manners.target_always_told) or not flight.armed:
+            return None
+        velocity = (0.0, 0.0, 0.0)
+        if external and flight.setpoint is not None and not flight.setpoint.stop:
+            velocity = flight.setpoint.velocity_ned_mps
+        numbers = (0.0, 0.0, 0.0, *velocity, 0.0, 0.0, 0.0, 0.0, 0.0)
+        body = _POSITION_TARGET.pack(self._boot_ms(now_s), *numbers, 0xDC7, mavlink.MAV_FRAME_LOCAL_NED)
+        return Payload(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, body)
+
+    def _gps_raw(self, now_s: float) -> Payload:
+        options, lost = self._options, self._troubles.gnss_lost
+        lat, lon, alt = self._globe.to_geodetic(*self.position_ned_m())
+        vn, ve, _ = self.velocity_ned_mps()
+        speed = math.hypot(vn, ve)
+        course = round(math.degrees(math.atan2(ve, vn)) % 360.0 * 100.0) % 36000 if speed > 0.05 else 0
+        body = _GPS_RAW.pack(
+            round((now_s - self.boot_s) * 1e6),
+            round(lat * 1e7),
+            round(lon * 1e7),
+            round(alt * 1e3),
+            0xFFFF if lost else 121,
+            0xFFFF if lost else 200,
+            round(speed * 1e2),
+            course,
+            mavlink.GPS_FIX_TYPE_NO_FIX if lost else self._manners.gps_fix_type,
+            0 if lost else 10,
+            round((alt + options.geoid_separation_m) * 1e3),
+            round(max(options.gnss_horizontal_sigma_m, _MIN_ACCURACY_M) * 1e3),
+            round(max(options.gnss_vertical_sigma_m, _MIN_ACCURACY_M) * 1e3),
+            round(max(options.gnss_velocity_sigma_mps, _MIN_SPEED_ACCURACY_MPS) * 1e3),
+            0,
+        )
+        return Payload(mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, body)
+
+    def _attitude(self, now_s: float) -> Payload:
+        """Lean of a multicopter that accelerates as this one does; rates are not modelled."""
+        body = self._flight.body
+        north, east = body.lean_mps2
+        cos, sin = math.cos(body.yaw), math.sin(body.yaw)
+        forward, right = cos * north + sin * east, cos * east - sin * north
+        roll, pitch = math.atan2(right, _GRAVITY), -math.atan2(forward, _GRAVITY)
+        packed = _SIX_FLOATS.pack(self._boot_ms(now_s), roll, pitch, body.yaw, 0.0, 0.0, 0.0)
+        return Payload(mavlink.MAVLINK_MSG_ID_ATTITUDE, packed)
+
+    def _vfr_hud(self, now_s: float) -> MavlinkMessage:
+        body = self._flight.body
+        vn, ve, vd = self.velocity_ned_mps()
+        speed = math.hypot(vn, ve)
+        heading = round(math.degrees(body.yaw)) % 360
+        throttle = 0 if self._flight.on_ground else 50
+        altitude = self._options.home_alt_msl_m - self.position_ned_m()[2]
+        return mavlink.MAVLink_vfr_hud_message(speed, speed, heading, throttle, altitude, -vd)
+
+    def _sys_status(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_sys_status_message(
+            _SENSORS, _SENSORS, _SENSORS, 100, self._millivolts, 0, self._percent, 0, 0, 0, 0, 0, 0
+        )
+
+    @property
+    def _percent(self) -> int:
+        return round(self._troubles.battery_remaining * 100.0)
+
+    @property
+    def _millivolts(self) -> int:
+        """Three cells in series, as if the voltage fell evenly from full to empty."""
+        return round(9900.0 + 2700.0 * self._troubles.battery_remaining)
+
+    def _battery_status(self, now_s: float) -> MavlinkMessage:
+        cells = [self._millivolts, *[0xFFFF] * 9]
+        return mavlink.MAVLink_battery_status_message(0, 0, 0, 0x7FFF, cells, 0, 0, -1, self._percent)
+
+    def _rc_channels(self, now_s: float) -> MavlinkMessage | None:
+        """Channels 1 to 4: roll, pitch, throttle, yaw."""
+        troubles = self._troubles
+        if not troubles.rc_connected:
+            return None
+        sticks = [round(1500.0 + 500.0 * stick) for stick in troubles.sticks]
+        channels = [*sticks, *[1500] * 4, *[0xFFFF] * 10]
+        return mavlink.MAVLink_rc_channels_message(self._boot_ms(now_s), 8, *channels, 200)
+
+    def _estimator_status(self, now_s: float) -> MavlinkMessage:
+        """EKF_STATUS_REPORT or ESTIMATOR_STATUS; the flags have the same bits in both, but constant position
+        is ArduPilot's way out without a position, and PX4's rest on the ground."""
+        troubles = self._troubles
+        ratio = 1.5 if troubles.estimator_bad else 0.1
+        flags = _ESTIMATOR_LOST if troubles.position_lost else _ESTIMATOR_GOOD
+        ardupilot = self._manners.estimator_message == mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT
+        if troubles.position_lost if ardupilot else self._flight.landed is Landed.ON_GROUND:
+            flags |= mavlink.ESTIMATOR_CONST_POS_MODE
+        if ardupilot:
+            return mavlink.MAVLink_ekf_status_report_message(flags, ratio, ratio, 0.1, 0.1, 0.0)
+        accuracy = self._options.gnss_horizontal_sigma_m or _MIN_ACCURACY_M
+        usec = round((now_s - self.boot_s) * 1e6)
+        return mavlink.MAVLink_estimator_status_message(
+            usec, flags, ratio, ratio, 0.1, 0.1, 0.0, 0.0, accuracy, accuracy
+        )
+
+    def _fence_status(self, now_s: float) -> MavlinkMessage | None:
+        troubles = self._troubles
+        if not troubles.fence_enabled:
+            return None
+        breaches = troubles.breaches
+        kind = mavlink.FENCE_BREACH_NONE
+        if breaches:
+            kind = mavlink.FENCE_BREACH_BOUNDARY if breaches & ~1 else mavlink.FENCE_BREACH_MAXALT
+        at_ms = round((troubles.breached_s - self.boot_s) * 1e3) & 0xFFFFFFFF if troubles.breach_count else 0
+        return mavlink.MAVLink_fence_status_message(
+            1 if breaches else 0, troubles.breach_count, kind, at_ms, mavlink.FENCE_MITIGATE_NONE
+        )
+
+    def _utc_s(self, now_s: float) -> float | None:
+        utc = self._options.utc_at_zero_s
+        return None if utc is None else utc + now_s
+
+    def remote_id_location(self, now_s: float) -> MavlinkMessage:
+        """OPEN_DRONE_ID_LOCATION."""
+        place = self._globe.to_geodetic(*self.position_ned_m())
+        velocity = self.velocity_ned_mps()
+        on_ground = self._flight.on_ground
+        return location(self._options, place, velocity, self._utc_s(now_s), on_ground=on_ground)
+
+    def _remote_id_system(self, now_s: float) -> MavlinkMessage:
+        return home_system(self._options, self._utc_s(now_s))
+
+    def _system_time(self, now_s: float) -> MavlinkMessage:
+        utc_s = self._utc_s(now_s)
+        usec = 0 if utc_s is None else round(utc_s * 1e6)
+        return mavlink.MAVLink_system_time_message(usec, self._boot_ms(now_s))
+
+    def _extended_sys_state(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_extended_sys_state_message(
+            self._manners.vtol_state, _LANDED[self._flight.landed]
+        )
+
+    def _mission_current(self, now_s: float) -> MavlinkMessage:
+        flight, total = self._flight, self._book.flown_count
+        if not total:
+            state = mavlink.MISSION_STATE_NO_MISSION
+            total = 0 if self._manners.home_is_item_zero else 65535
+        elif flight.runner.complete:
+            state = mavlink.MISSION_STATE_COMPLETE
+        elif flight.mode is VehicleMode.MISSION:
+            state = mavlink.MISSION_STATE_ACTIVE
+        elif flight.runner.seq > self._book.first_seq:
+            state = self._manners.paused_state
+        else:
+            state = mavlink.MISSION_STATE_NOT_STARTED
+        return mavlink.MAVLink_mission_current_message(flight.runner.seq, total, state, 0)
+
+    def _timesync(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_timesync_message(0, self.boot_ns(now_s))
+
+    def _origin(self, now_s: float) -> MavlinkMessage:
+        return mavlink.MAVLink_gps_global_origin_message(*self._home(), round((now_s - self.boot_s) * 1e6))
+
+    def autopilot_version(self, now_s: float) -> MavlinkMessage:
+        """AUTOPILOT_VERSION."""
+        encode = (
+            mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+            if self._manners.param_bytewise
+            else mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+        )
+        none = [0] * 8
+        return mavlink.MAVLink_autopilot_version_message(
+            _CAPABILITIES | encode, 0, 0, 0, 0, none, none, none, 0, 0, self._options.system_id
+        )
