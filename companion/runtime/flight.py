@@ -241,7 +241,7 @@ class Flight:
             self.link.wait(min(left, _LOOK_S))
             if self._take_in():
                 # Answer a TIMESYNC at once: an answer that waited for the next tick would report a wrong
-                # time. A setpoint may also be waiting for this input.
+                # time. A setpoint may also be waiting for an answer of the vehicle in this input.
                 self._send()
 
     def _take_in(self) -> bool:
