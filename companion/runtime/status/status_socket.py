@@ -162,7 +162,7 @@ def _listen(name: str, where: list[Path]) -> tuple[Path, socket.socket]:
 
 
 def _bind(path: Path) -> socket.socket:
-    """Raises ConfigError if another process serves this path, and OSError if the path cannot be served at all."""
+    """Raises ConfigError if another process serves this path, OSError if the path cannot be served at all."""
     if is_served(path):
         raise ConfigError(f"{path}: another companion of this name serves its status there")
     with contextlib.suppress(FileNotFoundError):
