@@ -172,7 +172,7 @@ def _disk(config: Config, found: Preflight) -> None:
 
 
 def _policy(config: Config, found: Preflight) -> None:
-    """Check the policy. A flight would replace a bad one by a fixed legal set; before flight it is an error."""
+    """Check the policy. A flight replaces a bad one by a fixed legal set; before flight it is an error."""
     try:
         lines = judge_policy(config)
     except ConfigError as error:

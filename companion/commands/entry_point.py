@@ -14,7 +14,7 @@ from companion.errors import ConfigError, PeerDataError
 
 
 def parser_of(name: str, description: str, examples: str) -> argparse.ArgumentParser:
-    """Make the parser of a command with subcommands. Each subcommand must set the default `run`."""
+    """Make the parser of a command with subcommands. Each of these must set `run`, the function to call."""
     parser = argparse.ArgumentParser(
         prog=name,
         description=description,

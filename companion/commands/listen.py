@@ -49,7 +49,7 @@ _EXAMPLES: Final = """examples:
 
 
 def add_arguments(subparsers: Subparsers) -> None:
-    """Add `listen` to the subparsers of `remote-id`, with `run` as its default `run`."""
+    """Add `listen` to the subparsers of `remote-id`; it calls `run`."""
     parser = subparsers.add_parser(
         "listen",
         help="show who is heard",

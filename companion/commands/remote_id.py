@@ -82,7 +82,7 @@ _CHECK_HELP: Final = """example:
 
 
 def add_arguments(subparsers: Subparsers) -> None:
-    """Add `encode`, `decode` and `check` to the subparsers of `remote-id`; each has `run` as default `run`."""
+    """Add `encode`, `decode` and `check` to the subparsers of `remote-id`; each calls `run`."""
 
     def action(name: str, text: str, more: str) -> argparse.ArgumentParser:
         parser = subparsers.add_parser(

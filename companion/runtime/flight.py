@@ -2,8 +2,7 @@
 
 The loop does nothing late: it skips and counts a missed deadline, and the heart (`companion.core`), which
 sees the gap, commands nothing until its data is fit again. Troubles outside the flight itself do not end the
-flight. A lost link is reopened; without a working disk or terminal the flight continues; the user is told of
-each.
+flight, but are reported. A lost link is reopened; without a working disk or terminal the flight continues.
 """
 
 from __future__ import annotations
@@ -183,7 +182,8 @@ class Flight:
             self._say(f"vehicle {self.onboard.link.vehicle}")
             self._run.open(self.config, self._policy, str(self.onboard.link.vehicle))
             self._loop()
-            # The watchdog is not needed here: `_let_go` waits for the vehicle, but has a limit of its own.
+            # Stop the watchdog, because `_let_go` reports nothing to it. It waits for the vehicle, up to
+            # a limit of its own.
             self._watchdog.stop()
             self._notifier.stopping()
             self._let_go()

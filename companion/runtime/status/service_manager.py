@@ -1,4 +1,4 @@
-"""Notifications to the service manager: a complete implementation of the sd_notify(3) protocol.
+"""Notifications to the service manager in the protocol of sd_notify(3), without its library.
 
 Each notification is a datagram of KEY=value lines to the socket that NOTIFY_SOCKET names. Nothing here blocks
 or raises: a flight does not depend on the program that started it.
