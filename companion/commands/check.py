@@ -1,5 +1,8 @@
-"""`companion check`: the preflight list. Validates, probes radios, disk and link, measures what the vehicle
-sends, and says in plain words what is missing and what to do about it."""
+"""`companion check`: the preflight list.
+
+It validates the configuration, probes radios, disk and link, measures what the vehicle sends, and reports in
+plain words what is missing and what to do about it.
+"""
 
 from __future__ import annotations
 
@@ -51,15 +54,15 @@ from companion.runtime.warm import warm_up, was_compiled
 
 _RADIO_S = 2.5
 _SETTLE_S = 2.0
-"""After the vehicle was found: its streams are asked for and begin."""
+"""Time after the vehicle was found, in which its telemetry streams are requested and begin."""
 _MEASURE_S = 4.0
 _PARAMETERS_S = 8.0
-"""At most, until those that exist have come and the others were asked for often enough."""
+"""Longest wait until the parameters that exist have arrived and the others were requested often enough."""
 _MISSION_S = 65.0
-"""At most: longer than a download may take."""
+"""Longest wait for the mission: longer than a download may take."""
 _CLOCK_OFF_S = 2.0
 _TIGHT_MB = 500.0
-"""Above the floor: some hours of recording."""
+"""Free space above record.keep_free_mb below which the disk is yellow: some hours of recording."""
 _MESSAGES: Final[dict[type[Event], tuple[str, float]]] = {
     Heartbeat: ("HEARTBEAT", 1.0),
     GlobalPosition: ("GLOBAL_POSITION_INT", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT]),
@@ -69,19 +72,19 @@ _MESSAGES: Final[dict[type[Event], tuple[str, float]]] = {
     LocalPosition: ("LOCAL_POSITION_NED", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED]),
     MissionCurrent: ("MISSION_CURRENT", STREAM_RATES_HZ[mavlink.MAVLINK_MSG_ID_MISSION_CURRENT]),
 }
-"""What is measured: name and the rate that is asked for."""
+"""Messages whose rate is measured: the name and the requested rate in Hz."""
 _USEFUL: Final = ("LOCAL_POSITION_NED", "MISSION_CURRENT")
-"""A flight can be flown without these."""
+"""Messages without which a flight is still possible."""
 
 
 def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) -> int:
-    """Probe what the configuration names.
+    """Probe everything that the configuration names.
 
     Args:
-        say: takes each line as soon as it is known; with `as_json` one JSON object at the end.
+        say: receives each line as soon as it is known; with `as_json`, one JSON object at the end.
 
     Returns:
-        0 when nothing is red, 1 otherwise.
+        0 if no finding is red, otherwise 1.
     """
     found = Preflight()
     for probe in (_configuration, _settings, _kernels, _disk, _policy, _radios, _vehicle):
@@ -116,7 +119,7 @@ def _configuration(config: Config, found: Preflight) -> None:
 
 
 def _settings(config: Config, found: Preflight) -> None:
-    """In flight what cannot be used is left out; before it, it is to be put right."""
+    """Check the stored settings. A flight would ignore unusable ones; before flight they are an error."""
     try:
         settings = read_settings(config)
     except ConfigError as error:
@@ -169,7 +172,7 @@ def _disk(config: Config, found: Preflight) -> None:
 
 
 def _policy(config: Config, found: Preflight) -> None:
-    """In flight a policy that fails is replaced by a fixed legal set; before it, it is to be put right."""
+    """Check the policy. A flight replaces a bad one by a fixed legal set; before flight it is an error."""
     try:
         lines = judge_policy(config)
     except ConfigError as error:
@@ -198,7 +201,7 @@ def _radios(config: Config, found: Preflight) -> None:
 
 def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: Preflight) -> None:
     health = radios.health(clock.now_s())
-    # To watch without a radio is a choice. To fly without one takes law = "none", and is never ready.
+    # Watching without a radio may be intended. Flying without one requires law = "none" and is never ready.
     chosen = not config.has_radio and config.flight.use == "watch"
     for line in (*radios.lines(clock.now_s()), *failed) or (f"radio: {health.text}",):
         what, _, text = line.partition(": ")
@@ -272,7 +275,7 @@ def _vehicle(config: Config, found: Preflight) -> None:
 
 
 class _Probe:
-    """The link in use: asks for telemetry as a flight does, and counts what comes."""
+    """Uses the link like a flight: requests telemetry, and counts what arrives."""
 
     def __init__(self, link: KeptLink, protocol: AutopilotLink) -> None:
         self.link, self.protocol = link, protocol
@@ -283,14 +286,14 @@ class _Probe:
         self.now_s = clock.now_s()
 
     def measure(self, seconds: float) -> None:
-        """Count anew, for so long."""
+        """Reset the counts, then count for `seconds`."""
         self.counts.clear()
         began_s = clock.now_s()
         self.run(seconds)
         self.measured_s = clock.now_s() - began_s
 
     def run(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
-        """Exchange bytes for so long, or until done."""
+        """Exchange bytes for `seconds`, or until `done` returns True."""
         end = clock.now_s() + seconds
         while (now := clock.now_s()) < end and not done():
             self.now_s = now
@@ -339,7 +342,7 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
 
 
 def _judge_parameters(config: Config, told: VehicleParameters | None, found: Preflight) -> None:
-    """What the vehicle's own limits and failsafes mean for this configuration."""
+    """Report what the vehicle's own limits and failsafes mean for this configuration."""
     if told is None:
         return
     watching = config.flight.use == "watch"
@@ -366,7 +369,7 @@ def _judge_mission(
     mission: MissionDownloaded | MissionRefused | None,
     found: Preflight,
 ) -> None:
-    """The mission that is to be guarded: whether it can be read, and is not flown faster than we may fly."""
+    """Check that the mission to be guarded can be read, and is not flown faster than our speed limit."""
     items = mission.items if isinstance(mission, MissionDownloaded) else ()
     if items:
         found.green("mission", f"{len(items)} items, read from the vehicle")
@@ -426,7 +429,7 @@ def _judge_own(config: Config, probe: _Probe, found: Preflight) -> None:
 
 
 def _module_of_another(config: Config, system_id: int) -> list[str]:
-    """Remote ID modules that are told to belong to another vehicle."""
+    """Texts for the Remote ID modules that are configured with the system id of another vehicle."""
     return [
         f"radio[{number}].system_id: {entry.system_id}, but the vehicle is system {system_id}: the module "
         f"takes the first system id that it hears for its own, and its ARM_STATUS then goes to vehicle "

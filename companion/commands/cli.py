@@ -1,7 +1,7 @@
 """The `companion` command.
 
-What flies or replays is imported where it is needed: it brings the compiler with it, which who only looks has
-no use for.
+Modules for flight and replay are imported only where they are needed, because they load the compiler (numba),
+which the other subcommands do not need.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _EXAMPLES = """examples:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
+    """Run the command. Returns the exit code: 0 for success, 1 for a negative result, 2 for wrong input."""
     return run_command(_parser(), argv)
 
 

@@ -1,4 +1,4 @@
-"""What the three commands share: subcommands that return an exit code, and errors in one line."""
+"""Common code of the three commands: subcommands that return an exit code, and errors printed in one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from companion.errors import ConfigError, PeerDataError
 
 
 def parser_of(name: str, description: str, examples: str) -> argparse.ArgumentParser:
-    """A parser for a command with subcommands; each of those sets `run`."""
+    """Make the parser of a command with subcommands. Each of these must set `run`, the function to call."""
     parser = argparse.ArgumentParser(
         prog=name,
         description=description,
@@ -26,7 +26,7 @@ def parser_of(name: str, description: str, examples: str) -> argparse.ArgumentPa
 
 
 def run_command(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> int:
-    """Run the subcommand. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
+    """Run the subcommand. Returns the exit code: 0 for success, 1 for a negative result, 2 for bad input."""
     _open_streams()
     arguments = parser.parse_args(argv)
     try:
@@ -37,22 +37,24 @@ def run_command(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> 
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # Whoever read our output has had enough; nothing more can be said to them.
+        # The reader of our output has closed the pipe. Closing stderr keeps Python from complaining at exit.
         sys.stderr.close()
         return 1
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
         print(f"{parser.prog}: output cannot be written: {error.strerror}", file=sys.stderr)
-        # What is left in stdout cannot be written either, which Python would complain of.
+        # The rest of stdout cannot be written either, and Python would complain of that at exit.
         sys.stderr.close()
         return 1
     return code
 
 
 def start(module: str) -> int:
-    """Import a command's module, which takes a second or more, and run its `main`. Returns the exit code;
-    Ctrl-C ends the one as quietly as the other."""
+    """Import a command's module, which takes a second or more, and run its `main`.
+
+    Ctrl-C ends both the import and `main` without a traceback. Returns the exit code.
+    """
     try:
         code: int = importlib.import_module(module).main()
     except KeyboardInterrupt:
@@ -61,13 +63,16 @@ def start(module: str) -> int:
 
 
 def _open_streams() -> None:
-    """Stand in for standard streams that were closed before the start, as by `2>&-`: the next file that is
-    opened would take their number, a serial port get what is printed, and the watchdog find no stderr."""
+    """Open /dev/null in place of standard streams that were closed before the start, for example by `2>&-`.
+
+    Otherwise the next file that is opened would take the free descriptor: a serial port would receive what is
+    printed, and the watchdog would find no stderr.
+    """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            # The lowest free number, which is this one.
+            # `open` takes the lowest free descriptor, which is this one.
             os.open(os.devnull, os.O_RDWR)
     sys.stdin = sys.stdin or os.fdopen(0, closefd=False)
     sys.stdout = sys.stdout or os.fdopen(1, "w", closefd=False)

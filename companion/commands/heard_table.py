@@ -1,7 +1,7 @@
-"""Who was heard lately, and how that reads: what `companion remote-id listen` shows.
+"""The aircraft that were received lately, and their texts, as `companion remote-id listen` shows them.
 
-Everything here was written by strangers: the table is bounded, and no words hold a character that could
-command a terminal.
+All data comes from received messages and is not trusted: the table is bounded, and no text holds a character
+that could control a terminal.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from companion.remote_id.messages import BasicId, IdType, Location, OperatorId, 
 
 MAX_AIRCRAFT: Final = 200
 FORGET_S: Final = 300.0
-"""Aircraft not heard for this long leave the table."""
+"""Aircraft that were not received for this long are removed from the table."""
 _RATE_OVER_S: Final = 10.0
 _MAX_SAMPLES: Final = 200
 _MAX_ADDRESSES: Final = 4
@@ -27,10 +27,11 @@ _TEXT_IDS: Final = (IdType.SERIAL_NUMBER, IdType.CAA_REGISTRATION)
 
 @dataclass(slots=True)
 class Aircraft:
-    """One aircraft as heard."""
+    """What was received from one aircraft."""
 
     basic_id: BasicId | None = None
-    """The first that named it: a second identity (registration beside serial) does not rename it."""
+    """The first Basic ID with an identity. A second one (a registration in addition to the serial number)
+    does not replace it."""
     addresses: dict[str, None] = field(default_factory=dict)
     transports: dict[str, None] = field(default_factory=dict)
     rssi_dbm: float | None = None
@@ -41,39 +42,40 @@ class Aircraft:
     self_id: SelfId | None = None
     messages: int = 0
     arrivals: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=_MAX_SAMPLES))
-    """When frames came, and with how many messages."""
+    """Arrival time and number of messages of each frame, the latest `_MAX_SAMPLES` frames."""
 
     def rate_per_s(self, now_s: float) -> float:
-        """Messages a second over the last ten seconds."""
+        """Messages per second over the last ten seconds."""
         recent = [(at_s, count) for at_s, count in self.arrivals if now_s - at_s < _RATE_OVER_S]
-        # Where the samples do not reach back ten seconds, they are what came since the first of them.
+        # If the samples do not reach back ten seconds, the rate is taken over the time since the first
+        # sample.
         over_s = max(1.0, now_s - self.arrivals[0][0]) if self.arrivals else 1.0
         return sum(count for _, count in recent) / min(over_s, _RATE_OVER_S)
 
 
 class HeardTable:
-    """The aircraft heard lately, at most `MAX_AIRCRAFT`.
+    """The aircraft that were received lately, at most `MAX_AIRCRAFT`.
 
-    Frames belong to one aircraft by their radio address until it has said its identity, then by that, so that
-    one that sends from several addresses is one row. Two transmitters that claim the same identity share it:
-    their addresses tell.
+    Frames are assigned to an aircraft by their radio address until it has sent its identity, then by its
+    identity. An aircraft that sends from several addresses is therefore one row. Two transmitters that claim
+    the same identity share a row, which shows both addresses.
     """
 
     def __init__(self) -> None:
         self._by_key: dict[tuple[str, str], Aircraft] = {}
-        """In order of last reception. Keys: ("id", identity) or ("at", address)."""
+        """Aircraft in order of last reception. Keys: ("id", identity) or ("at", address)."""
         self._names: dict[str, tuple[str, str]] = {}
-        """Address -> key of the aircraft that named itself there and still holds the address."""
+        """Address -> key of the aircraft that sent its identity from it and still holds the address."""
 
     def __len__(self) -> int:
         return len(self._by_key)
 
     def newest_first(self) -> list[Aircraft]:
-        """All of them."""
+        """All aircraft, the most recently received first."""
         return list(reversed(self._by_key.values()))
 
     def take(self, event: RemoteIdHeard, now_s: float) -> Aircraft:
-        """Add a heard frame; the aircraft it belongs to."""
+        """Add a received frame. Returns the aircraft to which it belongs."""
         key = self._key_of(event)
         aircraft = self._by_key.pop(key, None) or Aircraft()
         self._by_key[key] = aircraft
@@ -104,7 +106,7 @@ class HeardTable:
         return aircraft
 
     def forget(self, now_s: float) -> None:
-        """Drop who was not heard for `FORGET_S`."""
+        """Remove aircraft that were not received for `FORGET_S`."""
         while self._by_key:
             key = next(iter(self._by_key))
             if now_s - self._by_key[key].last_s <= FORGET_S:
@@ -139,12 +141,12 @@ def _names(message: BasicId) -> bool:
 
 
 def plain(text: str) -> str:
-    """Text that cannot command a terminal: what is not printable is written as its code."""
+    """Text that cannot control a terminal: unprintable characters are replaced by their code."""
     return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
 
 
 def identity_words(basic_id: BasicId | None) -> str:
-    """The identity; raw ones (UUID, session id) in hexadecimal."""
+    """The identity as text; raw identities (UUID, session id) in hexadecimal; "?" if unknown."""
     if basic_id is None:
         return "?"
     if basic_id.id_type in _TEXT_IDS:
@@ -153,7 +155,7 @@ def identity_words(basic_id: BasicId | None) -> str:
 
 
 def cells(aircraft: Aircraft, now_s: float) -> dict[str, str]:
-    """What the table shows of an aircraft, by column; "-" is unknown."""
+    """Row of the table for an aircraft: text by column name. "-" means unknown."""
     location = aircraft.location or Location()
     system = aircraft.system or System()
     basic = aircraft.basic_id
@@ -180,7 +182,7 @@ def cells(aircraft: Aircraft, now_s: float) -> dict[str, str]:
 
 
 def health_words(health: Health, aircraft: int) -> str:
-    """The radios and what they heard, in one line."""
+    """State of the radios and counts of what they received, in one line."""
     state = "" if health.ok else "NOT OK: "
     return (
         f"{state}{plain(health.text)}; {aircraft} aircraft, {health.frames_heard} frames heard, "
@@ -189,7 +191,7 @@ def health_words(health: Health, aircraft: int) -> str:
 
 
 def json_line(event: RemoteIdHeard, utc_s: float) -> str:
-    """A heard frame as one line of JSON; characters that could command a terminal are escaped."""
+    """A received frame as one line of JSON; characters that could control a terminal are escaped."""
     fields = msgspec.to_builtins(event)
     del fields["type"]
     text = msgspec.json.encode({"time_utc_s": round(utc_s, 3), **fields}).decode()

@@ -1,6 +1,6 @@
-"""`companion remote-id listen`: who is in the air, from any radio, in a live table.
+"""`companion remote-id listen`: a live table of the aircraft that any radio receives.
 
-It listens only, and needs no position of its own.
+It only listens, and needs no position of its own.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _EXAMPLES: Final = """examples:
 
 
 def add_arguments(subparsers: Subparsers) -> None:
-    """Add `listen` to the subparsers of `remote-id`; it sets `run`."""
+    """Add `listen` to the subparsers of `remote-id`; it calls `run`."""
     parser = subparsers.add_parser(
         "listen",
         help="show who is heard",
@@ -71,10 +71,10 @@ def add_arguments(subparsers: Subparsers) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Listen as the command line says. Returns the exit code: 1 where the output cannot be written.
+    """Listen with the options of the command line. Returns the exit code: 1 if the output cannot be written.
 
     Raises:
-        ConfigError: there is nothing to listen with, or a radio cannot be opened.
+        ConfigError: no configured radio can listen, or a radio cannot be opened.
     """
     if arguments.radio is not None:
         config = Config(identity=IdentityConfig(uas_id="LISTENER"), radio=_shortcuts(arguments.radio))
@@ -90,14 +90,14 @@ def run(arguments: argparse.Namespace) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(
             errors="backslashreplace"
-        )  # a terminal that cannot show a sign is no reason to end
+        )  # a character that the terminal cannot show must not end the command
     try:
         with _stop_signal() as stopped:
             listen(radios, _view(as_json=arguments.json), stopped, arguments.seconds)
     except _CannotWriteError as error:
         print(f"remote-id listen: the output cannot be written: {error}", file=sys.stderr)
         with suppress(OSError):
-            sys.stdout.close()  # what it still holds is not tried again at the exit
+            sys.stdout.close()  # so that Python does not try to write the rest again at exit
         return 1
     finally:
         radios.close()
@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def listen(radios: Radios, view: View, stopped: Callable[[], bool], seconds: float | None) -> None:
-    """Hear and show until told to stop, or for `seconds`."""
+    """Receive and show frames until `stopped` returns True, or for `seconds`."""
     began_s = clock.now_s()
     heard = HeardTable()
     with view:
@@ -133,7 +133,7 @@ def _seconds(text: str) -> float:
 
 
 def _listening(radio: RadioConfig) -> list[RadioConfig]:
-    """The part of a radio that listens, if it has one: what sends is left alone, another may be using it."""
+    """The listening part of a radio, if it has one; another program may be using its sending part."""
     match radio:
         case EtherRadio():
             return [radio]
@@ -164,7 +164,7 @@ def _shortcuts(texts: Sequence[str]) -> tuple[RadioConfig, ...]:
 
 @contextmanager
 def _stop_signal() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C, a closed terminal and a service manager's signal are noted, not raised."""
+    """Catch SIGINT, SIGHUP and SIGTERM. Yields a function that returns whether one of them has arrived."""
     noted = False
 
     def note(_number: int, _frame: object) -> None:
@@ -184,20 +184,20 @@ def _stop_signal() -> Iterator[Callable[[], bool]]:
 
 
 class View(Protocol):
-    """Where it is shown; entered before the first call, left at the end."""
+    """Output of `listen`: a context manager that is entered before the first call and left at the end."""
 
     def __enter__(self) -> object: ...
     def __exit__(self, *error: object) -> None: ...
 
     def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
-        """A frame was heard."""
+        """Show a frame that was received."""
 
     def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
-        """Everything, as of now."""
+        """Show the current state of the table and the radios."""
 
 
 class _CannotWriteError(Exception):
-    """The output takes no more: a full disk."""
+    """The output cannot be written, for example because the disk is full."""
 
 
 def _say(line: str, stream: TextIO | None = None) -> None:
@@ -218,7 +218,7 @@ def _view(*, as_json: bool) -> View:
 
 
 class LiveTable:
-    """A table that is drawn anew, for a terminal."""
+    """A table that is redrawn in place, for a terminal."""
 
     def __init__(self, console: Console) -> None:
         self._live = Live(console=console, auto_refresh=False, vertical_overflow="ellipsis")
@@ -232,10 +232,10 @@ class LiveTable:
         self._live.stop()
 
     def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
-        """Nothing: the table shows it."""
+        """Do nothing: the table shows the frame."""
 
     def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
-        """Draw, where it is time to."""
+        """Redraw the table if `_DRAW_S` has passed."""
         if now_s - self._drawn_s < _DRAW_S:
             return
         self._drawn_s = now_s
@@ -243,12 +243,12 @@ class LiveTable:
 
 
 def drawing(heard: HeardTable, health: Health, now_s: float, rows: int) -> Group:
-    """The line of the radios and the table, newest first: what does not fit the screen is the oldest.
+    """The line of the radios and the table, newest first, so that only the oldest rows do not fit the screen.
 
-    Texts, not markup: brackets from strangers mean nothing.
+    Received text is never interpreted as markup of rich, even if it holds brackets.
 
     Args:
-        rows: of the table at most; drawing takes time in which nobody listens.
+        rows: largest number of rows. Drawing takes time, during which nothing is received.
     """
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for name in COLUMNS:
@@ -260,7 +260,8 @@ def drawing(heard: HeardTable, health: Health, now_s: float, rows: int) -> Group
 
 
 class PlainLines:
-    """One line a second for each aircraft that was heard in it, and one for the radios when they change."""
+    """Once a second, one line for each aircraft received since the last time, and one for the radios if they
+    changed."""
 
     def __init__(self) -> None:
         self._shown_s: float | None = None
@@ -274,10 +275,10 @@ class PlainLines:
         _say(f"radio: {self._words}")
 
     def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
-        """Nothing: the next line holds it."""
+        """Do nothing: the next line holds the frame."""
 
     def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
-        """Print, where it is time to."""
+        """Print the lines if `_LINES_S` has passed."""
         self._words = health_words(health, len(heard))
         if self._shown_s is not None and now_s - self._shown_s < _LINES_S:
             return
@@ -293,7 +294,7 @@ class PlainLines:
 
 
 class JsonLines:
-    """One JSON object for each frame on stdout; the radios, when they change, on stderr."""
+    """One JSON object for each frame on stdout; the state of the radios, when it changes, on stderr."""
 
     def __init__(self) -> None:
         self._radios = ""
@@ -306,11 +307,11 @@ class JsonLines:
         _say(f"radio: {self._words}", sys.stderr)
 
     def frame(self, event: RemoteIdHeard, utc_s: float) -> None:
-        """Print it."""
+        """Print the frame as JSON."""
         _say(json_line(event, utc_s))
 
     def show(self, heard: HeardTable, health: Health, now_s: float) -> None:
-        """Say what changed about the radios."""
+        """Print the state of the radios if it changed."""
         self._words = health_words(health, len(heard))
         if health.text != self._radios:
             self._radios = health.text

@@ -1,4 +1,4 @@
-"""What `companion check` says: a line for each thing that a flight needs, and what to do about a red one."""
+"""The findings of `companion check`: one for each thing that a flight needs, with advice where needed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import msgspec
 
 
 class Light(enum.StrEnum):
-    """Of a finding. Red: the aircraft is not ready."""
+    """Severity of a finding. Red means that the aircraft is not ready."""
 
     GREEN = "green"
     YELLOW = "yellow"
@@ -16,17 +16,17 @@ class Light(enum.StrEnum):
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """One line of the list."""
+    """One finding of the preflight list."""
 
     light: Light
     what: str
     """Subject: link, rates, clock, ..."""
     text: str
     do: str = ""
-    """What to do about it."""
+    """What to do about the finding; empty if nothing."""
 
     def line(self) -> str:
-        """For a terminal, two lines where there is something to do."""
+        """Text for a terminal; a second line is added if there is something to do."""
         todo = f"\n        -> {self.do}" if self.do else ""
         return f"{self.light.value:6}  {self.what}: {self.text}{todo}"
 
@@ -39,17 +39,17 @@ class Preflight:
 
     @property
     def ready(self) -> bool:
-        """Nothing is red."""
+        """Whether no finding is red."""
         return all(finding.light is not Light.RED for finding in self.findings)
 
     def green(self, what: str, text: str) -> None:
-        """As it should be."""
+        """Add a finding that is as it should be."""
         self.findings.append(Finding(Light.GREEN, what, text))
 
     def yellow(self, what: str, text: str, do: str) -> None:
-        """A flight can be flown with it; somebody should know."""
+        """Add a finding with which a flight is possible, but of which the user should know."""
         self.findings.append(Finding(Light.YELLOW, what, text, do))
 
     def red(self, what: str, text: str, do: str) -> None:
-        """No flight before it is put right."""
+        """Add a finding that must be corrected before a flight."""
         self.findings.append(Finding(Light.RED, what, text, do))

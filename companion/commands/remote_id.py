@@ -1,7 +1,7 @@
-"""`companion remote-id encode|decode|check`: messages and frames by hand, captures, and conformance.
+"""`companion remote-id encode|decode|check`: encode and decode messages, read captures, check conformance.
 
-Exit status: 0 when everything held; 1 when a line, a frame or a vector did not, when a capture ends inside a
-frame, or when there was nothing to do; 2 when the request or a file is wrong.
+Exit status: 0 if everything was correct; 1 if a line, a frame or a vector was not, if a capture ends inside a
+frame, or if there was nothing to do; 2 if the request or a file is wrong.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _JSON: Final = msgspec.json.Decoder[Message](Message)
 _TYPES: Final = {kind.__name__: kind for kind in get_args(Message)}
 _TRANSPORTS: Final = (BLE4, BLE5, WIFI_BEACON, WIFI_NAN)
 _OWN_ADDRESS: Final = "02:00:00:00:00:01"
-"""Locally administered: nobody's."""
+"""Default transmitter address: locally administered, so that it belongs to no manufacturer."""
 _CAPTURES: Final = {".pcap", ".pcapng"}
 _LINES_TO_TELL: Final = 3
-"""So many lines without a hexadecimal one, and the input is not hexadecimal text."""
+"""After this many lines that are not hexadecimal, with none that is, the input is not hexadecimal text."""
 _NEITHER: Final = "neither a capture (pcap, pcapng) nor hexadecimal text"
 _SHOWN: Final = 40
-"""Characters of a wrong line or value that are repeated."""
+"""Largest number of characters of a wrong line or value that an error text repeats."""
 
 EXAMPLES: Final = (
     '{"type":"BasicId","id_type":1,"ua_type":2,"uas_id":"1581F6N8A23B2ML3Y3KR"}',
@@ -54,7 +54,7 @@ EXAMPLES: Final = (
     '"operator_alt_geodetic_m":420.0,"timestamp_utc_s":1735689600.0}',
     '{"type":"OperatorId","operator_id_type":0,"operator_id":"FIN87astrdge12k8"}',
 )
-"""One JSON message of each type."""
+"""An example JSON message of each type."""
 
 _ENCODE_HELP: Final = f"""the six types of message, one line each:
 {chr(10).join(f"  {line}" for line in EXAMPLES)}
@@ -82,7 +82,7 @@ _CHECK_HELP: Final = """example:
 
 
 def add_arguments(subparsers: Subparsers) -> None:
-    """Add `encode`, `decode` and `check` to the subparsers of `remote-id`; each sets `run`."""
+    """Add `encode`, `decode` and `check` to the subparsers of `remote-id`; each calls `run`."""
 
     def action(name: str, text: str, more: str) -> argparse.ArgumentParser:
         parser = subparsers.add_parser(
@@ -121,9 +121,9 @@ def add_arguments(subparsers: Subparsers) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what was parsed, on stdin and stdout; complaints go to stderr. Returns the exit status."""
+    """Run the parsed action on stdin and stdout; errors go to stderr. Returns the exit status."""
     if isinstance(sys.stdin, io.TextIOWrapper):
-        # JSON is UTF-8 in every locale; a line of noise is to be that line's fault alone.
+        # JSON is UTF-8 in every locale. Undecodable bytes must be an error of their own line only.
         sys.stdin.reconfigure(encoding="utf-8", errors="replace")
     actions = {"encode": _encode, "decode": _decode, "check": _check}
     try:
@@ -147,16 +147,17 @@ def _address(text: str) -> str:
 
 
 class _Printed(NamedTuple):
-    """What a line turned into."""
+    """Result of one input line: the lines to print, and what is wrong with it."""
 
     lines: Sequence[str]
     faults: Sequence[str] = ()
 
 
 def _each_line(name: str, lines: Iterable[str], work: Callable[[str], _Printed]) -> int:
-    """Print what every line turns into; what is wrong with it is told on stderr, and the rest goes on.
+    """Print the result of `work` for every line. Returns the exit status.
 
-    `name` stands before the line's number; ValueError and PeerDataError of `work` are faults.
+    Faults of a line, including a ValueError or PeerDataError of `work`, are printed on stderr with `name`
+    before the line's number; the remaining lines are still processed.
     """
     status = 0
     number = 0
@@ -184,12 +185,12 @@ def _each_line(name: str, lines: Iterable[str], work: Callable[[str], _Printed])
 
 
 def _as_json(content: object) -> str:
-    """One line of ASCII, which every terminal and locale can show."""
+    """JSON as one line of ASCII, which every terminal and locale can show."""
     return json.dumps(msgspec.to_builtins(content), separators=(",", ":"))
 
 
 def _shown(content: object) -> str:
-    """Something wrong, as JSON that fits a line."""
+    """A wrong value for an error text, as JSON shortened to `_SHOWN` characters."""
     text = _as_json(content)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
@@ -240,7 +241,7 @@ def _pack_in(transport: str | None, pack: bytes, counter: int, address: str) -> 
 
 
 def _message(line: str) -> Message:
-    """The message in a line of JSON. Raises ValueError: names the key, what it holds and what is allowed."""
+    """The message in a line of JSON. Raises ValueError that names the key, its value and what is allowed."""
     try:
         message: Message = _JSON.decode(line)
     except msgspec.DecodeError as error:
@@ -254,7 +255,7 @@ def _message(line: str) -> Message:
 
 
 def _check_position(prefix: str, lat_deg: float | None, lon_deg: float | None) -> None:
-    """A coordinate out of its range is told first, then that the other one is missing."""
+    """Raises ValueError for a coordinate out of range; only if there is none, for a missing coordinate."""
     position_to_wire(prefix, lat_deg or 0.0, lon_deg or 0.0)
     if (lat_deg is None) != (lon_deg is None):
         missing, given = ("lat_deg", "lon_deg") if lat_deg is None else ("lon_deg", "lat_deg")
@@ -262,7 +263,7 @@ def _check_position(prefix: str, lat_deg: float | None, lon_deg: float | None) -
 
 
 def _explain(line: str, words: str) -> str:
-    """What is wrong with a line of JSON that is no message; `words` are the decoder's, for what is left."""
+    """What is wrong with a line that is not a message; `words`, the decoder's text, if nothing else fits."""
     try:
         held = msgspec.json.decode(line)
     except msgspec.ValidationError:
@@ -309,7 +310,7 @@ def _decode(args: argparse.Namespace) -> int:
     transport: str | None = args.frame
     if not args.files:
         stream = getattr(sys.stdin, "buffer", None)
-        # Nobody types a capture, and to peek would take the end of the input from the terminal.
+        # A capture is never typed, and `peek` on a terminal would swallow the end of the input.
         if isinstance(stream, io.BufferedReader) and not stream.isatty() and is_capture(stream.peek(4)[:4]):
             return _decode_capture(stream, "stdin", transport)
         return _decode_text(sys.stdin, "", transport)
@@ -323,7 +324,7 @@ def _decode(args: argparse.Namespace) -> int:
                     text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace")
                     status |= _decode_text(text, f"{path}: ", transport)
         except BrokenPipeError:
-            raise  # of our output: no fault of the file
+            raise  # concerns our output, not the file
         except OSError as error:
             raise ConfigError(f"{path}: {error.strerror or error}") from error
     return status
@@ -344,7 +345,7 @@ def _decode_text(text: Iterable[str], name: str, transport: str | None) -> int:
 
 
 def _hexadecimal_text(text: Iterator[str], name: str) -> Iterator[str]:
-    """The same lines; ConfigError where the first of them show that it is something else."""
+    """Yield the lines unchanged. Raises ConfigError if the first lines show that they are not hexadecimal."""
     first: list[str] = []
     wrong: list[str] = []
     for line in text:
@@ -359,13 +360,13 @@ def _hexadecimal_text(text: Iterator[str], name: str) -> Iterator[str]:
     else:
         if any("\0" in line or "\ufffd" in line for line in wrong):
             raise ConfigError(f"{name}{_NEITHER}")
-        text = iter(())  # a terminal asked once more would wait for a second end
+        text = iter(())  # reading a terminal again after its end would wait for a second end of input
     yield from first
     yield from text
 
 
 def _is_hexadecimal(line: str) -> bool:
-    """Whether it has only hexadecimal digits, and space between them."""
+    """Whether the line holds only hexadecimal digits and white space."""
     return set("".join(line.split())) <= set(string.hexdigits)
 
 
@@ -391,7 +392,7 @@ def _frame(transport: str, data: bytes) -> _Printed:
 
 
 def _decode_capture(stream: BinaryIO, name: str, transport: str | None) -> int:
-    """Print each frame of Remote ID; what the rest was is counted on stderr."""
+    """Print each Remote ID frame of a capture. Counts of all kinds of frames go to stderr."""
     if transport is not None:
         raise ConfigError(f"{name}: --frame is for hexadecimal; a capture tells by itself")
     kinds: Counter[Kind] = Counter()
@@ -438,6 +439,6 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _summary(report: Report) -> str:
-    """Counts in one line."""
+    """Counts of the report in one line."""
     checked = ", ".join(f"{kind} {count}" for kind, count in sorted(report.checked.items()))
     return f"{report.checked.total()} vectors checked ({checked}), {len(report.differences)} differences"

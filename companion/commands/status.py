@@ -1,4 +1,4 @@
-"""`companion status`: asks a flight for its state and shows it in a terminal."""
+"""`companion status`: reads the live state of a running flight and shows it in a terminal."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _STYLES = {"advisory": "cyan", "caution": "yellow", "warning": "bold red"}
 
 
 def find_socket(given: Path | None, environ: Mapping[str, str]) -> Path:
-    """The socket to ask: the given one, or that of the one companion that runs here.
+    """Path of the status socket: the given one, or that of the only companion that runs on this computer.
 
     Raises:
-        ConfigError: none runs, or several do; says where was looked.
+        ConfigError: no companion runs here, or several do. The text names the folders or sockets.
     """
     if given is not None:
         return given
@@ -52,10 +52,10 @@ def find_socket(given: Path | None, environ: Mapping[str, str]) -> Path:
 
 
 def ask(path: Path) -> Status:
-    """The state now.
+    """Read the current state from a status socket.
 
     Raises:
-        ConfigError: nobody answers there, or not with a state.
+        ConfigError: no companion answers there, or the answer is not a state.
     """
     data = b""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
@@ -76,13 +76,13 @@ def ask(path: Path) -> Status:
 
 
 def watch(given: Path | None, *, once: bool, as_json: bool) -> int:
-    """Show the state: once, as JSON (one line), or again and again until interrupted.
+    """Show the state: once, or once as one line of JSON, or repeatedly until interrupted.
 
     Returns:
         The exit code: 0.
 
     Raises:
-        ConfigError: as `find_socket` and `ask`.
+        ConfigError: `find_socket` or `ask` failed.
     """
     path = find_socket(given, os.environ)
     if as_json:
@@ -99,11 +99,11 @@ def watch(given: Path | None, *, once: bool, as_json: bool) -> int:
 
 
 def render(status: Status) -> Group:
-    """The state as a terminal shows it."""
+    """Format the state for a terminal."""
     facts = Table.grid(padding=(0, 2))
     for name, text, style in _facts(status):
         facts.add_row(Text(name, "dim"), Text(_shown(text), style))
-    # Nothing of it is cut: what does not fit into the terminal's width goes on in the next line.
+    # No text is cut: text that does not fit into the terminal's width continues on the next line.
     tracks = Table(box=None, padding=(0, 1))
     for name in ("track", "by", "distance", "above", "speed", "age", "alert", "doubts"):
         figure = name in ("distance", "above", "speed", "age")
@@ -128,7 +128,7 @@ def render(status: Status) -> Group:
 
 
 def _facts(s: Status) -> list[tuple[str, str, str]]:
-    """Name, text and style of each line."""
+    """Name, text and style of each line of facts."""
     utc = "unknown" if s.utc_s is None else time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(s.utc_s))
     rates = ", ".join(f"{transport} {rate}/s" for transport, rate in s.rates.items()) or "nothing"
     place = "unknown"
@@ -168,5 +168,5 @@ def _age(age_s: float | None) -> str:
 
 
 def _shown(text: str) -> str:
-    """Names come from strangers: what could steer a terminal is shown as "?"."""
+    """Replace unprintable characters by "?": names come from other aircraft and could control a terminal."""
     return "".join(c if c.isprintable() else "?" for c in text)

@@ -1,4 +1,4 @@
-"""The one clock that a flight goes by."""
+"""The single clock that a flight uses."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import time
 
 
 def now_s() -> float:
-    """Seconds since the computer was started, those included in which it was suspended.
+    """Seconds since the computer booted, including the time for which it was suspended.
 
-    CLOCK_BOOTTIME. Nobody can set it, unlike the wall clock; and unlike CLOCK_MONOTONIC (`clock.now_s`) it
-    does not stop while the computer sleeps: after a suspend the heart sees how old its data is.
+    Reads CLOCK_BOOTTIME. Unlike the wall clock it cannot be set. Unlike CLOCK_MONOTONIC it does not stop
+    while the computer sleeps, so that after a suspend the heart (`companion.core`) sees how old its data is.
     """
     return time.clock_gettime(time.CLOCK_BOOTTIME)

@@ -1,8 +1,8 @@
-"""The flight loop: one thread, one rate, sockets in and out; a watchdog that ends a hung loop.
+"""The flight loop of `companion run`: one thread, a fixed rate, sockets in and out, and a watchdog.
 
-What the loop cannot do in time it does not do late: a missed deadline is skipped and counted, and the heart,
-which sees the gap, commands nothing until it is fit again. Nothing beside the flight ends it: a lost link is
-opened again, a disk that takes no record and a stopped terminal are done without, each of them is told.
+The loop does nothing late: it skips and counts a missed deadline, and the heart (`companion.core`), which
+sees the gap, commands nothing until its data is fit again. Troubles outside the flight itself do not end the
+flight, but are reported. A lost link is reopened; without a working disk or terminal the flight continues.
 """
 
 from __future__ import annotations
@@ -61,22 +61,22 @@ from companion.system import Onboard
 
 _STATUS_S = 5.0
 _READ_S = 0.5
-"""The autopilot's input is read for so long at once. What the kernel keeps of a stall takes less; a flood
-that never ends is no reason to stand still."""
+"""Longest time for which the autopilot's input is read in one go. Reading what the kernel buffered during a
+stall takes less. The bound keeps an endless flood of input from blocking the loop."""
 _LOOK_S = 0.1
-"""The input is looked at this often, also where nothing comes: a longer pause in it is a stall."""
+"""The input is read at least this often, even if nothing arrives, so that a longer gap shows a stall."""
 _LET_GO_S = 2.0
 _COLLECT_S = 1.0
-"""Reference cycles are looked for this often, right after a tick."""
+"""Period of the garbage collection, which runs right after a tick."""
 _DECIDED_S = 2.0
-"""The law's last decision is shown for so long."""
+"""How long the law's last decision is shown in the live status."""
 _LINES_KEPT = 8
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Each of them ends the flight in order. A terminal that closes sends the last one."""
+"""Signals that end the flight in an orderly way. SIGHUP is sent by a terminal that closes."""
 
 
 class Flight:
-    """Everything one `companion run` holds. Use as a context manager; `run` blocks until told to stop."""
+    """Everything that one `companion run` holds. `run` blocks until the flight is stopped."""
 
     def __init__(self, config: Config, say: Callable[[str], None], *, dry_run: bool) -> None:
         self.config = config
@@ -85,7 +85,7 @@ class Flight:
         self._ticks = 0
         self._stalls = 0
         self._read_s: float | None = None
-        """When reading the autopilot's input began that found its end; None: it did not."""
+        """Start time of the last read that emptied the autopilot's input; None if it was not emptied."""
         self._refused = Refusals()
         self._lateness = Lateness()
         self._began_s = clock.now_s()
@@ -147,7 +147,8 @@ class Flight:
             self._server = StatusServer(f"companion-{config.identity.file_name}", os.environ)
         except ConfigError as error:
             self._say(f"status: {error}; the flight goes on without it")
-        # What start-up has made, the compiler's objects above all, stays: no collection looks at it again.
+        # Objects made at start-up, above all the compiler's, live as long as the process. Freezing them keeps
+        # later collections short.
         gc.collect()
         gc.freeze()
 
@@ -157,21 +158,21 @@ class Flight:
 
     @property
     def folder(self) -> Path | None:
-        """Of the run; None before it is recorded."""
+        """Run folder; None before it is made."""
         return self._run.folder
 
     def stop(self, _signal: int = 0, _frame: FrameType | None = None) -> None:
-        """Ask `run` to end (also a signal handler)."""
+        """Ask `run` to end. Also serves as a signal handler."""
         self._stop = True
 
     def run(self) -> None:
         """Find the vehicle, then fly until stopped.
 
         Raises:
-            ConfigError: no vehicle within `vehicle.wait_s`, or one that cannot be flown.
+            ConfigError: no vehicle was found within `vehicle.wait_s`, or the vehicle found cannot be flown.
         """
         for number in _SIGNALS:
-            # Under nohup the terminal may close, and the flight goes on.
+            # Under nohup SIGHUP is ignored: the flight continues when the terminal closes.
             if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self.stop)
         try:
@@ -181,7 +182,8 @@ class Flight:
             self._say(f"vehicle {self.onboard.link.vehicle}")
             self._run.open(self.config, self._policy, str(self.onboard.link.vehicle))
             self._loop()
-            # Letting go takes as long as it takes the vehicle, up to its own limit.
+            # Stop the watchdog, because `_let_go` reports nothing to it. It waits for the vehicle, up to
+            # a limit of its own.
             self._watchdog.stop()
             self._notifier.stopping()
             self._let_go()
@@ -190,7 +192,7 @@ class Flight:
             self._close()
 
     def _read_policy(self, config: Config) -> bytes | None:
-        """Without its policy the aircraft flies all the same, on a fixed legal set of transports."""
+        """Read the policy file. Without it the aircraft still flies, with a fixed legal set of transports."""
         try:
             return read_policy(config)
         except ConfigError as error:
@@ -209,7 +211,7 @@ class Flight:
         return settings
 
     def _arm_broadcast(self, config: Config) -> None:
-        """Prepare the radios for what goes on the air. Raises ConfigError as `prepare` does."""
+        """Prepare the radios for what goes on the air. Raises ConfigError like `prepare`."""
         for line in prepare(config, self.radio).lines:
             self._say(line)
 
@@ -234,16 +236,16 @@ class Flight:
             self._say(rearm)
 
     def _wait(self, deadline_s: float) -> None:
-        """Take in the autopilot's bytes until the deadline."""
+        """Receive the autopilot's bytes until the deadline."""
         while (left := deadline_s - clock.now_s()) > 0:
             self.link.wait(min(left, _LOOK_S))
             if self._take_in():
-                # An answer to TIMESYNC that waited for the next tick would tell a wrong time; and a setpoint
-                # waits for one.
+                # Answer a TIMESYNC at once: an answer that waited for the next tick would report a wrong
+                # time. A setpoint may also be waiting for an answer of the vehicle in this input.
                 self._send()
 
     def _take_in(self) -> bool:
-        """Read the autopilot's input until it is empty, for `_READ_S` at most; whether there was any."""
+        """Read the autopilot's input until it is empty, for `_READ_S` at most. Returns whether any came."""
         end_s, anything = clock.now_s() + _READ_S, False
         while True:
             now_s = clock.now_s()
@@ -261,7 +263,7 @@ class Flight:
                 return anything
 
     def _note_stall(self, lasted_s: float) -> None:
-        """This process, or its computer, stood still: what was sent before and has not left is old."""
+        """Handle a stall of this process or its computer: discard what was queued before and has not left."""
         self._read_s = None
         self.link.discard()
         self._stalls += 1
@@ -272,7 +274,7 @@ class Flight:
         data = self.onboard.drain(now_s)
         took_s = clock.now_s() - now_s
         if took_s > STALL_S:
-            # The gate judged it as it was then: it does not leave as if that were now.
+            # The gate checked these bytes before the stall. They are old now, so they must not leave.
             self._note_stall(took_s)
             return
         self.link.send(data)
@@ -283,7 +285,7 @@ class Flight:
         self._watchdog.start()
         self._notifier.ready()
         self._notifier.status(self.status(clock.now_s()))
-        # A collection that comes when it likes may come before a setpoint; one after a tick has time.
+        # Automatic garbage collection may run just before a setpoint is due; one right after a tick has time.
         gc.disable()
         collected_s = deadline
         while not self._stop:
@@ -301,14 +303,14 @@ class Flight:
                 gc.collect()
 
     def _tick(self) -> float:
-        """One step of everything; returns its time."""
+        """Run one step of the whole loop. Returns its time in seconds of `clock.now_s`."""
         self._ticks += 1
         self._take_in()
         now_s = clock.now_s()
         read_s = -math.inf if self._read_s is None else self._read_s
         behind = now_s - read_s > STALL_S
         for event in self.radio.events(now_s):
-            # Nobody knows how old a frame is that waited meanwhile; the next one comes soon.
+            # Drop Remote ID frames that waited during a stall: their age is unknown, and the next come soon.
             if not (behind and isinstance(event, RemoteIdHeard)):
                 self.onboard.hear(event)
         broadcasts = self.onboard.tick(now_s, read_s=read_s)
@@ -330,7 +332,8 @@ class Flight:
         try:
             self._server.serve(lambda: self.live(now_s))
         except Exception as error:
-            # A bug of ours, but one of a spectator: it must not end the flight as those of the heart do.
+            # This is a bug, but only in the live status. Unlike a bug in the heart it must not end the
+            # flight.
             self._server.close()
             self._server = None
             self._say(f"status: not served any more: {type(error).__name__}: {error}")
@@ -339,12 +342,12 @@ class Flight:
         try:
             self.radio.broadcast(broadcast.transport, broadcast.messages, now_s)
         except ValueError as error:
-            # Values that Remote ID cannot hold must not end the flight; the next broadcast may be sound.
+            # Values that Remote ID cannot encode must not end the flight; the next broadcast may be valid.
             if self._refused.add(str(error)):
                 self._say(f"a Remote ID broadcast was not sent: {error}")
 
     def _let_go(self) -> None:
-        """Leave the vehicle standing still, not drifting into its setpoint timeout."""
+        """Ask the vehicle to hold, so that it does not run into its setpoint-loss failsafe."""
         if not (self.onboard.heart.in_control and self.onboard.commanding):
             return
         self._say("stopping: asking the vehicle to hold")
@@ -373,7 +376,7 @@ class Flight:
     # ------------------------------------------------------------ words
 
     def status(self, now_s: float) -> str:
-        """One line: who flies, what is heard, what is wrong."""
+        """Status line: state of authority, what is heard, what is wrong."""
         heart, health = self.onboard.heart, self.radio.health(now_s)
         mode = heart.own.mode.value if heart.own.mode is not None else "unknown"
         unfit = heart.own.unfit(now_s, self.config.vehicle.stale_after_s)
@@ -387,7 +390,7 @@ class Flight:
         )
 
     def _wrong(self, now_s: float) -> str:
-        """What is wrong beside the heart and the radio, for the status line."""
+        """Part of the status line: what is wrong outside the heart and the radios."""
         text = "" if self.link.up else "; link down"
         disbelief = self.onboard.link.disbelief(now_s)
         text += "" if disbelief is None else f"; {disbelief}"
@@ -400,7 +403,7 @@ class Flight:
         return text + "".join(f"; {trouble}" for trouble in self._troubles.texts)
 
     def summary(self, health: Health) -> dict[str, object]:
-        """What stands in `summary.json`."""
+        """Content of `summary.json`."""
         trouble, signing = self.link.trouble, self._signing.signing
         return {
             "ticks": self._ticks,
@@ -430,7 +433,7 @@ class Flight:
         }
 
     def live(self, now_s: float) -> Status:
-        """What `companion status` shows."""
+        """Live state, as `companion status` shows it."""
         heart, health, trouble = self.onboard.heart, self.radio.health(now_s), self.link.trouble
         flies = heart.state in HOLDING and now_s - self._decided_s <= _DECIDED_S
         vehicle = self.onboard.link.vehicle
@@ -475,7 +478,7 @@ class Flight:
         self._look_after(step.now_s)
 
     def _look_after(self, now_s: float) -> None:
-        """Tell of what goes wrong beside the flight. A dry run tells the pilot nothing."""
+        """Report troubles that do not end the flight. In a dry run the pilot receives no reports."""
         troubles = self._troubles
         if self._signing.unread is not None:
             text = f"signing: {self._signing.unread}; begun at this computer's clock"

@@ -1,4 +1,4 @@
-"""How late the loop's ticks come: a distribution in bounded memory; and how the loop is scheduled."""
+"""Distribution of the lateness of the loop's ticks, in bounded memory; and how the loop is scheduled."""
 
 from __future__ import annotations
 
@@ -6,24 +6,26 @@ import os
 
 _BIN_S = 1e-4
 _BINS = 1000
-"""The last one holds all that is later."""
+"""Number of bins; the last bin counts everything that is later."""
 
 
 class Lateness:
-    """Counts of ticks by how long after their deadline they began."""
+    """Histogram of how long after their deadline ticks began."""
 
     def __init__(self) -> None:
         self.worst_s = 0.0
         self._counts = [0] * _BINS
 
     def add(self, late_s: float) -> None:
-        """One tick."""
+        """Count one tick that began `late_s` seconds after its deadline."""
         self.worst_s = max(self.worst_s, late_s)
         self._counts[min(max(int(late_s / _BIN_S), 0), _BINS - 1)] += 1
 
     def percentile_s(self, percent: float) -> float:
-        """Lateness that this share of the ticks did not exceed, to 0.1 ms upwards; 0 without ticks. Beyond
-        0.1 s the worst stands for all."""
+        """Lateness, in seconds, that `percent` of the ticks did not exceed; 0 without ticks.
+
+        The value is rounded up to 0.1 ms. If it lies beyond 0.1 s, the worst lateness is returned.
+        """
         left = sum(self._counts) * percent / 100.0
         for number, count in enumerate(self._counts[:-1]):
             left -= count

@@ -1,4 +1,4 @@
-"""The policy file, read for the heart and judged before flight."""
+"""The policy file: read for the heart (`companion.core`), and checked before flight."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from companion.config import CHOOSER_WORDS, ArduRemoteIdRadio, Config
 from companion.errors import ConfigError
 
 RUN_FILE = "policy.safetensors"
-"""Its name in a run folder."""
+"""Name of the policy file in a run folder."""
 
 
 def read_policy(config: Config) -> bytes | None:
-    """Content of the configured policy file, damaged or not; None where none is configured.
+    """Content of the configured policy file, even if it is damaged; None if no file is configured.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: the file cannot be read.
     """
     where = config.atmc.policy
     if where is None or where in CHOOSER_WORDS:
         return None
     try:
         with Path(where).open("rb") as file:
-            return file.read(MAX_BYTES + 1)  # a larger one is refused, whatever its size
+            return file.read(MAX_BYTES + 1)  # one byte more than allowed: enough to refuse a larger file
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not the name of a file"
         raise ConfigError(
@@ -34,10 +34,11 @@ def read_policy(config: Config) -> bytes | None:
 
 
 def judge_policy(config: Config) -> list[str]:
-    """Lines for the user on who chooses the transports; none where nobody does.
+    """Lines that tell the user what chooses the transports; empty if `atmc.policy` is not set.
 
     Raises:
-        ConfigError: the policy cannot be read, is damaged, or cannot fly here.
+        ConfigError: the policy cannot be read, is damaged, cannot be flown, or has no action that is legal in
+            the configured region.
     """
     where = config.atmc.policy
     if where is None:

@@ -1,4 +1,4 @@
-"""What goes on the air, decided once for `companion check` and `companion run`: they cannot differ."""
+"""Decides what goes on the air, once for `companion check` and `companion run`, so that both agree."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from companion.runtime.radios import Radios
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """The broadcast of radios that are ready for it."""
+    """Result of `prepare`: the broadcast for which the radios are ready."""
 
     lines: tuple[str, ...]
-    """For the user: what goes on the air and why, and what is set on the radios."""
+    """Lines for the user: what goes on the air and why, and what is set on the radios."""
     legal: bool
-    """The law is kept and, where there is a radio, something goes out."""
+    """Whether the region's law is kept and, if a radio is configured, something is broadcast."""
 
 
 def prepare(config: Config, radios: Radios) -> Prepared:
-    """Decide what goes on the air and prepare the radios for it; those that are not sending are only asked
-    whether they could be.
+    """Decide what goes on the air and prepare the radios for it.
+
+    Radios that were opened without `sending` are only probed. If the radios only listen, nothing is raised
+    for the law: the vehicle then needs a Remote ID module of its own, and the heart (`companion.core`) waits
+    for it.
 
     Raises:
-        ConfigError: a radio cannot be prepared; or `use` is not "watch" and the region's law cannot be kept
-            by what sends. With radios that only listen the vehicle must have a module of its own; the heart
-            waits for it.
+        ConfigError: a radio cannot be prepared; or flight.use is not "watch" and the radios that send cannot
+            keep the region's law.
     """
     fly = config.flight.use != "watch"
     decided = keep_floor(asked_rates(config), config.region, radios.capabilities)
@@ -51,7 +53,7 @@ def prepare(config: Config, radios: Radios) -> Prepared:
 
 
 def _on_air(decided: Decided, region: Region, wifi_channel: int | None) -> str:
-    """Transports with the rates that go out, and why these."""
+    """The transports with their actual rates, and the reasons for these."""
     rates, reasons = [], [decided.reason] if decided.reason else []
     for transport, rate in decided.rates.items():
         period_s = longest_period_s(region, transport, wifi_channel)

@@ -1,4 +1,4 @@
-"""All radios of the configuration as one: each transport is sent by the first that can, all listen."""
+"""All configured radios as one: each transport is sent by the first radio that can, and all radios listen."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from companion.runtime.links.open_link import open_link
 
 
 class _ModuleLink:
-    """A kept link as the driver of a module wants it: bytes alone."""
+    """Adapts a `KeptLink` to the module driver, which reads plain bytes."""
 
     def __init__(self, link: KeptLink) -> None:
         self.wait, self.send, self.close = link.wait, link.send, link.close
         self._link = link
 
     def receive(self, now_s: float) -> bytes:
-        """What has arrived."""
+        """Bytes that have arrived."""
         return self._link.receive(now_s).data
 
 
 def open_radio(entry: RadioConfig, name: str) -> Radio:
-    """One radio, open.
+    """Open one radio.
 
     Args:
-        name: of the aircraft; its radio address follows from it.
+        name: name of the aircraft; its radio address is derived from it.
 
     Raises:
-        ConfigError: it cannot be opened; says what is missing.
+        ConfigError: the radio cannot be opened. The text says what is missing.
     """
     address = radio_address(name)
     match entry:
@@ -62,7 +62,8 @@ def open_radio(entry: RadioConfig, name: str) -> Radio:
         case HciRadio():
             return HciTransport(entry.channel, address, send=entry.send, listen=entry.listen)
         case ArduRemoteIdRadio():
-            # What is lost and found again shows in the radio's own state: the module falls silent.
+            # Losses of this link need no text of their own: the radio's state shows that the module is
+            # silent.
             link = KeptLink(entry.link, lambda text: None, partial(open_link, key="link"))
             return ArduRemoteIdTransport(_ModuleLink(link), entry.system_id, clock.now_s, entry.link)
 
@@ -70,15 +71,16 @@ def open_radio(entry: RadioConfig, name: str) -> Radio:
 class Radios:
     """The configured radios.
 
-    In texts they go by their place in the configuration (radio[0], ...) where there is more than one: two of
-    a kind cannot be told apart otherwise.
+    If there is more than one, texts name them by their index in the configuration (radio[0], ...), because
+    two radios of the same kind cannot be told apart otherwise.
 
     Args:
-        sending: False opens and hears, but neither configures nor sends.
-        failed: takes why a radio cannot be opened; it is left out then. Without this the first one ends all.
+        sending: False opens the radios and listens, but neither configures them nor sends.
+        failed: receives the reason why a radio cannot be opened; that radio is then left out. If `failed` is
+            None, the first radio that cannot be opened raises.
 
     Raises:
-        ConfigError: one cannot be opened.
+        ConfigError: a radio cannot be opened, and `failed` is None.
     """
 
     def __init__(
@@ -87,7 +89,7 @@ class Radios:
         self._sending = sending
         self._alone = len(config.radio) < 2
         self._places: list[int] = []
-        """In the configuration, of each that is open."""
+        """Index in the configuration of each open radio."""
         self._state: RadioState | None = None
         self.radios: list[Radio] = []
         try:
@@ -107,23 +109,26 @@ class Radios:
 
     @property
     def capabilities(self) -> frozenset[str]:
-        """Transports that any radio can send on."""
+        """Transports that at least one radio can send on."""
         return frozenset().union(*(radio.capabilities for radio in self.radios))
 
     @property
     def wifi_channel(self) -> int | None:
-        """Channel of the first Wi-Fi radio."""
+        """Channel of the first Wi-Fi radio; None if there is none."""
         return next((r.wifi_channel for r in self.radios if r.wifi_channel is not None), None)
 
     def configure(self, rates: Mapping[str, int]) -> list[str]:
-        """Prepare each radio for the transports that it is to send; without `sending` only ask whether it
-        could be.
+        """Prepare each radio for the transports that it will send. Without `sending`, only probe whether that
+        is possible.
+
+        Args:
+            rates: messages per second for each transport.
 
         Returns:
-            What was, or would be, set on each that repeats by itself.
+            What was set, or would be set, on each radio that repeats messages by itself.
 
         Raises:
-            ConfigError: one cannot be; nothing is changed on any of them where that shows beforehand.
+            ConfigError: a radio cannot be prepared. If probing shows that beforehand, no radio is changed.
         """
         left = dict(rates)
         parts = [{t: left.pop(t) for t in sorted(r.capabilities & left.keys())} for r in self.radios]
@@ -147,7 +152,7 @@ class Radios:
         return f"radio: {text}" if self._alone else self._named(number, text)
 
     def events(self, now_s: float) -> list[RemoteIdHeard | RadioState]:
-        """What arrived since the last call, and the radios' state where it changed."""
+        """Frames that arrived since the last call, and the state of the radios if it changed."""
         events: list[RemoteIdHeard | RadioState] = []
         for radio in self.radios:
             events += radio.heard(now_s)
@@ -158,10 +163,10 @@ class Radios:
         return events
 
     def broadcast(self, transport: str, messages: tuple[Message, ...], now_s: float) -> None:
-        """Send these messages once, by the first radio that can now.
+        """Send these messages once, with the first radio that can send on this transport now.
 
         Raises:
-            ValueError: no radio has this transport, or messages that cannot be sent.
+            ValueError: no radio has this transport, or the messages cannot be sent.
         """
         able = [radio for radio in self.radios if transport in radio.capabilities]
         if not able:
@@ -177,7 +182,7 @@ class Radios:
         for number, health in enumerate(healths):
             for transport in health.can_send:
                 senders.setdefault(transport, number)
-        # Only who really sends a transport can be heard or confirm it; a dry run sends nothing.
+        # Only the radio that really sends a transport can be heard or confirm it; a dry run sends nothing.
         monitored, confirmed = set(), set()
         for transport, sender in senders.items() if self._sending else ():
             word = healths[sender].confirmed
@@ -196,12 +201,12 @@ class Radios:
         )
 
     def _is_heard(self, transport: str, sender: int) -> bool:
-        """Whether another radio of ours would hear, and know, what this one sends."""
+        """Whether another radio of ours would hear and recognise what this radio sends."""
         others = self.radios[:sender] + self.radios[sender + 1 :]
         return bool(self.radios[sender].own_addresses) and any(transport in radio.hears for radio in others)
 
     def health(self, now_s: float) -> Health:
-        """All radios' states as one."""
+        """State of all radios combined."""
         if not self.radios:
             return NullTransport().health(now_s)
         healths = [radio.health(now_s) for radio in self.radios]
@@ -218,11 +223,11 @@ class Radios:
         )
 
     def lines(self, now_s: float) -> list[str]:
-        """Each radio's state and what it lacks, a line each."""
+        """State of each radio and what it lacks, one line each."""
         healths = [radio.health(now_s) for radio in self.radios]
         return [self._line(n, text) for n, h in enumerate(healths) for text in (h.text, *h.missing)]
 
     def close(self) -> None:
-        """Go off the air."""
+        """Stop sending and close all radios."""
         for radio in self.radios:
             radio.close()

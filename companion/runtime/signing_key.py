@@ -1,4 +1,4 @@
-"""The signing key's file, and the timestamp of signing kept on disk from one run to the next."""
+"""Reads the MAVLink signing key, and stores the signing timestamp on disk from one run to the next."""
 
 from __future__ import annotations
 
@@ -16,30 +16,33 @@ from companion.runtime import clock
 from companion.runtime.record.disk import replace_file
 
 TIMESTAMP_FILE = "signing-timestamp"
-"""In record.folder: the last timestamp used, in decimal digits."""
+"""Name of the file in record.folder that holds the last timestamp used, in decimal digits."""
 PERIOD_S = 5.0
-"""Between two writes of it. A process that is killed loses no more: the next one begins this much later."""
+"""Time between two writes of the timestamp. A process that is killed loses no more than that, so the next
+process starts this much later than the stored timestamp."""
 _PATIENCE_S = 2.0
-"""What the first write of it may take before the flight goes on without it."""
+"""How long the flight waits for the first write of the timestamp before it continues without it."""
 _HEX = frozenset("0123456789abcdefABCDEF")
 _MOST_BYTES = 1024
 _FORMS = f"{KEY_BYTES} raw bytes, {2 * KEY_BYTES} hexadecimal digits, or one line with a passphrase"
 
 
 def read_key(path: Path) -> bytes:
-    """The key in a file: 32 raw bytes, 64 hexadecimal digits, or a passphrase, whose SHA-256 is the key, as
-    it is for QGroundControl, Mission Planner and MAVProxy.
+    """Read the signing key from a file.
+
+    The file holds 32 raw bytes, 64 hexadecimal digits, or a passphrase. The key of a passphrase is its
+    SHA-256, as in QGroundControl, Mission Planner and MAVProxy.
 
     Raises:
-        ConfigError: the file cannot be read, may be read by others than its owner, or holds none of these. No
-            text repeats what it holds.
+        ConfigError: the file cannot be read, is accessible to others than its owner, or holds none of these
+            forms. No error text repeats the content of the file.
     """
     data = _private_bytes(path)
     name = f"vehicle.signing_key: {path}"
     text = data.removesuffix(b"\n").removesuffix(b"\r")
     if not text:
         raise ConfigError(f"{name}: empty; allowed: {_FORMS}")
-    # Random bytes that are all printable do not occur: such a file is text, whatever its length.
+    # 32 random bytes are practically never all printable: a printable file is text, even if it has 32 bytes.
     printable = all(0x20 <= byte < 0x7F for byte in text)
     if not printable and len(data) == KEY_BYTES:
         return data
@@ -54,7 +57,7 @@ def read_key(path: Path) -> bytes:
 
 def _private_bytes(path: Path) -> bytes:
     try:
-        # Without waiting: opening a pipe would.
+        # O_NONBLOCK: opening a pipe would wait for a writer.
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
@@ -66,7 +69,7 @@ def _private_bytes(path: Path) -> bytes:
                 )
             return file.read(_MOST_BYTES)
     except FileNotFoundError as error:
-        # The name is not repeated: somebody may have put the key itself in its place.
+        # The text does not repeat the path: a user may have entered the key itself instead of a path.
         raise ConfigError(
             "vehicle.signing_key: no such file; it is the path of a key file, relative to the configuration"
         ) from error
@@ -75,40 +78,42 @@ def _private_bytes(path: Path) -> bytes:
 
 
 class KeptSigning:
-    """`signing` for the link to the vehicle, None without a key. Its timestamp outlives the process.
+    """Holds `signing` for the link to the vehicle (None without a key) and keeps its timestamp on disk.
 
-    It is written by a thread, from now to `close`. A disk that does not take it ends nothing: a later process
-    then begins at its clock or at what was stored before, whichever is later, and follows the vehicle's
-    timestamp, which is not behind any of ours that the vehicle has taken, from its first signed frame on.
+    A thread writes the timestamp, from construction to `close`. A disk that does not accept it does not end
+    the flight. A later process then starts at its own clock or at the timestamp stored before, whichever is
+    later. From the vehicle's first signed frame on it follows the vehicle's timestamp, which is never behind
+    any timestamp of ours that the vehicle has accepted.
 
     Raises:
-        ConfigError: as `read_key`.
+        ConfigError: `read_key` failed.
     """
 
     def __init__(self, config: Config) -> None:
         self.signing: Signing | None = None
         self.error: str | None = None
-        """Why the latest timestamp is not on disk."""
+        """Why the latest timestamp is not on disk; None if it is."""
         self.unread: str | None = None
-        """Why the one that was stored before is not known."""
+        """Why the timestamp that an earlier process stored is not known; None without trouble."""
         self._stop = threading.Event()
         self._written = threading.Event()
         self._path = Path(config.record.folder) / TIMESTAMP_FILE
         if config.vehicle.signing_key is None:
             return
         key = read_key(Path(config.vehicle.signing_key))
-        # The clock may be wrong (a small computer has no battery for it): what was used before counts, too.
+        # The clock may be wrong (a small computer has no battery for it), so the stored timestamp counts,
+        # too.
         start = max(timestamp_at(time.time()), self._stored())
         self.signing = Signing(key, start, clock.now_s())
         self._thread = threading.Thread(target=self._keep, args=(self.signing,), name="signing", daemon=True)
         self._thread.start()
-        # A process that is killed at once must not leave an older one behind. A disk that hangs is not waited
-        # for.
+        # Wait for the first write: a process that is killed at once must not leave an older timestamp behind.
+        # The wait is bounded, because a disk may hang.
         if not self._written.wait(_PATIENCE_S):
             self.error = f"{self._path}: the disk does not answer"
 
     def close(self) -> None:
-        """Write it once more."""
+        """Write the timestamp a last time and end the thread."""
         self._stop.set()
         if self.signing is not None:
             self._thread.join(PERIOD_S)
@@ -130,7 +135,7 @@ class KeptSigning:
             self.error = f"{error.filename or self._path}: cannot be written: {error.strerror}"
 
     def _stored(self) -> int:
-        """The first timestamp that was not used before; 0 where none is known."""
+        """First timestamp that was certainly not used before; 0 if no stored timestamp is known."""
         try:
             text = self._path.read_text("ascii")
         except FileNotFoundError:

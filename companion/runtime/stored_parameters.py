@@ -1,4 +1,4 @@
-"""What ground stations have set, kept on disk from one run to the next."""
+"""Settings that ground stations have made, stored on disk from one run to the next."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ _CLOSE_S = 5.0
 
 
 def settings_path(config: Config) -> Path:
-    """The file: in record.folder, one for each aircraft."""
+    """Path of the settings file: one file for each aircraft, in record.folder."""
     return Path(config.record.folder) / f"settings-{config.identity.file_name}.json"
 
 
 def read_settings(config: Config) -> Settings:
-    """What is stored, or nothing set.
+    """Read the stored settings; without a file, settings in which nothing is set.
 
     Raises:
-        ConfigError: names the file; it cannot be read, is damaged, or does not go with this configuration.
+        ConfigError: the file cannot be read, is damaged, or does not fit this configuration. The text names
+            it.
     """
     path = settings_path(config)
     try:
@@ -45,12 +46,12 @@ def read_settings(config: Config) -> Settings:
 
 
 class KeptSettings:
-    """Writes settings when they change, in a thread: a card can take its time."""
+    """Writes settings to disk when they change, in a thread, because a memory card may be slow."""
 
     def __init__(self, config: Config, settings: Settings) -> None:
-        """Nothing is written of those that were read."""
+        """Start with `settings`, which were read from disk and are therefore not written again."""
         self.error: str | None = None
-        """Why the latest are not on disk."""
+        """Why the latest settings are not on disk; None if they are."""
         self._path = settings_path(config)
         self._latest = settings
         self._new = threading.Event()
@@ -58,7 +59,7 @@ class KeptSettings:
         self._thread: threading.Thread | None = None
 
     def keep(self, settings: Settings) -> None:
-        """Take what counts now; returns at once."""
+        """Store the current settings if they changed. Returns at once."""
         if settings == self._latest:
             return
         self._latest = settings
@@ -68,7 +69,7 @@ class KeptSettings:
         self._new.set()
 
     def close(self) -> None:
-        """Wait for what is being written."""
+        """Write what is pending and wait for it, for `_CLOSE_S` at most."""
         if self._thread is not None:
             self._stop = True
             self._new.set()
@@ -79,7 +80,7 @@ class KeptSettings:
         while not last:
             self._new.wait()
             self._new.clear()
-            # Read before writing: what was taken before `close` is written.
+            # Read `_stop` before writing, so that settings taken before `close` are still written.
             last = self._stop
             try:
                 self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,7 @@
-"""Compile the avoidance kernels before anything flies, and say how long it took.
+"""Compile the avoidance kernels before flight, and report how long it took.
 
-`python -m companion.runtime.warm` does it in a process of its own: one that compiles keeps 50 MB more.
+`python -m companion.runtime.warm` compiles in a separate process, because a process that compiles keeps 50 MB
+more memory.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _MODULES = (programs, fence_planes, hard_planes, kernels)
 
 
 def warm_up() -> float:
-    """Compile the kernels, or load them from the cache; seconds taken."""
+    """Compile the kernels, or load them from the cache. Returns the seconds that this took."""
     began = time.perf_counter()
     pieces = (value for module in _MODULES for value in vars(module).values())
     past_the_cache(kernels.warm_up, list(pieces))
@@ -26,13 +27,14 @@ def warm_up() -> float:
 
 
 def past_the_cache(compile_all: Callable[[], None], functions: Iterable[object]) -> None:
-    """Compile, without a cache that cannot be used: a disk is full, or a power cut has left half a file.
+    """Compile; if that fails, compile again without the cache.
 
-    numba raises whatever it meets there, and a companion that does not start avoids nobody.
+    The cache may be unusable: the disk is full, or a power cut has left half a file. numba raises any
+    exception that occurs there, and a companion that does not start cannot avoid anything.
 
     Args:
-        compile_all: calls what is to be compiled.
-        functions: among them all that it calls.
+        compile_all: calls every function that has to be compiled.
+        functions: objects among which are all functions that `compile_all` calls.
 
     Raises:
         Exception: what `compile_all` raises without a cache.
@@ -44,13 +46,13 @@ def past_the_cache(compile_all: Callable[[], None], functions: Iterable[object])
             cache = getattr(function, "_cache", None)
             if cache is not None:
                 with contextlib.suppress(Exception):
-                    cache.flush()  # so that the next process begins with a sound one
+                    cache.flush()  # so that the next process starts with an intact cache
                 vars(function)["_cache"] = NullCache()
         compile_all()
 
 
 def was_compiled() -> bool:
-    """Whether they did not come from the cache: it did not hold them, or there is none."""
+    """Whether the kernels were compiled in this process: the cache is missing or did not hold them."""
     stats: Any = getattr(kernels.decide, "stats", None)
     return not sum(stats.cache_hits.values())
 

@@ -1,13 +1,14 @@
-"""The watchdog of the flight loop: ends a process whose loop hangs, so that it can be started anew.
+"""Watchdog of the flight loop: ends the process when its loop hangs, so that it can be restarted.
 
-A loop that hangs sends nothing, and nothing avoids. What counts is the time for which the process ran without
-a report of its loop: a thread counts its own wake-ups. A process that is stopped, swapped out, suspended with
-its computer or starved of processor time has no wake-ups either, so that such a stall, however long, does not
-end it; the heart, which sees the gap, faults and goes on.
+A loop that hangs sends no setpoints, so the aircraft no longer avoids anything. The watchdog measures how
+long the process has run without a report from its loop: a thread counts its own wake-ups. A process that is
+stopped, swapped out, suspended with its computer or starved of processor time has no wake-ups either. Such a
+stall, however long, does not end the process: the heart (`companion.core`) sees the gap, faults and
+continues.
 
-What it cannot see: C code that holds the interpreter's lock for ever stops this thread, too; systemd's
-watchdog sees that (`WatchdogSec` of deploy/dmuca-companion.service). What it cannot tell apart: a loop that
-waits five seconds for its memory to be read back, while this thread has its own, is taken for one that hangs.
+Limits of this watchdog: C code that never releases the interpreter lock stops this thread, too; systemd's
+watchdog detects that case (`WatchdogSec` in deploy/dmuca-companion.service). A loop that waits five seconds
+for its memory to be swapped in, while the memory of this thread is present, is treated as a loop that hangs.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ import threading
 
 PERIOD_S = 0.25
 WAKE_UPS = 20
-"""With the period: five seconds of a process that runs."""
+"""Wake-ups without a report that end the process. Times `PERIOD_S`: five seconds of running time."""
 _STDERR = 2
 _DUMP_S = 1
-"""A terminal that was stopped takes no traceback: the alarm signal then ends the process."""
+"""Time for writing the traceback. A stopped terminal blocks it; the alarm signal then ends the process."""
 
 
 class Watchdog:
-    """Counts from `start` to `stop`.
+    """Watches the loop from `start` to `stop`.
 
-    Without a `report` in `wake_ups` of its wake-ups, which are `period_s` apart, it writes a traceback of all
-    threads to stderr and ends the process with exit code 1.
+    The watchdog thread wakes every `period_s`. After `wake_ups` wake-ups in a row without a `report` it
+    writes a traceback of all threads to stderr and ends the process with exit code 1.
     """
 
     def __init__(self, wake_ups: int = WAKE_UPS, period_s: float = PERIOD_S) -> None:
@@ -41,15 +42,15 @@ class Watchdog:
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def start(self) -> None:
-        """Count from now on. Once only."""
+        """Start counting. May be called only once."""
         self._thread.start()
 
     def report(self) -> None:
-        """The loop goes round."""
+        """Report that the loop is running."""
         self._reports += 1
 
     def stop(self) -> None:
-        """Count no more. May be called without `start`, and twice."""
+        """Stop counting. May be called without `start`, and more than once."""
         self._stopped.set()
 
     def _watch(self) -> None:

@@ -1,8 +1,8 @@
-"""The flight's link: closed and opened anew when it is lost, for as long as the flight lasts.
+"""The flight's link: when it is lost it is closed and reopened, for as long as the flight lasts.
 
-Nobody is told but the user: the heart sees the silence and faults by itself, and the loop, with its Remote ID
-broadcast, goes on. A stream that does not carry what it was given is lost, too: only aborting it keeps old
-setpoints from leaving later.
+Only the user is informed of a loss. The heart (`companion.core`) sees the silence and faults by itself, and
+the loop continues, with its Remote ID broadcast. A stream that does not deliver what was sent counts as lost,
+too, because only aborting it keeps old setpoints from leaving later.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from companion.runtime.links.byte_link import Link, LinkTrouble, Received
 from companion.runtime.links.open_link import open_link
 
 _FIRST_PAUSE_S = 0.1
-"""Before the first attempt to open the link again: an aborted connection is mostly had anew at once."""
+"""Pause before the first attempt to reopen the link; an aborted connection mostly reopens at once."""
 _PAUSE_S = 1.0
-"""Before each further one."""
+"""Pause before each further attempt."""
 _SAY_AGAIN_S = 10.0
-"""That a link which stays up does not carry what it is given is said this often at most."""
+"""Shortest time between two messages that a link which stays up does not deliver what is sent."""
 _LOOK_S = 0.05
-"""How often a link that is down is looked at."""
+"""Period of the checks of a link that is down."""
 
 
 class KeptLink:
-    """One link by name, through all its losses.
+    """A link with a given name that is reopened after each loss.
 
     Raises:
-        ConfigError: it cannot be opened at first.
+        ConfigError: the link cannot be opened when this object is constructed.
     """
 
     def __init__(
@@ -54,18 +54,19 @@ class KeptLink:
 
     @property
     def up(self) -> bool:
-        """Whether there is a link now."""
+        """Whether the link is open now."""
         return self._link is not None
 
     def wait(self, timeout_s: float) -> None:
-        """Wait for bytes; no longer than `timeout_s`."""
+        """Wait for bytes, for `timeout_s` at most."""
         if self._link is None:
             time.sleep(min(timeout_s, _LOOK_S))
         else:
             select.select([self._link], [], [], timeout_s)
 
     def receive(self, now_s: float) -> Received:
-        """What has arrived, in portions; of a link that is down nothing, and nothing waits (see `up`)."""
+        """Return what has arrived, in portions. If the link is down (see `up`), the result is empty, with
+        `emptied` True."""
         if self._link is None and not self._take_opened():
             return Received()
         assert self._link is not None
@@ -79,7 +80,7 @@ class KeptLink:
         return received
 
     def send(self, data: bytes) -> None:
-        """Send now, or lose it."""
+        """Send the data now or drop it."""
         if self._link is None:
             self.trouble.dropped += bool(data)
             return
@@ -92,11 +93,11 @@ class KeptLink:
             self._tell_discarded()
 
     def discard(self) -> None:
-        """Let nothing leave any more that was sent before, as far as this computer decides it.
+        """Throw away data that was sent before and has not left, as far as this computer can.
 
-        To be called where what was sent may have become old: after this process was held up, or when the
-        vehicle does not answer any more. A serial queue is flushed; a TCP connection is aborted and opened
-        anew, unless the far end's kernel has acknowledged all. A datagram cannot be recalled.
+        Call this when the data may have become old: after this process was held up, or when the vehicle no
+        longer answers. A serial queue is flushed. A TCP connection is aborted and reopened, unless the far
+        end's kernel has acknowledged everything. A datagram cannot be recalled.
         """
         if self._link is None:
             return
@@ -106,7 +107,7 @@ class KeptLink:
             self._lose(error)
 
     def close(self) -> None:
-        """Let what was sent leave, for a fifth of a second at most, and release the link for good."""
+        """Let data that was sent leave, for 0.2 s at most, then release the link for good."""
         self._closed.set()
         self._take_opened()
         if self._link is not None:
@@ -132,7 +133,7 @@ class KeptLink:
 
     def _lose(self, error: OSError) -> None:
         assert self._link is not None
-        # Of a link that is broken already nothing may be left to abort.
+        # A link that is already broken may fail to abort.
         with contextlib.suppress(OSError):
             self._link.abort()
         self._link = None
@@ -149,7 +150,7 @@ class KeptLink:
             try:
                 link = self._open(self._name, self.trouble)
             except Exception:
-                # Whatever it was: if this thread ended, the flight would be without a link for good.
+                # Retry after any exception: if this thread ended, the flight would have no link for good.
                 continue
             self._opened.put(link)
             return

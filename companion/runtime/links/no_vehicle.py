@@ -1,4 +1,4 @@
-"""Why no vehicle was found: told from what came instead."""
+"""Explains why no vehicle was found, from what was received instead."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from companion.runtime.links.kept_link import KeptLink
 def no_vehicle(
     config: VehicleConfig, link: KeptLink, protocol: AutopilotLink, now_s: float
 ) -> tuple[str, str, str]:
-    """After `wait_s` without one: what it is about, what is the case, and what to do about it."""
+    """Explain why no vehicle was found within `wait_s`. Returns subject, finding and what to do about it."""
     text = f"{config.link}: no vehicle within {config.wait_s:g} s"
     disbelief = protocol.disbelief(now_s)
     if disbelief is not None:
@@ -22,7 +22,7 @@ def no_vehicle(
     if not link.received_bytes:
         return "vehicle", f"{text}; {others} datagrams came, and no MAVLink in them", f"see to {sender}"
     wire = protocol.counts.wire
-    # Of noise, a frame now and then has a right checksum; far more have a wrong one.
+    # In noise an occasional frame has a correct checksum, but far more have a wrong one.
     if wire.messages > wire.corrupt:
         text += f"; MAVLink came ({wire.messages} frames), but no autopilot's HEARTBEAT"
         do = "see to what else speaks on this link"

@@ -1,4 +1,4 @@
-"""The autopilot's link: UDP, TCP or serial, non-blocking, named by one string."""
+"""Opens the link to the autopilot (UDP, TCP or serial, non-blocking) that a string describes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
     """Open the link that `name` describes.
 
     Args:
-        name: as in the configuration key vehicle.link.
-        trouble: counts what goes wrong.
-        key: where the name stands in the configuration, for the words of an error.
+        name: link name, in the form of the configuration key vehicle.link.
+        trouble: counts what goes wrong on the link.
+        key: configuration key that holds the name, for error texts.
 
     Raises:
-        ConfigError: not a link name, the port is in use, the device or peer is not there.
+        ConfigError: `name` is not a link name, the port is in use, or the device or peer cannot be reached.
     """
     trouble = LinkTrouble() if trouble is None else trouble
     kind, _, rest = name.partition(":")
@@ -56,5 +56,5 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
 
 
 def _is_number(text: str) -> bool:
-    """Plain digits, and no more of them than any port or baud rate has."""
+    """Whether the text is one to nine ASCII digits, which is enough for every port and baud rate."""
     return text.isascii() and text.isdigit() and len(text) <= 9

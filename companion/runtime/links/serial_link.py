@@ -1,10 +1,10 @@
-"""A serial port as a link, and a pseudo-terminal in its place.
+"""A serial port as a link; a pseudo-terminal may take its place.
 
-While nobody reads, the kernel keeps 4 kB and a buffer of up to 64 kB, at 57600 baud some ten seconds of a
-full line, at 921600 baud less than one. What comes then is lost: the newest.
+While we do not read, the kernel keeps 4 kB and a buffer of up to 64 kB: about ten seconds of a full line at
+57600 baud, less than one second at 921600 baud. After that, new data is lost.
 
-A pseudo-terminal says that nothing waits in it, whatever does. Its reader's side holds 4 kB that nobody can
-recall; what lies behind that can be flushed.
+A pseudo-terminal always reports that nothing waits in it. Its reader's side holds 4 kB that cannot be
+recalled; data queued behind that can be flushed.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from companion.runtime.links.stream_link import StreamLink
 
 _BITS_PER_BYTE = 10
 _OVERDUE_S = 0.1
-"""Bytes that are still here so long after the baud rate would have carried them are thrown away."""
+"""Bytes that still wait this long after they should have left at the baud rate are thrown away."""
 _SETTLED_S = 0.02
-"""What was written this long ago a pseudo-terminal has handed over, unless nobody reads."""
+"""A pseudo-terminal has handed over what was written this long ago, unless its reader does not read."""
 _PTY_MAJORS = range(136, 144)
-"""Linux: device numbers of /dev/pts."""
+"""Major device numbers of /dev/pts on Linux."""
 _NOT_OPENED = {
     errno.ENOENT: "there is no such device; see to the cable, or to the udev rule that names it",
     errno.EACCES: "this user may not open it; put the user into the device's group (dialout)",
@@ -39,10 +39,10 @@ _NOT_OPENED = {
 
 
 class SerialLink(StreamLink):
-    """A serial port. pyserial sets it up; reads and writes are the kernel's own, which never wait.
+    """A serial port. pyserial sets it up; reads and writes are direct, non-blocking system calls.
 
     Raises:
-        ConfigError: it cannot be opened.
+        ConfigError: the port cannot be opened.
     """
 
     def __init__(self, device: str, baud: int, trouble: LinkTrouble, key: str = "vehicle.link") -> None:
@@ -51,8 +51,8 @@ class SerialLink(StreamLink):
             self._fd = int(self._port.fileno())
             _answer_emptiness(self._fd)
         except (OSError, termios.error, ValueError) as error:
-            # pyserial passes some of the kernel's refusals on as they are: a device that goes just now.
-            # What it refuses itself it says without a number: the kernel's refusal lies behind that.
+            # pyserial passes some errors of the kernel through unchanged, for example for a device that is
+            # being unplugged. Its own exceptions carry no errno; the kernel's error is then their context.
             numbers = [getattr(error, "errno", None), *getattr(error.__context__, "args", ())]
             words = next((_NOT_OPENED[n] for n in numbers if n in _NOT_OPENED), str(error))
             raise ConfigError(f"{key}: serial:{device}:{baud}: {words}") from error
@@ -64,7 +64,7 @@ class SerialLink(StreamLink):
         os.set_blocking(self._fd, False)
 
     def fileno(self) -> int:
-        """For `select`."""
+        """File descriptor for `select`."""
         return self._fd
 
     def discard(self) -> None:
@@ -77,12 +77,12 @@ class SerialLink(StreamLink):
         self._flush()
         self._due_s = float("-inf")
         oldest = self._oldest_s()
-        # A transfer to a USB adapter that is under way is no fault; one that does not end is.
+        # A running transfer to a USB adapter is normal, but one that does not end is a fault.
         if oldest is not None and clock.now_s() - oldest > 2.0 * _OVERDUE_S:
             raise OSError("the serial driver neither sends what it holds nor throws it away")
 
     def abort(self) -> None:
-        """Throw away what waits, and close the port in a thread: the driver may wait half a minute for it."""
+        """Throw away what waits, and close the port in a thread: the driver may take half a minute."""
         self._flush()
         threading.Thread(target=self._close_port, name="close serial", daemon=True).start()
 
@@ -91,12 +91,12 @@ class SerialLink(StreamLink):
         self._close_port()
 
     def _close_port(self) -> None:
-        # Releasing a device that is gone may fail; there is nothing left to release.
+        # Closing a device that is gone may fail; then there is nothing left to release.
         with contextlib.suppress(OSError):
             self._port.close()
 
     def _flush(self) -> None:
-        # Of a device that is gone; the next read finds that.
+        # Flushing a device that is gone fails; the next read detects that.
         with contextlib.suppress(OSError, termios.error):
             termios.tcflush(self._fd, termios.TCOFLUSH)
 
@@ -114,7 +114,8 @@ class SerialLink(StreamLink):
 
     def _takes_more(self, now_s: float) -> bool:
         if self._is_pty:
-            # Unread since the last send: flushed. Sooner after it a reader that is well would lose it, too.
+            # Flush what was not read since the last send. Flushing sooner after it would also take data from
+            # a reader that works normally.
             if now_s - self._wrote_s > _SETTLED_S:
                 self._flush()
             self._wrote_s = now_s
@@ -122,7 +123,7 @@ class SerialLink(StreamLink):
         return self._queued() <= self._bytes_per_s * HELD_S
 
     def _counts_from(self, count: int, now_s: float) -> float:
-        """From when the line should have carried it, at its rate."""
+        """Time by which the line should have carried the bytes at its baud rate; their age counts from it."""
         self._due_s = max(self._due_s, now_s) + count / self._bytes_per_s
         return self._due_s
 
@@ -131,7 +132,7 @@ class SerialLink(StreamLink):
 
 
 def _answer_emptiness(fd: int) -> None:
-    """Have a read that finds nothing refused (EAGAIN), so that an empty one means that the device is gone."""
+    """Let a read that finds no data fail with EAGAIN, so that an empty read means that the device is gone."""
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN], attributes[6][termios.VTIME] = 1, 0
     termios.tcsetattr(fd, termios.TCSANOW, attributes)

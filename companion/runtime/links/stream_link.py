@@ -1,4 +1,4 @@
-"""What TCP and serial share: frames leave whole and soon, or not at all; reading ends at a bound."""
+"""Common part of the TCP and serial links: frames leave whole and soon or not at all; reading is bounded."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from companion.runtime import clock
 from companion.runtime.links.byte_link import LATE_S, READ_BYTES, LinkTrouble, Received, Waiting
 
 _READS = 64
-"""A writer that delivers byte by byte must not hold a call."""
+"""Largest number of reads in one call, so that a far end that writes byte by byte does not hold the call."""
 _CLOSING_LOOK_S = 0.005
 _UNHEARD_BYTES = 1024
-"""What goes to a far end without a byte coming back, where a stopped program would find it later: 15
-setpoints. A vehicle that is flown is heard several times a second, far more often than this needs."""
+"""Largest number of bytes sent without a byte received, on links whose far end keeps unread data (`keeps`),
+where a stopped program would find them later. This is about 15 setpoints. A vehicle in flight sends several
+times a second, far more often than this bound requires."""
 _UNHEARD_S = 5.0
-"""After that one more send goes out, and so on: a far end may wait until it is spoken to."""
+"""After this time without a send, one more send is allowed in spite of `_UNHEARD_BYTES`, and so on, because a
+far end may wait until it receives something."""
 
 
 class StreamLink(ABC):
@@ -24,8 +26,9 @@ class StreamLink(ABC):
 
     Args:
         trouble: counts what goes wrong.
-        keeps: whether the far end's kernel keeps what nobody reads there. A stopped program acts on that when
-            it goes on, and nothing here can recall it. So a far end that says nothing is given little.
+        keeps: whether the far end's kernel keeps data that its program does not read. A stopped program would
+            act on this data when it continues, and we cannot recall it. A far end that sends nothing
+            therefore receives only a little data.
     """
 
     def __init__(self, trouble: LinkTrouble, *, keeps: bool) -> None:
@@ -37,7 +40,7 @@ class StreamLink(ABC):
         self._waiting = Waiting()
 
     def receive(self, now_s: float) -> Received:
-        """What has arrived.
+        """Return what has arrived.
 
         Raises:
             OSError: the link is lost.
@@ -54,7 +57,7 @@ class StreamLink(ABC):
             except OSError:
                 if not parts:
                     raise
-                break  # the next call finds the end again
+                break  # the next call meets the same error again
             parts.append(part)
             room -= len(part)
             if room <= 0:
@@ -64,7 +67,8 @@ class StreamLink(ABC):
         return Received(b"".join(parts), emptied)
 
     def send(self, data: bytes) -> None:
-        """Send the rest of what was sent before, then the new data, if nothing old waits in front of it.
+        """Send the unsent rest of earlier data, then the new data. If older data still waits, or the link is
+        not to be given more, the new data is dropped.
 
         Raises:
             OSError: the link is lost.
@@ -87,7 +91,7 @@ class StreamLink(ABC):
         self._waiting.add(len(data), self._counts_from(len(data), now))
 
     def close(self) -> None:
-        """Let what was sent leave, for `LATE_S` at most, and release the link."""
+        """Let data that was sent leave, for `LATE_S` at most, then release the link."""
         end = clock.now_s() + LATE_S
         with contextlib.suppress(OSError):
             while self._here() and clock.now_s() < end:
@@ -100,14 +104,14 @@ class StreamLink(ABC):
         return self._keeps and too_much and now_s - self._given_s < _UNHEARD_S
 
     def _here(self) -> int:
-        """Bytes that were sent and have not left."""
+        """Number of bytes that were sent but have not left."""
         return self._queued() + len(self._unsent)
 
     def _oldest_s(self) -> float | None:
         return self._waiting.oldest_s(self._here())
 
     def _look(self, now_s: float) -> None:
-        """Throw away what should have left by now."""
+        """Throw away data that should have left by now."""
         oldest = self._oldest_s()
         if oldest is not None and now_s - oldest > self._late_after_s():
             self._trouble.discarded += 1
@@ -124,37 +128,37 @@ class StreamLink(ABC):
             return 0
 
     def _counts_from(self, count: int, now_s: float) -> float:
-        """From when on the age of what is sent now counts."""
+        """Time from which the age of bytes that are sent now counts."""
         return now_s
 
     def _late_after_s(self) -> float:
-        """At what age it is thrown away."""
+        """Age at which bytes are thrown away."""
         return LATE_S
 
     @abstractmethod
     def discard(self) -> None:
-        """Throw away what was sent and has not left; OSError where only giving the link up does that."""
+        """Throw away data that was sent but has not left. Raises OSError if only `abort` can do that."""
 
     @abstractmethod
     def abort(self) -> None:
-        """Release the link at once; what has not left is thrown away."""
+        """Release the link at once; data that has not left is thrown away."""
 
     @abstractmethod
     def _release(self) -> None:
-        """Release the link, after what was sent has had its time."""
+        """Release the link, after data that was sent has had time to leave."""
 
     @abstractmethod
     def _read(self, count: int) -> bytes:
-        """At most so many bytes; OSError at the end of the stream."""
+        """Read at most `count` bytes. Raises OSError at the end of the stream."""
 
     @abstractmethod
     def _write(self, data: bytes) -> int:
-        """Hand data to the kernel; how much it took."""
+        """Pass data to the kernel. Returns how many bytes it accepted."""
 
     @abstractmethod
     def _queued(self) -> int:
-        """Bytes that the kernel has taken, and the line or the peer's kernel has not."""
+        """Number of bytes that our kernel has accepted but the line or the peer's kernel has not."""
 
     @abstractmethod
     def _takes_more(self, now_s: float) -> bool:
-        """Whether the kernel is to be given more."""
+        """Whether more data should be passed to the kernel."""

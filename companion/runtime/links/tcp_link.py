@@ -1,11 +1,11 @@
 """TCP as a link.
 
-While nobody reads, the receive buffer grows up to `net.ipv4.tcp_rmem` (6 MB and more); then the peer's
-kernel holds what comes next, and nothing is dropped.
+While we do not read, the receive buffer grows up to `net.ipv4.tcp_rmem` (6 MB and more). After that the
+peer's kernel holds further data, and nothing is dropped.
 
-Our kernel goes on sending again what the peer's kernel has not acknowledged. It cannot be told to forget
-that: only aborting the connection does. What was acknowledged is out of reach: a Linux reader that was
-stopped finds it after our reset too, and only then the error.
+Our kernel keeps retransmitting data that the peer's kernel has not acknowledged. Only aborting the connection
+stops that. Acknowledged data cannot be recalled: a Linux reader that was stopped still reads it after our
+reset, and only then gets the error.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from companion.runtime.links.stream_link import StreamLink
 _CONNECT_S = 3.0
 _SEND_BUFFER = 8 * 1024
 _AT_ONCE = struct.pack("ii", 1, 0)
-"""SO_LINGER: closing resets the connection and frees what is queued."""
+"""Value of SO_LINGER with which `close` resets the connection and frees what is queued."""
 _MIN_RTT_AT = 148
-"""Of `tcpi_min_rtt`, microseconds, in Linux's struct tcp_info."""
+"""Byte offset of `tcpi_min_rtt` (microseconds) in Linux's struct tcp_info."""
 
 
 class TcpLink(StreamLink):
     """A TCP client.
 
     Raises:
-        OSError: not connected within three seconds.
+        OSError: the connection was not made within three seconds.
     """
 
     def __init__(self, address: tuple[str, int], trouble: LinkTrouble) -> None:
@@ -42,21 +42,21 @@ class TcpLink(StreamLink):
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         self._socket.setblocking(False)
         if sys.platform == "linux":
-            # Not writable while the kernel holds anything unsent.
+            # Makes the socket not writable while the kernel holds any unsent data.
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 1)
-            # The kernel ends the connection by itself where this process is stopped and cannot.
+            # Makes the kernel end the connection if this process is stopped and cannot do it.
             limit_ms = int(1e3 * self._late_after_s())
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit_ms)
 
     def fileno(self) -> int:
-        """For `select`."""
+        """File descriptor for `select`."""
         return self._socket.fileno()
 
     def discard(self) -> None:
-        """Nothing where all was acknowledged.
+        """Do nothing if all data was acknowledged; TCP cannot discard unacknowledged data.
 
         Raises:
-            ConnectionAbortedError: something was not; the link has to be aborted.
+            ConnectionAbortedError: some data was not acknowledged; the link has to be aborted.
         """
         if self._here():
             raise ConnectionAbortedError("what was sent did not arrive in time")
@@ -82,22 +82,23 @@ class TcpLink(StreamLink):
         return self._socket.send(data)
 
     def _queued(self) -> int:
-        """Not acknowledged, sent or unsent; only Linux tells it."""
+        """Number of bytes that are not acknowledged, sent or unsent. Only Linux reports it; elsewhere 0."""
         if sys.platform != "linux":
             return 0
-        # Linux has one number for SIOCOUTQ and TIOCOUTQ.
+        # On Linux SIOCOUTQ and TIOCOUTQ have the same number.
         return int(struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, b"\0" * 4))[0])
 
     def _takes_more(self, now_s: float) -> bool:
-        # What was sent and is not acknowledged yet does not hold the next one up: by its acknowledgement the
-        # kernel notices a lost segment before the limit.
+        # Data that was sent but not acknowledged yet does not hold up the next send: the acknowledgement of
+        # the next send lets the kernel notice a lost segment before the limit.
         return bool(select.select([], [self._socket], [], 0.0)[1])
 
     def _late_after_s(self) -> float:
         return LATE_S + self._round_trip_s()
 
     def _round_trip_s(self) -> float:
-        """The shortest so far: what an acknowledgement takes on this path at best."""
+        """Shortest round trip so far: the least time that an acknowledgement takes on this path. Only Linux
+        reports it; elsewhere 0."""
         if sys.platform != "linux":
             return 0.0
         info = self._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _MIN_RTT_AT + 4)

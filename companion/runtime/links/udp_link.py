@@ -1,12 +1,12 @@
 """UDP as a link.
 
-While nobody reads, the kernel keeps the oldest datagrams and drops the newest once its receive buffer is
-full. It grants what was asked for up to `net.core.rmem_max`, and counts 832 bytes for a small datagram:
-425 kB, as many systems grant it, hold 512 of them, 2 MB hold 2,520.
+While we do not read, the kernel keeps the oldest datagrams and drops the newest once its receive buffer is
+full. It grants the requested buffer size up to `net.core.rmem_max`, and counts 832 bytes for a small
+datagram: 425 kB, which many systems grant, hold 512 of them; 2 MB hold 2,520.
 
-Datagrams to a neighbour whose address is not known yet wait in the kernel for up to three seconds, and
-nothing recalls them: two leave late when the neighbour answers, and what comes after them is dropped until
-then.
+Datagrams to a neighbour whose link-layer address is not known yet wait in the kernel for up to three seconds
+and cannot be recalled. Two of them leave late when the neighbour answers; datagrams sent after these two are
+dropped until then.
 """
 
 from __future__ import annotations
@@ -23,21 +23,26 @@ from companion.runtime.links.byte_link import HELD_S, READ_BYTES, LinkTrouble, R
 
 _DATAGRAM = 65536
 _MAX_DATAGRAMS = 256
-"""Taken in a call, those of strangers among them: about a millisecond, five on a small computer."""
+"""Largest number of datagrams read in one call, including those of other senders. Reading them takes about a
+millisecond, or five on a small computer."""
 _RECEIVE_BUFFER = 1024 * 1024
 _SEND_BUFFER = 4096
-"""The kernel doubles it: some ten datagrams, where the neighbour is unknown or the interface takes none."""
+"""Send buffer in bytes, which the kernel doubles. It holds about ten datagrams while the neighbour is unknown
+or the interface accepts none."""
 _PEER_SILENT_S = 3.0
-"""A peer silent for this long may be replaced by another: a vehicle that restarted has a new port."""
+"""A peer silent for this long may be replaced by another, because a restarted vehicle has a new port."""
 _MAGICS = (0xFD, 0xFE)
-"""First byte of a MAVLink 2 and of a MAVLink 1 frame."""
+"""First byte of a MAVLink 2 frame and of a MAVLink 1 frame."""
 
 
 class UdpLink:
-    """Datagrams to and from one peer: the one that speaks MAVLink (udpin), or a given one (udpout).
+    """Datagrams to and from one peer: the first that sends MAVLink (udpin), or a given one (udpout).
+
+    Args:
+        listen: True for udpin, False for udpout.
 
     Raises:
-        OSError: no such host, or the address cannot be bound.
+        OSError: the host is unknown, or the address cannot be bound.
     """
 
     def __init__(self, address: tuple[str, int], trouble: LinkTrouble, *, listen: bool) -> None:
@@ -67,15 +72,15 @@ class UdpLink:
 
     @property
     def receive_buffer(self) -> int:
-        """Bytes that the kernel granted; Linux doubles what was asked for and counts its own overhead."""
+        """Bytes that the kernel granted. Linux doubles the requested size and counts its own overhead."""
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     def fileno(self) -> int:
-        """For `select`."""
+        """File descriptor for `select`."""
         return self._socket.fileno()
 
     def receive(self, now_s: float) -> Received:
-        """Waiting datagrams of the peer, joined."""
+        """Return the waiting datagrams of the peer, joined."""
         parts: list[bytes] = []
         read = 0
         for _ in range(_MAX_DATAGRAMS):
@@ -84,7 +89,8 @@ class UdpLink:
             except BlockingIOError:
                 return Received(b"".join(parts), emptied=True)
             except OSError:
-                # What the network said of a datagram of ours (nobody there, no route): the next may arrive.
+                # The network reports an error for a datagram of ours (port closed, no route); the next may
+                # arrive.
                 self._trouble.errors += 1
                 continue
             read += len(data)
@@ -106,7 +112,8 @@ class UdpLink:
         return True
 
     def send(self, data: bytes) -> None:
-        """One datagram; nothing while the peer is unknown, or while older datagrams have not left."""
+        """Send one datagram. Nothing is sent while the peer is unknown, or while older datagrams have waited
+        for more than `HELD_S`."""
         if self._peer is None or not data:
             return
         now = clock.now_s()
@@ -120,20 +127,21 @@ class UdpLink:
         except BlockingIOError:
             self._trouble.dropped += 1
         except OSError:
-            # Nobody there yet, no route, a firewall: this datagram is lost, the link is not.
+            # No program listens there yet, no route, or a firewall: this datagram is lost, the link is not.
             self._trouble.errors += 1
         if self._waits_since_s is None:
             self._waits_since_s = now
 
     def _queued(self) -> int:
-        """Bytes that no interface has taken yet, as the kernel counts them; only Linux tells it."""
+        """Number of bytes that no interface has accepted yet, as the kernel counts them. Only Linux reports
+        it; elsewhere 0."""
         if sys.platform != "linux":
             return 0
-        # Linux has one number for SIOCOUTQ and TIOCOUTQ.
+        # On Linux SIOCOUTQ and TIOCOUTQ have the same number.
         return int(struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, b"\0" * 4))[0])
 
     def discard(self) -> None:
-        """Nothing: a datagram that was sent cannot be recalled."""
+        """Do nothing: a datagram that was sent cannot be recalled."""
 
     def close(self) -> None:
         """Close the socket."""

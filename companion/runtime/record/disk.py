@@ -1,9 +1,9 @@
-"""Room on the disk for the record: a floor that is never written below, and old runs that may go.
+"""Disk space for the record: a minimum of free space that is always kept, and deletion of old runs.
 
-Nothing is deleted unless the configuration says so, and then only what is surely ours: a folder in the
-record's folder that has a run's name and holds a manifest of `companion run` and plain files alone, an event
-record among them that nobody writes. A run that ended with a crash or a cut battery is finished too: who
-still writes holds a lock.
+Nothing is deleted unless the configuration allows it, and then only folders that certainly are ours: a folder
+in record.folder that has a run's name, holds a manifest of `companion run` and only plain files, and holds an
+event record that no process is writing. A process that still writes holds a lock, so a run that ended with a
+crash or a power cut counts as finished, too.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from companion.config import RecordConfig
 
 MANIFEST = "manifest.json"
 RUN = "companion run"
-"""What the manifest says of a run that may be deleted."""
+"""Value of "what" in the manifest of a run that may be deleted."""
 _RUN_NAME = re.compile(r"\d{8}T\d{6}Z-.+")
 _MB = 1_000_000
 
 
 def free_mb(folder: Path) -> float:
-    """Free space for us where a folder is, or will be (10^6 bytes).
+    """Free disk space for this user at a folder that exists or will be made, in MB (10^6 bytes).
 
     Raises:
-        OSError: the disk does not tell.
+        OSError: the free space cannot be read.
     """
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
@@ -36,7 +36,10 @@ def free_mb(folder: Path) -> float:
 
 
 def lock(file: int) -> None:
-    """Mark an open file (its descriptor) as being written, until it is closed or its process ends, however.
+    """Mark an open file as being written, until it is closed or its process ends in any way.
+
+    Args:
+        file: descriptor of the open file.
 
     Raises:
         OSError: the file system has no locks.
@@ -45,13 +48,16 @@ def lock(file: int) -> None:
 
 
 def write_all(file: int, data: bytes | bytearray) -> None:
-    """Write all of `data` to an open file (its descriptor).
+    """Write all of `data` to an open file.
 
-    Python's own file objects are not used for what a hung disk may hold up: one that a thread is inside of
-    makes the end of the process a crash.
+    Python's file objects are not used for writes that a hung disk may block: if the process ends while a
+    thread is inside one of them, the process crashes.
+
+    Args:
+        file: descriptor of the open file.
 
     Raises:
-        OSError: the disk does not take it; some of it may have been written.
+        OSError: writing failed; some of the data may have been written.
     """
     left = memoryview(data)
     while left:
@@ -59,10 +65,10 @@ def write_all(file: int, data: bytes | bytearray) -> None:
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write a small file that is there whole or as it was before.
+    """Replace a small file atomically: afterwards it is either complete or as it was before.
 
     Raises:
-        OSError: the disk does not take it.
+        OSError: the file cannot be written.
     """
     new = path.with_suffix(".new")
     file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
@@ -72,7 +78,7 @@ def replace_file(path: Path, data: bytes) -> None:
     finally:
         os.close(file)
     new.replace(path)
-    # The new name is on disk only when the folder is.
+    # The new name is on disk only after the folder is synced.
     folder = os.open(path.parent, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(folder)
@@ -81,7 +87,7 @@ def replace_file(path: Path, data: bytes) -> None:
 
 
 def finished_runs(root: Path) -> list[Path]:
-    """Run folders that may be deleted, the oldest first by the time in their names."""
+    """Run folders that may be deleted, ordered by the time in their names, oldest first."""
     try:
         names = sorted(name for name in os.listdir(root) if _RUN_NAME.fullmatch(name))
     except OSError:
@@ -108,10 +114,10 @@ def _is_finished_run(folder: Path) -> bool:
 
 
 class DiskFloor:
-    """Keeps `record.keep_free_mb` free.
+    """Keeps `record.keep_free_mb` of disk space free.
 
     Args:
-        own: the run folder that is being written.
+        own: the run folder that is being written; it is never deleted.
     """
 
     def __init__(self, config: RecordConfig, own: Path) -> None:
@@ -121,10 +127,11 @@ class DiskFloor:
         """Names of the run folders that were deleted."""
 
     def trouble(self) -> str | None:
-        """Why nothing more may be written, after making room where that is allowed; None when it may.
+        """Reason why nothing more may be written; None if writing is allowed. Deletes old runs first, if the
+        configuration allows that and space is short.
 
         Raises:
-            OSError: the disk does not tell how full it is.
+            OSError: the free space cannot be read.
         """
         floor = self._config.keep_free_mb
         if free_mb(self._own) >= floor:
@@ -133,7 +140,7 @@ class DiskFloor:
             for folder in finished_runs(self._own.parent):
                 if folder.name == self._own.name:
                     continue
-                # Does not follow links, and stops at what cannot be removed.
+                # `rmtree` does not follow links; a folder that cannot be removed completely is not counted.
                 shutil.rmtree(folder, ignore_errors=True)
                 if not folder.exists():
                     self.deleted.append(folder.name)

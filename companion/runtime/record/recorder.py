@@ -1,9 +1,9 @@
-"""The run folder: configuration, manifest, tlog and event record, written beside the flight.
+"""Writes the run folder (configuration, manifest, tlog and event record) while the flight runs.
 
-All of it happens in a thread of its own, from making the folder to closing the files, because a memory card
-can stall a writer for seconds and a setpoint cannot wait. What the thread cannot take is dropped and counted,
-and the count stands in the summary. The same thread looks after the room on the disk. An error ends it, and
-with it the record of this flight.
+A separate thread does all of it, from making the folder to closing the files, because a memory card can stall
+a writer for seconds and a setpoint cannot wait. Records that the thread cannot accept are dropped and
+counted; the summary holds the count. The same thread watches the free space on the disk. An error ends the
+thread, and with it the record of this flight.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from companion.runtime.record.disk import MANIFEST, DiskFloor, lock, replace_fil
 
 _QUEUE = 20_000
 _LOOK_S = 5.0
-"""How often the free space is looked at: a flight writes some 0.2 MB in this time."""
+"""Period of the check for free space. A flight writes about 0.2 MB in this time."""
 CLOSE_S = 5.0
 """How long the end of a flight waits for a slow disk."""
 _HANGS_S = 5.0
-"""A disk that has not answered for so long is told of."""
+"""A disk that has not answered for this long is reported."""
 _BUFFER = 64 * 1024
-"""Bytes of a file that are kept between two syncs."""
+"""Bytes of a file that may be buffered between two syncs before they are written."""
 _EVENTS, _TLOG = 0, 1
-"""The two files."""
+"""Indices of the two files."""
 _VERSIONED = ("numpy", "numba", "pymavlink", "msgspec", "pymap3d")
 
 
 def create_run_folder(root: Path, name: str, utc_s: float, key: str = "record.folder") -> Path:
-    """Make `<root>/<utc>-<name>/`; a number is added when it is there already.
+    """Make the folder `<root>/<utc>-<name>/`; if it exists already, a number is appended to its name.
 
     Args:
-        key: what named the root, for messages.
+        key: configuration key or option that named the root, for messages.
 
     Raises:
         ConfigError: the folder cannot be made.
@@ -65,7 +65,7 @@ def create_run_folder(root: Path, name: str, utc_s: float, key: str = "record.fo
 
 
 def write_manifest(folder: Path, what: str, **facts: object) -> None:
-    """Write `manifest.json`: what ran, on what, with which versions."""
+    """Write `manifest.json`: which program ran, on which machine, with which versions."""
     manifest = {
         "what": what,
         "dmuca": __version__,
@@ -79,7 +79,7 @@ def write_manifest(folder: Path, what: str, **facts: object) -> None:
 
 
 def _git_commit() -> str | None:
-    """Commit of the checkout that the package lies in; None when it is installed."""
+    """Git commit of the checkout that contains this package; None if it is not a checkout."""
     git = Path(__file__).resolve().parents[3] / ".git"
     try:
         head = (git / "HEAD").read_text().strip()
@@ -95,11 +95,11 @@ def _git_commit() -> str | None:
 
 
 class _StoppedError(Exception):
-    """Nothing more may be written; the words say why."""
+    """Nothing more may be written; the text says why."""
 
 
 class EventFile:
-    """`<aircraft>.events`, written in the calling thread; for simulation."""
+    """Event record `<aircraft>.events`, written in the calling thread. Used by the simulation."""
 
     def __init__(self, path: Path, header: event_record.Header) -> None:
         self._file = path.open("wb")
@@ -110,19 +110,21 @@ class EventFile:
         self._file.write(event_record.encode(step))
 
     def close(self) -> None:
-        """Finish the file."""
+        """Close the file."""
         self._file.close()
 
 
 class FlightRecorder:
-    """Tlog and event record of one aircraft, made and written by a thread and synced every
-    `config.sync_period_s`. Nothing here raises, and nothing but `close` waits for the disk.
+    """Tlog and event record of one aircraft, written by a thread and synced every `config.sync_period_s`.
+
+    No method raises, and only `close` waits for the disk.
 
     Args:
-        make_folder: makes the run folder; called in the thread, whatever it raises is kept in `error`.
-        header: the event record's first entry.
-        steps: steps that follow it.
-        tape: what the tlog begins with.
+        make_folder: makes the run folder. It is called in the thread; an exception that it raises is kept in
+            `error`.
+        header: first entry of the event record.
+        steps: steps that follow the header.
+        tape: bytes with which the tlog begins.
     """
 
     def __init__(
@@ -134,11 +136,11 @@ class FlightRecorder:
         tape: bytes = b"",
     ) -> None:
         self.folder: Path | None = None
-        """Once it is made."""
+        """The run folder; None until it is made."""
         self.recording = False
-        """The files are there and take what comes."""
+        """Whether the files have been opened and free space was found."""
         self.deleted: list[str] = []
-        """Names of older runs that had to make room in flight."""
+        """Names of older runs that were deleted in flight to make room."""
         self._config = config
         self._queue: queue.Queue[tuple[int, bytes] | None] = queue.Queue(_QUEUE)
         self._files: tuple[tuple[Path, int], ...] = ()
@@ -158,26 +160,26 @@ class FlightRecorder:
         self._put(_EVENTS, event_record.encode(step))
 
     def write(self, data: bytes) -> int:
-        """Append bytes to the tlog: the recorder is the stream of a `TlogWriter`."""
+        """Append bytes to the tlog. With this method the recorder can be the stream of a `TlogWriter`."""
         self._put(_TLOG, data)
         return len(data)
 
     @property
     def dropped(self) -> int:
-        """Records that are not in the files."""
-        # After an error nobody takes what waits.
+        """Number of records that are missing in the files."""
+        # After an error the queue is no longer read.
         return self._overflowed + self._unwritten + (self._queue.qsize() if self._error is not None else 0)
 
     @property
     def error(self) -> str | None:
-        """Why writing stopped; None while it goes on."""
+        """Why writing stopped; None while it continues."""
         return self._error
 
     def slow(self, now_s: float) -> str | None:
-        """What is wrong with a disk that still may take everything; None where it is quick enough.
+        """What is wrong with a disk that is slow but has not failed; None if it is fast enough.
 
         Args:
-            now_s: `clock.now_s`.
+            now_s: current time of `clock.now_s`.
         """
         busy_s = self._busy_s
         if busy_s is not None and now_s - busy_s > _HANGS_S:
@@ -185,10 +187,10 @@ class FlightRecorder:
         return "the disk was too slow: records are missing" if self._overflowed else None
 
     def close(self, timeout_s: float = CLOSE_S) -> bool:
-        """Write out what waits, sync, close. What fails is kept in `error`.
+        """Write what is queued, sync and close the files. A failure is kept in `error`.
 
         Returns:
-            Whether the disk answered; after `timeout_s` it is left alone.
+            Whether the disk answered within `timeout_s`. If not, the thread is left behind.
         """
         give_up_s = clock.now_s() + timeout_s
         if self._error is None:
@@ -210,7 +212,7 @@ class FlightRecorder:
         self._overflowed += 1
 
     def _keep(self, error: str) -> None:
-        """The first error explains those after it."""
+        """Keep the first error only, because it explains the later ones."""
         if self._error is None:
             self._error = error
 
@@ -236,7 +238,8 @@ class FlightRecorder:
         except (_StoppedError, ConfigError) as error:
             self._keep(str(error))
         except Exception as error:
-            # A bug of ours, but one beside the flight: it must not end unseen.
+            # This is a bug, but not in the flight itself. Keep it in `error`, so that it does not pass
+            # unseen.
             self._keep(f"{type(error).__name__}: {error}")
         self._unwritten += self._buffered
         for _, file in self._files:
@@ -257,8 +260,8 @@ class FlightRecorder:
         write_all(events, event_record.MAGIC + event_record.encode(header))
 
     def _write(self, floor: DiskFloor) -> None:
-        """Until there is no more, or `close` has given up. Raises OSError and _StoppedError where the disk
-        takes no more."""
+        """Write records until the end of the queue, or until `close` has given up. Raises OSError or
+        _StoppedError if the disk takes no more."""
         self.deleted = floor.deleted
         looked, synced = -math.inf, clock.now_s()
         running = True
@@ -295,8 +298,8 @@ class FlightRecorder:
         self._buffered = 0
 
     def _look(self, floor: DiskFloor) -> None:
-        """Stop at the floor, as a disk that is full to the last byte stops more than this record; and where
-        the files are gone, as what is written to them is lost."""
+        """Raise _StoppedError if too little space is free, because a completely full disk stops more than
+        this record; or if the files were replaced, because data written to them would be lost."""
         trouble = floor.trouble()
         if trouble is not None:
             raise _StoppedError(trouble)

@@ -1,8 +1,8 @@
-"""The record of one flight: its run folder, from the first step of the heart to the summary.
+"""The record of one flight: its run folder, from the heart's (`companion.core`) first step to the summary.
 
-Steps and link bytes from before there is a folder are kept until then. A record folder that cannot be written
-ends no flight and keeps none from beginning: after a restart in the air the aircraft must be heard and must
-avoid others, with a record or without.
+Steps and link bytes that arrive before the folder exists are kept in memory. A record folder that cannot be
+written neither ends a flight nor prevents one: after a restart in the air the aircraft must broadcast and
+avoid others, with or without a record.
 """
 
 from __future__ import annotations
@@ -31,32 +31,33 @@ from companion.runtime.record.recorder import (
 
 
 class _Tape:
-    """What crosses the link, kept until there is a recorder: the first texts to the pilot are in the log."""
+    """Bytes that cross the link, kept until there is a recorder, so that the tlog holds the first texts to
+    the pilot, too."""
 
     def __init__(self) -> None:
         self._recorder: FlightRecorder | None = None
         self._early: list[bytes] = []
 
     def write(self, data: bytes) -> None:
-        """Take bytes."""
+        """Pass bytes to the recorder, or keep them until there is one."""
         if self._recorder is None:
             self._early.append(data)
         else:
             self._recorder.write(data)
 
     def early(self) -> bytes:
-        """What was kept; it is kept no longer."""
+        """Return the bytes that were kept, and drop them here."""
         data = b"".join(self._early)
         self._early.clear()
         return data
 
     def play(self, recorder: FlightRecorder) -> None:
-        """Hand on all that comes."""
+        """Pass all further bytes to `recorder`."""
         self._recorder = recorder
 
 
 class RunRecord:
-    """Takes every step; writes none before `open`."""
+    """Takes every step of the heart. Steps from before `open` are kept and written then."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self.tape = _Tape()
@@ -68,31 +69,34 @@ class RunRecord:
 
     @property
     def folder(self) -> Path | None:
-        """Of the run; None before it is made."""
+        """Run folder; None before it is made."""
         return None if self._recorder is None else self._recorder.folder
 
     @property
     def error(self) -> str | None:
-        """Why nothing is recorded, for the rest of this flight."""
+        """Why nothing more is recorded in this flight; None while recording works."""
         return None if self._recorder is None else self._recorder.error
 
     def slow(self, now_s: float) -> str | None:
-        """What is wrong with a disk that takes the record all the same; None where nothing is."""
+        """What is wrong with a disk that is slow but has not failed; None if nothing is."""
         return None if self._recorder is None else self._recorder.slow(now_s)
 
     @property
     def dropped(self) -> int:
-        """Records that were lost."""
+        """Number of records that were lost."""
         return 0 if self._recorder is None else self._recorder.dropped
 
     @property
     def deleted(self) -> list[str]:
-        """Older runs that had to make room in flight."""
+        """Names of older runs that were deleted in flight to make room."""
         return [] if self._recorder is None else self._recorder.deleted
 
     def open(self, config: Config, policy: bytes | None, vehicle: str) -> None:
-        """Make the run folder and record from now on, and all that was kept. Waits for no disk: whether there
-        is a folder is said with a later step, and what is wrong with it is told by `error`."""
+        """Make the run folder and record everything, including what was kept until now.
+
+        Does not wait for the disk: a later `step` reports the folder to the user, and `error` holds a
+        failure.
+        """
         utc_s = time.time()
         header = Header(
             aircraft=config.identity.file_name,
@@ -108,7 +112,8 @@ class RunRecord:
             write_manifest(folder, RUN, aircraft=[header.aircraft], started_utc_s=utc_s, vehicle=vehicle)
             return folder
 
-        # The record begins with the heart's first step, or a replay would not meet the same state.
+        # The record must begin with the heart's first step; otherwise a replay would not reach the same
+        # state.
         early, self._early = self._early, []
         self._recorder = FlightRecorder(make, header, config.record, early, self.tape.early())
         self.tape.play(self._recorder)
@@ -120,7 +125,7 @@ class RunRecord:
             self._early.append(step)
             return
         recorder.step(step)
-        # Here, as the recorder's thread must not say anything itself.
+        # Reported here, because the recorder's thread must not print anything itself.
         if recorder.recording and not self._announced:
             self._announced = True
             if self._made_room:
@@ -131,7 +136,7 @@ class RunRecord:
         """Write what is left, then the summary.
 
         Args:
-            summary: builds it, of the record as it is then.
+            summary: builds the summary; it is called after the record is closed.
         """
         recorder = self._recorder
         if recorder is None:
@@ -144,7 +149,7 @@ class RunRecord:
             return
         if answered:
             path = recorder.folder / "summary.json"
-            # A thread: the disk may begin to hang now. What a summary is built of does not change any more.
+            # In a thread, because the disk may hang now. The data of the summary does not change any more.
             writer = threading.Thread(target=self._summarize, args=(path, summary), daemon=True)
             writer.start()
             writer.join(CLOSE_S)
@@ -157,15 +162,16 @@ class RunRecord:
             self._say(f"{path}: cannot be written: {error.strerror}")
 
     def _make_room(self, config: Config) -> None:
-        """On the ground, before the first file: a disk that is full to the last byte takes no folder."""
+        """Delete old runs before the first file is written: a completely full disk takes no new folder."""
         floor = DiskFloor(config.record, Path(config.record.folder) / "to come")
-        with contextlib.suppress(OSError):  # the recorder will say what is wrong
+        with contextlib.suppress(OSError):  # the recorder will report the trouble
             floor.trouble()
         self._made_room = floor.deleted
 
 
 def _write_configuration(folder: Path, config: Config, policy: bytes | None) -> None:
-    """The configuration as it flies, with the policy beside it: it runs again as it stands.
+    """Write the configuration as flown, with the policy file next to it, so that it can be run again
+    unchanged.
 
     Raises:
         OSError: the folder cannot be written.

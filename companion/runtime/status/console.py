@@ -1,6 +1,6 @@
-"""What a flight says, printed by a thread of its own.
+"""Console output of a flight, printed by a separate thread.
 
-A terminal can stop taking lines and a pipe can break; neither may hold up a setpoint or end a flight.
+A terminal can stop accepting lines and a pipe can break. Neither may delay a setpoint or end a flight.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _PATIENCE_S = 1.0
 
 
 class Voice:
-    """Lines for whoever watches. What cannot be printed is dropped and counted."""
+    """Prints lines for the user. Lines that cannot be printed are dropped and counted."""
 
     def __init__(self, out: Callable[[str], None]) -> None:
         self._out = out
@@ -27,13 +27,14 @@ class Voice:
 
     @property
     def dropped(self) -> int:
-        """Lines that nobody saw."""
+        """Number of lines that were not printed."""
         return self._overflowed + self._refused
 
     def say(self, line: str) -> None:
-        """Have a line printed; never waits.
+        """Queue a line for printing; never waits.
 
-        Names in it come from strangers: what could steer a terminal is shown as "?".
+        Lines may hold names from received messages, so unprintable characters, which could control a
+        terminal, are shown as "?".
         """
         try:
             self._queue.put_nowait("".join(c if c.isprintable() else "?" for c in line))
@@ -41,7 +42,7 @@ class Voice:
             self._overflowed += 1
 
     def close(self) -> None:
-        """Let the last lines out; waits for a moment, not for ever."""
+        """Print the lines that are queued. Waits for a bounded time only."""
         with contextlib.suppress(queue.Full):
             self._queue.put(None, timeout=_PATIENCE_S)
         self._thread.join(_PATIENCE_S)
@@ -51,5 +52,6 @@ class Voice:
             try:
                 self._out(line)
             except (OSError, ValueError):
-                # A broken pipe or closed terminal; a closed file or a character that it cannot show.
+                # OSError: a broken pipe or closed terminal. ValueError: a closed file, or a character that
+                # cannot be encoded.
                 self._refused += 1

@@ -1,4 +1,7 @@
-"""What the heart knows, as `companion status` shows it. Only reads: a replay goes the same way without it."""
+"""State of the heart (`companion.core`), as `companion status` shows it.
+
+This module only reads the heart, so a replay, which runs without it, reaches the same state.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,11 @@ from companion.runtime.status.status_socket import MOST_TRACKS, TrackStatus
 
 
 def heart_status(heart: Companion, now_s: float, decision: Decision | None) -> dict[str, Any]:
-    """The fields of `status.Status` that the heart knows.
+    """The fields of `status_socket.Status` that come from the heart.
 
     Args:
-        decision: the law's last, while it flies; None when it does not.
+        decision: latest decision of the avoidance law while the companion controls the vehicle, otherwise
+            None.
     """
     own, config = heart.own, heart.config
     position = own.position

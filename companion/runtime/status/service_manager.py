@@ -1,7 +1,7 @@
-"""What the service manager is told: sd_notify(3), whole.
+"""Notifications to the service manager in the protocol of sd_notify(3), without its library.
 
-A datagram of KEY=value lines to the socket that NOTIFY_SOCKET names. Nothing here waits and nothing fails: a
-flight does not depend on who started it.
+Each notification is a datagram of KEY=value lines to the socket that NOTIFY_SOCKET names. Nothing here blocks
+or raises: a flight does not depend on the program that started it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ _PING_S = 1.0
 
 
 def notify_address(environ: Mapping[str, str]) -> str | None:
-    """Address of the service manager's socket, "@" standing for the zero byte of an abstract one; None where
-    nobody is to be told."""
+    """Address of the service manager's socket; None if there is none.
+
+    In NOTIFY_SOCKET, "@" stands for the zero byte at the start of an abstract socket's address.
+    """
     name = environ.get("NOTIFY_SOCKET", "")
     if name.startswith("/"):
         return name
@@ -24,10 +26,11 @@ def notify_address(environ: Mapping[str, str]) -> str | None:
 
 
 def ping_period_s(environ: Mapping[str, str], pid: int) -> float | None:
-    """How often the watchdog is to hear of us; None where there is none, or it is meant for another process.
+    """Period of the pings to systemd's watchdog, in seconds; None if the watchdog is off or is meant for
+    another process.
 
-    At least twice within its limit (sd_watchdog_enabled(3)), and once a second: a stall then has nearly the
-    whole limit before it is taken for a hang, wherever between two pings it begins.
+    The period is half the watchdog's limit (sd_watchdog_enabled(3)), but at most one second. A stall may then
+    last nearly the whole limit before it counts as a hang, at whatever point between two pings it begins.
     """
     limit_us, whose = environ.get("WATCHDOG_USEC", ""), environ.get("WATCHDOG_PID", str(pid))
     if not (limit_us.isascii() and limit_us.isdigit() and int(limit_us) > 0) or whose != str(pid):
@@ -36,8 +39,8 @@ def ping_period_s(environ: Mapping[str, str], pid: int) -> float | None:
 
 
 class Notifier:
-    """The service manager, as this process sees it. To be called by the loop alone: a thread would go on
-    pinging for a loop that hangs."""
+    """Notifies the service manager. Only the flight loop may call it: a thread would keep pinging although
+    the loop hangs."""
 
     def __init__(self, environ: Mapping[str, str]) -> None:
         self._address = notify_address(environ)
@@ -49,22 +52,22 @@ class Notifier:
             self._socket.setblocking(False)
 
     def ready(self) -> None:
-        """Started up; from now on the watchdog counts."""
+        """Report that start-up is complete; from now on systemd's watchdog is active."""
         self._tell("READY=1")
 
     def status(self, line: str) -> None:
-        """What `systemctl status` shows."""
+        """Report the line that `systemctl status` shows."""
         self._tell("STATUS=" + "".join(c if c.isprintable() else "?" for c in line))
 
     def ping(self, now_s: float) -> None:
-        """The loop goes round; passed on as often as the watchdog wants it."""
+        """Report that the loop is running. To be called in every tick; sent only once per ping period."""
         if self._period_s is None or (self._pinged_s is not None and now_s - self._pinged_s < self._period_s):
             return
         self._pinged_s = now_s
         self._tell("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """Ending in order; the watchdog does not count any more."""
+        """Report an orderly stop; systemd's watchdog is no longer active."""
         self._tell("STOPPING=1")
 
     def close(self) -> None:
@@ -75,6 +78,7 @@ class Notifier:
 
     def _tell(self, text: str) -> None:
         if self._socket is not None and self._address is not None:
-            # A manager that is gone or full must not hold up a setpoint; the next ping may arrive.
+            # A service manager that is gone or whose queue is full must not delay a setpoint; the next ping
+            # may arrive.
             with contextlib.suppress(OSError):
                 self._socket.sendto(text.encode(), self._address)

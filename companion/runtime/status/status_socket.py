@@ -1,7 +1,7 @@
-"""The flight's live state on a local socket: whoever connects is written one line of JSON, and that was it.
+"""Live state of the flight on a local socket: each client that connects is sent one line of JSON.
 
-Served by the loop itself, which never waits for anybody: what a client sends is not read, what it does not
-take at once is lost to it, and a tick answers a few at most.
+The flight loop itself serves the socket and never waits for a client. It reads nothing from a client, data
+that a client cannot accept at once is lost, and one tick answers only a few clients.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from companion.errors import ConfigError
 
 SUFFIX = ".sock"
 MOST_TRACKS = 50
-"""Shown of all tracks, the nearest ones."""
+"""Largest number of tracks in the state; the nearest ones are shown."""
 _FOLDER = "dmuca"
 _PER_TICK = 4
 _WAITING = 16
@@ -28,42 +28,42 @@ _MODE = 0o660
 
 
 class TrackStatus(msgspec.Struct, frozen=True, kw_only=True):
-    """One heard aircraft."""
+    """One aircraft that was received by Remote ID or ADS-B."""
 
     track_id: str
     transport: str
-    """How it was heard last; "adsb" for crewed traffic."""
+    """Transport of its latest message; "adsb" for crewed traffic."""
     distance_m: float
-    """Horizontal, now."""
+    """Current horizontal distance."""
     above_m: float | None
-    """Its height over ours; None while it does not tell one."""
+    """Its height above our aircraft; None while it reports no height."""
     speed_mps: float
-    """Horizontal."""
+    """Horizontal speed."""
     age_s: float
-    """Of what it told last."""
+    """Age of its latest report."""
     alert: str
-    """none, advisory, caution or warning."""
+    """Alert level: none, advisory, caution or warning."""
     conflict: bool
-    """The law kept clear of it at its last decision."""
+    """Whether the law avoided this aircraft at its last decision."""
     doubts: tuple[str, ...] = ()
-    """What speaks against its messages."""
+    """Names of the flags that make its messages doubtful."""
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything that `companion status` shows. Unknown is None; angles in degrees, altitudes above mean sea
-    level."""
+    """Everything that `companion status` shows. None means unknown; angles are in degrees, altitudes above
+    mean sea level."""
 
     aircraft: str
     software: str
     dry_run: bool
     up_s: float
     utc_s: float | None
-    """As the vehicle tells it."""
+    """Unix time in seconds, from the vehicle's clock."""
     state: str
     waits_for: str | None
-    """Why the vehicle is not taken; None when it flies by us or could."""
+    """Why we do not take control of the vehicle; None if we control it or could."""
     unfit: str | None
-    """Why the own state cannot be flown on."""
+    """Why our own state is not fit for flying; None if it is."""
     vehicle: str | None
     mode: str | None
     armed: bool
@@ -84,7 +84,7 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     radio: str
     radio_ok: bool
     rates: dict[str, int]
-    """What goes on the air: messages a second on each transport; empty in a dry run."""
+    """Rates on the air: messages per second on each transport; empty in a dry run."""
     remote_id_trouble: str | None
     frames_sent: int
     frames_heard: int
@@ -96,19 +96,19 @@ class Status(msgspec.Struct, frozen=True, kw_only=True):
     ticks: int
     late_ticks: int
     worst_tick_ms: float
-    """The latest that a tick began after its time."""
+    """Largest delay of a tick after its deadline."""
     folder: str | None
     recorder_error: str | None
     records_dropped: int
     troubles: tuple[str, ...] = ()
-    """What goes wrong beside the flight now: the disk, above all."""
+    """Current troubles that do not end the flight, mostly of the disk."""
     said: tuple[str, ...]
-    """Last lines, the newest at the end."""
+    """Latest console lines, the newest at the end."""
 
 
 def folders(environ: Mapping[str, str]) -> list[Path]:
-    """Where the sockets are, the first that can be used: systemd's RuntimeDirectory=, the user's, the
-    system's."""
+    """Candidate folders of the sockets, in order of preference: systemd's RuntimeDirectory=, the user's
+    runtime folder, the system's. The first usable one is used."""
     found = [Path(name) for name in environ.get("RUNTIME_DIRECTORY", "").split(":") if name]
     if environ.get("XDG_RUNTIME_DIR"):
         found.append(Path(environ["XDG_RUNTIME_DIR"]) / _FOLDER)
@@ -116,20 +116,20 @@ def folders(environ: Mapping[str, str]) -> list[Path]:
 
 
 class StatusServer:
-    """The socket of one flight.
+    """The status socket of one flight.
 
     Raises:
-        ConfigError: no folder takes a socket of this name, or another process serves it.
+        ConfigError: no folder accepts a socket of this name, or another process already serves it.
     """
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
         self.path, self._socket = _listen(name + SUFFIX, folders(environ))
 
     def serve(self, state: Callable[[], Status]) -> None:
-        """Answer those who wait; never blocks.
+        """Answer the clients that wait; never blocks.
 
         Args:
-            state: builds what is sent, once for all of them.
+            state: builds the state that is sent; it is called once for all clients of this call.
         """
         answer = b""
         for _ in range(_PER_TICK):
@@ -144,7 +144,7 @@ class StatusServer:
                 client.send(answer)
 
     def close(self) -> None:
-        """Stop serving and leave no file behind, where the folder is still ours to write."""
+        """Stop serving and remove the socket's file, if the folder is still writable."""
         self._socket.close()
         with contextlib.suppress(OSError):
             self.path.unlink(missing_ok=True)
@@ -162,11 +162,12 @@ def _listen(name: str, where: list[Path]) -> tuple[Path, socket.socket]:
 
 
 def _bind(path: Path) -> socket.socket:
-    """Raises ConfigError where another process serves, OSError where nobody could."""
+    """Raises ConfigError if another process serves this path, OSError if the path cannot be served at all."""
     if is_served(path):
         raise ConfigError(f"{path}: another companion of this name serves its status there")
     with contextlib.suppress(FileNotFoundError):
-        # Left by a process that was killed. What is no socket is not ours to remove: bind refuses then.
+        # Remove a socket that a killed process left behind. Anything else is not ours to remove, and `bind`
+        # then refuses.
         if stat.S_ISSOCK(os.lstat(path).st_mode):
             path.unlink()
     server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -182,13 +183,13 @@ def _bind(path: Path) -> socket.socket:
 
 
 def is_served(path: Path) -> bool:
-    """Whether a process listens there."""
+    """Whether a process listens on this socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:
             probe.connect(str(path))
         except BlockingIOError:
-            return True  # so many wait that it takes no more now
+            return True  # its backlog is full: many clients are waiting
         except OSError:
             return False
     return True

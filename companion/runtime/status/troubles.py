@@ -1,5 +1,7 @@
-"""What goes wrong beside the flight and does not end it: told once of each kind, on the console and to the
-pilot, and shown for as long as it lasts."""
+"""Troubles that do not end the flight.
+
+Each kind is reported once, on the console and to the pilot, and shown in the status for as long as it lasts.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from companion.events import Say, Severity
 
 
 class Trouble(enum.Enum):
-    """The kinds, each with the pilot's words: they fit one STATUSTEXT."""
+    """Kinds of trouble. The value is the text for the pilot, which fits one STATUSTEXT."""
 
     NOT_RECORDED = "DMUCA: this flight is not recorded"
     SLOW_DISK = "DMUCA: the disk is too slow for the record"
@@ -21,10 +23,10 @@ class Trouble(enum.Enum):
 
 
 class Troubles:
-    """Of one flight.
+    """The troubles of one flight.
 
     Args:
-        say: takes lines for the console.
+        say: receives lines for the console.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -35,14 +37,14 @@ class Troubles:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """Those that last."""
+        """Texts of the troubles that still last."""
         return tuple(self._lasting.values())
 
     def note(self, kind: Trouble, text: str | None) -> None:
-        """How it stands with one kind now.
+        """Update the state of one kind of trouble.
 
         Args:
-            text: the console's words; None: all is well, or well again.
+            text: text for the console; None if there is no such trouble, or no longer.
         """
         if text is None:
             self._lasting.pop(kind, None)
@@ -54,6 +56,6 @@ class Troubles:
             self._for_pilot.append(Say(severity=Severity.WARNING, text=kind.value))
 
     def take(self) -> list[Say]:
-        """What the pilot has not been told yet; from now on he has."""
+        """Return the messages to the pilot that have not been taken yet, and mark them as taken."""
         said, self._for_pilot = self._for_pilot, []
         return said

@@ -2,8 +2,8 @@
 
 The same equations as `sitl_mocks.channel.equations.analytic` (a test holds both together), with two
 differences that training needs. Every environment is dense, all aircraft against all. And it gives the
-*difference cost*: what each aircraft's total would become for each of its actions, its own delay exactly, the delay of the others to
-first order, from one forward and one backward pass.
+*difference cost*: what each aircraft's total would become for each of its actions, its own delay exactly, the
+delay of the others to first order, from one forward and one backward pass.
 
 What the others send acts on a link through a few sums over them (`Loads`), each linear in what one of them
 adds: the backward pass goes through the same sums, turned round.
