@@ -168,7 +168,7 @@ class Control:
         stands = unfit is None and self._standstill.lasts(now_s, self._own.mode)
         return Step(commands, (0.0, 0.0, 0.0) if stands else None, alerts_only=unfit is None)
 
-    # ------------------------------------------------------------ the parts of a step
+    # ------------------------------------------------------------ parts of a step
 
     def _unfit(self, now_s: float, gap_s: float) -> str | None:
         """Reason, in words, why nothing may be commanded; None if there is none."""
@@ -250,7 +250,7 @@ class Control:
         commands += cycle.note(now_s, result, self.state)
         return result
 
-    # ------------------------------------------------------------ what moves it
+    # ------------------------------------------------------------ triggers
 
     def _triggers(self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None, in_time: bool) -> Found:
         """Triggers that follow from the vehicle's state."""
@@ -320,7 +320,7 @@ class Control:
             return frozenset({Trigger.CLEAR, Trigger.REGAINED})
         return frozenset({Trigger.CLEAR, Trigger.AWAY} if distance > 2.0 * regained else {Trigger.CLEAR})
 
-    # ------------------------------------------------------------ what a move does
+    # ------------------------------------------------------------ transitions
 
     def _move(
         self,
@@ -413,7 +413,7 @@ class Control:
         ardupilot = heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
         return self._modes.let_go(asks_hold=ardupilot or not self._readiness.enabled)
 
-    # ------------------------------------------------------------ in words
+    # ------------------------------------------------------------ reasons in words
 
     def _reason(
         self,
