@@ -99,8 +99,10 @@ class Decider:
         return self.alerts.look(now_s, position, velocity, self._neighbours, result)
 
     def _tell_late(self, result: LawResult) -> list[Command]:
-        """Report a growing delay of the path, as when a fence stops the aircraft: it is not where others
-        expect it."""
+        """Report a growing delay of the path.
+
+        An aircraft that a fence stops, or that is kept off its path for long, is not where it is expected.
+        """
         late_s = self._course.late_s
         assert self._told_late_s is not None
         if late_s - self._told_late_s < _LATE_STEP_S:

@@ -1,5 +1,4 @@
-"""The path that the companion flies (`flight.use = "fly"`): its source, the start of its clock, its reference
-points.
+"""The path that the companion flies (`flight.use = "fly"`): its source, clock and reference points.
 
 A plan is made in the air, when the vehicle is ready to be taken in all other respects. Home, UTC and the
 start position of a mission are those of that moment. They stay fixed for the flight, even if the autopilot

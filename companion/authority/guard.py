@@ -142,8 +142,7 @@ class GuardPlan:
         return [*self._tell_fast(), *self._fetch(now_s)]
 
     def _tell_fast(self) -> list[Command]:
-        """Warn once per mission if it is flown faster than our limit, because taking the vehicle slows it
-        down."""
+        """Warn once if the mission is faster than our limit: taking the vehicle would slow it down."""
         if self.terms.vehicle is None or self._judged is self._flown:
             return []
         self._judged = self._flown
@@ -248,8 +247,7 @@ class GuardPlan:
         return len(self._speeds(own)) > 1
 
     def _speeds(self, own: Ownship) -> frozenset[float | None]:
-        """Speeds that may apply at the current item. ArduPilot returns home at its own speed, so a return has
-        none."""
+        """Mission speeds that may apply at the current item. ArduPilot returns home at its own speed."""
         item = self._item(own)
         if item is None or item.command == NAV_RETURN_TO_LAUNCH:
             return frozenset()
@@ -271,8 +269,7 @@ def _standing(here: Vec3) -> Trajectory:
 
 
 def _way(here: Vec3, velocity: Vec3, there: Vec3, speed_mps: float, limits: LimitsConfig) -> Trajectory:
-    """Straight path to `there` at `speed_mps`, or slower as the limits require, continuing the current
-    velocity."""
+    """Straight path to `there` that continues the current velocity, at `speed_mps` as limits allow."""
     length, down = math.dist(here, there), there[2] - here[2]
     if length < _HERE_M:
         return _standing(here)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from companion.events import RcChannels
 
 MOVED_US = 100
-"""Deflection (us) that counts as moved: a fifth of a stick's travel to either side, more than trims and
-noise."""
+"""Deflection (us) that counts as moved: a fifth of a stick's travel to either side. Trims and noise are
+less."""
 _MESSAGES = 2
 """Consecutive messages that must show a movement: a single one may be a glitch of the radio."""
 

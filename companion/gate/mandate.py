@@ -1,5 +1,7 @@
-"""Tracks authority over the vehicle from its messages and from the commands sent: the rules target, use,
-authority and mode."""
+"""Tracks authority over the vehicle from its messages and the sent commands.
+
+It checks the rules target, use, authority and mode.
+"""
 
 from __future__ import annotations
 
