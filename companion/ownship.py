@@ -40,7 +40,7 @@ _GROUNDED_HIGH_S = 10.0
 """The same time for a vehicle that is far from the height of its home and of its take-off."""
 _HIGH_M = 10.0
 _STANDING_MPS = 2.0
-"""A vehicle on the ground is never faster, even if its estimate is bad."""
+"""A vehicle on the ground is never faster than this, even if its estimate is bad."""
 _ESTIMATOR_LOST_S = 5.0
 _DRIFT_ARMED = 1e-3
 """Largest assumed rate at which the autopilot's clock falls behind ours, in seconds per second. A higher rate

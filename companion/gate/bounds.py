@@ -153,8 +153,8 @@ class Bounds:
         """Note that a setpoint was sent.
 
         `tests/companion/gate/test_proofs.py` proves a bound for setpoints that pass by comparison with the
-        last setpoint: in t seconds their changes add up to no more than the acceleration limit allows in t +
-        1 s, plus the slack.
+        last setpoint. In t seconds their changes add up to no more than the acceleration limit allows in
+        (t + 1 s), plus the slack.
         """
         changed = math.hypot(velocity[0] - self._last[0], velocity[1] - self._last[1])
         self._budget_mps = max(-_SLACK_MPS, self._allowed_mps(now_s) - changed)  # The slack counts only once.
