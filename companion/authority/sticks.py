@@ -5,8 +5,7 @@ from __future__ import annotations
 from companion.events import RcChannels
 
 MOVED_US = 100
-"""Deflection (us) that counts as a movement: a fifth of the travel to either side. Trims and noise are
-less."""
+"""Deflection (us) that counts as a movement: a fifth of the travel to one side. Trims and noise are less."""
 _MESSAGES = 2
 """Consecutive messages that must show a movement: a single one may be a glitch of the radio."""
 
