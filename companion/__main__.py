@@ -1,4 +1,4 @@
-"""What `companion` runs when it is installed."""
+"""Entry point of the installed `companion` command."""
 
 from __future__ import annotations
 

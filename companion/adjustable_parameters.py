@@ -1,7 +1,7 @@
-"""The few numbers of a configuration that a ground station may change, each under the name of a parameter.
+"""The few numbers of a configuration that a ground station may change, each under a parameter name.
 
-A setting lies over the configuration: None is what the file says. Each one is held against its own range and,
-with all others, against the checks that the configuration itself has passed.
+A setting overrides the configuration; None keeps the configured value. Each setting is checked against its
+own range. All settings together must also pass the checks of the configuration itself.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from companion.errors import ConfigError
 from companion.events import Settings
 
 ENABLE = "DMUCA_ENABLE"
-"""0: the vehicle is neither taken nor kept. 1: as flight.use says."""
+"""Parameter: 0 if the companion must neither take nor keep the vehicle, 1 if it acts as `flight.use` says."""
 SWITCHED_OFF = f"switched off ({ENABLE} is 0)"
-"""What the status and the pilot are told then."""
+"""Text for the status and the pilot while it is 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """A number of the configuration."""
+    """One adjustable number of the configuration."""
 
     section: str
     key: str
-    """Also the field of `Settings`."""
+    """Key in the section, and field of `Settings`."""
     lowest: float
     highest: float
 
     def configured(self, config: Config) -> float:
-        """What the configuration says."""
+        """The configured value."""
         value: float = getattr(getattr(config, self.section), self.key)
         return value
 
@@ -41,18 +41,18 @@ class _Number:
 _NUMBERS = {
     "DMUCA_RADIUS": _Number("avoidance", "conflict_radius_m", 2.0, 50.0),
     "DMUCA_HORIZON": _Number("avoidance", "horizon_s", 5.0, 60.0),
-    # The configured speed is what somebody has answered for: a link may only lower it.
+    # Somebody is responsible for the configured speed, so it may only be lowered over a link.
     "DMUCA_SPD_MAX": _Number("limits", "max_speed_mps", 1.0, 0.0),
 }
 NAMES = (ENABLE, *_NUMBERS)
-"""In the order of their PARAM index; at most 16 characters each."""
+"""All parameter names in the order of their PARAM index, at most 16 characters each."""
 
 
 def value_of(name: str, config: Config, settings: Settings) -> float:
-    """What counts now.
+    """Value of a parameter that is in effect now.
 
     Args:
-        config: as configured, without settings.
+        config: the configuration without settings.
     """
     if name == ENABLE:
         return float(settings.enable)
@@ -62,10 +62,10 @@ def value_of(name: str, config: Config, settings: Settings) -> float:
 
 
 def allowed(name: str, config: Config) -> tuple[float, float]:
-    """Lowest and highest value that the parameter may be given; the configured one is always among them.
+    """Lowest and highest value that a parameter may be given. The configured value is always in this range.
 
     Args:
-        config: as configured, without settings.
+        config: the configuration without settings.
     """
     if name == ENABLE:
         return 0.0, 1.0
@@ -75,11 +75,11 @@ def allowed(name: str, config: Config) -> tuple[float, float]:
 
 
 def changed(name: str, value: float, config: Config, settings: Settings) -> Settings:
-    """The settings with one of them changed; the configured value itself is as good as none.
+    """Settings with one of them changed. Setting the configured value removes the setting.
 
     Args:
-        value: may come from a 32-bit float; six digits of it count.
-        config: as configured, without settings.
+        value: new value. It may come from a 32-bit float, so only six digits are used.
+        config: the configuration without settings.
 
     Raises:
         ConfigError: names the parameter and what is allowed.
@@ -97,7 +97,7 @@ def changed(name: str, value: float, config: Config, settings: Settings) -> Sett
     elif lowest <= value <= highest:
         new = msgspec.structs.replace(settings, **{number.key: value})
     else:
-        # NaN comes here, too.
+        # NaN also ends here.
         raise ConfigError(f"{name}: {value:g}: allowed: {lowest:g} to {highest:g}")
     result = applied(config, new)
     configuration.check(result, f"{name} {value:g}")
@@ -106,7 +106,7 @@ def changed(name: str, value: float, config: Config, settings: Settings) -> Sett
 
 
 def checked(settings: Settings, config: Config) -> Settings:
-    """Settings that were made for an earlier configuration, held against this one.
+    """Check settings that were made for an earlier configuration against this one.
 
     Raises:
         ConfigError: names the parameter and what is allowed.
@@ -118,7 +118,7 @@ def checked(settings: Settings, config: Config) -> Settings:
 
 
 def applied(config: Config, settings: Settings) -> Config:
-    """The configuration with the settings over it; `Settings.enable` is no part of it."""
+    """The configuration with the settings applied. `Settings.enable` is not part of it."""
     sections: dict[str, dict[str, float]] = {}
     for number in _NUMBERS.values():
         value: float | None = getattr(settings, number.key)
@@ -131,7 +131,7 @@ def applied(config: Config, settings: Settings) -> Config:
 
 
 def differences(config: Config, before: Settings, after: Settings) -> list[str]:
-    """What has changed, in words for the pilot."""
+    """Changes between two settings, in words for the pilot."""
     values = {name: (value_of(name, config, before), value_of(name, config, after)) for name in NAMES}
     return [f"{name} {new:g}, was {old:g}" for name, (old, new) in values.items() if new != old]
 

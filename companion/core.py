@@ -1,8 +1,8 @@
-"""The heart: observe -> orient -> decide (the paper's Section 2), pure.
+"""The core of the companion: observe, orient, decide (the paper's Section 2), as a pure state machine.
 
-`step(now, events) -> commands`: no clock, socket, file or random source inside. The same object runs on the
-aircraft, in lock-step simulation and in replay; the same events at the same times give the same commands,
-bit for bit.
+`step(now, events)` returns commands and uses no clock, socket, file or random source. The same object runs on
+the aircraft, in lock-step simulation and in replay. The same events at the same times give the same commands,
+bit for bit. Other modules also call this object the heart.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ from companion.traffic.tracks import Traffic
 
 
 class Companion:
-    """One aircraft's mind. Build it, then call `step` with rising times.
+    """The decision core of one aircraft. Call `step` with times that never decrease.
 
     Args:
-        policy: content of the file that `config.atmc.policy` names; None where it could not be read.
+        policy: content of the file that `config.atmc.policy` names; None if it could not be read.
     """
 
     def __init__(self, config: Config, policy: bytes | None = None) -> None:
         self.config = config
-        """What counts: as configured, with the settings over it."""
+        """Configuration in effect: the configured one with the ground station's settings applied."""
         self._configured = self._wanted = config
         self._settings = Settings()
         self.own = Ownship()
@@ -76,31 +76,31 @@ class Companion:
         self._last_step_s: float | None = None
         self._frame: LocalFrame | None = None
         self._mode_known = True
-        """What the vehicle has shown of its mode is no backlog."""
+        """The reported modes are current, not read from a backlog."""
 
     @property
     def state(self) -> State:
-        """Who flies."""
+        """State of the authority table: who flies."""
         return self._control.state
 
     @property
     def in_control(self) -> bool:
-        """The vehicle flies what we command."""
+        """True while the vehicle flies our setpoints."""
         return self._control.in_control
 
     def waits_for(self, now_s: float) -> str | None:
-        """Why the vehicle cannot be taken now, in words; None when it can."""
+        """Why the vehicle cannot be taken now, in words; None if it can."""
         return self._readiness.waits_for(now_s, self._control.left_in)
 
     def step(self, now_s: float, events: Sequence[Event]) -> list[Command]:
-        """Take in what happened since the last step; return what to do now.
+        """Take in the events since the last step and return the commands to carry out now.
 
         Args:
-            now_s: monotonic time (s), not before the last step's.
-            events: in order of arrival.
+            now_s: monotonic time (s), not before that of the last step.
+            events: events in order of arrival.
 
         Raises:
-            ValueError: time runs backwards.
+            ValueError: `now_s` is before that of the last step.
         """
         gap_s = 0.0 if self._last_step_s is None else now_s - self._last_step_s
         if gap_s < 0.0:
@@ -115,8 +115,10 @@ class Companion:
     # ------------------------------------------------------------ observe
 
     def _observe(self, now_s: float, events: Sequence[Event], commands: list[Command]) -> Sequence[Heartbeat]:
-        """Own state and heard messages come in; others are told about ourselves. Returns what the vehicle has
-        shown of its mode, as `Control.step` takes it."""
+        """Take in own state and received messages, and broadcast our own Remote ID.
+
+        Returns the modes that the vehicle reported, in the form that `Control.step` takes.
+        """
         own = self.own
         behind_s = next((e.since_s for e in events if isinstance(e, InputBehind)), None)
         sent_s = now_s if behind_s is None else min(behind_s, now_s)
@@ -145,7 +147,7 @@ class Companion:
                 case VehicleParameters():
                     commands += self.plan.terms.take_parameters(event)
                     if self.plan.course.law is not None:
-                        # They are told one after the other, and may be lowered in flight.
+                        # Parameters arrive one after the other, and may be lowered in flight.
                         self.plan.course.law.restrict(self.plan.terms.limits)
                 case ModeRefused():
                     commands += self._control.mode_refused(event)
@@ -177,7 +179,7 @@ class Companion:
         return shown or ([] if own.heartbeat is None else [own.heartbeat])
 
     def _hear(self, now_s: float, heard: Sequence[RemoteIdHeard], seen: Sequence[AdsbVehicle]) -> None:
-        """Others are placed relative to ourselves."""
+        """Pass received traffic to the trackers, which need our own position."""
         own = self.own
         if own.frame is None or own.position is None:
             return
@@ -189,7 +191,7 @@ class Companion:
             self.adsb.take(report, now_s, own.frame, own.separation_m, here)
 
     def _take_settings(self, event: Settings) -> list[Command]:
-        """Off counts at once; numbers as soon as no law flies by the old ones."""
+        """Take in settings. `enable` applies at once, numbers as soon as no law uses the old ones."""
         later = (
             ""
             if self.plan.course.law is None or event.enable != self._settings.enable
@@ -201,7 +203,10 @@ class Companion:
         return [Say(severity=Severity.NOTICE, text=f"DMUCA: {text}{later}") for text in told]
 
     def _choose_transports(self, now_s: float, commands: list[Command]) -> None:
-        """The paper's ATMC. It only asks: the law's floor and make before break are the broadcaster's."""
+        """Run the paper's ATMC, the choice of transports and rates.
+
+        It only requests them. The broadcaster ensures the legal minimum and switches make-before-break.
+        """
         broadcaster = self.broadcaster
         if self.chooser is None or broadcaster.gives_way:
             return
@@ -213,7 +218,7 @@ class Companion:
     # ------------------------------------------------------------ orient
 
     def _orient(self, now_s: float, shown: Sequence[Heartbeat], commands: list[Command]) -> None:
-        """Tracks that still live; a plan, once the vehicle could be taken."""
+        """Expire old tracks, and prepare a plan once the vehicle could be taken."""
         self.traffic.expire(now_s)
         commands += self.traffic.flagged(now_s)
         own, readiness = self.own, self._readiness
@@ -225,7 +230,7 @@ class Companion:
         left_in = self._control.left_in
         guards = self.config.flight.use == "guard"
         if guards and standby and not all(readiness.mode_is_ours_to_end(h, left_in) for h in shown):
-            # What the pilot selects next may be another mission.
+            # The pilot may select another mission next.
             self.plan.drop()
         if self.plan.course.law is None and self._wanted is not self.config:
             self.config = self._wanted
@@ -244,7 +249,7 @@ class Companion:
     def _decide(
         self, now_s: float, gap_s: float, shown: Sequence[Heartbeat], commands: list[Command]
     ) -> None:
-        """Who flies, and with what velocity."""
+        """Decide who flies, and with what velocity."""
         step = self._control.step(now_s, gap_s, shown, self._decider, mode_known=self._mode_known)
         commands += step.commands
         if self.state not in HOLDING:

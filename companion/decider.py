@@ -1,4 +1,4 @@
-"""One cycle of the law: what it is asked, and what is told of its answer (alerts, the log, a late path)."""
+"""One cycle of the law: its input, and the reports on its result (alerts, log, a delayed path)."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from companion.traffic.adsb import AdsbTraffic
 from companion.traffic.tracks import Traffic
 
 _LATE_STEP_S = 30.0
-"""The pilot is told each time that the path has waited for this long again."""
+"""The pilot is informed each time the path's delay has grown by this much."""
 _QUIET_LOG_S = 1.0
-"""Decisions are logged at least this often; while avoiding or recovering each one is."""
+"""Time between logged decisions in quiet states. While avoiding or recovering, every decision is logged."""
 
 
 class Decider:
-    """Asks the law of one aircraft.
+    """Runs the law of one aircraft.
 
     Args:
-        config: what counts now; `configure` replaces it.
+        config: configuration in effect; `configure` replaces it.
     """
 
     def __init__(
@@ -37,22 +37,22 @@ class Decider:
         self._traffic = traffic
         self._adsb = adsb
         self._neighbours: list[Neighbour] = []
-        """As the law was told of them."""
+        """Neighbours as passed to the law."""
         self._decided_s = self._logged_s = -math.inf
         self._told_late_s: float | None = None
-        """By how much the path was late when that was last told, or when the vehicle was taken."""
+        """Delay of the path when it was last reported or when the vehicle was taken; None: not controlled."""
 
     def configure(self, config: Config) -> None:
-        """Other numbers count from now on."""
+        """Use another configuration from now on."""
         self._config = config
         self.alerts.configure(config.avoidance)
 
     def due(self, now_s: float) -> bool:
-        """The period since the last cycle is over."""
+        """Whether the law's period since the last cycle is over."""
         return now_s - self._decided_s >= self._config.avoidance.period_s - 1e-6
 
     def decide(self, now_s: float, state: State) -> LawResult:
-        """What the law would fly now. Needs a law."""
+        """Decide what the law would fly now. Needs a law."""
         law = self._course.law
         assert law is not None
         self._decided_s = now_s
@@ -62,19 +62,19 @@ class Decider:
         return law.decide(self._situation(now_s))
 
     def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
-        """What is to be told of what was just decided."""
+        """Alerts, messages and log entries about the decision just made."""
         if state not in HOLDING:
             return self._alert(now_s, None) + self._log(now_s, result, state)
         return self._alert(now_s, result) + self._tell_late(result) + self._log(now_s, result, state)
 
     def look(self, now_s: float) -> list[Command]:
-        """Nobody is flown around: a cycle of alerts alone."""
+        """Run a cycle that only judges alerts, while the law does not decide."""
         self._decided_s = now_s
         self._neighbours = self._heard(now_s)
         return self._alert(now_s, None)
 
     def let_go(self) -> None:
-        """The vehicle is not held: how late a path is, is told anew of the next flight."""
+        """Note that we do not control the vehicle, so that path delays are counted from the next takeover."""
         self._told_late_s = None
 
     def _heard(self, now_s: float) -> list[Neighbour]:
@@ -99,8 +99,10 @@ class Decider:
         return self.alerts.look(now_s, position, velocity, self._neighbours, result)
 
     def _tell_late(self, result: LawResult) -> list[Command]:
-        """An aircraft that stands before a fence, or is kept off its path for long, is no longer where it is
-        expected."""
+        """Report a growing delay of the path.
+
+        An aircraft that a fence stops, or that is kept off its path for long, is not where it is expected.
+        """
         late_s = self._course.late_s
         assert self._told_late_s is not None
         if late_s - self._told_late_s < _LATE_STEP_S:

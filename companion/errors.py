@@ -1,8 +1,8 @@
-"""The two errors that are somebody else's; every other exception is a bug of ours."""
+"""The two errors that users or peers cause. Every other exception is a bug in this program."""
 
 
 class ConfigError(Exception):
-    """The configuration is wrong: the message names the key or file, what it holds and what is allowed."""
+    """The configuration is wrong. The message names the key or file, its value and what is allowed."""
 
 
 class PeerDataError(Exception):

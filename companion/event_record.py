@@ -1,7 +1,8 @@
-"""The event record: what entered and left the heart, in the order it happened.
+"""The event record: input and output of the core, in the order in which they occurred.
 
-File: magic, then records of [u32 length][u32 CRC-32 of the body][MessagePack body], little-endian. A torn
-tail (a process killed while writing) ends the reading without losing what stands before it.
+The file holds a magic number, then records of [u32 length][u32 CRC-32 of the body][MessagePack body],
+little-endian. An incomplete record at the end (a process killed while writing) ends the reading. All records
+before it remain readable.
 """
 
 from __future__ import annotations
@@ -18,23 +19,24 @@ from companion.errors import PeerDataError
 from companion.events import AnyCommand, AnyEvent
 
 MAGIC = b"DMUCAEV4"
-"""Ends in the version of the format: raised when events, commands or the configuration change shape."""
+"""Magic number. Its last byte is the format version, which is raised when events, commands or the
+configuration change shape."""
 _HEAD = struct.Struct("<II")
 _MAX_RECORD = 16 * 1024 * 1024
 
 
 class Header(msgspec.Struct, frozen=True, tag=True, kw_only=True):
-    """First record: whose heart this is and what it was configured with."""
+    """First record of a file: the aircraft, the software and the configuration."""
 
     aircraft: str
     software: str
     config: Config
     policy: bytes | None = None
-    """The file of the policy that chose the transports, whole: a run folder stands alone."""
+    """Whole content of the policy file that chose the transports, so that a run folder is self-contained."""
 
 
 class Step(msgspec.Struct, frozen=True, tag=True, kw_only=True):
-    """One call of the heart."""
+    """One step of the core."""
 
     now_s: float
     events: tuple[AnyEvent, ...]
@@ -48,26 +50,26 @@ _decoder = msgspec.msgpack.Decoder(Record)
 
 
 def encode(record: Record) -> bytes:
-    """One framed record."""
+    """Encode one record with its length and checksum."""
     body = _encoder.encode(record)
     return _HEAD.pack(len(body), zlib.crc32(body)) + body
 
 
 def read(stream: BinaryIO, name: str) -> Iterator[Record]:
-    """Yield the records of a file, ending quietly at a torn tail.
+    """Yield the records of a file, ending without an error at an incomplete last record.
 
     Raises:
-        PeerDataError: this is no event record, or a record inside the file is damaged (names the offset).
+        PeerDataError: the file is no event record, or a record inside it is damaged (names the offset).
     """
     return Reader(stream, name).records()
 
 
 class Reader:
-    """Reads the records of a file, on where it stopped when the file has grown.
+    """Reads the records of a file, and continues where it stopped when the file has grown.
 
     Args:
-        stream: the file, at its beginning; it is sought in only where a torn record is read again.
-        name: what to call it in errors.
+        stream: the file at its beginning. Seeking is needed only to read an incomplete record again.
+        name: name of the file in errors.
     """
 
     def __init__(self, stream: BinaryIO, name: str) -> None:
@@ -78,14 +80,14 @@ class Reader:
 
     @property
     def offset(self) -> int:
-        """Bytes of the file that were read as whole records, its magic among them."""
+        """Number of bytes read as whole records, including the magic number."""
         return self._offset
 
     def records(self) -> Iterator[Record]:
-        """Yield what is whole and was not yielded before.
+        """Yield the complete records that were not yielded before.
 
         Raises:
-            PeerDataError: this is no event record, or a record inside the file is damaged (names the offset).
+            PeerDataError: the file is no event record, or a record inside it is damaged (names the offset).
         """
         if self._torn:
             self._stream.seek(self._offset)
@@ -112,7 +114,7 @@ class Reader:
         self._offset = len(MAGIC)
 
     def _body(self) -> bytes | None:
-        """The next record's; None where it is not whole."""
+        """Body of the next record; None if it is incomplete."""
         head = self._stream.read(_HEAD.size)
         if len(head) < _HEAD.size:
             self._torn = True

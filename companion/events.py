@@ -1,8 +1,8 @@
-"""What enters the heart (events) and what leaves it (commands): one frozen value each.
+"""Input (events) and output (commands) of the core, each an immutable value.
 
-They are `msgspec` structs (frozen, slotted, compared by value) so that the recorder writes them and the
-replay reads them without a second description of the same thing. Units are SI; vectors are local NED;
-"unknown" is `None`. Times called `time_boot_s` are the autopilot's own clock.
+They are `msgspec` structs (frozen, slotted, compared by value), so that the recorder writes them and the
+replay reads them without a second definition. Units are SI, vectors are local NED, and unknown values are
+`None`. Times called `time_boot_s` are read from the autopilot's own clock.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from companion.geometry import Vec3
 from companion.remote_id.messages import Message
 
 SIGMA_UNKNOWN_M = 5.0
-"""Own horizontal standard deviation that is assumed when the receiver declares none."""
+"""Own horizontal standard deviation (per axis) that is assumed if the receiver reports none."""
 
 
 class Event(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
-    """Something that entered the heart."""
+    """An input of the core."""
 
 
 class Command(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
-    """Something that left the heart."""
+    """An output of the core."""
 
 
 class Firmware(enum.Enum):
-    """Whose manners the vehicle has."""
+    """Autopilot firmware of the vehicle."""
 
     ARDUPILOT = "ardupilot"
     PX4 = "px4"
 
 
 class FlightMode(enum.Enum):
-    """What the companion has to tell apart among an autopilot's modes; everything else is OTHER."""
+    """The autopilot modes that the companion distinguishes; all others are OTHER."""
 
     EXTERNAL = "external"
     """Flies velocity setpoints: ArduPilot GUIDED, PX4 OFFBOARD."""
@@ -59,7 +59,7 @@ class Landed(enum.Enum):
 
 
 class Severity(enum.IntEnum):
-    """MAV_SEVERITY, the part that the companion uses."""
+    """The values of MAV_SEVERITY that the companion uses."""
 
     CRITICAL = 2
     ERROR = 3
@@ -84,14 +84,14 @@ class Heartbeat(Event, frozen=True):
 
 
 class CurrentMode(Event, frozen=True):
-    """CURRENT_MODE: the vehicle's mode, told between two heartbeats (PX4)."""
+    """CURRENT_MODE: the vehicle's mode, reported between two heartbeats (PX4)."""
 
     custom_mode: int
-    """As in the heartbeat."""
+    """Mode number, as in the heartbeat."""
 
 
 class TwoAutopilots(Event, frozen=True):
-    """A second autopilot was heard on a link whose vehicle was not configured: which is ours is not known."""
+    """A second autopilot was heard and no vehicle is configured, so it is not known which vehicle is ours."""
 
     reason: str
 
@@ -124,7 +124,7 @@ class GnssFix(Event, frozen=True):
     lon_deg: float
     alt_msl_m: float
     alt_ellipsoid_m: float | None = None
-    """Above WGS84; None where the autopilot does not fill the extension."""
+    """Altitude above the WGS84 ellipsoid; None if the autopilot does not fill this extension field."""
     horizontal_accuracy_m: float | None = None
     vertical_accuracy_m: float | None = None
     speed_accuracy_mps: float | None = None
@@ -132,7 +132,7 @@ class GnssFix(Event, frozen=True):
 
 
 class VehicleTime(Event, frozen=True):
-    """SYSTEM_TIME: the autopilot's UTC, when it knows it."""
+    """SYSTEM_TIME: the autopilot's UTC, if it knows UTC."""
 
     time_boot_s: float
     utc_s: float | None = None
@@ -156,11 +156,11 @@ class EstimatorState(Event, frozen=True):
     """EKF_STATUS_REPORT (ArduPilot), ESTIMATOR_STATUS (PX4)."""
 
     usable: bool
-    """It has a horizontal velocity and an absolute position, and measures them."""
+    """The estimator has a measured horizontal velocity and a measured absolute position."""
 
 
 class RcChannels(Event, frozen=True):
-    """RC_CHANNELS: where the pilot's sticks are."""
+    """RC_CHANNELS: positions of the pilot's sticks."""
 
     sticks_us: tuple[int, int, int] | None = None
     """Roll, pitch, yaw on channels 1, 2, 4 (us); None without a remote control."""
@@ -182,21 +182,21 @@ class MissionItem(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     frame: int
     """MAV_FRAME."""
     params: tuple[float | None, float | None, float | None, float | None] = (0.0, 0.0, 0.0, 0.0)
-    """Params 1-4; None stands for NaN."""
+    """Params 1 to 4; None stands for NaN."""
     lat_deg: float | None = 0.0
     lon_deg: float | None = 0.0
     alt_m: float | None = 0.0
-    """Position, or params 5-7 of a command without one; None where left open (NaN, INT32_MAX)."""
+    """Position, or params 5 to 7 of a command without one; None if not given (NaN, INT32_MAX)."""
 
 
 class MissionDownloaded(Event, frozen=True):
-    """The whole mission as the vehicle holds it (ArduPilot's home item 0 left out)."""
+    """The whole mission that the vehicle holds (without ArduPilot's home item 0)."""
 
     items: tuple[MissionItem, ...]
 
 
 class MissionRefused(Event, frozen=True):
-    """A mission download that failed: refused, or not finished after all retries."""
+    """A mission download failed: it was refused, or not finished after all retries."""
 
     reason: str
 
@@ -206,32 +206,32 @@ class MissionCurrent(Event, frozen=True):
 
     seq: int
     complete: bool = False
-    """Its last item is done; not told by older vehicles."""
+    """The last item is done. Older firmware does not report this."""
     total: int = 0
-    """How many items the mission has, as the vehicle counts; 0: none, or not told."""
+    """Number of items as the vehicle counts them; 0 if there are none or the number is not reported."""
     mission_id: int = 0
-    """Another one for another mission; 0: not told (ArduPilot)."""
+    """Identifier that differs between missions; 0 if it is not reported (ArduPilot)."""
 
 
 class FenceArea(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One area of a geofence, seen from above: a polygon, or a circle around its only point."""
 
     inclusion: bool
-    """True: to be stayed in. False: to be stayed out of."""
+    """True: the vehicle must stay inside. False: it must stay outside."""
     points: tuple[tuple[float, float], ...]
-    """lat_deg, lon_deg of the corners in order, without the first one again at the end."""
+    """lat_deg, lon_deg of the corners in order. The first corner is not repeated at the end."""
     radius_m: float | None = None
-    """Of a circle."""
+    """Radius of a circle; None for a polygon."""
 
 
 class FenceDownloaded(Event, frozen=True):
-    """The whole geofence as the vehicle holds it; no areas: it has none."""
+    """The whole geofence that the vehicle holds; no areas if it has none."""
 
     areas: tuple[FenceArea, ...]
 
 
 class FenceRefused(Event, frozen=True):
-    """A fence download that failed: refused, not finished after all retries, or not understood."""
+    """A fence download failed: it was refused, not finished after all retries, or not understood."""
 
     reason: str
 
@@ -240,51 +240,51 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     """One parameter of the vehicle."""
 
     name: str
-    """As this vehicle calls it."""
+    """Name that this vehicle's firmware uses."""
     value: float
-    """SI."""
+    """Value in SI units."""
 
 
 class VehicleParameters(Event, frozen=True):
-    """The vehicle's own limits and failsafes, as far as it has told them; None: not known."""
+    """The vehicle's own limits and failsafes, as far as it has reported them; None if not known."""
 
     firmware: Firmware
     speed_mps: Parameter | None = None
-    """Horizontal."""
+    """Horizontal speed limit."""
     cruise_mps: Parameter | None = None
-    """PX4: of a mission that asks for no other; ArduPilot's is `speed_mps`."""
+    """PX4: speed of a mission that sets no other. ArduPilot uses `speed_mps` for that."""
     climb_mps: Parameter | None = None
     descent_mps: Parameter | None = None
     acceleration_mps2: Parameter | None = None
-    """Horizontal."""
+    """Horizontal acceleration limit."""
     setpoint_timeout_s: Parameter | None = None
-    """Without setpoints for so long it no longer flies the last one."""
+    """How long the vehicle flies the last setpoint when no new ones arrive."""
     loss_action: Parameter | None = None
-    """PX4: what it does then."""
+    """PX4: action after that timeout."""
     fence_action: Parameter | None = None
-    """What it does at its own fence; ArduPilot: whether it has one."""
+    """Action at the vehicle's own fence. ArduPilot: whether it has a fence."""
     mission_restart: Parameter | None = None
-    """ArduPilot: 1: AUTO always begins the mission anew."""
+    """ArduPilot: 1 if AUTO always restarts the mission."""
     adsb_type: Parameter | None = None
-    """ArduPilot: its ADS-B receiver; 0: none."""
+    """ArduPilot: type of the ADS-B receiver; 0: none."""
     adsb_radius_m: Parameter | None = None
-    """ArduPilot: who is farther away is not told of; 0: everybody is."""
+    """ArduPilot: aircraft farther away than this are not reported; 0: all are reported."""
 
 
 class AdsbVehicle(Event, frozen=True):
-    """ADSB_VEHICLE: what the autopilot's ADS-B receiver hears, crewed traffic above all."""
+    """ADSB_VEHICLE: an aircraft heard by the autopilot's ADS-B receiver, mostly crewed traffic."""
 
     icao: int
     lat_deg: float
     lon_deg: float
     alt_m: float | None = None
-    """None: not known."""
+    """Altitude; None if not known."""
     alt_geometric: bool = False
-    """True: above the WGS84 ellipsoid. False: barometric, from the sea level pressure."""
+    """True: `alt_m` is above the WGS84 ellipsoid. False: it is barometric, from the sea level pressure."""
     velocity_ned_mps: Vec3 | None = None
-    """None: not known."""
+    """Velocity; None if not known."""
     age_s: float = 0.0
-    """Time since it was last heard, in whole seconds."""
+    """Time since the aircraft was last heard, in whole seconds."""
     callsign: str = ""
     emitter: int = 0
     """ADSB_EMITTER_TYPE."""
@@ -297,56 +297,59 @@ class VehicleText(Event, frozen=True):
     text: str
 
 
-# ---------------------------------------------------------------- from the shell and the gate
+# ---------------------------------------------------------------- from `system.Onboard` and the gate
 
 
 class InputBehind(Event, frozen=True):
-    """What the autopilot told may be as old as `since_s` (our monotonic time): its input was not read to its
-    end, or it waited on the way. Nothing is to be commanded in such a step: the vehicle's mode is not known.
+    """Messages of the autopilot in this step may be as old as `since_s` (our monotonic time).
+
+    The input was not read until it was empty, or messages waited on the way. The vehicle's mode is then not
+    known, so nothing may be commanded in this step.
     """
 
     since_s: float
 
 
 class GateRefused(Event, frozen=True):
-    """The gate let a command of ours not leave (`companion.gate`)."""
+    """The gate (`companion.gate`) refused to send one of our commands."""
 
     rule: int
-    """Number of the rule (`gate.rules`)."""
+    """Number of the broken rule (`gate.rules`)."""
     text: str
     ends: Literal["nothing", "fault", "authority"] = "nothing"
-    """What it ends: authority, as a fault does, or for good, as the pilot does. Nothing: it came too late."""
+    """Consequence of the refusal. "fault" ends authority as a fault does, and "authority" ends it until it is
+    given back, as when the pilot takes over. "nothing": the command only came too early or too late."""
 
 
 class GateAuthority(Event, frozen=True):
-    """Whether the gate lets anything leave that commands the vehicle has changed."""
+    """The gate has lost authority over the vehicle, or regained it."""
 
     lost: str | None = None
-    """Why nothing is let leave before authority is given back, in words; None: it was given back."""
+    """Why the gate blocks all commands until authority is given back, in words; None if it was given back."""
 
 
 # ---------------------------------------------------------------- from the radio
 
 
 class RemoteIdHeard(Event, frozen=True):
-    """One frame with Remote ID messages, as received."""
+    """One received frame with Remote ID messages."""
 
     transport: str
     address: str
-    """Transmitter's radio address."""
+    """Radio address of the transmitter."""
     messages: tuple[Message, ...]
     rssi_dbm: float | None = None
     counter: int | None = None
-    """The frame's message counter, 0-255; None where the radio does not tell it."""
+    """Message counter of the frame, 0 to 255; None if the radio does not report it."""
 
 
 class RadioState(Event, frozen=True):
-    """What the radios can do now; sent when it changes, and once at the start."""
+    """Current capabilities of the radios. Sent once at the start and whenever they change."""
 
     can_send: tuple[str, ...] = ()
-    """Transports, sorted."""
+    """Transports on which the radios can send, sorted."""
     monitored: tuple[str, ...] = ()
-    """Transports on which a receiver of ours would hear our own frames."""
+    """Transports on which one of our receivers would hear our own frames."""
     confirmed: tuple[str, ...] = ()
     """Transports that a radio itself reports as on the air."""
     own_addresses: tuple[str, ...] = ()
@@ -354,21 +357,20 @@ class RadioState(Event, frozen=True):
     wifi_channel: int | None = None
     """Channel of our Wi-Fi frames."""
     text: str = ""
-    """What is wrong, in words; empty when nothing is."""
+    """Description of a problem; empty if there is none."""
 
 
-# ---------------------------------------------------------------- Remote ID told over MAVLink
+# ---------------------------------------------------------------- Remote ID data received over MAVLink
 
 
 class OperatorData(Event, frozen=True):
-    """What a ground station says about the operator (OPEN_DRONE_ID_SYSTEM, _SYSTEM_UPDATE, _OPERATOR_ID,
-    _SELF_ID)."""
+    """Operator data from a ground station (OPEN_DRONE_ID_SYSTEM, _SYSTEM_UPDATE, _OPERATOR_ID, _SELF_ID)."""
 
     messages: tuple[Message, ...]
 
 
 class RemoteIdModule(Event, frozen=True):
-    """OPEN_DRONE_ID_ARM_STATUS of another component of our vehicle: a Remote ID transmitter of its own."""
+    """OPEN_DRONE_ID_ARM_STATUS of another component of our vehicle, which is a Remote ID transmitter."""
 
     component_id: int
     ready: bool
@@ -380,10 +382,10 @@ class RemoteIdModule(Event, frozen=True):
 
 
 class Settings(Event, frozen=True, forbid_unknown_fields=True):
-    """All that ground stations have set over the configuration; None: as configured."""
+    """All settings that ground stations have changed; None where the configured value applies."""
 
     enable: bool = True
-    """False: the vehicle is neither taken nor kept."""
+    """False: the companion neither takes nor keeps control of the vehicle."""
     conflict_radius_m: float | None = None
     horizon_s: float | None = None
     max_speed_mps: float | None = None
@@ -393,27 +395,27 @@ class Settings(Event, frozen=True, forbid_unknown_fields=True):
 
 
 class VelocitySetpoint(Command, frozen=True):
-    """Fly this velocity (local NED); the link adds where the nose points (`flight.yaw`)."""
+    """Fly this velocity (local NED). The link adds the yaw (`flight.yaw`)."""
 
     velocity_ned_mps: Vec3
 
 
 class SetMode(Command, frozen=True):
-    """Ask for a flight mode; the link retries until the heartbeat confirms it, or reports ModeRefused."""
+    """Ask for a flight mode. The link retries until the heartbeat confirms it, or reports ModeRefused."""
 
     mode: FlightMode
     speed_mps: float | None = None
-    """Ground speed to fly there, told in the same breath (DO_CHANGE_SPEED); None leaves it."""
+    """Ground speed for that mode, sent together with the request (DO_CHANGE_SPEED); None to leave it."""
 
 
 class SetSpeed(Command, frozen=True):
-    """Ask for a ground speed of the mission (DO_CHANGE_SPEED)."""
+    """Set the ground speed of the mission (DO_CHANGE_SPEED)."""
 
     speed_mps: float
 
 
 class DownloadMission(Command, frozen=True):
-    """Fetch the vehicle's mission; answered by MissionDownloaded."""
+    """Fetch the vehicle's mission; answered by MissionDownloaded or MissionRefused."""
 
 
 class DownloadFence(Command, frozen=True):
@@ -421,20 +423,20 @@ class DownloadFence(Command, frozen=True):
 
 
 class Threat(Command, frozen=True):
-    """COLLISION: how near another aircraft comes, for ground stations and the autopilot."""
+    """COLLISION: predicted approach of another aircraft, for ground stations and the autopilot."""
 
     track_id: str
     adsb: bool
-    """Heard by ADS-B, then `track_id` is the ICAO address in hexadecimal digits."""
+    """True if heard by ADS-B; `track_id` is then the ICAO address in hexadecimal digits."""
     level: int
     """MAV_COLLISION_THREAT_LEVEL: 0 none, 1 low, 2 high."""
     acting: bool
-    """The companion flies around it; False: it only tells."""
+    """True if the companion flies around the aircraft, False if it only reports it."""
     time_to_closest_s: float
     horizontal_m: float
-    """Least horizontal distance to come."""
+    """Least predicted horizontal distance."""
     vertical_m: float
-    """Least vertical distance to come."""
+    """Least predicted vertical distance."""
 
 
 class Say(Command, frozen=True):
@@ -445,11 +447,11 @@ class Say(Command, frozen=True):
 
 
 class ArmStatus(Command, frozen=True):
-    """OPEN_DRONE_ID_ARM_STATUS, where we are the vehicle's Remote ID component."""
+    """OPEN_DRONE_ID_ARM_STATUS, sent if we are the vehicle's Remote ID component."""
 
     ready: bool
     text: str = ""
-    """Why not; ground stations recognise "missing basic_id message"."""
+    """Why Remote ID is not ready. Ground stations recognise "missing basic_id message"."""
 
 
 # ---------------------------------------------------------------- to the radio
@@ -466,7 +468,7 @@ class Broadcast(Command, frozen=True):
 
 
 class AuthorityChanged(Command, frozen=True):
-    """The authority state machine moved."""
+    """The authority state machine changed its state."""
 
     previous: str
     state: str
@@ -475,25 +477,29 @@ class AuthorityChanged(Command, frozen=True):
 
 
 class BroadcastChanged(Command, frozen=True):
-    """What is sent on the radio changed: transports with their messages per second."""
+    """The broadcast on the radio changed."""
 
     rates: tuple[tuple[str, float], ...]
+    """Transports with their messages per second."""
     legal: bool
-    """Whether it keeps the floor of the region."""
+    """Whether the broadcast meets the legal minimum of the region."""
     reason: str
 
 
 class TransportsChosen(Command, frozen=True):
-    """The transports that the own Remote ID is to use were chosen anew: transports with their Locations a
-    second. What goes on the air keeps the region's floor besides (`BroadcastChanged`)."""
+    """The transports for our own Remote ID were chosen again.
+
+    What is actually sent also meets the legal minimum of the region (`BroadcastChanged`).
+    """
 
     rates: tuple[tuple[str, int], ...]
+    """Transports with their Location messages per second."""
     by: Literal["policy", "rule", "fixed", "fallback"]
     reason: str
 
 
 class TrackFlagged(Command, frozen=True):
-    """A track of heard traffic is doubted for a new reason."""
+    """There is a new reason to doubt a track of received traffic."""
 
     track_id: str
     flag: str
@@ -507,53 +513,53 @@ class AlertChanged(Command, frozen=True):
     level: int
     """0 none, 1 advisory, 2 caution, 3 warning."""
     reason: str
-    """Which aircraft, where and when it comes closest, what is done, what bounds it."""
+    """Text: which aircraft, where and when it comes closest, what is done, what bounds the velocity."""
     time_to_closest_s: float
     horizontal_m: float
-    """Least horizontal distance, if both keep their velocities."""
+    """Least horizontal distance if both aircraft keep their velocities."""
     vertical_m: float
     acting: bool
-    """The companion flies around it."""
+    """True if the companion flies around the aircraft."""
     limits: tuple[str, ...] = ()
-    """What besides other aircraft bounds the velocity, of `avoidance.law.LIMITS`."""
+    """Bounds on the velocity other than aircraft, from `avoidance.law.LIMITS`."""
 
 
 class TrackView(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
-    """How the law saw one track at a decision."""
+    """One track as the law saw it at a decision."""
 
     track_id: str
     position_ned_m: Vec3
-    """Predicted to now."""
+    """Position predicted to the time of the decision."""
     velocity_ned_mps: Vec3
     age_s: float
     radius_m: float
-    """Combined radius used (horizontal)."""
+    """Combined horizontal radius that was used."""
     conflict: bool
-    """True when the wanted velocity would break this track's volume."""
+    """True if the wanted velocity would violate this track's volume."""
     time_to_closest_s: float
     closest_m: float
     active: bool = False
-    """True when this track's half-space bounds the velocity that was chosen."""
+    """True if this track's half-space bounds the chosen velocity."""
     adsb: bool = False
-    """Heard by ADS-B."""
+    """True if the track was heard by ADS-B."""
 
 
 class Decision(Command, frozen=True):
-    """One cycle of the law, for the log: what it saw, wanted and chose. Frame: the heart's local NED."""
+    """One decision of the law, for the log. Vectors are in the core's local NED frame."""
 
     origin: Vec3
-    """lat_deg, lon_deg, alt_msl_m of the local frame."""
+    """lat_deg, lon_deg, alt_msl_m of the local frame's origin."""
     position_ned_m: Vec3
     velocity_ned_mps: Vec3
     wanted_ned_mps: Vec3
     chosen_ned_mps: Vec3
     feasible: bool
     path_ned_m: Vec3 | None = None
-    """The timed path's point for now."""
+    """Point of the timed path at the time of the decision."""
     late_s: float = 0.0
-    """By how much the timed path has waited."""
+    """How long the timed path has waited for the aircraft."""
     limits: tuple[str, ...] = ()
-    """What besides other aircraft bounds the velocity that was chosen."""
+    """Bounds on the chosen velocity other than aircraft."""
     tracks: tuple[TrackView, ...] = ()
 
 

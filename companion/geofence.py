@@ -1,7 +1,7 @@
-"""Geofences: what an area must be, and reading them from a file.
+"""Geofences: validation of their areas, and reading them from a file.
 
-Areas are seen from above: polygons and circles, to be stayed in or stayed out of. They come from a file of
-`[[area]]` tables or from the vehicle (`companion.autopilot.lists.fence`); the same checks hold for both.
+Areas are horizontal polygons and circles, either inclusion or exclusion areas. They come from a file of
+`[[area]]` tables or from the vehicle (`companion.autopilot.lists.fence`). The same checks apply to both.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from companion.toml_reader import decode_toml
 
 MIN_POINTS = 3
 MAX_SPAN_DEG = 5.0
-"""Farthest that a corner may lie from the first one, in latitude and in longitude: within it the largest
-products below fit 64 bits, and beyond it a fence is a slip of the pen."""
+"""Largest distance of a corner from the first one, in latitude and in longitude. Within it the largest
+products below fit 64 bits. A larger fence is most likely a typing error."""
 MAX_RADIUS_M = 500_000.0
 _E7 = 1e7
-"""Corners are compared in 1e-7 deg (about 1 cm), as MAVLink carries them: in whole numbers, so exactly."""
+"""Corners are compared exactly, as integers in units of 1e-7 deg (about 1 cm), as MAVLink carries them."""
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Common to all tables."""
+    """Base of all tables."""
 
 
 class _Area(_Section, frozen=True):
-    """Either `points`, or `center` and `radius_m`."""
+    """One area of a fence file: either `points`, or `center` and `radius_m`."""
 
     inclusion: bool
     points: tuple[tuple[float, ...], ...] = ()
@@ -78,7 +78,7 @@ def _area(table: _Area) -> FenceArea:
 
 
 def check_areas(areas: Sequence[FenceArea]) -> None:
-    """Refuse areas that nobody can be in or out of.
+    """Refuse areas for which inside and outside are not defined.
 
     Raises:
         ConfigError: names the area (counted from 0), what is wrong in it and what is allowed.
@@ -90,9 +90,9 @@ def check_areas(areas: Sequence[FenceArea]) -> None:
 
 
 def fault_of(area: FenceArea) -> str | None:
-    """What is wrong with an area, beginning with the key of a file that it belongs to; None when nothing is.
+    """What is wrong with an area, starting with the file key that is concerned; None if nothing is wrong.
 
-    A polygon has at least three corners, all distinct, and edges that meet only where one ends and the next
+    A polygon has at least three corners, all distinct. Its edges meet only where one ends and the next
     begins.
     """
     circle = area.radius_m is not None
@@ -121,7 +121,7 @@ def _polygon_fault(area: FenceArea) -> str | None:
     corners = np.empty((len(area.points), 2), dtype=np.int64)
     seen: dict[tuple[int, int], int] = {}
     for number, (lat_deg, lon_deg) in enumerate(area.points):
-        # The shorter way round the Earth.
+        # Take the shorter way around the Earth in longitude.
         span = lat_deg - lat0, math.remainder(lon_deg - lon0, 360.0)
         if max(map(abs, span)) > MAX_SPAN_DEG:
             return f"points[{number}]: more than {MAX_SPAN_DEG:g} deg from points[0]"
@@ -143,21 +143,24 @@ def _polygon_fault(area: FenceArea) -> str | None:
 
 
 def _crossing(corners: NDArray[np.int64]) -> tuple[int, int] | None:
-    """Two edges of a polygon, shape (K, 2) in whole numbers, that meet elsewhere than at their common corner.
+    """Find two edges of a polygon that meet elsewhere than at a common corner; None if there are none.
 
-    Two segments meet when each one's ends lie on both sides of the other's line, or on it; segments on one
-    line meet when their extents overlap.
+    Two segments meet if the ends of each lie on both sides of the other's line, or on it. Segments on one
+    line meet if their extents overlap.
+
+    Args:
+        corners: corners of the polygon as integers, shape (K, 2).
     """
     count = len(corners)
     starts, ends = corners, np.roll(corners, -1, axis=0)
     low, high = np.minimum(starts, ends).T.copy(), np.maximum(starts, ends).T.copy()
     for a in range(count):
         p, q, after = starts[a], ends[a], (a + 1) % count
-        # Neighbours share a corner; they meet elsewhere only when one runs back along the other.
+        # Adjacent edges share a corner. They meet elsewhere only if one runs back along the other.
         onward = ends[after]
         if _side(p, q, onward) == 0 and (q - p) @ (onward - q) < 0:
             return min(a, after), max(a, after)
-        # Every pair once: the later edges but the next one, and for the first edge not the last one either.
+        # Check every pair once: all later edges except the next one and, for the first edge, the last one.
         rest = slice(a + 2, count - (a == 0))
         overlap = (low[:, rest] <= high[:, a : a + 1]) & (low[:, a : a + 1] <= high[:, rest])
         near = a + 2 + np.flatnonzero(overlap[0] & overlap[1])
@@ -169,7 +172,7 @@ def _crossing(corners: NDArray[np.int64]) -> tuple[int, int] | None:
 
 
 def _side(p: NDArray[np.int64], q: NDArray[np.int64], r: NDArray[np.int64]) -> NDArray[np.int64]:
-    """On which side of the line from p to q the point r lies: -1, 0 or 1, exactly."""
+    """Side of the line from p to q on which the point r lies: -1, 0 or 1, computed exactly."""
     along, to = q - p, r - p
     side: NDArray[np.int64] = np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])
     return side

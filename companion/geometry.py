@@ -1,4 +1,4 @@
-"""WGS84 <-> local north-east-down, on a tangent plane at a fixed origin."""
+"""Conversion between WGS84 and local north-east-down (NED) on a tangent plane at a fixed origin."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ _A, _B = 6378137.0, 6356752.31424518
 
 @dataclass(frozen=True, slots=True)
 class LocalFrame:
-    """A north-east-down frame whose origin lies at a geodetic point.
+    """A north-east-down frame with its origin at a geodetic point.
 
-    Altitudes in and out share one datum, the origin's; taking mean sea level for the ellipsoid here changes
-    horizontal distances by one part in 10^5.
+    All altitudes share the datum of the origin's altitude. Using mean sea level instead of the ellipsoid here
+    changes horizontal distances by one part in 10^5.
     """
 
     lat_deg: float
     lon_deg: float
     alt_m: float
     _centre: Vec3 = field(init=False, repr=False, compare=False)
-    """Origin, Earth-centred (m)."""
+    """Origin in Earth-centred, Earth-fixed coordinates (m)."""
     _turn: tuple[float, float, float, float] = field(init=False, repr=False, compare=False)
-    """Sine and cosine of latitude and longitude: the same for every point, so computed once."""
+    """Sine and cosine of the origin's latitude and longitude, computed once."""
 
     def __post_init__(self) -> None:
-        """Compute what belongs to the origin alone."""
+        """Compute the values that depend only on the origin."""
         x, y, z = pymap3d.geodetic2ecef(self.lat_deg, self.lon_deg, self.alt_m)
         lat, lon = math.radians(self.lat_deg), math.radians(self.lon_deg)
         object.__setattr__(self, "_centre", (float(x), float(y), float(z)))
@@ -39,7 +39,8 @@ class LocalFrame:
 
     def to_ned(self, lat_deg: float, lon_deg: float, alt_m: float) -> Vec3:
         """Position in the frame (m)."""
-        # As pymap3d.geodetic2ecef, whose checks for arrays cost a tenth of the way from a frame to its track.
+        # Same formula as pymap3d.geodetic2ecef. Its array checks would take a tenth of the time from a
+        # received frame to its track.
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
         sin, cos = math.sin(lat), math.cos(lat)
         prime = _A * _A / math.hypot(_A * cos, _B * sin)
@@ -56,6 +57,6 @@ class LocalFrame:
         )
 
     def to_geodetic(self, north_m: float, east_m: float, down_m: float) -> Vec3:
-        """Latitude, longitude (deg) and altitude (m) of a point of the frame."""
+        """Latitude, longitude (deg) and altitude (m) of a point in the frame."""
         lat, lon, alt = pymap3d.ned2geodetic(north_m, east_m, down_m, self.lat_deg, self.lon_deg, self.alt_m)
         return float(lat), float(lon), float(alt)

@@ -1,10 +1,10 @@
-"""Own state as the autopilot reports it: position, velocity, clocks, quality, and whether it may be flown on.
+"""Own state as the autopilot reports it: position, velocity, clocks, quality, and whether it is usable.
 
-Three clocks. A position is dated by the autopilot's time since boot, tied to our monotonic time by the least
-delayed message and, where the autopilot answers TIMESYNC, by its answers, so that a link that is slow or
-grows slow shows as age. UTC (the vehicle is its only source: a small computer has no clock of its own) is
-tied to the time since boot inside the autopilot, so that neither link delay nor a corrected UTC changes the
-age of anything.
+Three clocks are related to each other. A position is dated by the autopilot's time since boot. That time is
+related to our monotonic time by the least delayed message and, if the autopilot answers TIMESYNC, by its
+answers. A link that is slow or becomes slow therefore shows as age. UTC comes only from the vehicle, because
+a small computer has no clock of its own. It is related to the time since boot inside the autopilot, so that
+neither link delay nor a corrected UTC changes any age.
 """
 
 from __future__ import annotations
@@ -35,47 +35,47 @@ _HEARTBEAT_LOST_S = 2.5
 _GNSS_LOST_S = 3.0
 _LANDED_LOST_S = 3.0
 _GROUNDED_S, _GROUNDED_MESSAGES = 1.5, 3
-"""An armed vehicle that says for so long, so often in a row, that it stands on the ground is believed."""
+"""An armed vehicle is believed to be on the ground after this many consecutive messages over this time."""
 _GROUNDED_HIGH_S = 10.0
-"""The same, of one that is far from the height of its home and of its take-off."""
+"""The same time for a vehicle that is far from the height of its home and of its take-off."""
 _HIGH_M = 10.0
 _STANDING_MPS = 2.0
-"""Nobody on the ground is faster, however bad the estimate."""
+"""A vehicle on the ground is never faster than this, even if its estimate is bad."""
 _ESTIMATOR_LOST_S = 5.0
 _DRIFT_ARMED = 1e-3
-"""How fast the autopilot's clock may fall behind ours, seconds a second. More looks the same as a link that
-grows slow, and flying on old positions is worse than a fault that lasts."""
+"""Largest assumed rate at which the autopilot's clock falls behind ours, in seconds per second. A higher rate
+could not be told from a link that becomes slow, and flying on old positions is worse than a lasting fault."""
 _DRIFT_AHEAD = 1e-4
-"""How fast the autopilot's clock may gain on ours: quartz against quartz."""
+"""Largest assumed rate at which the autopilot's clock gains on ours: that of two quartz clocks."""
 _FINE_S = 0.01
-"""What the autopilot's stamps may be off by among each other: messages count milliseconds, and ArduPilot
-dates a question back by the time that its bytes take on a serial line, even where there is none: 5 ms at
-57600 baud."""
+"""Possible error between the autopilot's time stamps. Messages count milliseconds. ArduPilot also dates a
+TIMESYNC request back by the time that its bytes take on a serial line, even if there is none: 5 ms at 57600
+baud."""
 _DRIFT_DISARMED = 0.1
-"""On the ground a clock that slipped is soon forgiven."""
+"""The same rate as `_DRIFT_ARMED` while disarmed: on the ground, a clock that slipped is soon accepted."""
 _FRAME_REACH_M = 5_000.0
 """A disarmed vehicle farther than this from the local frame's origin gets a new one."""
 _REBOOT_S = 1.0
 _JUMP_M = 30.0
-"""Beyond what speed explains, a position that moves farther than this was not flown."""
+"""A position that moves by more than this beyond what the speed explains counts as a jump."""
 _JUMP_RATE_MPS = 20.0
 _FARTHEST_M = 1_000_000.0
-"""From the local frame's origin, no flight leads farther: a position beyond it is not believed."""
+"""Largest distance from the local frame's origin. A position beyond it is not believed."""
 _EPSILON_S = 1e-6
 _MOST_SEPARATION_M = 150.0
-"""The geoid is nowhere farther from the ellipsoid than 110 m."""
+"""Largest separation of geoid and ellipsoid that is believed. The true one is nowhere more than 110 m."""
 _UNTRUSTED_S = 2.0
-"""After a jump or a reboot the own state must be steady for this long."""
+"""How long the own state must be steady after a jump or a reboot before it is usable."""
 
 
 @dataclass(slots=True)
 class _BootClock:
-    """Our monotonic time minus the autopilot's time since boot, between two bounds.
+    """Our monotonic time minus the autopilot's time since boot, estimated between two bounds.
 
-    No message arrives before it was stamped: the least delayed one bounds it from above. No TIMESYNC is
-    answered before it was asked: that bounds it from below. The middle is wrong by half the round trip at
-    most, however that is shared between the ways; without answers there is only the upper bound, which is
-    wrong by the whole way down.
+    No message arrives before it was stamped, so the least delayed one gives an upper bound. No TIMESYNC is
+    answered before it was asked, which gives a lower bound. The middle is wrong by half the round trip at
+    most, however that is divided between the two directions. Without answers there is only the upper bound,
+    which is wrong by the whole delay of the downlink.
     """
 
     most_s: float | None = None
@@ -85,21 +85,22 @@ class _BootClock:
 
     @property
     def offset_s(self) -> float | None:
-        """The estimate; None before the first stamp."""
+        """Estimated offset; None before the first time stamp."""
         if self.most_s is None or self.least_s is None:
             return self.most_s
         width = self.most_s - self.least_s
-        # Bounds too near to be told apart are one; from twice that on it is the middle.
+        # Bounds closer than _FINE_S are treated as equal; from twice that width on, the estimate is the
+        # middle.
         return self.most_s - min(width / 2.0, max(0.0, width - _FINE_S))
 
     def take(self, time_boot_s: float, now_s: float, drift: float) -> bool:
-        """Take in one time stamp; True when the autopilot's clock began anew."""
+        """Take in one time stamp. Returns True if the autopilot's clock has restarted."""
         began_anew = self.most_s is not None and time_boot_s < self.boot_s - _REBOOT_S
         most = now_s - time_boot_s
         if self.most_s is None or began_anew:
             self.least_s = None
         else:
-            # Delay only ever makes the offset read too large: keep the smallest, give way to drift.
+            # Delay only makes the offset appear too large: keep the smallest one, and allow for drift.
             most = min(most, self.most_s + drift * (now_s - self.at_s))
             if self.least_s is not None:
                 self.least_s -= _DRIFT_AHEAD * (now_s - self.at_s)
@@ -111,54 +112,54 @@ class _BootClock:
         """Take in one answer to TIMESYNC."""
         most, least = event.heard_s - event.time_boot_s, event.asked_s - event.time_boot_s
         if self.most_s is None or abs(most - self.most_s) > _REBOOT_S:
-            # Another clock than that of the messages, such as Unix time; or it has just begun anew, and the
-            # messages will tell.
+            # This is not the clock of the messages but for instance Unix time, or the clock has just
+            # restarted, which the messages will show.
             return
-        # A clock that fell behind is not a slow link: what was known of it is void.
+        # The answer proves that the clock fell behind, not that the link is slow: discard the old bound.
         self._bound(most if least > self.most_s + _FINE_S else min(most, self.most_s))
         self.least_s = least if self.least_s is None else max(least, self.least_s)
 
     def _bound(self, most_s: float) -> None:
         self.most_s = most_s
         if self.least_s is not None and most_s < self.least_s - _FINE_S:
-            # The autopilot's clock ran ahead.
+            # The autopilot's clock ran ahead: discard the lower bound.
             self.least_s = None
 
 
 @dataclass(slots=True)
 class Ownship:
-    """Everything known of the own aircraft."""
+    """Everything known about the own aircraft."""
 
     heartbeat: Heartbeat | None = None
-    """The last one, with the mode that was told since."""
+    """Last heartbeat, with the mode updated from any later CURRENT_MODE."""
     heartbeat_s: float = -math.inf
     position: GlobalPosition | None = None
     velocity_ned_mps: Vec3 = (0.0, 0.0, 0.0)
     gnss: GnssFix | None = None
     mission_seq: int | None = None
-    """Item that the vehicle's mission is at."""
+    """Number of the mission's current item."""
     mission_complete: bool = False
-    """Its last item is done."""
+    """The last item of the mission is done."""
     mission_mark: tuple[int, int] | None = None
-    """What is told of which mission that is: its number of items and its id; others mean another mission."""
+    """Number of items and id of the mission. If they change, the vehicle has another mission."""
     takeoff: GlobalPosition | None = None
-    """Where the aircraft was last seen on the ground."""
+    """Last position of the aircraft on the ground."""
     separation_m: float | None = None
-    """Geoid above the ellipsoid (m), from the GNSS receiver's two altitudes."""
+    """Height of the geoid above the ellipsoid (m), from the GNSS receiver's two altitudes."""
     frame: LocalFrame | None = None
-    """Local NED: origin at the first position, altitude datum mean sea level; kept while armed."""
+    """Local NED frame: origin at the first position, altitude datum mean sea level. Kept while armed."""
     boot_to_utc_s: float | None = None
     """UTC minus the autopilot's time since boot."""
     _clock: _BootClock = field(default_factory=_BootClock)
     _landed: Landed = Landed.UNDEFINED
     _landed_s: float = -math.inf
     _grounded: int = 0
-    """Messages in a row that said that it stands on the ground."""
+    """Number of consecutive messages that reported the vehicle on the ground."""
     _grounded_s: float = -math.inf
-    """When the first of them came."""
+    """Time of the first of these messages."""
     _gnss_s: float = -math.inf
     _estimator_lost_s: float = -math.inf
-    """When the autopilot last said that it does not know where it is."""
+    """Time of the last report that the estimator has no position; minus infinity if it has one again."""
     _velocity_boot_s: float = -math.inf
     _position_heard_s: float = -math.inf
     _sample_ned_m: Vec3 = (0.0, 0.0, 0.0)
@@ -166,31 +167,31 @@ class Ownship:
     _upset: str = ""
 
     def take(self, event: Event, now_s: float, sent_s: float | None = None) -> None:
-        """Take in one event that concerns the own aircraft; others are left alone.
+        """Take in one event that concerns the own aircraft. Other events are ignored.
 
         Args:
-            sent_s: the earliest that it can have been sent, which dates a message without a time of its own;
-                None: now.
+            sent_s: earliest time at which it can have been sent, used to date a message without its own time
+                stamp; None for now.
         """
         sent_s = now_s if sent_s is None else sent_s
         match event:
             case Heartbeat():
                 self.heartbeat, self.heartbeat_s = event, sent_s
             case CurrentMode():
-                # No sign of life: that is the heartbeat alone.
+                # This does not count as a sign of life; only the heartbeat does.
                 if self.heartbeat is not None:
                     self.heartbeat = in_mode(self.heartbeat, event.custom_mode)
             case GlobalPosition():
                 self._take_position(event, now_s)
             case LocalPosition():
-                # One that is dated far ahead would shut out all that come after it.
+                # A velocity that is dated far ahead would block all later ones.
                 if event.time_boot_s <= self._clock.boot_s + _REBOOT_S:
                     self._take_velocity(event.velocity_ned_mps, event.time_boot_s)
             case GnssFix():
                 self.gnss, self._gnss_s = event, sent_s
                 if event.alt_ellipsoid_m is not None and event.fix_type >= 3:
                     separation_m = event.alt_ellipsoid_m - event.alt_msl_m
-                    # A wrong one would put every other aircraft far above or below us.
+                    # A wrong separation would place every other aircraft far above or below us.
                     self.separation_m = separation_m if abs(separation_m) <= _MOST_SEPARATION_M else None
             case ClockRead():
                 self._clock.read(event)
@@ -209,9 +210,13 @@ class Ownship:
                 pass
 
     def _take_landed(self, landed: Landed, now_s: float) -> None:
-        """A false landing in flight would end all that is done against a collision. So of an armed vehicle it
-        takes more than one message, and more still far above home and take-off, where it may stand on a hill;
-        of one that moves none counts. Until it is believed, what was believed before holds."""
+        """Take in a landed state.
+
+        A false landing in flight would end all collision avoidance. An armed vehicle is therefore believed to
+        be on the ground only after several messages, and after a longer time far from the height of home and
+        take-off, where it may stand on a hill. If it moves, no message counts. Until then the previous state
+        holds.
+        """
         self._landed, self._landed_s = self.landed(now_s), now_s
         if landed is not Landed.ON_GROUND or not self.armed:
             self._landed, self._grounded = landed, 0
@@ -239,7 +244,7 @@ class Ownship:
 
     def _tick(self, time_boot_s: float, now_s: float) -> None:
         if self._clock.take(time_boot_s, now_s, _DRIFT_ARMED if self.armed else _DRIFT_DISARMED):
-            # What came before belongs to another clock: it must not pass for fresh.
+            # Earlier data were dated by another clock and must not count as fresh.
             self.position = None
             self._velocity_boot_s, self.boot_to_utc_s = -math.inf, None
             self._landed_s = -math.inf
@@ -274,44 +279,47 @@ class Ownship:
 
     @property
     def mode(self) -> FlightMode | None:
-        """Mode in the last heartbeat, or told since."""
+        """Mode from the last heartbeat or a later CURRENT_MODE; None before the first heartbeat."""
         return None if self.heartbeat is None else self.heartbeat.mode
 
     @property
     def armed(self) -> bool:
-        """Armed in the last heartbeat."""
+        """Whether the last heartbeat reported the vehicle as armed."""
         return self.heartbeat is not None and self.heartbeat.armed
 
     def landed(self, now_s: float) -> Landed:
-        """On the ground or in the air; undefined when the vehicle has not said so for a while."""
+        """Landed state; undefined if the vehicle has not reported it for a while."""
         return self._landed if now_s - self._landed_s <= _LANDED_LOST_S else Landed.UNDEFINED
 
     def sample_s(self) -> float:
-        """Our monotonic time of the position held, never after it was heard: whatever is learned of the clock
-        later, what is held does not grow younger. Needs a position."""
+        """Our monotonic time of the last position. Needs a position.
+
+        It is never later than the reception, so that no later correction of the clock makes the position
+        younger.
+        """
         assert self.position is not None
         assert self._clock.offset_s is not None
         return min(self.position.time_boot_s + self._clock.offset_s, self._position_heard_s)
 
     @property
     def utc_offset_s(self) -> float | None:
-        """UTC minus our monotonic time; None while the vehicle does not know UTC."""
+        """UTC minus our monotonic time (s); None while the vehicle does not know UTC."""
         if self.boot_to_utc_s is None or self._clock.offset_s is None:
             return None
         return self.boot_to_utc_s - self._clock.offset_s
 
     def age_s(self, now_s: float) -> float:
-        """Age of the position held; infinite while there is none."""
+        """Age of the last position (s); infinite if there is none."""
         return math.inf if self.position is None else now_s - self.sample_s()
 
     def position_ned_m(self, now_s: float) -> Vec3:
-        """Position at `now_s` in the local frame (m), carried on with the own velocity. Needs a position."""
+        """Position extrapolated to `now_s` with the own velocity (local NED, m). Needs a position."""
         p, v = self._sample_ned_m, self.velocity_ned_mps
         age = now_s - self.sample_s()
         return p[0] + age * v[0], p[1] + age * v[1], p[2] + age * v[2]
 
     def gnss_now(self, now_s: float) -> GnssFix | None:
-        """The GNSS receiver's last report, while it goes on reporting."""
+        """Last report of the GNSS receiver; None if it is too old."""
         return self.gnss if now_s - self._gnss_s <= _GNSS_LOST_S else None
 
     @property
@@ -323,11 +331,11 @@ class Ownship:
 
     @property
     def home_alt_msl_m(self) -> float | None:
-        """Altitude of the vehicle's home."""
+        """Altitude of the vehicle's home above mean sea level; None without a position."""
         return None if self.position is None else self.position.alt_msl_m - self.position.height_above_home_m
 
     def unfit(self, now_s: float, stale_after_s: float) -> str | None:
-        """Why the own state cannot be flown on, in words; None when it can."""
+        """Why the own state is not usable for flight, in words; None if it is usable."""
         if self.heartbeat is None or now_s - self.heartbeat_s > _HEARTBEAT_LOST_S:
             return f"no heartbeat from the autopilot for {_HEARTBEAT_LOST_S:g} s"
         if self.age_s(now_s) > stale_after_s:

@@ -1,8 +1,8 @@
-"""Feed recorded input to the heart again.
+"""Replays recorded input through the core.
 
-An event record holds what entered the heart and what it commanded: the same input must give the same
-commands, bit for bit where software and machine are the same. A tlog holds a vehicle's MAVLink: it goes
-through the link and the heart as if that vehicle flew now, with nothing commanded.
+An event record holds the input and the commands of the core. The same input must give the same commands, bit
+for bit if software and machine are the same. A tlog holds a vehicle's MAVLink. It is passed through the link
+and the core as if that vehicle flew now, but nothing is commanded.
 """
 
 from __future__ import annotations
@@ -41,37 +41,38 @@ from companion.system import Onboard
 
 STEP_S = 0.05
 ELSEWHERE = 1e-9
-"""Largest relative difference of a number that another machine or version may show."""
+"""Largest relative difference of a number that is accepted from another machine or version."""
 _NEAR_ZERO = 10.0
-"""Near zero so many times the tolerance counts as equal: positions are differences of earth-centred ones, of
-some 6e6 m, whose neighbours are 9.3e-10 m apart, and another machine's rounding moves it by some of them."""
+"""Factor from the relative tolerance to the absolute one, which applies near zero. Positions are differences
+of Earth-centred coordinates of about 6e6 m, where adjacent floating-point numbers are 9.3e-10 m apart, and
+another machine's rounding changes the result by a few of these steps."""
 
 
 @dataclass(slots=True)
 class RecordReplay:
-    """What came of replaying one event record."""
+    """Result of replaying one event record."""
 
     aircraft: str = ""
     steps: int = 0
     commands: int = 0
     differences: int = 0
-    """Steps whose commands differ beyond the tolerance."""
+    """Number of steps whose commands differ beyond the tolerance."""
     inexact: int = 0
-    """Steps whose commands differ, but within the tolerance."""
+    """Number of steps whose commands differ, but within the tolerance."""
     first: str | None = None
-    """The first difference, in words."""
+    """The first difference, in words; None if there is none."""
     refused: dict[str, int] = field(default_factory=dict)
-    """Commands that the gate would not let leave now, by its rules' names."""
+    """Number of commands that the gate would refuse now, by the name of the rule."""
 
 
 def replay_record(records: Iterable[Record], name: str, tolerance: float) -> RecordReplay:
-    """Run the heart on a record's input and compare with what it commanded then.
+    """Run the core on a record's input and compare the commands with the recorded ones.
 
     Args:
         records: from `companion.event_record.read`.
-        name: of the file, for messages.
-        tolerance: relative difference of a number that still counts as equal, and ten times it absolute
-            (m, m/s); 0 for bit for bit.
+        name: name of the file, for messages.
+        tolerance: largest relative difference of numbers that count as equal. The absolute tolerance (m, m/s)
+            is ten times this number. 0 compares bit for bit.
 
     Raises:
         PeerDataError: the record does not begin with its header.
@@ -102,8 +103,9 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
 
 
 class _GateAgain:
-    """The gate, with what a record holds of its input: events, not bytes, and no answers of the vehicle. The
-    link repeats a request for a mode; only the first one is judged.
+    """The gate, run on what a record holds of its input: events, but no bytes and no answers of the vehicle.
+
+    The link repeats mode requests. Only the first request is judged here.
     """
 
     def __init__(self, config: Config, refused: dict[str, int]) -> None:
@@ -114,7 +116,7 @@ class _GateAgain:
         self._last_s = -math.inf
 
     def judge(self, step: Step, commands: Iterable[Command]) -> None:
-        """One step, and what the heart commands in it."""
+        """Pass one step and the core's commands in it through the gate."""
         gate, now_s = self._gate, step.now_s
         behind = any(isinstance(event, InputBehind) for event in step.events)
         if not behind and now_s - self._last_s <= STALL_S:
@@ -166,17 +168,17 @@ def _close(a: object, b: object, tolerance: float) -> bool:
 
 @dataclass(slots=True)
 class TlogReplay:
-    """What came of flying a recorded vehicle's MAVLink through the heart."""
+    """Result of replaying a recorded vehicle's MAVLink through the core."""
 
     vehicle: str | None = None
     duration_s: float = 0.0
     frames: int = 0
     gnss_states: int = 0
-    """GLOBAL_POSITION_INT taken in."""
+    """Number of GLOBAL_POSITION_INT messages taken in."""
     gnss_fixes: int = 0
-    """GPS_RAW_INT taken in."""
+    """Number of GPS_RAW_INT messages taken in."""
     first: tuple[float, float, float] | None = None
-    """Latitude, longitude (deg), altitude (m, mean sea level)."""
+    """First position: latitude, longitude (deg), altitude (m above mean sea level)."""
     last: tuple[float, float, float] | None = None
     broadcasts: int = 0
     locations_with_position: int = 0
@@ -184,11 +186,11 @@ class TlogReplay:
 
 
 def replay_tlog(frames: Iterable[tuple[float, bytes]]) -> tuple[TlogReplay, Iterator[Location]]:
-    """Feed (utc_s, frame) pairs to link and heart.
+    """Feed (utc_s, frame) pairs to the link and the core.
 
     Returns:
         The result, complete once the second value is exhausted, and the Location messages that would have
-        gone on the air.
+        been broadcast.
     """
     result = TlogReplay()
     return result, _fly_tlog(frames, result)
@@ -203,7 +205,7 @@ def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iter
     for utc_s, frame in frames:
         if start_s is None:
             start_s, now_s, next_s = utc_s, utc_s, utc_s + STEP_S
-        # Time stamps of a log may jump back; the heart's clock never does.
+        # Time stamps of a log may jump back, but the core's time must not.
         now_s = max(now_s, utc_s)
         result.frames += 1
         if now_s >= next_s:
@@ -212,8 +214,8 @@ def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iter
             onboard.drain(now_s)
             yield from _note(steps, result)
         if message_id_of(frame) != mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_ARM_STATUS:
-            # A log has both directions: this may be what the recorded companion said of itself, and a heart
-            # that hears it of another module broadcasts nothing.
+            # A log holds both directions, so this may be the recorded companion's own message. The core would
+            # take it for another Remote ID module and broadcast nothing.
             onboard.receive(frame, now_s)
     if start_s is not None:
         onboard.tick(now_s)
@@ -251,7 +253,7 @@ def _note(steps: list[Step], result: TlogReplay) -> Iterator[Location]:
 
 
 def on_air(location: Location) -> Location:
-    """A Location as a receiver reads it: encoded and decoded."""
+    """Location as a receiver reads it, after encoding and decoding."""
     decoded = codec.decode(codec.encode(location))
     assert isinstance(decoded, Location)
     return decoded

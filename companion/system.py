@@ -1,7 +1,7 @@
-"""One companion, whole but for its sockets: MAVLink bytes and heard frames in, bytes and broadcasts out.
+"""One complete companion without its sockets: MAVLink bytes and radio frames in, bytes and broadcasts out.
 
-The flight loop and the lock-step simulation run this same object; the record of its steps is what a replay
-feeds back to the heart.
+The flight loop and the lock-step simulation run this same object. A replay feeds the record of its steps back
+to the core.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ from companion.events import (
 from companion.gate.gate import STALL_S, Gate
 
 _SAY_AGAIN_S = 5.0
-"""The pilot is told of the same rule of the gate once in so long."""
+"""Least time between two messages to the pilot about the same rule of the gate."""
 _HOLDING = frozenset(state.value for state in HOLDING)
 
 
 class Onboard:
-    """The heart with its MAVLink link."""
+    """The core (`heart`) with its MAVLink link and the gate."""
 
     def __init__(
         self,
@@ -64,17 +64,17 @@ class Onboard:
         signing: Signing | None = None,
         settings: Settings | None = None,
     ) -> None:
-        """Build it.
+        """Create the core, the gate and the link.
 
         Args:
-            record: takes every step of the heart.
-            policy: the policy file that chooses the transports, as `Companion` takes it.
-            commanding: False leaves the vehicle alone; the heart works all the same. Nothing is broadcast
-                then (a dry run, a replay), so the vehicle is not told that Remote ID is ready either.
-            tlog: takes the MAVLink of both directions.
-            utc_guess_s: UTC minus monotonic time for the tlog until the vehicle tells it.
-            signing: of the MAVLink link, as `AutopilotLink` takes it.
-            settings: what ground stations have set before, checked; None: nothing.
+            record: receives every step of the core.
+            policy: content of the policy file that chooses the transports, as for `Companion`.
+            commanding: False to send no commands to the vehicle, while the core runs as usual. Nothing is
+                broadcast then (a dry run, a replay), so Remote ID is not reported as ready to the vehicle.
+            tlog: receives the MAVLink of both directions.
+            utc_guess_s: UTC minus monotonic time for the tlog until the vehicle reports UTC.
+            signing: signing of the MAVLink link, as for `AutopilotLink`.
+            settings: checked settings that ground stations made earlier; None if there are none.
         """
         self.commanding = commanding
         self.tlog = tlog
@@ -93,31 +93,31 @@ class Onboard:
         )
         self._remote_id_component = config.remote_id.component and commanding
         self._record = record
-        # By way of the record: a replay begins with the same settings.
+        # Pass the settings as an event, so that they are recorded and a replay starts with them.
         self._events: list[Event] = [] if self.settings == Settings() else [self.settings]
         self._told_gate(self._events, 0.0)
         self._emptied_s: float | None = None
-        """When the link's input was last read until it was empty."""
+        """Time at which the link's input was last read until it was empty."""
         self._behind_since_s: float | None = None
-        """Since when it was not, as of this step."""
+        """Time since which the input was behind, for the current step; None if it is not."""
         self._refusals_said: dict[int, float] = {}
-        """Rule of the gate -> when the pilot was last told of it."""
+        """For each rule of the gate: time at which the pilot was last informed of a refusal."""
         self._lost: str | None = None
-        """As of `Gate.lost`, when the heart was last told."""
+        """`Gate.lost` as last reported to the core."""
         self._asks = False
-        """A step has begun whose commands have asked for no answer yet: each step asks once."""
+        """The commands of this step have not asked the vehicle for an answer yet. Each step asks once."""
 
     @property
     def settings(self) -> Settings:
-        """What ground stations have set."""
+        """Settings that ground stations have made."""
         return self._own_parameters.settings
 
     def receive(self, data: bytes, now_s: float, *, emptied: bool = True) -> None:
-        """Bytes from the autopilot's link, or none.
+        """Take in bytes from the autopilot's link; they may be empty.
 
         Args:
-            now_s: before they were read.
-            emptied: nothing was left to be read behind them.
+            now_s: time before the bytes were read.
+            emptied: True if no more input was left to read.
         """
         if self.tlog is not None and data:
             self.tlog.received(self._utc_s(now_s), data)
@@ -131,7 +131,10 @@ class Onboard:
             self._emptied(now_s)
 
     def _note_pause(self, now_s: float) -> None:
-        """What comes after a pause in reading may be as old as the pause is long; what comes first, older."""
+        """Mark the input as behind after a pause in reading, because it may be as old as the pause is long.
+
+        The first input of all may be even older.
+        """
         if self._emptied_s is None or now_s - self._emptied_s > STALL_S:
             self._fall_behind(now_s)
 
@@ -149,15 +152,16 @@ class Onboard:
             self.gate.hear(event, now_s)
 
     def hear(self, event: RemoteIdHeard | RadioState) -> None:
-        """A frame from the radio, or its state."""
+        """Take in a received frame or the state of the radios."""
         self._events.append(event)
 
     def tick(self, now_s: float, *, read_s: float | None = None) -> list[Broadcast]:
-        """One step of the heart on all that arrived. Returns what the radio must send; bytes for the
-        autopilot wait in `drain`.
+        """Run one step of the core on all input that arrived.
+
+        Returns the broadcasts that the radio must send. Fetch bytes for the autopilot with `drain`.
 
         Args:
-            read_s: when reading the link's input began that found its end; None: just now.
+            read_s: time at which the reading of the link's input began that emptied it; None for just now.
         """
         events = self._step_events(now_s, read_s)
         self.gate.decided(now_s)
@@ -181,7 +185,7 @@ class Onboard:
         return [c for c in commands if isinstance(c, Broadcast)]
 
     def _step_events(self, now_s: float, read_s: float | None) -> list[Event]:
-        """All that happened since the last step; what gate and shell have to say of it comes last."""
+        """All events since the last step. Those of this class and of the gate come last."""
         read_s = now_s if read_s is None else read_s
         if now_s - read_s > STALL_S:
             self._fall_behind(now_s)
@@ -209,7 +213,7 @@ class Onboard:
         return events
 
     def drain(self, now_s: float) -> bytes:
-        """Bytes to send to the autopilot now: what the gate lets leave."""
+        """Bytes to send to the autopilot now, as far as the gate lets them pass."""
         if self.link.holds and self._asks:
             self._asks = False
             self.link.ask_for_answer(now_s)
@@ -224,14 +228,20 @@ class Onboard:
         return now_s + (self._utc_guess_s if known is None else known)
 
     def let_go(self, now_s: float) -> None:
-        """Ask the vehicle to hold; the heart is not stepped any more after this, so nothing is broadcast."""
+        """Ask the vehicle to hold, before the program stops.
+
+        The core is not stepped after this, so nothing is broadcast any more.
+        """
         self.link.send(SetMode(mode=FlightMode.HOLD), now_s)
         self._asks = True
         if self._remote_id_component:
             self.link.send(ArmStatus(ready=False, text="companion is stopping"), now_s)
 
     def idle(self, now_s: float, *, read_s: float | None = None) -> None:
-        """Keep the link alive, and the own state current, without stepping the heart; `read_s` as of
-        `tick`."""
+        """Keep the link alive and the own state current without a step of the core.
+
+        Args:
+            read_s: as in `tick`.
+        """
         for event in self._step_events(now_s, read_s):
             self.heart.own.take(event, now_s)

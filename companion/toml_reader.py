@@ -1,6 +1,6 @@
-"""TOML into structs: what is wrong in a file is said with the key, what it holds and what is allowed.
+"""Reads TOML files into structs. Errors name the key, its value and what is allowed.
 
-Knows nothing of any configuration: names, limits and tags are read from the structs.
+This module knows no particular configuration: names, limits and tags are read from the structs.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from msgspec import Meta
 from companion.errors import ConfigError
 
 SECRET: Final = {"secret": True}
-"""As `extra` of a key's Meta: no error text repeats what the key holds."""
+"""Use as `extra` of a key's Meta, so that no error text repeats the key's value."""
 
 T = TypeVar("T")
 
@@ -28,7 +28,7 @@ def decode_toml(path: Path, kind: type[T]) -> T:
     """Read a TOML file into a struct.
 
     Raises:
-        ConfigError: names the file, the key, what it holds and what is allowed.
+        ConfigError: names the file, the key, its value and what is allowed.
     """
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -55,11 +55,11 @@ def _refuse_non_finite(value: object, name: str, key: str) -> None:
 
 
 def _explain(text: str, raw: object, kind: type) -> str:
-    """Turn msgspec's words ("Expected `float` <= 50.0 - at `$.limits.max_speed_mps`") into ours."""
+    """Turn msgspec's message ("Expected `float` <= 50.0 - at `$.limits.max_speed_mps`") into ours."""
     what, _, where = text.partition(" - at `$")
     key = where.rstrip("`").lstrip(".")
     if not what.startswith(("Expected", "Object", "Invalid")):
-        # A struct's own check of how its keys go together; it begins with the key's name.
+        # The message of a struct's own check of its keys' combination. It begins with the key's name.
         return f"{key}.{what}" if key else what
     if "unknown field" in what:
         field = what.split("`")[1]
@@ -89,7 +89,7 @@ def _explain(text: str, raw: object, kind: type) -> str:
 
 
 def _wanted(hint: object, bounds: Meta | None = None) -> str:
-    """What a key takes, in words."""
+    """Values that a key accepts, in words."""
     if get_origin(hint) is Annotated:
         inner, *metas = get_args(hint)
         return _wanted(inner, metas[0])
@@ -123,7 +123,7 @@ def _listed(values: list[object]) -> str:
 
 
 def _choices(hint: object) -> list[object]:
-    """The values of an enumeration or of literals, wherever in a type they stand."""
+    """Values of an enumeration or of literals, at any depth of a type."""
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
         return [member.value for member in hint]
     if get_origin(hint) is Literal:
@@ -132,7 +132,7 @@ def _choices(hint: object) -> list[object]:
 
 
 def _hint_at(kind: type, key: str, raw: object) -> Any:
-    """The type of the value that `key` leads to, or of what stands in it as "[...]" says."""
+    """Type of the value at `key`, or of the elements in it if `key` ends in "[...]"."""
     name = re.sub(r"(\[[^]]*\])+$", "", key)
     section, _, field = name.rpartition(".")
     hint = get_type_hints(_structs_at(kind, section, raw)[0], include_extras=True)[field]
@@ -144,7 +144,7 @@ def _hint_at(kind: type, key: str, raw: object) -> Any:
 
 
 def _structs_at(kind: type, key: str, raw: object) -> list[type[msgspec.Struct]]:
-    """The structs that may describe the section `key` leads to, first the one whose tag stands in `raw`."""
+    """Structs that may describe the section at `key`; those whose tag is in `raw` come first."""
     value, found = raw, [kind]
     for part in re.findall(r"[^.\[\]]+", key):
         if not part.isdigit():
@@ -155,7 +155,7 @@ def _structs_at(kind: type, key: str, raw: object) -> list[type[msgspec.Struct]]
 
 
 def _structs(hint: object) -> list[type[msgspec.Struct]]:
-    """The structs in a type, wherever they stand."""
+    """All structs in a type, at any depth."""
     if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
         return [hint]
     return [struct for inner in get_args(hint) for struct in _structs(inner)]
@@ -167,14 +167,14 @@ def _is_tagged(struct: type[msgspec.Struct], value: object) -> bool:
 
 
 def _is_secret(hint: object) -> bool:
-    """Whether a key may hold what no text may repeat."""
+    """Whether a key's value must not be repeated in any text."""
     if get_origin(hint) is Annotated and any(meta.extra == SECRET for meta in get_args(hint)[1:]):
         return True
     return any(_is_secret(inner) for inner in get_args(hint))
 
 
 def without_none(value: object) -> Any:
-    """Plain data as TOML can hold it: keys whose value is None left out."""
+    """Plain data without the keys whose value is None, which TOML cannot hold."""
     if isinstance(value, dict):
         return {k: without_none(v) for k, v in value.items() if v is not None}
     if isinstance(value, list | tuple):

@@ -1,4 +1,7 @@
-"""Takes the vehicle, keeps it, lets it go: what moves the authority table, and what each move does."""
+"""Takes, keeps and releases control of the vehicle.
+
+`Control` finds the triggers of the authority table at each step and carries out each transition.
+"""
 
 from __future__ import annotations
 
@@ -35,21 +38,22 @@ from companion.geometry import Vec3
 from companion.ownship import Ownship
 
 _NOT_GUARDED = frozenset({Landed.TAKEOFF, Landed.LANDING})
-"""Parts of a guarded mission that the vehicle is not taken out of."""
+"""Phases of a guarded mission in which the companion does not take the vehicle."""
 _HUNG_S = 1.0
 _HEALTHY_AFTER_S = 3.0
-"""A fault lasts longer than the slowest heartbeat that shows which failsafe it caused: to PX4, setpoints that
-come again are a wish to go on."""
+"""How long the cause of a fault must be gone before the fault ends. This is longer than the slowest heartbeat
+period, so that a heartbeat shows which failsafe the fault triggered: PX4 re-enters OFFBOARD by itself when
+setpoints resume."""
 _REFUSED_PAUSE_S = 8.0
-"""After a refused mode change, before the vehicle is asked again."""
+"""Pause after a refused mode change before the vehicle is asked again."""
 _SURE = 3
-"""Decisions in a row that must see a conflict before a guarded vehicle is taken."""
+"""Consecutive decisions that must see a conflict before a guarded vehicle is taken."""
 _KEPT_OFF_S = 60.0
-"""Kept off its way for so long with no conflict, by a floor, a ceiling, a fence or the wind, a guarded
-vehicle is given back where it is."""
+"""If a floor, a ceiling, a fence or the wind keeps a guarded vehicle off its path for this long without a
+conflict, it is handed back where it is."""
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
 _TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED, Trigger.ENDED}
-"""Moves that the pilot is told of, besides each that ends watching."""
+"""Transitions that are reported to the pilot, in addition to every transition out of `State.WATCHING`."""
 _REASONS = {
     Trigger.RELEASE: "vehicle disarmed or on the ground",
     Trigger.REARM: "authority given anew",
@@ -60,16 +64,19 @@ _REASONS = {
     Trigger.AWAY: "off the timed path",
     Trigger.REGAINED: "back on the timed path",
 }
-"""Of the moves that have but one."""
+"""Reason texts of the triggers that have only one."""
 _LATE_S = 0.25
-"""A step that comes this much after the last (or 2.5 periods) commands nothing: the loop was late."""
+"""A step commands nothing if the gap since the last one exceeds this, or 2.5 setpoint periods if those are
+longer: the loop was late."""
 
 
 class Control:
-    """Who flies one aircraft. The caller knows one entry, `step`, besides what it hands in as it comes.
+    """Decides who flies one aircraft.
+
+    The caller hands in events as they arrive and calls `step` once per cycle.
 
     Args:
-        config: only what no ground station may set is used.
+        config: only settings that no ground station can change are read from it.
     """
 
     def __init__(self, config: Config, own: Ownship, plan: Plan, readiness: Readiness) -> None:
@@ -82,41 +89,45 @@ class Control:
         self._late_s = max(_LATE_S, 2.5 / config.flight.setpoint_rate_hz)
         self._guard = plan if isinstance(plan, GuardPlan) else None
         self._handback = None if self._guard is None else HandBack(self._guard, own, self._clear_after_s)
-        """Of a mission that is guarded; None: none is."""
+        """Hands a guarded mission back to the autopilot; None if no mission is guarded."""
         self._modes = OurModes(own, self._handback)
         self._sticks = Sticks()
         self._standstill = Standstill()
         self._result: LawResult | None = None
-        """The law's last, while the vehicle is held."""
+        """Latest decision of the law while we control the vehicle."""
         self._conflict_s = self._commanded_s = -math.inf
         self._conflicts = 0
-        """Decisions in a row, while a mission is guarded, that saw one."""
+        """Consecutive decisions that saw a conflict while the autopilot flew its mission."""
         self._refused: str | None = None
         self._gate_fault: str | None = None
         self._gate_lost: str | None = None
-        """What the gate refused, as a fault of ours, or because there is no authority."""
+        """Texts of commands that the gate refused: `_gate_fault` as a fault of ours, `_gate_lost` because
+        authority was lost."""
         self._healthy_s = -math.inf
-        """From when on a fault may end."""
+        """Earliest time at which a fault may end."""
         self._left = False
-        """The pilot has left the mode by which he gives authority."""
+        """The pilot has left the mode whose selection gives us authority."""
 
     @property
     def in_control(self) -> bool:
-        """The vehicle flies what we command."""
+        """True while the vehicle flies our setpoints."""
         return self.state in HOLDING and self._modes.confirmed
 
     @property
     def left_in(self) -> frozenset[FlightMode]:
-        """Modes that the vehicle may be in by our own doing, after a fault ended our flight."""
+        """Modes that the vehicle may be in because of our own commands after a fault ended our control."""
         return self._modes.left_in
 
     def take_sticks(self, event: RcChannels) -> None:
-        """The pilot's sticks."""
+        """Take in the positions of the pilot's sticks."""
         self._sticks.take(event)
 
     def mode_refused(self, event: ModeRefused) -> list[Command]:
-        """What was asked for in order to fly is a fault; the rest is told. Where the vehicle has no mode for
-        the sticks that move (PX4 without a calibrated radio), it is to hold before its failsafe acts."""
+        """Handle a mode that the vehicle refused to enter.
+
+        A refused EXTERNAL mode is a fault. Any other refusal is reported to the pilot. If the vehicle has no
+        mode for stick control (PX4 without a calibrated radio), we ask for a hold before its failsafe acts.
+        """
         if event.mode is FlightMode.EXTERNAL:
             self._refused = event.reason
             return []
@@ -126,7 +137,7 @@ class Control:
         return told
 
     def take_refusal(self, event: GateRefused) -> None:
-        """The gate let a command not leave."""
+        """Handle a command that the gate did not let pass."""
         if event.ends == "fault":
             self._gate_fault = event.text
         elif event.ends == "authority":
@@ -135,13 +146,13 @@ class Control:
     def step(
         self, now_s: float, gap_s: float, shown: Sequence[Heartbeat], cycle: Cycle, *, mode_known: bool = True
     ) -> Step:
-        """Who flies now, and what is commanded.
+        """Decide who flies now and what is commanded.
 
         Args:
-            gap_s: since the last step.
-            mode_known: False: what the vehicle told of its mode may be old, and nothing is commanded.
-            shown: what the vehicle told of its mode, and whether it is armed, since the last step, in the
-                order of arrival; where it told nothing new, what it told last. Empty: it was never heard.
+            gap_s: time since the last step.
+            mode_known: False if the reported mode may be old; then nothing is commanded.
+            shown: modes and arming states that the vehicle reported since the last step, in the order of
+                arrival. If nothing new arrived, the last report. Empty if the vehicle was never heard.
         """
         unfit = self._unfit(now_s, gap_s)
         in_time = gap_s <= self._late_s and mode_known
@@ -157,10 +168,10 @@ class Control:
         stands = unfit is None and self._standstill.lasts(now_s, self._own.mode)
         return Step(commands, (0.0, 0.0, 0.0) if stands else None, alerts_only=unfit is None)
 
-    # ------------------------------------------------------------ the parts of a step
+    # ------------------------------------------------------------ parts of a step
 
     def _unfit(self, now_s: float, gap_s: float) -> str | None:
-        """Why nothing is to be commanded, in words; None when nothing is against it."""
+        """Reason, in words, why nothing may be commanded; None if there is none."""
         if gap_s > _HUNG_S:
             return f"the loop is late: nothing commanded for {_HUNG_S:g} s"
         if self._gate_fault is not None:
@@ -174,7 +185,7 @@ class Control:
     def _judge(
         self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None, in_time: bool
     ) -> list[Command]:
-        """What the vehicle's state says about who flies."""
+        """Apply what the vehicle's state says about who flies."""
         ended = unfit if self._readiness.enabled else SWITCHED_OFF
         if ended is not None:
             self._healthy_s = now_s + _HEALTHY_AFTER_S
@@ -187,7 +198,7 @@ class Control:
         return commands
 
     def _watch(self, now_s: float, cycle: Cycle, commands: list[Command]) -> None:
-        """The autopilot flies its mission: would the law fly something else?"""
+        """While the autopilot flies its mission, check whether the law would fly something else."""
         assert self._guard is not None
         commands += self._guard.watch(self._own, now_s)
         self._result = result = cycle.decide(now_s, self.state)
@@ -196,12 +207,14 @@ class Control:
         self._conflicts = self._conflicts + 1 if result.conflict and guarded else 0
         if self._conflicts >= _SURE:
             commands += self._move(now_s, {Trigger.CONFLICT: None}, result=result)
-            # The way to the item may end short of what the mission flies into: it counts all the same.
+            # The path to the item may end before the conflict that the mission flies into. Count it anyway.
             self._conflict_s = now_s
 
     def _fly(self, now_s: float, cycle: Cycle, commands: list[Command]) -> Vec3 | None:
-        """The vehicle is held: it is commanded what the law decides, and has decided last; once that streams,
-        it is got to take it. None: its mission is not resumed, and it was let go."""
+        """Command the law's latest decision, and ask for our mode once setpoints stream.
+
+        Returns None if the vehicle was released because its mission cannot be resumed.
+        """
         commands += self._give_back(now_s)
         if self.state not in HOLDING:
             return None
@@ -215,7 +228,7 @@ class Control:
         return result.chosen_ned_mps
 
     def _give_back(self, now_s: float) -> list[Command]:
-        """A guarded vehicle on its way goes back to its mission."""
+        """Hand a guarded vehicle that is back on its path back to its mission."""
         if self._handback is None or self.state is not State.GUARDING or not self._modes.confirmed:
             return []
         clear_s = now_s - self._conflict_s
@@ -225,7 +238,7 @@ class Control:
         return commands + self._move(now_s, {Trigger.CHANGED: None}) if over else commands
 
     def _steer(self, now_s: float, cycle: Cycle, commands: list[Command]) -> LawResult:
-        """The law decides anew."""
+        """Run one decision of the law and apply its triggers."""
         if self._guard is not None:
             commands += self._guard.lead(self._own, now_s)
         result = cycle.decide(now_s, self.state)
@@ -237,10 +250,10 @@ class Control:
         commands += cycle.note(now_s, result, self.state)
         return result
 
-    # ------------------------------------------------------------ what moves it
+    # ------------------------------------------------------------ triggers
 
     def _triggers(self, now_s: float, shown: Sequence[Heartbeat], unfit: str | None, in_time: bool) -> Found:
-        """What the vehicle's state says about authority."""
+        """Triggers that follow from the vehicle's state."""
         own = self._own
         found: Found = {}
         foreign = self._modes.judge(shown, now_s, self.state in HOLDING)
@@ -266,8 +279,11 @@ class Control:
         return found
 
     def _given_anew(self, shown: Sequence[Heartbeat]) -> bool:
-        """The pilot gives authority anew: he disarms, or he has left the mode that gives it and selects it
-        again, and it is the last that he selected."""
+        """Whether the pilot gives authority again.
+
+        With `rearm = "disarm"` disarming does so. With "mode" the pilot must have left the mode that gives
+        authority and selected it again as his latest mode.
+        """
         rearm = self._config.flight.rearm
         gives = FlightMode.EXTERNAL if self._handback is None else FlightMode.MISSION
         self._left = self._left or any(heartbeat.mode is not gives for heartbeat in shown)
@@ -277,8 +293,11 @@ class Control:
 
     @property
     def _asks_sticks(self) -> bool:
-        """The pilot moves the sticks and has chosen no mode: the vehicle is in ours, in the hold that our
-        fault asked for, or still in the one that we are taking it from. He gets one that takes the sticks."""
+        """Whether to ask for a mode that the pilot can fly with the sticks.
+
+        This is so if he moves the sticks without having selected a mode. The vehicle is then in our mode, in
+        the hold that we requested after a fault, or still in the mode from which we are taking it.
+        """
         heartbeat, mode = self._own.heartbeat, self._own.mode
         if not self._sticks.moved:
             return False
@@ -289,7 +308,7 @@ class Control:
         return heartbeat is not None and self._modes.being_taken(heartbeat)
 
     def _law_triggers(self, now_s: float, result: LawResult) -> frozenset[Trigger]:
-        """What the law says about authority."""
+        """Triggers that follow from the law's decision."""
         if result.conflict:
             return frozenset({Trigger.CONFLICT})
         clear_s = now_s - self._conflict_s
@@ -301,7 +320,7 @@ class Control:
             return frozenset({Trigger.CLEAR, Trigger.REGAINED})
         return frozenset({Trigger.CLEAR, Trigger.AWAY} if distance > 2.0 * regained else {Trigger.CLEAR})
 
-    # ------------------------------------------------------------ what a move does
+    # ------------------------------------------------------------ transitions
 
     def _move(
         self,
@@ -335,26 +354,27 @@ class Control:
         if self.state not in HOLDING:
             commands += self._end(now_s, trigger, seen, held)
         if previous is State.WATCHING and found.get(Trigger.LEFT) is not None:
-            # What the pilot selects next may be another mission.
+            # The pilot may select another mission next.
             self._plan.drop()
         return commands
 
     def _begin(self, now_s: float) -> list[Command]:
-        """The vehicle is taken."""
+        """Start to control the vehicle."""
         commands = [] if self._handback is None else self._handback.begin(now_s)
         self._sticks.begin()
         self._modes.left_in = frozenset()
-        # A mission is given back after a while without a conflict, which begins now.
+        # A mission is handed back after some time without a conflict. That time starts now.
         self._conflict_s = -math.inf if self._handback is None else now_s
         self._commanded_s = now_s
         self._modes.seek(now_s)
         return commands
 
     def _end(self, now_s: float, trigger: Trigger, seen: Heartbeat | None, held: bool) -> list[Command]:
-        """Nothing is commanded: not any more, where the vehicle was held.
+        """Enter a state that does not control the vehicle; release the vehicle if we controlled it.
 
         Args:
-            seen: what the vehicle showed with the trigger.
+            seen: heartbeat that caused the trigger.
+            held: we controlled the vehicle until now.
         """
         commands: list[Command] = []
         if trigger is Trigger.RESUMED and self._handback is not None:
@@ -368,7 +388,8 @@ class Control:
             commands += self._let_go(trigger)
         holds = trigger is Trigger.CHANGED or (trigger is Trigger.UNFIT and not self._readiness.enabled)
         if held and (holds or sticks):
-            # Waited for standing: PX4's own failsafe is quicker than the next heartbeat.
+            # Command a standstill while we wait for the mode: without setpoints, PX4's failsafe would act
+            # before the next heartbeat.
             self._standstill.begin(now_s, self._own.mode, sticks=sticks)
         elif not sticks:
             self._standstill.end()
@@ -378,8 +399,11 @@ class Control:
         return commands
 
     def _let_go(self, trigger: Trigger) -> list[Command]:
-        """PX4 notices at once that nothing is commanded any more; ArduPilot would fly on for seconds as it
-        was commanded last, so it is asked to stop."""
+        """Release the vehicle.
+
+        PX4 notices at once that setpoints have ended. ArduPilot would fly the last setpoint for some seconds,
+        so we ask it to hold.
+        """
         heartbeat = self._own.heartbeat
         self._modes.left_in = frozenset()
         if trigger is Trigger.CHANGED:
@@ -389,7 +413,7 @@ class Control:
         ardupilot = heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
         return self._modes.let_go(asks_hold=ardupilot or not self._readiness.enabled)
 
-    # ------------------------------------------------------------ in words
+    # ------------------------------------------------------------ reasons in words
 
     def _reason(
         self,

@@ -1,4 +1,4 @@
-"""What is flown: the law with its path, the path's clock, and the heights that it is bound to."""
+"""State of one flight: the avoidance law with its path, the path's clock, and the height limits."""
 
 from __future__ import annotations
 
@@ -10,37 +10,38 @@ from companion.geometry import Vec3
 from companion.ownship import Ownship
 
 LEAST_HEIGHT_M = 15.0
-"""Above home: where no floor is given, avoidance goes no lower than this or the path's lowest point."""
+"""Default floor, above home: if no floor is configured, avoidance goes no lower than the lower of this and
+the path's lowest point."""
 LEAST_LAYER_M = 5.0
-"""Between floor and ceiling, as a configuration must leave."""
+"""Least height between floor and ceiling. The check of the configuration requires the same."""
 
 
 class Course:
-    """Of one flight at a time."""
+    """Path, path clock and home altitude of one flight at a time."""
 
     def __init__(self) -> None:
         self.law: Law | None = None
-        """None: there is no path."""
+        """Law with the path that it flies; None if there is no path."""
         self.lowest_height_m = 0.0
-        """The path's lowest point, above home."""
+        """Height of the path's lowest point above home."""
         self.start_s: float | None = None
-        """Monotonic time of the path's time 0; None: its clock has not started."""
+        """Monotonic time of the path's time 0; None if the path's clock has not started."""
         self.home_alt_msl_m = 0.0
 
     def begin(self, law: Law, home_alt_msl_m: float, start_s: float | None) -> None:
-        """A flight begins. Home stays where it is now, whatever the autopilot corrects later.
+        """Begin a flight. The home altitude stays fixed, even if the autopilot corrects it later.
 
         Args:
-            start_s: monotonic time of the path's time 0; None: it starts with `engage`.
+            start_s: monotonic time of the path's time 0; None to start the clock with `engage`.
         """
         self.law, self.home_alt_msl_m, self.start_s = law, home_alt_msl_m, start_s
 
     def end(self) -> None:
-        """The flight is over."""
+        """End the flight."""
         self.law = self.start_s = None
 
     def engage(self, now_s: float) -> None:
-        """The vehicle flies what we command: the path's clock starts, unless it runs already."""
+        """Start the path's clock, unless it runs already: the vehicle now flies our setpoints."""
         if self.start_s is None:
             self.start_s = now_s
 
@@ -50,24 +51,24 @@ class Course:
 
     @property
     def late_s(self) -> float:
-        """By how much the path has waited for the aircraft. Needs a law."""
+        """How long the path has waited for the aircraft, in seconds. Needs a law."""
         assert self.law is not None
         return self.law.late_s
 
     def point(self, now_s: float) -> Vec3:
-        """The timed path's point for now (local NED, m). Needs a law."""
+        """Point of the timed path at `now_s` (local NED, m). Needs a law."""
         assert self.law is not None
         return self.law.trajectory.position(self.path_time_s(now_s))
 
     def distance_m(self, own: Ownship, now_s: float) -> float:
-        """How far the aircraft is from that point. Needs a law."""
+        """Distance of the aircraft from the path's point at `now_s`. Needs a law."""
         return math.dist(self.point(now_s), own.position_ned_m(now_s))
 
     def floor_height_m(self, limits: LimitsConfig) -> float:
-        """Above home.
+        """Height of the floor above home: the configured one, else the default.
 
         Args:
-            limits: as configured.
+            limits: configured limits.
         """
         if limits.floor_height_m is not None:
             return limits.floor_height_m
@@ -75,8 +76,11 @@ class Course:
         return min(LEAST_HEIGHT_M, self.lowest_height_m, ceiling - LEAST_LAYER_M)
 
     def boundary_down_m(self, height_m: float | None, own: Ownship, now_s: float) -> float | None:
-        """NED down of a height above home, at the aircraft's own place: the plane of the frame is not level
-        with it far from the origin."""
+        """Convert a height above home to a NED down coordinate at the aircraft's position.
+
+        Far from the origin, the frame's tangent plane is not level with the ground below the aircraft. The
+        aircraft's own altitude is therefore the reference.
+        """
         if height_m is None or own.position is None:
             return None
         down_of_sample = own.position_ned_m(own.sample_s())[2]

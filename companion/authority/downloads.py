@@ -1,4 +1,4 @@
-"""What the vehicle itself holds of its flight, fetched: its mission and its geofence."""
+"""Downloads of the vehicle's mission and geofence."""
 
 from __future__ import annotations
 
@@ -17,90 +17,92 @@ from companion.events import (
 from companion.geofence import check_areas
 
 RETRY_S = 10.0
-"""Between two requests for the mission, and two tries of a path that was refused."""
+"""Pause between two requests for the mission, and between two attempts at a path that was refused."""
 _MISSION_FRESH_S = 1.0
 _FENCE_FRESH_S = 90.0
-"""The vehicle's fence is asked for first; the mission may take its time."""
+"""How long a downloaded fence counts as fresh. The fence is requested first, so it must stay fresh while the
+mission downloads."""
 _ANSWER_S = 75.0
-"""A download that was asked for is answered within this time, or never."""
+"""A requested download is answered within this time, or never."""
 
 
 class Downloads:
-    """Asks for them, not more often than they can be answered, and keeps what came for the plan that is made
-    at once."""
+    """Requests downloads no more often than they can be answered, and keeps the results for the next plan."""
 
     def __init__(self, terms: Terms) -> None:
         self.items: tuple[MissionItem, ...] = ()
-        """The mission as it came last."""
+        """Mission of the latest download."""
         self._terms = terms
         self._areas: tuple[FenceArea, ...] = terms.config.fence
         self._items_s = self._areas_s = -math.inf
-        """When they were downloaded: soon after, vehicle and mission may have moved on."""
+        """Times of the downloads. They are valid only for a short time, because the vehicle flies on and the
+        mission may change."""
         self._asked_s = -math.inf
-        """When a download was asked for that has not been answered."""
+        """Time of a request that has not been answered yet."""
         self._tried_s = -math.inf
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
-        """Keep the mission that came."""
+        """Keep a downloaded mission."""
         self.items, self._items_s = event.items, now_s
         self.hurry()
 
     def take_fence(self, event: FenceDownloaded, now_s: float) -> None:
-        """Keep the geofence that came."""
+        """Keep a downloaded geofence."""
         self._areas, self._areas_s = event.areas, now_s
         self.hurry()
 
     def refused(self, reason: str) -> list[Command]:
-        """What was asked for will not come; it is asked for again later. Returns what is to be said."""
+        """Handle a failed download; it is requested again later. Returns messages for the pilot."""
         self._asked_s = -math.inf
         return self._terms.refuse(reason)
 
     def forget(self) -> None:
-        """The next plan begins with what is fetched anew."""
+        """Discard all downloads, so that the next plan fetches them again."""
         self.items = ()
         self._items_s = self._areas_s = self._tried_s = -math.inf
 
     def outdate_mission(self) -> None:
-        """The mission is fetched anew, without a pause; until then the last one is kept."""
+        """Fetch the mission again without a pause. The last one is kept until then."""
         self._items_s = self._tried_s = -math.inf
 
     def hurry(self) -> None:
-        """The next request needs no pause, also where an answer is still due."""
+        """Allow the next request without a pause, even if an answer is still due."""
         self._asked_s = self._tried_s = -math.inf
 
     def may_try(self, now_s: float) -> bool:
-        """The pause since the last try is over; this is one, and the next pause begins."""
+        """Whether the pause since the last attempt is over. If so, this call counts as an attempt and starts
+        the next pause."""
         if now_s - self._tried_s < RETRY_S:
             return False
         self._tried_s = now_s
         return True
 
     def mission_is_fresh(self, now_s: float) -> bool:
-        """The mission came just now."""
+        """Whether the mission was downloaded within the last second."""
         return now_s - self._items_s <= _MISSION_FRESH_S
 
     def ask_mission(self, now_s: float) -> list[Command]:
-        """Ask for the mission."""
+        """Request the mission."""
         return self._ask(DownloadMission(), now_s)
 
     def ask_fence(self, now_s: float) -> list[Command] | None:
-        """Ask for the fence; None: there is none to ask for, or it has just come."""
+        """Request the vehicle's fence. Returns None if it is not configured to be used, or is still fresh."""
         if self._terms.config.limits.fence != "vehicle" or now_s - self._areas_s <= _FENCE_FRESH_S:
             return None
         return self._ask(DownloadFence(), now_s)
 
     def _ask(self, command: Command, now_s: float) -> list[Command]:
-        """Not again while it may be under way: the link would begin anew."""
+        """Request a download, unless one may still be in progress: the link would start it again."""
         if now_s - self._asked_s < _ANSWER_S:
             return []
         self._asked_s = now_s
         return [command]
 
     def areas(self) -> tuple[FenceArea, ...]:
-        """The fence that is to be kept.
+        """Areas of the fence that applies.
 
         Raises:
-            ConfigError: it cannot be kept.
+            ConfigError: an area is invalid.
         """
         check_areas(self._areas)
         return self._areas

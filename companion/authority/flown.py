@@ -1,8 +1,8 @@
-"""The path that is flown: where it comes from, when its clock starts, what it is anchored to.
+"""The path that the companion flies (`flight.use = "fly"`): its source, clock and reference points.
 
-A plan is made when the vehicle is otherwise ready to be taken, in the air: home, UTC and the place where a
-mission begins are those of that moment and stay for the flight, whatever the autopilot corrects later.
-Landing ends it.
+A plan is made in the air, when the vehicle is ready to be taken in all other respects. Home, UTC and the
+start position of a mission are those of that moment. They stay fixed for the flight, even if the autopilot
+corrects them later. Landing ends the plan.
 """
 
 from __future__ import annotations
@@ -35,34 +35,37 @@ class FlownPlan:
         self.downloads = Downloads(self.terms)
         self.course = Course()
         self._flown: tuple[MissionItem, ...] = ()
-        """The mission that the path was made of."""
+        """Mission from which the path was made."""
         self._given_back = False
-        """The pilot gave the vehicle back: the mission is to be compared before it is flown on."""
+        """The pilot gave the vehicle back, so the mission must be compared before it is flown on."""
         self._changed: tuple[MissionItem, ...] = ()
-        """A mission that the pilot changed in flight: not to be begun from GUIDED or HOLD."""
+        """Mission that was changed while the pilot flew. It must not be started from GUIDED or HOLD."""
         self._checked: bool | None = None
-        """Whether it was armed when its mission was last checked on the ground."""
+        """Whether the vehicle was armed when its mission was last checked on the ground; None if never."""
         self._check_s = -math.inf
-        """When it was last asked for to be checked."""
+        """Time of the last request for a mission to check on the ground."""
 
     @property
     def ready(self) -> bool:
-        """There is a path, and nothing is to be asked about it."""
+        """True if there is a path and no comparison of the mission is pending."""
         return self.course.law is not None and not self._given_back
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
-        """Keep the downloaded mission for the plan that is made at once."""
+        """Keep the downloaded mission for the plan that is made next."""
         self.downloads.take_mission(event, now_s)
 
     def drop(self) -> None:
-        """The flight is over: the next one begins with a new plan."""
+        """End the flight. The next one begins with a new plan."""
         self.course.end()
         self.downloads.forget()
         self._given_back, self._changed = False, ()
 
     def check(self, own: Ownship, now_s: float) -> list[Command]:
-        """On the ground: say what of the vehicle's mission cannot be flown, once it is found and once more
-        when it is armed. The flight itself fetches it anew."""
+        """On the ground, report what in the vehicle's mission cannot be flown.
+
+        This is done when the vehicle is found and again when it is armed. The flight fetches the mission
+        again.
+        """
         flight = self.terms.config.flight
         if flight.use != "fly" or flight.trajectory != "mission" or self._checked == own.armed:
             return []
@@ -87,7 +90,7 @@ class FlownPlan:
             )
             whole = local_path(path, own.frame, home)
             if len(whole.times_s) > 2:
-                # The first leg begins where the vehicle is taken, which is not here.
+                # Leave out the first leg: it begins where the vehicle is taken, which is not known yet.
                 flown = Trajectory(whole.times_s[1:], whole.points_ned_m[1:])
                 check_speeds(flown, self.terms.config.limits, vehicle=self.terms.vehicle)
                 walls_of(self.downloads.areas(), own.frame, flown, own.sigma_m)
@@ -96,7 +99,7 @@ class FlownPlan:
         return []
 
     def prepare(self, own: Ownship, now_s: float) -> list[Command]:
-        """Make the plan for a vehicle that could be taken now; a refused one is tried again later."""
+        """Make the plan for a vehicle that could be taken now. A refused plan is tried again later."""
         if self.course.law is not None:
             return self._compare(own, now_s) if self._given_back else []
         if not self.downloads.may_try(now_s):
@@ -115,7 +118,7 @@ class FlownPlan:
             return self.terms.refuse(str(error))
 
     def _compare(self, own: Ownship, now_s: float) -> list[Command]:
-        """Fly the mission on if it is still the same; a changed one is not resumed."""
+        """Continue the mission if it is unchanged. A changed mission is not resumed."""
         if not self.downloads.mission_is_fresh(now_s):
             return self.downloads.ask_mission(now_s) if self.downloads.may_try(now_s) else []
         items = self.downloads.items
@@ -127,7 +130,7 @@ class FlownPlan:
         return self.terms.refuse(_CHANGED)
 
     def _from_mission(self, own: Ownship) -> TrajectoryFile | None:
-        """The downloaded mission from where the vehicle is; None while it is not known where that is in it.
+        """Path of the downloaded mission from the vehicle's position; None while the current item is unknown.
 
         Raises:
             ConfigError: the mission cannot be flown.
@@ -145,7 +148,7 @@ class FlownPlan:
             max_descent_mps=self.terms.limits.max_descent_mps,
             start=(position.lat_deg, position.lon_deg, position.height_above_home_m),
             home_alt_msl_m=home,
-            # A mission that is being flown goes on; one that is not begins at its beginning.
+            # A mission in progress continues at its current item; any other starts at its beginning.
             first_seq=own.mission_seq if flying else None,
         )
 
@@ -176,12 +179,14 @@ class FlownPlan:
         return []
 
     def engage(self, now_s: float) -> None:
-        """The vehicle flies what we command: the path's clock starts, unless it runs already."""
+        """Start the path's clock, unless it runs already: the vehicle now flies our setpoints."""
         self.course.engage(now_s)
 
     def resume(self, own: Ownship, now_s: float) -> None:
-        """The pilot gives the vehicle back in flight: go on from the nearest point of the path; of the
-        vehicle's mission only when that is still the same."""
+        """Continue from the nearest point of the path after the pilot gave the vehicle back in flight.
+
+        A path that was made from the vehicle's mission continues only if the mission is unchanged.
+        """
         if self.course.law is None:
             return
         if self.terms.config.path is None:
@@ -197,11 +202,14 @@ class FlownPlan:
             self.course.start_s = now_s - nearest_s
 
     def near(self, own: Ownship, now_s: float) -> bool:
-        """Near enough to that point to be taken. Needs a law."""
+        """Whether the aircraft is near enough to the path's point to be taken. Needs a law."""
         return self.course.distance_m(own, now_s) <= self.terms.config.flight.start_within_m
 
     def remake(self, own: Ownship) -> bool:
-        """A mission that the vehicle itself has flown on meanwhile is planned anew from where it is."""
+        """Drop the path if the vehicle flies its mission itself, so that a new one starts at its position.
+
+        Returns whether the path was dropped.
+        """
         if self.terms.config.path is not None or own.mode is not FlightMode.MISSION:
             return False
         self.drop()

@@ -1,9 +1,9 @@
-"""The path of a vehicle that flies its own mission and is only guarded.
+"""The path of a vehicle that flies its own mission and is only guarded (`flight.use = "guard"`).
 
-While the autopilot flies, the path is the velocity that it flies, whatever item that is of. When the
-companion takes over, it is the straight way from there to the place of the mission's item, at the speed flown
-until then, so that what is given back is the same item; where the item has no place (a delay, a return, a
-landing), it is the point where the vehicle was taken.
+While the autopilot flies, the path extends the vehicle's current velocity, whichever mission item that
+belongs to. When the companion takes over, the path is a straight line from there to the position of the
+mission's current item, at the speed flown until then, so that the vehicle is handed back at the same item. If
+the item has no position (a delay, a return, a landing), the path is the point where the vehicle was taken.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from companion.geometry import LocalFrame, Vec3
 from companion.ownship import Ownship
 
 _AHEAD_S = 60.0
-"""How long a path is that goes on as the vehicle flies now."""
+"""Length in time of a path that extends the vehicle's current velocity."""
 _BEFORE_S = 10.0
-"""A path begins so long before now, as the vehicle flies: the law takes a path's velocity on average over a
-while (`kernels.S_TURN`), and before its beginning a path stands still."""
+"""How long before now a path begins, extended backwards along the vehicle's velocity. The law averages a
+path's velocity over a window (`kernels.S_TURN`), and a path has no velocity before its beginning."""
 _LEAST_SPEED_MPS = 1.0
-"""On the way back to the item's place, of a vehicle that stood or had only begun to move."""
+"""Lowest speed on the way to the item's position, for a vehicle that stood or had only begun to move."""
 _HERE_M = 0.5
 _STAY_S = 1.0
 
@@ -38,10 +38,10 @@ _STAY_S = 1.0
 class GuardPlan:
     """Path, law and path clock of a guarded mission.
 
-    The mission is fetched when the vehicle begins to fly it, and again when its item number goes back or
-    MISSION_CURRENT tells of another one. That is not all: ArduPilot says nothing of a mission with as many
-    items that comes on another link. So it is fetched once more when the vehicle is taken, and before it is
-    given back: one that was changed in between is not resumed.
+    The mission is fetched when the vehicle begins to fly it. It is fetched again when its item number goes
+    back or MISSION_CURRENT reports another mission. That is not enough: ArduPilot does not report a new
+    mission with the same number of items that was uploaded on another link. So the mission is also fetched
+    when the vehicle is taken and before it is handed back. A mission that changed in between is not resumed.
     """
 
     def __init__(self, config: Config) -> None:
@@ -49,41 +49,41 @@ class GuardPlan:
         self.downloads = Downloads(self.terms)
         self.course = Course()
         self.changed = False
-        """The mission is another than when the vehicle was taken."""
+        """The mission differs from the one when the vehicle was taken."""
         self.ended = False
-        """The mission was complete when the vehicle was taken."""
+        """The mission was complete when the vehicle was taken, or has been completed since."""
         self._flown: tuple[MissionItem, ...] = ()
-        """The mission that the vehicle flies."""
+        """Mission that the vehicle flies."""
         self._fetched = self._comparing = False
         self._compared_s = -math.inf
-        """When it was last found to be the same."""
+        """Time of the last comparison with the mission that the vehicle holds."""
         self._stale = False
-        """What was fetched may not be what the vehicle flies: it is to be fetched anew."""
+        """The fetched mission may not be the one that the vehicle flies; it must be fetched again."""
         self._judged: tuple[MissionItem, ...] | None = None
-        """The mission whose speed was last compared with the limit."""
+        """Mission whose speed was last compared with the limit."""
         self._seq = 0
-        """Item that the vehicle was at."""
+        """Mission item at the last call of `watch`."""
         self._mark: tuple[int, int] | None = None
-        """What it told of its mission (`Ownship.mission_mark`)."""
+        """Mission mark (`Ownship.mission_mark`) at the last call of `watch`."""
         self._led: tuple[tuple[MissionItem, ...], int | None] = (), None
-        """The mission and the item that the path leads to."""
+        """Mission and item number to which the path leads."""
         self._speed_mps = 0.0
-        """Flown when the vehicle was taken."""
+        """Speed of the vehicle when it was taken."""
 
     @property
     def ready(self) -> bool:
-        """There is a law, and what the mission is is known."""
+        """True if there is a law and the mission is known."""
         return self.course.law is not None and self._fetched
 
     def drop(self) -> None:
-        """The flight is over, or another mission is to be flown."""
+        """End the flight, or prepare for another mission."""
         self.course.end()
         self.downloads.forget()
         self._fetched = self._comparing = self.changed = self._stale = False
         self._mark, self._compared_s = None, -math.inf
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
-        """What the vehicle flies, or whether it is still that."""
+        """Take in a downloaded mission: as the one that is flown, or for comparison with it."""
         self.downloads.take_mission(event, now_s)
         if self._comparing:
             self.changed, self._compared_s = event.items != self._flown, now_s
@@ -92,11 +92,11 @@ class GuardPlan:
         self._fetched, self._comparing = True, False
 
     def check(self, own: Ownship, now_s: float) -> list[Command]:
-        """Whatever the mission is, it can be guarded."""
+        """Do nothing: any mission can be guarded."""
         return []
 
     def prepare(self, own: Ownship, now_s: float) -> list[Command]:
-        """Make a law for a vehicle that could be watched now; a refused one is tried again later."""
+        """Make a law for a vehicle that could be watched now. A refused one is tried again later."""
         if self.course.law is not None and self._fetched:
             return []
         if not self.downloads.may_try(now_s):
@@ -123,9 +123,11 @@ class GuardPlan:
         return []
 
     def watch(self, own: Ownship, now_s: float) -> list[Command]:
-        """The path is what the vehicle flies. Needs a law. Returns what is to be said and asked: an item
-        number that went back is that of another mission, or of a jump; what marks the mission tells of
-        another one."""
+        """Update the path to the vehicle's current velocity, and detect a new mission. Needs a law.
+
+        The mission is fetched again if its item number went back (another mission, or a jump) or if its mark
+        changed (another mission). Returns requests and messages.
+        """
         assert self.course.law is not None
         here, v = own.position_ned_m(now_s), own.velocity_ned_mps
         self.course.law.follow(
@@ -140,7 +142,7 @@ class GuardPlan:
         return [*self._tell_fast(), *self._fetch(now_s)]
 
     def _tell_fast(self) -> list[Command]:
-        """Once: it is slowed down as it is taken."""
+        """Warn once if the mission is faster than our limit: taking the vehicle would slow it down."""
         if self.terms.vehicle is None or self._judged is self._flown:
             return []
         self._judged = self._flown
@@ -148,7 +150,7 @@ class GuardPlan:
         return [] if text is None else self.terms.warn([text])
 
     def _renew(self) -> None:
-        """The mission is to be fetched anew, at once, also where it is being fetched."""
+        """Fetch the mission again at once, even if a download is in progress."""
         self._stale = True
         self.downloads.hurry()
 
@@ -158,8 +160,11 @@ class GuardPlan:
         return self.downloads.ask_mission(now_s)
 
     def leave(self, own: Ownship, now_s: float) -> None:
-        """The vehicle is taken: its path is the way to its mission's item; of a mission that is not known, to
-        where it is. Needs a law."""
+        """Take the vehicle from its mission. Needs a law.
+
+        The path leads to the mission's current item. If the mission is not known, the path stays at the
+        vehicle's position.
+        """
         self._speed_mps = math.hypot(*own.velocity_ned_mps)
         self._follow(own, now_s)
         self._comparing, self.changed, self._compared_s = False, False, -math.inf
@@ -167,8 +172,10 @@ class GuardPlan:
         self._renew()
 
     def lead(self, own: Ownship, now_s: float) -> list[Command]:
-        """The vehicle is flown: its path leads to the item that it is at, once that is known to be another.
-        Returns what is to be asked. Needs a law."""
+        """While we control the vehicle, lead the path to the mission's current item if that has changed.
+
+        Returns requests. Needs a law.
+        """
         if not self._stale and self._led != (self._flown, own.mission_seq):
             self._follow(own, now_s)
         return self._fetch(now_s)
@@ -188,23 +195,26 @@ class GuardPlan:
         self._led = ((), None) if self._stale else (self._flown, own.mission_seq)
 
     def near(self, own: Ownship, now_s: float) -> bool:
-        """The way begins where the vehicle is."""
+        """Return True: the path begins at the vehicle."""
         return True
 
     def remake(self, own: Ownship) -> bool:
-        """It is never too far away."""
+        """Return False: the path is never too far away."""
         return False
 
     def engage(self, now_s: float) -> None:
-        """The clock runs since the vehicle was taken: it is flying."""
+        """Do nothing: the path's clock has run since the vehicle was taken."""
 
     def resume(self, own: Ownship, now_s: float) -> None:
-        """The pilot gives authority anew: what he flies is fetched anew."""
+        """Drop the plan when the pilot gives authority again, so that his mission is fetched again."""
         self.drop()
 
     def give_back(self, own: Ownship, now_s: float) -> tuple[bool | None, list[Command]]:
-        """Whether the mission may be resumed: True; False: it may not (`why_not`); None: not known yet, with
-        what is to be asked."""
+        """Decide whether the mission may be resumed, and request what that needs.
+
+        Returns:
+            True if it may be resumed, False if not (see `why_not`), None if not known yet; and requests.
+        """
         self.ended = self.ended or own.mission_complete
         if self.why_not is not None:
             return False, []
@@ -217,8 +227,10 @@ class GuardPlan:
 
     @property
     def why_not(self) -> str | None:
-        """Why the mission is not resumed, in words; None: nothing is known against it. ArduPilot would fly a
-        complete one, and with MIS_RESTART any, again from its beginning."""
+        """Why the mission may not be resumed, in words; None if there is no known reason.
+
+        ArduPilot would restart a complete mission, and with MIS_RESTART = 1 any mission, from its beginning.
+        """
         if self.ended:
             return "the mission had come to its end"
         if self.changed:
@@ -226,16 +238,16 @@ class GuardPlan:
         return None if self.terms.vehicle is None else restarting(self.terms.vehicle)
 
     def mission_speed_mps(self, own: Ownship) -> float | None:
-        """What the mission has asked for; None: the vehicle's own speed, or it is not known which."""
+        """Speed that the mission has set; None if it has set none or the speed is ambiguous."""
         speeds = self._speeds(own)
         return next(iter(speeds)) if len(speeds) == 1 else None
 
     def speed_is_open(self, own: Ownship) -> bool:
-        """The mission jumps: which of its speeds holds is not known."""
+        """Whether a jump in the mission makes it unknown which of its speeds applies."""
         return len(self._speeds(own)) > 1
 
     def _speeds(self, own: Ownship) -> frozenset[float | None]:
-        """ArduPilot returns home at its own speed, whatever was asked for before."""
+        """Mission speeds that may apply at the current item. ArduPilot returns home at its own speed."""
         item = self._item(own)
         if item is None or item.command == NAV_RETURN_TO_LAUNCH:
             return frozenset()
@@ -257,7 +269,7 @@ def _standing(here: Vec3) -> Trajectory:
 
 
 def _way(here: Vec3, velocity: Vec3, there: Vec3, speed_mps: float, limits: LimitsConfig) -> Trajectory:
-    """Straight there, at the speed as far as the limits allow, from how the vehicle flies now."""
+    """Straight path to `there` that continues the current velocity, at `speed_mps` as limits allow."""
     length, down = math.dist(here, there), there[2] - here[2]
     if length < _HERE_M:
         return _standing(here)

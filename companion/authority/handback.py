@@ -1,4 +1,4 @@
-"""A guarded vehicle is given back to its mission: when it may be, whether it was, and what is told of it."""
+"""Hands a guarded vehicle back to its mission, and reports whether that was allowed and succeeded."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from companion.events import Command, Firmware, FlightMode, Heartbeat, Say, SetM
 from companion.ownship import Ownship
 
 _OBEYS_S = 8.0
-"""For this long after the mission was asked for, the vehicle may still obey; then it is asked again."""
+"""How long after a request for the mission's mode the vehicle may still obey. Then it is asked again."""
 _UNREAD_S = 90.0
-"""A mission that could not be fetched for so long, with the vehicle ready to be given back, is not resumed:
-longer than one download may take."""
+"""If the mission cannot be fetched for this long while the vehicle is ready to be handed back, it is not
+resumed. This is longer than one download may take."""
 _RETAKEN_S = 60.0
-"""A guarded vehicle that is taken again within this time after it was given back, as what its mission flies
-next leads into somebody, or as one after another crosses, is given back later: after twice as long without a
-conflict each time."""
+"""If a guarded vehicle is taken again within this time after it was handed back, the time without a conflict
+that the next handback requires is doubled. This happens when the mission leads into another aircraft, or when
+several aircraft cross one after another."""
 _LONGEST_PATIENCE_S = 60.0
 
 
 class HandBack:
-    """Hands the mission back, each time that the vehicle was taken from it.
+    """Hands the mission back to the autopilot each time the vehicle was taken from it.
 
     Args:
-        clear_after_s: without a conflict for so long, there is none any more.
+        clear_after_s: time without a conflict after which a conflict counts as over.
     """
 
     def __init__(self, guard: GuardPlan, own: Ownship, clear_after_s: float) -> None:
@@ -35,21 +35,21 @@ class HandBack:
         self._own = own
         self._clear_after_s = clear_after_s
         self._asked_s = -math.inf
-        """When the vehicle was last asked to fly its mission on."""
+        """Time of the last request to resume the mission."""
         self._recalled = False
-        """Since then it was asked for our mode again, as somebody came."""
+        """Since that request we asked for our mode again, because of a new conflict."""
         self._resumed_s = -math.inf
-        """When it last did."""
+        """Time at which the vehicle last resumed its mission."""
         self._patience_s = 0.0
-        """A vehicle that was taken again is not given back before so long without a conflict."""
+        """Time without a conflict that the next handback requires, after the vehicle was taken again."""
         self._unread_s = math.inf
-        """Since when the vehicle could be given back, if its mission were known to be the same."""
+        """Time since which only the comparison of the mission has kept us from handing the vehicle back."""
         self._taken_s = -math.inf
         self._off_m = 0.0
-        """Farthest from the way to the mission's item since then."""
+        """Largest distance from the path to the mission's item since the vehicle was taken."""
 
     def begin(self, now_s: float) -> list[Command]:
-        """The vehicle is taken from its mission."""
+        """Take the vehicle from its mission. Returns messages for the pilot."""
         self._guard.leave(self._own, now_s)
         self._taken_s, self._off_m = now_s, 0.0
         self._asked_s = -math.inf
@@ -62,20 +62,22 @@ class HandBack:
         return [Say(severity=Severity.NOTICE, text=text)]
 
     def note_way(self, now_s: float) -> None:
-        """The vehicle is flown: how far off its way it is. Needs a law."""
+        """Update the largest distance from the path while we control the vehicle. Needs a law."""
         assert self._guard.course.law is not None
         here = self._own.position_ned_m(now_s)
         _, nearest = self._guard.course.law.trajectory.nearest(here)
         self._off_m = max(self._off_m, math.dist(nearest, here))
 
     def ask(self, now_s: float, clear_s: float) -> tuple[list[Command], bool]:
-        """On the path, and no conflict: the mission goes on, if it is still the same.
+        """Ask the vehicle to resume its mission, if the mission is unchanged.
+
+        Call this while the vehicle is on its path without a conflict.
 
         Args:
-            clear_s: for how long there has been no conflict.
+            clear_s: time since the last conflict.
 
         Returns:
-            What is to be asked; and whether the mission is not to be resumed (`why_not`).
+            Requests, and True if the mission must not be resumed at all (see `why_not`).
         """
         if self.asked(now_s) or clear_s < self._patience_s:
             return [], False
@@ -88,7 +90,7 @@ class HandBack:
         return commands, same is False or now_s - self._unread_s >= _UNREAD_S
 
     def triggers(self, shown: Sequence[Heartbeat], now_s: float) -> Found:
-        """What the modes that the vehicle showed, in the order of arrival, say about its mission."""
+        """Triggers that follow from the reported modes, given in the order of arrival."""
         if not shown:
             return {}
         found: Found = {}
@@ -98,47 +100,53 @@ class HandBack:
         if self.ended(shown[-1], now_s):
             found[Trigger.ENDED] = shown[-1]
         elif shown[-1].mode is FlightMode.MISSION and self.asked(now_s):
-            # Not before it was asked for: the vehicle may be in our mode already, and not have said so.
+            # Only after the request: before it, the vehicle may be in our mode already without having
+            # reported that yet.
             found[Trigger.RESUMED] = None
         return found
 
     def interrupted(self) -> None:
-        """The state has changed: a mission that cannot be read is waited for anew."""
+        """Restart the wait for an unreadable mission, because the authority state has changed."""
         self._unread_s = math.inf
 
     def asked(self, now_s: float) -> bool:
-        """The vehicle was asked to fly its mission on, and may still obey."""
+        """Whether the vehicle was asked to resume its mission and may still obey."""
         return now_s - self._asked_s < _OBEYS_S
 
     def recall(self, now_s: float) -> list[Command]:
-        """There is a conflict again. The mission may still be entered: what was asked for last counts.
-        Returns what is to be asked."""
+        """Ask for our mode again after a new conflict. Returns requests.
+
+        The vehicle may still enter the mission's mode, so our mode must be the latest request.
+        """
         if not self.asked(now_s):
             return []
         self._recalled = True
         return [SetMode(mode=FlightMode.EXTERNAL)]
 
     def obeyed(self, heartbeat: Heartbeat, now_s: float) -> bool:
-        """The mode that the vehicle shows is what was asked for, or the mission's end."""
+        """Whether the reported mode follows from our request: the mission's mode, or the hold at its end."""
         on_mission = heartbeat.mode is FlightMode.MISSION
         return (on_mission and self.asked(now_s)) or self.ended(heartbeat, now_s)
 
     def done(self, heartbeat: Heartbeat, now_s: float) -> bool:
-        """The same, where nothing else was asked for since: the vehicle is its mission's again."""
+        """Whether the handback succeeded: the vehicle obeyed, and we asked for nothing else since."""
         return not self._recalled and self.obeyed(heartbeat, now_s)
 
     def ended(self, heartbeat: Heartbeat, now_s: float) -> bool:
-        """The mission came to its end as it was given back."""
+        """Whether the mission ended just as it was handed back."""
         return self.ends_in_hold(heartbeat, now_s) and self._own.mission_complete
 
     def ends_in_hold(self, heartbeat: Heartbeat, now_s: float) -> bool:
-        """The vehicle holds, as PX4 does after a mission's last item, and its mission was just given back.
-        Whether that was done is told by MISSION_CURRENT, which may come later."""
+        """Whether PX4 reports a hold just after the mission was handed back.
+
+        PX4 holds after the last item of a mission. MISSION_CURRENT, which may arrive later, tells whether the
+        mission is complete.
+        """
         holds = heartbeat.firmware is Firmware.PX4 and heartbeat.mode is FlightMode.HOLD
         return holds and self.asked(now_s)
 
     def resumed(self, now_s: float) -> list[Command]:
-        """The vehicle flies its mission on: at which speed."""
+        """Note that the vehicle has resumed its mission. Returns the speed to request, or a warning."""
         self._resumed_s = now_s
         speed_mps = self._forgotten_speed_mps()
         if speed_mps is not None:
@@ -151,18 +159,21 @@ class HandBack:
         return [Say(severity=Severity.WARNING, text=text)]
 
     def _forgotten_speed_mps(self) -> float | None:
-        """The mission's own speed. It must come right behind the request for the mission's mode: a leg that
-        was begun at the vehicle's own speed overshoots it by metres a second."""
+        """Speed set by the mission, if the vehicle forgets it.
+
+        It must be sent right after the request for the mission's mode. A leg that begins at the vehicle's own
+        speed overshoots the mission's speed by metres per second.
+        """
         return self._guard.mission_speed_mps(self._own) if self._forgets_speed else None
 
     @property
     def _forgets_speed(self) -> bool:
-        """ArduPilot does, when the mission's mode is entered."""
+        """Whether the vehicle forgets the mission's speed: ArduPilot does when it enters AUTO."""
         heartbeat = self._own.heartbeat
         return heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
 
     def how(self, now_s: float) -> str:
-        """The vehicle flies its mission on: what came in between, in words."""
+        """Report, in words, that the mission was resumed: after how long and how far off its path."""
         return (
             f"the vehicle flies its mission on at item {self._own.mission_seq}, taken for "
             f"{now_s - self._taken_s:.0f} s, {self._off_m:.0f} m off its way at most"
@@ -170,7 +181,7 @@ class HandBack:
 
     @property
     def why_not(self) -> str:
-        """Why the mission is not resumed, and what is left to the pilot, in words. Needs a heartbeat."""
+        """Why the mission is not resumed and what the pilot can do, in words. Needs a heartbeat."""
         assert self._own.heartbeat is not None
         why = self._guard.why_not or f"the vehicle's mission could not be read for {_UNREAD_S:g} s"
         dialect = DIALECTS[self._own.heartbeat.firmware]

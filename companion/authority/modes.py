@@ -1,4 +1,4 @@
-"""Which of the vehicle's modes are by our doing, and how it comes into the one that takes setpoints."""
+"""Tells modes that we commanded from modes that the pilot selected, and gets the vehicle into ours."""
 
 from __future__ import annotations
 
@@ -9,41 +9,41 @@ from companion.events import Command, FlightMode, Heartbeat, SetMode
 from companion.ownship import Ownship
 
 _STREAM_FIRST_S = 0.5
-"""PX4 enters OFFBOARD only while setpoints already stream."""
+"""How long setpoints stream before the mode is requested: PX4 enters OFFBOARD only if they already stream."""
 
 
 class OurModes:
-    """Of one vehicle.
+    """Modes of one vehicle that result from our commands.
 
     Args:
-        handback: of a mission that is guarded; None: none is.
+        handback: hands a guarded mission back; None if no mission is guarded.
     """
 
     def __init__(self, own: Ownship, handback: HandBack | None) -> None:
         self.left_in: frozenset[FlightMode] = frozenset()
-        """Modes that the vehicle may be in by our own doing, after a fault ended our flight."""
+        """Modes that the vehicle may be in because of our own commands after a fault ended our control."""
         self.confirmed = False
-        """It has shown the mode in which it flies what we command."""
+        """The vehicle has reported our mode, the one in which it flies setpoints."""
         self._own = own
         self._handback = handback
         self._stream_s: float | None = None
-        """Since when setpoints stream, while the mode has not been asked for."""
+        """Start of the setpoint stream; None once the mode has been requested."""
         self._custom_before: int | None = None
         self._shown = False
-        """That mode was shown since it was sought, if only for a moment."""
+        """Our mode has been reported, if only for a moment, since `seek`."""
 
     def seek(self, now_s: float) -> None:
-        """Our mode is to be entered, from the one that the vehicle is in."""
+        """Start to bring the vehicle from its present mode into ours."""
         heartbeat = self._own.heartbeat
         self.confirmed, self._shown, self._stream_s = False, False, now_s
         self._custom_before = None if heartbeat is None else heartbeat.custom_mode
 
     def keep(self, now_s: float) -> list[Command]:
-        """Setpoints stream: get the vehicle to take them. Returns what is to be asked."""
+        """Get the vehicle into our mode, and keep it there, while setpoints stream. Returns requests."""
         if self._own.mode is FlightMode.EXTERNAL:
             self.confirmed = True
         elif self.confirmed:
-            # The mission that was asked for is entered after all, and there is a conflict again.
+            # The vehicle has entered the requested mission after all, but there is a new conflict.
             self.seek(now_s)
         elif self._stream_s is not None and now_s - self._stream_s >= _STREAM_FIRST_S:
             self._stream_s = None
@@ -51,31 +51,33 @@ class OurModes:
         return []
 
     def judge(self, shown: Sequence[Heartbeat], now_s: float, held: bool) -> Heartbeat | None:
-        """Take in what the vehicle showed, in the order of arrival: each mode counts, whatever follows it.
+        """Take in the reported modes, in the order of arrival. Each mode counts, whichever follows it.
 
         Args:
-            held: the vehicle is ours to command.
+            held: we control the vehicle.
 
         Returns:
-            The first that shows a mode which we did not command; None: none does.
+            The first heartbeat with a mode that we did not command; None if there is none.
         """
         found, gone = None, False
         for heartbeat in shown:
             if heartbeat.mode not in self.left_in:
-                # What a fault left the vehicle in is forgotten once it has left that.
+                # The vehicle has left the modes in which a fault left it.
                 self.left_in = frozenset()
             ours = heartbeat.mode is FlightMode.EXTERNAL
             if found is None and (gone if ours else self._not_ours(heartbeat, now_s)):
                 found = heartbeat
             if held:
                 self._shown = self._shown or ours
-                # The mission that was given back is flown: who selects our mode now is not us.
+                # The vehicle flies its mission again: if our mode appears now, the pilot selected it.
                 gone = gone or (self._handback is not None and self._handback.done(heartbeat, now_s))
         return found
 
     def _not_ours(self, heartbeat: Heartbeat, now_s: float) -> bool:
-        """A mode that we did not command: any but the one we asked for and, until that is shown, the one we
-        took the vehicle from."""
+        """Whether we did not command this mode.
+
+        Ours are the requested mode and, until that is reported, the mode from which we take the vehicle.
+        """
         if heartbeat.mode in self.left_in:
             return False
         if self._handback is not None and self._handback.obeyed(heartbeat, now_s):
@@ -83,15 +85,15 @@ class OurModes:
         return not self.being_taken(heartbeat)
 
     def being_taken(self, heartbeat: Heartbeat) -> bool:
-        """The vehicle shows the mode that we are taking it from, and has not yet shown ours."""
+        """Whether this is the mode from which we take the vehicle, and ours has not been reported yet."""
         sought = not self.confirmed and not self._shown
         return sought and heartbeat.custom_mode == self._custom_before
 
     def let_go(self, *, asks_hold: bool) -> list[Command]:
-        """A fault ends our flight: what the vehicle may be in from now on.
+        """Note the modes in which a fault leaves the vehicle. Returns requests.
 
         Args:
-            asks_hold: where it is in our mode, it is asked to hold.
+            asks_hold: ask the vehicle to hold if it is in our mode.
         """
         mode = self._own.mode
         if mode is FlightMode.EXTERNAL:
@@ -100,6 +102,6 @@ class OurModes:
                 self.left_in |= {FlightMode.HOLD}
                 return [SetMode(mode=FlightMode.HOLD)]
         elif mode is not None and not self.confirmed:
-            # Our mode may be entered unseen.
+            # The vehicle may enter our mode without our seeing it.
             self.left_in = frozenset({mode, FlightMode.EXTERNAL})
         return []

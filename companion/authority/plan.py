@@ -1,4 +1,4 @@
-"""What the heart needs of a plan, be it flown by the companion or by the autopilot."""
+"""Interface of a flight plan, whether the companion or the autopilot flies it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from companion.ownship import Ownship
 
 
 class Plan(Protocol):
-    """Where the path comes from, and whether it may be flown now."""
+    """Source of the path, and whether it may be flown now."""
 
     terms: Terms
     downloads: Downloads
@@ -23,33 +23,33 @@ class Plan(Protocol):
 
     @property
     def ready(self) -> bool:
-        """There is a path, and nothing is to be asked about it."""
+        """True if there is a path and nothing about it needs to be requested."""
 
     def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
-        """The vehicle's mission has come."""
+        """Take in the vehicle's downloaded mission."""
 
     def check(self, own: Ownship, now_s: float) -> list[Command]:
-        """On the ground: what of the vehicle's mission cannot be flown. Returns what is to be asked, said."""
+        """On the ground, check whether the vehicle's mission can be flown. Returns requests and messages."""
 
     def prepare(self, own: Ownship, now_s: float) -> list[Command]:
-        """Make the path for a vehicle that could be taken now. Returns what is to be asked and said."""
+        """Make the path for a vehicle that could be taken now. Returns requests and messages."""
 
     def near(self, own: Ownship, now_s: float) -> bool:
-        """The aircraft is near enough to the path to be taken. Needs a law."""
+        """Whether the aircraft is near enough to the path to be taken. Needs a law."""
 
     def remake(self, own: Ownship) -> bool:
-        """Drop a path that is too far away, where another one can be made; whether that was done."""
+        """Drop a path that is too far away if another one can be made. Returns whether it was dropped."""
 
     def engage(self, now_s: float) -> None:
-        """The vehicle flies what we command."""
+        """Note that the vehicle now flies our setpoints."""
 
     def resume(self, own: Ownship, now_s: float) -> None:
-        """The pilot gives authority anew."""
+        """Continue after the pilot has given authority again."""
 
     def drop(self) -> None:
-        """The flight is over, or another path is to be flown: the next one is planned anew."""
+        """Drop the path at the end of a flight, or before another one is planned."""
 
 
 def plan_of(config: Config) -> FlownPlan | GuardPlan:
-    """The plan that `flight.use` asks for."""
+    """Plan of the kind that `flight.use` selects."""
     return GuardPlan(config) if config.flight.use == "guard" else FlownPlan(config)

@@ -1,4 +1,4 @@
-"""Whether the vehicle may be taken, and what it waits for."""
+"""Whether the companion may take the vehicle, and if not, what it waits for."""
 
 from __future__ import annotations
 
@@ -23,19 +23,22 @@ from companion.events import (
 from companion.ownship import Ownship
 
 _TAKE_FROM = {
-    # LOITER is flown with the sticks, BRAKE is a pilot's emergency stop: neither is ours to end.
+    # LOITER is flown with the sticks and BRAKE is a pilot's emergency stop. We must not end either.
     Firmware.ARDUPILOT: frozenset({FlightMode.EXTERNAL, FlightMode.MISSION}),
     Firmware.PX4: frozenset({FlightMode.EXTERNAL, FlightMode.MISSION, FlightMode.HOLD}),
 }
-"""Modes that the companion may take the vehicle from."""
+"""Modes from which the companion may take the vehicle if it flies the path itself."""
 _GUARDED = frozenset({FlightMode.MISSION})
 _LISTEN_S = 3.0
-"""Three heartbeats: a vehicle that was not configured is not taken before so long, as another one on the link
-would be heard by then."""
+"""How long after its first heartbeat a vehicle is not taken if `vehicle.system_id` is not configured. In
+three heartbeat periods a second autopilot on the link would be heard."""
 
 
 class Readiness:
-    """Of one vehicle. Of the configuration only what no ground station may set is used."""
+    """Readiness of one vehicle to be taken.
+
+    Only settings that no ground station can change are read from the configuration.
+    """
 
     def __init__(self, config: Config, own: Ownship, broadcaster: Broadcaster) -> None:
         self._config = config
@@ -43,59 +46,63 @@ class Readiness:
         self._broadcaster = broadcaster
         self._guards = config.flight.use == "guard"
         self.enabled = True
-        """As a ground station has switched it."""
+        """DMUCA_ENABLE as set by a ground station."""
         self.unclear: str | None = None
-        """Why it is not known which vehicle on the link is ours."""
+        """Why it is not known which vehicle on the link is ours; None if it is known."""
         self.lost: str | None = None
-        """Why the gate lets nothing leave before authority is given back."""
+        """Why the gate blocks all commands until authority is given back; None if it does not."""
         self._seen_down = config.flight.take_in_flight
         self._found_s: float | None = None
-        """When the vehicle was first heard."""
+        """Time at which the vehicle was first heard."""
 
     def take(self, event: TwoAutopilots) -> list[Command]:
-        """From now on it is not known which vehicle is ours."""
+        """Note that a second autopilot was heard, so that it is no longer known which vehicle is ours."""
         self.unclear = event.reason
         return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
 
     def take_authority(self, event: GateAuthority, state: State) -> list[Command]:
-        """The gate has lost authority or got it back. Where the loss ends nothing it is told here."""
+        """Note that the gate has lost authority or regained it.
+
+        The loss is reported here only in states in which it causes no transition.
+        """
         self.lost = event.lost
         if event.lost is None or state not in (State.STANDBY, State.WATCHING):
             return []
         return [Say(severity=Severity.WARNING, text=f"DMUCA: takes nothing: {event.lost}")]
 
     def look(self, now_s: float, shown: Sequence[Heartbeat]) -> None:
-        """Note whether the vehicle is there, and was down.
+        """Note whether the vehicle has been heard, and whether it has been on the ground or disarmed.
 
         Args:
-            shown: as of `Control.step`.
+            shown: reported modes, as in `Control.step`.
         """
         if self._found_s is None and shown:
             self._found_s = now_s
         self._seen_down = self._seen_down or self.down(now_s, shown)
 
     def down(self, now_s: float, shown: Sequence[Heartbeat]) -> bool:
-        """The vehicle is there, and on the ground or disarmed, if only for a moment.
+        """Whether the vehicle is on the ground or disarmed, if only for a moment.
 
         Args:
-            shown: as of `Control.step`.
+            shown: reported modes, as in `Control.step`. If empty, the result is False.
         """
         return was_disarmed(shown) or (bool(shown) and self._own.landed(now_s) is Landed.ON_GROUND)
 
     def mode_is_ours_to_end(self, heartbeat: Heartbeat, ours: frozenset[FlightMode]) -> bool:
-        """The vehicle may be taken from the mode that this shows.
+        """Whether the vehicle may be taken from the mode in this heartbeat.
 
         Args:
-            ours: modes that it may be in by our own doing.
+            ours: modes that the vehicle may be in because of our own commands.
         """
         return heartbeat.mode in ours | (_GUARDED if self._guards else _TAKE_FROM[heartbeat.firmware])
 
     def waits_for(self, now_s: float, ours: frozenset[FlightMode]) -> str | None:
-        """Why the vehicle cannot be taken now, in words; None when it can: it must be armed, in the air, fit,
-        and in a mode that is ours to end.
+        """Why the vehicle cannot be taken now, in words; None if it can.
+
+        It must be armed, in the air, with a usable own state, and in a mode that we may end.
 
         Args:
-            ours: as of `mode_is_ours_to_end`.
+            ours: as in `mode_is_ours_to_end`.
         """
         own, config = self._own, self._config
         if self.unclear is not None:
@@ -125,10 +132,10 @@ class Readiness:
 
 
 def was_disarmed(shown: Sequence[Heartbeat]) -> bool:
-    """The vehicle was disarmed, if only for a moment."""
+    """Whether the vehicle was disarmed, if only for a moment."""
     return any(not heartbeat.armed for heartbeat in shown)
 
 
 def mode_name(heartbeat: Heartbeat | None) -> str:
-    """The vehicle's mode in the autopilot's own words."""
+    """Name that the autopilot gives to the vehicle's mode."""
     return "unknown" if heartbeat is None else DIALECTS[heartbeat.firmware].name(heartbeat.custom_mode)

@@ -1,4 +1,4 @@
-"""A vehicle that was let go is commanded to stand until it holds by itself."""
+"""Commands a released vehicle to stand still until it holds by itself."""
 
 from __future__ import annotations
 
@@ -7,46 +7,46 @@ import math
 from companion.events import FlightMode
 
 _HOLD_S = 3.0
-"""Who switches off wants the vehicle to stop, not to meet what an autopilot does when setpoints end: for so
-long at most it is commanded to stand, until it holds by itself."""
+"""Longest standstill after a hold was requested. After DMUCA_ENABLE = 0 we command a standstill until the
+vehicle holds, so that the autopilot's setpoint-loss failsafe does not trigger."""
 _STICKS_S = 10.0
-"""The same for a mode that takes sticks: longer than it is asked for, so that where the vehicle refuses it a
-hold can be asked for instead."""
+"""Longest standstill after a mode for stick control was requested. It is longer than the request is repeated,
+so that a hold can still be requested if the vehicle refuses the mode."""
 
 
 class Standstill:
-    """Until the mode that was asked for shows, or any other, and then never again."""
+    """Lasts until the vehicle reports a new mode, requested or not, and does not resume by itself."""
 
     def __init__(self) -> None:
         self._until_s = -math.inf
         self._seen: FlightMode | None = None
-        """Mode that the vehicle was last seen in."""
+        """Mode that the vehicle last reported."""
 
     def begin(self, now_s: float, mode: FlightMode | None, *, sticks: bool) -> None:
-        """The vehicle is let go.
+        """Start the standstill as the vehicle is released.
 
         Args:
-            mode: that it is in.
-            sticks: a mode that takes sticks was asked for; False: a hold.
+            mode: current mode of the vehicle.
+            sticks: True if a mode for stick control was requested, False if a hold.
         """
         self._until_s = now_s + (_STICKS_S if sticks else _HOLD_S)
         self._seen = mode
 
     def end(self) -> None:
-        """Nothing is commanded any more."""
+        """End the standstill."""
         self._until_s = -math.inf
 
     def see(self, mode: FlightMode | None) -> None:
-        """The vehicle shows this mode."""
+        """Take in a reported mode."""
         if mode is FlightMode.EXTERNAL:
             self._seen = mode
         elif mode is not self._seen:
             self.end()
 
     def lasts(self, now_s: float, mode: FlightMode | None) -> bool:
-        """The vehicle is still to be commanded to stand.
+        """Whether the vehicle is still to be commanded to stand still.
 
         Args:
-            mode: that it is in.
+            mode: current mode of the vehicle.
         """
         return now_s < self._until_s and mode is FlightMode.EXTERNAL

@@ -1,4 +1,4 @@
-"""What `Control` is handed at each step, and what it hands back."""
+"""Input and output types of `Control.step`."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from companion.geometry import Vec3
 
 
 class Cycle(Protocol):
-    """The law and who tells of it, as `Control` asks them: only in the states that need them."""
+    """The law and its reporting, as `Control` calls them in the states that need them."""
 
     def due(self, now_s: float) -> bool:
-        """The law's period since it was asked last is over."""
+        """Whether the law's period since its last decision is over."""
 
     def decide(self, now_s: float, state: State) -> LawResult:
-        """What the law would fly now. Needs a law."""
+        """Decide what the law would fly now. Needs a law."""
 
     def note(self, now_s: float, result: LawResult, state: State) -> list[Command]:
-        """What is to be told of what was just decided."""
+        """Alerts, messages and log entries about the decision just made."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What one step brought."""
+    """Result of one step."""
 
     commands: list[Command]
     velocity_ned_mps: Vec3 | None = None
-    """To be commanded, after them (m/s); None: nothing is."""
+    """Velocity to command after `commands` (NED, m/s); None to command none."""
     alerts_only: bool = False
-    """The law was not asked, and the own state is fit: others may be judged for alerts alone."""
+    """The law was not asked but the own state is usable: other aircraft may be judged for alerts only."""

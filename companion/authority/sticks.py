@@ -1,18 +1,20 @@
-"""Whether the pilot moves the sticks while the companion flies."""
+"""Detects that the pilot moves the sticks while the companion flies."""
 
 from __future__ import annotations
 
 from companion.events import RcChannels
 
 MOVED_US = 100
-"""A fifth of a stick's way to either side; trims and noise are less."""
+"""Deflection (us) that counts as a movement: a fifth of the travel to one side. Trims and noise are less."""
 _MESSAGES = 2
-"""In a row: one alone may be a glitch of the radio."""
+"""Consecutive messages that must show a movement: a single one may be a glitch of the radio."""
 
 
 class Sticks:
-    """Compares roll, pitch and yaw with where they were when the vehicle was taken; throttle says nothing, as
-    its rest differs. Without a remote control nothing moves."""
+    """Compares roll, pitch and yaw with their positions when the vehicle was taken.
+
+    Throttle is ignored, because its rest position differs. Without a remote control no movement is detected.
+    """
 
     def __init__(self) -> None:
         self._rest: tuple[int, int, int] | None = None
@@ -20,11 +22,11 @@ class Sticks:
         self._count = 0
 
     def begin(self) -> None:
-        """The vehicle is taken: the sticks rest where they are."""
+        """Take the present positions as the rest positions, because the vehicle is being taken."""
         self._rest, self._count = self._last, 0
 
     def take(self, event: RcChannels) -> None:
-        """One message."""
+        """Take in one RC_CHANNELS message."""
         self._last = event.sticks_us
         if event.sticks_us is None:
             self._count = 0
@@ -36,5 +38,5 @@ class Sticks:
 
     @property
     def moved(self) -> bool:
-        """The pilot wants to fly."""
+        """Whether the pilot moves the sticks."""
         return self._count >= _MESSAGES

@@ -1,19 +1,22 @@
-"""Who flies. One table; a pair (state, trigger) that is not in it changes nothing.
+"""The table that decides who flies. A pair (state, trigger) that is not in it changes nothing.
 
-Rules, in the order they are judged at every step (the first trigger that the table knows is taken):
+The rules, in the order in which they are judged at every step. The first trigger that the table lists for the
+state is taken:
 
-1. The pilot wins. A mode that we did not command, seen once while we hold the vehicle, ends our authority at
-   once, whatever mode follows it, and nothing but `REARM` brings it back.
-2. Without a fit own state, or after a late loop, nothing is commanded (`FAULT`). The fault ends when the
-   cause has been gone for a while, and then in standby, never straight back in control.
-3. A vehicle that is disarmed or on the ground is released.
-4. Control is taken only from standby and only of a vehicle that is ready: armed, in the air, fit, with a
-   path, and in a mode we may take it from. Where the autopilot flies its mission and is only guarded
-   (`WATCHING`), it is taken for a conflict alone, and the mission is handed back (`RESUMED`), or
-   comes to its end as it is (`ENDED`).
-5. Among the states that hold the vehicle, the law's conflict decides.
+1. The pilot wins. A mode that we did not command, seen once while we control the vehicle, ends our authority
+at
+   once, whichever mode follows it. Only `REARM` brings authority back.
+2. If the own state is not usable, or after a late loop, nothing is commanded (`FAULT`). The fault ends when
+its
+   cause has been gone for a while. It ends in standby, never directly in control.
+3. A vehicle that is disarmed or on the ground is released. 4. Control is taken only from standby, and only of
+a vehicle that is ready: armed, in the air, with a usable own
+   state and a path, and in a mode from which we may take it. If the autopilot flies its mission and is only
+   guarded (`WATCHING`), the vehicle is taken only because of a conflict. The mission is then handed back
+   (`RESUMED`), or ends during the handback (`ENDED`).
+5. Among the states that control the vehicle, the law's conflict decides.
 
-`tests/companion/authority/test_proofs.py` goes through every state with every set of triggers.
+`tests/companion/authority/test_proofs.py` checks every state with every set of triggers.
 """
 
 from __future__ import annotations
@@ -25,26 +28,26 @@ from companion.events import Heartbeat
 
 
 class State(enum.Enum):
-    """Who flies, and to what end."""
+    """Who flies, and for what purpose."""
 
     STANDBY = "standby"
     """Not in control; waiting for a vehicle that is ready."""
     WATCHING = "watching"
-    """Not in control: the autopilot flies its mission, the law looks on."""
+    """Not in control. The autopilot flies its mission and the law only observes."""
     GUARDING = "guarding"
-    """In control, on the path, no conflict; a mission that is guarded is being handed back."""
+    """In control, on the path, no conflict. A guarded mission is being handed back."""
     AVOIDING = "avoiding"
-    """In control; a conflict shapes the velocity."""
+    """In control. A conflict shapes the velocity."""
     RECOVERING = "recovering"
-    """In control; no conflict, on the way back to the timed path."""
+    """In control, no conflict, on the way back to the timed path."""
     YIELDED = "yielded"
-    """The pilot took over."""
+    """Not in control, because the pilot took over."""
     FAULT = "fault"
-    """Own state unfit or loop late: no setpoints."""
+    """Not in control, because the own state is not usable or the loop was late."""
 
 
 class Trigger(enum.Enum):
-    """What moves the table, in the order judged."""
+    """Causes of transitions, in the order in which they are judged."""
 
     PILOT = "pilot"
     UNFIT = "unfit"
@@ -64,7 +67,7 @@ class Trigger(enum.Enum):
 
 
 HOLDING = frozenset({State.GUARDING, State.AVOIDING, State.RECOVERING})
-"""States in which setpoints leave."""
+"""States in which we control the vehicle and send setpoints."""
 
 TRANSITIONS: dict[tuple[State, Trigger], State] = {
     (State.STANDBY, Trigger.READY): State.GUARDING,
@@ -100,11 +103,11 @@ TRANSITIONS: dict[tuple[State, Trigger], State] = {
 
 
 Found = dict[Trigger, Heartbeat | None]
-"""Triggers that were found, each with what the vehicle showed of it, where that is a mode."""
+"""Triggers found in a step, each with the heartbeat that caused it if a reported mode did."""
 
 
 def next_state(state: State, triggers: Container[Trigger]) -> tuple[State, Trigger] | None:
-    """The move that `triggers` cause in `state`, or None."""
+    """Next state and the trigger that leads to it, or None if no trigger changes `state`."""
     for trigger, following in _MOVES[state]:
         if trigger in triggers:
             return following, trigger
@@ -114,4 +117,5 @@ def next_state(state: State, triggers: Container[Trigger]) -> tuple[State, Trigg
 _MOVES = {
     state: tuple((t, TRANSITIONS[state, t]) for t in Trigger if (state, t) in TRANSITIONS) for state in State
 }
-"""The table by state, triggers in the order judged: this runs twenty times a second."""
+"""The table by state, with triggers in the order in which they are judged. It is prepared once because
+`next_state` runs twenty times a second."""

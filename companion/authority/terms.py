@@ -1,4 +1,4 @@
-"""What a plan is made within: the configuration, what the vehicle itself allows, and what of it was told."""
+"""Conditions of a plan: the configuration, the vehicle's own limits, and what was already reported."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from companion.events import Command, Say, Severity, VehicleParameters
 
 
 class Terms:
-    """Of all plans of one vehicle."""
+    """Conditions shared by all plans of one vehicle."""
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        """Of the next plan: to be replaced only while there is no law, which keeps its own."""
+        """Configuration of the next plan. Replace it only while there is no law: a law keeps its own copy."""
         self.vehicle: VehicleParameters | None = None
-        """What the vehicle has told of itself."""
+        """Parameters that the vehicle has reported; None until then."""
         self._refused: str | None = None
         self._warned: set[str] = set()
 
     @property
     def limits(self) -> LimitsConfig:
-        """The lower of what is configured and what the vehicle itself may."""
+        """The configured limits, each lowered to the vehicle's own limit where that is lower."""
         return effective(self.config.limits, self.vehicle)
 
     def take_parameters(self, event: VehicleParameters) -> list[Command]:
-        """Keep the vehicle's own limits for the next plan; say what the operator should know."""
+        """Keep the vehicle's own limits for the next plan. Returns remarks for the operator."""
         self.vehicle = event
         return self.warn(remarks(self.config, event))
 
     def warn(self, texts: Iterable[str]) -> list[Command]:
-        """Say each of them once in the life of the companion."""
+        """Report each text once in the lifetime of the companion process."""
         new = [text for text in texts if text not in self._warned]
         self._warned.update(new)
         return [Say(severity=Severity.WARNING, text=f"DMUCA: {text}") for text in new]
 
     def refuse(self, reason: str) -> list[Command]:
-        """Say why there is no path, once for each reason in a row."""
+        """Report why there is no path, unless the last refusal had the same reason."""
         if reason == self._refused:
             return []
         self._refused = reason
         return [Say(severity=Severity.ERROR, text=f"DMUCA: path refused: {reason}")]
 
     def accept(self) -> None:
-        """There is a path: the next refusal is said, whatever its reason."""
+        """Note that there is a path, so that the next refusal is reported whatever its reason."""
         self._refused = None

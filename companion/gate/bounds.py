@@ -1,7 +1,7 @@
-"""Where the vehicle is and how fast it may be asked to fly: the rules age and speed to fence.
+"""Bounds on the commanded velocity: the rules age, speed, change, height and fence.
 
-All of it is written anew and more simply than in the law, with what a whole braking can do for a bound: the
-law keeps margins inside of it, so that a command of the law reaches none of these.
+The computation is independent of the law and simpler. Its bounds assume braking with the whole acceleration
+limit. The law keeps margins inside these bounds, so that none of its commands reaches them.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from companion.gate.rules import Broken, Rule
 from companion.geometry import LocalFrame, Vec3
 
 _SLACK_MPS = 1e-3
-"""A setpoint travels as 32-bit floats."""
+"""Tolerance for the rounding of setpoints to 32-bit floats."""
 _NOISE_MPS = 1.0
-"""What the velocity that is flown may be measured wrong by, and change by between two messages."""
+"""Allowance for the error of the measured velocity and for its change between two messages."""
 _REACTION_S = 0.5
 _BRAKING, _BRAKES = 0.05, 0.9
-"""A vehicle that is commanded slower than it flies, by what so much of its acceleration does in a second, and
-from then on ever slower with so much of it, is being slowed down."""
+"""Fractions of the acceleration limit that define being slowed down. The commanded speed must be below the
+flown speed by what `_BRAKING` of the limit achieves in one second. From then on it must keep falling with at
+least `_BRAKES` of the limit."""
 _BRAKED_S = 1.0
-"""Who was not too fast for so long begins anew."""
+"""If a bound was not approached too fast for this long, the next excess starts a new braking."""
 _HEIGHT_SLACK_M = 1.0
 _FLOOR, _CEILING = -1, -2
 _LONGEST_S = 1.0
@@ -34,11 +35,11 @@ _CLOCKLESS_S = 10.0
 _GROUND_MPS = 2.0
 
 Edge = tuple[float, float, float, float]
-"""North and east of both ends (m); of a circle: of its middle, its radius, NaN."""
+"""North and east of both ends (m); for a circle: north and east of its centre, its radius (m), NaN."""
 
 
 class Bounds:
-    """What is known of the vehicle's place, of its limits and of what was commanded last."""
+    """Known position and limits of the vehicle, and the last command."""
 
     def __init__(self, config: Config) -> None:
         limits = config.limits
@@ -55,35 +56,36 @@ class Bounds:
         self._position: GlobalPosition | None = None
         self._velocity: Vec3 = (0.0, 0.0, 0.0)
         self._offset_s = math.inf
-        """Our clock less the vehicle's: of its least delayed message."""
+        """Our clock minus the vehicle's clock, from its least delayed message."""
         self._boot_s = self._stamp_s = -math.inf
-        """Newest time of the vehicle's clock: of a position, of any message."""
+        """Newest times of the vehicle's clock: `_boot_s` of a position, `_stamp_s` of any message."""
         self._frame: LocalFrame | None = None
         self._here = 0.0, 0.0
         self._walls: list[tuple[FenceArea, list[Edge]]] | None = None
         self._clear_m, self._clear_at = -1.0, (0.0, 0.0)
-        """No wall is nearer than so far to that place."""
+        """No wall is nearer to the place `_clear_at` (north, east) than `_clear_m`."""
         self._slowed: dict[int, tuple[float, float, float]] = {}
-        """Bound -> since when it is approached too fast, how fast that was, when it was so last."""
+        """For each bound: time since which it has been approached too fast, flown speed towards it at that
+        time, and latest time at which it was approached too fast."""
         self._last: Vec3 = (0.0, 0.0, 0.0)
         self._last_s = -math.inf
         self._budget_mps = 0.0
 
-    # ------------------------------------------------------------ what the vehicle says
+    # ------------------------------------------------------------ messages of the vehicle
 
     def hear_clock(self, time_boot_s: float, now_s: float) -> None:
-        """The vehicle's own clock, in any message that tells it."""
+        """Take in the vehicle's own clock from any message that carries it."""
         if time_boot_s < self._stamp_s - 1.0:
-            self._offset_s = self._stamp_s = math.inf  # it began anew
+            self._offset_s = self._stamp_s = math.inf  # The clock has restarted.
         passed_s = max(time_boot_s - self._stamp_s, 0.0) if self._stamp_s < math.inf else 0.0
         self._offset_s = min(now_s - time_boot_s, self._offset_s + _DRIFT * passed_s)
         self._stamp_s = time_boot_s if self._stamp_s == math.inf else max(time_boot_s, self._stamp_s)
 
     def hear_position(self, event: GlobalPosition, now_s: float) -> None:
-        """GLOBAL_POSITION_INT, dated by the vehicle's own clock."""
+        """Take in GLOBAL_POSITION_INT, dated by the vehicle's own clock."""
         self.hear_clock(event.time_boot_s, now_s)
         if self._boot_s - 1.0 <= event.time_boot_s < self._boot_s:
-            return  # overtaken
+            return  # A newer position has overtaken this one.
         self._boot_s = event.time_boot_s
         if self._frame is None:
             self._frame = LocalFrame(event.lat_deg, event.lon_deg, event.alt_msl_m)
@@ -91,7 +93,7 @@ class Bounds:
         self._here = self._frame.to_ned(event.lat_deg, event.lon_deg, event.alt_msl_m)[:2]
 
     def hear_parameters(self, event: VehicleParameters) -> None:
-        """The vehicle's own limits; the lower of both counts."""
+        """Take in the vehicle's own limits; the lower of these and the configured ones applies."""
 
         def lower(configured: float, own: Parameter | None) -> float:
             return configured if own is None else min(configured, own.value)
@@ -103,26 +105,32 @@ class Bounds:
         self._acceleration = lower(limits.max_acceleration_mps2, event.acceleration_mps2)
 
     def hear_fence(self, areas: tuple[FenceArea, ...]) -> None:
-        """The vehicle's own fence, where it is to be kept."""
+        """Take in the vehicle's own fence, if it is configured to be used."""
         if self._limits.fence == "vehicle":
             self._areas, self._walls, self._clear_m = areas, None, -1.0
 
     def late(self, now_s: float) -> bool:
-        """By the vehicle's own clock, what is heard from it now may be old: it waited on the way. Where no
-        message tells that clock for long, nothing is known against what is heard."""
+        """Whether messages received now were delayed on the way, judged by the vehicle's own clock.
+
+        If no message has carried that clock for long, there is no evidence of delay and the result is False.
+        """
         if math.isinf(self._stamp_s):
             return False
         return self._late_s < now_s - self._stamp_s - self._offset_s <= _CLOCKLESS_S
 
     @property
     def flies_fast(self) -> bool:
-        """Whatever the vehicle says: it is not on the ground."""
+        """Whether the vehicle is too fast to be on the ground, whatever landed state it reports."""
         return math.hypot(*self._velocity) > _GROUND_MPS
 
-    # ------------------------------------------------------------ what may leave
+    # ------------------------------------------------------------ checks of setpoints
 
     def check(self, velocity: Vec3, now_s: float) -> None:
-        """The rules age and speed to fence, for a finite velocity."""
+        """Check the rules age, speed, change, height and fence for a finite velocity.
+
+        Raises:
+            Broken: the velocity breaks one of them.
+        """
         position = self._position
         if position is None or self._age_s(position, now_s) > self._stale_s:
             raise Broken(Rule.AGE, "the own position is not known or too old")
@@ -142,13 +150,14 @@ class Bounds:
             self._check_fence(north, east, self._place(position, now_s), now_s)
 
     def left(self, velocity: Vec3, now_s: float) -> None:
-        """A setpoint has left.
+        """Note that a setpoint was sent.
 
-        `tests/companion/gate/test_proofs.py` proves that the changes of setpoints that pass by the last one
-        add up, in t seconds, to no more than the acceleration allows in t + 1 s, and the slack.
+        `tests/companion/gate/test_proofs.py` proves a bound for setpoints that pass by comparison with the
+        last setpoint. In t seconds their changes add up to no more than the acceleration limit allows in
+        (t + 1 s), plus the slack.
         """
         changed = math.hypot(velocity[0] - self._last[0], velocity[1] - self._last[1])
-        self._budget_mps = max(-_SLACK_MPS, self._allowed_mps(now_s) - changed)  # the slack counts once
+        self._budget_mps = max(-_SLACK_MPS, self._allowed_mps(now_s) - changed)  # The slack counts only once.
         self._last, self._last_s = velocity, now_s
 
     def _allowed_mps(self, now_s: float) -> float:
@@ -161,7 +170,7 @@ class Bounds:
         change = math.hypot(velocity[0] - last[0], velocity[1] - last[1])
         if now_s - self._last_s <= _LONGEST_S and change <= self._allowed_mps(now_s) + _SLACK_MPS:
             return
-        # A law that begins, or begins anew, begins at the velocity that is flown; not above its limits.
+        # A law that starts or restarts begins at the flown velocity, reduced to its limits.
         speed = math.hypot(*flown)
         factor = min(1.0, self._speed / speed) if speed > 0.0 else 1.0
         change = math.hypot(velocity[0] - factor * flown[0], velocity[1] - factor * flown[1])
@@ -185,11 +194,10 @@ class Bounds:
     def _too_fast(
         self, bound: int, room_m: float, towards_mps: float, flown_mps: float, now_s: float
     ) -> bool:
-        """A speed towards a bound that cannot be stopped in the room left, of a vehicle that is not being
-        slowed down.
+        """Whether a speed towards a bound is too high for the room left and the vehicle is not slowed down.
 
-        `tests/companion/gate/test_proofs.py` proves that what passes by its room is stopped in it, and how
-        long what passes as slowed down can go on.
+        `tests/companion/gate/test_proofs.py` proves that a speed that passes because of its room can be
+        stopped in that room, and bounds how long a vehicle can pass as being slowed down.
         """
         needed_m = towards_mps * (_REACTION_S + 0.5 * towards_mps / self._acceleration)
         return (
@@ -199,7 +207,7 @@ class Bounds:
         )
 
     def _faster(self, bound: int, towards_mps: float, flown_mps: float, now_s: float) -> bool:
-        """The vehicle is not being slowed down; or not as it must be since it was too fast."""
+        """Whether the vehicle is not being slowed down enough since it was first too fast."""
         since_s, begun_mps, last_s = self._slowed.get(bound, (now_s, flown_mps, -math.inf))
         if now_s - last_s > _BRAKED_S:
             since_s, begun_mps = now_s, flown_mps
@@ -213,7 +221,7 @@ class Bounds:
         return now_s - position.time_boot_s - self._offset_s
 
     def _place(self, position: GlobalPosition, now_s: float) -> tuple[float, float]:
-        """North and east of the local frame, carried on to now (m)."""
+        """North and east in the local frame (m), extrapolated to `now_s`."""
         age_s = self._age_s(position, now_s)
         return self._here[0] + age_s * self._velocity[0], self._here[1] + age_s * self._velocity[1]
 
@@ -267,7 +275,7 @@ def _inside(edges: list[Edge], n: float, e: float) -> bool:
 
 
 def _nearest(edge: Edge, n: float, e: float) -> tuple[float, float, float]:
-    """Distance (m) to the nearest point of an edge or circle, and the direction of it."""
+    """Distance (m) to the nearest point of an edge or circle, and its direction (unit north, east)."""
     an, ae, bn, be = edge
     if math.isnan(be):
         dn, de = n - an, e - ae

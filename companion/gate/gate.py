@@ -1,13 +1,13 @@
-"""The gate: hears what the vehicle says, and lets pass what may leave for it. See `rules`.
+"""The gate takes in the vehicle's messages and lets only permitted frames pass to it. See `rules`.
 
     gate.hear(event, now_s)     # every event of the link, in order of arrival
     gate.emptied(now_s)         # the input was read until it was empty
-    gate.answered(asked_s, now_s)   # the vehicle has answered what it was asked then
-    gate.decided(now_s)         # what is commanded from now on was decided now
-    gate.release(data, now_s)   # whole frames in; out comes what may leave
+    gate.answered(asked_s, now_s)   # the vehicle answered the question that was asked at asked_s
+    gate.decided(now_s)         # the following commands were decided now
+    gate.release(data, now_s)   # takes whole frames, returns those that may be sent
 
-A frame that breaks a rule does not leave, and `broken` tells of it. After a fault of the program above,
-nothing but a request to hold leaves for three seconds.
+A frame that breaks a rule is not sent, and `broken` reports it. After a fault of the calling program, of all
+commands only a request to hold is sent for three seconds.
 """
 
 from __future__ import annotations
@@ -59,16 +59,16 @@ from companion.gate.rules import Broken, Rule
 from companion.geometry import Vec3
 
 STALL_S = 0.25
-"""A pause in reading the input that is longer than this is a stall: what is read then may be old."""
+"""A longer pause in reading the input is a stall: messages read after it may be old."""
 _SILENCE_S = 0.5
-"""A pause in what the vehicle says that is longer than this may have swallowed a mode."""
+"""A mode may have been missed in a longer pause between the vehicle's messages."""
 _FRESH_S = 0.25
 _ANSWER_S = 0.1
-"""For so long an answer shows that the vehicle reads what it is sent."""
+"""How long an answer proves that the vehicle reads what it is sent."""
 _DEAF_S = 1.0
 _SHUT_S = 3.0
 _AGAIN_S = 5.0
-"""The same rule is told of once in so long, but for a fault that shuts the gate anew."""
+"""Least time between two reports of the same rule. A fault that shuts the gate again is always reported."""
 _AUTOPILOT = 1
 _SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 _COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
@@ -92,12 +92,12 @@ _FREE = frozenset(
         mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_ARM_STATUS,
     }
 )
-"""Messages that command nothing."""
+"""Messages that command nothing and may always be sent."""
 _OF_THE_VEHICLE = (GlobalPosition, LocalPosition, VehicleTime, Heartbeat, CurrentMode, LandedState)
 _FILES = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _FILES_OPCODE_AT = 6
 _FILES_ANSWERS = (128, 129)
-"""ACK, NAK: all other opcodes ask, and may ask the vehicle to write."""
+"""ACK and NAK. All other opcodes are requests, and may ask the vehicle to write."""
 _FREE_COMMANDS = frozenset({CMD_SET_MESSAGE_INTERVAL, CMD_REQUEST_MESSAGE})
 _MASKS = (VELOCITY_YAW_MASK, VELOCITY_YAW_RATE_MASK)
 _SETPOINT_LAYOUT = struct.Struct("<I11fHBBB")
@@ -105,25 +105,25 @@ _COMMAND_LAYOUT = struct.Struct("<7fHBBB")
 
 
 class Gate:
-    """For one vehicle. Times are monotonic seconds that never go back."""
+    """The gate of one vehicle. Times are monotonic seconds that never go back."""
 
     def __init__(self, config: Config) -> None:
-        """Closed, until the input was read and the vehicle was heard."""
+        """Create a gate that is closed until the input has been read and the vehicle has been heard."""
         self.counts: Counter[str] = Counter()
-        """Frames that did not leave, by the name of the rule."""
+        """Number of refused frames by the name of the rule."""
         self._mandate = Mandate(config)
         self._bounds = Bounds(config)
         self._emptied_s = self._decided_s = -math.inf
         self._bounds_s = -math.inf
-        """When a limit of the vehicle's or its fence was last told."""
+        """Time at which the vehicle last reported a limit or its fence."""
         self._fresh = False
-        """A message has shown the vehicle's mode since the input was last behind, or the vehicle silent."""
+        """The vehicle's mode was reported since the input was last behind or the vehicle was silent."""
         self._heard_s = -math.inf
-        """When the vehicle last said anything."""
+        """Time of the vehicle's last message."""
         self._asked_s: float | None = None
-        """When the latest question was asked that the vehicle has answered; None: it has answered none."""
+        """Time of the latest question that the vehicle has answered; None if it has answered none."""
         self._answer_s = -math.inf
-        """When that answer came, if it has let nothing leave yet."""
+        """Time at which that answer arrived; minus infinity once a command has used it."""
         self._waits_s: float | None = None
         self._shut_s = -math.inf
         self._broken: list[GateRefused] = []
@@ -131,17 +131,17 @@ class Gate:
 
     @property
     def lost(self) -> str | None:
-        """Why there is no authority over the vehicle, in words; None: nothing is known against it."""
+        """Why authority over the vehicle was lost, in words; None if it was not."""
         return self._mandate.lost
 
     def current(self, now_s: float) -> bool:
-        """What is known of the vehicle's mode is no backlog, and the vehicle has not been silent since."""
+        """Whether the known mode is current: read without a backlog, and the vehicle not silent since."""
         return self._fresh and now_s - self._emptied_s <= STALL_S and now_s - self._heard_s <= _SILENCE_S
 
     # ------------------------------------------------------------ in
 
     def hear(self, event: Event, now_s: float) -> None:
-        """One event of the link; those that are none of its business are passed over."""
+        """Take in one event of the link. Irrelevant events are ignored."""
         if isinstance(event, _OF_THE_VEHICLE):
             self._note_heard(now_s)
         match event:
@@ -178,25 +178,25 @@ class Gate:
         self._heard_s = now_s
 
     def _is_news(self, now_s: float) -> bool:
-        """What is heard now is no backlog: neither here nor, by the vehicle's own clock, on the way."""
+        """Whether messages received now are current: delayed neither here nor, by their clock, on the way."""
         return now_s - self._emptied_s <= STALL_S and not self._bounds.late(now_s)
 
     def emptied(self, now_s: float) -> None:
-        """The input was read until nothing was left in it."""
+        """Note that the input was read until it was empty."""
         if now_s - self._emptied_s > STALL_S:
             self._fresh = False
         self._emptied_s = now_s
 
     def behind(self) -> None:
-        """There is more in the input than could be read now."""
+        """Note that the input holds more than could be read now."""
         self._fresh, self._emptied_s = False, -math.inf
 
     def decided(self, now_s: float) -> None:
-        """The commands that leave from now on were decided on what is known at `now_s`."""
+        """Note that the commands released from now on were decided from what is known at `now_s`."""
         self._decided_s = now_s
 
     def answered(self, asked_s: float, now_s: float) -> None:
-        """The vehicle has answered a question that it was asked at `asked_s`."""
+        """Note that the vehicle has answered a question (TIMESYNC) that was asked at `asked_s`."""
         self._note_heard(now_s)
         if self._asked_s is None or asked_s > self._asked_s:
             self._asked_s = asked_s
@@ -204,7 +204,11 @@ class Gate:
                 self._answer_s = now_s
 
     def answers(self, now_s: float, *, waiting: bool) -> bool:
-        """The vehicle has just shown that it reads what it is sent, or never does: what waits may leave."""
+        """Whether waiting commands may be sent: an answer just arrived, or the vehicle has never answered.
+
+        Args:
+            waiting: commands wait for an answer. After a second without one this breaks the rule `ANSWER`.
+        """
         if self._asked_s is None or now_s - self._answer_s <= _ANSWER_S:
             self._waits_s = None
             return True
@@ -218,19 +222,21 @@ class Gate:
         return False
 
     def in_time(self, now_s: float) -> bool:
-        """What was decided last may still leave, as far as its age goes."""
+        """Whether the latest decision is still young enough to be sent."""
         return 0.0 <= now_s - self._decided_s <= _FRESH_S
 
     def broken(self) -> list[GateRefused]:
-        """Rules that were broken since the last call: each of them once in a while, and each fault that shut
-        the gate anew."""
+        """Reports of rules broken since the last call.
+
+        The same rule is reported at most once in five seconds, except for a fault that shuts the gate again.
+        """
         broken, self._broken = self._broken, []
         return broken
 
     # ------------------------------------------------------------ out
 
     def release(self, data: bytes, now_s: float) -> bytes:
-        """What of some whole frames may leave now, in their order."""
+        """Return those of some whole frames that may be sent now, in their order."""
         if not data:
             return data
         kept: list[bytes] = []
@@ -253,7 +259,7 @@ class Gate:
         return b"".join(kept)
 
     def _judge(self, message_id: int, payload: bytes, now_s: float) -> bool:
-        """Whether a frame that may leave commands the vehicle. Raises Broken where it may not leave."""
+        """Whether a permitted frame commands the vehicle. Raises Broken if the frame must not leave."""
         if message_id == _SETPOINT:
             self._setpoint(payload, now_s)
             return True
@@ -288,7 +294,7 @@ class Gate:
             self._bounds.check(velocity, now_s)
         except Broken as broken:
             if self._decided_s < self._bounds_s and broken.rule.ends == "fault":
-                # Who decided could not know of it.
+                # The decision was made before the new limit was known, so it is no fault.
                 raise Broken(
                     Rule.AGE, f"decided before a limit or the fence was told; {broken.why}"
                 ) from None
@@ -321,7 +327,7 @@ class Gate:
         return True
 
     def _commands(self, system: int, component: int, now_s: float) -> None:
-        """The rules target to authority, for whatever commands the vehicle."""
+        """Check the rules target, use, current and authority for a frame that commands the vehicle."""
         heartbeat = self._mandate.heartbeat
         if heartbeat is None or (system, component) != (heartbeat.system_id, _AUTOPILOT):
             raise Broken(Rule.TARGET, f"system {system}, component {component} is not the vehicle")
@@ -336,7 +342,7 @@ class Gate:
     def _refuse(self, broken: Broken, now_s: float) -> None:
         rule = broken.rule
         self.counts[rule.value.name] += 1
-        # A fault that shuts the gate anew is always told: who was not told would fly on with it shut.
+        # Always report a fault that shuts the gate again: otherwise the program would fly on with it shut.
         anew = rule.ends == "fault" and now_s >= self._shut_s
         if rule.ends == "fault":
             self._shut_s = now_s + _SHUT_S
@@ -346,14 +352,14 @@ class Gate:
 
 
 def _unpacked(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
-    """A payload's fields; readers cut one that is longer than its message."""
+    """Unpack a payload. Refuse one that is longer than its message: receivers would truncate it."""
     if len(payload) > layout.size:
         raise Broken(Rule.WHOLE, f"a payload of {len(payload)} bytes for a message of {layout.size}")
     return layout.unpack(payload.ljust(layout.size, b"\0"))
 
 
 def _check_files(payload: bytes) -> None:
-    """FILE_TRANSFER_PROTOCOL: files of ours are told of, nobody is asked for any."""
+    """Allow only answers of FILE_TRANSFER_PROTOCOL: we serve our own files and request none."""
     opcode = payload[_FILES_OPCODE_AT] if len(payload) > _FILES_OPCODE_AT else 0
     if opcode not in _FILES_ANSWERS:
         raise Broken(Rule.KIND, f"file transfer, opcode {opcode}")

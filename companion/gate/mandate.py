@@ -1,5 +1,7 @@
-"""Who has authority over the vehicle, by what its messages say and by what has left for it: the rules target,
-use, authority and mode."""
+"""Tracks authority over the vehicle from its messages and the sent commands.
+
+It checks the rules target, use, authority and mode.
+"""
 
 from __future__ import annotations
 
@@ -12,26 +14,27 @@ from companion.gate.rules import Broken, Rule
 
 MODE_OLD_S = 3.0
 _ASKED_S = 10.0
-"""A mode that was asked for may still be entered for so long."""
+"""How long after a request the requested mode may still be entered."""
 _DOWN_S, _GROUNDED_S = 1.5, 12.0
-"""A vehicle that says for so long without a break that it is on the ground was down; is on the ground."""
+"""How long the vehicle must report without a break that it is on the ground: `_DOWN_S` to count as having
+been down, `_GROUNDED_S` to count as being on the ground."""
 _STORM, _STORM_S = 5, 2.0
 _ASKABLE = frozenset({FlightMode.EXTERNAL, FlightMode.HOLD, FlightMode.STICKS, FlightMode.MISSION})
 
 
 class Mandate:
-    """Knows nothing until the first heartbeat. Times are monotonic seconds that never go back.
+    """Authority over one vehicle. Nothing is known until the first heartbeat.
 
-    `tests/companion/gate/test_proofs.py` compares it with rule 6 after every sequence of modes, requests and
-    setpoints.
+    Times are monotonic seconds that never go back. `tests/companion/gate/test_proofs.py` compares this class
+    with rule 6 after every sequence of modes, requests and setpoints.
     """
 
     def __init__(self, config: Config) -> None:
         self.heartbeat: Heartbeat | None = None
         self.lost: str | None = None
-        """Why there is no authority, in words."""
+        """Why authority was lost, in words; None if it was not."""
         self.engaged = False
-        """The vehicle is held, or was asked for, since authority was last free."""
+        """We control the vehicle, or have sent a command to take it, since authority was last reset."""
         self.enabled = True
         self.two_autopilots = False
         self._flight = config.flight
@@ -41,24 +44,24 @@ class Mandate:
         self._mode_s = -math.inf
         self._custom = -1
         self._ours: dict[int, float] = {}
-        """custom_mode that we asked for -> until when it may be entered; without end once it was."""
+        """For each requested custom_mode: time until which it may be entered, infinite once it was."""
         self._base: int | None = None
-        """custom_mode that the vehicle is being taken from, until the one that was asked for shows."""
+        """custom_mode from which the vehicle is being taken, until the requested one is reported."""
         self._asked: int | None = None
-        """custom_mode that was asked for last."""
+        """Latest requested custom_mode."""
         self._commanded_s = -math.inf
-        """When something last left that commands the vehicle."""
+        """Time at which a command to the vehicle was last sent."""
         self._left = False
         self._held_instead = False
-        """The mode that ended authority is a hold, where the mission was asked for, and no other was seen."""
+        """Authority ended with a hold while the mission was requested, and no other mode was seen since."""
         self._grounded_s: float | None = None
         self._seen_down = config.flight.take_in_flight
         self._requests: list[float] = []
 
-    # ------------------------------------------------------------ what the vehicle says
+    # ------------------------------------------------------------ messages of the vehicle
 
     def hear_heartbeat(self, event: Heartbeat, now_s: float) -> None:
-        """HEARTBEAT."""
+        """Take in HEARTBEAT."""
         self.heartbeat = event
         if not event.armed:
             self._seen_down = True
@@ -67,13 +70,13 @@ class Mandate:
         self.hear_mode(event.custom_mode, event.mode, now_s)
 
     def hear_current_mode(self, custom_mode: int, now_s: float) -> None:
-        """CURRENT_MODE: the mode between two heartbeats. It is no sign of life before the first of them."""
+        """Take in CURRENT_MODE, the mode between two heartbeats. It is ignored before the first heartbeat."""
         if self.heartbeat is not None:
             h = self.heartbeat
             self.hear_mode(custom_mode, flight_mode(h.firmware, h.vehicle_type, 1, custom_mode), now_s)
 
     def hear_mode(self, custom: int, mode: FlightMode, now_s: float) -> None:
-        """One mode, in the order in which the vehicle told them."""
+        """Take in one reported mode. Call this in the order in which the vehicle reported them."""
         before, self._mode, self._custom, self._mode_s = self._mode, mode, custom, now_s
         given = mode is (FlightMode.MISSION if self._guards else FlightMode.EXTERNAL)
         if self.lost:
@@ -85,14 +88,14 @@ class Mandate:
             pass
         elif custom == self._base:
             if mode is FlightMode.MISSION and self._guards and now_s - self._commanded_s > _ASKED_S:
-                self._free()  # never entered, and let alone since
+                self._free()  # Our mode was never entered, and nothing was commanded since.
         elif now_s <= self._ours.get(custom, -math.inf) or (given and not self._guards):
             if mode is not FlightMode.MISSION:
                 self._ours[custom], self._base = math.inf, None
             elif custom == self._asked:
-                self._free()  # handed back
+                self._free()  # The mission was handed back.
             else:
-                self._base = custom  # recalled: to be left again
+                self._base = custom  # We asked for another mode since, so the mission is left again.
         else:
             self._held_instead = mode is FlightMode.HOLD and self._asked_mission(now_s)
             self._left = not given or before is not FlightMode.EXTERNAL
@@ -101,7 +104,7 @@ class Mandate:
                 self._free()
 
     def hear_landed(self, landed: Landed, now_s: float) -> None:
-        """EXTENDED_SYS_STATE."""
+        """Take in EXTENDED_SYS_STATE."""
         if landed is not Landed.ON_GROUND:
             self._grounded_s = None
             return
@@ -111,14 +114,14 @@ class Mandate:
             self._free()
 
     def mission_ended(self) -> None:
-        """The last item is done: PX4 holds by itself then, when the mission was given back to it."""
+        """Note that the mission is complete. PX4 then holds by itself, so that hold is not the pilot's."""
         if self.lost and self._held_instead:
             self._free()
 
-    # ------------------------------------------------------------ what may leave
+    # ------------------------------------------------------------ checks of commands
 
     def check(self, now_s: float) -> None:
-        """What holds for whatever commands the vehicle."""
+        """Check what must hold for every command to the vehicle. Raises Broken otherwise."""
         heartbeat = self.heartbeat
         if self._flight.use == "watch":
             raise Broken(Rule.USE, 'flight.use is "watch"')
@@ -134,14 +137,14 @@ class Mandate:
             raise Broken(Rule.TARGET, "two autopilots are heard")
 
     def check_setpoint(self, standing: bool) -> None:
-        """The vehicle flies setpoints, or may be asked to."""
+        """Check that the vehicle flies setpoints or may be asked to. Raises Broken otherwise."""
         if not self.enabled and not standing:
             raise Broken(Rule.USE, "DMUCA_ENABLE is 0")
         if not (self._is_ours or self._may_take):
             raise Broken(Rule.AUTHORITY, f"the vehicle is in {self.name(self._custom)}")
 
     def check_request(self, mode: FlightMode, now_s: float) -> None:
-        """A mode may be asked for."""
+        """Check that a mode may be requested. Raises Broken otherwise."""
         if mode not in _ASKABLE or (mode is FlightMode.MISSION and not self._guards):
             raise Broken(Rule.MODE, f"{mode.value} is not to be asked for")
         if not self.enabled and mode is FlightMode.EXTERNAL:
@@ -153,36 +156,36 @@ class Mandate:
             raise Broken(Rule.MODE, f"{_STORM} requests within {_STORM_S:g} s")
 
     def check_speed(self) -> None:
-        """The mission's speed is asked for with the mission alone."""
+        """Check that a mission's speed is requested only with the mission. Raises Broken otherwise."""
         asked = any(self._kind(custom) is FlightMode.MISSION for custom in self._ours)
         if not self._guards or not (asked or self._mode is FlightMode.MISSION):
             raise Broken(Rule.MODE, f"a mission's speed is not to be asked for in {self.name(self._custom)}")
 
-    # ------------------------------------------------------------ what left
+    # ------------------------------------------------------------ commands that were sent
 
     def setpoint_left(self, now_s: float) -> None:
-        """A setpoint has left."""
+        """Note that a setpoint was sent."""
         self._commanded_s = now_s
         if not self.engaged:
             self.engaged, self._base = True, self._custom
 
     def request_left(self, custom: int, now_s: float) -> None:
-        """A mode request has left."""
+        """Note that a mode request was sent."""
         self._commanded_s, self._asked = now_s, custom
         if not self.engaged or self._custom not in self._ours:
             self.engaged, self._base = True, self._custom
         self._requests.append(now_s)
         self._ours[custom] = max(self._ours.get(custom, 0.0), now_s + _ASKED_S)
 
-    # ------------------------------------------------------------
+    # ------------------------------------------------------------ names and kinds of modes
 
     def name(self, custom: int) -> str:
-        """A mode in the autopilot's own words."""
+        """Name that the autopilot gives to a mode."""
         firmware = Firmware.ARDUPILOT if self.heartbeat is None else self.heartbeat.firmware
         return DIALECTS[firmware].name(custom)
 
     def custom_of(self, param2: float, param3: float) -> tuple[int, FlightMode] | None:
-        """The mode that the parameters of DO_SET_MODE ask for."""
+        """Mode that the parameters of DO_SET_MODE request; None if they match no mode that we may request."""
         assert self.heartbeat is not None
         for mode, command in DIALECTS[self.heartbeat.firmware].commands.items():
             if (command.param2, command.param3) == (param2, param3):
@@ -201,14 +204,16 @@ class Mandate:
 
     @property
     def _is_ours(self) -> bool:
-        """The vehicle is in a mode that we asked for, or take it from; with "fly", also in GUIDED (OFFBOARD)
-        that its pilot has chosen."""
+        """Whether the vehicle is in a mode that we requested or from which we take it.
+
+        With `use = "fly"` this includes GUIDED or OFFBOARD if the pilot selected it.
+        """
         chosen = self._mode is FlightMode.EXTERNAL and not self._guards
         return chosen or (self.engaged and (self._custom in self._ours or self._custom == self._base))
 
     @property
     def _may_take(self) -> bool:
-        """The vehicle may be taken from the mode that it is in."""
+        """Whether the vehicle may be taken from its present mode."""
         assert self.heartbeat is not None
         if self._mode is FlightMode.HOLD and not self._guards:
             return self.heartbeat.firmware is Firmware.PX4

@@ -1,4 +1,4 @@
-"""The gate's rules, once and in the order in which they are judged. `docs/gate.md` prints this table."""
+"""The single list of the gate's rules, in the order of their numbers. `docs/gate.md` prints this table."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ class _Text:
     name: str
     says: str
     ends: Literal["nothing", "fault", "authority"] = "fault"
-    """As of `GateRefused`."""
+    """What breaking the rule ends, as in `GateRefused.ends`."""
 
 
 class Rule(enum.Enum):
-    """What must hold for a frame to leave."""
+    """Condition that a frame must meet to be sent."""
 
     WHOLE = _Text(1, "whole", "Only whole MAVLink 2 frames leave.")
     KIND = _Text(
@@ -110,16 +110,16 @@ class Rule(enum.Enum):
 
     @property
     def number(self) -> int:
-        """As documents and messages name it."""
+        """Number of the rule in documents and messages."""
         return self.value.number
 
     @property
     def ends(self) -> Literal["nothing", "fault", "authority"]:
-        """What breaking it ends, as of `GateRefused`."""
+        """What breaking the rule ends, as in `GateRefused.ends`."""
         return self.value.ends
 
     def __str__(self) -> str:
-        """For messages."""
+        """Text for messages, with the rule's number and name."""
         return f"gate rule {self.value.number} ({self.value.name})"
 
 
@@ -130,7 +130,7 @@ def table() -> str:
 
 
 class Broken(Exception):  # noqa: N818 - it is no error of this program
-    """A frame breaks a rule."""
+    """Raised when a frame breaks a rule and must not be sent."""
 
     def __init__(self, rule: Rule, why: str) -> None:
         super().__init__(f"{rule}: {why}")
