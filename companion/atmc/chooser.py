@@ -31,8 +31,8 @@ By = Literal["policy", "rule", "fixed", "fallback"]
 OLDEST_POSITION_S: Final = 5.0
 """Oldest own position from which distances to neighbours are computed."""
 _SURE_AGAIN: Final = 5
-"""After a refusal, the mind is followed again from this many decisions in a row on. Each change between it
-and the fall-back switches transports."""
+"""Number of decisions in a row that the mind must make after a refusal before it is followed again. The last
+of them is followed. This limits how often the transports switch between the mind and the fall-back."""
 
 
 class Trouble(enum.Enum):
