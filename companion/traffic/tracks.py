@@ -59,8 +59,8 @@ _JOINED_WITHIN_M = 15.0
 come from one GNSS receiver. With a larger distance, a sender with a copied identity could remove another's
 track."""
 _TWIN_MEMORY_S = 60.0
-"""For this long after another track of the same identity, a track is still matched only to messages near
-it."""
+"""For this long after another track of the same identity was there, a track is matched only to messages near
+it; others may still be from the other aircraft."""
 _RANKED_EVERY = 8
 """A track is ranked for eviction every so many messages; its distance changes little in between."""
 
@@ -446,9 +446,9 @@ class Traffic:
     def _dispensable(self, track: Track) -> tuple[bool, float]:
         """Sort key of the tracks of one identity; the track with the greatest key is removed.
 
-        That is the fresh track that has been silent longest or, if all are established, the farthest. The
-        order is not by message count, because a copied identity that jumps about is heard more often than its
-        owner.
+        That is the fresh track that has been silent longest or, if all are established, the farthest. Among
+        established tracks silence does not count, because a copied identity that jumps about is heard more
+        often than its owner.
         """
         if track.messages < ESTABLISHED:
             return True, -track.received_s
