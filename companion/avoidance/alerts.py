@@ -4,7 +4,8 @@ Levels are judged in the air, whether or not the companion flies, by extrapolati
 
 - advisory: flying as planned would enter the aircraft's volume (separation and margin), or its separation
   would be lost within 1.5 horizons;
-- caution: its separation would be lost within the horizon, or it bounds the velocity that the law chose;
+- caution: its separation would be lost within the horizon, or flying as planned would enter its volume and it
+  bounds the velocity that the law chose;
 - warning: its separation would be lost within half of the horizon, or is already lost.
 
 A level is raised once `RAISE_OF` of the last `RAISE_IN` judgements agree (a warning at once). When no
