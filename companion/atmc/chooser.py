@@ -1,4 +1,4 @@
-"""The chooser of transports for the own Remote ID. The core calls it in every step.
+"""The chooser of transports for the own Remote ID. The core (`companion.core`) calls it in every step.
 
 A policy, the rule or the fixed set decides at random phases. If it cannot decide (no policy at the start, an
 observation outside its training, a result that is not a number, a radio that lost a transport), the chooser

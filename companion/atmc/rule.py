@@ -24,8 +24,7 @@ FIXED_SETS: Final[tuple[Action, ...]] = (
     (0, 10, 0),
     (10, 0, 0),
 )
-"""Fixed sets, best first (awareness objective). For every legal set of every region there is one among
-them."""
+"""Fixed sets, best first (awareness objective). They include one for every legal set of every region."""
 PAPER_NEAR: Final[Action] = (0, 0, 10)
 PAPER_FAR: Final[Action] = (9, 0, 0)
 FLYING_NEAR: Final[Action] = (10, 0, 10)
@@ -62,8 +61,7 @@ class Rule:
 
 
 PAPER_RULE: Final = Rule(PAPER_ACTIONS, near=PAPER_NEAR, far=PAPER_FAR)
-"""Rule for the paper's objective: Wi-Fi at 10 if any aircraft is within the range of BLE 4, else BLE 4 at
-9."""
+"""Rule for the paper's objective: Wi-Fi at 10 if any aircraft is within BLE 4's range, else BLE 4 at 9."""
 FLYING_RULE: Final = Rule(SET_ACTIONS, near=FLYING_NEAR, far=FLYING_FAR)
 """Rule for flight: always Wi-Fi at 10, and also BLE 4 at 10 if any aircraft is heard within its range."""
 FIXED: Final = Rule(SET_ACTIONS, near=FIXED_SETS[0], far=FIXED_SETS[0])

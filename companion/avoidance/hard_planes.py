@@ -1,5 +1,4 @@
-"""Finds the command: of those within one period's change that satisfy the hard planes, the nearest to the
-law's wish.
+"""Finds the command nearest to the law's wish within one period's change that satisfies the hard planes.
 
 If stopping was possible a period ago (`fence_planes`), braking keeps it possible, independent of other
 aircraft. So once the aircraft can stop before every wall, this remains true, as long as the vehicle responds
@@ -67,8 +66,7 @@ def limit(
 def in_reach(
     planes: Array, count: int, wish: Array, before: Array, change: float, speed: float
 ) -> tuple[bool, float, float, float]:
-    """The velocity nearest to `wish` that satisfies the planes, the speed and the limited change from
-    `before`.
+    """The velocity nearest to `wish` within the planes, the greatest speed and the change from `before`.
 
     The search moves a point straight from the wish to `before`. The farther it has moved, the nearer to
     `before` is the velocity that satisfies planes and speed nearest to the point. The result is the one whose
@@ -114,8 +112,7 @@ def _gap(before: Array, x: float, y: float, z: float) -> float:
 
 @compiled
 def _weigh(planes: Array, count: int, margin: float, brakes: float) -> None:
-    """Divide each wall's plane by the distance (m) left before the wall, so that the nearest wall counts
-    most."""
+    """Divide each wall's plane by the distance (m) before the wall, so that the nearest wall counts most."""
     for j in range(DOWN_SPEEDS, count):
         towards = -planes[j, 3]
         room = margin + towards * STOP_LAG_S + towards * towards / (2.0 * brakes)

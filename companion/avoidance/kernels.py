@@ -368,8 +368,7 @@ def _half_space_row(
     share: float,
     most: float,
 ) -> None:
-    """Write the plane of one neighbour. It is built in coordinates in which the volume is a ball, and mapped
-    back.
+    """Write the plane of one neighbour, built where its volume is a ball and mapped back.
 
     p is the position from us to it; a our velocity; vn, ve its horizontal velocity; rd our down speed minus
     its own. A plane requires at most `most` m/s; otherwise a neighbour whose large volume we are in would
@@ -416,8 +415,9 @@ def _avoid(
     view: Array,
     out: Array,
 ) -> tuple[bool, bool]:
-    """Predict the neighbours, build the half-spaces, turn right in a conflict, and solve. Returns whether
-    this is feasible, and whether there is a conflict.
+    """Predict the neighbours, build the half-spaces, turn right in a conflict, and solve.
+
+    Returns whether all planes are satisfied, and whether there is a conflict.
 
     The combined radius is the separation plus two margins. The first is S_SIGMAS standard deviations of the
     present relative position (from both positions, and from the sent velocity over the age). The second is

@@ -1,5 +1,4 @@
-"""The avoidance law: from the own state, the timed path and the neighbours to one velocity to fly (paper
-section II, "Decide").
+"""The avoidance law: own state, timed path and neighbours in, one velocity out (paper section II, "Decide").
 
 Three laws share one interface, the same limits and the same kernel:
 
@@ -128,8 +127,7 @@ class LawResult:
 
 
 class Law:
-    """The law of one aircraft, with the history of own velocities, the last command and the delay of the
-    path.
+    """The law of one aircraft, with the history of own velocities, the last command and the path's delay.
 
     It checks the input, fills the tables of `kernels.decide`, which makes the decision, and reads its result.
     """
@@ -189,13 +187,12 @@ class Law:
         self._state[k.L_HISTORY] = history
 
     def note_velocity(self, now_s: float, velocity_ned_mps: Vec3) -> None:
-        """Add an own velocity between decisions. One that is not newer than the last, or not finite, is
-        ignored."""
+        """Add an own velocity between decisions; ignored if it is not newer than the last, or not finite."""
         n, e, d = map(float, velocity_ned_mps)
         k.note_velocity(self._state, self._times, self._velocities, float(now_s), n, e, d)
 
     def decide(self, situation: Situation) -> LawResult:
-        """One decision.
+        """Make one decision.
 
         Raises:
             ValueError: the own state is not finite, or the ceiling lies below the floor.
@@ -261,8 +258,8 @@ class Law:
         self._planes, self._scratch = np.zeros((rows, 4)), np.zeros((rows, 4))
 
     def _take(self, neighbours: Sequence[Neighbour]) -> list[Neighbour]:
-        """Fill the table with the usable neighbours, sorted by track id, so that their order has no
-        effect."""
+        """Fill the table with the usable neighbours, sorted by track id, so that the input's order is
+        irrelevant."""
         usable = [n for n in sorted(neighbours, key=_by_id) if -OLDEST_S <= n.age_s <= OLDEST_S]
         if not usable:
             return usable

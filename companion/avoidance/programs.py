@@ -91,8 +91,8 @@ def half_space(
 def _sphere(
     px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, rate: float
 ) -> tuple[float, float, float, float]:
-    """n = w / |w| and s = R / window - |w| of the sphere of radius R / window at p / window; rate = 1 /
-    window."""
+    """n = w / |w| and s = R / window - |w| for the sphere of radius R / window at p / window (rate: 1 /
+    window)."""
     wx, wy, wz = vx - px * rate, vy - py * rate, vz - pz * rate
     length = math.sqrt(wx * wx + wy * wy + wz * wz)
     if length > 1e-9:
@@ -210,8 +210,7 @@ def _plane(
 def ball(
     planes: Array, count: int, radius: float, ox: float, oy: float, oz: float, towards: bool
 ) -> tuple[int, float, float, float]:
-    """Program 3: velocity in the ball and all planes that is nearest to o or, with `towards`, farthest in its
-    direction.
+    """Program 3: velocity in the ball and all planes, nearest to o or (`towards`) farthest in its direction.
 
     Returns:
         How many planes are satisfied (`count`: all), and the velocity.
@@ -328,7 +327,7 @@ def _nearest_of_least(
 def solve(
     planes: Array, hard: int, count: int, radius: float, slack: float, wish: Array, scratch: Array, out: Array
 ) -> bool:
-    """Find the velocity nearest to `wish` in the ball and every plane or, if there is none, of least largest
+    """Find the velocity nearest to `wish` in the ball and all planes, or else that of least largest
     violation.
 
     Many velocities may have nearly the least largest violation (in a level encounter, no plane determines the

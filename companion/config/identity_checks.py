@@ -19,8 +19,7 @@ from companion.remote_id.region import Region
 
 
 def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: Region) -> list[str]:
-    """Check UAS ID, registration, operator ID and Self ID, as required by the region and the type of
-    identity.
+    """Check UAS ID, registration, operator ID and Self ID for the region and the type of identity.
 
     Returns:
         What cannot be verified here: one sentence each, beginning with the configuration key.

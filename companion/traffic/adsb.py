@@ -24,8 +24,8 @@ that."""
 SIGMA_MPS = 1.5
 """Assumed standard deviation of the velocity for each axis. NACv 2 is 3 m/s at 95 %."""
 BAROMETRIC_M = 300.0
-"""Least difference to our own height at which a barometric altitude separates. It corresponds to weather 37
-hPa off the standard atmosphere."""
+"""Least difference from our own height at which a barometric altitude separates aircraft. It corresponds to
+weather that is 37 hPa off the standard atmosphere."""
 MOST = 200
 """Most aircraft held at a time."""
 EXPIRE_S = 15.0

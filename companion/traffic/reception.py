@@ -82,8 +82,7 @@ class Reception:
         return max(1, min(MAX_RATE, round(self._sent / self._span_s)))
 
     def arrivals(self, now_s: float) -> tuple[float, float]:
-        """Messages that arrived, and messages that were sent up to the last arrival, over about the last 10
-        s.
+        """Messages that arrived, and messages sent up to the last arrival, over about the last 10 s.
 
         Losses since the last arrival are left out, because a sender that left this transport looks the same.
         """

@@ -1,5 +1,4 @@
-"""Details that senders report in addition to their position, held by radio address until a track can take
-them.
+"""Details that senders report in addition to positions, held by radio address until a track can take them.
 
 On BLE 4 every message is a separate frame: Basic ID, System and the others arrive before and between the
 Locations. The last message of each type is held, for a bounded number of addresses.

@@ -29,7 +29,7 @@ def _no_past() -> NDArray[np.float64]:
 
 @dataclass(slots=True, eq=False)
 class Track:
-    """One aircraft as last received. Position and velocity are local NED at `sample_s` (our monotonic
+    """One aircraft as last received; position and velocity are local NED at `sample_s` (our monotonic
     time)."""
 
     track_id: str

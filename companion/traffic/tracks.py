@@ -342,8 +342,8 @@ class Traffic:
         return track
 
     def _from_us(self, fix: Fix, now_s: float) -> float:
-        """Horizontal distance (m) of a fix from our own position at its time; infinite if it does not match
-        our flight.
+        """Horizontal distance (m) of a fix from our own position then; infinite if it does not match our
+        flight.
 
         A fix that matches is an echo of our own broadcast or from a second own transmitter. An aircraft with
         our identity that flies next to us, above us or towards us is another aircraft and must be tracked.
@@ -370,11 +370,10 @@ class Traffic:
     def _match(
         self, known: list[Track], source: Source, fix: Fix, now_s: float
     ) -> tuple[Track | None, float]:
-        """The track of this identity whose aircraft can have flown to the fix, and its distance from the fix
-        (m).
+        """The track of this identity whose aircraft can have flown to the fix, and its distance from it (m).
 
-        Tracks that the same address fed last come first, then the nearest. Without such a track: None,
-        infinite.
+        Tracks that the same address fed last come first, then the nearest. Without such a track, the result
+        is None and infinity.
 
         After some silence one aircraft can be nearly anywhere. If two aircraft use the identity, or the
         address is new to the track, the fix must be near the track; otherwise one track would jump between
