@@ -1,1 +1,11 @@
-"""ATMC: which transports the own Remote ID goes out on, and how often, chosen by a frozen policy."""
+"""Adaptive transmission mode configuration (ATMC): choice of the transports and rates of the own Remote ID.
+
+The paper's ATMC algorithm trains a network on the ground; here the frozen policy runs on the aircraft and
+decides, by default every 2 s, on which of BLE 4, BLE 5 and Wi-Fi the own Locations are sent, and how often.
+`chooser.Chooser` is called by the core in every step. It asks a `choice.Mind`: either a `policy.Policy`, or a
+`rule.Rule`, which needs no network. `senses.Senses` builds the observation from tracks, and `observation`
+defines its columns for the aircraft and the trainer alike. Whatever is chosen, the broadcaster keeps the
+region's legal minimum. This room may import the rooms before it in `ROOMS` (tests/test_imports.py), up to
+`traffic`; it uses `errors`, `remote_id`, `events`, `config`, `ownship`, `broadcast` and `traffic`. Start with
+`chooser.py`, then `actions.py` and `policy.py`; docs/atmc.md and docs/atmc-policy.md give the results.
+"""

@@ -1,4 +1,4 @@
-"""What every chooser of transports answers: one of its actions, or why it cannot say."""
+"""Interface of everything that chooses transports: it returns one of its actions, or why it cannot choose."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ Floats = NDArray[np.floating[Any]]
 
 
 class Why(enum.Enum):
-    """Kinds of refusal."""
+    """Why no action could be chosen."""
 
     NOTHING_ALLOWED = "nothing_allowed"
-    """No action is legal and can be sent."""
+    """No action is both legal and possible with the present radios."""
     TOO_MANY = "too_many"
-    """More neighbours than in training."""
+    """There are more neighbours than in training."""
     OUTSIDE = "outside"
-    """An observation that training never saw, or that is no number."""
+    """A value of the observation lies outside the range seen in training, or is not a number."""
     NO_NUMBER = "no_number"
-    """The network's answer is not finite."""
+    """The network returned a value that is not finite."""
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The action to take."""
+    """The chosen action."""
 
     index: int
     action: Action
@@ -37,30 +37,31 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """No choice can be made; the fall-back is to be taken."""
+    """No action can be chosen; the caller has to use the fall-back."""
 
     why: Why
     text: str
 
 
 class Mind(Protocol):
-    """Chooses an action from what is seen."""
+    """Something that chooses an action from an observation: a policy or a rule."""
 
     @property
     def actions(self) -> tuple[Action, ...]:
-        """What it can choose."""
+        """All actions that it can choose."""
         ...
 
     def choose(
         self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
     ) -> Choice | Refused:
-        """The action for now.
+        """Choose the action to use now.
 
         Args:
             own_row: shape (own columns,), from `observation.own_row`.
             neighbour_rows: shape (neighbours, neighbour columns), from `observation.neighbour_rows`.
-            allowed: shape (actions,); others are never chosen.
-            current: index of the present action; None where it is none of them.
-            agent: which aircraft this is, for networks that are not shared; aboard always 0.
+            allowed: shape (actions,); True for the actions that may be chosen.
+            current: index of the action in use now; None if it is not one of `actions`.
+            agent: index of this aircraft, for policies with one network per aircraft; always 0 on the
+                aircraft.
         """
         ...

@@ -1,9 +1,9 @@
-"""Asked by the heart at every step: which transports the own Remote ID is to use from now on.
+"""The chooser of transports for the own Remote ID. The core (`companion.core`) calls it in every step.
 
-A policy, the rule or the fixed set decides at random phases. When it cannot (no policy at the start, an
-observation outside its training, an answer that is no number, a radio that lost a transport), the fixed legal
-set is taken, the log is told why, and the pilot once for each kind of trouble. Nothing here can break the
-law's floor: the broadcaster keeps it whatever is asked.
+A policy, the rule or the fixed set decides at random phases. If it cannot decide (no policy at the start, an
+observation outside its training, a result that is not a number, a radio that lost a transport), the chooser
+takes the fixed legal set, logs the reason, and reports each kind of trouble to the pilot once. Nothing here
+can violate the legal minimum: the broadcaster enforces it on every request.
 """
 
 from __future__ import annotations
@@ -29,13 +29,14 @@ from companion.traffic.tracks import Traffic
 
 By = Literal["policy", "rule", "fixed", "fallback"]
 OLDEST_POSITION_S: Final = 5.0
-"""Distances from an older own position mean nothing."""
+"""Oldest own position from which distances to neighbours are computed."""
 _SURE_AGAIN: Final = 5
-"""Answers in a row before a policy that could not judge is followed again: each way is a switch."""
+"""Number of decisions in a row that the mind must make after a refusal before it is followed again. The last
+of them is followed. This limits how often the transports switch between the mind and the fall-back."""
 
 
 class Trouble(enum.Enum):
-    """Kinds of trouble beside those of `choice.Why`."""
+    """Reasons for the fall-back in addition to those of `choice.Why`."""
 
     NO_POLICY = "no_policy"
     NO_POSITION = "no_position"
@@ -43,16 +44,18 @@ class Trouble(enum.Enum):
 
 
 class Chooser:
-    """One aircraft's choice of transports.
+    """Chooses the transports of one aircraft.
 
     Args:
-        mind: who decides; None with `trouble`, in words, where there should be one.
+        mind: what decides; None if the configured policy cannot be used.
+        by: what kind of `mind` decides, for the log.
+        trouble: why `mind` is None, in words; None otherwise.
     """
 
     def __init__(self, config: Config, mind: Mind | None, by: By, trouble: str | None = None) -> None:
         self.by = by
         self.trouble = trouble
-        """Why the configured policy cannot be followed at all, in words; None when it can."""
+        """Why the configured policy cannot be used at all, in words; None if it can."""
         self._mind = mind
         self._region, self._configured = config.region, asked_rates(config)
         self._uas_id, self._period_s = config.identity.uas_id, config.atmc.period_s
@@ -62,7 +65,8 @@ class Chooser:
         self._can_send: tuple[str, ...] = ()
         self._action: Action | None = None
         self._doubts = 0
-        """Answers that are still wanted before the mind is followed again."""
+        """Decisions in a row that the mind still has to make before it is followed again; 0 while
+        followed."""
         self._count = 0
         self._next_s: float | None = None
         self._logged: tuple[object, ...] | None = None
@@ -71,14 +75,15 @@ class Chooser:
     def step(
         self, now_s: float, own: Ownship, traffic: Traffic, radio: RadioState, present: Mapping[str, int]
     ) -> tuple[dict[str, int] | None, list[Command]]:
-        """What to ask the broadcaster for, and what to say.
+        """Decide, if a decision is due, what to request from the broadcaster.
 
         Args:
             radio: what the radios can do.
-            present: transports that are to be on the air now, with their Locations a second.
+            present: transports that are to be on the air now, with their Locations per second.
 
         Returns:
-            Transports with their Locations a second, or None where nothing was decided; and commands.
+            Transports with their Locations per second, or None if nothing was decided; and commands for the
+            log and the pilot.
         """
         if own.heartbeat is None or not radio.can_send:
             return None, []
@@ -104,7 +109,7 @@ class Chooser:
         return self._decide(self._mind, now_s, own, traffic, present)
 
     def _plan(self, now_s: float) -> None:
-        """When the next decision falls: never together with the others'."""
+        """Schedule the next decision at a random phase, so that aircraft do not decide at the same time."""
         self._next_s = now_s + self._period_s * (0.5 + random_phase(self._uas_id, self._count))
         self._count += 1
 
@@ -127,17 +132,17 @@ class Chooser:
         return rates_of(answer.action), self._tell(self.by, None, f"{len(seen.rows)} aircraft heard")
 
     def _fall_back(self, why: enum.Enum, words: str) -> tuple[dict[str, int] | None, list[Command]]:
-        """The fixed set that is legal and can be sent. Where there is none, what is configured: the
-        broadcaster makes the best of it, and says whether that is legal."""
+        """Take the first fixed set that is legal and can be sent. If there is none, take the configured
+        rates: the broadcaster sends what it can of them, and reports whether that is legal."""
         self._action = fixed(self._region, self._can_send)
         return self._rates(), self._tell("fallback", why, words)
 
     def _rates(self) -> dict[str, int]:
-        """What is asked for now."""
+        """Rates to request from the broadcaster now."""
         return dict(self._configured) if self._action is None else rates_of(self._action)
 
     def _tell(self, by: By, why: enum.Enum | None, words: str) -> list[Command]:
-        """The log, when something changed; the pilot, once for each kind of trouble."""
+        """Log entry if something changed, and a message to the pilot once for each kind of trouble."""
         rates = tuple(self._rates().items())
         commands: list[Command] = []
         if (rates, by, why) != self._logged:
@@ -154,10 +159,10 @@ class Chooser:
 
 
 def chooser_of(config: Config, policy: bytes | None) -> Chooser | None:
-    """The chooser that a configuration asks for; None where the transports stay as configured.
+    """The chooser that the configuration requires; None if the transports stay as configured.
 
     Args:
-        policy: content of the policy file; None where there is none, or it could not be read.
+        policy: content of the policy file; None if there is none, or if it could not be read.
     """
     wanted = config.atmc.policy
     if wanted in CHOOSER_WORDS:

@@ -1,7 +1,8 @@
-"""The networks of a policy, run in NumPy (float32): from an observation to the value of each action.
+"""The networks of a policy: they map an observation to a value for each action, in NumPy (float32).
 
-Two kinds. "set" takes any number of neighbours: each row goes through one and the same small network, and
-what comes out is pooled. "flat" is the paper's: neighbours sorted by distance into a row of fixed length.
+There are two kinds. A "set" network takes any number of neighbours: each row passes through the same small
+network, and the outputs are pooled. A "flat" network is the paper's: its input has a fixed length and holds
+the neighbours sorted by distance.
 """
 
 from __future__ import annotations
@@ -18,29 +19,38 @@ Float32s = NDArray[np.float32]
 Tensors = Mapping[str, Float32s]
 
 MAX_WIDTH: Final = 2048
-"""Outputs of a layer: a wider one, once for each of many neighbours, would hold up the flight loop."""
+"""Most outputs of a layer. A wider one, evaluated for each of many neighbours, would delay the flight
+loop."""
 SET_LAYERS: Final = ("phi0", "phi1", "rho0", "rho1", "out")
 
 
 class PolicyError(ConfigError):
-    """A policy cannot be used: names the file and what is wrong with it."""
+    """A policy cannot be used; the message names the file and what is wrong with it."""
 
 
 class Network(Protocol):
-    """Values of actions from selected columns."""
+    """Maps the columns that a policy selects from an observation to a value for each action."""
 
     def values(self, own: Float32s, rows: Float32s, agent: int) -> Float32s:
-        """Shape (actions,); own: shape (own columns,); rows: shape (neighbours, neighbour columns), for
-        "flat" at most as many as it takes, nearest first."""
+        """Value of each action, shape (actions,).
+
+        Args:
+            own: shape (own columns,).
+            rows: shape (neighbours, neighbour columns). For a "flat" network nearest first, and not more than
+                its input holds.
+            agent: which network to use, if each aircraft has its own.
+        """
         ...
 
 
 class SetNetwork:
-    """h = relu(phi1(relu(phi0(row)))) for each neighbour; pooled = log1p(sum of h), max of h, zeros when
-    nobody is heard; relu(rho0(pooled, own row)), relu(rho1), out.
+    """Network for any number of neighbours, shared by all aircraft.
+
+    For each neighbour h = relu(phi1(relu(phi0(row)))). The pooled vector is (log1p(sum of h), max of h), or
+    zeros if there are no neighbours. The output is out(relu(rho1(relu(rho0(pooled, own row))))).
 
     Raises:
-        PolicyError: tensors are missing, or their shapes do not go together.
+        PolicyError: tensors are missing or unknown, or their shapes do not match.
     """
 
     def __init__(self, tensors: Tensors, own: int, columns: int, actions: int, name: str) -> None:
@@ -59,7 +69,7 @@ class SetNetwork:
         self._out = layers["out"]
 
     def values(self, own: Float32s, rows: Float32s, agent: int) -> Float32s:
-        """See `Network`; one network serves all aircraft."""
+        """See `Network`. `agent` is ignored, because one network serves all aircraft."""
         size = self._hidden
         z = np.zeros(2 * size + len(own), np.float32)
         if len(rows):
@@ -81,10 +91,12 @@ class SetNetwork:
 
 
 class FlatNetwork:
-    """Own row, then each neighbour's columns and a 1, or zeros; layers with relu between them.
+    """Fully connected network with relu between its layers, for a fixed number of neighbours.
+
+    The input is the own row, then for each neighbour its columns and a 1; unused places are zero.
 
     Raises:
-        PolicyError: tensors are missing, or their shapes do not go together.
+        PolicyError: tensors are missing or unknown, or their shapes do not match.
     """
 
     def __init__(
@@ -103,7 +115,7 @@ class FlatNetwork:
         _check_actions(size, actions, name)
 
     def values(self, own: Float32s, rows: Float32s, agent: int) -> Float32s:
-        """See `Network`; `agent` is ignored where all share one network."""
+        """See `Network`. `agent` is ignored if all aircraft share one network."""
         x = np.zeros(self._inputs, np.float32)
         x[: self._own] = own
         heard = len(rows)
@@ -123,7 +135,7 @@ class FlatNetwork:
 def _linear(
     tensors: Tensors, layer: str, inputs: int, lead: tuple[int, ...], name: str
 ) -> tuple[Float32s, Float32s]:
-    """Weight, turned so that x @ weight, and bias of a layer."""
+    """Weight of a layer, transposed for x @ weight, and its bias."""
     weight, bias = tensors[f"{layer}.weight"], tensors[f"{layer}.bias"]
     outputs = weight.shape[-2] if weight.ndim == len(lead) + 2 else 0
     if outputs == 0 or weight.shape != (*lead, outputs, inputs):

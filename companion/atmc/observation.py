@@ -1,12 +1,12 @@
-"""What a policy sees: one row for each heard neighbour and one for itself. The trainer and the aircraft build
-both with these functions.
+"""Observation of a policy: one row for each heard neighbour and one for the own aircraft.
 
-The paper's observation (section "State Space"): own protocol and rate, and of everybody heard the distance,
-the protocol and the rate. Added for the policy that flies: how soon a neighbour could be in conflict, how
-well each transport gets through here, and features of the own identity, by which aircraft in one and the same
-situation can act differently.
+The trainer and the aircraft build both with these functions. The paper's observation (section "State Space")
+holds the own protocol and rate and, for every heard neighbour, its distance, protocol and rate. The policy
+that flies has three additions: how soon a neighbour could be in conflict, the share of packets that survive
+on each transport here, and features of the own identity, so that aircraft in the same situation can act
+differently.
 
-The functions take arrays of any leading shape, of NumPy or of PyTorch (`xp` is the module): the aircraft has
+The functions take arrays of any leading shape, from NumPy or PyTorch (`xp` is the module). The aircraft has
 no PyTorch, and the trainer may keep its arrays on a GPU.
 """
 
@@ -17,15 +17,16 @@ import zlib
 from typing import Any, Final
 
 SCHEMA: Final = "dmuca-atmc-1"
-"""Raised with every change of a column or its scaling; a policy for another schema is refused."""
+"""Version of the observation. Increase it with every change of a column or its scaling; policies for another
+schema are refused."""
 
 NEIGHBOUR_COLUMNS: Final = (
     "log_distance",  # log10 of the distance (m) / 4
     "conflict",  # see `conflict_weight`
-    "ble4",  # 1 where it is heard to send on it
+    "ble4",  # 1 if the neighbour is heard on this transport
     "ble5",
     "wifi",
-    "ble4_rate",  # Locations a second / 10
+    "ble4_rate",  # Locations per second / 10
     "ble5_rate",
     "wifi_rate",
 )
@@ -36,10 +37,10 @@ OWN_COLUMNS: Final = (
     "ble4_rate",
     "ble5_rate",
     "wifi_rate",
-    "ble4_success",  # share of packets that survive here; 0 where not measured
+    "ble4_success",  # share of packets that survive here; 0 if not measured
     "ble5_success",
     "wifi_success",
-    "ble4_measured",  # 1 where it is
+    "ble4_measured",  # 1 if the share is measured
     "ble5_measured",
     "wifi_measured",
     "identity_0",  # -1 or 1
@@ -50,17 +51,16 @@ OWN_COLUMNS: Final = (
 IDENTITY_BITS: Final = 4
 
 SEPARATION_M: Final = 10.0
-"""Of two aircraft, both conflict radii."""
+"""Separation of two aircraft: the sum of both conflict radii."""
 LOOK_AHEAD_S: Final = 10.0
-"""A neighbour that could be in conflict after this time counts half."""
+"""A neighbour that could be in conflict after this time has the weight 0.5."""
 LEAST_CLOSING_MPS: Final = 10.0
-"""An aircraft that flies past may turn."""
+"""Least closing speed assumed of a neighbour, because an aircraft that flies past may turn."""
 _MIN_DISTANCE_M: Final = 1.0
 
 
 def conflict_weight(xp: Any, distance_m: Any, closing_mps: Any) -> Any:
-    """How much a neighbour matters, 0 to 1: by the time t until it could be in conflict, 2^-(t /
-    LOOK_AHEAD_S)^2.
+    """Weight of a neighbour, 0 to 1: 2^-(t / LOOK_AHEAD_S)^2, with the time t until it could be in conflict.
 
     Args:
         distance_m: any shape.
@@ -76,8 +76,8 @@ def neighbour_rows(xp: Any, distance_m: Any, conflict: Any, rates: Any) -> Any:
 
     Args:
         distance_m: shape (..., neighbours).
-        conflict: `conflict_weight` of each, same shape.
-        rates: shape (..., neighbours, 3), Locations a second by transport, 0 where it is not heard on it.
+        conflict: `conflict_weight` of each neighbour, same shape.
+        rates: shape (..., neighbours, 3), Locations per second by transport, 0 if it is not heard on it.
 
     Returns:
         Shape (..., neighbours, 8), in the type of `distance_m`.
@@ -94,10 +94,10 @@ def own_row(xp: Any, rates: Any, success: Any, measured: Any, identity: Any) -> 
     """The row of `OWN_COLUMNS`.
 
     Args:
-        rates: shape (..., 3), own Locations a second by transport, as they are now.
+        rates: shape (..., 3), present own Locations per second by transport.
         success: shape (..., 3), share of packets that survive here, 0 to 1.
-        measured: shape (..., 3), 1 where that is known, 0 where not.
-        identity: shape (..., 4), see `identity_of`. Floating, and gives the type.
+        measured: shape (..., 3), 1 if that share is known, 0 if not.
+        identity: shape (..., 4), see `identity_of`. Its floating-point type is that of the result.
 
     Returns:
         Shape (..., 16).
@@ -113,16 +113,15 @@ def own_row(xp: Any, rates: Any, success: Any, measured: Any, identity: Any) -> 
 
 
 def identity_of(uas_id: str) -> tuple[float, ...]:
-    """Features of an identity that tell aircraft apart, -1 or 1 each."""
+    """Features derived from an identity, each -1 or 1, by which the policy can tell aircraft apart."""
     word = zlib.crc32(uas_id.encode()) * 2_654_435_761 >> 16
     return tuple(1.0 if word >> bit & 1 else -1.0 for bit in range(IDENTITY_BITS))
 
 
 def random_phase(uas_id: str, count: int) -> float:
-    """A number in [0, 1) that differs between aircraft and between decisions: when the next one falls.
+    """Phase of a decision: a number in [0, 1) that differs between aircraft and between decisions.
 
-    Aircraft that decide together swing together: all leave the transport that is crowded, and meet on the
-    next one.
+    Aircraft that decide at the same time oscillate: all leave the crowded transport and meet on the next one.
     """
     golden = (math.sqrt(5.0) - 1.0) / 2.0
     return (zlib.crc32(f"{uas_id}/{count}".encode()) / 2**32 + golden * count) % 1.0

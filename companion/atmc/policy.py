@@ -1,5 +1,5 @@
-"""A frozen policy: which transports to use, how often, by what is seen (the paper's section "Algorithm
-Design"). Loaded from bytes, checked by its own golden cases, run in NumPy."""
+"""A frozen policy: it chooses transports and their rates from an observation (the paper's section "Algorithm
+Design"). It is loaded from bytes, checked with its own golden cases and run in NumPy."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ __all__ = [
 ]
 
 GOLDEN_TOLERANCE: Final = 1e-5
-"""Relative to max(1, |q|)."""
+"""Largest deviation of a value q from its golden case, relative to max(1, |q|)."""
 SLACK: Final = 0.05
-"""Beyond the bounds of training, in a column's own unit; every column is of the order of one."""
+"""How far a value may lie outside the bounds of training, in the column's own unit. Every column is of the
+order of one."""
 _DISTANCE: Final = NEIGHBOUR_COLUMNS.index("log_distance")
 
 
 class Policy:
-    """A policy that can be asked; a `Mind`.
+    """A loaded policy; implements `Mind`. Its golden cases are not checked here, but in `load`.
 
     Raises:
-        PolicyError: the tensors do not fit the metadata. Golden cases are not looked at here.
+        PolicyError: the tensors do not fit the metadata.
     """
 
     def __init__(self, metadata: Metadata, tensors: Tensors, name: str) -> None:
@@ -61,33 +62,33 @@ class Policy:
 
     @property
     def actions(self) -> tuple[Action, ...]:
-        """What it can choose."""
+        """All actions that it can choose."""
         return self._actions
 
     def values(self, own_row: Floats, neighbour_rows: Floats, agent: int = 0) -> Float32s:
-        """Q of each action, shape (actions,): higher is better, in seconds of cost.
+        """Q of each action, shape (actions,). Higher is better; the unit is seconds of cost.
 
         Args:
             own_row: shape (own columns,), all columns of the schema.
             neighbour_rows: shape (neighbours, neighbour columns), all columns of the schema, in any order of
-                rows. A "flat" policy looks at the nearest `metadata.neighbours`.
-            agent: which network, where each aircraft has its own.
+                rows. A "flat" policy uses only the nearest `metadata.neighbours`.
+            agent: which network to use, if each aircraft has its own.
         """
         return self._values(*self._selected(own_row, neighbour_rows), agent)
 
     def choose(
         self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
     ) -> Choice | Refused:
-        """See `Mind`. Refuses what training did not see, and values that are not finite; neighbours
-        farther than any in training are left out."""
+        """See `Mind`. Neighbours farther away than any in training are ignored. Refuses observations outside
+        the range of training, and network outputs that are not finite."""
         if not allowed.any():
             return Refused(Why.NOTHING_ALLOWED, "none of the policy's actions is legal and can be sent")
         own, rows = self._selected(own_row, neighbour_rows)
-        # Negated, so that NaN is outside too.
+        # Negated, so that NaN counts as outside.
         if not ((own >= self._own_low) & (own <= self._own_high)).all():
             return self._outside(own[None], self._own_low, self._own_high, self.metadata.own_columns)
         if self._distance is not None:
-            # Who is farther than any in training matters to nobody, and must not end the choosing.
+            # A neighbour farther away than any in training is irrelevant and must not cause a refusal.
             rows = rows[~(rows[:, self._distance] > self._high[self._distance])]
         most = self.metadata.neighbours
         count = len(neighbour_rows) if self.metadata.kind == "flat" else len(rows)
@@ -104,7 +105,7 @@ class Policy:
         return Choice(index, self._actions[index])
 
     def _selected(self, own_row: Floats, neighbour_rows: Floats) -> tuple[Float32s, Float32s]:
-        """The columns that the network takes; for a flat one the nearest neighbours, in their order."""
+        """Columns that the network uses; for a flat network only the nearest neighbours, nearest first."""
         if self.metadata.kind == "flat":
             nearest = np.argsort(neighbour_rows[:, _DISTANCE], kind="stable")[: self.metadata.neighbours]
             neighbour_rows = neighbour_rows[nearest]
@@ -114,7 +115,7 @@ class Policy:
         return own, rows if self._columns is None else rows[:, self._columns]
 
     def _values(self, own: Float32s, rows: Float32s, agent: int) -> Float32s:
-        with np.errstate(all="ignore"):  # what overflows is found in the result
+        with np.errstate(all="ignore"):  # the caller checks the result for overflow
             return self._network.values(own, rows, agent)
 
     def _outside(self, rows: Float32s, low: Float32s, high: Float32s, names: Sequence[str]) -> Refused:
@@ -125,7 +126,7 @@ class Policy:
 
 
 def _columns(names: Sequence[str], known: Sequence[str]) -> list[int] | None:
-    """Where the columns stand; None for all of them in their order."""
+    """Indices of the columns; None if they are all known columns in their order."""
     return None if tuple(names) == tuple(known) else [known.index(name) for name in names]
 
 
@@ -134,35 +135,37 @@ def _widened(low: Sequence[float], high: Sequence[float]) -> tuple[Float32s, Flo
 
 
 def golden_of(policy: Policy, own_row: Floats, neighbour_rows: Floats, agent: int = 0) -> Golden:
-    """A golden case from what a policy gives now."""
+    """A golden case from the values that a policy gives now."""
     q = policy.values(own_row, neighbour_rows, agent)
     rows = tuple(tuple(map(float, row)) for row in neighbour_rows)
     return Golden(own=tuple(map(float, own_row)), rows=rows, agent=agent, q=tuple(map(float, q)))
 
 
 def load(data: bytes, name: str, *, max_bytes: int = MAX_BYTES) -> Policy:
-    """Read a policy, and try it on its golden cases.
+    """Read a policy and check it with its golden cases.
 
     Args:
-        name: of the file, for messages.
-        max_bytes: more only on the ground: one network for each aircraft takes much.
+        data: content of the file.
+        name: name of the file, for messages.
+        max_bytes: largest size of the file. Only ground tools need more than the default: policies with one
+            network per aircraft are large.
 
     Raises:
-        PolicyError: names the file and what is wrong with it.
+        PolicyError: the file cannot be used; the message names the file and what is wrong with it.
     """
     metadata, tensors = read(data, name, max_bytes)
     policy = Policy(metadata, tensors, name)
     for number, case in enumerate(metadata.golden):
         rows = np.array(case.rows, float).reshape(len(case.rows), len(NEIGHBOUR_COLUMNS))
         q, wanted = policy.values(np.array(case.own), rows, case.agent), np.array(case.q)
-        # Negated, so that NaN is wrong too.
+        # Negated, so that NaN counts as wrong.
         if not (np.abs(q - wanted) <= GOLDEN_TOLERANCE * np.maximum(1.0, np.abs(wanted))).all():
             raise PolicyError(f"{name}: golden[{number}]: gives other values here than where it was frozen")
     return policy
 
 
 def encode(metadata: Metadata, tensors: Tensors, *, max_bytes: int = MAX_BYTES) -> bytes:
-    """The file of a policy. What could not be loaded again is not written.
+    """Content of a policy file, checked by loading it again.
 
     Args:
         metadata: with its golden cases (`golden_of`); the checksum is filled in.
@@ -178,10 +181,10 @@ def encode(metadata: Metadata, tensors: Tensors, *, max_bytes: int = MAX_BYTES) 
 
 
 def check_flyable(policy: Policy) -> None:
-    """Whether a policy can fly on one aircraft.
+    """Check that a policy can be used on a single aircraft.
 
     Raises:
-        PolicyError: it has a network of its own for each aircraft of its training.
+        PolicyError: it has one network for each aircraft of its training.
     """
     agents = policy.metadata.agents
     if agents > 1:

@@ -1,7 +1,8 @@
 """The file of a frozen policy: safetensors, with one JSON object under the metadata key "dmuca".
 
-Written on the ground (`policy.encode`), read aboard (`policy.load`). A checksum covers all of it: a flipped
-bit in a list of actions would otherwise pass for another policy.
+It is written on the ground (`policy.encode`) and read on the aircraft (`policy.load`). A checksum covers the
+metadata and the tensors, because a flipped bit in a list of actions would otherwise give another valid
+policy.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS, SCHEMA
 from companion.remote_id.transports import MAX_RATE
 
 MAX_BYTES: Final = 1_000_000
-"""Of a policy that flies; its file also stands in every event record."""
+"""Largest policy file on the aircraft. Every event record also contains the file."""
 _KEY: Final = "dmuca"
 _LENGTH_BYTES: Final = 8
 _TYPE: Final = "F32"
 _WORDS: Final = 200
-"""Characters that a message repeats from a file: it may hold a word of a megabyte."""
+"""Most characters that a message quotes from a file, because a damaged file may hold very long strings."""
 
 Rate = Annotated[int, Meta(ge=0, le=MAX_RATE)]
 Count = Annotated[int, Meta(ge=1, le=10_000)]
@@ -34,11 +35,11 @@ Row = tuple[float, ...]
 
 
 class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Common to all parts."""
+    """Base of all parts of the metadata."""
 
 
 class Bounds(_Part, frozen=True, kw_only=True):
-    """Least and greatest value of each selected column that training saw."""
+    """Least and greatest value of each selected column in training."""
 
     neighbour_low: Row
     neighbour_high: Row
@@ -47,7 +48,8 @@ class Bounds(_Part, frozen=True, kw_only=True):
 
 
 class Golden(_Part, frozen=True, kw_only=True):
-    """An observation (whole rows, all columns of the schema) with the values that must come out."""
+    """An observation (whole rows, all columns of the schema) with the values that the policy must give for
+    it."""
 
     own: Row
     rows: tuple[Row, ...]
@@ -56,37 +58,37 @@ class Golden(_Part, frozen=True, kw_only=True):
 
 
 class Metadata(_Part, frozen=True, kw_only=True):
-    """Everything about a policy but its weights."""
+    """Everything about a policy except its weights."""
 
     schema: str = SCHEMA
     kind: Literal["set", "flat"]
     objective: Literal["paper", "awareness"]
     decisions: Literal["together", "phases"]
-    """How all decided in training."""
+    """Whether all aircraft decided at the same time in training, or at random phases."""
     name: Annotated[str, Meta(min_length=1, max_length=80)]
     neighbours: Count
-    """Most neighbours in training; "flat": rows of the input."""
+    """Largest number of neighbours in training; for kind "flat" the number of neighbours in the input."""
     agents: Count = 1
-    """Networks: 1, which all share, or one for each aircraft."""
+    """Number of networks: 1 that all aircraft share, or one for each aircraft."""
     neighbour_columns: Annotated[tuple[str, ...], Meta(min_length=1)]
     own_columns: tuple[str, ...]
     actions: Annotated[tuple[tuple[Rate, Rate, Rate], ...], Meta(min_length=1, max_length=10_000)]
-    """Locations a second on each of `actions.TRANSPORTS`."""
+    """Locations per second on each of `actions.TRANSPORTS`, for each action."""
     regions: tuple[str, ...] = ()
-    """Trained for; what is legal is asked anew in flight."""
+    """Regions that the policy was trained for. In flight, legality is checked for the configured region."""
     switch_price: Annotated[float, Meta(ge=0)] = 0.0
-    """Taken from the value of every action but the present one (s)."""
+    """Bonus (s) that `policy.Policy.choose` adds to the value of the present action, to avoid switches."""
     bounds: Bounds
     training_config_sha256: str = ""
     results: dict[str, float] = {}
-    """Measured, for people."""
+    """Measured results, for information only."""
     golden: Annotated[tuple[Golden, ...], Meta(min_length=1)]
     checksum: str = ""
-    """CRC-32 of everything else; filled in by `policy.encode`."""
+    """CRC-32 of the rest of the metadata and of the tensors; filled in by `policy.encode`."""
 
 
 def write(metadata: Metadata, tensors: Tensors) -> bytes:
-    """The bytes of a file, with its checksum. Raises PolicyError for a tensor that is not float32."""
+    """Content of a policy file, with its checksum. Raises PolicyError for a tensor that is not float32."""
     arrays: dict[str, Float32s] = {}
     for key in sorted(tensors):
         if tensors[key].dtype != np.float32:
@@ -97,10 +99,10 @@ def write(metadata: Metadata, tensors: Tensors) -> bytes:
 
 
 def read(data: bytes, name: str, max_bytes: int) -> tuple[Metadata, dict[str, Float32s]]:
-    """Metadata and weights, each checked by itself.
+    """Metadata and weights. Each is checked on its own; whether they fit together is not checked here.
 
     Raises:
-        PolicyError: names the file and what is wrong.
+        PolicyError: the file cannot be used; the message names the file and what is wrong with it.
     """
     if len(data) > max_bytes:
         raise PolicyError(f"{name}: too large: a policy has at most {max_bytes} bytes")
@@ -121,7 +123,7 @@ def _tensor(key: str, view: dict[str, Any], name: str) -> Float32s:
         raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: type {view['dtype']}, expected F32")
     try:
         tensor: Float32s = np.frombuffer(view["data"], "<f4").reshape(view["shape"]).astype(np.float32)
-    except (ValueError, OverflowError) as error:  # too many dimensions, or one of 2^62 beside one of 0
+    except (ValueError, OverflowError) as error:  # too many dimensions, or 2^62 next to 0
         raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: shape: {error}") from error
     if not np.isfinite(tensor).all():
         raise PolicyError(f"{name}: tensor {key:.{_WORDS}}: not finite everywhere")
@@ -151,7 +153,7 @@ def _metadata(data: bytes, name: str) -> Metadata:
 
 
 def _check(m: Metadata, name: str) -> None:
-    """What no single field can say."""
+    """Check conditions that involve several fields."""
 
     def need(fits: bool, words: str) -> None:
         if not fits:

@@ -1,4 +1,5 @@
-"""From tracks to an observation: who is heard, how near, on what, and how well each transport works here."""
+"""Builds an observation from the tracks: which aircraft are heard, how near, on which transports, and how
+well each transport works here."""
 
 from __future__ import annotations
 
@@ -18,28 +19,29 @@ from companion.traffic.track import Track
 from companion.traffic.tracks import Traffic
 
 SCAN_SHARE: Final = (0.203, 0.104, 0.213)
-"""Share of a sender's events that the receiver of `config/channel/standard.toml`, for which policies are
-trained, meets with its scan when nothing else is sent: BLE 4 and BLE 5, 2 ms of 8 less the packet, one of
-three channels after the other; Wi-Fi, 6 ms of 21 less the beacon."""
+"""Share of a sender's transmissions that fall into the receiver's scan if nothing else is sent, by transport.
+It is that of the receiver in `config/channel/standard.toml`, for which policies are trained. For BLE 4 and
+BLE 5 that is 2 ms of 8 ms less the packet, on three channels in turn; for Wi-Fi 6 ms of 21 ms less the
+beacon."""
 NEAR_M: Final = 200.0
-"""Senders within it reach us on every transport: what they lose is not for lack of range."""
+"""Senders within this distance reach us on every transport, so their losses are not due to range."""
 FEWEST_SENDERS: Final = 3
-"""Nearest ones that are taken where fewer are near."""
+"""Number of nearest senders to use if fewer are within `NEAR_M`."""
 FEWEST_EXPECTED: Final = 40.0
-"""Messages sent before a share is told: with fewer it is mostly chance."""
+"""Least number of sent messages for which a share is given: with fewer it is mostly chance."""
 _ENOUGH_EXPECTED: Final = 200.0
-"""Messages sent before a share can count as the best of this receiver."""
+"""Least number of sent messages for which a share can count as the best of this receiver."""
 _SIGMAS: Final = 3.0
 _BEST_MEMORY_S: Final = 3600.0
 
 
 @dataclass(slots=True)
 class SuccessMeter:
-    """Share of packets that survive, for each transport.
+    """Measures the share of packets that survive on each transport.
 
-    What arrives of what was sent is divided by what this receiver gets at its best: the scan's share, or more
-    where it has shown more (a receiver that listens all the time). A best that came by chance is guarded
-    against by three standard deviations, and is slowly forgotten.
+    The share of sent messages that arrive is divided by this receiver's best share: `SCAN_SHARE`, or more if
+    the receiver has achieved more (because it listens all the time). To guard against chance, a new best
+    share is reduced by three standard deviations, and the best share fades slowly.
     """
 
     _best: list[float] = field(default_factory=lambda: list(SCAN_SHARE))
@@ -51,7 +53,7 @@ class SuccessMeter:
         """Success (0 to 1) and whether it is measured (0 or 1), by transport.
 
         Args:
-            senders: how each near sender comes in, from `Traffic.receptions`.
+            senders: transports and receptions of each near sender, from `Traffic.receptions`.
         """
         fade = math.exp(-max(0.0, now_s - self._last_s) / _BEST_MEMORY_S)
         self._last_s = now_s
@@ -88,10 +90,10 @@ class Senses:
         self._meter = SuccessMeter()
 
     def look(self, now_s: float, own: Ownship, traffic: Traffic, rates: Mapping[str, int]) -> Seen:
-        """What is seen now. Needs an own position.
+        """The observation for now. The own position must be known.
 
         Args:
-            rates: own transports with their Locations a second.
+            rates: own transports with their Locations per second.
         """
         tracks, receptions = _heard_lately(now_s, traffic)
         distance_m, closing_mps = _relative(now_s, own, tracks)
@@ -112,11 +114,11 @@ class Senses:
 
 
 def _heard_lately(now_s: float, traffic: Traffic) -> tuple[list[Track], list[list[tuple[str, Reception]]]]:
-    """Who is on the air, with news or without, and how each comes in.
+    """Aircraft that are on the air, with new content or without, and the receptions of each.
 
-    One aircraft may have several tracks, such as one from BLE 4 until its name comes, and the one of its
-    beacons. The law keeps clear of all of them; here an identity, or a radio address, is one neighbour, at
-    its newest place.
+    One aircraft may have several tracks, such as one from BLE 4 until its Basic ID arrives, and one from its
+    Wi-Fi beacons. The law keeps clear of all of them. Here each identity, or radio address without one, is
+    one neighbour at its newest position.
     """
     names = {
         key.partition("/")[2]: track.identity
@@ -141,8 +143,8 @@ def _heard_lately(now_s: float, traffic: Traffic) -> tuple[list[Track], list[lis
 
 
 def _relative(now_s: float, own: Ownship, tracks: Sequence[Track]) -> tuple[Floats, Floats]:
-    """Distance (m) of each track now, and the speed (m/s) at which it shrinks; horizontal where the other's
-    height is not known."""
+    """Distance (m) of each track now, and the speed (m/s) at which it shrinks. Both are horizontal if the
+    height of the track is not known."""
     shape = (len(tracks), 3)
     place = np.array([t.position_ned_m for t in tracks]).reshape(shape)
     velocity = np.array([t.velocity_ned_mps for t in tracks]).reshape(shape)

@@ -1,14 +1,17 @@
-"""Alert levels: how urgent each heard aircraft is, without flapping, and why.
+"""Alert level of each received aircraft, with hysteresis, and the reason for it.
 
-Levels are judged in the air whether or not the companion flies, from where present velocities lead:
+Levels are judged in the air, whether or not the companion flies, by extrapolating the present velocities:
 
-- advisory: its volume (separation and margin) would be entered by flying as planned;
-- caution: its separation would be lost within the horizon, or it shapes the velocity that is flown;
-- warning: its separation would be lost within half of the horizon, or is lost.
+- advisory: flying as planned would enter the aircraft's volume (separation and margin), or its separation
+  would be lost within 1.5 horizons;
+- caution: its separation would be lost within the horizon, or flying as planned would enter its volume and it
+  bounds the velocity that the law chose;
+- warning: its separation would be lost within half of the horizon, or is already lost.
 
-A level is raised once `RAISE_OF` of the last `RAISE_IN` looks agree (a warning at once) and falls, to the
-highest level seen meanwhile, when none has been as high for `HOLD_S`: the M of N and the hysteresis of
-DAIDALUS (NASA/TM-20250000684 and its `alerting` parameters), in three levels as there.
+A level is raised once `RAISE_OF` of the last `RAISE_IN` judgements agree (a warning at once). When no
+judgement has been as high for `HOLD_S`, the level falls to the highest one judged meanwhile. These are the
+M-of-N rule and the hysteresis of DAIDALUS (NASA/TM-20250000684 and its `alerting` parameters), with three
+levels as there.
 """
 
 from __future__ import annotations
@@ -27,16 +30,17 @@ from companion.geometry import Vec3
 RAISE_OF, RAISE_IN = 3, 5
 HOLD_S = 8.0
 TELL_S = 1.0
-"""Between two COLLISION messages about one aircraft, and between two texts."""
+"""Least time between two COLLISION messages about one aircraft, and between two texts."""
 MOST_TOLD = 5
-"""Aircraft told as COLLISION at one time, the most urgent ones."""
+"""Most aircraft that are sent as COLLISION at a time, the most urgent ones first."""
 
 _Key = tuple[bool, str]
-"""Of a track: heard by ADS-B, and its name; a name heard by Remote ID may be any."""
+"""Key of a track: whether it is from ADS-B, and its id. The id alone may be ambiguous, because a Remote ID
+sender can choose any."""
 
 
 class Level(enum.IntEnum):
-    """Of an alert."""
+    """Alert level of an aircraft."""
 
     NONE = 0
     ADVISORY = 1
@@ -46,25 +50,26 @@ class Level(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """How two aircraft come together when both keep their velocities."""
+    """How two aircraft approach each other if both keep their velocities."""
 
     time_s: float
-    """To the closest point; 0 where they part."""
+    """Time to the closest point; 0 if they move apart."""
     horizontal_m: float
-    """There."""
+    """Horizontal distance at the closest point."""
     vertical_m: float
+    """Vertical distance at the closest point."""
     loss_s: float
-    """Until the separation is lost; infinite: it is not. 0: it is lost already."""
+    """Time until the separation is lost; infinite: it is not lost. 0: it is already lost."""
 
 
 def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> Approach:
     """The approach of another aircraft.
 
     Args:
-        position: of the other less ours, m.
-        velocity: ours less the other's, m/s.
-        radius_m: horizontal radius of the volume that is to be kept.
-        scale: on vertical distances, where the volume is a ball.
+        position: position of the other minus ours, NED, m.
+        velocity: our velocity minus the other's, NED, m/s.
+        radius_m: horizontal radius of the volume to keep clear of.
+        scale: factor on vertical distances that makes the volume a ball.
     """
     px, py, pz = position[0], position[1], scale * position[2]
     vx, vy, vz = velocity[0], velocity[1], scale * velocity[2]
@@ -88,21 +93,22 @@ def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> A
 class _Watched:
     other: Neighbour
     way: Approach
-    """As last looked at."""
+    """Approach at the last judgement."""
     acting: bool = False
     level: Level = Level.NONE
     seen: deque[Level] = field(default_factory=lambda: deque(maxlen=RAISE_IN))
     held_s: float = -math.inf
-    """When the level was last seen as high."""
+    """When the level was last judged at least as high as now (monotonic)."""
     below: Level = Level.NONE
-    """Highest one seen since."""
+    """Highest level judged since `held_s`."""
     told_s: float = -math.inf
-    """Of the last COLLISION; one that told the end does not count."""
+    """Time of the last COLLISION message (monotonic); -inf if none was sent since the last end of an
+    alert."""
     said: Level = Level.NONE
-    """What was said of it in words, until it falls below caution."""
+    """Level of the last text about it; NONE again once the level falls below caution."""
 
     def look(self, level: Level, now_s: float) -> bool:
-        """Take in what was seen now; True when the level changed."""
+        """Process the level judged now; True if the alert level changed."""
         self.seen.append(level)
         before = self.level
         agreed = sorted(self.seen, reverse=True)[RAISE_OF - 1] if len(self.seen) >= RAISE_OF else Level.NONE
@@ -126,15 +132,15 @@ class Alerts:
         self._watched: dict[_Key, _Watched] = {}
         self._said_s = -math.inf
         self._spoken = False
-        """Of a caution or warning that is not over."""
+        """Whether a text was sent about a caution or warning that is not over."""
 
     def configure(self, config: AvoidanceConfig) -> None:
-        """Other distances and times count from now on."""
+        """Use other separations and horizons from now on."""
         self._config = config
 
     @property
     def levels(self) -> dict[_Key, Level]:
-        """Of the tracks that have one."""
+        """Levels of all tracks that have one above NONE."""
         return {key: w.level for key, w in self._watched.items() if w.level is not Level.NONE}
 
     def look(
@@ -145,11 +151,11 @@ class Alerts:
         neighbours: Sequence[Neighbour],
         result: LawResult | None,
     ) -> list[Command]:
-        """Judge every neighbour once; what is to be said and logged.
+        """Judge every neighbour once. Returns the messages to send and the log entries.
 
         Args:
-            position, velocity: own, NED, m and m/s.
-            result: the law's last decision; None while it does not fly.
+            position, velocity: own position (m) and velocity (m/s), NED.
+            result: the law's last decision; None while the law does not run.
         """
         views = {} if result is None else {(view.adsb, view.track_id): view for view in result.tracks}
         limits = () if result is None else result.limits
@@ -193,12 +199,13 @@ class Alerts:
         return Level.ADVISORY if conflict or way.loss_s <= 1.5 * horizon else Level.NONE
 
     def _urgent(self) -> list[_Watched]:
-        """At caution or above, the most urgent first."""
+        """Aircraft at caution or above, the most urgent first."""
         found = [w for w in self._watched.values() if w.level >= Level.CAUTION]
         return sorted(found, key=lambda w: (-w.level, w.way.loss_s, w.other.track_id))
 
     def _tell(self, now_s: float, ended: Sequence[_Watched]) -> list[Command]:
-        """COLLISION: every end of what was told; then the most urgent, each once a second."""
+        """COLLISION messages: one for the end of each alert that was sent, then the most urgent aircraft,
+        each once a second."""
         told: list[Command] = []
         for watched in ended:
             if watched.told_s > -math.inf:
@@ -211,7 +218,7 @@ class Alerts:
         return told
 
     def _say(self, now_s: float, limits: tuple[str, ...]) -> list[Command]:
-        """In words: the first caution, every warning, one text a second at most, and that all is over."""
+        """Texts: the first caution, every warning, and the end of all alerts; at most one text a second."""
         urgent = self._urgent()
         if not urgent:
             over, self._spoken = self._spoken, False

@@ -1,12 +1,12 @@
-"""The walls of a fence as planes of a decision.
+"""Converts the walls of a fence into planes of a decision.
 
-What is kept is that it can still stop: a command c' is allowed where stopping from it, straight on, ends
-before every wall. With the place p that it reaches in LAG_S as it flies, and a greatest speed u of the
-commands that can be reached, it stops no farther than p + c' t, t = STOP_LAG_S + u / (2 b), where b is BRAKES
-times the acceleration limit. Each wall (an edge, a circle: convex) lies beyond the plane through its nearest
-point, so that n . c' >= -free / t with the room `free` at p less the margin keeps the whole way to a stop on
-this side of it, and those of all walls together on this side of all: two walls of a corner, however sharp,
-and a notch.
+The rule is that the aircraft can always stop: a command c' is allowed if stopping straight on from it ends
+before every wall. Let p be the position in LAG_S at the present velocity, and u the greatest speed of the
+commands that can be reached. The aircraft stops no farther than p + c' t, with t = STOP_LAG_S + u / (2 b),
+where b is BRAKES times the acceleration limit. Each wall (an edge or a circle) is convex and lies beyond the
+plane through its nearest point. So n . c' >= -free / t, where `free` is the distance at p minus the margin,
+keeps the whole stopping path on this side of the wall. The planes of all walls together keep it on this side
+of all walls, also at a sharp corner or a notch.
 """
 
 from __future__ import annotations
@@ -21,41 +21,42 @@ from companion.avoidance.programs import EPSILON
 
 Array = NDArray[np.float64]
 
-# Columns of a row of `fence`, an edge or a circle: number of its area, rising from row to row; what the area
-# is; corners north, east, or a circle's middle and radius, m.
+# Columns of a row of `fence`, which is an edge or a circle: number of its area, increasing with the rows;
+# kind of the area; both ends of the edge (north, east), or centre and radius of the circle, m.
 W_AREA, W_KIND, W_FROM, W_TO, WALL_COLUMNS = 0, 1, 2, 4, 6
 IN_POLYGON, OUT_OF_POLYGON, IN_CIRCLE, OUT_OF_CIRCLE = 0.0, 1.0, 2.0, 3.0
 
 DOWN_SPEEDS = 2
-"""First planes of a decision, hard: the least and the greatest down speed."""
+"""Number of the first planes of a decision, which are hard: the least and the greatest down speed."""
 WALL_PLANES = 4
-"""Most planes of one wall: a circle from within has several."""
+"""Most planes of one wall: a circle seen from its inside has several."""
 OTHER_PLANES = 8
-"""The way back into an area and what bounds it, the one out of a margin, and a greatest speed."""
+"""Most further planes: those of the way back into an area, of the way out of a margin, and of a greatest
+speed."""
 BRAKES = 0.7
-"""Share of the acceleration limit that stopping before walls counts on; the rest is for the vertical, and for
-what the vehicle does differently."""
+"""Share of the acceleration limit that is used to stop before walls. The rest is reserved for vertical
+changes and for deviations of the vehicle."""
 LAG_S = 0.5
-"""In which the vehicle answers a command."""
+"""Time in which the vehicle responds to a command."""
 STOP_LAG_S = 0.5
-"""Until a command is changed: a period, latency, and what of the vehicle's lag is beyond LAG_S."""
+"""Time until a command is changed: a period, latency, and the part of the vehicle's lag beyond LAG_S."""
 BACK_LAG_S = 1.0
-"""In which the way back into the margin is made, where it is short."""
+"""Time in which a short way back to a fence's margin is flown."""
 FENCE_MARGIN_M = 2.0
-"""Kept from a fence besides two standard deviations of the own position."""
+"""Distance kept from a fence, in addition to two standard deviations of the own position."""
 FENCE_BACK = 0.2
-"""Speed back out of a fence's margin, and back into an area before others are avoided, in parts of the
-greatest."""
+"""Greatest speed, as a fraction of the speed limit, out of a fence's margin, and back into an area where this
+has priority over avoiding other aircraft."""
 RETURN_MARGINS = 3.0
-"""From outside it flies no faster back than it still stops within twice so many margins."""
+"""From outside an area, the aircraft flies back no faster than it can stop within twice this many margins."""
 FENCE_RETURN = 0.5
-"""Speed back into an area where nobody is in the way."""
+"""Greatest speed, as a fraction of the speed limit, back into an area if no other aircraft is in the way."""
 _FAN_RAD = math.radians(60.0)
 
 
 @compiled
 def plane_rows(walls: int, neighbours: int) -> int:
-    """Rows that a decision's `planes` and `scratch` need."""
+    """Number of rows that `planes` and `scratch` of a decision need."""
     return 2 * (DOWN_SPEEDS + WALL_PLANES * walls + OTHER_PLANES + neighbours)
 
 
@@ -75,7 +76,7 @@ def nearest_of_wall(wall: Array, n: float, e: float) -> tuple[float, float, floa
     share = min(max(((n - an) * sn + (e - ae) * se) / (sn * sn + se * se), 0.0), 1.0)
     dn, de = n - an - share * sn, e - ae - share * se
     length = math.sqrt(dn * dn + de * de)
-    if length < 1e-9:  # on the edge itself: nothing tells the sides apart
+    if length < 1e-9:  # on the edge itself the side is not defined
         return 0.0, 0.0, 0.0
     return length, dn / length, de / length
 
@@ -97,7 +98,7 @@ def inside(fence: Array, first: int, after: int, n: float, e: float) -> bool:
 
 @compiled
 def crosses(wall: Array, an: float, ae: float, bn: float, be: float) -> bool:
-    """Whether the straight way from a to b, which begins on the right side of a wall, crosses it."""
+    """Whether the straight line from a to b, which begins on the allowed side of a wall, crosses it."""
     if wall[W_KIND] == IN_CIRCLE:
         return bool(math.sqrt((bn - wall[W_FROM]) ** 2 + (be - wall[W_FROM + 1]) ** 2) > wall[W_TO])
     dn, de = bn - an, be - ae
@@ -115,9 +116,10 @@ def crosses(wall: Array, an: float, ae: float, bn: float, be: float) -> bool:
 
 @compiled
 def closing(room: float, acceleration: float, lag_s: float) -> float:
-    """Speed at which it still stops at a boundary: v lag + v^2 / (2 a) = room; beyond it, the way back.
+    """Greatest speed v towards a boundary from which the aircraft still stops: v lag + v^2 / (2 a) = room.
 
-    `tests/companion/avoidance/test_proofs.py` proves it, for one reaction and for any number of periods.
+    Beyond the boundary (`room` at most 0) the speed is negative: the way back.
+    `tests/companion/avoidance/test_proofs.py` proves this for one reaction and for any number of periods.
     """
     if room <= 0.0:
         return room / lag_s
@@ -129,7 +131,7 @@ def closing(room: float, acceleration: float, lag_s: float) -> float:
 def _stopping(
     planes: Array, at: int, dn: float, de: float, free: float, stop_s: float, brakes: float, speed: float
 ) -> int:
-    """A wall's plane into row `at`, where it is within reach; the row after it."""
+    """Write a wall's plane into row `at` if the wall is within reach. Returns the next free row."""
     towards = min(closing(max(free, 0.0), brakes, STOP_LAG_S), max(free, 0.0) / stop_s)
     if towards >= speed:
         return at
@@ -150,8 +152,12 @@ def _from_within(
     planes: Array,
     at: int,
 ) -> int:
-    """Planes of a circle to be stayed in: its tangents nearest to the place ahead (yn, ye from its middle),
-    to both sides, and where it would stop from the present command (cn, ce). None cuts off any of it."""
+    """Write the planes of an inclusion circle. Returns the next free row.
+
+    They are tangents of the circle: at the point nearest to the position ahead (yn, ye from the centre), to
+    both sides of it, and where the aircraft would stop from the present command (cn, ce). No tangent cuts off
+    a part of the circle.
+    """
     for turn in (0.0, _FAN_RAD, -_FAN_RAD, math.nan):
         if math.isnan(turn):
             on, oe = yn + stop_s * cn, ye + stop_s * ce
@@ -183,25 +189,31 @@ def wall_planes(
     planes: Array,
     at: int,
 ) -> tuple[int, int]:
-    """Planes of the fence, from row `at` on: hard ones, then a soft one; the rows after each.
+    """Write the planes of the fence from row `at` on: hard planes, then at most one soft plane.
 
-    On the right side of an area, each wall within reach asks that it can still be stopped at, a margin before
-    it; standing still is allowed. Within the margin of the nearest of them there is a way back, where that
-    breaks no other. On the wrong side of areas, the nearest of their walls is to be crossed back: a hard
-    plane, the first, that lets nothing lead further out and asks for a slow way back where that breaks no
-    other, some that bound the speed, and a soft one for a faster way.
+    On the allowed side of an area, each wall within reach requires that the aircraft can still stop a margin
+    before it; standing still is always allowed. If the nearest wall is closer than the margin, a plane
+    requires a way back, if that violates no other plane. On the wrong side of areas, the aircraft has to
+    cross the nearest of their walls back. The first plane, which is hard, then lets nothing lead further out,
+    and requires a slow way back if that violates no other plane. Further hard planes bound the speed, and a
+    soft one requires a faster way back.
 
     Args:
         fence: shape (F, WALL_COLUMNS); areas one after the other.
-        n, e: own position, m; ahead_n, ahead_e: where it will be in LAG_S.
+        n, e: own position, m.
+        ahead_n, ahead_e: own position in LAG_S, m.
         cn, ce: the present command, m/s.
-        margin: kept from walls, m.
+        margin: distance to keep from walls, m.
         speed: greatest speed, m/s.
-        acceleration: its limit, m/s^2.
-        bound: greatest horizontal speed of what is to be chosen from, m/s.
-        back: whether the ways back are asked for; without it only that nothing leads further out.
-        gain: most that they ask for beyond what the present command has of them, m/s.
+        acceleration: acceleration limit, m/s^2.
+        bound: greatest horizontal speed of the commands that can be chosen, m/s.
+        back: whether to require ways back; if not, the planes only let nothing lead further out.
+        gain: most that a way back may require beyond the present command's speed in its direction, m/s.
         planes: shape (at least `plane_rows`, 4); written.
+        at: first row to write.
+
+    Returns:
+        The row after the hard planes, and the row after all planes.
     """
     brakes = BRAKES * acceleration
     stop_s = STOP_LAG_S + bound / (2.0 * brakes)
@@ -216,7 +228,7 @@ def wall_planes(
         right = inside(fence, first, after, n, e) == (kind in (IN_POLYGON, IN_CIRCLE))
         for i in range(first, after):
             room, dn, de = nearest_of_wall(fence[i], n, e)
-            if dn * dn + de * de == 0.0:  # on the border itself: nothing tells the sides apart
+            if dn * dn + de * de == 0.0:  # on the border itself the side is not defined
                 continue
             if not right:
                 if room < outside:
@@ -234,7 +246,8 @@ def wall_planes(
                 at = _stopping(planes, at, dn, de, free, stop_s, brakes, speed)
         first = after
     if outside < math.inf:
-        # It stops before long: in a circle that it stands on the border of, with its middle on the way back.
+        # To bound the speed: the aircraft must stop within a circle that it is on the border of, with its
+        # centre on the way back.
         round_m = RETURN_MARGINS * margin
         at = _from_within(
             ahead_n - n - round_m * bn, ahead_e - e - round_m * be, round_m, cn, ce, speed, stop_s, brakes,
@@ -264,7 +277,8 @@ def wall_planes(
 
 @compiled
 def allowed(planes: Array, start: int, after: int, dn: float, de: float, speed: float) -> bool:
-    """Whether a speed along a level direction keeps the planes of these rows."""
+    """Whether a speed in a horizontal direction satisfies the planes of the rows from `start` to before
+    `after`."""
     for j in range(start, after):
         if speed * (planes[j, 0] * dn + planes[j, 1] * de) < planes[j, 3] - EPSILON:
             return False

@@ -1,14 +1,15 @@
-"""The command: the nearest to what the law wants within the change of one period that keeps the hard planes.
+"""Finds the command nearest to the law's wish within one period's change that satisfies the hard planes.
 
-Where stopping was possible a period ago (`fence_planes`), braking on keeps it possible, whatever is heard. So
-once every wall can be stopped at, it stays so, as long as the vehicle answers with a lag of about LAG_S and
-position and velocity are true.
+If stopping was possible a period ago (`fence_planes`), braking keeps it possible, independent of other
+aircraft. So once the aircraft can stop before every wall, this remains true, as long as the vehicle responds
+with a lag of about LAG_S, and position and velocity are true.
 
-Where no command in reach keeps every plane for the greatest speed in reach, a lower speed makes the way to a
-stop shorter: those that do not fly faster than that are looked through, down to braking with BRAKES of the
-acceleration limit. A state from which even that does not stop in time (taken over next to a wall, a gust) is
-left by braking straight on with all of the acceleration limit, where that ends before every wall; else by
-turning off each wall by itself; and where that is too much, too, by breaking least what is nearest.
+The planes assume the greatest speed in reach. If no command in reach satisfies all of them, lower speeds are
+assumed, because they shorten the stopping distance: the search includes commands up to such a speed, down to
+braking with BRAKES of the acceleration limit. There are states from which even this does not stop in time
+(taken over next to a wall, a gust). Then the aircraft brakes straight on with the full acceleration limit, if
+that ends before every wall. Otherwise it turns away from each wall separately. If that is not possible
+either, it violates the planes least, with the greatest weight on the nearest wall.
 """
 
 from __future__ import annotations
@@ -25,21 +26,22 @@ from companion.avoidance.programs import EPSILON, ball, least_violation
 Array = NDArray[np.float64]
 
 _STEPS = 40
+"""Most steps of the search for the nearest velocity in reach."""
 _SLOWER = 4
-"""Steps of a search for the nearest in reach, and for the greatest speed."""
+"""Bisection steps of the search for the greatest speed."""
 
 
 @compiled
 def limit(
     wanted: Array, previous: Array, most_change: float, least_down: float, most_down: float, speed: float
 ) -> tuple[float, float, float]:
-    """The command nearest to `wanted` on the way from `previous`: change, down speed and speed limited.
+    """The command on the way from `previous` to `wanted`, with limited change, down speed and total speed.
 
-    The bounds on the down speed may move faster than the change allows (a jump in altitude at the ceiling);
-    then they win, and the change is what it has to be.
+    The bounds on the down speed may move faster than the change allows (after a jump in altitude at the
+    ceiling). Then the bounds have priority over the limit of the change.
 
-    `tests/companion/avoidance/test_proofs.py` proves that speed and down bounds always hold, and the change
-    where the last command was within the down bounds and the wish within the speed.
+    `tests/companion/avoidance/test_proofs.py` proves that speed and down bounds always hold. It proves the
+    limit of the change if the last command was within the down bounds and the wish within the speed.
     """
     dn, de, dd = wanted[0] - previous[0], wanted[1] - previous[1], wanted[2] - previous[2]
     most_change *= 1.0 - 1e-9  # rounding stays under the limit
@@ -47,7 +49,7 @@ def limit(
     k = most_change / change if change > most_change else 1.0
     d = previous[2] + k * dd
     down = min(max(d, least_down), most_down)
-    if down != d:  # what the vertical needs is taken from the horizontal
+    if down != d:  # the vertical change has priority over the horizontal one
         left = math.sqrt(max(most_change * most_change - (down - previous[2]) ** 2, 0.0))
         level = math.sqrt(dn * dn + de * de)
         k = left / level if level > left else 1.0
@@ -64,13 +66,14 @@ def limit(
 def in_reach(
     planes: Array, count: int, wish: Array, before: Array, change: float, speed: float
 ) -> tuple[bool, float, float, float]:
-    """The velocity nearest to `wish` of those that keep the planes, the speed and the change from `before`.
+    """The velocity nearest to `wish` within the planes, the greatest speed and the change from `before`.
 
-    What keeps planes and speed nearest to a point on the straight way from the wish to `before` comes the
-    nearer to `before` the farther the point has gone, and is the answer where it has come as near as it must.
+    The search moves a point straight from the wish to `before`. The farther it has moved, the nearer to
+    `before` is the velocity that satisfies planes and speed nearest to the point. The result is the one whose
+    distance from `before` is just the allowed change.
 
     Returns:
-        False and what keeps the planes nearest to `before`, where that is too far from it.
+        True and the velocity. If none is within the change: False and the one nearest to `before`.
     """
     kept, x, y, z = ball(planes, count, speed, before[0], before[1], before[2], False)
     far = _gap(before, x, y, z) - change
@@ -82,7 +85,7 @@ def in_reach(
         return True, tx, ty, tz
     low, high = 0.0, 1.0
     for step in range(_STEPS):
-        # False position, and halves where it does not get on.
+        # False position, and every third step bisection in case it does not converge.
         k = low + (high - low) * over / (over - far) if step % 3 != 2 else 0.5 * (low + high)
         on, oe, od = (
             wish[0] + k * (before[0] - wish[0]),
@@ -109,7 +112,7 @@ def _gap(before: Array, x: float, y: float, z: float) -> float:
 
 @compiled
 def _weigh(planes: Array, count: int, margin: float, brakes: float) -> None:
-    """Divide the planes of walls, each by the room (m) left before its wall: the nearest one counts most."""
+    """Divide each wall's plane by the distance (m) before the wall, so that the nearest wall counts most."""
     for j in range(DOWN_SPEEDS, count):
         towards = -planes[j, 3]
         room = margin + towards * STOP_LAG_S + towards * towards / (2.0 * brakes)
@@ -130,8 +133,11 @@ def _least_broken(
     outside: bool,
     scratch: Array,
 ) -> tuple[float, float, float]:
-    """The command within the change that breaks the walls' planes least; the down speeds are kept, and
-    outside of an area the first plane of a wall, where it can be: nothing leads further out."""
+    """The command within the change that violates the walls' planes least.
+
+    The planes of the down speeds are satisfied. With `outside`, so is the first plane of a wall if that is
+    possible, so that nothing leads further out.
+    """
     hard = DOWN_SPEEDS
     if outside:
         room = math.sqrt(planes[hard, 0] * planes[hard, 0] + planes[hard, 1] * planes[hard, 1])
@@ -141,12 +147,12 @@ def _least_broken(
     for j in range(count):  # around the present command
         planes[j, 3] -= planes[j, 0] * before[0] + planes[j, 1] * before[1] + planes[j, 2] * before[2]
     kept, x, y, z = ball(planes, hard, change, 0.0, 0.0, 0.0, False)
-    if outside and kept < hard:  # all that there is, not to go further out
+    if outside and kept < hard:  # use the full change against going further out
         left = math.sqrt(max(change * change - z * z, 0.0))
         x, y = left * planes[kept, 0], left * planes[kept, 1]
     else:
         x, y, z = least_violation(planes, kept, count, change, x, y, z, kept, scratch)
-    # Walls say nothing of the vertical: it gets what they leave.
+    # Walls do not constrain the vertical, which gets the rest of the change.
     left = math.sqrt(max(change * change - x * x - y * y, 0.0))
     down = before[2] + min(max(wish[2] - before[2], -left), left)
     down = min(max(down, least), most)
@@ -172,7 +178,7 @@ def _stops_inside(
     level: float,
     acceleration: float,
 ) -> bool:
-    """Whether braking straight on with all of the acceleration limit ends before every wall."""
+    """Whether braking straight on with the full acceleration limit ends before every wall."""
     stop_s = level / (2.0 * acceleration)
     for i in range(len(fence)):
         if crosses(fence[i], n, e, ahead_n + stop_s * before[0], ahead_e + stop_s * before[1]):
@@ -199,24 +205,25 @@ def keep(
     hard: int,
     scratch: Array,
 ) -> tuple[float, float, float]:
-    """The command: as `limit` says where that keeps the walls' planes, else the nearest that keeps them.
+    """The command: that of `limit` if it satisfies the walls' planes, else the nearest to the wish that does.
 
     Args:
-        fence, n, e, ahead_n, ahead_e, margin, speed, acceleration: as of `wall_planes`.
-        wish: shape (at least 3,), what the law wants, m/s.
+        fence, n, e, ahead_n, ahead_e, margin, speed, acceleration: see `wall_planes`.
+        wish: shape (at least 3,), velocity that the law wants, m/s.
         before: shape (at least 3,), the last command, m/s.
-        change: most that it may change, m/s.
-        least, most: of the down speed, m/s.
-        planes: the `hard` first rows are the planes of `wall_planes` for all that can be reached, after those
-            of the down speeds; the rows after them are written.
-        scratch: as `planes`; written.
+        change: greatest change of the command, m/s.
+        least, most: bounds of the down speed, m/s.
+        planes: the first `hard` rows are the planes of the down speeds, then those of `wall_planes` for all
+            commands in reach; the rows after them are overwritten.
+        hard: number of hard planes.
+        scratch: shape of `planes`; overwritten.
     """
     x, y, z = limit(wish, before, change, least, most, speed)
     if allowed(planes, DOWN_SPEEDS, hard, x, y, 1.0):
         return x, y, z
     change *= 1.0 - 1e-9
     top = speed * (1.0 - 1e-12)
-    if not least - change <= before[2] <= most + change:  # the vertical needs all of the change
+    if not least - change <= before[2] <= most + change:  # the vertical needs the full change
         return x, y, z
     found, x, y, z = in_reach(planes, hard, wish, before, change, top)
     if found:
@@ -250,7 +257,7 @@ def keep(
         most_speed = low if step == 0 else 0.5 * (low + high)
     else:
         return x, y, z
-    # No planes hold that count on BRAKES and keep the margin.
+    # The planes that rely on BRAKES and keep the margin cannot be satisfied.
     count, after = wall_planes(
         fence, n, e, ahead_n, ahead_e, before[0], before[1], margin, speed, acceleration, 0.0, False, 0.0,
         scratch, DOWN_SPEEDS,

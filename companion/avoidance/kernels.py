@@ -1,9 +1,9 @@
-"""The numeric law: one decision, compiled by numba in double precision.
+"""The numeric part of the law: one decision, compiled by numba in double precision.
 
-`decide` is all of a law, from the own state, the path and what was heard to the command: it builds the planes
-of neighbours and fences, lets `programs` look for the velocity and `hard_planes` for the command. Every
-function works on arrays that the caller owns, so that a compiled loop over many aircraft calls it as the
-aircraft does; it runs uncompiled too.
+`decide` is a complete law, from the own state, the path and the neighbours to the command: it builds the
+planes of neighbours and fences, finds the velocity with `programs` and the command with `hard_planes`. Every
+function works on arrays that the caller owns, so that a compiled loop over many aircraft can call it in the
+same way as the aircraft does. The functions also run uncompiled.
 """
 
 from __future__ import annotations
@@ -37,96 +37,101 @@ from companion.avoidance.programs import solve as solve
 Array = NDArray[np.float64]
 
 SLACK_MPS = 0.02
-"""Of a decision that cannot keep every plane."""
+"""Slack for `programs.solve` in a decision that cannot satisfy every plane."""
 
 # Columns of a row of `neighbours`.
 N_POSITION, N_VELOCITY, N_AGE = 0, 3, 6  # at the message's own time; s
 (
     N_SIGMA,  # m for each horizontal axis
     N_SIGMA_VELOCITY,  # m/s for each axis
-    N_GROWTH,  # m/s, what `note_track` says of its past
-    N_SILENT,  # 1: not heard for so long that it may have stopped
-    N_SHARE,  # of what is needed that is ours, 0.5 to 1
+    N_GROWTH,  # m/s, growth of the track by `note_track`
+    N_SILENT,  # 1: not received for so long that it may have stopped
+    N_SHARE,  # our share of the velocity change that avoids it, 0.5 to 1
     N_VERTICAL,  # 1: its height is known
-    N_CREWED,  # 1: crewed traffic, with separations of its own
+    N_CREWED,  # 1: crewed traffic, with its own separations
     NEIGHBOUR_COLUMNS,
 ) = range(7, 15)
-# Entries of `own`; floor and ceiling are NED down, infinite (plus, minus) where there is none.
+# Entries of `own`; floor and ceiling are NED down, plus and minus infinity if there is none.
 O_POSITION, O_VELOCITY, O_SIGMA, O_NOW, O_PATH_TIME, O_FLOOR, O_CEILING = 0, 3, 6, 7, 8, 9, 10
 OWN_ENTRIES = 11
 # Entries of `settings`.
 (
     S_LAW,  # DMUCA, PAPER or NONE
-    S_RADIUS,  # both conflict radii, m
-    S_LEAST_MARGIN,  # m
+    S_RADIUS,  # sum of both conflict radii, m
+    S_LEAST_MARGIN,  # least margin, m
     S_SIGMAS,  # margin in standard deviations of the relative error
-    S_QUANTUM,  # m/s, error of a sent velocity's steps
-    S_GROWTH,  # 0: what tracks did before does not count, 1: it does
+    S_QUANTUM,  # m/s, error due to the resolution of a sent velocity
+    S_GROWTH,  # 1: growth and silence of tracks are used, 0: they are not
     S_CREWED,  # separation from crewed traffic, m
-    S_CREWED_VERTICAL,  # as S_VERTICAL
-    S_CREWED_HORIZON,  # as S_HORIZON, s
-    S_VERTICAL,  # factor on vertical distances: under 1 the volume is taller than wide
+    S_CREWED_VERTICAL,  # S_VERTICAL for crewed traffic
+    S_CREWED_HORIZON,  # S_HORIZON for crewed traffic, s
+    S_VERTICAL,  # factor on vertical distances: below 1 the volume is taller than wide
     S_HORIZON,  # tau, s
-    S_OVERLAP,  # time in which to leave a volume, s
+    S_OVERLAP,  # time in which to leave an overlapping volume, s
     S_LOOK,  # s, window of the conflict test
     S_RIGHT,  # rad, turn to the right when in conflict
     S_SPEED,  # greatest speed, m/s
     S_CLIMB,  # greatest climb, m/s
     S_DESCENT,  # greatest descent, m/s
     S_ACCELERATION,  # greatest change of the command, m/s^2
-    S_PERIOD,  # between two decisions, s
+    S_PERIOD,  # time between two decisions, s
     S_RECOVERY,  # T: time to close the gap to the path's point, s
-    S_TURN,  # s before and after over which the path's corners are rounded, above 0
+    S_TURN,  # time before and after a corner of the path in which it is rounded, s, above 0
     S_QUIET,  # cycles without conflict before the published law recovers
-    S_REGAINED,  # m from the path's point that count as back on it
-    S_CATCH_UP,  # s: a gap along the path that takes longer to close delays the path; 0: never
+    S_REGAINED,  # distance to the path's point that counts as back on the path, m
+    S_CATCH_UP,  # a gap along the path that takes longer than this to close (s) delays the path; 0: never
     SETTINGS_ENTRIES,
 ) = range(25)
 DMUCA, PAPER, NONE = 0.0, 1.0, 2.0
-# Entries of `state`, what a law remembers: the last command and its time (NaN before the first one), quiet
-# cycles, by how much the path is delayed, samples in the history of own velocities.
+# Entries of `state`, the memory of a law: the last command and its time (NaN before the first one), cycles
+# without conflict, delay of the path (s), number of samples in the history of own velocities.
 L_COMMAND, L_TIME, L_QUIET, L_DELAY, L_HISTORY, STATE_ENTRIES = 0, 3, 4, 5, 6, 7
-# Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time and distance at the closest,
-# plane, and that of where it would stand (0 where there is none).
+# Columns of a row of `view`: predicted position, radius, conflict (0 or 1), time and distance at the closest
+# approach, plane, and plane for the place where a silent track may have stopped (0 if there is none).
 V_POSITION, V_RADIUS, V_CONFLICT, V_TIME, V_DISTANCE = 0, 3, 4, 5, 6
 V_PLANE, V_STANDING, VIEW_COLUMNS = 7, 11, 15
-# What is remembered of a track by `note_track`: a message's time, position, velocity; growth; silence.
+# Memory of `note_track` for a track: time, position and velocity of a message; growth; longest gap lately.
 T_TIME, T_POSITION, T_VELOCITY, T_GROWTH, T_GAP, TRACK_ENTRIES = 0, 1, 4, 7, 8, 9
-# Entries of `out`: the command, what would be flown alone; 0 or 1: every plane kept, a volume would be
-# broken by flying alone, on the way back to the path; first row of `planes` that is a neighbour's, hard
-# planes; what the law would command if it could change the velocity at once; s, by
-# which the path waits.
+# Entries of `out`: the command; the wanted velocity, without neighbours; 0 or 1: every plane is satisfied,
+# the wanted velocity would enter a volume, the aircraft is on the way back to the path; first row of `planes`
+# that belongs to a neighbour; number of hard planes; velocity that the law would command without a limit on
+# its change; delay of the path, s.
 R_CHOSEN, R_WANTED, R_FEASIBLE, R_CONFLICT, R_RECOVERING = 0, 3, 6, 7, 8
 R_NEIGHBOURS, R_HARD, R_SOLVED, R_LATE, OUT_ENTRIES = 9, 10, 11, 14, 15
 
 BOUNDARY_LAG_S = 1.0
-"""From a decision to the vehicle's answer, at floor and ceiling: autopilot lag, period and latency."""
+"""Time from a decision to the vehicle's response, for floor and ceiling: autopilot lag, period and
+latency."""
 RESTART_S = 1.0
-"""After a pause longer than this (and five periods) the command starts again from the velocity flown."""
+"""After a pause longer than this and than five periods, the command starts again from the own velocity."""
 DEMAND = 2.0
-"""Most that one neighbour's plane asks for, in parts of the greatest speed."""
+"""Most that one neighbour's plane may require, as a multiple of the greatest speed."""
 NEWS_S = 0.9
-"""A track's past is judged by messages at least this far apart."""
+"""Least time between two messages that are compared to judge a track's past."""
 GROWTH_MEMORY_S = 40.0
+"""Time constant with which the growth of a track fades."""
 GROWTH_MOST_MPS = 3.0
 GROWTH_AHEAD_S = 4.0
-"""A track's deviations count from its message to this long after now."""
+"""The growth of a track applies to the time from its message to this long after now."""
 SILENT_S, SILENT_GAPS = 2.0, 1.5
-"""A track of which nothing was received for longer than this and this many of its longest gaps lately may
-have stopped: delays that differ by a second make gaps of 2 s of one message a second."""
+"""A track may have stopped if nothing was received for SILENT_S plus SILENT_GAPS times its longest recent gap
+(at least 1 s). With one message a second, delays that differ by a second already make gaps of 2 s."""
 GAP_MEMORY_S = 60.0
+"""Time constant with which the longest gap of a track fades."""
 STOPS_S = 1.0
-"""It then stands where it would have been so long after its last message."""
+"""A silent track is assumed to stand where it would have been this long after its last message."""
 HISTORY_SPACING_S = 0.04
+"""Least time between two samples in the history of own velocities."""
 HISTORY_SAMPLES = 1024
-"""Half of them stay when they are full: at this spacing 20 s, more than the oldest message's age."""
+"""Size of that history. When it is full, the newer half is kept: 20 s, which exceeds the age of the oldest
+message."""
 
 
 @_compiled
 def closest(
     px: float, py: float, pz: float, vx: float, vy: float, vz: float, window: float
 ) -> tuple[float, float]:
-    """Time (s, in [0, window]) and square of the least distance (m^2) while p - v t closes or opens."""
+    """Time (s, in [0, window]) and square (m^2) of the least distance, for the relative position p - v t."""
     t = 0.0
     v2 = vx * vx + vy * vy + vz * vz
     if v2 > 0.0:
@@ -139,12 +144,12 @@ def closest(
 def note_velocity(
     state: Array, times: Array, velocities: Array, now: float, vn: float, ve: float, vd: float
 ) -> None:
-    """Add an own velocity to the history, oldest first; what is not newer or not finite is passed over."""
+    """Add an own velocity to the history, oldest first. One that is not newer, or not finite, is ignored."""
     n = int(state[L_HISTORY])
     if not math.isfinite(now + vn + ve + vd) or (n > 0 and now <= times[n - 1]):
         return
     if n > 1 and times[n - 1] - times[n - 2] < HISTORY_SPACING_S:
-        n -= 1  # a fast caller: the newest sample moves along
+        n -= 1  # the caller is fast: replace the newest sample
     elif n == len(times):
         half = n // 2
         for i in range(half):
@@ -161,16 +166,16 @@ def note_velocity(
 def note_track(
     track: Array, t: float, pn: float, pe: float, pd: float, vn: float, ve: float, vd: float, sigma: float
 ) -> None:
-    """Learn from a new message how fast a track leaves its own predictions.
+    """Learn from a new message how fast a track deviates from its own predictions.
 
-    A neighbour that manoeuvres is not where its last message says. What noise cannot explain of the distance
-    between a message and the prediction of the one before, over the time between them, is a speed; twice the
-    largest one lately, halved every 28 s, is the growth.
+    A neighbour that manoeuvres is not where its last message predicts. The distance between a message and the
+    prediction from the one before, minus what noise explains, divided by the time between them, is a speed.
+    The growth is twice the largest such speed lately, halved every 28 s.
 
     Args:
-        track: TRACK_ENTRIES values, all 0 but T_TIME, which is -inf, before the first message; written.
-        t: the message's own time, s; an older one is passed over.
-        pn, pe, pd, vn, ve, vd: its position and velocity, NED, m and m/s.
+        track: TRACK_ENTRIES values; before the first message all 0, except T_TIME, which is -inf. Written.
+        t: the message's own time, s; a message less than NEWS_S after the one remembered is ignored.
+        pn, pe, pd, vn, ve, vd: position and velocity of the message, NED, m and m/s.
         sigma: declared error of the position, m for each axis.
     """
     passed = t - track[T_TIME]
@@ -193,14 +198,15 @@ def note_track(
 
 @_compiled
 def silent_after(track: Array) -> float:
-    """Time (s) from the last reception after which silence says something, by what `note_track` remembers."""
+    """Time (s) since the last reception from which a track counts as silent, by its memory from
+    `note_track`."""
     return float(SILENT_S + SILENT_GAPS * max(track[T_GAP], 1.0))
 
 
 @_compiled
 def _between(times: Array, rows: Array, count: int, t: float) -> tuple[float, float, float]:
-    """Of the `count` first rows, at rising times, the one at t on a straight line between two; the first or
-    last one outside of their time."""
+    """The row at time t, interpolated linearly between the first `count` rows at rising times; the first or
+    last row outside of their times."""
     low, high = 0, count - 1
     if t <= times[low]:
         return rows[low, 0], rows[low, 1], rows[low, 2]
@@ -222,13 +228,13 @@ def _between(times: Array, rows: Array, count: int, t: float) -> tuple[float, fl
 
 @_compiled
 def own_velocity_at(times: Array, velocities: Array, count: int, t: float) -> tuple[float, float, float]:
-    """Own velocity at a time, between the samples of the history; its first or last one outside of it."""
+    """Own velocity at a time, interpolated in the history; its first or last sample outside of it."""
     return _between(times, velocities, count, t)
 
 
 @_compiled
 def path_position(times: Array, points: Array, t: float) -> tuple[float, float, float]:
-    """Point of a timed path at a time; its first or last point outside of its own time.
+    """Point of a timed path at a time; its first or last point before its start or after its end.
 
     Args:
         times: shape (K,), strictly rising, s.
@@ -241,7 +247,7 @@ def path_position(times: Array, points: Array, t: float) -> tuple[float, float, 
 def path_nearest(
     times: Array, points: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Time and place of a path's point nearest to a position; the earliest of equally near ones."""
+    """Time and place of a path's point nearest to a position; the earliest if several are equally near."""
     least = math.inf
     t = n = e = d = 0.0
     for i in range(len(times) - 1):
@@ -263,7 +269,7 @@ def path_nearest(
 
 @_compiled
 def _clipped(n: float, e: float, d: float, speed: float) -> tuple[float, float, float]:
-    """The velocity, shortened to a speed where it is faster."""
+    """The velocity, shortened to `speed` if it is faster."""
     length = math.sqrt(n * n + e * e + d * d)
     if length <= speed:
         return n, e, d
@@ -273,14 +279,15 @@ def _clipped(n: float, e: float, d: float, speed: float) -> tuple[float, float, 
 
 @_compiled
 def _down_speeds(own: Array, settings: Array) -> tuple[float, float]:
-    """Least and greatest down speed: climb, descent, and what still stops before floor and ceiling."""
+    """Least and greatest down speed: within the climb and descent limits, and able to stop before floor and
+    ceiling."""
     down, acceleration = own[O_POSITION + 2], settings[S_ACCELERATION]
     least, most = -settings[S_CLIMB], settings[S_DESCENT]
     most = min(max(closing(own[O_FLOOR] - down, acceleration, BOUNDARY_LAG_S), least), most)
     least = min(
         max(-closing(down - own[O_CEILING], acceleration, BOUNDARY_LAG_S), least), settings[S_DESCENT]
     )
-    # In a thin layer the way back from one may be faster than the other allows.
+    # If floor and ceiling are close together, the way back from one may be faster than the other allows.
     return min(least, most), most
 
 
@@ -288,14 +295,14 @@ def _down_speeds(own: Array, settings: Array) -> tuple[float, float]:
 def _preferred(
     own: Array, times: Array, points: Array, settings: Array, delay: float, least: float, most: float
 ) -> tuple[float, float, float, float]:
-    """Along the path, and back to its point within T; and by how much the path is delayed each second.
+    """The preferred velocity, along the path and back to its point within T, and the path's delay per second.
 
-    The velocity along the path turns ahead of a corner, over the time that the acceleration limit needs:
-    without that the aircraft overshoots and is led back by the gap alone. No feed-forward after the end.
+    The velocity along the path turns ahead of a corner, over the time that the acceleration limit needs.
+    Otherwise the aircraft would overshoot, and only the gap would lead it back. After the path's end there is
+    no feed-forward.
 
-    A point that runs ahead faster than the speed in reserve can make up for waits: the paper updates the
-    expected arrival where the way back is clipped; here the point slows down as far as its lead is more than
-    what the reserve makes up for within S_CATCH_UP.
+    If the path's point is farther ahead than the speed in reserve can make up for within S_CATCH_UP, the
+    point slows down accordingly. The paper instead updates the expected arrival when the way back is clipped.
     """
     t, half = own[O_PATH_TIME] - delay, settings[S_TURN]
     n, e, d = path_position(times, points, t)
@@ -324,7 +331,8 @@ def _preferred(
 def _published_recovery(
     own: Array, times: Array, points: Array, settings: Array, state: Array
 ) -> tuple[float, float, float]:
-    """The paper's way back to the path, both cases; above v_max the path is delayed by the time it costs."""
+    """The paper's velocity back to the path, in both cases. If it exceeds v_max, the path is delayed
+    accordingly."""
     t = own[O_PATH_TIME] - state[L_DELAY]
     pn, pe, pd = own[O_POSITION], own[O_POSITION + 1], own[O_POSITION + 2]
     nearest, n, e, d = path_nearest(times, points, pn, pe, pd)
@@ -360,10 +368,11 @@ def _half_space_row(
     share: float,
     most: float,
 ) -> None:
-    """One neighbour's plane, built where its volume is a ball, the normal mapped back.
+    """Write the plane of one neighbour, built where its volume is a ball and mapped back.
 
-    p: from us to it; a: our velocity; vn, ve: its level velocity; rd: our down speed less its. Nobody may ask
-    for more than `most` m/s: from within a large volume the demand would outweigh everybody else's.
+    p is the position from us to it; a our velocity; vn, ve its horizontal velocity; rd our down speed minus
+    its own. A plane requires at most `most` m/s; otherwise a neighbour whose large volume we are in would
+    outweigh all others.
     """
     nn, ne, nd, s = half_space(pn, pe, scale * pd, an - vn, ae - ve, scale * rd, radius, horizon, overlap)
     nd *= scale
@@ -374,13 +383,13 @@ def _half_space_row(
 
 @_compiled
 def _ahead(own: Array) -> tuple[float, float]:
-    """Where it will be, north and east, when it answers a command."""
+    """Own position, north and east, when the vehicle responds to a command."""
     return own[O_POSITION] + LAG_S * own[O_VELOCITY], own[O_POSITION + 1] + LAG_S * own[O_VELOCITY + 1]
 
 
 @_compiled
 def _margin(own: Array) -> float:
-    """What is kept from a fence, m."""
+    """Distance to keep from a fence, m."""
     return float(FENCE_MARGIN_M + 2.0 * own[O_SIGMA])
 
 
@@ -406,11 +415,14 @@ def _avoid(
     view: Array,
     out: Array,
 ) -> tuple[bool, bool]:
-    """Predict the others, build the half-spaces, keep right, solve; whether feasible, whether in conflict.
+    """Predict the neighbours, build the half-spaces, turn right in a conflict, and solve.
 
-    The combined radius is the separation and a margin: S_SIGMAS standard deviations of the relative position
-    now (both positions', and the sent velocity's over the age), and what has been lost since the message to
-    the steps of sent velocities or, where that is more, to the track's manoeuvres.
+    Returns whether all planes are satisfied, and whether there is a conflict.
+
+    The combined radius is the separation plus two margins. The first is S_SIGMAS standard deviations of the
+    present relative position (from both positions, and from the sent velocity over the age). The second is
+    the error since the message due to the resolution of sent velocities or, if that is more, to the track's
+    manoeuvres.
     """
     planes[0, 0], planes[0, 1], planes[0, 2], planes[0, 3] = 0.0, 0.0, 1.0, least
     planes[1, 0], planes[1, 1], planes[1, 2], planes[1, 3] = 0.0, 0.0, -1.0, -most
@@ -437,7 +449,7 @@ def _avoid(
         pd = neighbours[j, N_POSITION + 2] + age * vd - own[O_POSITION + 2]
         an, ae, ad = own_velocity_at(history_times, history_velocities, history_count, own[O_NOW] - age)
         rd, wish_d = ad - vd, wd - vd
-        if level:  # an unknown height is no way out
+        if level:  # an unknown height must not be passed above or below
             pd, rd, wish_d = 0.0, 0.0, 0.0
         drift = neighbours[j, N_SIGMA_VELOCITY] * age
         sigma = math.sqrt(own[O_SIGMA] ** 2 + neighbours[j, N_SIGMA] ** 2 + drift * drift)
@@ -464,7 +476,8 @@ def _avoid(
             view[j, V_PLANE + column] = planes[first + j, column]
             view[j, V_STANDING + column] = 0.0
         if settings[S_GROWTH] != 0.0 and neighbours[j, N_SILENT] != 0.0:
-            # Who falls silent in flight may have lost its GNSS with its last message, and stopped there.
+            # An aircraft that falls silent in flight may have lost its GNSS after its last message, and
+            # stopped.
             back = age - STOPS_S
             pn, pe, pd = pn - back * vn, pe - back * ve, pd - back * vd
             an, ae, ad = own[O_VELOCITY], own[O_VELOCITY + 1], own[O_VELOCITY + 2]
@@ -510,7 +523,7 @@ def decide(
     view: Array,
     out: Array,
 ) -> None:
-    """One aircraft's decision by the law of its settings.
+    """Make one aircraft's decision by the law in its settings.
 
     Args:
         neighbours: shape (at least count, NEIGHBOUR_COLUMNS); NED, m and m/s, at each message's own time.
@@ -520,7 +533,7 @@ def decide(
         settings: SETTINGS_ENTRIES values.
         state: STATE_ENTRIES values; written.
         history_times, history_velocities: shapes (H,) and (H, 3); own velocities (NED) at rising times;
-            written. A plane takes the own velocity at the time of the neighbour's sample.
+            written. A plane uses the own velocity at the time of the neighbour's sample.
         planes, scratch: shape (at least plane_rows(F, count), 4); written.
         view: shape (at least count, VIEW_COLUMNS); written.
         out: OUT_ENTRIES values; written.
@@ -529,7 +542,7 @@ def decide(
     vn, ve, vd = own[O_VELOCITY], own[O_VELOCITY + 1], own[O_VELOCITY + 2]
     least, most = _down_speeds(own, settings)
     if law == PAPER:
-        # The current velocity is both what is tested for conflict and what is to be kept.
+        # The current velocity is tested for conflict, and the law changes it as little as possible.
         state[L_HISTORY] = 0.0
         wn, we, wd = vn, ve, vd
     else:
@@ -538,7 +551,7 @@ def decide(
             state[L_DELAY] += slower * max(now - state[L_TIME], 0.0)
     period = settings[S_PERIOD]
     passed = now - state[L_TIME]
-    if not passed <= max(RESTART_S, 5.0 * period):  # the first time NaN
+    if not passed <= max(RESTART_S, 5.0 * period):  # also at the first decision, where it is NaN
         passed = period
         down = min(max(vd, -settings[S_CLIMB]), settings[S_DESCENT])
         state[0], state[1], state[2] = _clipped(vn, ve, down, speed)
@@ -579,7 +592,7 @@ def decide(
 
 @_compiled
 def begin(state: Array, settings: Array) -> None:
-    """What a law remembers before its first decision; the published one begins as after a recovery."""
+    """Initialise the state before the first decision. The published law begins as after a recovery."""
     state[:] = 0.0
     state[L_TIME] = math.nan
     state[L_QUIET] = settings[S_QUIET]
@@ -588,7 +601,7 @@ def begin(state: Array, settings: Array) -> None:
 def warm_up() -> None:
     """Compile, or load from the cache, everything that a decision calls.
 
-    To be called before the vehicle is asked to obey: the first compilation takes many seconds, and a vehicle
+    Call this before taking control of the vehicle: the first compilation takes many seconds, and a vehicle
     that waits for setpoints meanwhile goes into its failsafe.
     """
     neighbours = np.zeros((2, NEIGHBOUR_COLUMNS))

@@ -1,15 +1,15 @@
-"""Decide: from the own state, the timed path and what was heard, one velocity to fly (paper section II).
+"""The avoidance law: own state, timed path and neighbours in, one velocity out (paper section II, "Decide").
 
 Three laws share one interface, the same limits and the same kernel:
 
-- "dmuca" flies. The preferred velocity always leads back to the timed path and always passes through ORCA;
-  planes are built from the own velocity at the time of each neighbour's sample, so that both sides of an
-  encounter split the same geometry; radii grow with declared inaccuracy and age.
-- "paper" is the published law to the letter, for comparison: ORCA around the current velocity, then a
-  recovery that looks at nobody. Where the paper is silent: the flight begins on the path (as after a
-  recovery); overlapping volumes are to part within one period; the command obeys the same limits as every
-  other law's.
-- "none" follows the path and looks at nobody, but reports the tracks: the baseline.
+- "dmuca" is the default. The preferred velocity always leads back to the timed path and always passes through
+  ORCA. Planes are built from the own velocity at the time of each neighbour's sample, so that both aircraft
+  of an encounter split the same geometry. Radii grow with declared inaccuracy and age.
+- "paper" is exactly the published law, for comparison: ORCA around the current velocity, then a recovery that
+  ignores other aircraft. Where the paper leaves something open, the flight begins on the path (as after a
+  recovery), overlapping volumes must separate within one period, and the command obeys the same limits as in
+  the other laws.
+- "none" is the baseline: it follows the path and ignores other aircraft, but reports the tracks.
 
 Nothing here reads a clock, a socket or a file, or draws a random number.
 """
@@ -31,26 +31,29 @@ from companion.events import TrackView
 from companion.geometry import Vec3
 
 OLDEST_S = 15.0
-"""A message older than this says nothing any more."""
+"""Neighbours whose message is older than this are ignored."""
 LEAST_MARGIN_M = 2.0
 SIGMAS = 3.8
-"""Margin for accuracy: standard deviations of the relative horizontal error, at least LEAST_MARGIN_M. The
-error of two axes exceeds it with probability exp(-3.8^2 / 2) = 0.07 %."""
+"""Margin for accuracy in standard deviations of the relative horizontal error; the margin is at least
+LEAST_MARGIN_M. The error of two axes exceeds it with probability exp(-3.8^2 / 2) = 0.07 %."""
 QUANTUM_MPS = 0.2
-"""Error of a velocity in Remote ID's steps: 0.25 m/s, 1 degree and 0.5 m/s vertically, of which 0.85."""
+"""Error of a velocity due to Remote ID's resolution: 0.25 m/s, 1 degree, and 0.5 m/s vertically (scaled by
+0.85)."""
 CATCH_UP_S = 30.0
-"""The timed path waits for an aircraft that could not catch up with it in this time."""
+"""The timed path waits for an aircraft that could not catch up with its point within this time."""
 CREWED_HORIZON_S = 90.0
 VERTICAL_SCALE = 0.85
-"""Volumes are 1 / 0.85 times as tall as wide: downwash, and the vertical error of GNSS."""
+"""Factor on vertical distances. Volumes are 1 / 0.85 times as tall as wide, because of downwash and the
+vertical error of GNSS."""
 _BELIEVABLE = 1e7
-"""m, m/s: beyond it a neighbour's number is as good as none."""
+"""Largest magnitude (m, m/s) of a number that is used: an own state beyond it is refused, and a neighbour
+with a number beyond it is ignored."""
 OVERLAP_S = 2.0
 LOOK_S = 30.0
 KEEP_RIGHT_RAD = 0.2
 
 LIMITS = ("climb or ceiling", "descent or floor", "fence", "outside the fence", "speed")
-"""Of a decision: what it may not exceed, as far as it got there."""
+"""Names of the limits, other than other aircraft, that can bound a decision's velocity."""
 
 _LEAST_TURN_S = 0.01
 _ON_PLANE_MPS = 1e-6
@@ -59,38 +62,38 @@ _by_id = attrgetter("track_id")
 
 
 class Neighbour(msgspec.Struct, frozen=True, gc=False):
-    """One other aircraft as it was heard; NED."""
+    """One other aircraft as it was last received; NED."""
 
     track_id: str
     position_ned_m: Vec3
-    """At the message's own time, not predicted."""
+    """Position at the message's own time, not predicted."""
     velocity_ned_mps: Vec3
     age_s: float
-    """Now less the message's own time; a negative one counts as 0."""
+    """Now minus the message's own time; a negative age counts as 0."""
     sigma_m: float
     """Declared horizontal error, one standard deviation per axis."""
     sigma_mps: float = 0.3
-    """Error of the velocity, one standard deviation per axis."""
+    """Error of the velocity, one standard deviation for each axis."""
     growth_mps: float = 0.0
-    """How fast it leaves its predictions (`kernels.note_track`)."""
+    """How fast it deviates from its predictions (`kernels.note_track`)."""
     silent: bool = False
-    """Not heard for so long that it may have stopped (`kernels.silent_after`)."""
+    """True: not received for so long that it may have stopped (`kernels.silent_after`)."""
     share: float = 0.5
-    """Least share of what is needed that is ours, 0.5 to 1 (`right_of_way`)."""
+    """Our share of the velocity change that avoids it, 0.5 to 1 (`right_of_way`)."""
     vertical_known: bool = True
-    """False: taken as flying at our height, not to be passed above or below."""
+    """False: assumed to fly at our height, so that it is not passed above or below."""
     crewed: bool = False
-    """Keeps the separations of crewed traffic."""
+    """True: the separations from crewed traffic apply."""
     adsb: bool = False
-    """Heard by ADS-B; `track_id` is its ICAO address then."""
+    """True: received by ADS-B; then `track_id` is its ICAO address."""
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What a decision is made from; NED."""
+    """Input of a decision; NED."""
 
     now_s: float
-    """Monotonic."""
+    """Monotonic time."""
     path_time_s: float
     """The same instant on the trajectory's clock."""
     position_ned_m: Vec3
@@ -99,33 +102,34 @@ class Situation:
     """Own horizontal error, one standard deviation per axis."""
     neighbours: Sequence[Neighbour] = ()
     floor_down_m: float | None = None
-    """NED down of the floor (the greater number)."""
+    """NED down of the floor, which is the greater of both numbers; None: no floor."""
     ceiling_down_m: float | None = None
+    """NED down of the ceiling; None: no ceiling."""
 
 
 @dataclass(frozen=True, slots=True)
 class LawResult:
-    """One decision; NED."""
+    """Result of one decision; NED."""
 
     wanted_ned_mps: Vec3
-    """What it would fly if it were alone."""
+    """Velocity that the aircraft would fly without neighbours."""
     chosen_ned_mps: Vec3
-    """The command: within every limit, whatever came in."""
+    """Velocity to command. It is within the limits for any input."""
     feasible: bool
-    """False: no velocity kept every neighbour's half-space; the least violation was taken."""
+    """False: no velocity kept every plane; the one with the least largest violation was used."""
     conflict: bool
-    """Flying the wanted velocity would break a neighbour's volume."""
+    """True: flying the wanted velocity would enter a neighbour's volume."""
     recovering: bool
-    """Off the timed path and on the way back to it."""
+    """True: the aircraft is off the timed path and on the way back to it."""
     limits: tuple[str, ...]
-    """What besides other aircraft bounds the velocity now, of `LIMITS`."""
+    """Names from `LIMITS` of the limits that bound the velocity now."""
     tracks: tuple[TrackView, ...]
 
 
 class Law:
-    """One aircraft's law; keeps the own velocity's history, the last command and the path's delay.
+    """The law of one aircraft, with the history of own velocities, the last command and the path's delay.
 
-    Checks and fills the tables of `kernels.decide`, which decides, and reads its answer.
+    It checks the input, fills the tables of `kernels.decide`, which makes the decision, and reads its result.
     """
 
     def __init__(
@@ -138,7 +142,7 @@ class Law:
         """A law at the start of a flight.
 
         Args:
-            fence: what `walls.walls_of` makes of areas; None: no fence.
+            fence: walls from `walls.walls_of`; None: no fence.
         """
         self._fence = np.zeros((0, k.WALL_COLUMNS)) if fence is None else fence
         self._configured = avoidance, limits
@@ -153,25 +157,28 @@ class Law:
 
     @property
     def late_s(self) -> float:
-        """By how much the path is delayed."""
+        """Delay of the path so far, s."""
         return float(self._state[k.L_DELAY])
 
     @property
     def trajectory(self) -> Trajectory:
-        """The path as it is flown now (a law may delay it)."""
+        """The path as it is flown now, with the delay by the law."""
         delay_s = self.late_s
         if self._trajectory.start_s != self._planned.start_s + delay_s:
             self._trajectory = self._planned.delayed(delay_s)
         return self._trajectory
 
     def restrict(self, limits: LimitsConfig) -> None:
-        """Other limits from the next decision on."""
+        """Use other limits from the next decision on."""
         self._configured = self._configured[0], limits
         self._settings = settings_of(*self._configured, self._planned)
 
     def follow(self, trajectory: Trajectory) -> None:
-        """Another path from now on, without delay. What is known of the own velocity stays; the next command
-        begins at it, as the first one does."""
+        """Follow another path from now on, without delay.
+
+        The history of own velocities is kept. The next command starts from the own velocity, as the first one
+        of a flight does.
+        """
         self._planned = self._trajectory = trajectory
         self._path = trajectory.arrays
         self._settings = settings_of(*self._configured, trajectory)
@@ -180,12 +187,12 @@ class Law:
         self._state[k.L_HISTORY] = history
 
     def note_velocity(self, now_s: float, velocity_ned_mps: Vec3) -> None:
-        """Own velocity between decisions; what is not newer or not finite is passed over."""
+        """Add an own velocity between decisions; ignored if it is not newer than the last, or not finite."""
         n, e, d = map(float, velocity_ned_mps)
         k.note_velocity(self._state, self._times, self._velocities, float(now_s), n, e, d)
 
     def decide(self, situation: Situation) -> LawResult:
-        """One decision.
+        """Make one decision.
 
         Raises:
             ValueError: the own state is not finite, or the ceiling lies below the floor.
@@ -228,7 +235,12 @@ class Law:
         )
 
     def _limits(self, hard: int, outside: bool) -> tuple[str, ...]:
-        """Which of `LIMITS` the velocity that was found reaches."""
+        """Names from `LIMITS` of the limits that the velocity found by the law reaches.
+
+        Args:
+            hard: number of hard planes.
+            outside: whether the aircraft is outside an inclusion area or inside an exclusion area.
+        """
         least_down, most_down, *fence = self._binding(self._planes[:hard])
         speed = math.hypot(*self._out[k.R_SOLVED : k.R_SOLVED + 3])
         fast = speed >= self._settings[k.S_SPEED] - _ON_PLANE_MPS
@@ -246,7 +258,8 @@ class Law:
         self._planes, self._scratch = np.zeros((rows, 4)), np.zeros((rows, 4))
 
     def _take(self, neighbours: Sequence[Neighbour]) -> list[Neighbour]:
-        """Fill the table with the usable neighbours, ordered by name in whatever order they came."""
+        """Fill the table with the usable neighbours, sorted by track id, so that the input's order is
+        irrelevant."""
         usable = [n for n in sorted(neighbours, key=_by_id) if -OLDEST_S <= n.age_s <= OLDEST_S]
         if not usable:
             return usable
@@ -280,8 +293,7 @@ class Law:
 
 
 def on_plane(plane: Sequence[float], velocity: Sequence[float]) -> bool:
-    """Whether a velocity lies on a plane (n, d), or beyond it: that the plane bounds it. Nothing does with
-    n = 0."""
+    """Whether a plane (n, d) bounds a velocity: the velocity lies on it, or violates it. False if n = 0."""
     n, e, d, most = plane
     if n == e == d == 0.0:
         return False
@@ -289,8 +301,8 @@ def on_plane(plane: Sequence[float], velocity: Sequence[float]) -> bool:
 
 
 def separation_m(avoidance: AvoidanceConfig, crewed: bool) -> tuple[float, float]:
-    """What is to be kept from another: the horizontal radius (m) of a volume that is a ball where vertical
-    distances are scaled by the second number.
+    """Volume to keep clear of around another aircraft: its horizontal radius (m), and the factor on vertical
+    distances that makes the volume a ball.
 
     For crewed traffic it is the ellipsoid around the cylinder of both separations, sqrt(2) wider and taller.
     """
@@ -301,7 +313,7 @@ def separation_m(avoidance: AvoidanceConfig, crewed: bool) -> tuple[float, float
 
 
 def horizon_s(avoidance: AvoidanceConfig, crewed: bool) -> float:
-    """How far ahead another is kept clear of."""
+    """Time ahead (s) for which conflicts with another aircraft are avoided."""
     return max(CREWED_HORIZON_S, avoidance.horizon_s) if crewed else avoidance.horizon_s
 
 
@@ -343,7 +355,7 @@ def settings_of(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Tr
 
 
 def _own_row(s: Situation) -> tuple[float, ...]:
-    """The own state as the kernels take it; raises ValueError as `Law.decide` says."""
+    """The own state as input of the kernels. Raises ValueError if `Law.decide` has to."""
     state = (*s.position_ned_m, *s.velocity_ned_mps, s.sigma_m)
     floor = math.inf if s.floor_down_m is None else s.floor_down_m
     ceiling = -math.inf if s.ceiling_down_m is None else s.ceiling_down_m

@@ -1,4 +1,4 @@
-"""The configured limits beside the vehicle's own: the lower of each counts."""
+"""Combines the configured limits with the vehicle's own: the lower one of each applies."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from companion.events import Parameter, VehicleParameters
 
 
 def lower_ones(limits: LimitsConfig, vehicle: VehicleParameters | None) -> dict[str, Parameter]:
-    """Keys of [limits] that the vehicle's own number is below, with that. None: nothing is known."""
+    """Keys of [limits] for which the vehicle's own limit is lower, with its parameter.
+
+    Args:
+        vehicle: None: its limits are not known.
+    """
     if vehicle is None:
         return {}
     own = {
@@ -22,6 +26,6 @@ def lower_ones(limits: LimitsConfig, vehicle: VehicleParameters | None) -> dict[
 
 
 def effective(limits: LimitsConfig, vehicle: VehicleParameters | None) -> LimitsConfig:
-    """What may be commanded of this vehicle. Its horizontal speed bounds the total speed."""
+    """Limits for commands to this vehicle. The vehicle's horizontal speed limit bounds the total speed."""
     lower = {key: parameter.value for key, parameter in lower_ones(limits, vehicle).items()}
     return msgspec.structs.replace(limits, **lower)

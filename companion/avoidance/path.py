@@ -1,4 +1,4 @@
-"""A trajectory file's waypoints in the local frame."""
+"""Converts the waypoints of a trajectory file into the local frame."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ def local_path(path: TrajectoryFile, frame: LocalFrame, datum_msl_m: float) -> T
     """The path in a local frame.
 
     Args:
-        frame: its altitude datum is mean sea level.
-        datum_msl_m: height above mean sea level of what the file's altitudes are measured from.
+        frame: local frame; its altitude datum is mean sea level.
+        datum_msl_m: height above mean sea level of the datum of the file's altitudes.
 
     Raises:
-        ConfigError: times do not rise, or a number is not finite.
+        ConfigError: times are not strictly rising, or a number is not finite.
     """
     points = [frame.to_ned(w.lat_deg, w.lon_deg, w.alt_m + datum_msl_m) for w in path.waypoint]
     return Trajectory([w.t_s for w in path.waypoint], points)
 
 
 def check_path(config: Config, name: str, vehicle: VehicleParameters | None = None) -> None:
-    """Check before flight that the configured path, where there is one, can be flown within the limits.
+    """Check before flight that the configured path, if there is one, keeps the limits and the fence.
 
     Args:
-        vehicle: its own limits, where they are known.
+        name: name of the configuration file, for messages.
+        vehicle: the vehicle's own limits; None: not known.
 
     Raises:
         ConfigError: names the leg, its speed and the limit, or the area of the fence.

@@ -1,17 +1,18 @@
-"""Half-spaces and linear programs: one neighbour's plane, and the velocity that keeps many.
+"""Half-spaces and linear programs: the plane of one neighbour, and the velocity that satisfies many planes.
 
-One neighbour's half-space is ORCA's (paper section II, the equations of VO, u and the ORCA set; van den Berg
-et al., "Reciprocal n-body collision avoidance", in three dimensions). With p = p_other - p_self,
-v = v_self - v_other and R the combined radius, the velocity obstacle is a cone around p cut off by a sphere
-of radius R / tau at p / tau. The cone's outward normal is n = cos(theta) e - sin(theta) p / |p|, where
-sin(theta) = R / |p| and e is the unit vector of v across p; so u . n = sin(theta) v.p / |p| -
-cos(theta) |p x v| / |p|. This is the textbook form with sqrt(b^2 - a c) = |p x v| R / sqrt(|p|^2 - R^2) put
-in: nothing cancels near a head-on encounter.
+The half-space of a neighbour is that of ORCA (paper section II, the equations of VO, u and the ORCA set; van
+den Berg et al., "Reciprocal n-body collision avoidance", in three dimensions). With p = p_other - p_self, v =
+v_self - v_other and the combined radius R, the velocity obstacle is a cone around p, cut off by a sphere of
+radius R / tau at p / tau. The cone's outward normal is n = cos(theta) e - sin(theta) p / |p|, where
+sin(theta) = R / |p| and e is the unit vector of the component of v perpendicular to p. So u . n = sin(theta)
+v.p / |p| - cos(theta) |p x v| / |p|. This is the textbook form with sqrt(b^2 - a c) = |p x v| R / sqrt(|p|^2
+- R^2) substituted, which avoids cancellation near head-on encounters.
 
-Planes are rows (n, d) that ask for n . v >= d. The programs look for a velocity in a ball: program 1 on a
-line, 2 on a plane, 3 in the ball, 4 the least of the largest violations when there is none; hard planes come
-first and program 4 keeps them whole. Programs 3 and 4 take up the most violated plane next, not the next in
-the row: a few planes then settle all the others, however many there are.
+Planes are rows (n, d) that require n . v >= d. The programs find a velocity in a ball: program 1 on a line,
+program 2 on a plane, program 3 in the whole ball. If there is none, program 4 minimises the largest
+violation. Hard planes come first, and program 4 satisfies them fully. `solve` and program 4 add the most
+violated plane next instead of the next row, because a few planes then satisfy all others, even if there are
+many.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from companion.avoidance.compiled import compiled
 Array = NDArray[np.float64]
 
 EPSILON = 1e-9
-"""Violations and gaps (m/s) up to this are rounding."""
+"""Violations and gaps (m/s) up to this count as rounding errors."""
 PARALLEL = 1e-14
-"""Square of the sine under which two planes count as parallel."""
+"""Two planes count as parallel if the square of the sine of their angle is at most this."""
 ALIGNED = 2e-7
-"""Gap, in parts of the greatest speed, that the tilt of parallel planes explains."""
+"""Gap between parallel planes, as a fraction of the greatest speed, that their remaining tilt can cause."""
 HEAD_ON = 1e-6
-"""Angle (rad) between p and v under which the way out is a convention: to the right."""
+"""Below this angle (rad) between p and v, the direction of avoidance is by convention: to the right."""
 
 
 @compiled
@@ -54,10 +55,10 @@ def half_space(
         vx, vy, vz: v_self - v_other, m/s.
         radius: combined radius R, m, above 0.
         tau: horizon, s.
-        overlap: time in which to separate when |p| <= R already, s.
+        overlap: time in which to separate if |p| <= R already, s.
 
     Returns:
-        n (unit) and s (m/s). The neighbour that sees (-p, -v) gets exactly -n, and the same s.
+        n (unit) and s (m/s). The neighbour, for which p and v are (-p, -v), gets exactly -n and the same s.
     """
     p2 = px * px + py * py + pz * pz
     r2 = radius * radius
@@ -80,7 +81,7 @@ def half_space(
         s = math.sqrt(tangent2 * cross2)
         ex, ey, ez = _right_of(px, py, pz)
         ex, ey, ez = k * ex, k * ey, k * ez
-    # Both terms of n and of u . n over |p|^2: one division for all.
+    # All terms of n and of u . n are divided by |p|^2: one division for all.
     k = 1.0 / p2
     s = radius * (px * vx + py * vy + pz * vz) - s
     return k * (ex - radius * px), k * (ey - radius * py), k * (ez - radius * pz), k * s
@@ -90,26 +91,27 @@ def half_space(
 def _sphere(
     px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, rate: float
 ) -> tuple[float, float, float, float]:
-    """The sphere of radius R / window at p / window, rate = 1 / window: n = w / |w|, s = R / window - |w|."""
+    """n = w / |w| and s = R / window - |w| for the sphere of radius R / window at p / window (rate: 1 /
+    window)."""
     wx, wy, wz = vx - px * rate, vy - py * rate, vz - pz * rate
     length = math.sqrt(wx * wx + wy * wy + wz * wz)
     if length > 1e-9:
         k = 1.0 / length
         return k * wx, k * wy, k * wz, radius * rate - length
-    # In the very centre every way out is as long: straight away from the other.
+    # At the centre all directions are equally short: straight away from the other.
     length = math.sqrt(px * px + py * py + pz * pz)
     if length > 1e-9:
         return -px / length, -py / length, -pz / length, radius * rate
-    # Same place and same velocity: nothing in the data tells the two apart.
+    # Same position and same velocity: nothing in the data distinguishes the two.
     return 1.0, 0.0, 0.0, radius * rate
 
 
 @compiled
 def _right_of(px: float, py: float, pz: float) -> tuple[float, float, float]:
-    """Unit vector across p, to the right seen from above (NED: north turns to east).
+    """Unit vector perpendicular to p, to the right seen from above (NED: from north towards east).
 
-    Odd in p, so that the two aircraft part. Straight above or below there is no right: the upper one goes
-    north, the lower one south.
+    It is an odd function of p, so that the two aircraft move apart. If p is vertical, there is no right: the
+    upper aircraft goes north, the lower one south.
     """
     level = math.sqrt(px * px + py * py)
     if level > 1e-9 * abs(pz):
@@ -135,7 +137,8 @@ def _line(
     oz: float,
     towards: bool,
 ) -> tuple[bool, float, float, float]:
-    """Program 1: on the line q + t l (q nearest to 0, l unit), in the ball and the first `count` planes."""
+    """Program 1: best velocity on the line q + t l (q nearest to 0, l unit), in the ball and the first
+    `count` planes. The first value is False if there is none."""
     room = radius * radius - (qx * qx + qy * qy + qz * qz)
     if room < -EPSILON:
         return False, 0.0, 0.0, 0.0
@@ -167,11 +170,12 @@ def _line(
 def _plane(
     planes: Array, i: int, radius: float, ox: float, oy: float, oz: float, towards: bool
 ) -> tuple[bool, float, float, float]:
-    """Program 2: on plane i, inside the ball and the planes before it."""
+    """Program 2: best velocity on plane i, in the ball and all planes before it. The first value is False if
+    there is none."""
     nx, ny, nz, d = planes[i, 0], planes[i, 1], planes[i, 2], planes[i, 3]
     if abs(d) > radius:
         return False, 0.0, 0.0, 0.0
-    # The point in the plane nearest to the wish (or the wish's direction along the plane).
+    # The point of the plane nearest to the wish, or farthest in the wish's direction along the plane.
     away = ox * nx + oy * ny + oz * nz
     gx, gy, gz = ox - away * nx, oy - away * ny, oz - away * nz
     length2 = gx * gx + gy * gy + gz * gz
@@ -191,7 +195,7 @@ def _plane(
             if f - (mx * x + my * y + mz * z) <= ALIGNED * radius:
                 continue
             return False, 0.0, 0.0, 0.0
-        # From plane i's own point along the plane: exact on plane i however small the angle.
+        # Measured along plane i from its own point: exactly on plane i, however small the angle.
         k = (f - d * (nx * mx + ny * my + nz * mz)) / sine2
         gx, gy, gz = ly * nz - lz * ny, lz * nx - lx * nz, lx * ny - ly * nx
         qx, qy, qz = d * nx + k * gx, d * ny + k * gy, d * nz + k * gz
@@ -206,7 +210,11 @@ def _plane(
 def ball(
     planes: Array, count: int, radius: float, ox: float, oy: float, oz: float, towards: bool
 ) -> tuple[int, float, float, float]:
-    """Program 3: how many planes are kept (`count`: all); the velocity nearest to or farthest towards o."""
+    """Program 3: velocity in the ball and all planes, nearest to o or (`towards`) farthest in its direction.
+
+    Returns:
+        How many planes are satisfied (`count`: all), and the velocity.
+    """
     length2 = ox * ox + oy * oy + oz * oz
     k = 1.0
     if towards or length2 > radius * radius:
@@ -223,7 +231,8 @@ def ball(
 
 @compiled
 def _worst_to(planes: Array, i: int, count: int, x: float, y: float, z: float, allowed: float) -> bool:
-    """Bring the most violated plane of row i and after to row i; False: none by more than allowed (m/s)."""
+    """Swap the most violated plane of the rows from i on into row i; False if none is violated by more than
+    `allowed` (m/s)."""
     worst = -1
     for j in range(i, count):
         violation = planes[j, 3] - (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z)
@@ -248,7 +257,8 @@ def least_violation(
     first: int,
     scratch: Array,
 ) -> tuple[float, float, float]:
-    """Program 4: from plane `first` on, lower the largest violation; the `hard` first planes stay whole."""
+    """Program 4: minimise the largest violation of the planes from `first` on; the `hard` first planes stay
+    satisfied."""
     for j in range(hard):
         for c in range(4):
             scratch[j, c] = planes[j, c]
@@ -256,7 +266,7 @@ def least_violation(
     i = max(first, hard)
     while i < count and _worst_to(planes, i, count, x, y, z, largest + EPSILON):
         nx, ny, nz, d = planes[i, 0], planes[i, 1], planes[i, 2], planes[i, 3]
-        # Where plane i is violated at least as much as plane j: (n_j - n_i) . v >= d_j - d_i.
+        # Plane i is violated at least as much as plane j where (n_j - n_i) . v >= d_j - d_i.
         kept = hard
         for j in range(hard, i):
             bx, by, bz = planes[j, 0] - nx, planes[j, 1] - ny, planes[j, 2] - nz
@@ -289,7 +299,8 @@ def _nearest_of_least(
     z: float,
     scratch: Array,
 ) -> tuple[float, float, float]:
-    """Of the velocities that violate no plane by more than (x, y, z) does and `slack`, the nearest to o."""
+    """The velocity nearest to o among those that exceed the largest violation of (x, y, z) by at most
+    `slack`."""
     largest = slack
     for j in range(hard, count):
         violation = planes[j, 3] - (planes[j, 0] * x + planes[j, 1] * y + planes[j, 2] * z)
@@ -316,28 +327,29 @@ def _nearest_of_least(
 def solve(
     planes: Array, hard: int, count: int, radius: float, slack: float, wish: Array, scratch: Array, out: Array
 ) -> bool:
-    """Velocity nearest to `wish` in the ball and every plane; if there is none, of least largest violation.
+    """Find the velocity nearest to `wish` in the ball and all planes, or else that of least largest
+    violation.
 
-    Many velocities may have the least largest violation, or nearly so (nothing in a level encounter says how
-    to climb); then it is the one nearest to `wish`, which keeps the answer from jumping.
+    Many velocities may have nearly the least largest violation (in a level encounter, no plane determines the
+    climb). Then the one nearest to `wish` is used, so that the result does not jump between decisions.
 
     Args:
         planes: shape (at least count, 4), rows (n, d): n unit, n . v >= d in m/s. The `hard` first ones are
-            kept whole; if they are not possible together, as many of the first as are. Those after them
-            change places.
+            fully satisfied; if that is not possible for all of them, as many as possible from the first on.
+            The rows after them are reordered.
         radius: greatest speed, m/s.
-        slack: how much more than the least largest violation may be taken to come nearer to `wish`, m/s.
+        slack: how far the least largest violation may be exceeded to come nearer to `wish`, m/s.
         wish: shape (3,), m/s.
         scratch: shape (at least count, 4); written.
         out: shape (at least 3,); the velocity is written into its first three entries.
 
     Returns:
-        True when every plane is kept.
+        True if every plane is satisfied.
     """
     ox, oy, oz = wish[0], wish[1], wish[2]
     kept, x, y, z = ball(planes, hard, radius, ox, oy, oz, False)
     feasible = kept == hard
-    # The most violated plane is added next: a few of them settle the others.
+    # The most violated plane is added next: a few of them satisfy the others.
     i = hard
     while feasible and i < count and _worst_to(planes, i, count, x, y, z, EPSILON):
         feasible, tx, ty, tz = _plane(planes, i, radius, ox, oy, oz, False)
@@ -345,7 +357,7 @@ def solve(
             x, y, z = tx, ty, tz
             i += 1
     if not feasible:
-        if kept < hard:  # the rest of them are soft then
+        if kept < hard:  # the remaining hard planes are treated as soft
             hard = i = kept
         x, y, z = least_violation(planes, hard, count, radius, x, y, z, max(i, hard), scratch)
         x, y, z = _nearest_of_least(planes, hard, count, radius, slack, ox, oy, oz, x, y, z, scratch)

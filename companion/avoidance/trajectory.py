@@ -1,7 +1,7 @@
 """The timed path that an aircraft is to fly: straight legs between waypoints in local NED.
 
-Times are on the path's own clock (seconds). Before the start and after the end the path stands still at its
-first and last point. The paper calls it p_traj(t) (section II, "Decide").
+Times are in seconds on the path's own clock. Before its start and after its end, the path stays at its first
+and last point. The paper calls it p_traj(t) (section II, "Decide").
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from companion.events import VehicleParameters
 from companion.geometry import Vec3
 
 _TOLERANCE = 1e-3
-"""Relative: a leg planned exactly at a limit passes in spite of rounding and of the way distances on the
-ellipsoid are measured. What is commanded is held to the limit itself."""
+"""Relative tolerance of `check_speeds`, so that a leg planned exactly at a limit passes in spite of rounding
+and of different ways to measure distances on the ellipsoid. Commands obey the limit itself."""
 
 _STILL: Vec3 = (0.0, 0.0, 0.0)
 
@@ -69,22 +69,22 @@ class Trajectory:
 
     @classmethod
     def from_rows(cls, rows: NDArray[np.float64]) -> Trajectory:
-        """From an array of shape (K, 4): rows of time (s), north, east, down (m)."""
+        """A path from an array of shape (K, 4): rows of time (s), north, east, down (m)."""
         return cls(rows[:, 0].tolist(), [(r[1], r[2], r[3]) for r in rows.tolist()])
 
     @property
     def times_s(self) -> tuple[float, ...]:
-        """Waypoint times."""
+        """Times of the waypoints, s."""
         return self._times
 
     @property
     def points_ned_m(self) -> tuple[Vec3, ...]:
-        """Waypoints."""
+        """Waypoints, NED, m."""
         return self._points
 
     @property
     def legs_ned_mps(self) -> tuple[Vec3, ...]:
-        """Velocity on each leg."""
+        """Velocity on each leg, NED, m/s."""
         return self._legs
 
     @property
@@ -103,12 +103,15 @@ class Trajectory:
         return self._times_array, self._points_array
 
     def position(self, t_s: float) -> Vec3:
-        """Point of the path at a time; the first or last point outside the path's own time."""
+        """Point of the path (NED, m) at a time; the first or last point before the start or after the end."""
         point: Vec3 = kernels.path_position(self._times_array, self._points_array, float(t_s))
         return point
 
     def velocity(self, t_s: float) -> Vec3:
-        """Velocity of the path at a time (at a waypoint: of the leg that begins); zero outside the path."""
+        """Velocity of the path (NED, m/s) at a time; zero before the start and from the end on.
+
+        At a waypoint it is the velocity of the leg that begins there.
+        """
         if not self._times[0] <= t_s < self._times[-1]:
             return _STILL
         return self._legs[bisect.bisect_right(self._times, t_s) - 1]
@@ -119,7 +122,8 @@ class Trajectory:
         return max(math.dist(a, b) for a, b in itertools.pairwise(legs))
 
     def nearest(self, position_ned_m: Vec3) -> tuple[float, Vec3]:
-        """Time and place of the path's point nearest to a position; the earliest of equally near ones."""
+        """Time and place of the path's point nearest to a position; the earliest if several are equally
+        near."""
         n, e, d = map(float, position_ned_m)
         t_s, *point = kernels.path_nearest(self._times_array, self._points_array, n, e, d)
         return t_s, (point[0], point[1], point[2])
@@ -129,7 +133,7 @@ class Trajectory:
         return max(math.hypot(*leg) for leg in self._legs)
 
     def delayed(self, delay_s: float) -> Trajectory:
-        """The same places, every one of them `delay_s` later."""
+        """A copy of the path with every waypoint `delay_s` later."""
         return Trajectory([t + delay_s for t in self._times], self._points)
 
 
@@ -139,10 +143,11 @@ def check_speeds(
     name: str = "path",
     vehicle: VehicleParameters | None = None,
 ) -> None:
-    """Check that the aircraft is allowed to fly every leg as fast as it is planned, and able to.
+    """Check that every leg's planned speed is within the configured limits and the vehicle's own.
 
     Args:
-        vehicle: its own limits, where they are known.
+        name: name of the path, for messages.
+        vehicle: the vehicle's own limits; None: not known.
 
     Raises:
         ConfigError: names the leg (between two waypoints counted from 0), its speed and the limit.

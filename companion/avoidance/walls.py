@@ -1,8 +1,8 @@
-"""A geofence in the local frame, as the kernels take it, and whether a path keeps it.
+"""Converts a geofence into walls in the local frame for the kernels, and checks that a path keeps it.
 
-Every area binds. Firmwares differ in what several inclusion areas mean (ArduPilot: all of them, or any by
-option; PX4: any in older releases, all in newer ones), and the fence does not tell: the stricter reading is
-right for both.
+All areas must be kept. Firmwares differ in the meaning of several inclusion areas (ArduPilot: all of them, or
+optionally any; PX4: any in older releases, all in newer ones), and the fence itself does not say which. The
+stricter reading is valid for both.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ Point = tuple[float, float]
 def walls_of(
     areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory | None, sigma_m: float
 ) -> k.Array:
-    """The walls that an aircraft on this path keeps, shape (F, WALL_COLUMNS).
+    """The walls (edges and circles) of a fence, shape (F, WALL_COLUMNS).
 
     Args:
-        areas: checked (`fence.check_areas`).
-        trajectory: None: whatever is flown, nothing is held against the walls.
-        sigma_m: own horizontal standard deviation: what the law keeps from a wall grows with it, and a path
-            within that could not be flown to its end.
+        areas: areas of the fence, already checked (`geofence.check_areas`).
+        trajectory: path to check against the walls; None: no check.
+        sigma_m: own horizontal standard deviation. The margin that the law keeps from walls grows with it,
+            and a path within that margin could not be flown to its end.
 
     Raises:
-        ConfigError: the path leaves what it must stay in, or enters what it must stay out of, or comes too
-            near to the border.
+        ConfigError: the path leaves an inclusion area, enters an exclusion area, or comes too near to a
+            border.
     """
     rows: list[tuple[float, ...]] = []
     points = None if trajectory is None else np.array(trajectory.points_ned_m)[:, :2]
@@ -61,7 +61,7 @@ def _walls(number: int, area: FenceArea, frame: LocalFrame) -> list[tuple[float,
 
 
 def _trouble(area: FenceArea, walls: k.Array, points: k.Array, margin: float) -> str | None:
-    """What the path, shape (K, 2), does that it must not, in words."""
+    """How the path, shape (K, 2), violates the area, in words; None if it does not."""
     if k.inside(walls, 0, len(walls), points[0, 0], points[0, 1]) != area.inclusion:
         return "begins outside of it" if area.inclusion else "begins in it"
     for number, (a, b) in enumerate(itertools.pairwise(points)):
@@ -76,7 +76,7 @@ def _trouble(area: FenceArea, walls: k.Array, points: k.Array, margin: float) ->
 
 
 def _from_circle(wall: k.Array, a: k.Array, b: k.Array) -> float:
-    """Least distance of a leg from a circle, m; 0 where it crosses."""
+    """Least distance of a leg from a circle, m; 0 if it crosses it."""
     middle, radius = wall[k.W_FROM : k.W_FROM + 2], float(wall[k.W_TO])
     near = float(_from_leg(middle[None], a[None], b[None])[0])
     far = float(max(np.linalg.norm(a - middle), np.linalg.norm(b - middle)))
@@ -84,7 +84,7 @@ def _from_circle(wall: k.Array, a: k.Array, b: k.Array) -> float:
 
 
 def _from_edges(walls: k.Array, a: k.Array, b: k.Array) -> float:
-    """Least distance of a leg from edges, m; 0 where it crosses one."""
+    """Least distance of a leg from edges, m; 0 if it crosses one."""
     start, end = walls[:, k.W_FROM : k.W_FROM + 2], walls[:, k.W_TO : k.W_TO + 2]
     one, other = np.broadcast_to(a, start.shape), np.broadcast_to(b, start.shape)
     crosses = (_side(start, end, one) * _side(start, end, other) < 0.0) & (
@@ -102,7 +102,7 @@ def _from_edges(walls: k.Array, a: k.Array, b: k.Array) -> float:
 
 
 def _from_leg(point: k.Array, a: k.Array, b: k.Array) -> k.Array:
-    """Distances of points from the straight ways between two others, all of shape (F, 2)."""
+    """Distances of points from the straight lines between two others, all of shape (F, 2)."""
     along = b - a
     length2 = np.einsum("ij,ij->i", along, along)
     share = np.einsum("ij,ij->i", point - a, along) / np.where(length2 > 0.0, length2, 1.0)
@@ -111,6 +111,7 @@ def _from_leg(point: k.Array, a: k.Array, b: k.Array) -> k.Array:
 
 
 def _side(a: k.Array, b: k.Array, c: k.Array) -> k.Array:
-    """Above 0 where c lies on one side of the line from a to b, below on the other; shapes (F, 2)."""
+    """Positive if c lies on one side of the line from a to b, negative on the other; arguments of shape (F,
+    2)."""
     side: k.Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     return side

@@ -1,7 +1,7 @@
-"""One TOML file configures one companion; every key is checked before flight.
+"""Configuration of one companion from one TOML file. Every key is checked before flight.
 
-`load` resolves what the file points to (trajectory, fence, region), so that a resolved configuration stands
-alone in a run folder.
+`load` reads the files that the configuration names (trajectory, fence, region) into it, so that the resolved
+configuration in a run folder is complete. Start reading with `sections.py`, which defines all keys.
 """
 
 from companion.config.checks import check

@@ -1,4 +1,4 @@
-"""Checks that no single key of a configuration can make."""
+"""Checks of a configuration that involve several keys, or the form of a text."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ _NUMBERS = {"PORT": range(1, 1 << 16), "BAUD": range(1, 10**9), "NUMBER": range(
 
 
 def check(config: Config, name: str) -> None:
-    """Check what no single key can say.
+    """Check a whole configuration for combinations and texts that are not allowed.
+
+    Args:
+        name: name of the file, for messages.
 
     Raises:
-        ConfigError: names the keys.
+        ConfigError: names the file and the keys, and what is allowed.
     """
     try:
         Verifier(config.traffic.keys)
@@ -100,12 +103,12 @@ def _check_form(text: str, forms: tuple[str, ...], name: str) -> None:
 
 
 def _has_form(text: str, form: str) -> bool:
-    """Whether a text is, say, what "tcp:HOST:PORT" stands for."""
+    """Whether a text has a form such as "tcp:HOST:PORT"."""
     start, _, number = text.rpartition(":")
     head, _, word = form.rpartition(":")
     kind = head.removesuffix("HOST").removesuffix("DEVICE")
     fits = start == head if kind == head else start.startswith(kind) and len(start) > len(kind)
     if not (fits and number.isascii() and number.isdigit() and len(number) < 10):
         return False
-    # Listening on port 0 takes any free one.
+    # Listening on port 0 uses any free port.
     return int(number) in _NUMBERS[word] or (kind == "udpin:" and int(number) == 0)

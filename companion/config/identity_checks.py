@@ -1,4 +1,4 @@
-"""Checks of the configured identities, as far as the region and the kind of identity ask."""
+"""Checks of the configured identities, as required by the region and the type of identity."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from companion.remote_id.region import Region
 
 
 def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: Region) -> list[str]:
-    """Check everything that says who we are, as far as the region and the kind of identity ask.
+    """Check UAS ID, registration, operator ID and Self ID for the region and the type of identity.
 
     Returns:
-        What cannot be verified here, a plain sentence each, beginning with the configuration key.
+        What cannot be verified here: one sentence each, beginning with the configuration key.
 
     Raises:
         ValueError: names the configuration key, what is wrong and what is allowed.

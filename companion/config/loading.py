@@ -1,4 +1,4 @@
-"""Reading a configuration file with all that it names, and writing it again."""
+"""Reads a configuration file with the files that it names, and writes it again."""
 
 from __future__ import annotations
 
@@ -60,7 +60,8 @@ def load(path: Path) -> Config:
         remote_id = msgspec.structs.replace(config.remote_id, region=None)
         config = msgspec.structs.replace(config, remote_id=remote_id, region=region)
     if config.atmc.policy is not None and config.atmc.policy not in CHOOSER_WORDS:
-        # Not read here: a companion without its policy flies on a fixed set.
+        # Not read here: a policy that cannot be read is no configuration error, the companion then flies with
+        # a fixed set of transports.
         where = str((path.parent / config.atmc.policy).absolute())
         config = msgspec.structs.replace(config, atmc=msgspec.structs.replace(config.atmc, policy=where))
     if config.vehicle.signing_key is not None:
@@ -69,7 +70,7 @@ def load(path: Path) -> Config:
                 f"{path}: vehicle.signing_key: holds a key; put the key into a file that only you can read, "
                 "and the path of that file here"
             )
-        # Not read here: the key is for the link alone, and stands in no record.
+        # Not read here: only the link may hold the key, and no record may contain it.
         where = str((path.parent / config.vehicle.signing_key).absolute())
         config = msgspec.structs.replace(
             config, vehicle=msgspec.structs.replace(config.vehicle, signing_key=where)
@@ -101,7 +102,7 @@ def _public_key(text: str, identity: str, path: Path) -> str:
 
 
 def _beside(path: Path, key: str, file: str, read: Callable[[Path], T]) -> T:
-    """What a key of the configuration at `path` names; an error tells the key too."""
+    """Read a file that a key of the configuration at `path` names. Errors also name that key."""
     try:
         return read(path.parent / file)
     except ConfigError as error:
@@ -128,7 +129,7 @@ def _check_times(trajectory: TrajectoryFile, name: str) -> None:
 
 
 def public(config: Config) -> Config:
-    """The configuration as a record may hold it: without the operator's secret characters."""
+    """The configuration as it may be recorded: without the secret characters of the operator ID."""
     secret = config.remote_id.operator_id
     if secret is None:
         return config
@@ -137,7 +138,8 @@ def public(config: Config) -> Config:
 
 
 def dump(config: Config) -> bytes:
-    """The public configuration as TOML that stands alone; `load` reads it back."""
+    """The public configuration as TOML that needs no other trajectory, fence or region file; `load` reads it
+    back."""
     plain = without_none(msgspec.to_builtins(public(config)))
     if config.identity.id_type in _RAW_IDS:
         plain["identity"]["uas_id"] = config.identity.uas_id.encode("latin-1").hex()

@@ -1,6 +1,6 @@
 """The sections of a configuration file and of the trajectory file that it names.
 
-The unit stands in the key's name; unknown keys are refused.
+Each key's name ends with its unit. Unknown keys are refused.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from companion.toml_reader import SECRET
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
 Interface = Annotated[str, Meta(min_length=1, max_length=15)]
-"""Linux gives a network interface no longer name."""
+"""Name of a network interface; Linux allows at most 15 characters."""
 
 CHOOSER_WORDS = ("rule", "fixed")
-"""What `atmc.policy` may say instead of a path: the one-line rule; the best fixed legal set."""
+"""Values of `atmc.policy` other than a path: "rule" is the one-line rule, "fixed" the best fixed legal
+set."""
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Common to all sections."""
+    """Base of all sections."""
 
 
 class VehicleConfig(_Section, frozen=True):
@@ -33,75 +34,77 @@ class VehicleConfig(_Section, frozen=True):
     link: str = "udpin:127.0.0.1:14540"
     """udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD."""
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
-    """Vehicle to fly with; 0 takes the only autopilot on the link, of two none."""
+    """MAVLink system ID of our vehicle. 0: the only autopilot on the link; if there are two, none is used."""
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     wait_s: Annotated[float, Meta(gt=0, le=600)] = 10.0
     """How long to wait for the vehicle's first heartbeat."""
     stale_after_s: Annotated[float, Meta(ge=0.2, le=5)] = 1.0
-    """Own position older than this ends authority (fault)."""
+    """An own position older than this ends authority (fault)."""
     signing_key: Annotated[str, Meta(min_length=1, extra=SECRET)] | None = None
-    """Path of the key file of MAVLink 2 signing (relative to this file; absolute once loaded). The key itself
-    never stands in a configuration."""
+    """Path of the key file of MAVLink 2 signing (relative to this file; absolute once loaded). A
+    configuration never contains the key itself."""
 
 
 class IdentityConfig(_Section, frozen=True):
-    """Who we are on the air."""
+    """Identity of the own aircraft in Remote ID."""
 
     uas_id: Annotated[str, Meta(min_length=1, max_length=40)]
-    """UUID and session id: in a file hexadecimal digits, here the raw form of `BasicId.uas_id`."""
+    """UAS ID. A UUID or session ID is written as hexadecimal digits in a file; here it is in the raw form of
+    `BasicId.uas_id`."""
     id_type: IdType = IdType.SERIAL_NUMBER
     ua_type: UaType = UaType.HELICOPTER_OR_MULTIROTOR
     icao: Annotated[str, Meta(pattern="^[0-9A-Fa-f]{6}$")] | None = None
-    """Address of the aircraft's own ADS-B transponder, six hexadecimal digits: not to be avoided."""
+    """ICAO address of the aircraft's own ADS-B transponder, six hexadecimal digits. Reports with it are
+    ignored."""
     registration_id: Annotated[str, Meta(min_length=1, max_length=20)] | None = None
-    """Number that the state gave the aircraft; sent as a second Basic ID (Japan asks for both)."""
+    """Registration that the state gave the aircraft; sent as a second Basic ID (Japan requires both)."""
 
     @property
     def name(self) -> str:
-        """`uas_id` as people and files can take it: hexadecimal where it is raw bytes."""
+        """`uas_id` in printable form: hexadecimal if it is raw bytes."""
         return self.uas_id if self.uas_id.isprintable() else self.uas_id.encode("latin-1").hex()
 
     @property
     def file_name(self) -> str:
-        """`name` as a file can take it."""
+        """`name` with every character that is unsuitable for a file name replaced by "_"."""
         return "".join(c if c.isalnum() or c in "-_" else "_" for c in self.name)
 
 
 class FlightConfig(_Section, frozen=True):
-    """What to fly and who may fly it."""
+    """What to fly, and when the companion may take the vehicle."""
 
     use: Literal["watch", "guard", "fly"] = "watch"
-    """watch: broadcast, listen and log, never command. guard: the autopilot flies its mission and is taken
-    for a conflict alone. fly: command the timed trajectory."""
+    """watch: broadcast, listen and log, never command. guard: the autopilot flies its mission, and the
+    companion takes the vehicle only for a conflict. fly: command the timed trajectory."""
     trajectory: str | None = None
     """Path of a trajectory file (relative to this file), or "mission" for the vehicle's own mission."""
     mission_speed_mps: Annotated[float, Meta(gt=0, le=100)] | None = None
     """Speed on the vehicle's mission; needed with trajectory = "mission"."""
     start: Literal["engage", "utc"] = "engage"
-    """engage: the path's clock starts when the companion takes the vehicle. utc: at start_utc_s."""
+    """engage: the path's clock starts when the companion takes the vehicle. utc: it starts at start_utc_s."""
     start_utc_s: float | None = None
     rearm: Literal["mode", "disarm", "never"] = "disarm"
-    """How authority returns after the pilot took it: when the pilot selects GUIDED/OFFBOARD (guard:
-    AUTO/MISSION), when the vehicle has been disarmed, or only by a restart."""
+    """When authority may return after the pilot took it. mode: when the pilot selects GUIDED/OFFBOARD (guard:
+    AUTO/MISSION). disarm: when the vehicle has been disarmed. never: only after a restart."""
     take_in_flight: bool = False
-    """May take a vehicle that was flying already when the companion started. Without it a companion that
-    restarts in flight waits for the next landing."""
+    """Whether the companion may take a vehicle that was already flying when the companion started. If not, a
+    companion that restarts in flight waits for the next landing."""
     start_within_m: Annotated[float, Meta(gt=0, le=10000)] = 100.0
-    """The vehicle is taken only this near to the path's point for the moment."""
+    """The vehicle is taken only within this distance of the path's present point."""
     setpoint_rate_hz: Annotated[float, Meta(ge=5, le=50)] = 20.0
     yaw: Literal["face", "hold"] = "face"
-    """face: the nose turns to where the aircraft flies. hold: it stays where it is."""
+    """face: the nose points in the direction of flight. hold: the heading stays as it is."""
 
 
 class LimitsConfig(_Section, frozen=True):
-    """What no command ever exceeds."""
+    """Limits that no command ever exceeds."""
 
     max_speed_mps: Annotated[float, Meta(gt=0, le=50)] = 5.0
-    """Total speed."""
+    """Greatest total speed."""
     max_climb_mps: Annotated[float, Meta(gt=0, le=20)] = 2.0
     max_descent_mps: Annotated[float, Meta(gt=0, le=20)] = 2.0
     max_acceleration_mps2: Annotated[float, Meta(gt=0, le=20)] = 1.0
-    """How fast the commanded velocity may change."""
+    """Greatest rate of change of the commanded velocity."""
     floor_height_m: float | None = None
     """Height above home. None: the lower of 15 m and the path's lowest point."""
     ceiling_height_m: float | None = None
@@ -110,67 +113,73 @@ class LimitsConfig(_Section, frozen=True):
 
 
 class AvoidanceConfig(_Section, frozen=True):
-    """The law. Defaults: the reference flight tests; "paper": the published law to the letter."""
+    """The avoidance law. The defaults are those of the reference flight tests; "paper" is exactly the
+    published law."""
 
     law: Literal["dmuca", "paper", "none"] = "dmuca"
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
-    """Each aircraft's; two of them are the separation that must hold."""
+    """Radius of one aircraft. The separation of two aircraft must be at least twice this radius."""
     crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 150.0
-    """Kept from crewed traffic to the side, or `crewed_vertical_m` in height."""
+    """Horizontal separation from crewed traffic; alternatively `crewed_vertical_m` must be kept in height."""
     crewed_vertical_m: Annotated[float, Meta(gt=0, le=1000)] = 50.0
     horizon_s: Annotated[float, Meta(gt=0, le=120)] = 20.0
     period_s: Annotated[float, Meta(ge=0.02, le=1)] = 0.2
     recovery_time_s: Annotated[float, Meta(gt=0, le=120)] = 10.0
-    """T: time to close the gap to the path's point."""
+    """T of the paper: time in which to close the gap to the path's present point."""
     n_noncollide: Annotated[int, Meta(ge=1, le=1000)] = 15
-    """Cycles without a conflict before an avoidance is over; in the paper's law, before recovery."""
+    """Decision cycles without a conflict after which an avoidance is over; in the paper's law, recovery
+    starts."""
     regained_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
-    """Closer to the timed point than this counts as back on the path."""
+    """Within this distance of its timed point, the aircraft counts as back on the path."""
 
 
 class TrafficConfig(_Section, frozen=True):
-    """Tracks of other aircraft."""
+    """Tracks of other aircraft from Remote ID."""
 
     max_tracks: Annotated[int, Meta(ge=1, le=10000)] = 200
     expire_after_s: Annotated[float, Meta(gt=0, le=120)] = 15.0
     max_clock_offset_s: Annotated[float, Meta(ge=0, le=60)] = 5.0
     max_speed_mps: Annotated[float, Meta(gt=0, le=400)] = 120.0
-    """A message that claims or implies more is not believed."""
+    """A message that reports a higher speed is refused. It also bounds how far an aircraft of unknown
+    velocity can have flown."""
     keys: dict[str, str] = {}
-    """Identity -> Ed25519 public key that its signatures are checked with: 64 hex digits, or the path
+    """Ed25519 public key for each identity, to check its signatures with: 64 hex digits, or the path
     (relative to this file) of a PEM file."""
 
 
 class RemoteIdConfig(_Section, frozen=True):
-    """What goes on the air."""
+    """Remote ID that the aircraft sends."""
 
     region: str | None = None
-    """Path of a region profile (relative to this file), such as "regions/eu.toml". None: no law is kept."""
+    """Path of a region profile (relative to this file), such as "regions/eu.toml". None: no legal
+    requirements."""
     transports: Annotated[tuple[TransportName, ...], Meta(min_length=1, max_length=4)] = ("wifi",)
-    """Sent on together. What the region asks beyond them is added."""
+    """Transports that are used at the same time. Others that the region requires are added."""
     rate: Annotated[int, Meta(ge=1, le=10)] = 1
-    """psi: Locations a second on each; never below the region's floor."""
+    """psi of the paper: Locations per second on each transport; never below the region's minimum."""
     self_id: Annotated[str, Meta(max_length=23)] | None = None
     """Free text about the flight."""
     operator_id: Annotated[str, Meta(min_length=1, max_length=24, extra=SECRET)] | None = None
-    """Registration of the operator. EU: whole, with the three secret characters, which are never sent."""
+    """Registration of the operator. EU: the full number with its three secret characters, which are never
+    sent."""
     category_eu: Annotated[int, Meta(ge=0, le=3)] | None = None
-    """1 open, 2 specific, 3 certified."""
+    """EU category: 1 open, 2 specific, 3 certified."""
     class_eu: Annotated[int, Meta(ge=0, le=7)] | None = None
-    """1 to 7 for C0 to C6."""
+    """EU class: 1 to 7 for C0 to C6."""
     monitor_s: Annotated[float, Meta(ge=2, le=60)] = 5.0
-    """Own frames not heard back for this long, where something could hear them, are a failure."""
+    """If a receiver could hear our own frames, but hears none for this long, that is a failure."""
     component: bool = False
-    """Be the vehicle's Remote ID component (236) on MAVLink: heartbeat and OPEN_DRONE_ID_ARM_STATUS."""
+    """Act as the vehicle's Remote ID component (236) on MAVLink: send its heartbeat and
+    OPEN_DRONE_ID_ARM_STATUS."""
 
 
 class AtmcConfig(_Section, frozen=True):
-    """Who chooses the transports and rates in flight. Nobody: they stay as [remote_id] says."""
+    """Choice of transports and rates in flight. Without a policy they stay as configured in [remote_id]."""
 
     policy: Annotated[str, Meta(min_length=1)] | None = None
     """Path of a policy file (relative to this file; absolute once loaded), or one of `CHOOSER_WORDS`."""
     period_s: Annotated[float, Meta(ge=0.5, le=60)] = 2.0
-    """Mean time from one decision to the next; they fall at random phases."""
+    """Mean time between two decisions, which fall at random phases."""
 
 
 class NullRadio(_Section, frozen=True, tag_field="backend", tag="null"):
@@ -178,14 +187,14 @@ class NullRadio(_Section, frozen=True, tag_field="backend", tag="null"):
 
 
 class EtherRadio(_Section, frozen=True, tag_field="backend", tag="ether"):
-    """The simulated air."""
+    """Connection to the simulated radio channel (ether)."""
 
     address: str
     """HOST:PORT."""
 
 
 class HciRadio(_Section, frozen=True, tag_field="backend", tag="hci"):
-    """A Bluetooth controller that no other software uses."""
+    """A Bluetooth controller; no other software may use it."""
 
     channel: str
     """user:NUMBER (Linux hciN), uart:DEVICE:BAUD or tcp:HOST:PORT."""
@@ -197,37 +206,37 @@ class WifiRadio(_Section, frozen=True, tag_field="backend", tag="wifi"):
     """A Wi-Fi card."""
 
     hostapd: str | None = None
-    """Control socket of a running hostapd, such as /var/run/hostapd/wlan0: sends beacons through it."""
+    """Control socket of a running hostapd, such as /var/run/hostapd/wlan0, through which beacons are sent."""
     inject: Interface | None = None
     """Monitor interface to inject beacons and NAN frames on."""
     monitor: Interface | None = None
     """Monitor interface to listen on."""
     channel: Annotated[int, Meta(ge=1, le=177)] = 6
-    """What the card is tuned to; where hostapd tells, its word counts."""
+    """Wi-Fi channel of the card; if hostapd reports a channel, that one is used."""
 
 
 class ArduRemoteIdRadio(_Section, frozen=True, tag_field="backend", tag="arduremoteid"):
-    """A module with ArduRemoteID firmware on a MAVLink link of its own."""
+    """A module with ArduRemoteID firmware on its own MAVLink link."""
 
     link: str
-    """As vehicle.link, such as serial:/dev/ttyACM0:57600."""
+    """Link to the module, in the form of vehicle.link, such as serial:/dev/ttyACM0:57600."""
     system_id: Annotated[int, Meta(ge=1, le=255)] = 1
-    """The vehicle's: the module adopts the one it hears first."""
+    """MAVLink system ID of the vehicle. The module adopts the first one that it hears."""
 
 
 RadioConfig = NullRadio | EtherRadio | HciRadio | WifiRadio | ArduRemoteIdRadio
 
 
 class RecordConfig(_Section, frozen=True):
-    """The run folder."""
+    """Recording of flights into run folders."""
 
     folder: str = "runs"
     name: str = "companion"
     sync_period_s: Annotated[float, Meta(gt=0, le=60)] = 1.0
     keep_free_mb: Annotated[float, Meta(ge=0, le=10_000_000)] = 200.0
-    """Below this much free space (10^6 bytes) nothing is recorded; the flight goes on."""
+    """With less free space than this (10^6 bytes) nothing is recorded; the flight continues."""
     delete_oldest: bool = False
-    """Delete the oldest finished runs in the folder before that."""
+    """Whether to delete the oldest finished runs in the folder before recording stops."""
 
 
 class Waypoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -248,8 +257,8 @@ class TrajectoryFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class Config(_Section, frozen=True):
-    """Everything. `path`, `fence` and `region` are the files themselves, taken by `load` from where they are
-    named."""
+    """The whole configuration. `path`, `fence` and `region` hold the contents of the files that
+    `flight.trajectory`, `limits.fence` and `remote_id.region` name; `load` reads them."""
 
     identity: IdentityConfig
     vehicle: VehicleConfig = VehicleConfig()
@@ -260,7 +269,7 @@ class Config(_Section, frozen=True):
     remote_id: RemoteIdConfig = RemoteIdConfig()
     atmc: AtmcConfig = AtmcConfig()
     radio: tuple[RadioConfig, ...] = ()
-    """Used together: each transport is sent by the first that can."""
+    """Radios that are used together. Each transport is sent by the first radio that can send it."""
     record: RecordConfig = RecordConfig()
     path: TrajectoryFile | None = None
     fence: tuple[FenceArea, ...] = ()
@@ -268,5 +277,5 @@ class Config(_Section, frozen=True):
 
     @property
     def has_radio(self) -> bool:
-        """Whether any radio is configured that can hear or send."""
+        """Whether any radio other than a NullRadio is configured."""
         return any(not isinstance(radio, NullRadio) for radio in self.radio)

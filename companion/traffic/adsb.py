@@ -1,9 +1,10 @@
-"""Crewed traffic and others heard by ADS-B, through the autopilot's receiver (ADSB_VEHICLE).
+"""Crewed and other traffic received by ADS-B through the autopilot's receiver (ADSB_VEHICLE).
 
-Altitudes decide whether an aircraft passes above or below. A geometric one can be compared with our own; a
-barometric one cannot: transponders send the pressure altitude of the standard atmosphere, 8 m off for each
-hectopascal that the day's pressure differs, and receivers pass it on as it is. It separates only where the
-difference is more than any weather makes.
+Altitudes decide whether an aircraft passes above or below. A geometric altitude can be compared with our own.
+A barometric one cannot: transponders send the pressure altitude of the standard atmosphere, which is 8 m off
+for each hectopascal that the day's pressure differs, and receivers pass it on unchanged. A barometric
+altitude therefore separates aircraft only if the difference is larger than any weather error
+(`BAROMETRIC_M`).
 """
 
 from __future__ import annotations
@@ -17,22 +18,26 @@ from companion.geometry import LocalFrame, Vec3
 from companion.traffic.right_of_way import CREWED, FREE, share_of
 
 SIGMA_M = 15.0
-"""One axis; the message does not tell. NACp 8, the least that most airspace asks for, is 93 m at 95 %; GNSS
-receivers of today are a tenth of it."""
+"""Assumed standard deviation of the horizontal position for each axis, because the message does not report
+it. NACp 8, the least that most airspace requires, is 93 m at 95 %; present GNSS receivers reach a tenth of
+that."""
 SIGMA_MPS = 1.5
-"""NACv 2: 3 m/s at 95 %."""
+"""Assumed standard deviation of the velocity for each axis. NACv 2 is 3 m/s at 95 %."""
 BAROMETRIC_M = 300.0
-"""Weather: 37 hPa off the standard atmosphere."""
+"""Least difference from our own height at which a barometric altitude separates aircraft. It corresponds to
+weather that is 37 hPa off the standard atmosphere."""
 MOST = 200
+"""Most aircraft held at a time."""
 EXPIRE_S = 15.0
+"""Aircraft whose last report is older are removed."""
 _MAX_RANGE_M = 50_000.0
 _STAMP_S = 0.5
-"""Ages come in whole seconds, cut off."""
+"""Mean error of reported ages, which are whole seconds, rounded down."""
 _REPEATED_S = 5.0
 _APART_S = 1.0
 _STILL: Vec3 = (0.0, 0.0, 0.0)
 _NOT_CREWED = frozenset({14, 17, 18, 19})
-"""ADSB_EMITTER_TYPE: UAV, surface vehicles, point obstacle: the separations of drones do."""
+"""ADSB_EMITTER_TYPE of UAV, surface vehicles and point obstacles: the separation from drones suffices."""
 
 
 @dataclass(slots=True)
@@ -45,14 +50,14 @@ class _Seen:
     crewed: bool
     told: tuple[object, ...]
     anchor: _Seen | None
-    """A report a second or more before this one."""
+    """Earlier report to derive a velocity from; a second or more before this one if there is one."""
 
 
 class AdsbTraffic:
-    """Aircraft heard by ADS-B, at most `MOST`; of more, the farthest from us are left out.
+    """Aircraft received by ADS-B, at most `MOST`. If there are more, the farthest from us are left out.
 
     Args:
-        own_icao: our own transponder's address, which a receiver aboard hears too; None: we have none.
+        own_icao: address of our own transponder, which the own receiver also hears; None: we have none.
     """
 
     def __init__(self, own_icao: int | None) -> None:
@@ -67,20 +72,20 @@ class AdsbTraffic:
         separation_m: float | None,
         own_ned_m: Vec3,
     ) -> None:
-        """Take in one report.
+        """Process one report.
 
         Args:
             frame: local frame (its altitude datum is mean sea level).
             separation_m: height of the geoid above the ellipsoid here; None while unknown.
-            own_ned_m: own position, which of too many the farthest are told by.
+            own_ned_m: own position, used to find the farthest aircraft if there are too many.
         """
         if event.icao == self._own_icao:
             return
         at_s = now_s - event.age_s - _STAMP_S
         before = self._seen.get(event.icao)
         told = (event.lat_deg, event.lon_deg, event.alt_m, event.velocity_ned_mps)
-        # ArduPilot repeats the last report for seconds, with the age that it had at first; one that stands
-        # still looks the same.
+        # ArduPilot repeats the last report for seconds, always with its first age. Reports of an aircraft
+        # that stands still look the same.
         repeated = before is not None and told == before.told and at_s - before.at_s <= _REPEATED_S
         if before is not None and (at_s <= before.at_s or (repeated and event.velocity_ned_mps != _STILL)):
             return
@@ -104,7 +109,7 @@ class AdsbTraffic:
             anchor=before,
         )
         if before is not None:
-            # Velocity from positions wants two that are not too near, however often they come.
+            # A velocity from two positions needs reports that are not too close in time, at any report rate.
             anchor = before if before.anchor is None or at_s - before.at_s >= _APART_S else before.anchor
             seen.anchor = anchor
             anchor.anchor = None
@@ -112,8 +117,8 @@ class AdsbTraffic:
                 seen.velocity = _between(anchor, seen)
 
     def _make_room(self, distance_m: float, now_s: float, own_ned_m: Vec3) -> bool:
-        """For one at this distance; False: nobody is farther away. The silent ones go first, or who once was
-        near would keep others out for ever."""
+        """Make room for an aircraft at this distance; False if no other is farther away. Expired aircraft are
+        removed first, so that one that was near long ago does not keep its place."""
         self._expire(now_s)
         if len(self._seen) < MOST:
             return True
@@ -129,20 +134,21 @@ class AdsbTraffic:
             del self._seen[icao]
 
     def clear(self) -> None:
-        """Forget all places: the frame they were given in is no more."""
+        """Forget all aircraft, because the local frame of their positions is no longer valid."""
         self._seen.clear()
 
     def neighbours(self, now_s: float, own_down_m: float) -> list[Neighbour]:
-        """Every live one, as the law takes it.
+        """Every aircraft that is not expired, as input of the law. Expired ones are removed.
 
         Args:
-            own_down_m: own NED down, that barometric altitudes are told apart from.
+            own_down_m: own NED down, with which barometric altitudes are compared.
         """
         self._expire(now_s)
         return self.look(now_s, own_down_m)
 
     def look(self, now_s: float, own_down_m: float) -> list[Neighbour]:
-        """The same, forgetting nobody: who only watches must not change what a replay comes to."""
+        """Like `neighbours`, but without a change of state, so that a status display does not affect
+        replays."""
         return [
             _neighbour(icao, seen, now_s, own_down_m)
             for icao, seen in self._seen.items()
@@ -169,7 +175,8 @@ def _neighbour(icao: int, seen: _Seen, now_s: float, own_down_m: float) -> Neigh
 
 
 def _between(a: _Seen, b: _Seen) -> Vec3:
-    """Velocity from one report to the next; vertical only between heights of one kind."""
+    """Velocity from one report to the next. The vertical part is 0 unless both heights are of the same
+    kind."""
     k = 1.0 / (b.at_s - a.at_s)
     alike = a.vertical_known and b.vertical_known and a.barometric == b.barometric
     north, east, down = (k * (q - p) for p, q in zip(a.position, b.position, strict=True))

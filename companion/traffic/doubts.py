@@ -1,7 +1,7 @@
-"""Weighs what each heard message says for and against its track, and tells the log of changed flags.
+"""Collects the evidence of each received message for and against the flags of its track.
 
-What a single message, or a track alone, can show is `plausibility`'s; here it is set beside the other tracks
-of the same identity, the radio addresses and the configured keys.
+`plausibility` judges what a single message or a single track shows. This module also uses the other tracks of
+the same identity, the radio addresses and the configured keys. Changed flags are reported to the log.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from companion.traffic.sender_details import Source
 from companion.traffic.track import ESTABLISHED, Track, apart
 
 _TWIN_S = 5.0
-"""Two tracks of one identity, both heard within this time, are two senders."""
+"""Two tracks of one identity that are both received within this time count as two senders."""
 _HOP = 2
 _LEAP = 6
-"""Evidence of a jump: a first message elsewhere; a track that goes on there while the old one is silent."""
+"""Evidence of a jump. `_HOP`: the first message at another place. `_LEAP`: the new track becomes established
+there while the old one is silent."""
 _TWIN_FLAG = (Flag.DUPLICATE_IDENTITY,)
 _MOTION_FLAG = (Flag.VELOCITY_MISMATCH,)
 _FORGED_FLAG = (Flag.BAD_SIGNATURE,)
@@ -35,21 +36,25 @@ _SIGNER_FLAGS = (Flag.SIGNED, Flag.UNSIGNED)
 
 @dataclass(slots=True)
 class Judge:
-    """Raises and drops the flags of tracks."""
+    """Raises and clears the flags of tracks."""
 
     own_uas_id: str
     tracks: Mapping[str, Track]
     verifier: Verifier | None
-    """None where no keys are configured."""
+    """None if no keys are configured."""
     reports: Reports = field(default_factory=Reports)
 
     def note(self, track: Track, bad: Collection[Flag], judged: Collection[Flag] = ()) -> None:
-        """Evidence for the flags in `bad`, and against the others in `judged`."""
+        """Add evidence for the flags in `bad`, and against the others in `judged`."""
         if track.doubts.judge(bad, judged):
             self.reports.mark(track.track_id, track.doubts)
 
     def message(self, track: Track, known: Sequence[Track], fix: Fix, sample_s: float, now_s: float) -> None:
-        """The next message of a track, which is not updated yet; `known` are all of its identity."""
+        """Judge the next message of a track, before the track is updated with it.
+
+        Args:
+            known: all tracks of its identity.
+        """
         bad = message_doubts(fix)
         elapsed_s = max(sample_s - track.sample_s, now_s - track.received_s)
         if Flag.IMPOSSIBLE_VALUES not in bad and climbs_impossibly(track.content, fix.content, elapsed_s):
@@ -69,7 +74,8 @@ class Judge:
     def first_message(
         self, track: Track, known: Sequence[Track], source: Source, fix: Fix, now_s: float
     ) -> None:
-        """A track just opened: perhaps an aircraft that leapt, where the same address feeds another track."""
+        """Judge the first message of a new track. If its address also feeds another track, the aircraft may
+        have jumped."""
         here = [t for t in known if t is not track and source.key in t.sources]
         before = max(here, key=lambda t: t.received_s, default=None)
         if before is not None and apart(before, fix, now_s):
@@ -79,7 +85,8 @@ class Judge:
         self.note(track, message_doubts(fix))
 
     def _twins(self, track: Track, known: Sequence[Track], fix: Fix, now_s: float) -> None:
-        """Tracks of one identity that are heard in turns are two senders, whatever their addresses."""
+        """Flag tracks of one identity that are received in turns: they are two senders, also if they share an
+        address."""
         if track.identity == self.own_uas_id:
             self.note(track, _TWIN_FLAG)
             return
@@ -99,7 +106,7 @@ class Judge:
         now_s: float,
         utc_offset_s: float | None,
     ) -> bool | None:
-        """Whether a signature holds that this frame completed; None where that cannot be said."""
+        """Whether the signature that this frame completed is valid; None if that cannot be verified."""
         if self.verifier is None or source.identity is None:
             return None
         utc_s = None if utc_offset_s is None else now_s + utc_offset_s
@@ -109,18 +116,19 @@ class Judge:
         if genuine:
             source.signed_utc_s = signature.timestamp_utc_s or source.signed_utc_s
             if signature.auth_type != MESSAGE_SET_SIGNATURE:
-                # It vouches for the sender; a signed message set only for the Location in it.
+                # This signature vouches for the sender. A signed message set vouches only for its own
+                # Location.
                 source.vouched_s = now_s
         return genuine
 
     def signature(self, track: Track, genuine: bool) -> None:
-        """A signature that was checked, of an address that feeds the track."""
+        """Note the result of a signature check for an address that feeds the track."""
         self.note(track, () if genuine else _FORGED_FLAG, _FORGED_FLAG)
 
     def signer(
         self, track: Track, source: Source, genuine: bool | None, now_s: float, utc_known: bool
     ) -> None:
-        """Whether a track whose key is known proves to be its owner; after each update of the track."""
+        """Judge whether a track whose key is known is sent by the key's owner; called after each update."""
         if self.verifier is None or not self.verifier.knows(track.identity):
             return
         track.vouched_s = max(track.vouched_s, now_s if genuine else source.vouched_s)

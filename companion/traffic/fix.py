@@ -1,7 +1,7 @@
-"""A heard Location in our local frame and on our clock.
+"""Converts a received Location into our local frame and to our clock.
 
-The Location timestamp counts tenths of a second after the full UTC hour, so the moment of the message is the
-one nearest to our own UTC among all hours.
+The Location timestamp counts tenths of a second after the full UTC hour. Of all hours, the one is taken that
+brings the message nearest to our own UTC.
 """
 
 from __future__ import annotations
@@ -13,21 +13,22 @@ from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import Location
 
 SIGMA_UNKNOWN_M = 5.0
-"""Horizontal standard deviation taken for a sender that declares no accuracy."""
+"""Horizontal standard deviation assumed for a sender that declares no accuracy."""
 SIGMA_MOST_M = 15.0
-"""A declared accuracy counts up to this: a volume of kilometres would only make every velocity wrong."""
+"""Largest horizontal standard deviation that is used. With a volume of kilometres every velocity would be in
+conflict."""
 SIGMA_MOST_MPS = 0.5
-"""Standard deviation of a velocity whose accuracy is not declared, and the most that a declared one counts:
-receivers measure velocity by Doppler, far better than the bounds that they give for it."""
+"""Standard deviation of a velocity whose accuracy is not declared, and the largest that is used otherwise.
+Receivers measure velocity by Doppler, far more accurately than the bounds that they declare."""
 SIGMA_CLOCKLESS_M = 5.0
-"""Added (in quadrature) for a message that is dated by its reception."""
+"""Standard deviation added (in quadrature) for a message that is dated by its reception."""
 VERTICAL_ACCURACY_M = 10.0
-"""Worse than this, height does not separate."""
+"""With a worse declared vertical accuracy, the height counts as unknown."""
 
 
 @dataclass(slots=True)
 class Fix:
-    """A Location turned into our frame and clock."""
+    """A Location converted into our local frame (NED) and to our clock."""
 
     position: Vec3
     velocity: Vec3 | None
@@ -35,9 +36,10 @@ class Fix:
     sigma_mps: float
     vertical_known: bool
     stamp_s: float | None
-    """Our monotonic time of the message by the sender's clock; None when that cannot be believed."""
+    """Our monotonic time of the message by the sender's clock; None if that clock is not trusted."""
     lead_s: float | None
-    """How far the timestamp lies in our future, believed or not; None without one, or without our own UTC."""
+    """How far the timestamp lies in our future, trusted or not; None without a timestamp or without our
+    UTC."""
     content: Location
 
 
@@ -49,7 +51,14 @@ def make_fix(
     separation_m: float | None,
     max_clock_offset_s: float,
 ) -> Fix | None:
-    """The fix of one Location; None without a position."""
+    """The fix of one Location; None if it has no position.
+
+    Args:
+        utc_offset_s: our UTC minus `now_s`; None while unknown.
+        frame: local frame (its altitude datum is mean sea level).
+        separation_m: height of the geoid above the ellipsoid here; None while unknown.
+        max_clock_offset_s: a timestamp farther than this from our UTC is not trusted.
+    """
     if message.lat_deg is None or message.lon_deg is None:
         return None
     vertical_known = message.alt_geodetic_m is not None and separation_m is not None
@@ -58,7 +67,7 @@ def make_fix(
     alt_msl_m = frame.alt_m
     if message.alt_geodetic_m is not None and separation_m is not None:
         alt_msl_m = message.alt_geodetic_m - separation_m
-    # Senders put their receiver's own figure here, which is nearer to one sigma than to the 95 % bound.
+    # Senders declare their GNSS receiver's own estimate, which is nearer to one sigma than to the 95 % bound.
     accuracy = message.horizontal_accuracy_m
     sigma = SIGMA_UNKNOWN_M if accuracy is None else min(accuracy, SIGMA_MOST_M)
     lead_s = _lead(message, now_s, utc_offset_s)
@@ -80,7 +89,7 @@ def make_fix(
 
 
 def _lead(message: Location, now_s: float, utc_offset_s: float | None) -> float | None:
-    """The timestamp minus our UTC, both on the hour that brings them nearest (s)."""
+    """The timestamp minus our UTC (s), with the hour that brings both nearest."""
     if message.timestamp_s is None or utc_offset_s is None:
         return None
     utc_now = now_s + utc_offset_s
@@ -89,7 +98,7 @@ def _lead(message: Location, now_s: float, utc_offset_s: float | None) -> float 
 
 
 def _velocity(message: Location) -> Vec3 | None:
-    """Velocity (local NED, m/s) that a Location declares; None when speed or direction is unknown."""
+    """Velocity (local NED, m/s) that a Location declares; None if speed or direction is unknown."""
     down = -(message.vertical_speed_mps or 0.0)
     if message.speed_mps is None:
         return None

@@ -1,8 +1,8 @@
-"""Doubts about a heard aircraft, as flags with evidence for and against.
+"""Plausibility flags of received aircraft, with evidence for and against each.
 
-Flags inform the log and the pilot. They never take an aircraft from the law: what is doubted is avoided like
-everything else. A flag is raised after enough evidence and falls after enough sound messages; what a sender
-is free to do (turn, stop, be lost for a while, use several radios, declare nothing) is no evidence.
+Flags inform the log and the pilot. They never remove an aircraft from the law: a doubtful aircraft is avoided
+like any other. A flag is raised after enough evidence and cleared after enough sound messages. What a sender
+is free to do (turn, stop, be silent for a while, use several radios, declare nothing) is no evidence.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from companion.traffic.fix import Fix
 
 
 class Flag(enum.StrEnum):
-    """What is doubtful, or vouched for, about a track."""
+    """What is doubtful about a track, or confirmed (SIGNED)."""
 
     DUPLICATE_IDENTITY = "duplicate_identity"
     JUMP = "jump"
@@ -37,12 +37,12 @@ class Flag(enum.StrEnum):
 
 
 class Rule(NamedTuple):
-    """When a flag is raised, when it falls, and what it says."""
+    """When a flag is raised, when it is cleared, and its text in the log."""
 
     raise_at: int
-    """Evidence needed."""
+    """Evidence at which the flag is raised."""
     most: int
-    """Evidence counts up to here; so many sound messages in a row end the flag."""
+    """Largest evidence that is counted. This many sound messages in a row always clear the flag."""
     text: str
 
 
@@ -72,37 +72,43 @@ MESSAGE_FLAGS: Final = frozenset(
         Flag.EMERGENCY,
     )
 )
-"""Judged at every new message."""
+"""Flags that every new message is evidence for or against."""
 _STATUS_FLAG: Final = {
     Status.EMERGENCY: Flag.EMERGENCY,
     Status.REMOTE_ID_SYSTEM_FAILURE: Flag.REMOTE_ID_FAILURE,
 }
 
 STALE_S: Final = 2.0
-"""A position may be 1 s old when sent (F3411-22a, every region) and is sent again for up to 1 s more."""
+"""Age from which a timestamp is stale. A position may be 1 s old when sent (F3411-22a, every region) and is
+repeated for up to 1 s more."""
 FUTURE_S: Final = 0.5
-"""Beyond the sender's declared accuracy; our own clock is good to some tenths of a second."""
+"""How far a timestamp may lie in our future, in addition to its declared accuracy. Our own clock is accurate
+to some tenths of a second."""
 _ALTITUDES_M: Final = (-500.0, 20_000.0)
 _VERTICAL_MPS: Final = 62.0
-"""The greatest vertical speed that a message can tell."""
+"""Greatest vertical speed that a message can express."""
 _ACCURACY_UNKNOWN_M: Final = 10.0
 _VERTICAL_UNKNOWN_M: Final = 25.0
 
 
 @dataclass(slots=True)
 class Doubts:
-    """Evidence about one track, and the flags that it raised."""
+    """Evidence about one track, and the flags raised by it."""
 
     evidence: dict[Flag, int] = field(default_factory=dict)
-    """Flags without any are left out: a sound track costs nothing."""
+    """Evidence for each flag that has any; a sound track needs no entries."""
     flags: set[Flag] = field(default_factory=set)
     reported: set[Flag] = field(default_factory=set)
 
     def judge(self, bad: Collection[Flag], judged: Collection[Flag]) -> bool:
-        """One message's evidence: against each flag in `bad`, for the others in `judged`.
+        """Count the evidence of one message.
+
+        Args:
+            bad: flags that the message is evidence for.
+            judged: flags that the message is evidence against, unless they are in `bad`.
 
         Returns:
-            Whether there is now something to report.
+            Whether the flags differ from those last reported.
         """
         if not bad and not self.evidence:
             return False
@@ -113,7 +119,7 @@ class Doubts:
         return self.flags != self.reported
 
     def add(self, flag: Flag, weight: int) -> None:
-        """Count evidence for a doubt (or against it: negative)."""
+        """Count evidence for a flag, or against it if `weight` is negative."""
         rule = RULES[flag]
         count = min(self.evidence.get(flag, 0) + weight, rule.most)
         if count <= 0:
@@ -126,7 +132,7 @@ class Doubts:
 
 
 def message_doubts(fix: Fix) -> list[Flag]:
-    """What one message says against itself."""
+    """Flags for which one message by itself is evidence."""
     content, lead_s = fix.content, fix.lead_s
     bad = []
     status_flag = _STATUS_FLAG.get(content.status)
@@ -146,7 +152,7 @@ def message_doubts(fix: Fix) -> list[Flag]:
 
 
 def status_doubts(content: Location) -> list[Flag]:
-    """What a message says whose position is of no use."""
+    """Flags for which a message without a usable position is evidence."""
     status_flag = _STATUS_FLAG.get(content.status)
     return [] if status_flag is None else [status_flag]
 
@@ -163,17 +169,18 @@ def climbs_impossibly(before: Location, after: Location, elapsed_s: float) -> bo
 
 
 def noise_m(content: Location) -> float:
-    """Horizontal error that the sender declares, however large."""
+    """Horizontal error that the sender declares, without an upper limit; a default if it declares none."""
     return content.horizontal_accuracy_m or _ACCURACY_UNKNOWN_M
 
 
 @dataclass(slots=True)
 class MotionWindow:
-    """Positions over some seconds against the velocities reported meanwhile.
+    """Compares the positions of some seconds with the velocities reported in that time.
 
-    The displacement that the velocities make is the sum of trapezia. Between two messages `dt` apart an
-    aircraft with acceleration up to `a` can end at most a dt^2 / 4 away from the trapezium (full throttle one
-    way for half of it, then the other), whatever it reports at both ends.
+    The displacement by the velocities is integrated with the trapezoidal rule. Between two messages `dt`
+    apart, an aircraft with acceleration up to `a` can end at most a dt^2 / 4 away from the trapezoidal result
+    (full acceleration in one direction for half of the time, then in the opposite one), for any velocities at
+    both ends.
     """
 
     last: Fix
@@ -185,7 +192,8 @@ class MotionWindow:
     slack_m: float = 0.0
 
     def take(self, fix: Fix, now_s: float) -> bool | None:
-        """Go on to the next fix; at the end of a window, whether positions and velocities disagree."""
+        """Add the next fix. At the end of a window, return whether positions and velocities disagree; else
+        None."""
         before, v0, v1 = self.last, self.last.velocity, fix.velocity
         if before.stamp_s is not None and fix.stamp_s is not None:
             dt, jitter_s = fix.stamp_s - before.stamp_s, _JITTER_S
@@ -220,39 +228,41 @@ class MotionWindow:
 
 _WINDOW_S: Final = 5.0
 _GAP_S: Final = 5.0
-"""After a longer silence an aircraft may have flown any way."""
+"""Longest time between two messages of a window; after a longer silence the aircraft may be anywhere."""
 _MANOEUVRE_MPS2: Final = 10.0
 _SPEED_UNKNOWN_MPS: Final = 3.0
 _NOISES: Final = 3.0
 _JITTER_S: Final = 0.5
-"""Timestamps in tenths, a position and a velocity that are not of quite the same moment."""
+"""Time error between messages with timestamps: they are in tenths of a second, and position and velocity are
+not of exactly the same moment."""
 _RECEPTION_JITTER_S: Final = 2.0
 _QUANTUM: Final = 0.02
-"""Direction in whole degrees."""
+"""Error relative to the displacement, because directions are in whole degrees."""
 
 
 @dataclass(slots=True)
 class Reports:
-    """Changes of flags on their way to the log, at most so many a second whatever senders do."""
+    """Changes of flags that wait to be logged. At most `REPORTS_PER_S` are released per second."""
 
     _changed: OrderedDict[str, Doubts] = field(default_factory=OrderedDict)
     _left: float = 0.0
     _filled_s: float = -math.inf
 
     def __len__(self) -> int:
-        """Tracks with changes that wait."""
+        """Number of tracks with waiting changes."""
         return len(self._changed)
 
     def mark(self, track_id: str, doubts: Doubts) -> None:
-        """Have the changes of a track reported."""
+        """Queue the changes of a track."""
         self._changed[track_id] = doubts
 
     def forget(self, track_id: str) -> None:
-        """The track is no more."""
+        """Drop the changes of a track that was removed."""
         self._changed.pop(track_id, None)
 
     def due(self, now_s: float) -> list[TrackFlagged]:
-        """What may be reported now, in order of change; a flag that rose and fell meanwhile is left out."""
+        """Changes that may be logged now, in the order in which tracks changed. A flag that was raised and
+        cleared meanwhile is left out."""
         if not self._changed:
             return []
         rise = (now_s - self._filled_s) * REPORTS_PER_S

@@ -1,7 +1,7 @@
-"""How often a sender speaks on one transport, and how much of it arrives: from the counters of its frames.
+"""Estimates a sender's message rate on one transport, and the share that arrives, from its frame counters.
 
-A frame's counter steps by one with every new content (F3411), so the step from one heard frame to the next is
-what was sent meanwhile, heard or not. A few numbers for each address: nothing here grows.
+A frame's counter increases by one with every new content (F3411), so its step from one received frame to the
+next is the number of messages sent meanwhile, received or not. The state of each address has a fixed size.
 """
 
 from __future__ import annotations
@@ -12,44 +12,45 @@ from dataclasses import dataclass
 from companion.remote_id.transports import MAX_RATE
 
 HEARD_S = 3.0
-"""A transport on which a sender was silent for longer is not counted as used, in training as aboard."""
+"""A transport on which a sender was silent for longer does not count as used, in training and on the
+aircraft."""
 UNKNOWN_RATE = 5
-"""Locations a second taken of a sender that was heard once: the middle of what is sent."""
+"""Locations per second assumed of a sender that was heard once: the middle of the possible rates."""
 SHARE_MEMORY_S = 10.0
-"""Over which the share that arrives is counted."""
+"""Time constant over which the share that arrives is averaged."""
 _RATE_MEMORY_S = 3.0
 _LONGEST_GAP_S = 10.0
-"""After so long a counter may have wrapped: the gap says nothing."""
+"""After a longer gap a counter may have wrapped, so the gap is not evaluated."""
 _FASTEST = 20.0
-"""Locations a second. A counter that steps faster was set anew, or is made up."""
+"""Locations per second. A counter that increases faster was reset or is forged."""
 _STEP_SLACK = 3.0
 _OVERTAKEN = 8
-"""Frames that come so many counts late were sent before the last one that was heard."""
+"""A frame that is up to this many counts behind was sent before the last received one."""
 _SHORTEST_SPAN_S = 0.5
 
 
 @dataclass(slots=True)
 class Reception:
-    """What arrives from one radio address on one transport. All sums fade with time."""
+    """Reception statistics of one radio address on one transport. All sums fade with time."""
 
     heard_s: float = -math.inf
     """Our monotonic time of the last frame."""
     _news_s: float = -math.inf
-    """Of the last frame with new content."""
+    """Our monotonic time of the last frame with new content."""
     _counter: int | None = None
     _sent: float = 0.0
     _span_s: float = 0.0
-    """Messages, and the time in which they were sent: the rate."""
+    """`_sent` messages in `_span_s` seconds give the rate."""
     _arrived: float = 0.0
     _expected: float = 0.0
-    """Messages that arrived, of those that were sent: the share."""
+    """`_arrived` of `_expected` sent messages give the share that arrives."""
 
     def take(self, counter: int | None, now_s: float) -> None:
-        """A frame with a Location was heard.
+        """Count a received frame with a Location.
 
         Args:
-            counter: of the frame, 0-255; None where the radio does not tell it. Then what is lost cannot be
-                known: the rate is that of arrivals, and no share is counted.
+            counter: counter of the frame, 0-255; None if the radio does not report it. Then losses are
+                unknown: the rate is that of arrivals, and no share is counted.
         """
         self.heard_s = now_s
         before, gap_s = self._counter, now_s - self._news_s
@@ -73,7 +74,7 @@ class Reception:
             self._expected = fade * self._expected + steps
 
     def rate(self, now_s: float) -> int:
-        """Locations a second, 1 to `MAX_RATE`; 0 where it is not heard (any more)."""
+        """Locations per second, 1 to `MAX_RATE`; 0 if nothing was heard within `HEARD_S`."""
         if now_s - self.heard_s > HEARD_S:
             return 0
         if self._span_s < _SHORTEST_SPAN_S:
@@ -81,9 +82,9 @@ class Reception:
         return max(1, min(MAX_RATE, round(self._sent / self._span_s)))
 
     def arrivals(self, now_s: float) -> tuple[float, float]:
-        """Messages that arrived, and that were sent up to the last one of them, over the last 10 s or so.
+        """Messages that arrived, and messages sent up to the last arrival, over about the last 10 s.
 
-        What was sent since the last one is left out: a sender that left this transport looks the same.
+        Losses since the last arrival are left out, because a sender that left this transport looks the same.
         """
         silent_s = now_s - self.heard_s
         if silent_s > _LONGEST_GAP_S:

@@ -1,9 +1,9 @@
-"""Who gives way to whom.
+"""Right of way between aircraft.
 
-Crewed traffic first; then what cannot manoeuvre or is in distress; then what has no engine or little power;
-then everything else, drones among themselves (the order of ICAO Annex 2, 3.2.2, with crewed traffic above
-it). To whom it must give way an aircraft leaves nothing of the work; from equals, and from those who must
-give way to it, it expects half: a reciprocal law that did less than half would fly into one that does not
+Crewed traffic has the highest rank, then aircraft that cannot manoeuvre or are in distress, then those with
+no engine or little power, then all others, such as most drones (the order of ICAO Annex 2, 3.2.2, with crewed
+traffic above it). The own aircraft does all of the avoidance for a higher-ranking aircraft. For one of equal
+or lower rank it does half: with a smaller share, a reciprocal law would fly into an aircraft that does not
 know the rule.
 """
 
@@ -12,7 +12,7 @@ from __future__ import annotations
 from companion.remote_id.messages import Status, UaType
 
 CREWED, HELPLESS, LIMITED, FREE = range(4)
-"""Ranks: a lower one goes first."""
+"""Ranks; a lower number has the right of way."""
 
 RANKS = {
     UaType.KITE: HELPLESS,
@@ -25,17 +25,17 @@ RANKS = {
     UaType.GLIDER: LIMITED,
     UaType.AIRSHIP: LIMITED,
 }
-"""Others are FREE."""
+"""Rank of each UA type; all others are FREE."""
 IN_DISTRESS = frozenset({Status.EMERGENCY})
 
 
 def rank_of(ua_type: UaType | None, status: Status | None) -> int:
-    """Rank of an aircraft heard by Remote ID, from what it says it is."""
+    """Rank of an aircraft received by Remote ID, from its reported type and status."""
     if status in IN_DISTRESS:
         return HELPLESS
     return FREE if ua_type is None else RANKS.get(ua_type, FREE)
 
 
 def share_of(own: int, other: int) -> float:
-    """Our share of what is needed to keep apart from another, by ranks."""
+    """Our share of the velocity change that avoids another aircraft, from both ranks: 0.5 or 1."""
     return 1.0 if other < own else 0.5

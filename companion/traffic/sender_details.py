@@ -1,7 +1,7 @@
-"""What senders tell beside their position, held for each radio address until a track can take it.
+"""Details that senders report in addition to positions, held by radio address until a track can take them.
 
-On BLE 4 every message is a frame of its own: Basic ID, System and the others come before and between the
-Locations. One of each message is held, for a bounded number of addresses.
+On BLE 4 every message is a separate frame: Basic ID, System and the others arrive before and between the
+Locations. The last message of each type is held, for a bounded number of addresses.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from companion.traffic.reception import Reception
 
 @dataclass(slots=True)
 class About:
-    """The last of each message of a sender, and how it was last heard."""
+    """The last message of each type from a sender, and how the sender was last received."""
 
     transport: str
     address: str
     rssi_dbm: float | None = None
     basic_id: BasicId | None = None
-    """The identity that the track goes by."""
+    """Basic ID with the identity that the track uses."""
     other_id: BasicId | None = None
-    """Another identity of the same address, such as a registration beside the serial number."""
+    """Another Basic ID from the same address, such as a registration in addition to the serial number."""
     system: System | None = None
     operator_id: OperatorId | None = None
     self_id: SelfId | None = None
     authentication: AuthenticationData | None = None
 
     def keep(self, message: Message) -> None:
-        """Hold the last System, Operator ID and Self ID; others are no news here."""
+        """Hold the message if it is a System, Operator ID or Self ID; other messages are ignored."""
         if type(message) is System:
             self.system = message
         elif type(message) is OperatorId:
@@ -41,14 +41,14 @@ class About:
             self.self_id = message
 
     def keep_id(self, message: BasicId, identity: str | None) -> None:
-        """Hold a Basic ID as the one that names the sender, or as its other one."""
+        """Hold a Basic ID as `basic_id` if it carries the sender's `identity`, else as `other_id`."""
         if message.uas_id == identity:
             self.basic_id = message
         else:
             self.other_id = message
 
     def update(self, other: About) -> None:
-        """Take over whatever `other` knows; it is the newer."""
+        """Take over everything that is set in `other`, which is newer."""
         self.transport, self.address, self.rssi_dbm = other.transport, other.address, other.rssi_dbm
         if other.basic_id is not None:
             self.basic_id = other.basic_id
@@ -71,28 +71,30 @@ class Source:
     key: str
     about: About
     identity: str | None = None
-    """From its first Basic ID: a second one must not rename its track back and forth."""
+    """Identity from the first Basic ID. Later ones do not change it, so that a sender of two identities does
+    not rename its track back and forth."""
     vouched_s: float = -math.inf
-    """When a UAS ID signature from here last held (our monotonic time)."""
+    """When a UAS ID signature from this address was last valid (our monotonic time)."""
     signed_utc_s: float = -math.inf
-    """Timestamp of the last signature from here that held."""
+    """Timestamp (UTC) of the last valid signature from this address."""
     reception: Reception = field(default_factory=Reception)
 
 
 @dataclass(slots=True)
 class Sources:
-    """Addresses heard, at most `most`; the longest silent is forgotten first."""
+    """Radio addresses that were heard, at most `most`. The one that has been silent longest is removed
+    first."""
 
     most: int
     _held: OrderedDict[str, Source] = field(default_factory=OrderedDict)
-    """Ordered: a plain dict's first entry is slow to find after many deletions before it."""
+    """OrderedDict, because finding the first entry of a plain dict is slow after many deletions before it."""
 
     def __len__(self) -> int:
-        """Addresses held."""
+        """Number of addresses held."""
         return len(self._held)
 
     def at(self, transport: str, address: str) -> Source:
-        """The source of a frame, remembered from now on."""
+        """The source of a frame. A new one is added."""
         key = f"{transport}/{address}"
         source = self._held.get(key)
         if source is not None:
@@ -104,5 +106,5 @@ class Sources:
         return source
 
     def held(self, key: str) -> Source | None:
-        """The source of a key, if it is remembered."""
+        """The source of a key; None if it is not held."""
         return self._held.get(key)

@@ -1,4 +1,4 @@
-"""One heard aircraft, and where it can be."""
+"""The track of one received aircraft, and tests of where the aircraft can be."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from companion.traffic.sender_details import About
 
 _CLOCKLESS_S = 0.5
 ESTABLISHED = 3
-"""Messages after which a track is not pushed out by a newcomer's first."""
+"""Number of messages from which a track is established. A full table removes established tracks last."""
 
 
 def _no_past() -> NDArray[np.float64]:
@@ -29,11 +29,12 @@ def _no_past() -> NDArray[np.float64]:
 
 @dataclass(slots=True, eq=False)
 class Track:
-    """One aircraft as last heard. Position and velocity: local NED at `sample_s` (our monotonic time)."""
+    """One aircraft as last received; position and velocity are local NED at `sample_s` (our monotonic
+    time)."""
 
     track_id: str
     identity: str
-    """What it calls itself, or its radio address while it has not."""
+    """UAS ID that it reports, or its source key (transport/address) before a Basic ID arrives."""
     position_ned_m: Vec3
     velocity_ned_mps: Vec3
     velocity_known: bool
@@ -44,31 +45,32 @@ class Track:
     vertical_known: bool
     content: Location
     leads_s: deque[float]
-    """How far the sender's clock led ours at its last messages; negative: behind, or delayed."""
+    """How far the sender's clock led ours at its last messages. Negative: its clock lags, or delay."""
     about: About
     sources: deque[str]
-    """Radio addresses that it was heard from, the last few."""
+    """Keys (transport/address) of the last few radio addresses that it was received from."""
     motion: MotionWindow
     opened_s: float
     fed_by: dict[str, str] = field(default_factory=dict)
-    """Radio address that it was heard from last, by transport."""
+    """Key of the radio address that it was last received from, by transport."""
     beside_s: float = -math.inf
-    """When there was another track of its identity (our monotonic time)."""
+    """When there was last another track of its identity (our monotonic time)."""
     split_from: str | None = None
-    """Track that this one was opened beside, both from one radio address."""
+    """Track from which this one was split: one radio address sent positions too far apart for one
+    aircraft."""
     doubts: Doubts = field(default_factory=Doubts)
     vouched_s: float = -math.inf
-    """When a signature last held."""
+    """When a signature of its key was last valid (our monotonic time)."""
     messages: int = 1
     past: NDArray[np.float64] = field(default_factory=_no_past)
-    """What `kernels.note_track` remembers."""
+    """State of `kernels.note_track`, of TRACK_ENTRIES values."""
     past_vertical: bool = False
-    """Whether that is with height."""
+    """Whether `past` includes heights."""
     past_clocked: bool = False
-    """Whether its times are the sender's."""
+    """Whether the times in `past` are from the sender's clock."""
 
     def take_over(self, other: Track) -> None:
-        """The other track was this aircraft, heard on another transport before it told its name."""
+        """Merge another track of this aircraft, received on another transport before its Basic ID arrived."""
         self.sources.extend(key for key in other.sources if key not in self.sources)
         self.fed_by |= other.fed_by
         self.messages += other.messages
@@ -80,10 +82,11 @@ class Track:
             self.sigma_m, self.sigma_mps, self.content = other.sigma_m, other.sigma_mps, other.content
 
     def remember(self, fix: Fix) -> None:
-        """Learn from the message just taken how fast the aircraft leaves its predictions.
+        """Learn from the message just taken how fast the aircraft deviates from its predictions.
 
-        By the sender's own clock, which runs evenly whatever is thought of its lead. Without one the moment
-        is known to about a second only, which moves a fast aircraft far along its way.
+        Uses the sender's clock, which runs evenly even if our estimate of its lead changes. Without it the
+        time of the message is known only to about a second, in which a fast aircraft moves far along its
+        path.
         """
         past, p, v = self.past, self.position_ned_m, self.velocity_ned_mps
         clocked = fix.stamp_s is not None
@@ -91,7 +94,7 @@ class Track:
             past[kernels.T_TIME], self.past_clocked = -math.inf, clocked
         down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
         if self.vertical_known != self.past_vertical:
-            # A height that comes or goes is no manoeuvre.
+            # A height that becomes known or unknown is no manoeuvre.
             past[kernels.T_POSITION + 2], past[kernels.T_VELOCITY + 2] = down, 0.0
             self.past_vertical = self.vertical_known
         at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
@@ -100,47 +103,52 @@ class Track:
 
     @property
     def flags(self) -> frozenset[Flag]:
-        """What is doubtful, or vouched for, about it now."""
+        """Flags that are raised now."""
         return frozenset(self.doubts.flags)
 
 
 def off(track: Track, fix: Fix, at_s: float) -> float:
-    """Distance (m, horizontal) of a fix from where the track would be then."""
+    """Horizontal distance (m) of a fix from the track's predicted position at `at_s`."""
     p, v, along = track.position_ned_m, track.velocity_ned_mps, at_s - track.sample_s
     return math.hypot(p[0] + along * v[0] - fix.position[0], p[1] + along * v[1] - fix.position[1])
 
 
 def reach(elapsed_s: float, noise: float) -> float:
-    """How far (m) from its predicted place an aircraft may be: noise, and 10 m/s^2 in any direction."""
+    """How far (m) from its predicted position an aircraft may be: noise, and 10 m/s^2 in any direction."""
     return 20.0 + 4.0 * noise + 8.0 * elapsed_s + 5.0 * elapsed_s * elapsed_s
 
 
 def near(noise: float) -> float:
-    """How far (m) from its predicted place a message is the aircraft's, whoever else it might be of."""
+    """How far (m) from a track's predicted position a message is taken for that aircraft's even if it might
+    come from another one."""
     return 10.0 + 2.0 * noise
 
 
 def apart(track: Track, fix: Fix, now_s: float) -> bool:
-    """Whether track and fix cannot be one aircraft, even at the accuracies that they declare."""
+    """Whether track and fix cannot be one aircraft, given the accuracies that both declare."""
     at_s = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
     noise = noise_m(track.content) + noise_m(fix.content)
     return off(track, fix, at_s) > reach(abs(at_s - track.sample_s), noise)
 
 
 def lead(leads_s: deque[float]) -> float:
-    """How far the sender's clock leads ours: the largest lead but one; one wrong timestamp is nothing."""
+    """How far the sender's clock leads ours: the second largest lead, so that one wrong timestamp has no
+    effect; at least 0."""
     ordered = sorted(leads_s)
     return max(0.0, ordered[-2] if len(ordered) > 1 else ordered[-1])
 
 
 def same(a: Location, b: Location) -> bool:
-    """Whether a Location is the other one sent again."""
+    """Whether one Location is a repetition of the other."""
     return (a.timestamp_s, a.lat_deg, a.lon_deg) == (b.timestamp_s, b.lat_deg, b.lon_deg)
 
 
 def from_positions(track: Track, fix: Fix, sample_s: float) -> tuple[Vec3, bool]:
-    """Velocity from two positions, for a sender that declares none: this one's and the one remembered, which
-    is far enough back however often it sends."""
+    """Velocity for a sender that declares none, and whether it is known.
+
+    It is computed from the fix and the position held in `Track.past`, which is old enough at any message
+    rate.
+    """
     past = track.past
     elapsed = (sample_s if fix.stamp_s is None else fix.stamp_s) - past[kernels.T_TIME]
     if not 0.5 <= elapsed < math.inf or track.past_clocked != (fix.stamp_s is not None):

@@ -1,15 +1,15 @@
-"""Tracks of other aircraft, built from heard Remote ID messages (the paper's "orient", its Section 2).
+"""Tracks of other aircraft, built from received Remote ID messages (the paper's "orient", its Section 2).
 
-Heard data is untrusted, and every doubt is settled in favour of seeing an aircraft: what cannot be one
-aircraft becomes two tracks, and a message is never dropped because of a clock. A track keeps the last
-position and velocity at the message's own time; prediction over the delay is the law's. The number of tracks,
-of tracks under one identity and of remembered addresses is bounded, and no message makes a search through all
-of them.
+Received data is untrusted, and in doubt an aircraft is tracked: data that cannot be from one aircraft become
+two tracks, and no message is dropped because of a clock. A track holds the last position and velocity at the
+time of the message; the law predicts them over the delay. The number of tracks, of tracks of one identity and
+of addresses is bounded, and no message causes a search through all of them.
 
-Age. A sender whose clock leads ours shows a negative age: the lead is estimated from its last few messages
-(one wrong timestamp does not count) and added back. A clock that lags cannot be told from a delay; its age
-reads too long. Beyond `max_clock_offset_s` either way a timestamp is not believed: the message then counts
-from its reception, and only when its content is new.
+Age: a sender whose clock leads ours shows a negative age. The lead is estimated from its last few messages
+(one wrong timestamp has no effect) and subtracted from its timestamps. A clock that lags cannot be
+distinguished from a delay, so the age reads too long. A timestamp that is off by more than
+`max_clock_offset_s` either way is not trusted: the message is then dated by its reception, and used only if
+its content is new.
 """
 
 from __future__ import annotations
@@ -36,54 +36,59 @@ from companion.traffic.sender_details import About, Source, Sources
 from companion.traffic.track import ESTABLISHED, Track, from_positions, lead, near, off, reach, same
 
 _MAX_RANGE_M = 50_000.0
-"""Remote ID is not heard from farther away, and the local frame is too coarse for it."""
+"""Positions farther from us than this are implausible: Remote ID does not reach that far, and the local frame
+is too inaccurate there."""
 _ADDRESSES_PER_TRACK = 4
 _TRACKS_PER_IDENTITY = 16
-"""An owner that speaks once a second becomes established among so many copies a second."""
+"""Most tracks of one identity. Among this many forged copies a second, the owner of the identity still
+becomes established with one message a second."""
 _LEADS = 5
 _ECHO_M = 5.0
 _ECHO_S = 0.5
 _ECHO_HIGH_M = 10.0
 _ECHO_MPS = 3.0
-"""A message with our identity is ours as near as this to where and how we flew: two receivers on one aircraft
-(m), two clocks (s), which count along the way, heights, velocities. Farther off it is avoided."""
+"""Tolerances within which a message with our identity counts as our own, compared with our own flight.
+`_ECHO_M` allows for two receivers on one aircraft, `_ECHO_S` (times the own speed) for two clocks; the others
+are for height and velocity. Beyond them the message is from another aircraft, which is avoided."""
 _ECHO_DELAY_S = 3.0
-"""Without a timestamp, an own frame may come back this late: some radios repeat the last one."""
+"""Greatest delay of an own frame without a timestamp: some radios repeat the last frame."""
 _OWN_SPACING_S = 0.25
 _OWN_SAMPLES = 100
 _JOINED_WITHIN_M = 15.0
-"""Two tracks become one only this near to each other: what one aircraft tells on two transports comes from
-one receiver. If more, a sender with a copied name could take an aircraft off the table."""
+"""Two tracks are merged only if they are this near to each other. An aircraft's positions on two transports
+come from one GNSS receiver. With a larger distance, a sender with a copied identity could remove another's
+track."""
 _TWIN_MEMORY_S = 60.0
-"""After another track of its identity is gone, a track may still be taken for that one's."""
+"""For this long after another track of the same identity was there, a track is matched only to messages near
+it; others may still be from the other aircraft."""
 _RANKED_EVERY = 8
-"""Messages: an aircraft does not come much nearer between two."""
+"""A track is ranked for eviction every so many messages; its distance changes little in between."""
 
 
 @dataclass(slots=True)
 class TrafficCounts:
-    """What became of heard Location messages."""
+    """Number of received Location messages by outcome."""
 
     updates: int = 0
     no_position: int = 0
     old: int = 0
-    """Not newer than what the track holds."""
+    """The message was not newer than the track."""
     implausible: int = 0
-    """A speed or place that cannot be."""
+    """The reported speed or position is impossible."""
     split: int = 0
-    """Tracks opened beside another of the same identity, because one aircraft could not be at both places."""
+    """The message opened another track of a known identity, because one aircraft cannot be at both places."""
     clock: int = 0
-    """Timestamp unknown or too far from ours: time of reception taken instead."""
+    """The timestamp was unknown or too far from ours, so the time of reception was used."""
     own_echo: int = 0
     refused_full: int = 0
     evicted: int = 0
 
 
 class Traffic:
-    """All tracks.
+    """The table of all tracks from Remote ID.
 
     Raises:
-        ConfigError: a key in `config.keys` is none.
+        ConfigError: an entry of `config.keys` is not a valid public key.
     """
 
     def __init__(self, config: TrafficConfig, own_uas_id: str, own_type: UaType | None = None) -> None:
@@ -91,7 +96,7 @@ class Traffic:
         self._own_rank = rank_of(own_type, None)
         self.own_uas_id = own_uas_id
         self.own_addresses: tuple[str, ...] = ()
-        """Radio addresses of our own frames, which a second receiver of ours hears."""
+        """Radio addresses of our own frames, which a second own receiver may hear."""
         self.counts = TrafficCounts()
         self.tracks: dict[str, Track] = {}
         self._by_identity: dict[str, list[Track]] = {}
@@ -100,12 +105,12 @@ class Traffic:
         self._assembler = Assembler()
         self._judge = Judge(own_uas_id, self.tracks, Verifier(config.keys) if config.keys else None)
         self._split_number = 1
-        """Rises for good: a number is never tried twice, whoever holds the name that it makes."""
+        """Number of the last split track. It only increases, so that no track id is tried twice."""
         self._own: deque[tuple[float, Vec3, Vec3]] = deque(maxlen=_OWN_SAMPLES)
-        """When we were where, and how fast."""
+        """Own state: time (our monotonic time), position and velocity (local NED)."""
 
     def note_own(self, now_s: float, position: Vec3, velocity: Vec3) -> None:
-        """Remember the own state (local NED), to know an echo and to rank tracks."""
+        """Store the own state (local NED), to recognise echoes of own messages and to rank tracks."""
         if not self._own or now_s - self._own[-1][0] >= _OWN_SPACING_S:
             self._own.append((now_s, position, velocity))
 
@@ -117,7 +122,7 @@ class Traffic:
         frame: LocalFrame,
         separation_m: float | None,
     ) -> None:
-        """Take in one heard frame.
+        """Process one received frame.
 
         Args:
             utc_offset_s: our UTC minus `now_s`; None while unknown.
@@ -157,23 +162,23 @@ class Traffic:
                 self._judge.signature(track, genuine)
 
     def flagged(self, now_s: float) -> list[TrackFlagged]:
-        """Flags that were raised or fell since the last call, as far as the log is to be told now."""
+        """Flags that were raised or cleared and are to be logged now; the rate of reports is limited."""
         return self._judge.reports.due(now_s)
 
     def clear(self) -> None:
-        """Forget all places: the frame they were given in is no more."""
+        """Remove all tracks, because the local frame of their positions is no longer valid."""
         for track in list(self.tracks.values()):
             self._remove(track)
         self._own.clear()
 
     def expire(self, now_s: float) -> None:
-        """Forget what is older than `expire_after_s`."""
+        """Remove tracks older than `expire_after_s`."""
         limit = self.config.expire_after_s
         for track in [t for t in self.tracks.values() if now_s - t.sample_s > limit]:
             self._remove(track)
 
     def neighbours(self, now_s: float) -> list[Neighbour]:
-        """Every live track, as the law takes it."""
+        """Every track, as input of the law."""
         return [
             Neighbour(
                 t.track_id,
@@ -191,7 +196,7 @@ class Traffic:
         ]
 
     def receptions(self, track: Track) -> list[tuple[str, Reception]]:
-        """How each radio address of a track comes in, with its transport."""
+        """Transport and reception statistics of each radio address of a track."""
         held = (self._sources.held(key) for key in track.sources)
         return [(s.about.transport, s.reception) for s in held if s is not None]
 
@@ -234,10 +239,10 @@ class Traffic:
         source.about.keep_id(message, source.identity)
 
     def _rename(self, old: str, identity: str) -> None:
-        """Give the nameless tracks of an address their identity, as far as one may have so many.
+        """Give the tracks of an address their identity once it is known, up to `_TRACKS_PER_IDENTITY`.
 
-        On BLE 4 an aircraft's Locations come before its name: what another transport told by name already is
-        the same aircraft, and not a second one that stays behind as a ghost.
+        On BLE 4 an aircraft's Locations may arrive before its Basic ID. If another transport already
+        delivered the same aircraft with its identity, both tracks are merged, so that no ghost track remains.
         """
         for track in list(self._by_identity.get(old, ())):
             others = [t for t in self._by_identity.get(identity, ()) if t is not track]
@@ -258,9 +263,9 @@ class Traffic:
                 self._judge.reports.mark(track.track_id, track.doubts)
 
     def _same_aircraft(self, track: Track, others: Iterable[Track]) -> Track | None:
-        """Of the tracks of an identity the one whose aircraft a nameless track is; the nearest of several.
+        """The track among `others` that is the same aircraft as `track`; the nearest if there are several.
 
-        Stricter than `_match`: one of the two places is given up here, and there it has a track of its own.
+        This is stricter than `_match`, because a merge gives up one of two positions.
         """
         best, least = None, _JOINED_WITHIN_M
         for other in others:
@@ -283,7 +288,7 @@ class Traffic:
         return fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps
 
     def _doubt_place(self, source: Source, message: Location, fix: Fix | None) -> None:
-        """A Location that moves no track may still tell something about one."""
+        """Count a Location that updates no track as evidence about the tracks of its address."""
         bad = status_doubts(message)
         if fix is None:
             self.counts.no_position += 1
@@ -294,7 +299,7 @@ class Traffic:
             self._judge.note(track, bad)
 
     def _take(self, source: Source, fix: Fix, now_s: float) -> Track | None:
-        """The track that the fix updated or opened."""
+        """Use a fix; returns the track that it updated or opened, if any."""
         identity = source.identity or source.key
         known = self._by_identity.get(identity, [])
         track, away = self._match(known, source, fix, now_s)
@@ -306,10 +311,10 @@ class Traffic:
             return self._open(identity, known, source, fix, now_s)
         track.fed_by[source.about.transport] = source.key
         if source.key not in track.sources:
-            # Also without news: on two transports the same message comes twice.
+            # Also if the content is not new: on two transports the same message arrives twice.
             track.sources.append(source.key)
         if same(track.content, fix.content):
-            # An advertisement that goes on without news says nothing about now, nor about clocks.
+            # A repeated advertisement without new content tells nothing about the present, nor about clocks.
             self.counts.old += 1
             return None
         sample_s = now_s
@@ -337,10 +342,11 @@ class Traffic:
         return track
 
     def _from_us(self, fix: Fix, now_s: float) -> float:
-        """Distance (m, horizontal) of a fix from where we were; infinite where we were not so.
+        """Horizontal distance (m) of a fix from our own position then; infinite if it does not match our
+        flight.
 
-        It may be our own broadcast come back, or a second transmitter of ours. What flies beside us, above us
-        or towards us with our identity is another aircraft, and to be seen.
+        A fix that matches is an echo of our own broadcast or from a second own transmitter. An aircraft with
+        our identity that flies next to us, above us or towards us is another aircraft and must be tracked.
         """
         least = math.inf
         stamp_s = fix.stamp_s
@@ -364,13 +370,16 @@ class Traffic:
     def _match(
         self, known: list[Track], source: Source, fix: Fix, now_s: float
     ) -> tuple[Track | None, float]:
-        """The track of this identity whose aircraft can have flown to the fix, the nearest of several, one
-        of its own address before others; and how far off it the fix is (m), infinite without one.
+        """The track of this identity whose aircraft can have flown to the fix, and its distance from it (m).
 
-        After some silence one aircraft can be nearly anywhere. Where two are heard under the identity, or the
-        address is not the track's, it must be near: the track would leave the other one unseen. An aircraft
-        that changes its address does not come back to it: where two take turns on a transport, each has a
-        track, or one could draw the track away from the other.
+        Tracks that the same address fed last come first, then the nearest. Without such a track, the result
+        is None and infinity.
+
+        After some silence one aircraft can be nearly anywhere. If two aircraft use the identity, or the
+        address is new to the track, the fix must be near the track; otherwise one track would jump between
+        two aircraft, and one of them would be lost. An aircraft that changes its address does not return to
+        the old one. So if two addresses take turns on a transport, each gets its own track; otherwise one
+        sender could pull the track away from the other.
         """
         at = now_s if fix.stamp_s is None else min(fix.stamp_s, now_s)
         best, least = None, (True, math.inf)
@@ -434,14 +443,19 @@ class Traffic:
         return track
 
     def _dispensable(self, track: Track) -> tuple[bool, float]:
-        """The greatest of an identity's tracks gives way: the fresh one that is silent longest; where all are
-        established, the farthest. A copied name that leaps about is heard more often than its owner."""
+        """Sort key of the tracks of one identity; the track with the greatest key is removed.
+
+        That is the fresh track that has been silent longest or, if all are established, the farthest. Among
+        established tracks silence does not count, because a copied identity that jumps about is heard more
+        often than its owner.
+        """
         if track.messages < ESTABLISHED:
             return True, -track.received_s
         return False, math.dist(track.position_ned_m, self._own_position())
 
     def _make_room(self, fix: Fix) -> bool:
-        """Give up one track for a newcomer: a fresh one before an established one, the farthest first."""
+        """Remove one track for a new one: fresh tracks before established ones, the farthest first. False if
+        the new one is farther away than that track."""
         own = self._own_position()
         victim = self.tracks[self._ranking.first()]
         if math.dist(victim.position_ned_m, own) < math.dist(fix.position, own):
