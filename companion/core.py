@@ -129,44 +129,44 @@ class Companion:
             match event:
                 case RemoteIdHeard():
                     heard.append(event)
-                    self.broadcaster.take(event, now_s)
+                    self.broadcaster.observe(event, now_s)
                 case AdsbVehicle():
                     seen.append(event)
                 case RadioState() | OperatorData() | RemoteIdModule():
-                    self.broadcaster.take(event, now_s)
+                    self.broadcaster.observe(event, now_s)
                     if isinstance(event, RadioState):
                         self.traffic.own_addresses = event.own_addresses
                 case MissionDownloaded():
-                    self.plan.take_mission(event, now_s)
+                    self.plan.mission_downloaded(event, now_s)
                 case MissionRefused():
                     commands += self.plan.downloads.refused(event.reason)
                 case FenceDownloaded():
-                    self.plan.downloads.take_fence(event, now_s)
+                    self.plan.downloads.fence_downloaded(event, now_s)
                 case FenceRefused():
                     commands += self.plan.downloads.refused(f"the vehicle's fence: {event.reason}")
                 case VehicleParameters():
-                    commands += self.plan.terms.take_parameters(event)
+                    commands += self.plan.terms.set_vehicle_parameters(event)
                     if self.plan.course.law is not None:
                         # Parameters arrive one after the other, and may be lowered in flight.
                         self.plan.course.law.restrict(self.plan.terms.limits)
                 case ModeRefused():
                     commands += self._control.mode_refused(event)
                 case TwoAutopilots():
-                    commands += self._readiness.take(event)
+                    commands += self._readiness.two_autopilots_heard(event)
                 case RcChannels():
-                    self._control.take_sticks(event)
+                    self._control.note_sticks(event)
                 case Settings():
                     commands += self._take_settings(event)
                 case GateRefused():
-                    self._control.take_refusal(event)
+                    self._control.note_gate_refusal(event)
                 case GateAuthority():
-                    commands += self._readiness.take_authority(event, self.state)
+                    commands += self._readiness.gate_authority_changed(event, self.state)
                 case Heartbeat() | CurrentMode():
-                    own.take(event, now_s, sent_s)
+                    own.observe(event, now_s, sent_s)
                     if own.heartbeat is not None:
                         shown.append(own.heartbeat)
                 case _:
-                    own.take(event, now_s, sent_s)
+                    own.observe(event, now_s, sent_s)
         self._mode_known = behind_s is None
         if own.frame is not self._frame:
             self._frame = own.frame
@@ -188,7 +188,7 @@ class Companion:
         for frame in heard:
             self.traffic.hear(frame, now_s, own.utc_offset_s, own.frame, own.separation_m)
         for report in seen:
-            self.adsb.take(report, now_s, own.frame, own.separation_m, here)
+            self.adsb.hear(report, now_s, own.frame, own.separation_m, here)
 
     def _take_settings(self, event: Settings) -> list[Command]:
         """Take in settings. `enable` applies at once, numbers as soon as no law uses the old ones."""

@@ -297,7 +297,7 @@ class VehicleText(Event, frozen=True):
     text: str
 
 
-# ---------------------------------------------------------------- from `system.Onboard` and the gate
+# ---------------------------------------------------------------- from `system.CompanionSystem` and the gate
 
 
 class InputBehind(Event, frozen=True):

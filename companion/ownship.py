@@ -93,7 +93,7 @@ class _BootClock:
         # middle.
         return self.most_s - min(width / 2.0, max(0.0, width - _FINE_S))
 
-    def take(self, time_boot_s: float, now_s: float, drift: float) -> bool:
+    def add_stamp(self, time_boot_s: float, now_s: float, drift: float) -> bool:
         """Take in one time stamp. Returns True if the autopilot's clock has restarted."""
         began_anew = self.most_s is not None and time_boot_s < self.boot_s - _REBOOT_S
         most = now_s - time_boot_s
@@ -166,7 +166,7 @@ class Ownship:
     _upset_s: float = -math.inf
     _upset: str = ""
 
-    def take(self, event: Event, now_s: float, sent_s: float | None = None) -> None:
+    def observe(self, event: Event, now_s: float, sent_s: float | None = None) -> None:
         """Take in one event that concerns the own aircraft. Other events are ignored.
 
         Args:
@@ -243,7 +243,7 @@ class Ownship:
         return all(abs(height) > _HIGH_M for height in heights)
 
     def _tick(self, time_boot_s: float, now_s: float) -> None:
-        if self._clock.take(time_boot_s, now_s, _DRIFT_ARMED if self.armed else _DRIFT_DISARMED):
+        if self._clock.add_stamp(time_boot_s, now_s, _DRIFT_ARMED if self.armed else _DRIFT_DISARMED):
             # Earlier data were dated by another clock and must not count as fresh.
             self.position = None
             self._velocity_boot_s, self.boot_to_utc_s = -math.inf, None

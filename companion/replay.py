@@ -37,7 +37,7 @@ from companion.events import (
 from companion.gate.gate import STALL_S, Gate
 from companion.remote_id import codec
 from companion.remote_id.messages import Location
-from companion.system import Onboard
+from companion.system import CompanionSystem
 
 STEP_S = 0.05
 ELSEWHERE = 1e-9
@@ -198,7 +198,9 @@ def replay_tlog(frames: Iterable[tuple[float, bytes]]) -> tuple[TlogReplay, Iter
 
 def _fly_tlog(frames: Iterable[tuple[float, bytes]], result: TlogReplay) -> Iterator[Location]:
     steps: list[Step] = []
-    onboard = Onboard(Config(identity=IdentityConfig(uas_id="REPLAY")), steps.append, commanding=False)
+    onboard = CompanionSystem(
+        Config(identity=IdentityConfig(uas_id="REPLAY")), steps.append, commanding=False
+    )
     onboard.hear(RadioState(can_send=("wifi",)))
     start_s: float | None = None
     now_s = next_s = 0.0

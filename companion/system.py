@@ -49,7 +49,7 @@ _SAY_AGAIN_S = 5.0
 _HOLDING = frozenset(state.value for state in HOLDING)
 
 
-class Onboard:
+class CompanionSystem:
     """The core (`heart`) with its MAVLink link and the gate."""
 
     def __init__(
@@ -244,4 +244,4 @@ class Onboard:
             read_s: as in `tick`.
         """
         for event in self._step_events(now_s, read_s):
-            self.heart.own.take(event, now_s)
+            self.heart.own.observe(event, now_s)

@@ -118,9 +118,9 @@ class Control:
         """Modes that the vehicle may be in because of our own commands after a fault ended our control."""
         return self._modes.left_in
 
-    def take_sticks(self, event: RcChannels) -> None:
+    def note_sticks(self, event: RcChannels) -> None:
         """Take in the positions of the pilot's sticks."""
-        self._sticks.take(event)
+        self._sticks.note_channels(event)
 
     def mode_refused(self, event: ModeRefused) -> list[Command]:
         """Handle a mode that the vehicle refused to enter.
@@ -136,7 +136,7 @@ class Control:
             told.append(SetMode(mode=FlightMode.HOLD))
         return told
 
-    def take_refusal(self, event: GateRefused) -> None:
+    def note_gate_refusal(self, event: GateRefused) -> None:
         """Handle a command that the gate did not let pass."""
         if event.ends == "fault":
             self._gate_fault = event.text

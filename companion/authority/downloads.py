@@ -41,12 +41,12 @@ class Downloads:
         """Time of a request that has not been answered yet."""
         self._tried_s = -math.inf
 
-    def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
+    def mission_downloaded(self, event: MissionDownloaded, now_s: float) -> None:
         """Keep a downloaded mission."""
         self.items, self._items_s = event.items, now_s
         self.hurry()
 
-    def take_fence(self, event: FenceDownloaded, now_s: float) -> None:
+    def fence_downloaded(self, event: FenceDownloaded, now_s: float) -> None:
         """Keep a downloaded geofence."""
         self._areas, self._areas_s = event.areas, now_s
         self.hurry()

@@ -50,9 +50,9 @@ class FlownPlan:
         """True if there is a path and no comparison of the mission is pending."""
         return self.course.law is not None and not self._given_back
 
-    def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
+    def mission_downloaded(self, event: MissionDownloaded, now_s: float) -> None:
         """Keep the downloaded mission for the plan that is made next."""
-        self.downloads.take_mission(event, now_s)
+        self.downloads.mission_downloaded(event, now_s)
 
     def drop(self) -> None:
         """End the flight. The next one begins with a new plan."""

@@ -82,9 +82,9 @@ class GuardPlan:
         self._fetched = self._comparing = self.changed = self._stale = False
         self._mark, self._compared_s = None, -math.inf
 
-    def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
+    def mission_downloaded(self, event: MissionDownloaded, now_s: float) -> None:
         """Take in a downloaded mission: as the one that is flown, or for comparison with it."""
-        self.downloads.take_mission(event, now_s)
+        self.downloads.mission_downloaded(event, now_s)
         if self._comparing:
             self.changed, self._compared_s = event.items != self._flown, now_s
         else:

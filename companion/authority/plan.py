@@ -25,7 +25,7 @@ class Plan(Protocol):
     def ready(self) -> bool:
         """True if there is a path and nothing about it needs to be requested."""
 
-    def take_mission(self, event: MissionDownloaded, now_s: float) -> None:
+    def mission_downloaded(self, event: MissionDownloaded, now_s: float) -> None:
         """Take in the vehicle's downloaded mission."""
 
     def check(self, own: Ownship, now_s: float) -> list[Command]:

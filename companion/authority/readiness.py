@@ -55,12 +55,12 @@ class Readiness:
         self._found_s: float | None = None
         """Time at which the vehicle was first heard."""
 
-    def take(self, event: TwoAutopilots) -> list[Command]:
+    def two_autopilots_heard(self, event: TwoAutopilots) -> list[Command]:
         """Note that a second autopilot was heard, so that it is no longer known which vehicle is ours."""
         self.unclear = event.reason
         return [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
 
-    def take_authority(self, event: GateAuthority, state: State) -> list[Command]:
+    def gate_authority_changed(self, event: GateAuthority, state: State) -> list[Command]:
         """Note that the gate has lost authority or regained it.
 
         The loss is reported here only in states in which it causes no transition.

@@ -25,7 +25,7 @@ class Sticks:
         """Take the present positions as the rest positions, because the vehicle is being taken."""
         self._rest, self._count = self._last, 0
 
-    def take(self, event: RcChannels) -> None:
+    def note_channels(self, event: RcChannels) -> None:
         """Take in one RC_CHANNELS message."""
         self._last = event.sticks_us
         if event.sticks_us is None:

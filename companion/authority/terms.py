@@ -26,7 +26,7 @@ class Terms:
         """The configured limits, each lowered to the vehicle's own limit where that is lower."""
         return effective(self.config.limits, self.vehicle)
 
-    def take_parameters(self, event: VehicleParameters) -> list[Command]:
+    def set_vehicle_parameters(self, event: VehicleParameters) -> list[Command]:
         """Keep the vehicle's own limits for the next plan. Returns remarks for the operator."""
         self.vehicle = event
         return self.warn(remarks(self.config, event))

@@ -195,7 +195,7 @@ class AutopilotLink:
                     self._take_remote_id(frame, now_s)
                 elif self._heard.is_ours(frame):
                     self._take(frame, now_s)
-                elif not self._ground_stations.take(frame):
+                elif not self._ground_stations.handle(frame):
                     self._leave(frame)
             except PeerDataError as error:
                 self.counts.bad_values += 1

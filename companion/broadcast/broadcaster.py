@@ -77,13 +77,15 @@ class Broadcaster:
         Transports with less than 1 are not wanted."""
         self._asked = {t: min(rate, MAX_RATE) for t, rate in rates.items() if rate >= 1}
 
-    def take(self, event: RadioState | OperatorData | RemoteIdModule | RemoteIdHeard, now_s: float) -> None:
+    def observe(
+        self, event: RadioState | OperatorData | RemoteIdModule | RemoteIdHeard, now_s: float
+    ) -> None:
         """Take an event that concerns our own broadcast."""
         match event:
             case RadioState():
                 self._radio = event
             case OperatorData():
-                self._operator.take(event.messages, now_s)
+                self._operator.hear(event.messages, now_s)
             case RemoteIdModule():
                 self._module, self._module_s = event, now_s
             case RemoteIdHeard():

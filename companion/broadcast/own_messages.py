@@ -54,7 +54,7 @@ class Operator:
         self.self_id: SelfId | None = None
         self.operator_id: OperatorId | None = None
 
-    def take(self, messages: tuple[Message, ...], now_s: float) -> None:
+    def hear(self, messages: tuple[Message, ...], now_s: float) -> None:
         """Take messages of a ground station."""
         for message in messages:
             if isinstance(message, System):

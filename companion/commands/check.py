@@ -301,7 +301,7 @@ class _Probe:
             data = self.link.receive(now).data
             for event in [*self.protocol.receive(data, now), *self.protocol.advance(now)]:
                 self.counts[type(event)] += 1
-                self.own.take(event, now)
+                self.own.observe(event, now)
                 if isinstance(event, MissionDownloaded | MissionRefused):
                     self.mission = event
             self.link.send(self.protocol.drain())

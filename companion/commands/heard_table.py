@@ -74,7 +74,7 @@ class HeardTable:
         """All aircraft, the most recently received first."""
         return list(reversed(self._by_key.values()))
 
-    def take(self, event: RemoteIdHeard, now_s: float) -> Aircraft:
+    def add(self, event: RemoteIdHeard, now_s: float) -> Aircraft:
         """Add a received frame. Returns the aircraft to which it belongs."""
         key = self._key_of(event)
         aircraft = self._by_key.pop(key, None) or Aircraft()

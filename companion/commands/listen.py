@@ -113,7 +113,7 @@ def listen(radios: Radios, view: View, stopped: Callable[[], bool], seconds: flo
             now_s = clock.now_s()
             for event in radios.events(now_s):
                 if isinstance(event, RemoteIdHeard):
-                    heard.take(event, now_s)
+                    heard.add(event, now_s)
                     view.frame(event, time.time())
             heard.forget(now_s)
             view.show(heard, radios.health(now_s), now_s)

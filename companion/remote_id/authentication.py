@@ -102,7 +102,7 @@ class _PageSet:
     pages: dict[int, bytes] = field(default_factory=dict)
     early: dict[int, bytes] = field(default_factory=dict)
 
-    def take(self, page: Authentication) -> bool:
+    def add_page(self, page: Authentication) -> bool:
         """Take in one page. Return whether it adds anything new."""
         if page.page == 0:
             return self._take_head(page)
@@ -166,7 +166,7 @@ class Assembler:
             len(part) for s in self._sets.values() for part in (*s.pages.values(), *s.early.values())
         ) + sum(len(s.head.data) for s in self._sets.values() if s.head is not None)
 
-    def take(self, source: str, page: Authentication, now_s: float) -> AuthenticationData | None:
+    def add_page(self, source: str, page: Authentication, now_s: float) -> AuthenticationData | None:
         """Take in one page. Return the complete data if this page completed or changed it, else None."""
         key = (source, page.auth_type)
         pages = self._sets.pop(key, None)
@@ -176,7 +176,7 @@ class Assembler:
         if len(self._sets) > self.max_sets:
             self._sets.popitem(last=False)
         pages.touched_s = now_s
-        return pages.data() if pages.take(page) else None
+        return pages.data() if pages.add_page(page) else None
 
 
 # ---------------------------------------------------------------- signatures

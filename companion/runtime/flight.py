@@ -57,7 +57,7 @@ from companion.runtime.status.troubles import Trouble, Troubles
 from companion.runtime.stored_parameters import KeptSettings, read_settings
 from companion.runtime.warm import warm_up
 from companion.runtime.watchdog import Watchdog
-from companion.system import Onboard
+from companion.system import CompanionSystem
 
 _STATUS_S = 5.0
 _READ_S = 0.5
@@ -129,7 +129,7 @@ class Flight:
         self._kept_settings = KeptSettings(config, settings)
         guess = time.time() - clock.now_s()
         self._run = RunRecord(self._say)
-        self.onboard = Onboard(
+        self.onboard = CompanionSystem(
             config,
             self._record,
             policy=self._policy,
@@ -492,5 +492,5 @@ class Flight:
         for kind, (what, why) in kept.items():
             troubles.note(kind, None if why is None else f"{what}: {why}")
         if self.onboard.commanding and self.onboard.link.vehicle is not None:
-            for said in troubles.take():
+            for said in troubles.pop_messages():
                 self.onboard.link.send(said, now_s)

@@ -64,7 +64,7 @@ class AdsbTraffic:
         self._own_icao = own_icao
         self._seen: dict[int, _Seen] = {}
 
-    def take(
+    def hear(
         self,
         event: AdsbVehicle,
         now_s: float,

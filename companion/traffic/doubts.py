@@ -60,7 +60,7 @@ class Judge:
         if Flag.IMPOSSIBLE_VALUES not in bad and climbs_impossibly(track.content, fix.content, elapsed_s):
             bad.append(Flag.IMPOSSIBLE_VALUES)
         self.note(track, bad, MESSAGE_FLAGS)
-        strays = track.motion.take(fix, now_s)
+        strays = track.motion.check(fix, now_s)
         if strays is not None:
             self.note(track, _MOTION_FLAG if strays else (), _MOTION_FLAG)
         if track.split_from is not None and track.messages + 1 >= ESTABLISHED:

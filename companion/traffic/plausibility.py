@@ -191,7 +191,7 @@ class MotionWindow:
     east_m: float = 0.0
     slack_m: float = 0.0
 
-    def take(self, fix: Fix, now_s: float) -> bool | None:
+    def check(self, fix: Fix, now_s: float) -> bool | None:
         """Add the next fix. At the end of a window, return whether positions and velocities disagree; else
         None."""
         before, v0, v1 = self.last, self.last.velocity, fix.velocity

@@ -45,7 +45,7 @@ class Reception:
     _expected: float = 0.0
     """`_arrived` of `_expected` sent messages give the share that arrives."""
 
-    def take(self, counter: int | None, now_s: float) -> None:
+    def count_frame(self, counter: int | None, now_s: float) -> None:
         """Count a received frame with a Location.
 
         Args:

@@ -139,11 +139,11 @@ class Traffic:
             elif type(message) is BasicId:
                 self._learn_name(source, message)
             elif type(message) is Authentication:
-                signature = self._assembler.take(source.key, message, now_s) or signature
+                signature = self._assembler.add_page(source.key, message, now_s) or signature
             else:
                 source.about.keep(message)
         if locations:
-            source.reception.take(heard.counter, now_s)
+            source.reception.count_frame(heard.counter, now_s)
         genuine = None
         if signature is not None:
             source.about.authentication = signature

@@ -75,7 +75,7 @@ def fly(
         for i in range(fleet):
             if (tick + phases[i]) % message_every == 0:
                 slot = vehicles.send(rng, world, tick, i, kinds, craft)
-                air.take(i, slot, craft.sent[i, slot].tolist(), now)
+                air.hear(i, slot, craft.sent[i, slot].tolist(), now)
         places = list(map(tuple, (craft.position + craft.error).tolist()))
         velocities = list(map(tuple, (craft.velocity + craft.own_error).tolist()))
         for heart, place, velocity in zip(hearts, places, velocities, strict=True):
@@ -140,7 +140,7 @@ class Air:
         self._echoes: list[list[tuple[float, Location]]] = [[] for _ in kinds]
         self._senders: dict[tuple[float | None, float | None], int] = {}
 
-    def take(self, sender: int, slot: int, message: list[float], now: float) -> None:
+    def hear(self, sender: int, slot: int, message: list[float], now: float) -> None:
         """A message of `vehicles.send`."""
         at, north, east, down, *velocity = message
         lat, lon, alt = FRAME.to_geodetic(north, east, down)

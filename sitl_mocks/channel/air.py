@@ -73,7 +73,7 @@ class Decisions:
             self._first_s = transmission.sent_s
         self._outcomes.append(Outcome(transmission.number, receiver, arrival_s))
 
-    def take(self) -> list[Outcome]:
+    def pop_outcomes(self) -> list[Outcome]:
         """Those that were added since the last call, in their order."""
         taken, self._outcomes = self._outcomes, []
         return taken

@@ -124,7 +124,7 @@ class Chosen:
     _present: str | None = None
     _since_s: float = 0.0
 
-    def take(self, step: Step) -> None:
+    def add_step(self, step: Step) -> None:
         """What a step of the heart says of them."""
         for command in step.commands:
             if isinstance(command, BroadcastChanged):
@@ -171,7 +171,7 @@ def chosen_of(records: Iterable[Record]) -> Chosen:
     for item in records:
         if isinstance(item, Step):
             now_s = item.now_s
-            chosen.take(item)
+            chosen.add_step(item)
     chosen.end(now_s)
     return chosen
 

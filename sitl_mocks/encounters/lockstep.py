@@ -32,7 +32,7 @@ from companion.event_record import Step
 from companion.events import Firmware, RadioState, RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender, radio_address
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.air.air_settings import channel_of
 from sitl_mocks.air.ether import Ether
 from sitl_mocks.air.pair_statistics import PairStats
@@ -99,7 +99,7 @@ class Aircraft:
         self.chosen = Chosen()
         self._record = record
         self.vehicle = MockVehicle(options, rng)
-        self.onboard = Onboard(
+        self.onboard = CompanionSystem(
             config,
             self._take,
             policy=policy,
@@ -114,7 +114,7 @@ class Aircraft:
 
     def _take(self, step: Step) -> None:
         """One step of the heart."""
-        self.chosen.take(step)
+        self.chosen.add_step(step)
         if self._record is not None:
             self._record(step)
 
@@ -227,8 +227,8 @@ def fly(
     Args:
         seed: fixes paths (drawn geometries), navigation errors and the channel.
         law: replaces the scenario's law ("none" is the unavoided baseline).
-        policy: file of the policy that chooses the transports of all aircraft, as `Onboard` takes it. A
-            record must hold it in its header.
+        policy: file of the policy that chooses the transports of all aircraft, as `CompanionSystem` takes it.
+            A record must hold it in its header.
         record: called once per aircraft with its name and configuration; returns where its steps go.
         tlog: called once per aircraft with its name; returns where its MAVLink goes.
         progress: called with the share done, about once per simulated second.

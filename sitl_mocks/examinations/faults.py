@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.errors import ConfigError
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.examinations.modelled_link import ModelledLink
 from sitl_mocks.examinations.rule_judge import Judge
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
@@ -101,7 +101,7 @@ class World(Place, Protocol):
         """The simulated vehicle."""
 
     @property
-    def onboard(self) -> Onboard:
+    def onboard(self) -> CompanionSystem:
         """The companion."""
 
     def station_says(self, kind: str, *fields: Any) -> None:

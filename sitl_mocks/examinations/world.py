@@ -20,7 +20,7 @@ from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig, NullRadio
 from companion.events import Firmware, MissionItem, RadioState
 from companion.geometry import LocalFrame
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.encounters.crossing import Crossing
 from sitl_mocks.examinations.faults import Fault, Interposer, begin, end, others_frames
 from sitl_mocks.examinations.modelled_link import ModelledLink
@@ -293,10 +293,10 @@ def bounds_of(firmware: Firmware, use: Use, limits: LimitsConfig = _LIMITS) -> B
     )
 
 
-def new_companion(use: Use) -> Onboard:
+def new_companion(use: Use) -> CompanionSystem:
     """A companion that has heard nothing yet."""
     fly = {"trajectory": "mission", "mission_speed_mps": 4.0} if use == "fly" else {}
-    onboard = Onboard(
+    onboard = CompanionSystem(
         Config(
             identity=IdentityConfig(uas_id="SOAK"),
             flight=FlightConfig(use=use, **fly),  # type: ignore[arg-type]

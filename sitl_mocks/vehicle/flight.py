@@ -229,7 +229,7 @@ class Flight:
         self._enter(VehicleMode.MANUAL)
         self._intended = VehicleMode.MANUAL
 
-    def take_setpoint(self, setpoint: Setpoint, now_s: float) -> None:
+    def set_setpoint(self, setpoint: Setpoint, now_s: float) -> None:
         """A setpoint that the firmware understood."""
         external = self.mode is VehicleMode.EXTERNAL
         if not self._manners.external_needs_stream:

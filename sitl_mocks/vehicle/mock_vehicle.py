@@ -289,7 +289,7 @@ class MockVehicle:
                 else:
                     self._handle(message, endpoint, link, now_s)
                     if self._remote_id is not None and frame.message_id in ODID_MESSAGES:
-                        self._remote_id.take(frame, message, now_s)
+                        self._remote_id.handle(frame, message, now_s)
         self._after_change()
 
     def advance(self, now_s: float) -> None:
@@ -455,7 +455,7 @@ class MockVehicle:
         self._last_setpoint_s = now_s
         setpoint = interpret(message, self._manners, self.position_ned_m, self.yaw_rad)
         if setpoint is not None:
-            self._flight.take_setpoint(setpoint, now_s)
+            self._flight.set_setpoint(setpoint, now_s)
 
     def _take_command(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         to = (message.get_srcSystem(), message.get_srcComponent())

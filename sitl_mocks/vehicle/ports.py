@@ -52,7 +52,7 @@ class Port(Protocol):
     def sockets(self) -> list[socket.socket]:
         """Everything to wait on for reading."""
 
-    def take(self, now_s: float) -> None:
+    def receive(self, now_s: float) -> None:
         """Read what is there."""
 
     def send(self) -> None:
@@ -85,7 +85,7 @@ class UdpOut:
         """One."""
         return [self._socket]
 
-    def take(self, now_s: float) -> None:
+    def receive(self, now_s: float) -> None:
         """Read the peer's datagrams; a stranger's are dropped."""
         for data, address in _datagrams(self._socket):
             if address == self._peer:
@@ -123,7 +123,7 @@ class UdpIn:
         """One."""
         return [self._socket]
 
-    def take(self, now_s: float) -> None:
+    def receive(self, now_s: float) -> None:
         """Read; a new peer opens a link while there is room."""
         for data, address in _datagrams(self._socket):
             if address not in self._links:
@@ -177,7 +177,7 @@ class TcpIn:
         """The listener and the clients."""
         return [self._socket, *self._clients]
 
-    def take(self, now_s: float) -> None:
+    def receive(self, now_s: float) -> None:
         """Accept who waits, read from the clients."""
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while True:

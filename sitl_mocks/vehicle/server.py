@@ -66,7 +66,7 @@ class VehicleServer:
         """Fly up to now, take what came, send what is due."""
         self.vehicle.advance(now_s)
         for port in self._ports:
-            port.take(now_s)
+            port.receive(now_s)
         for port in self._ports:
             port.send()
         if self.vehicle.reboots != self._reboots:

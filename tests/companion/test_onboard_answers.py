@@ -9,7 +9,7 @@ import pytest
 from companion.autopilot.polled.timesync import read_timesync, timesync
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
 from companion.events import VelocitySetpoint
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from tests.companion.gate.flying import config
 
 _TIMESYNC, _SETPOINT = 111, 84
@@ -23,7 +23,7 @@ class SlowLine:
     does; each step commands it to stand."""
 
     def __init__(self, round_trip_s: float) -> None:
-        self.onboard = Onboard(config("fly", take_in_flight=True))
+        self.onboard = CompanionSystem(config("fly", take_in_flight=True))
         self.round_trip_s = round_trip_s
         self.questions = self.setpoints = 0
         self._writer = MavlinkWriter(1, 1)

@@ -34,7 +34,7 @@ def position(time_boot_s, lat_deg=47.0, velocity=(1.0, 0.0, 0.0)):
 
 def armed():
     own = Ownship()
-    own.take(
+    own.observe(
         Heartbeat(
             system_id=1,
             firmware=Firmware.PX4,
@@ -50,25 +50,25 @@ def armed():
 
 def test_utc_is_unknown_until_the_vehicle_knows_it():
     own = Ownship()
-    own.take(VehicleTime(time_boot_s=5.0, utc_s=None), 1.0)
+    own.observe(VehicleTime(time_boot_s=5.0, utc_s=None), 1.0)
     assert own.utc_offset_s is None
-    own.take(VehicleTime(time_boot_s=6.0, utc_s=1000.0), 2.0)
+    own.observe(VehicleTime(time_boot_s=6.0, utc_s=1000.0), 2.0)
     assert own.utc_offset_s == pytest.approx(998.0, abs=0.01)
 
 
 def test_utc_is_the_vehicles_whatever_the_links_delay():
     own = armed()
-    own.take(VehicleTime(time_boot_s=0.0, utc_s=1000.0), 10.0)
-    own.take(VehicleTime(time_boot_s=1.0, utc_s=1001.0), 14.8)
+    own.observe(VehicleTime(time_boot_s=0.0, utc_s=1000.0), 10.0)
+    own.observe(VehicleTime(time_boot_s=1.0, utc_s=1001.0), 14.8)
     assert own.utc_offset_s == pytest.approx(990.0, abs=0.01)
-    own.take(VehicleTime(time_boot_s=5.0, utc_s=987.0), 15.0)
+    own.observe(VehicleTime(time_boot_s=5.0, utc_s=987.0), 15.0)
     assert own.utc_offset_s == pytest.approx(972.0, abs=0.01)
 
 
 def test_a_position_is_dated_by_the_autopilots_clock_not_by_its_arrival():
     own = armed()
-    own.take(VehicleTime(time_boot_s=0.0, utc_s=1000.0), 10.0)
-    own.take(position(0.5), 10.9)
+    own.observe(VehicleTime(time_boot_s=0.0, utc_s=1000.0), 10.0)
+    own.observe(position(0.5), 10.9)
     assert own.sample_s() == pytest.approx(10.5, abs=0.01)
     assert own.age_s(11.0) == pytest.approx(0.5, abs=0.01)
     assert own.position_ned_m(11.0)[0] == pytest.approx(0.5, abs=0.01)
@@ -77,16 +77,18 @@ def test_a_position_is_dated_by_the_autopilots_clock_not_by_its_arrival():
 def test_a_link_that_grows_slow_shows_as_age():
     own = armed()
     for k in range(100):
-        own.take(position(0.1 * k), 0.1 * k + min(0.08 * k, 6.0))
+        own.observe(position(0.1 * k), 0.1 * k + min(0.08 * k, 6.0))
     assert own.age_s(9.9 + 6.0) == pytest.approx(6.0, abs=0.05)
 
 
 def test_a_reboot_begins_a_new_clock_and_is_not_trusted_at_once():
     own = Ownship()
-    own.take(VehicleTime(time_boot_s=500.0, utc_s=1000.0), 10.0)
-    own.take(LocalPosition(time_boot_s=500.0, position_ned_m=(0, 0, 0), velocity_ned_mps=(9.0, 0, 0)), 10.0)
-    own.take(position(500.0), 10.0)
-    own.take(position(1.0), 20.0)
+    own.observe(VehicleTime(time_boot_s=500.0, utc_s=1000.0), 10.0)
+    own.observe(
+        LocalPosition(time_boot_s=500.0, position_ned_m=(0, 0, 0), velocity_ned_mps=(9.0, 0, 0)), 10.0
+    )
+    own.observe(position(500.0), 10.0)
+    own.observe(position(1.0), 20.0)
     assert own.velocity_ned_mps == (1.0, 0.0, 0.0)
     assert own.age_s(20.1) == pytest.approx(0.1)
     assert own.utc_offset_s is None
@@ -94,49 +96,49 @@ def test_a_reboot_begins_a_new_clock_and_is_not_trusted_at_once():
 
 def test_landed_is_forgotten_when_it_is_not_repeated():
     own = Ownship()
-    own.take(LandedState(landed=Landed.IN_AIR), 10.0)
+    own.observe(LandedState(landed=Landed.IN_AIR), 10.0)
     assert own.landed(12.0) is Landed.IN_AIR
     assert own.landed(14.0) is Landed.UNDEFINED
 
 
 def test_a_landing_of_an_armed_vehicle_takes_more_than_one_message():
     own = armed()
-    own.take(position(0.0, velocity=(0.0, 0.0, 0.0)), 10.0)
+    own.observe(position(0.0, velocity=(0.0, 0.0, 0.0)), 10.0)
     for k, landed in enumerate((Landed.IN_AIR, *[Landed.ON_GROUND] * 3, Landed.IN_AIR)):
-        own.take(LandedState(landed=landed), 11.0 + k)
+        own.observe(LandedState(landed=landed), 11.0 + k)
         assert own.landed(11.0 + k) is Landed.IN_AIR, "3 s, but 50 m above home"
     for k in range(10):
-        own.take(LandedState(landed=Landed.ON_GROUND), 16.0 + k)
+        own.observe(LandedState(landed=Landed.ON_GROUND), 16.0 + k)
     assert own.landed(25.0) is Landed.IN_AIR
-    own.take(LandedState(landed=Landed.ON_GROUND), 26.0)
+    own.observe(LandedState(landed=Landed.ON_GROUND), 26.0)
     assert own.landed(26.0) is Landed.ON_GROUND
 
 
 def test_a_landing_that_was_not_seen_is_not_taken_for_flight():
     own = armed()
-    own.take(LandedState(landed=Landed.IN_AIR), 10.0)
-    own.take(LandedState(landed=Landed.ON_GROUND), 40.0)
+    own.observe(LandedState(landed=Landed.IN_AIR), 10.0)
+    own.observe(LandedState(landed=Landed.ON_GROUND), 40.0)
     assert own.landed(40.0) is Landed.UNDEFINED
-    own.take(LandedState(landed=Landed.ON_GROUND), 41.0)
-    own.take(LandedState(landed=Landed.ON_GROUND), 42.0)
+    own.observe(LandedState(landed=Landed.ON_GROUND), 41.0)
+    own.observe(LandedState(landed=Landed.ON_GROUND), 42.0)
     assert own.landed(42.0) is Landed.ON_GROUND
 
 
 def test_the_newer_velocity_counts():
     own = Ownship()
-    own.take(position(1.0), 1.0)
-    own.take(LocalPosition(time_boot_s=1.1, position_ned_m=(0, 0, 0), velocity_ned_mps=(2.0, 0, 0)), 1.1)
+    own.observe(position(1.0), 1.0)
+    own.observe(LocalPosition(time_boot_s=1.1, position_ned_m=(0, 0, 0), velocity_ned_mps=(2.0, 0, 0)), 1.1)
     assert own.velocity_ned_mps == (2.0, 0.0, 0.0)
-    own.take(LocalPosition(time_boot_s=0.9, position_ned_m=(0, 0, 0), velocity_ned_mps=(3.0, 0, 0)), 1.2)
+    own.observe(LocalPosition(time_boot_s=0.9, position_ned_m=(0, 0, 0), velocity_ned_mps=(3.0, 0, 0)), 1.2)
     assert own.velocity_ned_mps == (2.0, 0.0, 0.0)
 
 
 def test_geoid_separation_only_where_the_receiver_gives_both_altitudes():
     own = Ownship()
     fix = {"fix_type": 3, "lat_deg": 47.0, "lon_deg": 8.0, "alt_msl_m": 400.0}
-    own.take(GnssFix(**fix), 1.0)
+    own.observe(GnssFix(**fix), 1.0)
     assert own.separation_m is None
-    own.take(GnssFix(**fix, alt_ellipsoid_m=447.5), 2.0)
+    own.observe(GnssFix(**fix, alt_ellipsoid_m=447.5), 2.0)
     assert own.separation_m == 47.5
 
 
@@ -145,17 +147,17 @@ def test_a_geoid_that_is_nowhere_on_earth_is_not_believed(alt_ellipsoid_m):
     """It would tell the heights of all others wrongly by as much."""
     own = Ownship()
     fix = {"fix_type": 3, "lat_deg": 47.0, "lon_deg": 8.0, "alt_msl_m": 400.0}
-    own.take(GnssFix(**fix, alt_ellipsoid_m=447.5), 1.0)
-    own.take(GnssFix(**fix, alt_ellipsoid_m=alt_ellipsoid_m), 2.0)
+    own.observe(GnssFix(**fix, alt_ellipsoid_m=447.5), 1.0)
+    own.observe(GnssFix(**fix, alt_ellipsoid_m=alt_ellipsoid_m), 2.0)
     assert own.separation_m is None
 
 
 def test_a_velocity_dated_far_ahead_does_not_shut_out_those_after_it():
     own = Ownship()
-    own.take(position(100.0), 1.0)
+    own.observe(position(100.0), 1.0)
     ahead = LocalPosition(time_boot_s=4e6, position_ned_m=(0, 0, 0), velocity_ned_mps=(-9.0, 0, 0))
-    own.take(ahead, 1.05)
-    own.take(position(100.1, velocity=(2.0, 0.0, 0.0)), 1.1)
+    own.observe(ahead, 1.05)
+    own.observe(position(100.1, velocity=(2.0, 0.0, 0.0)), 1.1)
     assert own.velocity_ned_mps == (2.0, 0.0, 0.0)
 
 
@@ -167,7 +169,7 @@ def test_a_clock_that_slipped_is_forgiven_on_the_ground_only(make, forgiven):
     for k in range(600):
         now_s = 0.1 * k
         slip = min(max(now_s - 20.0, 0.0), 1.6)
-        own.take(position(now_s - slip), now_s)
+        own.observe(position(now_s - slip), now_s)
         ages.append(own.age_s(now_s))
     assert max(ages[:200]) < 0.01
     assert max(ages) > 1.2
@@ -176,23 +178,23 @@ def test_a_clock_that_slipped_is_forgiven_on_the_ground_only(make, forgiven):
 
 def test_after_a_reboot_the_old_position_is_none():
     own = armed()
-    own.take(VehicleTime(time_boot_s=1000.0, utc_s=5000.0), 9.9)
-    own.take(position(1000.0), 10.0)
+    own.observe(VehicleTime(time_boot_s=1000.0, utc_s=5000.0), 9.9)
+    own.observe(position(1000.0), 10.0)
     assert own.age_s(10.1) == pytest.approx(0.2, abs=0.01)
-    own.take(VehicleTime(time_boot_s=3.0, utc_s=4003.0), 13.0)
+    own.observe(VehicleTime(time_boot_s=3.0, utc_s=4003.0), 13.0)
     assert own.age_s(13.1) == float("inf")
     assert own.unfit(13.1, 1.0) is not None
 
 
 def test_a_vehicle_that_was_driven_away_gets_a_new_frame():
     own = Ownship()
-    own.take(position(1.0), 1.0)
-    own.take(position(600.0, lat_deg=47.6), 600.0)
+    own.observe(position(1.0), 1.0)
+    own.observe(position(600.0, lat_deg=47.6), 600.0)
     assert own.frame.lat_deg == 47.6
     assert own.position_ned_m(600.0)[0] == pytest.approx(0.0, abs=0.01)
     flying = armed()
-    flying.take(position(1.0), 1.0)
-    flying.take(position(600.0, lat_deg=47.6), 600.0)
+    flying.observe(position(1.0), 1.0)
+    flying.observe(position(600.0, lat_deg=47.6), 600.0)
     assert flying.frame.lat_deg == 47.0
 
 
@@ -208,10 +210,10 @@ def flown(down_s, up_s, *, seconds=10.0, answers=True, own=None, start_s=1000.0,
     own = armed() if own is None else own
     for tick in range(round(seconds * 10)):
         now_s = start_s + tick / 10
-        own.take(position(now_s - down_s - boot_s), now_s)
+        own.observe(position(now_s - down_s - boot_s), now_s)
         if answers and tick % 10 == 5:
             asked_s = now_s - down_s - up_s
-            own.take(ClockRead(time_boot_s=asked_s + up_s - boot_s, asked_s=asked_s, heard_s=now_s), now_s)
+            own.observe(ClockRead(time_boot_s=asked_s + up_s - boot_s, asked_s=asked_s, heard_s=now_s), now_s)
     return own, now_s
 
 
@@ -273,15 +275,15 @@ def test_an_answer_in_another_clock_is_left_out():
     own, now_s = flown(0.05, 0.05)
     before = own.age_s(now_s)
     for time_boot_s in (1_767_225_600.0, 3.0, now_s - BOOT_S + 5.0):
-        own.take(ClockRead(time_boot_s=time_boot_s, asked_s=now_s - 0.1, heard_s=now_s), now_s)
+        own.observe(ClockRead(time_boot_s=time_boot_s, asked_s=now_s - 0.1, heard_s=now_s), now_s)
     assert own.age_s(now_s) == before
 
 
 def test_an_answer_before_any_position_is_left_out():
     own = armed()
-    own.take(ClockRead(time_boot_s=5.0, asked_s=1.0, heard_s=1.1), 1.1)
+    own.observe(ClockRead(time_boot_s=5.0, asked_s=1.0, heard_s=1.1), 1.1)
     assert own.utc_offset_s is None
-    own.take(position(6.0), 2.0)
+    own.observe(position(6.0), 2.0)
     assert own.age_s(2.0) == 0.0
 
 
@@ -291,27 +293,27 @@ def test_no_answer_makes_a_position_younger_than_it_was_when_heard():
     for second in range(1, 20):
         now_s = heard_s + second
         behind = ClockRead(time_boot_s=now_s - BOOT_S - 0.9 * second, asked_s=now_s - 0.01, heard_s=now_s)
-        own.take(behind, now_s)
+        own.observe(behind, now_s)
         assert own.age_s(now_s) >= second - 1e-6
 
 
 def test_current_mode_counts_until_the_next_heartbeat_and_is_no_sign_of_life():
     own = Ownship()
-    own.take(CurrentMode(custom_mode=0x05040000), 0.0)
+    own.observe(CurrentMode(custom_mode=0x05040000), 0.0)
     assert own.mode is None
     own = armed()
-    own.take(CurrentMode(custom_mode=0x05040000), 0.4)
+    own.observe(CurrentMode(custom_mode=0x05040000), 0.4)
     assert (own.mode, own.heartbeat.custom_mode, own.armed) == (FlightMode.OTHER, 0x05040000, True)
     assert "no heartbeat" not in own.unfit(2.4, 1.0)
-    own.take(CurrentMode(custom_mode=0x04040000), 2.5)
+    own.observe(CurrentMode(custom_mode=0x04040000), 2.5)
     assert own.mode is FlightMode.MISSION
     assert "no heartbeat" in own.unfit(2.6, 1.0)
-    own.take(armed().heartbeat, 2.7)
+    own.observe(armed().heartbeat, 2.7)
     assert own.mode is FlightMode.EXTERNAL
 
 
 def test_current_mode_of_a_vehicle_that_cannot_be_commanded():
     own = armed()
-    own.take(msgspec.structs.replace(own.heartbeat, vehicle_type=1), 0.1)
-    own.take(CurrentMode(custom_mode=0x00060000), 0.2)
+    own.observe(msgspec.structs.replace(own.heartbeat, vehicle_type=1), 0.1)
+    own.observe(CurrentMode(custom_mode=0x00060000), 0.2)
     assert own.mode is FlightMode.OTHER

@@ -177,7 +177,7 @@ def _assembler() -> Target:
         page = decode(data)
         if not isinstance(page, Authentication):
             return False
-        whole = assembler.take(str(data[-1] % 40), page, now_s)
+        whole = assembler.add_page(str(data[-1] % 40), page, now_s)
         return whole is not None
 
     def check() -> None:

@@ -11,7 +11,7 @@ from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig,
 from companion.events import AuthorityChanged, Firmware, MissionItem, RadioState, Say, VelocitySetpoint
 from companion.geometry import LocalFrame
 from companion.radio.frames_io import FrameReceiver, FrameSender, radio_address
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
@@ -78,7 +78,7 @@ class Guarded:
             radio=(NullRadio(),),
         )
         self.steps = []
-        self.onboard = Onboard(self.config, self.steps.append)
+        self.onboard = CompanionSystem(self.config, self.steps.append)
         self.sender = FrameSender(radio_address(name))
         self.onboard.hear(RadioState(can_send=("wifi",), own_addresses=(self.sender.address,)))
         self.places = []

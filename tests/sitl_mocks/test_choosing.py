@@ -217,10 +217,10 @@ def test_time_on_the_fall_back():
         return Step(now_s=now_s, events=(), commands=commands)
 
     one, rates = Chosen(), (("wifi", 10),)
-    one.take(step(0.0, BroadcastChanged(rates=rates, legal=True, reason="")))
-    one.take(step(5.0, TransportsChosen(rates=rates, by="fallback", reason="outside")))
-    one.take(step(6.0))
-    one.take(step(8.0, TransportsChosen(rates=rates, by="policy", reason="")))
+    one.add_step(step(0.0, BroadcastChanged(rates=rates, legal=True, reason="")))
+    one.add_step(step(5.0, TransportsChosen(rates=rates, by="fallback", reason="outside")))
+    one.add_step(step(6.0))
+    one.add_step(step(8.0, TransportsChosen(rates=rates, by="policy", reason="")))
     one.end(20.0)
     assert (one.seconds, one.fallback_s) == ({"wifi 10": 20.0}, 3.0)
     assert choosing.fallback_share([one]) == 0.15

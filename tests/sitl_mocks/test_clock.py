@@ -12,7 +12,7 @@ from companion.autopilot.polled.timesync import timesync
 from companion.autopilot.wire import MavlinkWriter
 from companion.config import Config, IdentityConfig
 from companion.events import Firmware
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
 
@@ -29,7 +29,7 @@ class Delayed:
 
     def __init__(self, firmware: Firmware, down_s: float, up_s: float, **options) -> None:
         self.vehicle = MockVehicle(VehicleOptions(firmware=firmware, **options), np.random.default_rng(1))
-        self.onboard = Onboard(Config(identity=IdentityConfig(uas_id="CLOCK")))
+        self.onboard = CompanionSystem(Config(identity=IdentityConfig(uas_id="CLOCK")))
         self.down_s, self.up_s = down_s, up_s
         self._down: deque[tuple[float, bytes]] = deque()
         self._up: deque[tuple[float, bytes]] = deque()

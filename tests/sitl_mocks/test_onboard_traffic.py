@@ -40,7 +40,7 @@ from companion.events import (
 )
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
@@ -120,7 +120,7 @@ class Pair:
             fence=fence_file,
         )
         self.steps = []
-        self.onboard = Onboard(self.config, self.steps.append)
+        self.onboard = CompanionSystem(self.config, self.steps.append)
         self.tick = 0
         self.places = []
         """True position at each tick."""

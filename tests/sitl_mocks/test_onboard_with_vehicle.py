@@ -31,7 +31,7 @@ from companion.events import (
     VelocitySetpoint,
 )
 from companion.geometry import LocalFrame
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
@@ -87,7 +87,7 @@ class Pair:
             avoidance=AvoidanceConfig(),
         )
         self.steps = []
-        self.onboard = Onboard(config, self.steps.append)
+        self.onboard = CompanionSystem(config, self.steps.append)
         self.tick = 0
 
     @property

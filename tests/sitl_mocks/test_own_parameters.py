@@ -12,7 +12,7 @@ from companion.authority.table import State
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
 from companion.config import EtherRadio
 from companion.events import Firmware, Settings, VelocitySetpoint
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from tests.sitl_mocks.test_onboard_with_vehicle import TICK_S, Pair
 
@@ -24,7 +24,7 @@ class Station:
         self.pair = Pair(firmware)
         radio = (EtherRadio(address="127.0.0.1:1"),)
         config = msgspec.structs.replace(self.pair.onboard.heart.config, radio=radio)
-        self.pair.onboard = Onboard(config, self.pair.steps.append, settings=settings)
+        self.pair.onboard = CompanionSystem(config, self.pair.steps.append, settings=settings)
         self._writer, self._reader = MavlinkWriter(255, 190), MavlinkReader()
         self._heard = []
         # The autopilot learns by what it hears on which link who is.

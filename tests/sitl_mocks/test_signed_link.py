@@ -21,7 +21,7 @@ from companion.config import (
     Waypoint,
 )
 from companion.events import Firmware
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
@@ -67,7 +67,7 @@ class Signed:
             ),
         )
         signing = None if key is None else Signing(key, timestamp_at(UTC_S), 0.0)
-        self.onboard = Onboard(config, signing=signing)
+        self.onboard = CompanionSystem(config, signing=signing)
         self.down = self.up = b""
         """All that has passed in either direction."""
         self.inject_down: Callable[[], bytes] = bytes

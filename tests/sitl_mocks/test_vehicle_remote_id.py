@@ -15,7 +15,7 @@ from companion.errors import ConfigError
 from companion.events import ArmStatus, Firmware, OperatorData, RemoteIdHeard, RemoteIdModule
 from companion.remote_id.mavlink import READABLE, decode_odid
 from companion.remote_id.messages import Location, System
-from companion.system import Onboard
+from companion.system import CompanionSystem
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle, VehicleOptions
 
 AP, PX4 = Firmware.ARDUPILOT, Firmware.PX4
@@ -266,7 +266,7 @@ def test_the_mocks_own_location_is_what_it_flies():
 def test_aboard_the_status_reaches_the_vehicle_unless_nothing_is_broadcast(commanding):
     vehicle = MockVehicle(VehicleOptions(utc_at_zero_s=UTC_S), numpy.random.default_rng(1))
     config = Config(identity=IdentityConfig(uas_id="ABOARD"), remote_id=RemoteIdConfig(component=True))
-    onboard = Onboard(config, commanding=commanding)
+    onboard = CompanionSystem(config, commanding=commanding)
     reader = MavlinkReader()
 
     def said(now_s):

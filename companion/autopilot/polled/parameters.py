@@ -63,7 +63,7 @@ class ParameterReader:
     def _unanswered(self) -> list[str]:
         return [name for name, (wanted, _) in self._wanted.items() if wanted.field not in self._answered]
 
-    def take(self, payload: bytes, name_field: bytes, kind: int) -> None:
+    def on_value(self, payload: bytes, name_field: bytes, kind: int) -> None:
         """Take one PARAM_VALUE. A parameter that is not needed is ignored.
 
         Args:

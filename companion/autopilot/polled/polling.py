@@ -78,7 +78,7 @@ class Polling:
         """
         if self._parameters is not None:
             _value, _count, _index, name, kind = fields
-            self._parameters.take(frame.payload, name, kind)
+            self._parameters.on_value(frame.payload, name, kind)
 
     def on_timesync(self, frame: Frame, _fields: Fields, now_s: float) -> None:
         """Take TIMESYNC of our vehicle: the answer to ours, or a question, which is answered."""

@@ -89,7 +89,7 @@ class ComponentInformation:
         """Requests with their FTP payload, in order of arrival."""
         self._next_s = -math.inf
 
-    def take(self, frame: Frame, system_id: int, component_id: int) -> bool:
+    def handle(self, frame: Frame, system_id: int, component_id: int) -> bool:
         """Take one message of another system. Returns False if it is not for us, or if too many requests wait
         already.
 

@@ -58,7 +58,7 @@ class OwnParameters:
         arrival."""
         self._next_s = -math.inf
 
-    def take(self, frame: Frame, system_id: int, component_id: int) -> bool:
+    def handle(self, frame: Frame, system_id: int, component_id: int) -> bool:
         """Take one message of `MESSAGE_IDS`. Returns False if it is not for us.
 
         A list may be requested from everybody (0). A read or a set must be addressed to us alone.

@@ -51,19 +51,19 @@ class GroundStations:
         self._counts = counts
         self._refusal_said: tuple[str, float] = "", -math.inf
 
-    def take(self, frame: Frame) -> bool:
+    def handle(self, frame: Frame) -> bool:
         """Take a frame that is not the vehicle's. Returns False if it is not a request to us."""
         vehicle = self._heard.vehicle
         if vehicle is None or frame.system_id == vehicle.system_id:
             return False
         if frame.message_id in own_parameters.MESSAGE_IDS:
             settings = self._settings
-            if settings is None or not settings.take(frame, vehicle.system_id, self._component_id):
+            if settings is None or not settings.handle(frame, vehicle.system_id, self._component_id):
                 return False
             self._counts.settings_requests += 1
             return True
         information = self._information
-        if information is None or not information.take(frame, vehicle.system_id, self._component_id):
+        if information is None or not information.handle(frame, vehicle.system_id, self._component_id):
             return False
         self._counts.information_requests += 1
         return True

@@ -102,7 +102,7 @@ class FrameQueue:
                 self._counts.lost += 1
             self._waiting[key] = frame
 
-    def take(self) -> bytes | None:
+    def pop_frame(self) -> bytes | None:
         """Remove and return the next frame; None if none waits."""
         if not self._waiting:
             return None
@@ -218,7 +218,7 @@ class AdvertisingSet:
         if self.trouble is not None and now_s - self._trouble_s > _FORGIVEN_S:
             self.trouble = None
         if self._state is _State.IDLE:
-            frame = self.queue.take()
+            frame = self.queue.pop_frame()
             if frame is not None:
                 self._to_load = self._commands.load(frame)
                 self._load()

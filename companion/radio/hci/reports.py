@@ -42,7 +42,7 @@ class Reassembler:
         self.incomplete = 0
         """Number of advertisements of which the controller or this class lost a part."""
 
-    def take(self, report: Report, now_s: float) -> HeardFrame | None:
+    def add_report(self, report: Report, now_s: float) -> HeardFrame | None:
         """Return the frame that this report completes, if it may hold Remote ID."""
         data = report.data
         if not report.legacy:

@@ -275,7 +275,7 @@ class HciSession:
     # ------------------------------------------------------------ receiving
 
     def _report(self, report: Report, now_s: float) -> None:
-        frame = self._reassembler.take(report, now_s)
+        frame = self._reassembler.add_report(report, now_s)
         if frame is None:
             return
         if len(self.heard) >= _MAX_HEARD:

@@ -75,7 +75,7 @@ class _Source:
         self.number = 1
         """Number of the next packet."""
 
-    def take(self, size: int) -> bytes:
+    def read_exactly(self, size: int) -> bytes:
         """Read exactly `size` bytes."""
         if not 0 <= size <= _MAX_BYTES:
             raise self.damaged(f"has a length of {size} bytes")
@@ -85,7 +85,7 @@ class _Source:
         self.offset += size
         return data
 
-    def take_or_end(self, size: int) -> bytes | None:
+    def read_or_end(self, size: int) -> bytes | None:
         """Read exactly `size` bytes; return None at the end of the file."""
         data = self._stream.read(size)
         if not data:
@@ -110,11 +110,11 @@ class _Source:
 
 
 def _read_pcap(source: _Source, ns_per_tick: int) -> Iterator[Packet]:
-    *_, link_type = source.unpack("HHiIII", source.take(20))
+    *_, link_type = source.unpack("HHiIII", source.read_exactly(20))
     link_type &= 0xFFFF  # the upper bits give the length of a frame check sequence
-    while (head := source.take_or_end(16)) is not None:
+    while (head := source.read_or_end(16)) is not None:
         seconds, ticks, captured, _ = source.unpack("IIII", head)
-        data = source.take(captured)
+        data = source.read_exactly(captured)
         yield Packet(source.number, seconds * 1_000_000_000 + ticks * ns_per_tick, link_type, data)
         source.number += 1
 
@@ -132,13 +132,13 @@ class _Interface(NamedTuple):
 def _read_pcapng(source: _Source) -> Iterator[Packet]:
     interfaces: list[_Interface] = []
     _read_section_head(source)
-    while (head := source.take_or_end(4)) is not None:
+    while (head := source.read_or_end(4)) is not None:
         if int.from_bytes(head, "big") == _SECTION:  # the same value in either byte order
             _read_section_head(source)
             interfaces = []
             continue
         (kind,) = source.unpack("I", head)
-        body = _read_block(source, source.take(4))
+        body = _read_block(source, source.read_exactly(4))
         if kind == _INTERFACE:
             interfaces.append(_interface(source, body))
         elif kind in (_PACKET, _OLD_PACKET, _SIMPLE_PACKET):
@@ -147,7 +147,7 @@ def _read_pcapng(source: _Source) -> Iterator[Packet]:
 
 
 def _read_section_head(source: _Source) -> None:
-    length, magic = source.take(4), source.take(4)
+    length, magic = source.read_exactly(4), source.read_exactly(4)
     for order in ("<", ">"):
         if struct.unpack(f"{order}I", magic)[0] == _BYTE_ORDER:
             source.order = order
@@ -161,8 +161,8 @@ def _read_block(source: _Source, length_field: bytes, already: int = 0) -> bytes
     (length,) = source.unpack("I", length_field)
     if length % 4 or length < 12 + already:
         raise source.damaged(f"has a block of {length} bytes")
-    body = source.take(length - 12 - already)
-    if source.take(4) != length_field:
+    body = source.read_exactly(length - 12 - already)
+    if source.read_exactly(4) != length_field:
         raise source.damaged("ends with another length than it began with")
     return body
 

@@ -55,7 +55,7 @@ class Troubles:
             self._say(f"{text}; the flight goes on")
             self._for_pilot.append(Say(severity=Severity.WARNING, text=kind.value))
 
-    def take(self) -> list[Say]:
+    def pop_messages(self) -> list[Say]:
         """Return the messages to the pilot that have not been taken yet, and mark them as taken."""
         said, self._for_pilot = self._for_pilot, []
         return said

@@ -44,7 +44,7 @@ class _Sent:
     broken: bool = True
     """Nothing was sent since the transport was taken up."""
 
-    def take(self, now_s: float, limit_s: float | None) -> None:
+    def add_broadcast(self, now_s: float, limit_s: float | None) -> None:
         if not self.broken:
             gap = now_s - self.last_s
             self.on_air_s += gap
@@ -70,7 +70,7 @@ class _From:
     latency: array[float] = field(default_factory=lambda: array("d"))
     names: set[str] = field(default_factory=set)
 
-    def take(self, event: RemoteIdHeard, now_s: float, utc_s: float | None) -> None:
+    def add_frame(self, event: RemoteIdHeard, now_s: float, utc_s: float | None) -> None:
         self.frames += 1
         gap = math.inf if self.last_s is None else now_s - self.last_s
         if self.last_s is not None:
@@ -114,17 +114,19 @@ class _Gatherer:
         self.reasons: dict[str, None] = {}
         self.end_s = 0.0
 
-    def take(self, now_s: float, item: object) -> None:
+    def add_event(self, now_s: float, item: object) -> None:
         self.end_s = now_s
         match item:
             case RemoteIdHeard():
                 if item.address not in self.own:
                     utc_s = None if self.utc_offset_s is None else now_s + self.utc_offset_s
-                    self.senders.setdefault((item.transport, item.address), _From()).take(item, now_s, utc_s)
+                    self.senders.setdefault((item.transport, item.address), _From()).add_frame(
+                        item, now_s, utc_s
+                    )
             case Broadcast():
                 for kind in sorted({type(message).__name__ for message in item.messages}):
                     lane = self.sent.setdefault((item.transport, kind), _Sent())
-                    lane.take(now_s, self._limit_s(item.transport, kind))
+                    lane.add_broadcast(now_s, self._limit_s(item.transport, kind))
             case RadioState():
                 self.channel, self.own = item.wifi_channel, item.own_addresses
             case BroadcastChanged():
@@ -168,9 +170,9 @@ def gather(record: AircraftRecord) -> dict[str, Any]:
     nothing = record.tlog and not record.facts.heard
     for step in () if nothing else record.steps():
         for event in step.events:
-            found.take(step.now_s, event)
+            found.add_event(step.now_s, event)
         for command in step.commands:
-            found.take(step.now_s, command)
+            found.add_event(step.now_s, command)
     found.legal(found.end_s, True)
     return {
         "region": None if config is None else config.region.name,

@@ -105,7 +105,7 @@ class _Open:
     nearest: tuple[float, float, str] | None = None
     """Distance, when, track."""
 
-    def take(self, now_s: float, decision: Decision) -> None:
+    def add_decision(self, now_s: float, decision: Decision) -> None:
         self.end_s, self.regained_s = now_s, None
         self.tracks |= dict.fromkeys(t.track_id for t in decision.tracks if t.conflict or t.active)
         self.limits |= dict.fromkeys(name for name in decision.limits if name != "speed")
@@ -156,7 +156,7 @@ class _Finder:
     def step(self, step: Step) -> Iterator[_Open]:
         """Yields what is over and followed to its end."""
         for event in step.events:
-            self.own.take(event, step.now_s)
+            self.own.observe(event, step.now_s)
             self._take(event)
         self._explainer.note(step.now_s, self.own.velocity_ned_mps)
         for command in step.commands:
@@ -190,7 +190,7 @@ class _Finder:
                 yield from self._flush()
                 self._begin(now_s, decision)
             assert self.open is not None
-            self.open.take(now_s, decision)
+            self.open.add_decision(now_s, decision)
         for one in (self.open, self._closed):
             if one is not None:
                 one.follow(now_s, decision, self._config.avoidance.regained_m)

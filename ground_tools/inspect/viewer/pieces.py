@@ -169,7 +169,7 @@ class Watch:
         self._notes: list[Note] = []
         self._states: dict[str, list[tuple[float, str]]] = {}
 
-    def take(self, steps: Iterable[Step]) -> Piece:
+    def piece_of(self, steps: Iterable[Step]) -> Piece:
         """The next steps."""
         rows = _Rows()
         self._notes, self._states = [], {}

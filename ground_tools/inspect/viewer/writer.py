@@ -137,7 +137,7 @@ class Writer:
 
     def steps(self, name: str, steps: Iterable[Step]) -> None:
         """The next steps of one aircraft; all of them in one piece of the time line (`Scene.piece`)."""
-        one, piece = self._aircraft[name], self._watches[name].take(steps)
+        one, piece = self._aircraft[name], self._watches[name].piece_of(steps)
         self._own(one, piece)
         self._decisions(one, piece)
         self._tracks(one, piece)

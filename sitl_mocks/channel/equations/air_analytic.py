@@ -118,7 +118,7 @@ class AnalyticChannel:
 
     def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
         """See `Channel.settle`: all that was sent, in the order of sending."""
-        return self._decisions.take()
+        return self._decisions.pop_outcomes()
 
     def next_s(self) -> float | None:
         """See `Channel.next_s`."""

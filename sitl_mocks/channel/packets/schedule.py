@@ -36,7 +36,7 @@ class Events:
     scan_row: Indices
     """See `Packets.scan_row`."""
 
-    def take(self, which: slice | Indices) -> Events:
+    def select(self, which: slice | Indices) -> Events:
         """Some of the events, in the order asked for."""
         return Events(
             self.transmitter[which],
@@ -125,7 +125,7 @@ def draw_schedule(
     fields = ("transmitter", "mode", "begin", "sample", "parts", "channel", "auxiliary_delay", "scan_row")
     whole = Events(*(np.concatenate([getattr(p, name) for p in pieces]) for name in fields))
     order = np.argsort(whole.begin, kind="stable")
-    return whole.take(order), np.array(row_modes, np.intp)
+    return whole.select(order), np.array(row_modes, np.intp)
 
 
 def sense_carrier(events: Events, durations: Durations, hears: Bools, rng: np.random.Generator) -> Events:
@@ -145,7 +145,7 @@ def sense_carrier(events: Events, durations: Durations, hears: Bools, rng: np.ra
     )  # fmt: skip
     order = np.argsort(begin, kind="stable")
     # NaN, the beacons never sent, sorts last.
-    return replace(events, begin=begin).take(order[: len(order) - int(np.isnan(begin).sum())])
+    return replace(events, begin=begin).select(order[: len(order) - int(np.isnan(begin).sum())])
 
 
 def _paper_schedule(

@@ -128,7 +128,7 @@ def simulate(
             int(np.searchsorted(events.begin, since, side="left")),
             int(np.searchsorted(events.begin, events.begin[high - 1] + margin, side="right")),
         )
-        packets = packets_of(events.take(around), durations)
+        packets = packets_of(events.select(around), durations)
         background.forget(since)
         outcome = decide(packets, coverage, scanners, durations, assumptions, background)
         times = arrivals(packets, outcome.received, around.stop - around.start)
@@ -138,7 +138,7 @@ def simulate(
             packets, np.nonzero(own & carries_message(packets))[0], outcome.hearable, outcome.received
         )
 
-    events = events.take(slice(0, count))
+    events = events.select(slice(0, count))
     return Result(
         duration_s=duration_s,
         gnss_period_s=period * slot_s,

@@ -116,7 +116,7 @@ class RemoteIdRelay:
         self._transmitter_lost = True
         self.texts: list[tuple[int, str]] = []
 
-    def take(self, frame: Frame, message: MavlinkMessage, now_s: float) -> None:
+    def handle(self, frame: Frame, message: MavlinkMessage, now_s: float) -> None:
         """An OPEN_DRONE_ID_* message; no address is looked at, so what a receiver has heard counts too."""
         number = frame.message_id
         if number == _ARM_STATUS:

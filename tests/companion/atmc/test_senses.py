@@ -44,7 +44,7 @@ class Sender:
     def run(self, until_s, share):
         while self.sent / self.rate < until_s:
             if self.rng.random() < share:
-                self.reception.take(self.sent & 0xFF, self.sent / self.rate)
+                self.reception.count_frame(self.sent & 0xFF, self.sent / self.rate)
             self.sent += 1
 
 
@@ -94,13 +94,13 @@ UTC_S = 1_767_225_600.0
 @pytest.fixture
 def own():
     made = Ownship()
-    made.take(VehicleTime(time_boot_s=0.0, utc_s=UTC_S), 0.0)
+    made.observe(VehicleTime(time_boot_s=0.0, utc_s=UTC_S), 0.0)
     move(made, 0.0)
     return made
 
 
 def move(own, now_s):
-    own.take(
+    own.observe(
         GlobalPosition(
             time_boot_s=now_s,
             lat_deg=47.397,

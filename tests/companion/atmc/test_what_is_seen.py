@@ -107,7 +107,7 @@ class Scene:
         self.own, self.now_s = Ownship(), 0.0
         self.north_mps = north_mps
         self.traffic, self.senses = Traffic(TrafficConfig(), "OWN"), Senses("OWN")
-        self.own.take(VehicleTime(time_boot_s=0.0, utc_s=UTC_S), 0.0)
+        self.own.observe(VehicleTime(time_boot_s=0.0, utc_s=UTC_S), 0.0)
         self.place()
 
     def place(self):
@@ -120,7 +120,7 @@ class Scene:
             height_above_home_m=50.0,
             velocity_ned_mps=(self.north_mps, 0.0, 0.0),
         )
-        self.own.take(position, self.now_s)
+        self.own.observe(position, self.now_s)
 
     def hear(self, name, north_m, north_mps=0.0, counter=0, transport="wifi"):
         lat, lon, _ = self.own.frame.to_geodetic(north_m, 0.0, 0.0)
@@ -198,7 +198,7 @@ def streams(until_s, step):
     for _ in range(8):
         reception = Reception()
         for number in range(0, 600, step):
-            reception.take(number & 0xFF, until_s - 60.0 + 0.1 * number)
+            reception.count_frame(number & 0xFF, until_s - 60.0 + 0.1 * number)
         found.append([("wifi", reception)])
     return found
 

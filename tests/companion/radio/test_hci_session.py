@@ -277,7 +277,7 @@ def test_the_queue_is_bounded_and_keeps_the_location() -> None:
             )
     assert len(queue) == 32
     assert counts.lost == 65 - 32
-    assert queue.take() == location[0]
+    assert queue.pop_frame() == location[0]
 
 
 def test_on_a_controller_slower_than_the_rate_everything_still_goes_out() -> None:
@@ -302,10 +302,10 @@ def test_a_location_waits_for_one_other_frame_at_most() -> None:
     taken = []
     for _ in range(5):
         queue.put(location)
-        taken.append(queue.take())
+        taken.append(queue.pop_frame())
     assert taken == [location[0], serial, location[0], self_id, location[0]]
     queue.put(location)
-    assert queue.take() == location[0]
+    assert queue.pop_frame() == location[0]
 
 
 @pytest.mark.parametrize("status", [0x43, 0x3C, 0x00])

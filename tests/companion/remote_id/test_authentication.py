@@ -45,7 +45,7 @@ def pages_of(size=64, seed=0, auth_type=1, timestamp_utc_s=UTC_S):
 
 def assembled(assembler, pages, now_s=0.0, source="s"):
     """What the assembler gave, page by page, without the Nones."""
-    return [data for page in pages if (data := assembler.take(source, page, now_s)) is not None]
+    return [data for page in pages if (data := assembler.add_page(source, page, now_s)) is not None]
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_what_no_sound_set_can_be_is_left_alone():
         Authentication(auth_type=1, page=0, data=head.data, last_page=16, length=18),
         Authentication(auth_type=1, page=9, data=bytes(23)),
     ):
-        assert assembler.take("s", bad, 0.0) is None
+        assert assembler.add_page("s", bad, 0.0) is None
 
 
 def test_a_flood_is_bounded():
@@ -132,7 +132,7 @@ def test_a_flood_is_bounded():
         data = encode(pages_of(64, seed=k % 7)[0])
         raw = bytes((0x22, generator.randrange(256))) + (data[2:] if k % 3 else generator.randbytes(23))
         with contextlib.suppress(PeerDataError):
-            assembler.take(f"s{generator.randrange(300)}", decode(raw), k * 0.01)
+            assembler.add_page(f"s{generator.randrange(300)}", decode(raw), k * 0.01)
     assert len(assembler) == 50
     assert assembler.held_bytes() <= 50 * (17 + 2 * 15 * 23)
 

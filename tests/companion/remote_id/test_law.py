@@ -85,9 +85,9 @@ class Aircraft:
             VehicleTime(time_boot_s=now_s + 100.0, utc_s=UTC_S + now_s),
             *((self.gnss,) if self.gnss is not None else ()),
         ):
-            self.own.take(event, now_s)
+            self.own.observe(event, now_s)
         if position:
-            self.own.take(
+            self.own.observe(
                 GlobalPosition(
                     time_boot_s=now_s + 100.0,
                     lat_deg=47.0,
@@ -108,7 +108,7 @@ class Aircraft:
 
     def radio(self, can_send: tuple[str, ...], **more: object) -> None:
         state = RadioState(can_send=tuple(sorted(can_send)), **more)
-        self.broadcaster.take(state, self.now_s)
+        self.broadcaster.observe(state, self.now_s)
 
 
 class Judge:

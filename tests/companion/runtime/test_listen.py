@@ -66,10 +66,10 @@ def frame(
 
 def test_everything_an_aircraft_says_is_in_its_row() -> None:
     heard = HeardTable()
-    heard.take(frame(named("1596B0000DMUCA01"), LOCATION), 10.0)
-    heard.take(frame(System(operator_lat_deg=47.0, operator_lon_deg=8.0), transport="ble5"), 10.5)
-    heard.take(frame(OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8")), 11.0)
-    heard.take(frame(SelfId(description_type=0, text="survey"), rssi_dbm=-71.4), 12.0)
+    heard.add(frame(named("1596B0000DMUCA01"), LOCATION), 10.0)
+    heard.add(frame(System(operator_lat_deg=47.0, operator_lon_deg=8.0), transport="ble5"), 10.5)
+    heard.add(frame(OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8")), 11.0)
+    heard.add(frame(SelfId(description_type=0, text="survey"), rssi_dbm=-71.4), 12.0)
     (aircraft,) = heard.newest_first()
     assert cells(aircraft, 12.25) == {
         "identity": "1596B0000DMUCA01",
@@ -92,7 +92,7 @@ def test_everything_an_aircraft_says_is_in_its_row() -> None:
 
 def test_what_is_unknown_is_a_dash() -> None:
     heard = HeardTable()
-    heard.take(frame(Location(alt_baro_m=100.0), rssi_dbm=None), 0.0)
+    heard.add(frame(Location(alt_baro_m=100.0), rssi_dbm=None), 0.0)
     row = cells(heard.newest_first()[0], 0.0)
     assert (row["identity"], row["type"], row["dBm"], row["position"]) == ("?", "-", "-", "-")
     assert (row["alt m"], row["m/s"], row["track"]) == ("100.0 baro", "-", "-")
@@ -101,7 +101,7 @@ def test_what_is_unknown_is_a_dash() -> None:
 
 def test_an_operator_without_a_position_is_its_id_alone() -> None:
     heard = HeardTable()
-    heard.take(frame(OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8")), 0.0)
+    heard.add(frame(OperatorId(operator_id_type=0, operator_id="FIN87astrdge12k8")), 0.0)
     row = cells(heard.newest_first()[0], 0.0)
     assert (row["operator"], row["operator at"]) == ("FIN87astrdge12k8", "-")
 
@@ -109,7 +109,7 @@ def test_an_operator_without_a_position_is_its_id_alone() -> None:
 def test_messages_a_second_are_those_of_the_last_ten_seconds() -> None:
     heard = HeardTable()
     for tick in range(60):
-        heard.take(frame(named("A"), LOCATION), tick * 0.5)
+        heard.add(frame(named("A"), LOCATION), tick * 0.5)
     (aircraft,) = heard.newest_first()
     assert aircraft.rate_per_s(29.5) == 4.0
     assert aircraft.rate_per_s(34.5) == 2.0
@@ -118,10 +118,10 @@ def test_messages_a_second_are_those_of_the_last_ten_seconds() -> None:
 
 def test_an_aircraft_is_one_row_on_all_its_addresses_once_named() -> None:
     heard = HeardTable()
-    heard.take(frame(LOCATION, address="c2:01", transport="ble4"), 0.0)
-    heard.take(frame(named("A"), address="c2:01", transport="ble4"), 1.0)
-    heard.take(frame(named("A"), LOCATION, address="02:99", transport="wifi"), 2.0)
-    heard.take(frame(LOCATION, address="c2:01", transport="ble4"), 3.0)
+    heard.add(frame(LOCATION, address="c2:01", transport="ble4"), 0.0)
+    heard.add(frame(named("A"), address="c2:01", transport="ble4"), 1.0)
+    heard.add(frame(named("A"), LOCATION, address="02:99", transport="wifi"), 2.0)
+    heard.add(frame(LOCATION, address="c2:01", transport="ble4"), 3.0)
     (aircraft,) = heard.newest_first()
     assert (list(aircraft.addresses), list(aircraft.transports)) == (["02:99", "c2:01"], ["ble4", "wifi"])
     assert aircraft.messages == 5
@@ -130,9 +130,9 @@ def test_an_aircraft_is_one_row_on_all_its_addresses_once_named() -> None:
 def test_a_second_identity_does_not_rename() -> None:
     heard = HeardTable()
     for uas_id in ("SERIAL", "JU322627C69E", "SERIAL"):
-        heard.take(frame(named(uas_id)), 0.0)
+        heard.add(frame(named(uas_id)), 0.0)
     assert [identity_words(a.basic_id) for a in heard.newest_first()] == ["SERIAL"]
-    heard.take(frame(named("X", IdType.NONE), named(""), address="c2:02"), 0.0)
+    heard.add(frame(named("X", IdType.NONE), named(""), address="c2:02"), 0.0)
     assert [identity_words(a.basic_id) for a in heard.newest_first()] == ["?", "SERIAL"]
 
 
@@ -143,8 +143,8 @@ def test_raw_identities_are_shown_in_hexadecimal() -> None:
 def test_the_table_is_bounded_newest_first_and_forgets() -> None:
     heard = HeardTable()
     for number in range(3 * MAX_AIRCRAFT):
-        heard.take(frame(named(f"A{number}"), address=f"a{number}"), number * 0.01)
-        heard.take(frame(named("SAME"), address=f"b{number}"), number * 0.01)
+        heard.add(frame(named(f"A{number}"), address=f"a{number}"), number * 0.01)
+        heard.add(frame(named("SAME"), address=f"b{number}"), number * 0.01)
     assert len(heard) == MAX_AIRCRAFT
     assert identity_words(heard.newest_first()[0].basic_id) == "SAME"
     assert len(heard._names) <= 4 * MAX_AIRCRAFT
@@ -164,7 +164,7 @@ def test_every_address_is_remembered_by_one_aircraft(frames: list[tuple[int, int
     heard = HeardTable()
     for at, (address, name, transport) in enumerate(frames):
         messages = () if name is None else (named(f"A{name}"),)
-        taken = heard.take(frame(*messages, LOCATION, address=f"{address}", transport=transport), float(at))
+        taken = heard.add(frame(*messages, LOCATION, address=f"{address}", transport=transport), float(at))
         assert heard.newest_first()[0] is taken
         owned = [a for aircraft in heard.newest_first() for a in aircraft.addresses]
         assert len(owned) == len(set(owned))
@@ -197,7 +197,7 @@ def test_no_control_character_reaches_the_terminal(capsys: pytest.CaptureFixture
     health = Health(ok=False, text=HOSTILE, frames_sent=0, frames_heard=0, bad_frames=0)
     lines = PlainLines()
     for event in hostile_frames():
-        heard.take(event, 0.0)
+        heard.add(event, 0.0)
         print(json_line(event, 1.0))
     with lines:
         lines.show(heard, health, 0.0)
@@ -226,7 +226,7 @@ def test_a_line_of_json_is_the_frame_whatever_it_holds(text: str) -> None:
 def test_the_live_table_is_drawn_at_its_own_pace() -> None:
     screen = io.StringIO()
     heard = HeardTable()
-    heard.take(frame(named("1596B0000DMUCA01"), LOCATION), 0.0)
+    heard.add(frame(named("1596B0000DMUCA01"), LOCATION), 0.0)
     with LiveTable(Console(file=screen, width=250, force_terminal=True)) as view:
         for tick in range(20):
             view.show(heard, HEALTH, tick * 0.05)
@@ -238,7 +238,7 @@ def test_a_crowd_hides_neither_the_radios_nor_the_newest() -> None:
     screen = io.StringIO()
     heard = HeardTable()
     for number in range(200):
-        heard.take(frame(named(f"A{number:03}"), LOCATION, address=f"c2:{number}"), number * 0.01)
+        heard.add(frame(named(f"A{number:03}"), LOCATION, address=f"c2:{number}"), number * 0.01)
     health = Health(ok=False, text="gone", frames_sent=0, frames_heard=7, bad_frames=2)
     with LiveTable(Console(file=screen, width=250, height=12, force_terminal=True)) as view:
         view.show(heard, health, 2.0)
@@ -251,9 +251,9 @@ def test_a_crowd_hides_neither_the_radios_nor_the_newest() -> None:
 def test_plain_lines_come_once_a_second_for_who_was_heard(capsys: pytest.CaptureFixture[str]) -> None:
     heard = HeardTable()
     with PlainLines() as view:
-        heard.take(frame(named("A")), 0.0)
+        heard.add(frame(named("A")), 0.0)
         view.show(heard, HEALTH, 0.05)
-        heard.take(frame(named("B"), address="c2:02"), 0.5)
+        heard.add(frame(named("B"), address="c2:02"), 0.5)
         view.show(heard, HEALTH, 0.55)
         view.show(heard, HEALTH, 1.1)
         view.show(heard, HEALTH, 2.2)

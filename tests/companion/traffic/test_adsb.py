@@ -41,7 +41,7 @@ class Sky:
 
     def take(self, now_s, *reports):
         for one in reports:
-            self.traffic.take(one, now_s, FRAME, self.separation_m, self.own_ned_m)
+            self.traffic.hear(one, now_s, FRAME, self.separation_m, self.own_ned_m)
 
     def at(self, now_s, own_down_m=OWN_DOWN_M):
         return self.traffic.neighbours(now_s, own_down_m)

@@ -22,7 +22,7 @@ def stream(rate, share, seconds, rng=None, counted=True, start_s=0.0, reception=
     for k in range(round(rate * seconds)):
         if rng.random() < share:
             arrived_s = np.ceil((start_s + k / rate) / TICK_S) * TICK_S
-            reception.take(k & 0xFF if counted else None, float(arrived_s))
+            reception.count_frame(k & 0xFF if counted else None, float(arrived_s))
     return reception
 
 
@@ -56,14 +56,14 @@ def test_a_changed_rate_is_seen_within_seconds():
     rng = np.random.default_rng(2)
     for k in range(20):
         if rng.random() < 0.5:
-            reception.take((300 + k) & 0xFF, 30.0 + k / 2)
+            reception.count_frame((300 + k) & 0xFF, 30.0 + k / 2)
     assert reception.rate(40.0) == 2
 
 
 def test_heard_once_or_no_more():
     reception = Reception()
     assert reception.rate(0.0) == 0
-    reception.take(7, 1.0)
+    reception.count_frame(7, 1.0)
     assert reception.rate(1.0 + HEARD_S) == UNKNOWN_RATE
     assert reception.rate(1.01 + HEARD_S) == 0
     assert reception.arrivals(1.0) == (0.0, 0.0)
@@ -72,7 +72,7 @@ def test_heard_once_or_no_more():
 def test_repetitions_are_no_messages():
     reception = Reception()
     for k in range(100):
-        reception.take(k // 5, 0.1 * k)
+        reception.count_frame(k // 5, 0.1 * k)
     assert reception.rate(10.0) == 2
     arrived, expected = reception.arrivals(10.0)
     assert arrived == pytest.approx(expected)
@@ -89,7 +89,7 @@ def test_frames_that_overtake_each_other_are_all_arrivals():
     rng = np.random.default_rng(1)
     frames = sorted((0.1 * k + rng.uniform(0.15, 0.6), k & 0xFF) for k in range(300))
     for arrived_s, counter in frames:
-        reception.take(counter, arrived_s)
+        reception.count_frame(counter, arrived_s)
     arrived, expected = reception.arrivals(frames[-1][0])
     assert 0.9 * expected < arrived <= expected
     assert reception.rate(frames[-1][0]) == 10
@@ -99,7 +99,7 @@ def test_made_up_counters_move_little():
     reception = Reception()
     rng = np.random.default_rng(1)
     for k in range(1000):
-        reception.take(int(rng.integers(0, 256)), 0.01 * k)
+        reception.count_frame(int(rng.integers(0, 256)), 0.01 * k)
         assert 0 <= reception.rate(0.01 * k) <= 10
     arrived, expected = reception.arrivals(10.0)
     assert 0.0 <= arrived <= expected <= 400.0

@@ -28,7 +28,7 @@ def test_the_half_spaces_are_those_of_the_heart():
     for step in steps:
         commands = heart.step(step.now_s, step.events)
         for event in step.events:
-            own.take(event, step.now_s)
+            own.observe(event, step.now_s)
         explainer.note(step.now_s, own.velocity_ned_mps)
         for one in (c for c in commands if isinstance(c, Decision) and c.tracks):
             if heart.plan.course.law is None or not any(t.active for t in one.tracks):
