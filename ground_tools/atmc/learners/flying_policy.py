@@ -216,9 +216,9 @@ class FlyingLearner:
         self._note(seen)
         target = self._target(group, acting)
         values = self._net(seen.own, seen.rows, seen.heard)
-        # Squared error, because its minimum is the mean: being deaf in a conflict is rare and costly, and a loss
-        # that is robust to outliers would ignore it. All actions have equal weight, because a bad action that is
-        # learned less accurately could be mistaken for a good one.
+        # Squared error, because its minimum is the mean: being deaf in a conflict is rare and costly, and a
+        # loss that is robust to outliers would ignore it. All actions have equal weight, because a bad action
+        # that is learned less accurately could be mistaken for a good one.
         error = (values - target).square()
         weight = allowed * self._importance(group, acting)[..., None]
         loss = _LOSS_SCALE * (error * weight).sum() / weight.sum()

@@ -75,8 +75,8 @@ class Iac:
         """Draw choices (N,) with the actors' probabilities."""
         with torch.no_grad():
             logits = self.actor.of_all(seen[None])[0]
-        # Exponential race: dividing exponential times by the probabilities, each choice has the least time with
-        # its own probability.
+        # Exponential race: dividing exponential times by the probabilities, each choice has the least time
+        # with its own probability.
         times = torch.empty_like(logits).exponential_(generator=self._generator)
         return (logits - times.log()).argmax(-1)
 
