@@ -178,7 +178,7 @@ def _side_by_side(jobs: Sequence[Job], at_once: int) -> int:
                     running.append(process)
                 _drain(sink, display)
             except KeyboardInterrupt:
-                # The terminal has sent Ctrl-C to the workers already; SIGTERM in addition does no harm.
+                # On a terminal the workers have received Ctrl-C too; SIGTERM in addition does no harm.
                 stopped = True
                 for process in running:
                     process.terminate()
