@@ -308,7 +308,7 @@ class Fleet:
         *,
         quiet: bool = False,
     ) -> None:
-        """Wait until something holds for every vehicle, once for each."""
+        """Wait until `done` has been true once for each vehicle. Raises VehicleError."""
         self._elsewhere_s.clear()
         left = list(self.vehicles)
         end_s = time.monotonic() + patience_s
