@@ -85,8 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare and print. Returns 0 if all cases agree, 1 if some differ (each is named), 2 for an invalid
-    file."""
+    """Compare and print. Returns 0 if all cases agree, 1 if some (named) differ, 2 for an invalid file."""
     try:
         cases = load(args.cases)
     except (OSError, EOFError, ValueError, zlib.error, msgspec.DecodeError) as error:

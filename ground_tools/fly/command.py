@@ -150,8 +150,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[MissionItem, ...]]] | None:
-    """The missions as a function of the first vehicle's home. Errors in a file are found before
-    connecting."""
+    """The missions as a function of the first vehicle's home. Checks the files before any connection."""
     count = len(args.address)
     if args.mission is not None:
         if len(args.mission) != count:

@@ -32,8 +32,7 @@ _UNKNOWN, _ACTIVE, _COMPLETE = 0, 3, 5
 
 
 def finished(state: int, reached: int | None, last_seq: int) -> bool:
-    """Whether a mission is complete, by MISSION_STATE, or by the last item reached if that is not
-    reported."""
+    """Whether a mission is complete, by MISSION_STATE or, if that is unknown, by the last item reached."""
     return state == _COMPLETE or (state == _UNKNOWN and reached == last_seq)
 
 
@@ -168,8 +167,7 @@ class Fleet:
         self._until(down, 60.0 + max(highest_m, 0.0) / _SLOW_MPS, "landing", lambda v: f"{v.height_m:.0f} m")
 
     def make_safe(self) -> dict[str, str]:
-        """Leave every vehicle in a safe state after a failure or Ctrl-C. Returns what was done, by vehicle
-        name.
+        """Leave every vehicle in a safe state after a failure or Ctrl-C. Returns what was done, by name.
 
         A vehicle in the air is commanded to hold and never disarmed. A vehicle that is flown by somebody
         else, or that descends already, is left alone. A vehicle on the ground that we armed is disarmed,
@@ -183,7 +181,7 @@ class Fleet:
                 done[vehicle.name] = f"could not be told anything ({error}); its own failsafe decides"
         return done
 
-    # ------------------------------------------------------------ inside
+    # ------------------------------------------------------------ internals
 
     def _leave(self, vehicle: Vehicle) -> str:
         if not vehicle.ours and not vehicle.armed_by_us:
@@ -216,7 +214,7 @@ class Fleet:
         self._until(ready, READY_S, "readiness", lambda v: missing[v.name] or "", quiet=True)
 
     def _arm(self, vehicle: Vehicle) -> None:
-        """Switch to a mode that allows take-off, then arm. Refusals are retried while the estimator
+        """Enter a mode that allows take-off, then arm. Retries after a refusal while the estimator
         settles."""
         px4 = vehicle.firmware is Firmware.PX4
         if vehicle.mode not in vehicle.modes.climbing:

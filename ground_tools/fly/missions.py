@@ -1,9 +1,7 @@
-"""Missions to upload, from QGroundControl .plan files, "QGC WPL 110" text files, and a scenario's timed
-paths.
+"""Missions to upload, from QGroundControl .plan files, "QGC WPL 110" text, and a scenario's timed paths.
 
 A file with an item that is not supported is refused with the item's number, because leaving an item out would
-change the mission. Items are numbered from 1, as in ground stations; ArduPilot's item 0, home, is not
-counted.
+change the mission. Items are numbered from 1, as in ground stations; ArduPilot's item 0 (home) is left out.
 
 Formats: QGroundControl's developer guide, "Plan File Format"; MAVLink's guide, "Mission Plain-Text File
 Format".

@@ -77,8 +77,7 @@ _RESULTS = {
 
 
 class VehicleError(Exception):
-    """A vehicle refused a command, did not do what it acknowledged, or was lost. The message names the
-    vehicle."""
+    """A vehicle refused a command, did not do what it acknowledged, or was lost. The message names it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +103,7 @@ COMING_DOWN = frozenset({"LAND", "RTL", "SMART_RTL", "AUTO_RTL", "AUTO.LAND", "A
 
 
 def load_mavsdk() -> ModuleType:
-    """Import MAVSDK's native binding and suppress its log output. Raises ConfigError if it is not
-    installed."""
+    """Import MAVSDK's native binding and suppress its log output. Raises ConfigError if it is missing."""
     try:
         import mavsdk
         import mavsdk.logging
@@ -119,8 +117,7 @@ def load_mavsdk() -> ModuleType:
 
 
 class Vehicle:
-    """One vehicle with a connection of its own. Use `connect` to make it and `close` to end the
-    connection."""
+    """One vehicle with its own connection, which `connect` opens and `close` ends."""
 
     def __init__(self, name: str, client: Any, system: Any, patience_s: float) -> None:
         from mavsdk.plugins.mavlink_direct import MavlinkDirect
@@ -238,8 +235,7 @@ class Vehicle:
         return int(self.last("MISSION_CURRENT").get("seq", 0)) + 1 - self.first_seq
 
     def not_ready(self) -> str | None:
-        """Reason why the vehicle cannot be armed yet, as far as its telemetry shows; None if there is
-        none."""
+        """Reason why the vehicle cannot be armed yet, by its telemetry; None if there is none."""
         place = self.last("GLOBAL_POSITION_INT")
         if not place.get("lat") and not place.get("lon"):
             return "no position yet"
@@ -326,8 +322,7 @@ class Vehicle:
             raise VehicleError(f"{self.name}: does not hold the mission that was sent: {wrong}")
 
     def go_on_with(self, number: int) -> None:
-        """Send MISSION_SET_CURRENT with an item's number. Check `item` for the effect. Raises
-        VehicleError."""
+        """Send MISSION_SET_CURRENT with an item's number; `item` shows the effect. Raises VehicleError."""
         from mavsdk.plugins.mavlink_direct import MavlinkDirectError
 
         # MAVSDK's own call is not used: it never returns if the item (a change of speed) ends immediately.
@@ -342,7 +337,7 @@ class Vehicle:
         """Sequence number of item 1. ArduPilot stores home as sequence number 0."""
         return 1 if self.firmware is Firmware.ARDUPILOT else 0
 
-    # ------------------------------------------------------------ inside
+    # ------------------------------------------------------------ internals
 
     def _hear(self, message: Any, _: object) -> None:
         if (message.system_id, message.component_id) == (self.system_id, _AUTOPILOT):

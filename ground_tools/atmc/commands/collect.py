@@ -36,7 +36,7 @@ _DIGITS = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools atmc collect`."""
+    """Add the options of `ground-tools atmc collect`."""
     parser.description = (
         "Measure the policies of finished training runs as the paper does, print a table of all seeds, and\n"
         "write what figures of the paper need into one file."
@@ -59,11 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools atmc collect`. Returns 0.
+    """Run `ground-tools atmc collect`. Returns 0.
 
     Raises:
-        ConfigError: A folder is not a finished run, the file cannot be written, or runs cannot be added to
-            it.
+        ConfigError: A folder is not a finished run, the file cannot be written, or --add does not fit it.
     """
     if args.configurations < _FLEETS or args.configurations % _FLEETS:
         raise ConfigError(f"--configurations: {args.configurations}: allowed are multiples of {_FLEETS}")
@@ -116,8 +115,7 @@ def _read(folder: Path) -> _Trained:
     """Read a run folder.
 
     Raises:
-        ConfigError: It is not a finished run of one of the paper's algorithms, or one of its files is
-            damaged.
+        ConfigError: It is not a finished run of one of the paper's algorithms, or it has a damaged file.
     """
     try:
         manifest = json.loads((folder / "manifest.json").read_text())

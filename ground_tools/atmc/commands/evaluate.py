@@ -281,7 +281,7 @@ def decision_us(policy: Policy, neighbours: int) -> float:
 
 
 def switches_per_minute(question: Question, objective: Objective, decider: Decider) -> float:
-    """Switches of its action per aircraft and minute.
+    """How often an aircraft changes its action per minute, on average.
 
     Fleets fly through squares of all sizes at up to 20 m/s, and each aircraft decides at random times, every
     two seconds on average.

@@ -74,8 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _results(evaluate: Any, data: bytes, name: str, metadata: Any) -> dict[str, float]:
-    """Results for the file: delay or age by fleet size of the policy, best fixed mode, rule and search
-    (ms)."""
+    """Results for the file: delay or age (ms) of policy, best fixed mode, rule and search, by fleet size."""
     sizes = [metadata.neighbours + 1] if metadata.kind == "flat" else list(_SAMPLES)
     results = {}
     for uavs in sizes:

@@ -1,5 +1,4 @@
-"""Results of training runs, thinned, in one small file (gzipped JSON) from which the paper's figures are
-drawn.
+"""Thinned results of training runs in one small file (gzipped JSON), the source of the paper's figures.
 
 This module does not need PyTorch.
 """

@@ -1,5 +1,4 @@
-"""The environment in which ATMC policies are trained and measured, on PyTorch tensors for many fleets at
-once.
+"""The environment in which ATMC policies are trained and measured, on PyTorch, for many fleets at once.
 
 `environment.Env` joins a `world.World` (positions, motion, shadowing, load), a `channel.TorchChannel` (the
 analytic channel equations) and an `objective.Objective` (what the fleet's actions cost). `deciders` defines

@@ -264,7 +264,7 @@ class TorchChannel:
             found[level > 0, mode] = torch.exp(table[row, level[level > 0] - 1])
         return found.amin(1)
 
-    # ------------------------------------------------------------ the air
+    # ------------------------------------------------------------ links and loads
 
     def reach(self, path_loss_db: Tensor, wifi_channel: Tensor, busy: Tensor | None = None) -> Reach:
         """Compute which aircraft can receive which.

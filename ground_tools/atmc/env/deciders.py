@@ -1,5 +1,4 @@
-"""The `Decider` protocol, which chooses actions for whole fleets at once, and its baseline
-implementations."""
+"""The `Decider` protocol, which chooses the actions of whole fleets, and the baselines."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The state of many environments: positions and motion of the aircraft, shadowing, Wi-Fi channels and
-load."""
+"""The state of many environments: aircraft positions and motion, shadowing, Wi-Fi channels, and load."""
 
 from __future__ import annotations
 

@@ -167,8 +167,7 @@ class FlyingLearner:
         return _Group(env, allowed)
 
     def _allowed(self, shape: Sequence[int]) -> Tensor:
-        """Allowed actions for a random region per environment and random radios per aircraft, (E, N,
-        actions)."""
+        """Allowed actions for random regions (per environment) and radios (per aircraft), (E, N, actions)."""
         g, device = self._generator, self._device
         sets = torch.tensor(legal_sets(self._actions), device=device)
         region = torch.randint(len(sets), (shape[0],), generator=g, device=device)
@@ -239,7 +238,7 @@ class FlyingLearner:
     def _draw_acting(self, aircraft: int) -> Tensor:
         """Draw the indices of the aircraft that act.
 
-        They are the same in all fleets of a group, which is random enough because positions are random.
+        The indices are the same in all fleets of a group. Their positions are random anyway.
         """
         low, high = self.settings.acting
         share = low + (high - low) * float(torch.rand((), generator=self._generator, device=self._device))
@@ -312,8 +311,8 @@ class FlyingLearner:
         return values.argmax(-1)
 
     def validate(self) -> dict[str, float]:
-        """See `Learner.validate`. "score" is the mean over fleet sizes of the cost beyond the best fixed mode
-        (%)."""
+        """See `Learner.validate`. "score" is the mean cost beyond the best fixed mode (%) over fleet
+        sizes."""
         if self._validation is None:
             self._validation = Validation(self._objective, self.settings.objective, seed=1_000_003)
         return self._validation.measure(self)

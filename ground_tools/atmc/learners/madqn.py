@@ -31,12 +31,11 @@ class MadqnSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     batch: Count = 256
     """Experiences per network in each update."""
     buffer_steps: Count = 25_000
-    """Capacity of the replay buffer in steps of all aircraft: 250 episodes. Learning begins when it is
-    full."""
+    """Capacity of the replay buffer in steps (250 episodes). Learning begins when it is full."""
     discount: Share = 0.95
     learning_rate: Annotated[float, Meta(gt=0)] = 1e-4
     soft_update: Share = 0.999
-    """tau: share of the network in the target network after an update, as defined in the paper."""
+    """tau: share of the network in the target network after an update, as in the paper."""
     first_exploration: Share = 1.0
     last_exploration: Share = 0.1
     exploration_episodes: Count = 500
@@ -84,8 +83,7 @@ class Madqn:
         return tally.metrics() | {"exploration": rate}
 
     def _explore(self, seen: Tensor, rate: float) -> Tensor:
-        """Actions (N,): for each aircraft a random one with probability `rate`, else its network's best
-        one."""
+        """Actions (N,): a random one with probability `rate`, else the best one by the aircraft's network."""
         uavs, device = self.settings.task.uavs, self._task.device
         drawn = torch.rand(uavs, generator=self._generator, device=device)
         some = torch.randint(len(self._task.actions), (uavs,), generator=self._generator, device=device)

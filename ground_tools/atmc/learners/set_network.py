@@ -1,7 +1,6 @@
 """The set network: two shared layers for every neighbour, pooling over neighbours, and two more layers.
 
-It takes any number of neighbours in any order. `companion.atmc.policy` computes the same function aboard in
-NumPy.
+It takes any number of neighbours in any order. `companion.atmc.policy` computes the same aboard in NumPy.
 """
 
 from __future__ import annotations

@@ -14,8 +14,7 @@ from ground_tools.atmc.env.tasks import ObjectiveName
 from ground_tools.atmc.env.world import SIDES_M, World, WorldSettings, draw
 
 _SIDES_M = SIDES_M[:4]
-"""Sides of the squares. In larger ones most aircraft do not affect each other, so a few pairs would
-decide."""
+"""Sides of the squares. In larger ones few aircraft affect each other, so a few pairs would decide."""
 _ROUNDS = 4
 _FLEETS = {
     "paper": ((5, 120), (10, 80), (20, 20), (50, 4)),
@@ -64,10 +63,12 @@ class Validation:
                     cases.append(_Case(env, world, min(fixed)))
 
     def measure(self, decider: Decider) -> dict[str, float]:
-        """Cost beyond that of the best of two fixed modes in each square (%), by fleet size, and "score", the
-        mean.
+        """Measure a policy against the best of two fixed modes in each square.
 
         All squares have equal weight, and all random draws are the same every time.
+
+        Returns:
+            Cost beyond that of the best fixed mode (%) for each fleet size, and "score", their mean.
         """
         generator = self._generator.manual_seed(self._seed)
         found = {}
