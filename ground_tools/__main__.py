@@ -1,4 +1,4 @@
-"""What `ground-tools` runs when it is installed."""
+"""Entry point of the installed `ground-tools` command."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from companion.commands.entry_point import start
 
 
 def main() -> int:
-    """Run the command. Returns the exit code."""
+    """Run the command. Returns its exit code."""
     return start("ground_tools.cli")
 
 

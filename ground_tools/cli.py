@@ -1,4 +1,4 @@
-"""The `ground-tools` command."""
+"""The `ground-tools` command: its subcommands and their dispatch."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _EXAMPLES = """examples:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
+    """Run the command. Returns the exit code: 0 for success, 1 for a negative result, 2 for wrong input."""
     parser = parser_of("ground-tools", "Desk tools: look at runs, check laws and radio models.", _EXAMPLES)
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (

@@ -1,10 +1,11 @@
-"""`ground-tools orca check CASES.json`: the avoidance kernels against an oracle of solved ORCA cases.
+"""`ground-tools orca check CASES.json`: compare the avoidance kernels with an oracle of solved ORCA cases.
 
-The oracle holds inputs (one agent and its neighbours) and what a double-precision reference answers. Plain
-ORCA is compared: half of the responsibility, no margins, no stretched volumes. Feasible, well-conditioned
-cases must agree in velocity within 1e-5 m/s. Infeasible ones must reach the same largest violation, as the
-velocity need not be unique. Cases marked `ill` must agree in feasibility alone, and `degenerate` ones (an
-exact head-on, where the reference has no answer) must give a finite velocity that takes the two apart.
+The oracle file holds inputs (one agent and its neighbours) and the answers of a double-precision reference.
+The comparison uses plain ORCA: half of the responsibility, no margins, no stretched volumes. Feasible,
+well-conditioned cases must agree in velocity within 1e-5 m/s. Infeasible cases must reach the same largest
+violation, because their velocity need not be unique. Cases marked `ill` must only agree in feasibility. Cases
+marked `degenerate` (an exact head-on, for which the reference has no answer) must give a finite velocity that
+separates the two.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Body(msgspec.Struct, frozen=True):
 
 
 class Agent(Body, frozen=True):
-    """The one that decides."""
+    """The agent that decides."""
 
     preferred_velocity: Vector
     max_speed: Positive
@@ -63,14 +64,14 @@ class Case(msgspec.Struct, frozen=True):
 
 
 class CaseFile(msgspec.Struct, frozen=True):
-    """The file; other keys are of no concern here."""
+    """The oracle file; other keys are ignored."""
 
     cases: Annotated[tuple[Case, ...], Meta(min_length=1)]
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the kernels say to a case."""
+    """Answer of the kernels to a case."""
 
     velocity: Vector
     feasible: bool
@@ -78,13 +79,13 @@ class Answer:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     parser.add_argument("cases", type=Path, help="oracle file (.json or .json.gz)")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare and print. 0: every case agrees; 1: some differ (each is named); 2: not an oracle file."""
+    """Compare and print. Returns 0 if all cases agree, 1 if some (named) differ, 2 for an invalid file."""
     try:
         cases = load(args.cases)
     except (OSError, EOFError, ValueError, zlib.error, msgspec.DecodeError) as error:
@@ -111,8 +112,8 @@ def load(path: Path) -> tuple[Case, ...]:
     """Read an oracle file.
 
     Raises:
-        OSError, EOFError, zlib.error: it cannot be read.
-        ValueError, msgspec.DecodeError: it is not in the format (the place is named).
+        OSError, EOFError, zlib.error: The file cannot be read.
+        ValueError, msgspec.DecodeError: The file does not have the format; the message names the place.
     """
     raw = path.read_bytes()
     if raw.startswith(b"\x1f\x8b"):
@@ -145,7 +146,7 @@ def solve(case: Case) -> Answer:
 
 
 def compare(case: Case, answer: Answer) -> str | None:
-    """Why an answer differs from the oracle's; None when it agrees."""
+    """Describe how an answer differs from the oracle's; None if it agrees."""
     speed = math.hypot(*answer.velocity)
     if not math.isfinite(speed):
         return f"velocity {answer.velocity} is not finite"
@@ -158,7 +159,7 @@ def compare(case: Case, answer: Answer) -> str | None:
         return f"{words[answer.feasible]} here, {words[case.feasible]} in the oracle"
     if case.conditioning == "ill":
         return None
-    assert case.new_velocity_float64 is not None  # load() has seen to it
+    assert case.new_velocity_float64 is not None  # load() ensures this.
     assert case.max_violation is not None
     if case.feasible:
         gap = math.dist(answer.velocity, case.new_velocity_float64)
@@ -172,7 +173,7 @@ def compare(case: Case, answer: Answer) -> str | None:
 
 
 def _planes(case: Case) -> kernels.Array:
-    """Shape (neighbours, 4): the half-space of every neighbour."""
+    """The half-spaces of all neighbours, (neighbours, 4)."""
     agent = case.agent
     planes = np.zeros((max(len(case.neighbours), 1), 4))
     own = np.array(agent.velocity)
@@ -189,7 +190,11 @@ def _planes(case: Case) -> kernels.Array:
 
 
 def _not_avoiding(case: Case, answer: Answer) -> str | None:
-    """A case without a reference answer: with both doing their half, nobody is met within the horizon."""
+    """Check a case without a reference answer.
+
+    If both sides avoid with half of the responsibility, the agent must keep the radius to every neighbour
+    within the time horizon. Returns a description of the failure, or None.
+    """
     agent = case.agent
     for number, other in enumerate(case.neighbours):
         p = [b - a for a, b in zip(agent.position, other.position, strict=True)]
@@ -200,7 +205,7 @@ def _not_avoiding(case: Case, answer: Answer) -> str | None:
         least = radius
         if answer.feasible:
             theirs = solve(_seen_by(other, agent)).velocity
-        else:  # there is no velocity that keeps apart: at least not nearer than by flying on
+        else:  # No velocity keeps the separation: do not come nearer than by flying on.
             theirs = other.velocity
             least = min(radius, _nearest(p, before, agent.time_horizon))
         v = [a - b for a, b in zip(answer.velocity, theirs, strict=True)]
@@ -211,13 +216,13 @@ def _not_avoiding(case: Case, answer: Answer) -> str | None:
 
 
 def _nearest(p: list[float], v: list[float], window_s: float) -> float:
-    """Least distance (m) within the window, at relative position p and velocity v = v_self - v_other."""
+    """Least distance (m) within the window, from relative position p and velocity v = v_self - v_other."""
     _, near2 = kernels.closest(p[0], p[1], p[2], v[0], v[1], v[2], window_s)
     return math.sqrt(near2)
 
 
 def _seen_by(other: Body, agent: Agent) -> Case:
-    """The case of a neighbour that wants to fly on and sees only the agent."""
+    """The case from a neighbour's view. It prefers to fly on and sees only the agent."""
     as_agent = Agent(
         position=other.position,
         velocity=other.velocity,

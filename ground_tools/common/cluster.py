@@ -1,7 +1,7 @@
-"""Work on a Ray cluster that ends at Ctrl-C and keeps what is done.
+"""Work on a Ray cluster that can be interrupted with Ctrl-C and keeps finished results.
 
-Every node needs this software as it stands here, which is checked before the first item. ray is an optional
-dependency and imported on use.
+Every node needs the same version of this software as the local machine, which is checked before the first
+item. ray is an optional dependency and imported on use.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _ANSWER_S: Final = 5.0
-"""Within which the address must take a connection."""
+"""Time within which the address must accept a connection."""
 _LOOK_S: Final = 1.0
 _QUEUED: Final = 2
-"""Items under way for each CPU: one that is worked on, one that waits."""
+"""Items submitted for each CPU: one that is worked on, one that waits."""
 _MOST_LOST: Final = 3
-"""Workers that one item may lose before it is given up."""
+"""Number of lost workers after which an item is given up."""
 
 
 def on_ray(
@@ -37,18 +37,19 @@ def on_ray(
     state: Callable[[], str],
     words: Console,
 ) -> Iterator[tuple[Item, Result]]:
-    """Each item with its result as soon as it is there, in the order in which they come.
+    """Yield each item with its result, in the order in which they finish.
 
     Args:
-        function: of a module's top level; runs on one CPU of the cluster.
+        function: The work for one item, a top-level function of a module. It runs on one CPU of the cluster.
+        items: The items.
         address: HOST:PORT from a machine of the cluster, ray://HOST:PORT from elsewhere.
-        state: of a module's top level: what results hang on. Asked once on each node, before its first item;
-            it is the place to compile what `function` calls.
-        words: where lost workers are said, and that Ctrl-C ended it.
+        state: A top-level function of a module that describes everything on which results depend. It is
+            called once on each node before its first item, so it can also compile what `function` calls.
+        words: Console for messages about lost workers and about Ctrl-C.
 
     Raises:
-        ConfigError: ray is missing, the cluster does not answer or is of another version, a node holds other
-            software, or one item lost worker after worker.
+        ConfigError: ray is missing, the cluster does not answer or has another version, a node has other
+            software, or one item lost `_MOST_LOST` workers.
     """
     if not items:
         return
@@ -60,11 +61,11 @@ def on_ray(
         words.print("interrupted; what was flown is kept, and the same command goes on from there")
         raise
     finally:
-        ray.shutdown()  # ends what this run has under way there
+        ray.shutdown()  # Ends the remaining tasks of this run.
 
 
 def _connect(address: str) -> Any:
-    """The module, connected."""
+    """Connect to the cluster. Returns the module `ray`."""
     match = re.fullmatch(r"(?:ray://)?(\[[0-9a-fA-F:.]+\]|[^:/\s]+):([0-9]{1,5})", address)
     if match is None or not 0 < int(match[2]) < 1 << 16:
         raise ConfigError(f"--ray: {address}: allowed is HOST:PORT or ray://HOST:PORT, such as 10.0.0.5:6379")
@@ -72,7 +73,7 @@ def _connect(address: str) -> Any:
         import ray
     except ImportError as error:
         raise ConfigError("ray is not installed; in the checkout: pip install -e '.[cluster]'") from error
-    # ray itself would try for a quarter of an hour.
+    # By default, ray tries to connect for 15 minutes.
     os.environ.setdefault("RAY_gcs_server_port_wait_time_s", "1")
     try:
         socket.create_connection((match[1].strip("[]"), int(match[2])), _ANSWER_S).close()
@@ -86,7 +87,7 @@ def _connect(address: str) -> Any:
 
 
 def _check_nodes(ray: Any, state: Callable[[], str]) -> None:
-    """Refuse a cluster without CPUs, and nodes whose results would be others."""
+    """Reject a cluster without CPUs, and nodes whose software would give different results."""
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy as On
 
     nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in ray.nodes() if _cpus(node)}
@@ -142,5 +143,5 @@ def _cpus(node: dict[str, Any]) -> int:
 
 
 def _line(error: BaseException) -> str:
-    """What an error says, in one line."""
+    """First line of an error's message."""
     return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -1,4 +1,4 @@
-"""A matplotlib figure in the project's style, without a display.
+"""Matplotlib figures in the project's style, without a display.
 
 matplotlib is an optional dependency and imported on use.
 """
@@ -27,14 +27,18 @@ _STYLE: Any = {
 
 @contextmanager
 def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[Any]:
-    """An empty figure (width, height in inches) to draw on; written to `path`, a PNG of the option --out, at
-    the end.
+    """Yield an empty figure to draw on, and write it to a PNG file at the end.
+
+    Args:
+        path: The PNG file, from the option --out.
+        size_in: Width and height in inches.
+        dpi: Resolution in dots per inch.
 
     Raises:
-        ConfigError: matplotlib is not installed, or `path` cannot be written; where that can be known, before
-            anything is drawn.
+        ConfigError: matplotlib is not installed, or `path` cannot be written. If possible, this is detected
+            before anything is drawn.
     """
-    # matplotlib would write FILE.png where FILE is given, beside a folder FILE too.
+    # Without this check matplotlib would write FILE.png for FILE, even if FILE is a folder.
     if path.suffix.lower() != ".png":
         raise ConfigError(f"--out: {path}: cannot be written: expected a file name that ends in .png")
     if path.is_dir() or not path.parent.is_dir():
@@ -50,7 +54,11 @@ def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[
 
 @contextmanager
 def styled(size_in: tuple[float, float], **style: Any) -> Iterator[Any]:
-    """An empty figure (width, height in inches) in the style, with matplotlib's settings in `style` over it.
+    """Yield an empty figure in the project's style.
+
+    Args:
+        size_in: Width and height in inches.
+        style: matplotlib settings that override the style.
 
     Raises:
         ConfigError: matplotlib is not installed.

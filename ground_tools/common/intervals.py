@@ -1,4 +1,4 @@
-"""95 % intervals: of a share by Wilson, of anything else by the bootstrap."""
+"""95 % confidence intervals: the Wilson interval for a share, the bootstrap for any other statistic."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 Z: Final = 1.959963984540054
-"""Of the normal distribution, for 95 %."""
+"""Two-sided 95 % quantile of the standard normal distribution."""
 DRAWS: Final = 2000
+"""Bootstrap resamples."""
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
-    """Interval of a share, after E. B. Wilson (1927); (0, 1) for nothing counted."""
+    """Interval of the share `hits / count`, after E. B. Wilson (1927); (0, 1) if `count` is 0."""
     if count == 0:
         return 0.0, 1.0
     share, z2 = hits / count, Z * Z / count
@@ -30,14 +31,16 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
 def bootstrap(
     groups: Sequence[Floats], statistic: Callable[[Floats], Floats], seed: int = 1
 ) -> tuple[float, float] | None:
-    """Percentile interval of a statistic.
+    """Percentile bootstrap interval of a statistic.
 
     Args:
-        groups: values that belong together (one air) and are drawn together, each of shape (values,).
-        statistic: of all values of a draw, over the last axis.
+        groups: Groups of values that depend on each other (one simulated airspace) and are therefore
+            resampled together, each of shape (values,).
+        statistic: Maps the values of a resample to the statistic, over the last axis.
+        seed: Seed of the resampling.
 
     Returns:
-        None for less than two groups: nothing can be said then.
+        The interval, or None for fewer than two groups, from which none can be computed.
     """
     if len(groups) < 2:
         return None

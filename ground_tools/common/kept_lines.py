@@ -1,7 +1,7 @@
-"""Results that are kept line by line, so that a run that was cut short goes on.
+"""Result files that are written line by line, so that an interrupted run can be continued.
 
-The first line of a file says what its rows were made with; a file that was made with anything else is
-refused. A line that a kill tore is as if it were not there.
+The first line of a file states the settings with which its rows were made; a file made with other settings is
+refused. An incomplete line, left by a killed process, is ignored.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ Row = TypeVar("Row", bound=msgspec.Struct)
 
 
 class Kept(Generic[Row]):
-    """One file.
+    """One result file.
 
     Args:
-        path: in a folder that is there.
-        made_with: what the rows hang on, beside the software.
-        row: their type.
-        key: the number of a row; a later row replaces an earlier one of the same number.
+        path: The file; its folder must exist.
+        made_with: Everything on which the rows depend, except the software.
+        row: Type of the rows.
+        key: Gives the number of a row. A later row replaces an earlier one with the same number.
 
     Raises:
-        ConfigError: the file was made with other settings, or cannot be read.
+        ConfigError: The file was made with other settings, or cannot be read.
     """
 
     def __init__(
@@ -37,15 +37,15 @@ class Kept(Generic[Row]):
         self.path = path
         self._made_with, self._row, self._key = made_with, row, key
         self.rows: dict[int, Row] = {}
-        """By number."""
+        """Rows by number."""
         if path.exists():
             self._read()
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Keep more rows.
+        """Append rows to the file.
 
         Raises:
-            ConfigError: the file cannot be written.
+            ConfigError: The file cannot be written.
         """
         try:
             begun = self.path.exists()
@@ -73,7 +73,7 @@ class Kept(Generic[Row]):
             try:
                 row = msgspec.json.decode(line, type=self._row)
             except msgspec.DecodeError:
-                continue  # torn by a kill in the middle of a line
+                continue  # Incomplete line of a killed process.
             self.rows[self._key(row)] = row
         if not text.endswith("\n"):
             with self.path.open("a") as file:

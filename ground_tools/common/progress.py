@@ -1,4 +1,4 @@
-"""How far a long computation is, on stderr and only where that is a terminal."""
+"""A progress bar for long computations, on stderr and only if stderr is a terminal."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rich.progress import Progress
 
 @contextmanager
 def progress(words: str, steps: int) -> Iterator[Callable[[], None]]:
-    """Gives the function to call after each step."""
+    """Show a progress bar. Yields the function to call after each step."""
     shown = Progress(
         console=Console(stderr=True),
         transient=True,
         disable=not sys.stderr.isatty(),
-        # Otherwise what is printed meanwhile would leave by stderr too.
+        # Otherwise output printed meanwhile would go to stderr too.
         redirect_stdout=False,
         redirect_stderr=False,
     )

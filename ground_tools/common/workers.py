@@ -1,4 +1,4 @@
-"""Work in parallel processes that ends at Ctrl-C and keeps what is done."""
+"""Work in parallel processes that can be interrupted with Ctrl-C and keeps finished results."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ Result = TypeVar("Result")
 def in_parallel(
     function: Callable[[Item], Result], items: Sequence[Item], processes: int, words: Console
 ) -> Iterator[tuple[Item, Result]]:
-    """Each item with its result as soon as it is there, in the order in which they come.
+    """Yield each item with its result, in the order in which they finish.
 
     Args:
-        function: of a module's top level; runs in processes of their own.
-        words: where it is said that Ctrl-C ended it.
+        function: The work for one item, a top-level function of a module. It runs in worker processes.
+        items: The items.
+        processes: Greatest number of worker processes.
+        words: Console for the message about Ctrl-C.
 
     Raises:
-        ConfigError: a worker was killed from outside.
+        ConfigError: A worker was killed from outside.
     """
     if not items:
         return
@@ -44,7 +46,7 @@ def in_parallel(
                 "goes on from there, with fewer --processes if need be"
             ) from error
         except BaseException as error:
-            # The workers do not hear Ctrl-C, and the pool would wait for what is left.
+            # The workers ignore Ctrl-C, and the pool would wait for the remaining items.
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()

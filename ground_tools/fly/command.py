@@ -1,7 +1,7 @@
-"""`ground-tools fly ADDRESS...`: arm, take off, upload, start, land; one vehicle at each address.
+"""`ground-tools fly ADDRESS...`: upload, take off, start and land, with one vehicle at each address.
 
-The steps are done in this order whatever the order of the options: upload, take off, start, wait, land. It
-never sends setpoints: in flight those are the companion's.
+The steps always run in this order, independent of the order of the options: upload, take off, start, wait,
+land. The command never sends setpoints; in flight, the companion sends them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ input, 130 Ctrl-C.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools fly`."""
+    """Add the options of `ground-tools fly`."""
     parser.epilog = _EXAMPLES
     add = parser.add_argument
     add("address", nargs="+", metavar="ADDRESS", help="where a vehicle is: udpin://HOST:PORT, "
@@ -58,10 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do the steps. Returns 0 when all are done, 1 when a vehicle refused or was lost, 130 after Ctrl-C.
+    """Run the steps. Returns 0 if all are done, 1 if a vehicle refused or was lost, 130 after Ctrl-C.
 
     Raises:
-        ConfigError: an option, an address or a file is wrong, or mavsdk is missing.
+        ConfigError: An option, an address or a file is wrong, or mavsdk is missing.
     """
     _check(args)
     missions_at = _missions(args)
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         for number, address in enumerate(args.address, start=1):
             vehicles.append(Vehicle.connect(f"vehicle {number}", address, _CONNECT_S))
             say(_introduction(vehicles[-1], address))
-        # From here on Ctrl-C waits for what is under way, and vehicles are left safe.
+        # From here on, Ctrl-C takes effect between two actions, and vehicles are left in a safe state.
         with end_signals() as ended:
             fleet = Fleet(vehicles, say, ended)
             try:
@@ -111,7 +111,7 @@ def _fly(
     args: argparse.Namespace,
     missions_at: Callable[[Vec3], Sequence[tuple[MissionItem, ...]]] | None,
 ) -> None:
-    """The steps, in order."""
+    """Run the steps in order."""
     if missions_at is not None:
         fleet.wait_for_home()
         fleet.upload(missions_at(fleet.vehicles[0].home))
@@ -128,7 +128,7 @@ def _fly(
 
 
 def _tell(trouble: BaseException) -> str:
-    """Say why it ends here, where anybody still listens: a closed terminal must not keep it from more."""
+    """Print why the command ends. A closed terminal must not prevent the steps that follow."""
     error = str(trouble) or "broken off"
     with contextlib.suppress(OSError):
         print(f"ground-tools fly: {error}", file=sys.stderr, flush=True)
@@ -136,7 +136,7 @@ def _tell(trouble: BaseException) -> str:
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Options that do not go together. Raises ConfigError."""
+    """Check the options. Raises ConfigError if one is invalid or options do not fit together."""
     if not (args.mission or args.scenario or args.takeoff is not None or args.start or args.land):
         raise ConfigError("nothing to do: give --mission, --scenario, --takeoff, --start or --land")
     if len(set(args.address)) < len(args.address):
@@ -150,7 +150,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[MissionItem, ...]]] | None:
-    """The missions as a function of the first vehicle's home; what is wrong in a file is found before."""
+    """The missions as a function of the first vehicle's home. Checks the files before any connection."""
     count = len(args.address)
     if args.mission is not None:
         if len(args.mission) != count:
@@ -169,7 +169,7 @@ def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[Missi
         raise ConfigError(
             f"--scenario: {args.scenario}: {paths} aircraft for {count} vehicles; allowed is one for each"
         )
-    missions.scenario_missions(scenario, args.seed, (0.0, 0.0, 0.0))  # What is wrong shows anywhere.
+    missions.scenario_missions(scenario, args.seed, (0.0, 0.0, 0.0))  # Errors show at any origin.
     return lambda home: missions.scenario_missions(scenario, args.seed, home)
 
 
@@ -183,7 +183,7 @@ def _introduction(vehicle: Vehicle, address: str) -> str:
 def _report(
     args: argparse.Namespace, vehicles: Sequence[Vehicle], error: str | None, left: dict[str, str]
 ) -> dict[str, object]:
-    """What --json prints."""
+    """The object that --json prints."""
     return {
         "ok": error is None,
         "error": error,

@@ -1,4 +1,4 @@
-"""The steps of `ground-tools fly`, each over all vehicles: all are commanded, then all are waited for."""
+"""The steps of `ground-tools fly`. Each step commands all vehicles and then waits for all of them."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from ground_tools.fly.vehicle import ARM_DISARM, COMING_DOWN, SILENT_S, Vehicle,
 
 MISSION_START = 300
 READY_S = 90.0
-"""A cold ArduPilot takes 30 to 45 s until it can be armed."""
+"""Timeout until a vehicle can be armed. ArduPilot takes 30 to 45 s after a cold start."""
 _AGAIN_S = 2.0
 _TRIES, _GO_S = 5, 1.0
 _START_S = 10.0
 _SETTLED_S = 0.5
-"""After an ACK; what was sent before it has come by then."""
+"""Time after an ACK by which earlier messages have arrived."""
 _ELSEWHERE_S = 3.0
-"""A mode that is not the step's for longer was chosen by somebody else."""
+"""If a vehicle is in an unexpected mode for longer than this, a pilot or a failsafe has chosen it."""
 _SLOW_MPS = 0.3
-"""Slowest climb and descent that are waited for."""
+"""Slowest climb and descent rate that the timeouts allow."""
 _AT_START_M = 3.0
 _POLL_S = 0.1
 _ENDS = frozenset({NAV_LAND, NAV_RETURN_TO_LAUNCH})
 _UNKNOWN, _ACTIVE, _COMPLETE = 0, 3, 5
-"""MISSION_STATE; 0 also from firmware that does not tell."""
+"""Values of MISSION_STATE. Firmware that does not report the state also sends 0."""
 
 
 def finished(state: int, reached: int | None, last_seq: int) -> bool:
-    """Whether a mission is flown: MISSION_STATE, or the last item reached where that is not told."""
+    """Whether a mission is complete, by MISSION_STATE or, if that is unknown, by the last item reached."""
     return state == _COMPLETE or (state == _UNKNOWN and reached == last_seq)
 
 
@@ -40,8 +40,9 @@ class Fleet:
     """Vehicles that fly together.
 
     Args:
-        say: takes one line of progress.
-        ended: not empty once the user broke off; the next step raises KeyboardInterrupt then.
+        vehicles: The vehicles.
+        say: Takes one line of progress.
+        ended: Not empty after the user interrupted; the running step then raises KeyboardInterrupt.
     """
 
     def __init__(self, vehicles: Sequence[Vehicle], say: Callable[[str], None], ended: Sequence[int]) -> None:
@@ -50,12 +51,12 @@ class Fleet:
         self._ended = ended
         self._missions: list[tuple[MissionItem, ...]] = [()] * len(vehicles)
         self._elsewhere_s: dict[str, float] = {}
-        """By name: since when a vehicle is in a mode that nobody here asked for."""
+        """Time (monotonic, s) since which a vehicle is in an unexpected mode, by name."""
         self._ending: set[str] = set()
-        """Names of those that are at the landing that ends their mission."""
+        """Names of the vehicles that have reached the landing at the end of their mission."""
 
     def wait_for_home(self) -> None:
-        """Until every vehicle knows where it is. Raises VehicleError."""
+        """Wait until every vehicle has a home position. Raises VehicleError."""
 
         def known(vehicle: Vehicle) -> bool:
             return bool(vehicle.last("HOME_POSITION"))
@@ -63,7 +64,7 @@ class Fleet:
         self._until(known, READY_S, "home", lambda v: "not known yet", quiet=True)
 
     def upload(self, missions: Sequence[tuple[MissionItem, ...]]) -> None:
-        """Each vehicle its mission. Raises VehicleError."""
+        """Upload one mission to each vehicle. Raises VehicleError."""
         self._missions = list(missions)
         for vehicle, items in zip(self.vehicles, missions, strict=True):
             self._check_interrupt()
@@ -71,7 +72,7 @@ class Fleet:
             self._say(f"{vehicle.name}: holds the mission, {len(items)} items, read back and compared")
 
     def take_off(self, height_m: float) -> None:
-        """From the ground to a height above home. Raises VehicleError."""
+        """Take off from the ground to a height above home. Raises VehicleError."""
         for vehicle in self.vehicles:
             if not vehicle.on_ground:
                 raise VehicleError(f"{vehicle.name}: cannot take off: in the air at {vehicle.height_m:.1f} m")
@@ -81,7 +82,7 @@ class Fleet:
             self._check_interrupt()
             vehicle.ours = vehicle.modes.climbing
             if vehicle.firmware is Firmware.PX4:
-                # Above mean sea level; yaw and place left open.
+                # PX4 takes the altitude above mean sea level; yaw and position are left open.
                 vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, None, None, None, vehicle.home[2] + height_m)
             else:
                 vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
@@ -95,10 +96,10 @@ class Fleet:
         self._until(up, 30.0 + height_m / _SLOW_MPS, "take-off", lambda v: f"{v.height_m:.0f} m")
 
     def start(self) -> None:
-        """Start the missions, all at once; from the ground where they begin with a take-off.
+        """Start all missions. A mission that begins with a take-off may start from the ground.
 
         Raises:
-            VehicleError: also when it is on the ground and its mission begins in the air.
+            VehicleError: A vehicle failed, or is on the ground while its mission begins in the air.
         """
         standing = [vehicle for vehicle in self.vehicles if vehicle.on_ground]
         for vehicle, items in zip(self.vehicles, self._missions, strict=True):
@@ -117,7 +118,7 @@ class Fleet:
             self._say(f"{vehicle.name}: flies its mission")
 
     def gather(self) -> None:
-        """Wait until all are at their first waypoint, then let all go on. Raises VehicleError."""
+        """Wait until all vehicles are at their first waypoint, then let all continue. Raises VehicleError."""
         far: dict[str, float] = {}
 
         def there(vehicle: Vehicle) -> bool:
@@ -142,11 +143,11 @@ class Fleet:
         raise VehicleError(f"{waiting[0].name}: does not go on with item 2 of its mission")
 
     def wait(self) -> None:
-        """Until all missions are flown. Raises VehicleError."""
+        """Wait until all missions are complete. Raises VehicleError."""
         self._until(self._is_finished, math.inf, "mission", self._progress)
 
     def land(self) -> None:
-        """Where they are, except those that come down already. Raises VehicleError."""
+        """Land all vehicles where they are, except those that descend already. Raises VehicleError."""
         for vehicle in self.vehicles:
             self._check_interrupt()
             if (vehicle.on_ground and not vehicle.armed) or vehicle.mode in COMING_DOWN:
@@ -166,20 +167,21 @@ class Fleet:
         self._until(down, 60.0 + max(highest_m, 0.0) / _SLOW_MPS, "landing", lambda v: f"{v.height_m:.0f} m")
 
     def make_safe(self) -> dict[str, str]:
-        """Leave every vehicle safe after a failure or Ctrl-C; by name, what was done.
+        """Leave every vehicle in a safe state after a failure or Ctrl-C. Returns what was done, by name.
 
-        In the air it is told to hold, never disarmed; whom somebody else flies and who comes down already is
-        left alone. On the ground what we armed is disarmed, unless the autopilot itself says no.
+        A vehicle in the air is commanded to hold and never disarmed. A vehicle that is flown by somebody
+        else, or that descends already, is left alone. A vehicle on the ground that we armed is disarmed,
+        unless its autopilot refuses.
         """
         done = {}
         for vehicle in self.vehicles:
             try:
                 done[vehicle.name] = self._leave(vehicle)
-            except Exception as error:  # One that fails, however, must not keep us from the others.
+            except Exception as error:  # A failure of one vehicle must not affect the others.
                 done[vehicle.name] = f"could not be told anything ({error}); its own failsafe decides"
         return done
 
-    # ------------------------------------------------------------ inside
+    # ------------------------------------------------------------ internals
 
     def _leave(self, vehicle: Vehicle) -> str:
         if not vehicle.ours and not vehicle.armed_by_us:
@@ -191,7 +193,7 @@ class Fleet:
             try:
                 vehicle.command(ARM_DISARM, 0.0)
             except VehicleError:
-                pass  # It is on its way up after all.
+                pass  # It is taking off after all.
             else:
                 return "is on the ground: disarmed"
         if vehicle.mode in COMING_DOWN:
@@ -212,7 +214,8 @@ class Fleet:
         self._until(ready, READY_S, "readiness", lambda v: missing[v.name] or "", quiet=True)
 
     def _arm(self, vehicle: Vehicle) -> None:
-        """Into a mode that takes off, then arm; a refusal is tried again while the estimator settles."""
+        """Enter a mode that allows take-off, then arm. Retries after a refusal while the estimator
+        settles."""
         px4 = vehicle.firmware is Firmware.PX4
         if vehicle.mode not in vehicle.modes.climbing:
             vehicle.set_mode(FlightMode.HOLD if px4 else FlightMode.EXTERNAL)
@@ -230,10 +233,13 @@ class Fleet:
                 self._sleep(_AGAIN_S)
 
     def _start(self, vehicle: Vehicle) -> None:
-        """PX4 acknowledges a mission that it still checks and does not enter: asked until it flies."""
+        """Repeat the start command until the mission flies.
+
+        PX4 acknowledges the command while it still checks the mission, but then does not enter the mode.
+        """
         end_s = time.monotonic() + _START_S
         while True:
-            # Until it flies it is in the mode that we left it in.
+            # Until the mission flies, the vehicle stays in the mode that we commanded before.
             vehicle.ours |= {vehicle.modes.mission}
             vehicle.command(MISSION_START)
             acked_s = time.monotonic() + _SETTLED_S
@@ -253,7 +259,8 @@ class Fleet:
     def _is_finished(self, vehicle: Vehicle) -> bool:
         items = self._missions[self.vehicles.index(vehicle)]
         current = vehicle.last("MISSION_CURRENT")
-        # A mission that is there already: PX4's total counts all items, ArduPilot's leaves home out.
+        # For a mission that was aboard already: PX4's total counts all items, ArduPilot's does not count
+        # home.
         last_seq = (len(items) or current.get("total", 0)) - 1 + vehicle.first_seq
         reached = vehicle.last("MISSION_ITEM_REACHED").get("seq")
         if finished(current.get("mission_state", _UNKNOWN), reached, last_seq):
@@ -262,8 +269,8 @@ class Fleet:
         if (not items or items[-1].command in _ENDS) and current.get("seq", 0) >= last_seq:
             self._ending.add(vehicle.name)
         if vehicle.name in self._ending:
-            # PX4 flies the RTL at a mission's end in RTL's own mode; before the end that is a failsafe.
-            # ArduPilot is back at its first item when it has landed and disarmed.
+            # PX4 flies the RTL at the end of a mission in its RTL mode; before the end, RTL is a failsafe.
+            # ArduPilot returns to its first item after it has landed and disarmed.
             if vehicle.on_ground and not vehicle.armed:
                 return True
             modes |= COMING_DOWN
@@ -274,7 +281,7 @@ class Fleet:
         return f"item {vehicle.item}, {vehicle.mode}"
 
     def _must_fly_in(self, vehicle: Vehicle, modes: set[str] | frozenset[str]) -> None:
-        """Raise when it is disarmed, or in another mode and that not only for a moment."""
+        """Raise VehicleError if disarmed, or in none of these modes for longer than `_ELSEWHERE_S`."""
         now_s = time.monotonic()
         if vehicle.armed and vehicle.mode in modes:
             self._elsewhere_s.pop(vehicle.name, None)
@@ -299,7 +306,7 @@ class Fleet:
         *,
         quiet: bool = False,
     ) -> None:
-        """Wait until something holds for every vehicle, once for each."""
+        """Wait until `done` has been true once for each vehicle. Raises VehicleError."""
         self._elsewhere_s.clear()
         left = list(self.vehicles)
         end_s = time.monotonic() + patience_s

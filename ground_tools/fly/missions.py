@@ -1,7 +1,7 @@
-"""Missions to upload: QGroundControl's .plan, "QGC WPL 110" text, and a scenario's timed paths.
+"""Missions to upload, from QGroundControl .plan files, "QGC WPL 110" text, and a scenario's timed paths.
 
-A mission flown in part is another mission: what is not understood is refused, with the item's number. Items
-are numbered from 1, as the ground stations show them; ArduPilot's item 0, home, is not among them.
+A file with an item that is not supported is refused with the item's number, because leaving an item out would
+change the mission. Items are numbered from 1, as in ground stations; ArduPilot's item 0 (home) is left out.
 
 Formats: QGroundControl's developer guide, "Plan File Format"; MAVLink's guide, "Mission Plain-Text File
 Format".
@@ -25,15 +25,15 @@ from sitl_mocks.encounters.lockstep import paths_of
 from sitl_mocks.encounters.scenario_file import Scenario
 
 GATE_S = 3600.0
-"""How long a vehicle waits at its path's beginning for the others."""
+"""Hold time at the beginning of a path, where a vehicle waits for the others (s)."""
 _DO_JUMP = 177
 _NAV_DELAY = 93
 _NAV_LAST = 95
-"""Commands above it steer nothing."""
+"""MAV_CMD_NAV_LAST: commands with greater numbers do not move the vehicle."""
 _GLOBAL, _MISSION = 0, 2
 _GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
 _SAME_FRAME = {5: 0, 6: 3, 11: 10}
-"""MAV_FRAME with places as whole numbers -> the same with places as floats."""
+"""Maps a MAV_FRAME with integer coordinates to the same frame with float coordinates."""
 _ACCEPTANCE_M = 1.0
 _SAME_PLACE_M = 0.01
 _WPL = "QGC WPL 110"
@@ -64,7 +64,7 @@ class _Rally(msgspec.Struct, frozen=True):
 
 
 class _Plan(msgspec.Struct, frozen=True, rename="camel"):
-    """A .plan file; what only the ground station uses is of no concern here."""
+    """A .plan file, without the fields that only the ground station uses."""
 
     file_type: Literal["Plan"]
     mission: _MissionPart
@@ -76,7 +76,7 @@ def load(path: Path) -> tuple[MissionItem, ...]:
     """Read a mission file in either format.
 
     Raises:
-        ConfigError: names the file, the item and what is allowed.
+        ConfigError: The file is invalid; the message names the file, the item and what is allowed.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -95,22 +95,23 @@ def load(path: Path) -> tuple[MissionItem, ...]:
 
 
 def begins_with_takeoff(items: Sequence[MissionItem]) -> bool:
-    """The first item that moves the vehicle is a NAV_TAKEOFF."""
+    """Whether the first item that moves the vehicle is a NAV_TAKEOFF."""
     return next((item.command for item in items if item.command < _NAV_LAST), None) == NAV_TAKEOFF
 
 
 def scenario_missions(scenario: Scenario, seed: int, origin: Vec3) -> list[tuple[MissionItem, ...]]:
-    """One mission per aircraft of a scenario.
+    """Make one mission for each aircraft of a scenario.
 
-    Item 1 is the path's beginning, where the vehicle waits for the others; then each leg at the speed that
-    the path's times ask for.
+    Item 1 is the beginning of the path, where the vehicle waits for the others. Each leg follows at the speed
+    that the times of the path require.
 
     Args:
-        seed: of drawn geometries.
-        origin: latitude, longitude (deg) and altitude above mean sea level (m) of the scenario's (0, 0, 0).
+        scenario: The scenario.
+        seed: Seed of randomly drawn geometries.
+        origin: Latitude, longitude (deg) and altitude above mean sea level (m) of the scenario's (0, 0, 0).
 
     Raises:
-        ConfigError: a path that is not above the ground.
+        ConfigError: A path is not above the ground.
     """
     frame = LocalFrame(*origin)
     return [
@@ -120,10 +121,10 @@ def scenario_missions(scenario: Scenario, seed: int, origin: Vec3) -> list[tuple
 
 
 def difference(sent: Sequence[MissionItem], back: Sequence[MissionItem]) -> str | None:
-    """Where a mission that was read back is not the one that was sent; None when it is the same.
+    """Describe the first difference between an uploaded mission and its download; None if they are the same.
 
-    Commands, the frames' datum, places and altitudes, hold times to the second (ArduPilot keeps no
-    fractions) and speeds are compared; the rest a vehicle may keep as it likes.
+    The comparison covers commands, the datum of the frames, positions and altitudes, hold times to the second
+    (ArduPilot stores no fractions) and speeds. A vehicle may store all other fields differently.
     """
     if len(sent) != len(back):
         return f"{len(sent)} items were sent, {len(back)} came back"
@@ -160,7 +161,7 @@ def _read_plan(text: str, path: Path) -> tuple[MissionItem, ...]:
 
 
 def _read_wpl(text: str, path: Path) -> tuple[MissionItem, ...]:
-    """Rows of INDEX, CURRENT, FRAME, COMMAND, PARAM1-4, X, Y, Z, AUTOCONTINUE; row 0 is home."""
+    """Read rows of INDEX, CURRENT, FRAME, COMMAND, PARAM1-4, X, Y, Z, AUTOCONTINUE; row 0 is home."""
     first, *rows = text.splitlines()
     if first.split() != _WPL.split():
         raise ConfigError(f"{path}: line 1: {first.strip()!r}: allowed is {_WPL!r}")
@@ -191,7 +192,7 @@ def _item(number: int, frame: int, command: int, params: Sequence[float | None])
 
 
 def _fault(item: MissionItem) -> str | None:
-    """Why an item of a file cannot be uploaded as it is meant; None when it can."""
+    """Reason why an item of a file cannot be uploaded as intended; None if it can."""
     values = (*item.params, item.lat_deg, item.lon_deg, item.alt_m)
     if not all(value is None or math.isfinite(value) for value in values):
         return "a parameter that is not finite"
@@ -243,13 +244,13 @@ def _path_mission(
 
 
 def _placed(item: MissionItem) -> bool:
-    """Its latitude, longitude and altitude are a place."""
+    """Whether the item's latitude, longitude and altitude are a position."""
     moves = item.command < _NAV_LAST and item.command not in (NAV_RETURN_TO_LAUNCH, _NAV_DELAY)
     return moves and item.frame in _GLOBAL_FRAMES
 
 
 def _essence(ours: MissionItem, theirs: MissionItem) -> bool:
-    """Whether two items are the same to fly."""
+    """Whether two items make the vehicle fly the same."""
     if ours.command != theirs.command:
         return False
     if ours.command == NAV_WAYPOINT and not _near(ours.params[0], theirs.params[0], 1.0):
@@ -259,7 +260,7 @@ def _essence(ours: MissionItem, theirs: MissionItem) -> bool:
     if not _placed(ours):
         return True
     frames = [_SAME_FRAME.get(item.frame, item.frame) for item in (ours, theirs)]
-    # ArduPilot keeps altitudes in cm.
+    # ArduPilot stores altitudes in cm.
     return frames[0] == frames[1] and all(
         _near(a, b, limit)
         for a, b, limit in (

@@ -1,8 +1,9 @@
-"""One vehicle over MAVSDK: what it tells, commands with their answers, missions up and back.
+"""One vehicle over MAVSDK: telemetry, commands with their answers, mission upload and download.
 
-Commands go as COMMAND_LONG through MAVSDK's mavlink_direct plugin, which repeats them until they are
-acknowledged. Its action plugin is not used: on PX4 it takes the height of a take-off from MIS_TAKEOFF_ALT and
-leaves that parameter changed, and an ACK of a mode proves nothing, so that the heartbeat must be read anyway.
+Commands are sent as COMMAND_LONG through MAVSDK's mavlink_direct plugin, which repeats them until they are
+acknowledged. MAVSDK's action plugin is not used, for two reasons. On PX4 it takes the take-off height from
+MIS_TAKEOFF_ALT and leaves that parameter changed. And an ACK of a mode change proves nothing, so the
+heartbeat must be read anyway.
 """
 
 from __future__ import annotations
@@ -34,25 +35,25 @@ from ground_tools.fly.missions import difference
 ARM_DISARM = 400
 LANDED_ON_GROUND = int(mavlink.MAV_LANDED_STATE_ON_GROUND)
 SILENT_S = 10.0
-"""A vehicle whose heartbeat is older counts as lost."""
+"""Age of the last heartbeat beyond which a vehicle counts as lost."""
 _AUTOPILOT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 _CONFIRM_S = 5.0
-"""For a mode to show in the heartbeat, which may come once a second."""
+"""Time for a new mode to appear in the heartbeat, which may be sent only once a second."""
 _NOT_OPENED = {
     "CONNECTION_URL_INVALID": "no address; allowed is one like udpout://127.0.0.1:14550, "
     "udpin://0.0.0.0:14550, tcpout://127.0.0.1:5760 or serial:///dev/ttyACM0:57600",
     "BIND_ERROR": "cannot be listened on: another program has the port, or this computer has no such address",
     "CONNECTION_ERROR": "cannot be opened: see that it is there, is free, and that this user may",
 }
-"""MAVSDK's ConnectionResult in words."""
+"""Messages for MAVSDK's ConnectionResult."""
 _TEXT_S = 0.5
-"""The reason of a refusal comes as text, around the time of its ACK."""
+"""Time to wait for the text with the reason of a refusal, which arrives around the time of the ACK."""
 _POLL_S = 0.05
 _FRESH_S = 2.0
 _OPEN = 0x7FFFFFFF
-"""x or y left open."""
-# Message id and interval (s) of what is looked at. Those that a firmware refuses it sends by itself (PX4's
+"""Value of x or y that leaves the coordinate open."""
+# Requested interval (s) by message id. A firmware sends a message unrequested if it refuses the request (PX4:
 # MISSION_CURRENT).
 _RATES = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 0.2,
@@ -76,20 +77,20 @@ _RESULTS = {
 
 
 class VehicleError(Exception):
-    """A vehicle refused, did not do what it acknowledged, or was lost; the message names it."""
+    """A vehicle refused a command, did not do what it acknowledged, or was lost. The message names it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """The names of the modes that the steps lead through (`Dialect.name`)."""
+    """Names of the flight modes that the steps use (`Dialect.name`)."""
 
     climbing: frozenset[str]
-    """During a take-off and after it."""
+    """Modes during a take-off and after it."""
     mission: str
     external: str
-    """A companion's: setpoints from outside."""
+    """Mode in which the autopilot follows setpoints of a companion computer."""
     holding: str
-    """Where a vehicle is left when the work is broken off."""
+    """Mode in which a vehicle is left after an interruption."""
 
 
 MODES = {
@@ -102,7 +103,7 @@ COMING_DOWN = frozenset({"LAND", "RTL", "SMART_RTL", "AUTO_RTL", "AUTO.LAND", "A
 
 
 def load_mavsdk() -> ModuleType:
-    """MAVSDK's native binding, its own log lines kept away from our output. Raises ConfigError."""
+    """Import MAVSDK's native binding and suppress its log output. Raises ConfigError if it is missing."""
     try:
         import mavsdk
         import mavsdk.logging
@@ -116,7 +117,7 @@ def load_mavsdk() -> ModuleType:
 
 
 class Vehicle:
-    """One vehicle on one connection of its own. Made by `connect`; `close` lets the connection go."""
+    """One vehicle with its own connection, which `connect` opens and `close` ends."""
 
     def __init__(self, name: str, client: Any, system: Any, patience_s: float) -> None:
         from mavsdk.plugins.mavlink_direct import MavlinkDirect
@@ -126,7 +127,7 @@ class Vehicle:
         self.name = name
         self.system_id: int = system.get_system_id()
         self.ours: frozenset[str] = frozenset()
-        """Modes that it is in because of us; empty before anything was commanded."""
+        """Modes that the vehicle may be in because of our commands; empty before the first command."""
         self.armed_by_us = False
         self._client = client
         self._direct = MavlinkDirect(system)
@@ -134,7 +135,7 @@ class Vehicle:
         self._telemetry = Telemetry(system)
         self._heard: dict[str, tuple[float, dict[str, Any]]] = {}
         self._texts: list[tuple[float, str]] = []
-        # Called from MAVSDK's own thread; each does one assignment or append.
+        # The callbacks run in MAVSDK's thread. Each does a single assignment or append, so no lock is needed.
         for message in _HEARD:
             self._direct.subscribe_message(message, self._hear)
         self._telemetry.subscribe_status_text(
@@ -147,11 +148,16 @@ class Vehicle:
 
     @classmethod
     def connect(cls, name: str, address: str, patience_s: float) -> Vehicle:
-        """Open a connection, find its vehicle, ask it for what is looked at.
+        """Open a connection, find the vehicle on it, and request its telemetry.
+
+        Args:
+            name: Name of the vehicle, for messages.
+            address: MAVSDK connection address.
+            patience_s: Timeout of each step.
 
         Raises:
-            ConfigError: not an address, or not a vehicle that is supported, or several on one address.
-            VehicleError: nobody there, or no telemetry.
+            ConfigError: The address is invalid, the vehicle is not supported, or several vehicles share it.
+            VehicleError: There is no vehicle, or it sends no telemetry.
         """
         mavsdk = load_mavsdk()
         kind = mavsdk.ComponentType.GROUND_STATION
@@ -160,7 +166,7 @@ class Vehicle:
             result = client.add_any_connection(address)
             if result != mavsdk.ConnectionResult.SUCCESS:
                 raise ConfigError(f"{name}: {address}: {_NOT_OPENED.get(result.name, result.name)}")
-            # In slices, as no Ctrl-C is seen in between.
+            # Wait in slices of 1 s, because Ctrl-C has no effect during a call.
             end_s = time.monotonic() + patience_s
             system = client.first_autopilot(1.0)
             while system is None and time.monotonic() < end_s:
@@ -176,60 +182,60 @@ class Vehicle:
             raise
 
     def close(self) -> None:
-        """Let the connection go; the vehicle flies on."""
+        """Close the connection; the vehicle flies on."""
         self._client.destroy()
 
-    # ------------------------------------------------------------ what it tells
+    # ------------------------------------------------------------ telemetry
 
     def last(self, message: str, since_s: float = -math.inf) -> dict[str, Any]:
-        """The fields of the last message of a name; empty before the first one after `since_s`."""
+        """Fields of the last message of this name; empty if none was received since `since_s` (monotonic)."""
         at_s, fields = self._heard.get(message, (-math.inf, {}))
         return fields if at_s >= since_s else {}
 
     def age_s(self, message: str) -> float:
-        """Since the last message of a name."""
+        """Time since the last message of this name."""
         return time.monotonic() - self._heard.get(message, (-math.inf, {}))[0]
 
     @property
     def armed(self) -> bool:
-        """As the heartbeat says."""
+        """Whether the vehicle is armed, by its heartbeat."""
         return bool(self.last("HEARTBEAT").get("base_mode", 0) & ARMED)
 
     @property
     def mode(self) -> str:
-        """The mode in the autopilot's own words."""
+        """The flight mode, with the autopilot's name for it."""
         return self._dialect.name(self.last("HEARTBEAT").get("custom_mode", -1))
 
     @property
     def on_ground(self) -> bool:
-        """As the autopilot's land detector says, and says now."""
+        """Whether a recent message of the autopilot's land detector reports the vehicle on the ground."""
         landed = self.last("EXTENDED_SYS_STATE", time.monotonic() - _FRESH_S).get("landed_state")
         return landed == LANDED_ON_GROUND
 
     @property
     def height_m(self) -> float:
-        """Above home."""
+        """Height above home."""
         return float(self.last("GLOBAL_POSITION_INT").get("relative_alt", math.nan)) * 1e-3
 
     @property
     def place(self) -> Vec3:
-        """Latitude, longitude (deg), altitude above mean sea level (m)."""
+        """Position: latitude, longitude (deg), altitude above mean sea level (m)."""
         fields = self.last("GLOBAL_POSITION_INT")
         return fields["lat"] * 1e-7, fields["lon"] * 1e-7, fields["alt"] * 1e-3
 
     @property
     def home(self) -> Vec3:
-        """Latitude, longitude (deg), altitude above mean sea level (m)."""
+        """Home position: latitude, longitude (deg), altitude above mean sea level (m)."""
         fields = self.last("HOME_POSITION")
         return fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3
 
     @property
     def item(self) -> int:
-        """Number of the mission's item that is flown, from 1."""
+        """Number of the current mission item, counted from 1."""
         return int(self.last("MISSION_CURRENT").get("seq", 0)) + 1 - self.first_seq
 
     def not_ready(self) -> str | None:
-        """Why it could not be armed yet, as far as it tells by itself; None when nothing is missing."""
+        """Reason why the vehicle cannot be armed yet, by its telemetry; None if there is none."""
         place = self.last("GLOBAL_POSITION_INT")
         if not place.get("lat") and not place.get("lon"):
             return "no position yet"
@@ -242,16 +248,16 @@ class Vehicle:
         return None
 
     def said(self, since_s: float) -> str:
-        """The texts since a time (`time.monotonic`), in one line."""
+        """Status texts received since this time (`time.monotonic`), in one line without repetitions."""
         return "; ".join(dict.fromkeys(text for at_s, text in list(self._texts) if at_s >= since_s))
 
     # ------------------------------------------------------------ commands
 
     def command(self, number: int, *params: float | None) -> None:
-        """Send a COMMAND_LONG and wait for its ACK; params left out are 0, None is NaN.
+        """Send a COMMAND_LONG and wait for its ACK. Omitted params are 0; None is sent as NaN.
 
         Raises:
-            VehicleError: refused (with what the vehicle said) or not acknowledged.
+            VehicleError: The command was refused (with the vehicle's reason) or not acknowledged.
         """
         sent_s = time.monotonic()
         result = self._acknowledged(number, params)
@@ -259,7 +265,7 @@ class Vehicle:
             raise VehicleError(f"{self.name}: {self._refused(number, result, sent_s)}")
 
     def set_mode(self, mode: FlightMode) -> None:
-        """Ask for a mode and wait until the heartbeat has it. Raises VehicleError."""
+        """Command a mode and wait until the heartbeat reports it. Raises VehicleError."""
         wanted = self._dialect.command(mode)
         sent_s = time.monotonic()
         self.command(CMD_DO_SET_MODE, CUSTOM_MODE_ENABLED, wanted.param2, wanted.param3)
@@ -272,9 +278,9 @@ class Vehicle:
             )
 
     def arm(self) -> None:
-        """Arm, and wait until the heartbeat says so. Raises VehicleError."""
+        """Arm, and wait until the heartbeat reports it. Raises VehicleError."""
         sent_s = time.monotonic()
-        # Without an answer it may have armed all the same; only a refusal says that it has not.
+        # Without an answer the vehicle may still have armed; only a refusal proves that it has not.
         self.armed_by_us = True
         result = self._acknowledged(ARM_DISARM, (1.0,))
         if result != mavlink.MAV_RESULT_ACCEPTED:
@@ -286,13 +292,13 @@ class Vehicle:
             )
 
     def hear_again(self) -> None:
-        """Wait for a heartbeat from now on. Raises VehicleError."""
+        """Wait for the next heartbeat. Raises VehicleError."""
         now_s = time.monotonic()
         if not self._within(_CONFIRM_S, lambda: bool(self.last("HEARTBEAT", now_s))):
             raise VehicleError(f"{self.name}: no heartbeat for {self.age_s('HEARTBEAT'):.0f} s")
 
     def upload(self, items: Sequence[MissionItem]) -> None:
-        """Give it a mission, read it back and compare. Raises VehicleError."""
+        """Upload a mission, download it again and compare. Raises VehicleError."""
         from mavsdk.plugins.mission_raw import MissionRawError
 
         raw = [self._raw(item) for item in items]
@@ -316,10 +322,10 @@ class Vehicle:
             raise VehicleError(f"{self.name}: does not hold the mission that was sent: {wrong}")
 
     def go_on_with(self, number: int) -> None:
-        """Send MISSION_SET_CURRENT with an item's number; `item` tells the rest. Raises VehicleError."""
+        """Send MISSION_SET_CURRENT with an item's number; `item` shows the effect. Raises VehicleError."""
         from mavsdk.plugins.mavlink_direct import MavlinkDirectError
 
-        # Not MAVSDK's own call: it never returns when the item, a change of speed, is over at once.
+        # MAVSDK's own call is not used: it never returns if the item (a change of speed) ends immediately.
         message = self._message("MISSION_SET_CURRENT", {"seq": number - 1 + self.first_seq})
         try:
             self._direct.send_message(message)
@@ -328,17 +334,17 @@ class Vehicle:
 
     @property
     def first_seq(self) -> int:
-        """Sequence number of item 1: ArduPilot keeps home as its item 0."""
+        """Sequence number of item 1. ArduPilot stores home as sequence number 0."""
         return 1 if self.firmware is Firmware.ARDUPILOT else 0
 
-    # ------------------------------------------------------------ inside
+    # ------------------------------------------------------------ internals
 
     def _hear(self, message: Any, _: object) -> None:
         if (message.system_id, message.component_id) == (self.system_id, _AUTOPILOT):
             self._heard[message.message_name] = (time.monotonic(), json.loads(message.fields_json))
 
     def _recognise(self, patience_s: float) -> Firmware:
-        """What it is, as its heartbeat says. Raises VehicleError, ConfigError."""
+        """Firmware of the vehicle, from its heartbeat. Raises VehicleError, ConfigError."""
         if not self._within(patience_s, lambda: bool(self.last("HEARTBEAT"))):
             raise VehicleError(
                 f"{self.name}: no heartbeat from component {_AUTOPILOT} within {patience_s:g} s"
@@ -364,7 +370,7 @@ class Vehicle:
         return firmware
 
     def _ask_rates(self, patience_s: float) -> None:
-        """Without it an ArduPilot tells nothing but its heartbeat. Raises VehicleError."""
+        """Request telemetry; without it ArduPilot sends only heartbeats. Raises VehicleError."""
         for message_id, interval_s in _RATES.items():
             self._acknowledged(CMD_SET_MESSAGE_INTERVAL, (message_id, interval_s * 1e6))
         needed = ("GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE")
@@ -373,7 +379,7 @@ class Vehicle:
             raise VehicleError(f"{self.name}: no {missing} within {patience_s:g} s of asking for it")
 
     def _acknowledged(self, number: int, params: Sequence[float | None]) -> int:
-        """Send a command; its MAV_RESULT. Raises VehicleError when no ACK comes."""
+        """Send a command. Returns its MAV_RESULT. Raises VehicleError if there is no ACK."""
         from mavsdk.plugins.mavlink_direct import MavlinkDirectError
 
         fields: dict[str, float | None] = {"command": number, "confirmation": 0}
@@ -386,7 +392,7 @@ class Vehicle:
         return int(json.loads(answer.fields_json)["result"])
 
     def _message(self, name: str, fields: dict[str, float | None]) -> Any:
-        """A message to the autopilot; null is NaN."""
+        """A message to the autopilot; None becomes JSON null, which stands for NaN."""
         from mavsdk.plugins.mavlink_direct import MavlinkMessage
 
         target = {"target_system": self.system_id, "target_component": _AUTOPILOT}
@@ -402,12 +408,12 @@ class Vehicle:
         return f"{_COMMANDS[number]} refused ({name}){_because(self._reason(sent_s))}"
 
     def _reason(self, sent_s: float) -> str:
-        """What it said since a command that it refused."""
+        """Status texts since a command that was refused."""
         self._within(_TEXT_S, lambda: bool(self.said(sent_s)))
         return self.said(sent_s)
 
     def _within(self, seconds: float, done: Callable[[], bool]) -> bool:
-        """Wait for something short; whether it came."""
+        """Wait until `done` is true. Returns False on timeout."""
         end_s = time.monotonic() + seconds
         while not done():
             if time.monotonic() > end_s:
@@ -426,7 +432,7 @@ class Vehicle:
 
 
 def _cooked(raw: Any) -> MissionItem:
-    """A downloaded item in degrees."""
+    """Convert a downloaded item; the result has coordinates in degrees."""
     params = (raw.param1, raw.param2, raw.param3, raw.param4)
     p1, p2, p3, p4 = (None if math.isnan(value) else value for value in params)
     return MissionItem(

@@ -1,7 +1,7 @@
-"""`ground-tools atmc collect`: what training runs of the paper's algorithms gave, in one file.
+"""`ground-tools atmc collect`: collect the results of training runs of the paper's algorithms in one file.
 
-The policies are measured as in the paper's section "Performance of MADQN-ATMC": positions drawn anew at every
-step, one decision of all at the same time, squares of six sizes.
+The policies are measured as in the paper's section "Performance of MADQN-ATMC": positions are redrawn at
+every step, all aircraft decide once at the same time, and there are squares of six sizes.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 _FLEETS = 250
 _SEED = 3_000_017
-"""Neither that of a run nor that of the validation set."""
+"""Seed of the measurement. No run and no validation set uses it."""
 _DIGITS = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools atmc collect`."""
+    """Add the options of `ground-tools atmc collect`."""
     parser.description = (
         "Measure the policies of finished training runs as the paper does, print a table of all seeds, and\n"
         "write what figures of the paper need into one file."
@@ -59,16 +59,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools atmc collect`. Returns 0.
+    """Run `ground-tools atmc collect`. Returns 0.
 
     Raises:
-        ConfigError: a folder is no finished run, the file cannot be written, or runs cannot be added to it.
+        ConfigError: A folder is not a finished run, the file cannot be written, or --add does not fit it.
     """
     if args.configurations < _FLEETS or args.configurations % _FLEETS:
         raise ConfigError(f"--configurations: {args.configurations}: allowed are multiples of {_FLEETS}")
     set_up_torch()
     held = _held(args) if args.add else {}
-    # All of them before any is measured, which takes long.
+    # Read all runs first, so that errors show before the long measurement.
     found = [_read(folder) for folder in args.runs]
     runs = []
     with progress("policies", len(found)) as advance:
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _held(args: argparse.Namespace) -> dict[tuple[str, int], Run]:
-    """The runs of the file that is added to."""
+    """The runs in the existing file, to which --add adds."""
     results = read(args.out)
     if results.configurations != args.configurations:
         raise ConfigError(
@@ -102,7 +102,7 @@ def _place(run: Run) -> tuple[str, int]:
 
 @dataclass(frozen=True, slots=True)
 class _Trained:
-    """A finished run, read."""
+    """The contents of a finished run's folder."""
 
     job: Job
     manifest: dict[str, Any]
@@ -112,10 +112,10 @@ class _Trained:
 
 
 def _read(folder: Path) -> _Trained:
-    """A run folder, all of it readable.
+    """Read a run folder.
 
     Raises:
-        ConfigError: it is no finished run of one of the paper's algorithms, or a file of it is damaged.
+        ConfigError: It is not a finished run of one of the paper's algorithms, or it has a damaged file.
     """
     try:
         manifest = json.loads((folder / "manifest.json").read_text())
@@ -144,7 +144,7 @@ def _read(folder: Path) -> _Trained:
 
 
 def _last(job: Job) -> Stack:
-    """The networks of the end."""
+    """The networks at the end of the run, from its checkpoint."""
     import torch
 
     from ground_tools.atmc.learners.algorithms import ALGORITHMS
@@ -154,13 +154,13 @@ def _last(job: Job) -> Stack:
     path = job.folder / "checkpoint.pt"
     try:
         learner.load(torch.load(path, weights_only=True)["learner"])
-    except Exception as error:  # a damaged file: PyTorch raises of many kinds
+    except Exception as error:  # PyTorch raises many kinds for a damaged file.
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     return thawed(learner.frozen("last", {}), "last")
 
 
 def _run(trained: _Trained, configurations: int) -> Run:
-    """One run, measured."""
+    """Measure one run."""
     job, rows = trained.job, trained.rows
     uavs = range(job.settings.task.uavs)
     best, last = (_measured(stack, job, configurations) for stack in (trained.best, trained.last))
@@ -185,7 +185,7 @@ def _run(trained: _Trained, configurations: int) -> Run:
 
 
 def _measured(stack: Stack, job: Job, configurations: int) -> Measured:
-    """A policy on environments that nobody has seen."""
+    """Measure a policy on environments that were not used in training or validation."""
     import torch
 
     from ground_tools.atmc.env.paper_task import measure, paper_objective
@@ -221,7 +221,7 @@ def _short(value: float, digits: int = _DIGITS) -> float:
 
 
 def _table(runs: Sequence[Run]) -> Table:
-    """Every seed: the best policy by density, the last one, the time."""
+    """Table of all runs: delay of the best policy by density, delay of the last policy, and training time."""
     table = Table(
         title="System delay (ms): best policy by validation, last one (dynamic)",
         title_justify="left",

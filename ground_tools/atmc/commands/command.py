@@ -1,4 +1,4 @@
-"""`ground-tools atmc`: its subcommands."""
+"""The subcommands of `ground-tools atmc`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ground_tools.atmc.commands import collect, evaluate_command, freeze_command
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Subcommands of `ground-tools atmc`; each sets `run`. None loads PyTorch before it runs."""
+    """Add the subcommands of `ground-tools atmc`; each sets `run`. They import PyTorch only when they run."""
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
         ("train", train, "train a policy"),

@@ -1,9 +1,9 @@
-"""`ground-tools atmc evaluate`: what a frozen policy is worth, beside the baselines and the search.
+"""`ground-tools atmc evaluate`: compare a frozen policy with the baselines and the search.
 
-All of them stand in the same places. Policies that were trained to decide at random phases do so here: in
-every place the aircraft decide in random parts, one part after the other, beginning with whatever they sent
-in the last place, and the last rounds count. Those of the paper decide once, all at the same time, after
-everybody was put somewhere else.
+All methods are measured at the same positions. A policy that was trained to decide at random phases does so
+here: at each set of positions, random parts of the fleet decide one after the other. They start from the
+actions at the previous positions, and only the last rounds count. The paper's policies decide once, all
+aircraft at the same time, after new positions were drawn.
 """
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ from sitl_mocks.channel.parameters import ChannelParameters
 
 DENSITIES: Final = {"high": SIDES_M[:3], "low": SIDES_M[3:], "dynamic": SIDES_M}
 ROUNDS, COUNTED, PARTS = 6, 2, 4
-"""A policy of random phases: rounds of decisions in one place, the last ones that count, parts of a round."""
+"""For policies that decide at random phases: rounds at each set of positions, final rounds that count, and
+parts of the fleet per round."""
 _CELLS = 200_000
-"""Pairs of aircraft that are computed at a time."""
+"""Pairs of aircraft computed at a time."""
 _SEARCH_ROUNDS = 60
 _TIMED = 2_000
 _FLIGHT_STEPS, _FLIGHT_STEP_S, _MINUTE_S = 120, 1.0, 60.0
@@ -47,14 +48,14 @@ _FLIGHT_STEPS, _FLIGHT_STEP_S, _MINUTE_S = 120, 1.0, 60.0
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What is to be measured."""
+    """Parameters of a measurement."""
 
     objective: ObjectiveName
     region: RegionName = "none"
     uavs: int = 10
     load: float = 0.0
     samples: int = 1000
-    """Places in each of the paper's six squares."""
+    """Sets of positions in each of the paper's six squares."""
     seed: int = 1
     sigma_db: float = 0.0
     wifi_channels: Literal["shared", "random"] = "shared"
@@ -64,7 +65,9 @@ class Frozen:
     """A policy file that decides for whole fleets. A `Decider`.
 
     Args:
-        allowed: (actions,); others are never chosen.
+        data: Contents of the policy file.
+        name: Name of the file, for error messages.
+        allowed: (actions,), which actions may be chosen; None for all.
     """
 
     def __init__(self, data: bytes, name: str, allowed: Tensor | None = None) -> None:
@@ -94,10 +97,10 @@ class Frozen:
 
 
 def evaluate(data: bytes, name: str, question: Question) -> dict[str, float | int | str]:
-    """Everything that `ground-tools atmc evaluate` prints.
+    """Measure a policy. Returns everything that `ground-tools atmc evaluate` prints.
 
     Raises:
-        ConfigError: the policy cannot answer this question.
+        ConfigError: The policy does not fit the question.
     """
     fleet = Frozen(data, name)
     _check(fleet.metadata, question, name)
@@ -126,14 +129,14 @@ def evaluate(data: bytes, name: str, question: Question) -> dict[str, float | in
 
 
 def objective_of(name: ObjectiveName) -> tuple[Objective, Sequence[Action]]:
-    """An objective with its channel, and the actions that it is about."""
+    """The objective of this name with its channel, and its actions."""
     if name == "paper":
         return PaperObjective(TorchChannel(ChannelParameters(), PAPER_ACTIONS)), PAPER_ACTIONS
     return AwarenessObjective(TorchChannel(AWARENESS_CHANNEL, SET_ACTIONS)), SET_ACTIONS
 
 
 def rule_of(name: ObjectiveName, actions: Sequence[Action], allowed: Tensor) -> Rule:
-    """The one-line rule; what is not legal gives way to the last action that is."""
+    """The one-line rule. An action that is not allowed is replaced by the last one that is."""
     near, far = (PAPER_NEAR, PAPER_FAR) if name == "paper" else (FLYING_NEAR, FLYING_FAR)
     legal_actions = [action for action, fits in zip(actions, allowed.tolist(), strict=True) if fits]
     near, far = (action if action in legal_actions else legal_actions[-1] for action in (near, far))
@@ -157,22 +160,21 @@ def _check(metadata: Metadata, question: Question, name: str) -> None:
 
 
 class _Sums:
-    """Costs and weights by side: of the policy ("", its rounds averaged), the rule, the search, each
-    action."""
+    """Mean costs (ms) by side: of the policy, the rule, the search, and each fixed action."""
 
     def __init__(self, actions: int) -> None:
         self._ms: dict[str, list[float]] = {"policy": [], "rule": [], "search": []}
         self._fixed: list[list[float]] = [[] for _ in range(actions)]
 
     def add(self, found: dict[str, float], fixed: Sequence[float]) -> None:
-        """One side's means (ms)."""
+        """Add the means (ms) of one side."""
         for key, values in self._ms.items():
             values.append(found[key])
         for values, value in zip(self._fixed, fixed, strict=True):
             values.append(value)
 
     def report(self, allowed: Tensor, actions: Sequence[Action]) -> dict[str, float | str]:
-        """By density, and of each side for the policy and the search."""
+        """Means by density; for the policy and the search also by side."""
         at = {density: [SIDES_M.index(side) for side in sides] for density, sides in DENSITIES.items()}
 
         def mean(values: Sequence[float], density: str) -> float:
@@ -199,7 +201,7 @@ class _Sums:
 def _measure_side(
     question: Question, objective: Objective, fleet: Frozen, allowed: Tensor, side: float, found: _Sums
 ) -> None:
-    """All methods in the same places of one square."""
+    """Measure all methods at the same positions in one square."""
     seed = (question.seed * 1_000_003 + int(side)) * 1_000_003 % 2**63
     generator = torch.Generator().manual_seed(seed)
     chunk = max(1, min(question.samples, _CELLS // question.uavs**2))
@@ -216,7 +218,7 @@ def _measure_side(
             env = Env(settings, objective, some, question.uavs, generator)
             env.action = allowed.nonzero()[:, 0][env.action % int(allowed.sum())]
             _decide(env, fleet, fleet.metadata.decisions, generator)
-        # The same places for every policy, whatever chance it took so far.
+        # Reseed, so that positions are the same for every policy, however many random numbers it has drawn.
         generator.manual_seed((seed + done) % 2**63)
         env.go_on()
         total["policy"] += float(_decide(env, fleet, fleet.metadata.decisions, generator))
@@ -254,7 +256,7 @@ def _settings(question: Question, side: float) -> EnvSettings:
 
 
 def _decide(env: Env, decider: Decider, decisions: str, generator: torch.Generator) -> Tensor:
-    """Sum of all costs (s) once the fleet has decided, the last rounds averaged."""
+    """Sum of all costs (s) after the fleet has decided, averaged over the last rounds."""
     if decisions == "together":
         return env.act(decider.decide(env.observe(), env.action)).sum()
     rounds = 1 if isinstance(decider, Fixed | Rule) else ROUNDS
@@ -265,7 +267,7 @@ def _decide(env: Env, decider: Decider, decisions: str, generator: torch.Generat
 
 
 def decision_us(policy: Policy, neighbours: int) -> float:
-    """Median time (us) of one decision aboard: NumPy, one thread, this machine."""
+    """Median time (us) of one decision with the code that flies: NumPy, one thread, on this machine."""
     own = np.array(policy.metadata.golden[0].own)
     rows = np.array([row for golden in policy.metadata.golden for row in golden.rows])
     rows = np.resize(rows, (neighbours, len(NEIGHBOUR_COLUMNS))) if len(rows) else np.zeros((0, 8))
@@ -279,8 +281,11 @@ def decision_us(policy: Policy, neighbours: int) -> float:
 
 
 def switches_per_minute(question: Question, objective: Objective, decider: Decider) -> float:
-    """How often an aircraft changes what it sends, a minute: fleets that fly through squares of all sizes at
-    up to 20 m/s, each aircraft deciding every two seconds on average, at random."""
+    """How often an aircraft changes its action per minute, on average.
+
+    Fleets fly through squares of all sizes at up to 20 m/s, and each aircraft decides at random times, every
+    two seconds on average.
+    """
     generator = torch.Generator().manual_seed(question.seed)
     fleets = max(6, min(60, _CELLS // 8 // question.uavs**2))
     switches = decided = 0.0
@@ -303,7 +308,7 @@ def read_policy(path: Path) -> bytes:
     """The bytes of a policy file.
 
     Raises:
-        ConfigError: it cannot be read.
+        ConfigError: The file cannot be read.
     """
     try:
         return path.read_bytes()

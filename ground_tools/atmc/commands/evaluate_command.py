@@ -1,4 +1,4 @@
-"""`ground-tools atmc evaluate`."""
+"""Options and output of `ground-tools atmc evaluate`; the measurement is in `evaluate`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SHOWN = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools atmc evaluate`."""
+    """Add the options of `ground-tools atmc evaluate`."""
     parser.description = (
         "Measure a frozen policy beside the best fixed mode, the one-line rule and the search that knows\n"
         "everything, all in the same places: squares with sides of 100 to 10,000 m.\n\n"
@@ -69,10 +69,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools atmc evaluate`. Returns 0.
+    """Run `ground-tools atmc evaluate`. Returns 0.
 
     Raises:
-        ConfigError: an option is wrong, the policy cannot be used, or PyTorch is missing.
+        ConfigError: An option is wrong, the policy cannot be used, or PyTorch is missing.
     """
     evaluate = evaluation()
     data = evaluate.read_policy(args.policy)
@@ -99,10 +99,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def evaluation() -> Any:
-    """The module `evaluate`, which needs PyTorch.
+    """Set up PyTorch and import the module `evaluate`, which needs it.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: PyTorch is not installed.
     """
     set_up_torch()
     from ground_tools.atmc.commands import evaluate

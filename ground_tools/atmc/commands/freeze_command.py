@@ -1,4 +1,4 @@
-"""`ground-tools atmc freeze`."""
+"""`ground-tools atmc freeze`: write the policy file that flies from a training run."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ground_tools.atmc.commands.evaluate_command import evaluation
 from ground_tools.atmc.env.tasks import MAX_BYTES
 
 _SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
-"""Places in each square, by fleet size, of what a frozen file says of itself."""
+"""Sets of positions in each square, by fleet size, for the results that a frozen file contains."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools atmc freeze`."""
+    """Add the options of `ground-tools atmc freeze`."""
     parser.description = (
         "Take the best policy of a training run, measure it, and write the file that flies: its weights,\n"
         "what it was trained from and is worth, and golden cases that are checked whenever it is loaded."
@@ -41,10 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools atmc freeze`. Returns 0.
+    """Run `ground-tools atmc freeze`. Returns 0.
 
     Raises:
-        ConfigError: the run has no policy, an option is wrong, or the file cannot be written.
+        ConfigError: The run has no policy, an option is wrong, or the file cannot be written.
     """
     evaluate = evaluation()
     source = args.folder / "policy.safetensors"
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _results(evaluate: Any, data: bytes, name: str, metadata: Any) -> dict[str, float]:
-    """What the file says of itself: delays or ages by fleet size, and the loss against the search."""
+    """Results for the file: delay or age (ms) of policy, best fixed mode, rule and search, by fleet size."""
     sizes = [metadata.neighbours + 1] if metadata.kind == "flat" else list(_SAMPLES)
     results = {}
     for uavs in sizes:

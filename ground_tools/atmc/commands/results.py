@@ -1,6 +1,6 @@
-"""What training runs gave, thinned, in one small file (gzipped JSON) that the paper's figures are drawn from.
+"""Thinned results of training runs in one small file (gzipped JSON), the source of the paper's figures.
 
-Nothing here needs PyTorch.
+This module does not need PyTorch.
 """
 
 from __future__ import annotations
@@ -14,55 +14,56 @@ import msgspec
 from companion.errors import ConfigError
 
 CONVERGENCE: Final = Path(__file__).parents[3] / "results" / "atmc" / "convergence.json.gz"
-"""Of the paper's algorithms."""
+"""Results file of the paper's algorithms."""
 NAMES: Final = {
     "madqn": "MADQN-ATMC",
     "madqn-shared": "MADQN-ATMC, one network",
     "maddpg": "MADDPG",
     "iac": "IAC",
 }
-"""The paper's algorithms, for people."""
+"""Display names of the paper's algorithms."""
 UAV_EVERY: Final = 10
-"""Episodes that a mean for each aircraft stands for."""
+"""Number of episodes over which each aircraft's values are averaged."""
 
 
 class _Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Common to all parts."""
+    """Common base of all parts of the file."""
 
 
 class Run(_Part, frozen=True, kw_only=True):
-    """One seed of one algorithm. Rewards (s) and delays (ms) are means of a step, while exploring."""
+    """One seed of one algorithm. Rewards (s) and delays (ms) are means per step, with exploration."""
 
     algorithm: str
     seed: int
     git_commit: str | None
     settings: dict[str, object]
     seconds: float
-    """Of work, with what else ran on that machine."""
+    """Training time; other programs may have run on that machine."""
     reward: tuple[float, ...]
-    """Of the fleet, by episode."""
+    """Reward of the fleet, by episode."""
     delay_ms: tuple[float, ...]
+    """System delay of the fleet, by episode."""
     reward_uav: tuple[tuple[float, ...], ...]
-    """Of each aircraft, means of `UAV_EVERY` episodes."""
+    """Reward of each aircraft, as means over `UAV_EVERY` episodes."""
     validation: tuple[tuple[int, float], ...]
     """Episode and system delay (ms) of the policy without exploration."""
     best: dict[str, float]
-    """The policy of the best validation, measured on new environments; see `paper_task.measure`."""
+    """Delays (ms) of the policy with the best validation, on new environments; see `paper_task.measure`."""
     last: dict[str, float]
-    """The same of the policy at the end of the run."""
+    """The same for the policy at the end of the run."""
     best_delay_uav_ms: tuple[float, ...] = ()
-    """The best policy's mean delay of each aircraft over all six squares."""
+    """Mean delay of each aircraft over all six squares with the best policy."""
 
 
 class Results(_Part, frozen=True, kw_only=True):
-    """All runs."""
+    """The contents of the file: all runs."""
 
     configurations: int
-    """Environments of each of the six squares in `best` and `last`."""
+    """Number of environments in each of the six squares for `best` and `last`."""
     runs: tuple[Run, ...]
 
     def of(self, algorithm: str) -> list[Run]:
-        """Its runs, by seed."""
+        """The runs of this algorithm, ordered by seed."""
         return sorted((run for run in self.runs if run.algorithm == algorithm), key=lambda run: run.seed)
 
 
@@ -70,7 +71,7 @@ def read(path: Path = CONVERGENCE) -> Results:
     """Read the file.
 
     Raises:
-        ConfigError: it cannot be read, or holds something else.
+        ConfigError: The file cannot be read, or is not a file of results.
     """
     try:
         return msgspec.json.decode(gzip.decompress(path.read_bytes()), type=Results)
@@ -81,10 +82,10 @@ def read(path: Path = CONVERGENCE) -> Results:
 
 
 def write(path: Path, results: Results) -> None:
-    """Write the file, the same bytes for the same results.
+    """Write the file. The same results give the same bytes.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: The file cannot be written.
     """
     data = gzip.compress(msgspec.json.encode(results), 9, mtime=0)
     try:

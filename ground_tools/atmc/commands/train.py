@@ -1,4 +1,4 @@
-"""`ground-tools atmc train`: one training run for each seed, side by side, with progress on the terminal."""
+"""`ground-tools atmc train`: one training run per seed, in parallel, with progress on the terminal."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MAX_SEEDS = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools atmc train`."""
+    """Add the options of `ground-tools atmc train`."""
     lines = [f"  {name:14s} {algorithm.words}" for name, algorithm in ALGORITHMS.items()]
     parser.description = (
         "Train a policy. Each seed leaves a run folder with metrics, a checkpoint for --resume, and\n"
@@ -66,10 +66,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools atmc train`. Returns 0, 130 where Ctrl-C ended it, 1 where a run broke down.
+    """Run `ground-tools atmc train`. Returns 0 on success, 130 after Ctrl-C, another code if a run failed.
 
     Raises:
-        ConfigError: an option or the configuration is wrong, or PyTorch is missing.
+        ConfigError: An option or the configuration is wrong, or PyTorch is missing.
     """
     with needs_torch():
         from ground_tools.atmc.learners import training
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _settings(args: argparse.Namespace) -> msgspec.Struct:
-    """The algorithm's settings, from the file where there is one."""
+    """The algorithm's settings, from the configuration file if one is given."""
     default = ALGORITHMS[args.algorithm].parts().settings
     settings = default if args.config is None else decode_toml(args.config, type(default))
     episodes = _episodes(args)
@@ -148,7 +148,7 @@ class _Sink(Protocol):
 
 
 def _worker(job: Job, index: int, sink: _Sink) -> None:
-    """One run in a process of its own."""
+    """Run one job in a separate process."""
     from ground_tools.atmc.learners import training
 
     try:
@@ -156,13 +156,13 @@ def _worker(job: Job, index: int, sink: _Sink) -> None:
     except ConfigError as error:
         sink.put((index, str(error)))
         sys.exit(2)
-    except KeyboardInterrupt:  # before training began
+    except KeyboardInterrupt:  # Ctrl-C before training began
         sys.exit(130)
     sys.exit(0 if whole else 130)
 
 
 def _side_by_side(jobs: Sequence[Job], at_once: int) -> int:
-    """Run all, `at_once` of them at a time. Returns the exit code."""
+    """Run all jobs, `at_once` of them at a time. Returns the exit code."""
     context = multiprocessing.get_context("spawn")
     sink: Any = context.Queue()
     waiting = [context.Process(target=_worker, args=(job, i, sink)) for i, job in enumerate(jobs)]
@@ -178,7 +178,7 @@ def _side_by_side(jobs: Sequence[Job], at_once: int) -> int:
                     running.append(process)
                 _drain(sink, display)
             except KeyboardInterrupt:
-                # On a terminal they have it from there already; a second request of this kind does no harm.
+                # On a terminal the workers have received Ctrl-C too; SIGTERM in addition does no harm.
                 stopped = True
                 for process in running:
                     process.terminate()
@@ -191,7 +191,7 @@ def _side_by_side(jobs: Sequence[Job], at_once: int) -> int:
 
 @contextmanager
 def _sigterm_as_ctrl_c() -> Iterator[None]:
-    """A parent that just went would leave its runs behind."""
+    """Handle SIGTERM like Ctrl-C. A parent that simply ended would leave its runs behind."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -200,7 +200,7 @@ def _sigterm_as_ctrl_c() -> Iterator[None]:
 
 
 def _drain(sink: Any, display: _Display) -> None:
-    """Show what comes within a moment."""
+    """Show all messages until none arrives for `_WAIT_S`."""
     try:
         while True:
             index, now = sink.get(timeout=_WAIT_S)
@@ -216,7 +216,7 @@ def _drain(sink: Any, display: _Display) -> None:
 
 
 class _Display:
-    """A line for each run: rounds, delay, best validation, time left."""
+    """A progress line for each run: rounds, delay, best validation, time left."""
 
     def __init__(self, progress: Progress, jobs: Sequence[Job]) -> None:
         self._progress = progress
@@ -226,7 +226,7 @@ class _Display:
         ]
 
     def show(self, index: int, done: int, rounds: int, row: Mapping[str, float | None]) -> None:
-        """One round of one run is over."""
+        """Show a finished round of a run."""
         words = []
         if (delay := row.get("delay_ms")) is not None:
             words.append(f"delay {delay:,.0f} ms")
@@ -240,7 +240,7 @@ class _Display:
 
 @contextmanager
 def _display(jobs: Sequence[Job]) -> Iterator[_Display]:
-    """On stderr, and only where that is a terminal."""
+    """Show progress on stderr, only if it is a terminal."""
     progress = Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=20),

@@ -1,15 +1,15 @@
-"""The analytic channel on PyTorch, for many fleets at once, and what one aircraft's choice does to all.
+"""The analytic channel model on PyTorch, for many fleets at once, with difference costs for training.
 
-The same equations as `sitl_mocks.channel.equations.analytic` (a test holds both together), with two
-differences that training needs. Every environment is dense, all aircraft against all. And it gives the
-*difference cost*: what each aircraft's total would become for each of its actions, its own delay exactly, the
-delay of the others to first order, from one forward and one backward pass.
+It implements the same equations as `sitl_mocks.channel.equations.analytic`; a test checks that both agree. Training
+needs two differences. First, every environment is dense: all aircraft against all. Second, one forward and
+one backward pass give the *difference cost*: what the fleet's total cost would become for each action of each
+aircraft. The aircraft's own delay in it is exact; the delay of the others is a first-order approximation.
 
-What the others send acts on a link through a few sums over them (`Loads`), each linear in what one of them
-adds: the backward pass goes through the same sums, turned round.
+Transmissions of other aircraft act on a link through a few sums over these aircraft (`Loads`). Each sum is
+linear in what one aircraft adds, so the backward pass uses the transposed sums.
 
-Mean delays are tabulated as log delay over log survival (and, where Wi-Fi stations listen before they send,
-over the load around the sender), which is smooth, and linear where little survives.
+Mean delays are tabulated as log delay over log survival and, if Wi-Fi stations use carrier sense, also over
+the load around the sender. This function is smooth, and it is linear where the survival is low.
 """
 
 from __future__ import annotations
@@ -38,36 +38,38 @@ from sitl_mocks.channel.parameters import (
 
 _BLE4, _BLE5, _WIFI = range(len(MODES))
 _LOWEST = -8.0
-"""Log survival at which the tables end; log delay goes on linearly from there."""
+"""Lowest log survival in the tables; below it, log delay is extrapolated linearly."""
 _NODES = {_BLE4: 401, _BLE5: 121, _WIFI: 401}
 _HIGHEST_LOAD, _LOAD_NODES = 2.5, 101
-"""Of the tables of Wi-Fi; a higher load counts as this one."""
+"""Highest load in the Wi-Fi tables, and number of load nodes. Higher loads are clamped to the highest one."""
 
 Loads = dict[str, Tensor]
-"""What the others' packets add up to, by name; each of shape (environments, receiver, sender), log survivals
-but for "common" and "sensed", which are shares of time."""
+"""Sums over the packets of the other aircraft, by name, each of shape (environments, receiver, sender). All
+are log survivals except "common" and "sensed", which are shares of time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Who hears whom, of `environments` fleets of `aircraft` each.
+    """Which aircraft can receive which, for `environments` fleets of `aircraft` aircraft each.
 
-    Matrices are of shape (environments, receiver, sender), floating, 1 or 0, with zeros on the diagonal.
+    Matrices have shape (environments, receiver, sender) and hold 1.0 or 0.0, with zeros on the diagonal.
     """
 
     modes: tuple[Tensor, Tensor, Tensor]
     same_channel: Tensor
-    """1 where both send their beacons on one Wi-Fi channel; 1 on the diagonal."""
+    """1 where both aircraft send their beacons on the same Wi-Fi channel; the diagonal is 1."""
     on_channel: Tensor
-    """(environments, aircraft, Wi-Fi channels), 1 on its own."""
+    """(environments, aircraft, Wi-Fi channels), 1 for the aircraft's own channel."""
     quiet: dict[str, Tensor]
-    """By packet, (environments, receiver): log survival among what others send in the band."""
+    """Log survival against background traffic in the band, by packet, (environments, receiver, 1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Packets:
-    """Log survival of each packet of each link, (environments, receiver, sender), and the Wi-Fi load (share
-    of time) around each sender, (environments, 1, sender)."""
+    """Log survival of each packet on each link, (environments, receiver, sender).
+
+    `sensed` is the Wi-Fi load (share of time) around each sender, (environments, 1, sender).
+    """
 
     ble4: Tensor
     pointer: Tensor
@@ -76,32 +78,33 @@ class Packets:
     sensed: Tensor
 
     def of(self, senders: Tensor) -> Packets:
-        """Those of some senders, by their indices."""
+        """The packets of the senders with these indices."""
         parts = (self.ble4, self.pointer, self.auxiliary, self.wifi, self.sensed)
         return Packets(*(part[:, :, senders] for part in parts))
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A share of one of the `Loads`: what senders on one mode add to it."""
+    """The contribution of senders on one mode to one of the `Loads`."""
 
     load: str
     mode: int
     factors: Tensor
-    """By level of the rate."""
+    """Contribution of one sender, indexed by rate level."""
     spread: str
-    """Over whom: "own", the receiver itself; "all" who reach it; "channel" 0, 1 or 2 of them; those on the
-    sender's Wi-Fi channel whom it does not sense ("hidden"), all ("shared"), or whom both sense ("common");
-    and whom the sender senses ("sensed")."""
+    """Which aircraft are summed over. "own": the receiver itself. "all": all that reach the receiver. "0",
+    "1" or "2": those of them on this Wi-Fi channel (by index). "shared": those of them on the link sender's
+    Wi-Fi channel. "hidden": those of "shared" that the link's sender does not sense. "common": those of
+    "shared" that it does sense. "sensed": all that the link's sender senses."""
 
 
 class TorchChannel:
-    """The equations for one table of actions.
+    """The channel equations for one table of actions.
 
     Args:
-        parameters: of the channel.
-        actions: what an aircraft may send.
-        device: where all tensors live.
+        parameters: Channel parameters.
+        actions: What an aircraft may send.
+        device: Device of all tensors.
     """
 
     def __init__(
@@ -111,12 +114,12 @@ class TorchChannel:
         self.device = torch.device(device)
         self.actions = tuple(actions)
         self.rates = torch.tensor(actions, dtype=torch.float32, device=self.device)
-        """Shape (actions, 3)."""
+        """Messages per second on each transport, (actions, 3)."""
         levels = [sorted({a[mode] for a in actions} | {0}) for mode in range(3)]
         self.level_of = torch.tensor(
             [[levels[mode].index(a[mode]) for mode in range(3)] for a in actions], device=self.device
         )
-        """Shape (actions, 3): index into the rates of each mode, of which the first is 0."""
+        """Index into the sorted rates of each mode, (actions, 3). Level 0 is rate 0."""
         self._listens = parameters.wifi.access == "carrier_sense"
         self._tables = [self._table(mode, levels[mode][1:]) for mode in range(3)]
         self.thresholds_db = torch.tensor(thresholds_db(parameters), dtype=torch.float32, device=self.device)
@@ -169,7 +172,7 @@ class TorchChannel:
     # ------------------------------------------------------------ tables
 
     def _table(self, mode: int, rates: Sequence[int]) -> Tensor:
-        """Log mean delay (s) of each rate over the grid of `_grid`, (nodes, rates)."""
+        """Log mean delay (s) of each rate at the grid nodes of the mode's table, (nodes, rates)."""
         first, second = np.linspace(_LOWEST, 0.0, _NODES[mode]), self._second_axis(mode)
         if second is not None:
             first, second = (grid.ravel() for grid in np.meshgrid(first, second, indexing="ij"))
@@ -186,8 +189,10 @@ class TorchChannel:
         return torch.tensor(table, dtype=torch.float32, device=self.device)
 
     def _second_axis(self, mode: int) -> NDArray[np.float64] | None:
-        """What delays depend on beside the survival of the first packet: log survival of BLE 5's auxiliary
-        packet, or the load around a Wi-Fi sender."""
+        """Grid of the second table variable; None if delay depends on the first packet's survival only.
+
+        It is the log survival of the auxiliary packet for BLE 5, and the load around the sender for Wi-Fi.
+        """
         if mode == _BLE5:
             return np.linspace(_LOWEST, 0.0, _NODES[mode])
         if mode == _WIFI and self._listens:
@@ -195,8 +200,10 @@ class TorchChannel:
         return None
 
     def _places(self, mode: int, packets: Packets) -> tuple[tuple[Tensor, Tensor], ...]:
-        """By axis of a mode's table: node below, and share of the way to the next one, which is negative
-        below the grid."""
+        """For each axis of a mode's table: the node below, and the fraction of the way to the next node.
+
+        The fraction is negative below the grid.
+        """
         log_survival = (packets.ble4, packets.pointer, packets.wifi)[mode]
         axes = [((log_survival - _LOWEST) * ((_NODES[mode] - 1) / -_LOWEST), _NODES[mode])]
         if mode == _BLE5:
@@ -208,11 +215,11 @@ class TorchChannel:
         return tuple((node, at - node) for node, (at, _) in zip(nodes, axes, strict=True))
 
     def _stride(self, mode: int) -> int:
-        """Rows of a mode's table from one node of the first axis to the next."""
+        """Number of table rows between two adjacent nodes of the first axis."""
         return _NODES[_BLE5] if mode == _BLE5 else _LOAD_NODES if mode == _WIFI and self._listens else 1
 
     def log_delay(self, mode: int, packets: Packets) -> Tensor:
-        """Log mean delay (s) of every rate of a mode, (environments, receiver, sender, rates)."""
+        """Log mean delay (s) at every rate of a mode, (environments, receiver, sender, rates)."""
         table, stride = self._tables[mode], self._stride(mode)
         (node, part), *more = self._places(mode, packets)
         part = part[..., None]
@@ -227,8 +234,10 @@ class TorchChannel:
         )
 
     def log_delay_at(self, mode: int, level: Tensor, packets: Packets) -> Tensor:
-        """Log mean delay (s) at one rate for each link, (environments, receiver, sender), for levels from 1;
-        anything where the level is 0."""
+        """Log mean delay (s) at one rate for each link, (environments, receiver, sender).
+
+        Levels start from 1; the result is meaningless where the level is 0.
+        """
         table, stride = self._tables[mode], self._stride(mode)
         rates = table.shape[1]
         flat, column = table.reshape(-1), (level - 1).clamp(min=0)
@@ -246,24 +255,25 @@ class TorchChannel:
         )
 
     def undisturbed_s(self) -> Tensor:
-        """Mean delay (s) of each action where nobody else sends, on its fastest transport; (actions,)."""
+        """Mean delay (s) of each action on its fastest transport if no other aircraft sends, (actions,)."""
         found = torch.full_like(self.rates, torch.inf)
         for mode, table in enumerate(self._tables):
             level = self.level_of[:, mode]
-            # Everything survives in the last row; where Wi-Fi listens, a row of no load comes before others.
+            # All packets survive in the last row. With carrier sense, the last block starts with zero load.
             row = -_LOAD_NODES if mode == _WIFI and self._listens else -1
             found[level > 0, mode] = torch.exp(table[row, level[level > 0] - 1])
         return found.amin(1)
 
-    # ------------------------------------------------------------ the air
+    # ------------------------------------------------------------ links and loads
 
     def reach(self, path_loss_db: Tensor, wifi_channel: Tensor, busy: Tensor | None = None) -> Reach:
-        """Who hears whom.
+        """Compute which aircraft can receive which.
 
         Args:
             path_loss_db: (environments, aircraft, aircraft), symmetric.
-            wifi_channel: (environments, aircraft), any numbers that tell channels apart.
-            busy: (environments, aircraft, 3), share of time that others fill each mode's channel; None: none.
+            wifi_channel: (environments, aircraft), index of the Wi-Fi channel.
+            busy: (environments, aircraft, 3), share of time that background traffic fills each mode's
+                channel. None means no background traffic.
         """
         environments, aircraft, _ = path_loss_db.shape
         others = 1.0 - torch.eye(aircraft, device=self.device)
@@ -283,7 +293,9 @@ class TorchChannel:
         return Reach((modes[0], modes[1], modes[2]), same, on_channel, quiet)
 
     def loads(self, reach: Reach, action: Tensor) -> Loads:
-        """What the packets of all others than its sender add up to, for each link, whatever the sender sends.
+        """Sums over the packets of all aircraft other than the sender, for each link.
+
+        They do not depend on what the link's sender itself sends.
 
         Args:
             action: (environments, aircraft), indices into the actions.
@@ -297,7 +309,7 @@ class TorchChannel:
         return found
 
     def _spread(self, part: _Part, reach: Reach, sent: Tensor) -> Tensor:
-        """One part of a load for all links, of what each aircraft adds, (environments, aircraft)."""
+        """One part of a load on all links; `sent` is what each aircraft adds, (environments, aircraft)."""
         carried = reach.modes[part.mode]
         if part.spread == "own":
             return sent[:, :, None].expand_as(carried)
@@ -311,7 +323,7 @@ class TorchChannel:
         return arriving.sum(2, keepdim=True) - arriving
 
     def _mates(self, part: _Part, reach: Reach) -> Tensor:
-        """(environments, sender, other): whose beacons count on the links of a sender."""
+        """Which other aircraft's beacons count on the links of a sender, (environments, sender, other)."""
         sensed = reach.modes[_WIFI] * reach.same_channel
         if part.spread == "common":
             return sensed
@@ -319,7 +331,7 @@ class TorchChannel:
         return shared if part.spread == "shared" else shared - sensed
 
     def packets(self, reach: Reach, loads: Loads) -> Packets:
-        """What becomes of each packet among these loads."""
+        """Log survival of each packet under these loads."""
         quiet, auxiliary, wifi = reach.quiet, loads["auxiliary"], loads["wifi"]
         sensed = torch.zeros_like(wifi[:, :1])
         if self._listens:
@@ -337,13 +349,13 @@ class TorchChannel:
         )
 
     def harm(self, reach: Reach, gradients: Loads) -> Tensor:
-        """What each aircraft's action adds to the cost of the others, to first order.
+        """First-order effect of each aircraft's action on the cost of the other aircraft.
 
         Args:
-            gradients: of the total cost with respect to the loads.
+            gradients: Gradients of the total cost with respect to the loads.
 
         Returns:
-            (environments, aircraft, actions), up to a number for each aircraft.
+            (environments, aircraft, actions), up to an additive constant per aircraft.
         """
         harm: Tensor | None = None
         for part in self._parts:
@@ -354,7 +366,7 @@ class TorchChannel:
         return harm
 
     def _gather(self, part: _Part, reach: Reach, gradient: Tensor) -> Tensor:
-        """`_spread` turned round, (environments, aircraft)."""
+        """Transpose of `_spread`, (environments, aircraft)."""
         carried = reach.modes[part.mode]
         if part.spread == "own":
             return gradient.sum(2)
@@ -367,7 +379,7 @@ class TorchChannel:
 
 
 def _crowding(load: Tensor) -> Tensor:
-    """`carrier_sense.crowding`."""
+    """`carrier_sense.crowding` on tensors."""
     c, a = carrier_sense.MEETING, carrier_sense.CROWDING
     free = 1.0 - load
     return 2.0 * c * load / (free + torch.sqrt(free * free + 4.0 * a * c * load * load))

@@ -1,4 +1,4 @@
-"""Everything that chooses for whole fleets at once: the baselines, and frozen policies on PyTorch."""
+"""The `Decider` protocol, which chooses the actions of whole fleets, and the baselines."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ _LOG_DISTANCE = NEIGHBOUR_COLUMNS.index("log_distance")
 
 
 class Decider(Protocol):
-    """Chooses for all aircraft."""
+    """Chooses the actions of all aircraft."""
 
     def decide(self, seen: Observation, action: Tensor) -> Tensor:
-        """What each would send next; (E, N) indices into the actions.
+        """Choose the next action of each aircraft. Returns indices into the actions, (E, N).
 
         Args:
-            action: (E, N), what they send now.
+            seen: Observations of all aircraft.
+            action: Current actions, (E, N).
         """
         ...
 
 
 class Fixed:
-    """Always the same."""
+    """Always chooses the same action."""
 
     def __init__(self, action: int) -> None:
         self.action = action
@@ -39,7 +40,7 @@ class Fixed:
 
 
 class Chance:
-    """Anything that is allowed, drawn anew at every decision."""
+    """Draws a random allowed action at every decision."""
 
     def __init__(self, allowed: Tensor, generator: torch.Generator) -> None:
         self._indices = allowed.nonzero()[:, 0]
@@ -54,7 +55,7 @@ class Chance:
 
 
 class Rule:
-    """One action when anybody is heard within a distance, another one else."""
+    """Chooses `near` if any aircraft is heard within `within_m`, else `far`."""
 
     def __init__(self, actions: Sequence[Action], near: Action, far: Action, within_m: float) -> None:
         self._near, self._far = actions.index(near), actions.index(far)
@@ -69,10 +70,10 @@ class Rule:
 def settle(
     env: Env, decider: Decider, rounds: int, generator: torch.Generator, *, parts: int = 4
 ) -> list[Tensor]:
-    """Let everybody decide once a round, in random parts one after the other.
+    """Let every aircraft decide once per round. Random parts of the fleet decide one after the other.
 
     Returns:
-        Costs (s) after each part, each (E, N); `rounds` times `parts` of them.
+        Costs (s) after each part, each (E, N); there are `rounds` times `parts` of them.
     """
     found = []
     for _ in range(rounds):

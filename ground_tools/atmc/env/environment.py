@@ -1,8 +1,8 @@
-"""The environment in which policies learn and are measured: many fleets side by side, [environment,
-aircraft, ...].
+"""The environment in which policies are trained and measured.
 
-Section "MDP Transformation" of the paper. A step: the aircraft observe, some or all of them choose, the
-channel gives the delays, and positions are drawn anew (the paper) or flown on.
+It holds many fleets in parallel; tensors are indexed [environment, aircraft, ...]. It follows the section
+"MDP Transformation" of the paper. In each step the aircraft observe, some or all of them choose an action,
+and the channel model gives the delays. Then positions are redrawn, as in the paper, or the aircraft fly on.
 """
 
 from __future__ import annotations
@@ -23,32 +23,34 @@ from ground_tools.atmc.env.world import World, WorldSettings, draw, move, redraw
 
 
 class EnvSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How environments come about and go on."""
+    """How environments are drawn and how they change from step to step."""
 
     world: WorldSettings = WorldSettings()
     positions: Literal["redrawn", "flown"] = "redrawn"
-    """Between two steps: everybody at a new place, as the paper says, or `step_s` of flight."""
+    """What happens between two steps: "redrawn" puts all aircraft at new random positions, as in the paper;
+    "flown" lets them fly for `step_s`."""
     side_drawn: Literal["step", "episode"] = "step"
-    """When the square is drawn anew."""
+    """When the side of the square is redrawn."""
     step_s: float = 1.0
+    """Flight time between two steps (s)."""
     lossy: bool = False
-    """Neighbours are heard by chance, as their messages get through, and not for certain; and how well they
-    get through is measured."""
+    """Whether reception is random. If so, an aircraft observes only the neighbours whose messages it happened
+    to receive, and it measures the share of packets that get through. If not, it observes all in range."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What all aircraft see, in the columns of `companion.atmc.observation`."""
+    """Observations of all aircraft, in the columns of `companion.atmc.observation`."""
 
     own: Tensor
     """(E, N, 16)."""
     rows: Tensor
-    """(E, N, N, 8): by observer and neighbour."""
+    """(E, N, N, 8), indexed by observer and neighbour."""
     heard: Tensor
-    """(E, N, N): which of the rows are there."""
+    """(E, N, N), 1 where the observer hears the neighbour, so that the row is valid."""
 
     def of(self, observers: Tensor) -> Observation:
-        """What some of them see, by their indices."""
+        """The observations of the aircraft with these indices."""
         return Observation(self.own[:, observers], self.rows[:, observers], self.heard[:, observers])
 
 
@@ -56,7 +58,11 @@ class Env:
     """Many fleets of one size.
 
     Args:
-        generator: draws everything; its device is that of all tensors.
+        settings: How environments are drawn and how they change.
+        objective: Gives the costs, and the channel with its actions.
+        environments: Number of fleets (E).
+        aircraft: Aircraft per fleet (N).
+        generator: Source of all random numbers; all tensors are on its device.
     """
 
     def __init__(
@@ -80,8 +86,11 @@ class Env:
         return self.objective.channel
 
     def reset(self) -> None:
-        """New environments: in half of them everybody does something at random, in the others all the
-        same."""
+        """Draw new environments.
+
+        With probability one half, all aircraft of an environment start with one common random action;
+        otherwise each starts with a random action of its own.
+        """
         shape, device = (self.environments, self.aircraft), self._generator.device
         actions = len(self.channel.actions)
         each, alike = (
@@ -90,13 +99,13 @@ class Env:
         )
         uniform = torch.rand((shape[0], 1), generator=self._generator, device=device) < 0.5
         self.action = torch.where(uniform, alike, each)
-        """(E, N): what everybody does now; indices into the channel's actions."""
+        """Current action of each aircraft, (E, N), as indices into the channel's actions."""
         identity = torch.randint(2, (*shape, 4), generator=self._generator, device=device)
         self.identity = identity.to(torch.float32) * 2.0 - 1.0
         self.place(draw(self.settings.world, *shape, self._generator))
 
     def place(self, world: World) -> None:
-        """Go on in this world."""
+        """Continue in this world."""
         self.world = world
         self._distance = world.distance_m()
         loss = path_loss_db(self._distance, self.channel) + world.shadowing_db
@@ -105,7 +114,7 @@ class Env:
         self.air = Air(reach, self._conflict * self._others)
 
     def observe(self) -> Observation:
-        """What everybody sees now."""
+        """Current observations of all aircraft."""
         rates = self.channel.rates[self.action]
         reach = torch.stack(self.air.reach.modes, -1)
         packets = None
@@ -120,7 +129,7 @@ class Env:
         return Observation(own_row(torch, rates, success, measured, self.identity), rows, on.amax(-1))
 
     def _received(self, packets: Packets) -> Tensor:
-        """(E, receiver, sender, 3): on which transports something was heard lately, by chance."""
+        """Draw on which transports a message was received recently, (E, receiver, sender, 3)."""
         level = self.channel.level_of[self.action][:, None]
         delays = [self.channel.log_delay_at(mode, level[..., mode], packets) for mode in range(3)]
         missing = torch.exp(-HEARD_S * torch.exp(-torch.stack(delays, -1)))
@@ -128,12 +137,14 @@ class Env:
         return (luck >= missing).to(torch.float32)
 
     def _success(self, on: Tensor, packets: Packets | None) -> tuple[Tensor, Tensor]:
-        """(E, N, 3) each: share of the packets of those who are heard that survive, counted as aboard where
-        few are near (`companion.atmc.senses.SuccessMeter`), and where it is known. In a crowd it is surer
-        aboard, where all within `NEAR_M` are counted."""
+        """Measured share of surviving packets of the heard senders, and where it is known, each (E, N, 3).
+
+        Packets are counted as `companion.atmc.senses.SuccessMeter` does aboard when few senders are near. In
+        a crowd the measurement aboard is more precise, because it counts all senders within `NEAR_M`.
+        """
         shape = (*self.action.shape, 3)
         if packets is None:
-            # The paper's aircraft measure nothing.
+            # Aircraft in the paper do not measure packet survival.
             return on.new_zeros(shape), on.new_zeros(shape)
         p = packets
         alive = torch.exp(torch.stack([p.ble4, p.pointer + p.auxiliary, p.wifi], -1))
@@ -142,18 +153,18 @@ class Env:
         rates = self.channel.rates[self.action][:, None]
         expected = SHARE_MEMORY_S * counted * (rates * on).sum(2)
         measured = (expected >= FEWEST_EXPECTED).to(torch.float32)
-        # A mean of few arrivals is mostly chance.
+        # Draw a Poisson count, because a share from few arrivals is noisy.
         whole = expected * torch.tensor(SCAN_SHARE, device=on.device)
         mean = (alive * on).sum(2) / heard.clamp(min=1.0)
         arrived = torch.poisson(whole * mean, generator=self._generator)
         return (arrived / whole.clamp(min=1e-6)).clamp(max=1.0), measured
 
     def act(self, action: Tensor, moving: Tensor | None = None) -> Tensor:
-        """Change what is sent; positions stay.
+        """Change the actions; positions do not change.
 
         Args:
-            action: (E, N).
-            moving: (E, N), who changes; None: all.
+            action: New actions, (E, N).
+            moving: Which aircraft take their new action, (E, N); None for all.
 
         Returns:
             Cost (s) of each aircraft's messages, (E, N).
@@ -162,18 +173,18 @@ class Env:
         return costs(self.objective, self.air, self.action)
 
     def state(self) -> dict[str, Any]:
-        """Everything but the generator, for `load`."""
+        """The complete state except the generator, for `load`."""
         world = {f.name: getattr(self.world, f.name) for f in fields(self.world)}
         return {"world": world, "action": self.action, "identity": self.identity}
 
     def load(self, state: dict[str, Any]) -> None:
-        """Go on from a `state`."""
+        """Restore a state that `state` returned."""
         device = self._generator.device
         self.action, self.identity = state["action"].to(device), state["identity"].to(device)
         self.place(World(**{name: part.to(device) for name, part in state["world"].items()}))
 
     def go_on(self) -> None:
-        """The next positions."""
+        """Advance to the next positions."""
         s = self.settings
         if s.positions == "flown":
             self.place(move(self.world, s.step_s))
@@ -193,8 +204,11 @@ def paper_reward(cost_s: Tensor, reaches: Tensor, local: float = 1.0, shared: fl
     """The paper's reward, alpha r_local + beta r_global (section "Reward Function"), in seconds.
 
     Args:
-        cost_s: (E, N), each one's mean delay to those it reaches.
-        reaches: (E, N), whether it reaches anybody: both parts are sums over those, and empty without them.
+        cost_s: (E, N), mean delay of each aircraft to those it reaches.
+        reaches: (E, N), whether the aircraft reaches any other. If not, its reward is 0, because both parts
+            are sums over the aircraft that it reaches.
+        local: Weight alpha.
+        shared: Weight beta.
     """
     mean = cost_s.mean(1, keepdim=True)
     return (-local * cost_s + shared * (mean - cost_s)) * reaches

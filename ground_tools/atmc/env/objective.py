@@ -1,8 +1,8 @@
-"""What a fleet's choice costs: the paper's objective, and awareness, for which the policy that flies is
-trained.
+"""Cost functions of a fleet's actions: the paper's objective and the awareness objective.
 
-Each gives three things of a fleet's present actions: the total, every aircraft's own cost for every action
-that it could take instead, and the difference cost, which adds what that action does to the others.
+The policy that flies is trained for awareness. Each objective gives three quantities for the fleet's current
+actions: the cost of each aircraft's messages; each aircraft's own cost for every action that it could take
+instead; and the difference cost, which adds the effect of that action on the other aircraft.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from ground_tools.atmc.env.channel import Packets, Reach, TorchChannel
 from sitl_mocks.channel.parameters import MODES
 
 MISS_S = 3.0
-"""An aircraft out of reach counts like one of this age."""
+"""Age (s) that counts for an aircraft out of reach, and the upper limit of all ages."""
 
 
 @dataclass(frozen=True, slots=True)
 class Air:
-    """A batch of fleets as the objectives see them."""
+    """A batch of fleets, as input of the objectives."""
 
     reach: Reach
     weight: Tensor
-    """(environments, receiver, sender): how much the receiver must know of the sender; see
+    """How important it is that the receiver knows the sender's state, (environments, receiver, sender). See
     `companion.atmc.observation.conflict_weight`. The paper's objective does not use it."""
 
 
 class Objective(Protocol):
-    """A cost (s) of what all aircraft send."""
+    """A cost (s) of the actions of all aircraft."""
 
     channel: TorchChannel
 
@@ -40,8 +40,10 @@ class Objective(Protocol):
         ...
 
     def own(self, air: Air, packets: Packets, senders: Tensor) -> Tensor:
-        """The same of some aircraft, for each of its actions while all others keep theirs, (environments,
-        aircraft, actions)."""
+        """Cost of the `senders`' own messages for each of their actions, (environments, senders, actions).
+
+        All other aircraft keep their current actions.
+        """
         ...
 
 
@@ -55,11 +57,18 @@ def costs(objective: Objective, air: Air, action: Tensor) -> Tensor:
 def difference_costs(
     objective: Objective, air: Air, action: Tensor, senders: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """The present cost of each aircraft's messages (s), (environments, aircraft), and what the fleet's total
-    would be for each of its actions, up to a number for each aircraft, (environments, senders, actions).
+    """Compute current costs and difference costs.
 
     Args:
-        senders: indices of those to tell it of; None: all.
+        objective: The cost function.
+        air: The fleets.
+        action: Current actions, (environments, aircraft).
+        senders: Indices of the aircraft whose difference costs are wanted; None for all.
+
+    Returns:
+        The current cost of each aircraft's messages (s), (environments, aircraft), and what the fleet's total
+        cost would be for each action of each sender (s), up to an additive constant per aircraft,
+        (environments, senders, actions).
     """
     c = objective.channel
     with torch.no_grad():
@@ -81,8 +90,10 @@ def difference_costs(
 
 
 class PaperObjective:
-    """P0: the sum over aircraft of the mean delay (s) to those whom each one reaches; 0 for one that reaches
-    nobody. Every action is one protocol."""
+    """The paper's objective P0: the sum over all aircraft of each one's mean delay (s) to those it reaches.
+
+    An aircraft that reaches no other counts 0. Every action must use exactly one protocol.
+    """
 
     def __init__(self, channel: TorchChannel) -> None:
         if ((channel.level_of > 0).sum(1) != 1).any():
@@ -117,12 +128,12 @@ class PaperObjective:
 
 
 class AwarenessObjective:
-    """The age of what everybody knows of everybody whom it could soon be in conflict with.
+    """Age of the information that aircraft hold about those with which they could soon be in conflict.
 
-    A message crosses a link on any of the sender's transports; times between receptions are taken for
-    exponential, so that rates of reception add up: h = sum of 1 / mean delay over the transports in reach.
-    Ages above MISS_S count as MISS_S: the expected age is (1 - exp(-h MISS_S)) / h, and MISS_S where nothing
-    gets through. A cost is the sum over receivers of weight times age (s).
+    A message can cross a link on any of the sender's transports. Times between receptions are assumed to be
+    exponential, so reception rates add up: h = sum of 1 / mean delay over the transports in reach. Ages above
+    MISS_S count as MISS_S: the expected age is (1 - exp(-h MISS_S)) / h, and MISS_S if no message gets
+    through. The cost of an aircraft's messages is the sum over receivers of weight times age (s).
     """
 
     def __init__(self, channel: TorchChannel) -> None:
@@ -159,6 +170,6 @@ class AwarenessObjective:
 
 
 def age_s(rate: Tensor) -> Tensor:
-    """Expected age (s), ages above MISS_S counted as that, for receptions at `rate` (1/s)."""
+    """Expected age (s) for receptions at `rate` (1/s). Ages above MISS_S count as MISS_S."""
     at = rate.clamp(min=1e-4)
     return -torch.expm1(-at * MISS_S) / at

@@ -1,5 +1,7 @@
-"""The task of the paper's section "Performance of MADQN-ATMC", as all three algorithms meet it: 10 aircraft,
-30 actions each, positions drawn anew at every step; and how a policy is measured in it.
+"""The task of the paper's section "Performance of MADQN-ATMC", and the measurement of a policy in it.
+
+All three of the paper's algorithms learn this task: 10 aircraft, 30 actions each, and positions that are
+redrawn at every step.
 """
 
 from __future__ import annotations
@@ -24,40 +26,43 @@ from ground_tools.atmc.learners.flat import flat, inputs
 from sitl_mocks.channel.parameters import ChannelParameters
 
 HIGH_M, LOW_M = SIDES_M[:3], SIDES_M[3:]
-"""Sides of the paper's high and low density."""
+"""Square sides of the paper's high and low density."""
 _VALIDATION_SEED = 2_000_003
-"""The same environments for every run, and for no run those that it learns from."""
+"""Seed of the validation environments. They are the same for every run, and no run trains on them."""
 _SETTLING_STEPS = 2
-"""A policy sees what all sent before: the first choices follow random ones and are not counted."""
+"""Steps that are not counted. A policy observes the previous actions, which are random at the beginning."""
 
 Choose = Callable[[Tensor], Tensor]
-"""From flat observations (E, N, inputs) to actions (E, N)."""
+"""Maps flat observations (E, N, inputs) to actions (E, N)."""
 Weight = Annotated[float, Meta(ge=0)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
 
 
 class TaskSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The paper's values. The square is drawn anew at every step like the positions: its text says that the
-    flight range is 100 to 10,000 m, not when it changes."""
+    """Settings of the paper's task; the defaults are the paper's values.
+
+    The square is redrawn at every step, like the positions. The paper says that the flight range is 100 to
+    10,000 m, but not when it changes.
+    """
 
     uavs: Annotated[int, Meta(ge=2, le=100)] = 10
     steps: Count = 100
-    """In an episode."""
+    """Steps per episode."""
     local_weight: Weight = 1.0
-    """alpha."""
+    """Weight alpha of the local reward."""
     global_weight: Weight = 1.0
-    """beta."""
+    """Weight beta of the global reward."""
     environment: EnvSettings = EnvSettings()
     validation_environments: Count = 32
-    """Fleets in each of the six squares."""
+    """Validation fleets in each of the six squares."""
     validation_steps: Count = 16
-    """Decisions of each of those fleets."""
+    """Decisions of each validation fleet."""
 
 
 @functools.cache
 def paper_objective(device: torch.device) -> PaperObjective:
-    """The paper's; its tables take a second."""
+    """The paper's objective. It is cached, because its delay tables take a second to compute."""
     return PaperObjective(TorchChannel(ChannelParameters(), PAPER_ACTIONS, device))
 
 
@@ -65,7 +70,8 @@ class PaperTask:
     """One fleet to learn from.
 
     Args:
-        generator: draws everything; its device is that of all tensors.
+        settings: Settings of the task.
+        generator: Source of all random numbers; all tensors are on its device.
     """
 
     def __init__(self, settings: TaskSettings, generator: torch.Generator) -> None:
@@ -77,15 +83,16 @@ class PaperTask:
         self._env = Env(settings.environment, self.objective, 1, settings.uavs, generator)
 
     def reset(self) -> Tensor:
-        """Begin an episode. Returns what the aircraft see, (N, inputs)."""
+        """Begin an episode. Returns the observations of all aircraft, (N, inputs)."""
         self._env.reset()
         return flat(self._env.observe())[0]
 
     def step(self, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """All act, (N,); then everybody is somewhere else.
+        """Apply the actions of all aircraft, (N,), then move all aircraft to new positions.
 
         Returns:
-            What they see next (N, inputs), rewards (N,) and mean delays to those reached (N,), both in s.
+            The next observations (N, inputs), the rewards in s (N,), and each aircraft's mean delay to those
+            it reaches in s (N,).
         """
         s = self.settings
         cost_s = self._env.act(action[None])
@@ -94,7 +101,7 @@ class PaperTask:
         return flat(self._env.observe())[0], reward[0], cost_s[0]
 
     def validate(self, choose: Choose) -> dict[str, float]:
-        """Measure a policy on the fixed validation set; see `measure`."""
+        """Measure a policy on the fixed validation set; see `measure`. "score" is the dynamic delay in ms."""
         s = self.settings
         found = measure(
             choose, self.objective, s.uavs, s.validation_environments, s.validation_steps, _VALIDATION_SEED
@@ -102,7 +109,7 @@ class PaperTask:
         return {"score": found.delays_ms["delay_ms"], **found.delays_ms}
 
     def examples(self, count: int = 8) -> Tensor:
-        """Flat observations, of different aircraft in different squares, (count, inputs)."""
+        """Example observations as flat rows, of different aircraft in different squares, (count, inputs)."""
         generator = torch.Generator(self.device).manual_seed(_VALIDATION_SEED)
         env = Env(EnvSettings(), self.objective, count, self.settings.uavs, generator)
         each = torch.arange(count, device=self.device)
@@ -111,26 +118,30 @@ class PaperTask:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Delays of a policy."""
+    """Measured delays of a policy."""
 
     delays_ms: dict[str, float]
-    """Of the fleet: "delay_ms", the mean over the six squares; "high_ms" and "low_ms", over those of high and
-    low density; one for each square, such as "side_500_ms"."""
+    """System delays of the fleet: "delay_ms", the mean over the six squares; "high_ms" and "low_ms", the
+    means over the squares of high and low density; and one for each square, such as "side_500_ms"."""
     uav_ms: tuple[float, ...]
-    """Of each aircraft, over all six."""
+    """Mean delay of each aircraft over all six squares."""
 
 
 def measure(
     choose: Choose, objective: PaperObjective, uavs: int, environments: int, steps: int, seed: int
 ) -> Measured:
-    """System delays of a policy: the sum over the aircraft of each one's mean delay to those it reaches.
-    Positions are drawn anew at every step, and all decide once, at the same time.
+    """Measure the system delay of a policy.
+
+    The system delay is the sum over all aircraft of each one's mean delay to those it reaches. Positions are
+    redrawn at every step, and then all aircraft decide once, at the same time.
 
     Args:
-        choose: the policy.
-        environments: fleets in each of the paper's six squares.
-        steps: decisions of each fleet that are counted.
-        seed: of the draw.
+        choose: The policy.
+        objective: The paper's objective.
+        uavs: Aircraft per fleet.
+        environments: Fleets in each of the paper's six squares.
+        steps: Counted decisions of each fleet.
+        seed: Seed of all random draws.
     """
     device = objective.channel.device
     generator = torch.Generator(device).manual_seed(seed)
@@ -163,7 +174,7 @@ def _mean_of(values: dict[float, float], keys: tuple[float, ...]) -> float:
 
 
 class Tally:
-    """Means over an episode, kept on the device until its end."""
+    """Means over an episode. The sums stay on the device until the episode ends."""
 
     def __init__(self, uavs: int, device: torch.device) -> None:
         self._reward = torch.zeros(uavs, device=device)
@@ -172,19 +183,22 @@ class Tally:
         self._steps, self._updates = 0, 0
 
     def add(self, reward: Tensor, cost_s: Tensor) -> None:
-        """One step, (N,) each."""
+        """Add the reward (s) and cost (s) of one step, each (N,)."""
         self._reward += reward
         self._cost += cost_s
         self._steps += 1
 
     def learned(self, loss: Tensor) -> None:
-        """One update."""
+        """Add the loss of one update."""
         self._loss += loss
         self._updates += 1
 
     def metrics(self) -> dict[str, float]:
-        """Mean of a step: the fleet's reward (s) and delay (ms), the same of each aircraft; mean loss of an
-        update, NaN without any."""
+        """Means over the episode.
+
+        These are the fleet's reward (s) and delay (ms) per step, the same for each aircraft, and the loss per
+        update (NaN if there was no update).
+        """
         reward: list[float] = (self._reward / self._steps).tolist()
         cost_ms: list[float] = (1000.0 * self._cost / self._steps).tolist()
         loss = float(self._loss) / self._updates if self._updates else math.nan

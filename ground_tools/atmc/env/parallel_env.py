@@ -1,7 +1,7 @@
-"""The environment as a PettingZoo `ParallelEnv`: one fleet, every aircraft an agent.
+"""The environment as a PettingZoo `ParallelEnv`: one fleet in which every aircraft is an agent.
 
-For algorithms of other libraries; ours take `env.Env`, of which this is a thin adapter. An episode ends by
-time only (truncation), so that a learner looks ahead beyond its last step.
+It is a thin adapter of `environment.Env` for algorithms of other libraries; the learners of this project use
+`Env` directly. An episode ends by time only (truncation), so a learner must bootstrap beyond its last step.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ Infos = dict[str, dict[str, float]]
 class AtmcParallelEnv(ParallelEnv[str, Floats, int]):  # type: ignore[misc]
     """The paper's task, on the CPU.
 
-    Agents are called "uav_0" and so on. An observation is a row of `flat.flat`, a reward is in s, and the
-    info of each agent gives its mean delay ("delay_s").
+    Agents are named "uav_0", "uav_1" and so on. An observation is a row of `flat.flat`, a reward is in s, and
+    the info of each agent holds its mean delay ("delay_s").
 
     Args:
-        aircraft: in the fleet.
-        steps: in an episode.
-        settings: of the environment.
-        actions: what an aircraft may send; one protocol each.
-        parameters: of the channel.
+        aircraft: Number of aircraft in the fleet.
+        steps: Steps per episode.
+        settings: Settings of the environment.
+        actions: What an aircraft may send; each action uses one protocol.
+        parameters: Channel parameters.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"name": "dmuca_atmc_v0", "render_modes": []}
@@ -62,17 +62,17 @@ class AtmcParallelEnv(ParallelEnv[str, Floats, int]):  # type: ignore[misc]
         self.action_spaces = {agent: Discrete(len(actions)) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> Box:
-        """The same for all."""
+        """Observation space of an agent; it is the same for all agents."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Discrete[Any]:
-        """Indices into the actions."""
+        """Action space of an agent: indices into the actions."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Floats], Infos]:
-        """Begin an episode; a seed makes all that follows the same again."""
+        """Begin an episode. A seed makes the following random draws reproducible."""
         if seed is not None:
             self._generator.manual_seed(seed)
         self.agents = list(self.possible_agents)
@@ -83,7 +83,7 @@ class AtmcParallelEnv(ParallelEnv[str, Floats, int]):  # type: ignore[misc]
     def step(
         self, actions: dict[str, int]
     ) -> tuple[dict[str, Floats], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """All choose at the same time; then everybody is somewhere else."""
+        """Apply the actions of all agents at the same time, then move all aircraft to new positions."""
         agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}

@@ -1,8 +1,8 @@
-"""The floor that every policy is measured against: a search over everybody's actions that knows everything.
+"""Reference for every policy: a centralised search over the actions of all aircraft, with full knowledge.
 
-Best response from several starts: where all difference costs are known, a random part of the aircraft that
-would gain goes to its best action; what does not lower the fleet's total is taken back, and a smaller part
-tried. It is no bound, only the best that is known.
+It runs best response from several starting points. With all difference costs known, a random part of the
+aircraft that would gain switch to their best action. If this does not lower the fleet's total cost, it is
+undone and a smaller part is tried. The result is the best known solution, not a proven lower bound.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ def search(
     generator: torch.Generator,
     rounds: int = ROUNDS,
 ) -> Tensor:
-    """The best actions that were found, (environments, aircraft).
+    """Search for the actions with the least total cost. Returns the best found, (environments, aircraft).
 
     Args:
-        starts: actions to begin with, each (environments, aircraft).
-        allowed: (actions,), which of them may be taken.
-        rounds: difference costs computed for each start.
+        objective: The cost function.
+        air: The fleets.
+        starts: Actions to start from, each (environments, aircraft).
+        allowed: (actions,), which actions may be chosen.
+        generator: Source of random numbers.
+        rounds: Maximum number of rounds for each start; each computes the difference costs once.
     """
     best, least = starts[0], costs(objective, air, starts[0]).sum(1)
     for start in starts:
@@ -49,7 +52,7 @@ def _improve(
     generator: torch.Generator,
     rounds: int,
 ) -> tuple[Tensor, Tensor]:
-    """Actions and total cost after so many rounds from one start."""
+    """Improve one start. Returns the actions and the total cost of each fleet."""
     cost = costs(objective, air, action).sum(1)
     share = torch.full_like(cost, 0.5)
     for _ in range(rounds):
@@ -58,7 +61,7 @@ def _improve(
         least, choice = difference.min(-1)
         gain = difference.gather(-1, action[..., None])[..., 0] - least
         luck = torch.rand(gain.shape, generator=generator, device=gain.device)
-        # Whatever the share, the one with the most to gain, or now and then another one, tries.
+        # However small the share, one aircraft may always move: usually one with a large gain.
         first = torch.nn.functional.one_hot((gain * luck).argmax(1), gain.shape[1]).bool()
         moves = (gain > _GAIN_S) & ((luck < share[:, None]) | first)
         trial = torch.where(moves, choice, action)

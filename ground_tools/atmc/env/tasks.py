@@ -1,5 +1,4 @@
-"""What training and measuring have in common: the channel of each objective, what the law allows, the
-baselines."""
+"""Definitions shared by training and evaluation: the awareness channel, legal transport sets, size limits."""
 
 from __future__ import annotations
 
@@ -21,8 +20,8 @@ from sitl_mocks.channel.parameters import (
 ObjectiveName = Literal["paper", "awareness"]
 RegionName = Literal["none", "us", "eu"]
 MAX_BYTES: Final = 4_000_000
-"""Of a policy file: ten of the paper's networks take 2.3 MB. They stay on the ground; what flies is held to
-less by the one who loads it."""
+"""Size limit of a policy file on the ground. Ten of the paper's networks take 2.3 MB. They never fly; the
+loader aboard enforces a lower limit."""
 
 AWARENESS_CHANNEL: Final = ChannelParameters(
     bluetooth_half_duplex=True,
@@ -30,17 +29,17 @@ AWARENESS_CHANNEL: Final = ChannelParameters(
     ble5=Ble5Parameters(packet_ms=1.168, random_delay_ms=10.0, schedule="random", auxiliary_ms=8.336),
     wifi=WifiParameters(beacon_ms=1.52, access="carrier_sense"),
 )
-"""`config/channel/standard.toml`: airtimes of what is really sent, random phases, radios that do not
-hear while they send, stations that listen first."""
+"""The channel of `config/channel/standard.toml`: airtimes of the real packets, random phases, half-duplex
+Bluetooth radios, and Wi-Fi stations with carrier sense."""
 
 REGIONS: Final = {
     "none": Region(),
     "us": Region(name="us", transport_sets=(("wifi",), ("ble4", "ble5"))),
     "eu": Region(name="eu", transport_sets=(("wifi",), ("ble5",), ("nan",))),
 }
-"""The transport sets of `config/regions`; nothing else of them matters here."""
+"""Regions with the transport sets of `config/regions`; their other settings are not needed here."""
 
 
 def legal_sets(actions: Sequence[Action]) -> NDArray[np.bool_]:
-    """Which actions each of `REGIONS` allows, (regions, actions)."""
+    """Which actions are legal in each of `REGIONS`, (regions, actions)."""
     return np.stack([legal(actions, region) for region in REGIONS.values()])

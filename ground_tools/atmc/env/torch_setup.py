@@ -1,4 +1,4 @@
-"""PyTorch as everything here uses it; where it is missing, what to do about it."""
+"""Common PyTorch setup, and an error message with instructions if PyTorch is not installed."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from companion.errors import ConfigError
 
 @contextmanager
 def needs_torch() -> Iterator[None]:
-    """Around the imports that need PyTorch or what comes with it.
+    """Context for imports of PyTorch and of packages that are installed with it.
 
     Raises:
-        ConfigError: something of it is not installed.
+        ConfigError: A package is not installed.
     """
     try:
         yield
@@ -24,11 +24,13 @@ def needs_torch() -> Iterator[None]:
 
 
 def set_up_torch() -> None:
-    """One thread, since two are slower on networks of this size, and denormal numbers as 0: weights of
-    far-off pairs and what is learned from them are tiny, and denormals slow.
+    """Set PyTorch to one thread and flush denormal numbers to 0.
+
+    Two threads are slower than one on networks of this size. Weights of distant pairs and their gradients are
+    tiny, and denormal arithmetic is slow.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: PyTorch is not installed.
     """
     with needs_torch():
         import torch

@@ -1,4 +1,4 @@
-"""Where the aircraft of many environments are, how they move, and what the radio makes of it."""
+"""The state of many environments: aircraft positions and motion, shadowing, Wi-Fi channels, and load."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from sitl_mocks.channel.parameters import WIFI_CHANNELS
 
 SIDES_M = (100.0, 500.0, 1000.0, 3000.0, 5000.0, 10000.0)
-"""Of the paper's squares."""
+"""Sides of the paper's squares (m)."""
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = 30.0, 120.0
 MAX_SPEED_MPS = 20.0
 _MAX_CLIMB_MPS = 2.0
@@ -27,53 +27,54 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class WorldSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is drawn for each environment."""
+    """Distributions from which each environment is drawn."""
 
     sides: Literal["paper", "any"] | Annotated[float, Meta(gt=0)] = "paper"
-    """Side of the square: one of the paper's six; log-uniform between the least and the greatest of them; or
-    this many metres."""
+    """Side of the square. "paper": one of the paper's six; "any": log-uniform between the smallest and the
+    largest of them; a number: this many metres."""
     shadowing_sigma_db: tuple[Sigma, Sigma] = (0.0, 0.0)
-    """Drawn uniformly between these for each environment."""
+    """Range of the shadowing's standard deviation (dB), drawn uniformly for each environment."""
     wifi_channels: Literal["shared", "random", "either"] = "shared"
-    """"either": in three of four environments all share one, in the fourth each has a random one."""
+    """"shared": all aircraft use one channel; "random": each has a random one; "either": an environment is
+    "random" with probability 1/4, else "shared"."""
     load: tuple[Load, Load] = (0.0, 0.0)
-    """Share of time that others fill the Wi-Fi channel; drawn uniformly, but in half of the environments the
-    lower bound."""
+    """Range of the share of time that background traffic fills the Wi-Fi channel. With probability one half
+    the share is the lower bound, otherwise it is drawn uniformly."""
     bluetooth_load: tuple[Share, Share] = (0.35, 0.35)
-    """The Bluetooth channels' share, as a fraction of Wi-Fi's."""
+    """Range of the background load of the Bluetooth channels, as a fraction of the Wi-Fi load."""
 
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A batch of environments; E of them with N aircraft each."""
+    """A batch of E environments with N aircraft each."""
 
     position_m: Tensor
-    """(E, N, 3)."""
+    """Positions, (E, N, 3)."""
     velocity_mps: Tensor
-    """(E, N, 3)."""
+    """Velocities, (E, N, 3)."""
     side_m: Tensor
-    """(E,)."""
+    """Sides of the squares, (E,)."""
     shadowing_db: Tensor
-    """(E, N, N), symmetric."""
+    """Shadowing of each link, (E, N, N), symmetric."""
     wifi_channel: Tensor
-    """(E, N)."""
+    """Index of each aircraft's Wi-Fi channel, (E, N)."""
     busy: Tensor
-    """(E, N, 3): share of time that others fill each mode's channel."""
+    """Share of time that background traffic fills each mode's channel, (E, N, 3)."""
 
     def distance_m(self) -> Tensor:
-        """(E, N, N)."""
+        """Distances between aircraft, at least 1 m, (E, N, N)."""
         apart = self.position_m[:, :, None] - self.position_m[:, None]
         return apart.square().sum(-1).sqrt().clamp(min=_MIN_DISTANCE_M)
 
     def closing_mps(self, distance_m: Tensor) -> Tensor:
-        """(E, N, N): speed at which each distance shrinks."""
+        """Speed at which each distance decreases, (E, N, N)."""
         apart = self.position_m[:, :, None] - self.position_m[:, None]
         relative = self.velocity_mps[:, :, None] - self.velocity_mps[:, None]
         return -(apart * relative).sum(-1) / distance_m
 
 
 def draw(settings: WorldSettings, environments: int, aircraft: int, generator: torch.Generator) -> World:
-    """New environments, on the generator's device."""
+    """Draw new environments on the generator's device."""
     device = generator.device
 
     def uniform(*shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:
@@ -115,7 +116,7 @@ def draw(settings: WorldSettings, environments: int, aircraft: int, generator: t
 
 
 def redraw(world: World, generator: torch.Generator) -> World:
-    """The same environments with all aircraft at new places (the paper's step)."""
+    """The same environments with all aircraft at new random positions (the paper's step)."""
     unit = torch.rand(world.position_m.shape, generator=generator, device=generator.device)
     level = unit[..., :2] * world.side_m[:, None, None]
     height = MIN_ALTITUDE_M + (MAX_ALTITUDE_M - MIN_ALTITUDE_M) * unit[..., 2:]
@@ -123,11 +124,11 @@ def redraw(world: World, generator: torch.Generator) -> World:
 
 
 def move(world: World, seconds: float) -> World:
-    """All aircraft fly on, and turn back at the edges."""
+    """Let all aircraft fly for this time; they are reflected at the edges."""
     side = world.side_m[:, None, None]
     low = torch.tensor([0.0, 0.0, MIN_ALTITUDE_M], device=side.device)
     extent = torch.cat([side.expand(-1, 1, 2), torch.full_like(side, MAX_ALTITUDE_M - MIN_ALTITUDE_M)], -1)
-    # Reflected as in two mirrors: an aircraft may cross a small square several times in one step.
+    # Fold over twice the extent, because an aircraft may cross a small square several times in one step.
     along = (world.position_m - low + world.velocity_mps * seconds) % (2.0 * extent)
     back = along > extent
     return replace(

@@ -1,6 +1,7 @@
-"""The algorithms of `ground-tools atmc train`. A new one is a function here and its line in `ALGORITHMS`.
+"""The algorithms of `ground-tools atmc train`.
 
-Nothing here loads PyTorch before it is needed: every `ground-tools` command reads this list.
+To add an algorithm, add a function here and an entry in `ALGORITHMS`. PyTorch is imported only when it is
+needed, because every `ground-tools` command reads this table.
 """
 
 from __future__ import annotations
@@ -19,25 +20,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What an algorithm consists of."""
+    """The parts of an algorithm."""
 
     settings: msgspec.Struct
-    """Its defaults; their type is that of its configuration file. `--episodes` sets `episodes`."""
+    """Default settings. Their type is the schema of the configuration file. `--episodes` sets `episodes`."""
     make: Callable[[Any, int, torch.device], Learner]
-    """From settings, seed and device."""
+    """Makes the learner from settings, seed and device."""
 
 
 @dataclass(frozen=True, slots=True)
 class Algorithm:
-    """One of them."""
+    """An entry in the table of algorithms."""
 
     words: str
-    """For the help."""
+    """Description for the help text."""
     parts: Callable[[], Parts]
+    """Imports the algorithm and returns its parts."""
     validate_every: int = 10
-    """Rounds."""
+    """Rounds between two validations."""
     checkpoint_every: int = 50
-    """Rounds."""
+    """Rounds between two checkpoints."""
 
 
 def _madqn() -> Parts:

@@ -1,8 +1,8 @@
-"""The paper's observation as one row of numbers, and the networks that take it: one for each aircraft, or one
-for all.
+"""The paper's observation as one flat row of numbers, and the networks that take it.
 
-Neighbours stand nearest first, each with its distance, protocol and rate and a 1; zeros follow for those who
-are not heard. `companion.atmc.networks.FlatNetwork` computes the same aboard in NumPy.
+There is either one network per aircraft or one for all. Neighbours are ordered by distance, nearest first;
+each has its distance, protocol, rate, and a 1. Zeros follow for the aircraft that are not heard.
+`companion.atmc.networks.FlatNetwork` computes the same function aboard in NumPy.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from ground_tools.atmc.env.environment import Observation
 from ground_tools.atmc.env.tasks import MAX_BYTES
 
 COLUMNS = ("log_distance", "ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
-"""Of each neighbour; a 1 follows where it is heard."""
+"""Columns of each neighbour; one more column follows, which is 1 if the neighbour is heard."""
 OWN = ("ble4", "ble5", "wifi", "ble4_rate", "ble5_rate", "wifi_rate")
 _COLUMNS = [NEIGHBOUR_COLUMNS.index(name) for name in COLUMNS]
 _OWN = [OWN_COLUMNS.index(name) for name in OWN]
 
 
 def inputs(aircraft: int) -> int:
-    """Length of a row."""
+    """Length of a row for a fleet of this many aircraft."""
     return len(OWN) + (aircraft - 1) * (len(COLUMNS) + 1)
 
 
 def flat(observation: Observation) -> Tensor:
-    """What each aircraft sees as one row, (E, N, inputs(N))."""
+    """The observation of each aircraft as one row, (E, N, inputs(N))."""
     rows, heard = observation.rows, observation.heard > 0
     environments, aircraft, _ = heard.shape
     nearest = torch.where(heard, rows[..., 0], math.inf).argsort(-1)[..., : aircraft - 1]
@@ -48,14 +48,15 @@ def flat(observation: Observation) -> Tensor:
 
 
 class Stack(nn.Module):
-    """Networks of one shape side by side, relu between their layers.
+    """Several networks of the same shape, computed in parallel, with ReLU between their layers.
 
-    One multiplication for all of them at each layer: several times faster than one after the other.
+    Each layer is one multiplication for all networks, which is several times faster than one after the other.
 
     Args:
-        networks: how many.
-        sizes: of the input, the hidden layers and the output.
-        generator: draws the weights: Glorot uniform, biases 0, as the dense layers of the paper's TensorFlow.
+        networks: Number of networks.
+        sizes: Sizes of the input, the hidden layers and the output.
+        generator: Source of the initial weights. They are Glorot uniform and the biases are 0, like the dense
+            layers of the TensorFlow that the paper uses.
     """
 
     def __init__(self, networks: int, sizes: Sequence[int], generator: torch.Generator) -> None:
@@ -71,36 +72,36 @@ class Stack(nn.Module):
 
     @property
     def networks(self) -> int:
-        """How many."""
+        """Number of networks."""
         return int(self.weights[0].shape[0])
 
     def forward(self, x: Tensor) -> Tensor:
-        """(networks, batch, input) to (networks, batch, output)."""
+        """Apply each network to its batch: (networks, batch, input) to (networks, batch, output)."""
         for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = torch.baddbmm(bias, torch.relu(x) if index else x, weight)
         return x
 
     def after_first(self, x: Tensor) -> Tensor:
-        """From what the first layer gives, (networks, batch, first hidden), to (networks, batch, output)."""
+        """Apply all layers after the first: (networks, batch, first hidden) to (networks, batch, output)."""
         for weight, bias in zip(list(self.weights)[1:], list(self.biases)[1:], strict=True):
             x = torch.baddbmm(bias, torch.relu(x), weight)
         return x
 
     def of_all(self, x: Tensor) -> Tensor:
-        """(E, N, input) to (E, N, output): aircraft n by network n, or all by the only one."""
+        """Apply network n to aircraft n, or a single network to all: (E, N, input) to (E, N, output)."""
         if self.networks == 1:
             return self(x.reshape(1, -1, x.shape[-1])).reshape(*x.shape[:-1], -1)  # type: ignore[no-any-return]
         return self(x.transpose(0, 1)).transpose(0, 1)  # type: ignore[no-any-return]
 
 
 def soft_update(target: Stack, network: Stack, share: float) -> None:
-    """theta' <- tau theta + (1 - tau) theta'."""
+    """Update the target network: theta' <- tau theta + (1 - tau) theta', where tau is `share`."""
     with torch.no_grad():
         torch._foreach_lerp_(list(target.parameters()), list(network.parameters()), share)
 
 
 def clipped(gradients: Sequence[Tensor], norm: float) -> list[Tensor]:
-    """Gradients of a stack's parameters, each network's by itself no longer than `norm`."""
+    """Gradients of a stack's parameters, clipped separately for each network to a norm of at most `norm`."""
     squares = torch.stack([gradient.square().sum((1, 2)) for gradient in gradients]).sum(0)
     factor = (norm / squares.sqrt().clamp(min=1e-12)).clamp(max=1.0)[:, None, None]
     return [gradient * factor for gradient in gradients]
@@ -109,11 +110,14 @@ def clipped(gradients: Sequence[Tensor], norm: float) -> list[Tensor]:
 def frozen(
     stack: Stack, actions: Sequence[Action], name: str, results: Mapping[str, float], examples: Tensor
 ) -> bytes:
-    """The policy file of a stack whose greatest output is the choice.
+    """Encode a stack as a policy file. The policy chooses the action with the greatest output.
 
     Args:
-        results: measured, for people.
-        examples: rows of some aircraft, (cases, inputs), for its golden cases.
+        stack: The networks.
+        actions: The actions to which the outputs belong.
+        name: Name of the policy.
+        results: Measured results, as information for people.
+        examples: Observation rows of some aircraft, (cases, inputs), for the golden cases.
     """
     tensors = {}
     for index, (weight, bias) in enumerate(zip(stack.weights, stack.biases, strict=True)):
@@ -149,10 +153,10 @@ def frozen(
 
 
 def thawed(data: bytes, name: str) -> Stack:
-    """The stack of a policy file, on the CPU.
+    """Decode the stack of a policy file, on the CPU.
 
     Raises:
-        PolicyError: names the file and what is wrong with it.
+        PolicyError: The file is invalid; the message names the file and the fault.
     """
     _, tensors = policy_file.read(data, name, MAX_BYTES)
     layers = [(tensors[f"layer{i}.weight"], tensors[f"layer{i}.bias"]) for i in range(len(tensors) // 2)]
@@ -167,7 +171,7 @@ def thawed(data: bytes, name: str) -> Stack:
 
 
 def _whole_rows(row: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A flat row as the observation that it came from, all columns of the schema."""
+    """Convert a flat row back to an observation with all columns of the schema."""
     own = np.zeros(len(OWN_COLUMNS))
     own[_OWN] = row[: len(OWN)]
     table = row[len(OWN) :].reshape(-1, len(COLUMNS) + 1)

@@ -1,10 +1,11 @@
-"""How the set network learns: the policy that flies, and the same network on the paper's objective.
+"""Training of the set network: for the policy that flies, and for the paper's objective.
 
-With the difference cost of every action known from one pass through the equations
-(`objective.difference_costs`) nothing has to be tried out: the network learns, for each aircraft and what it
-sees, how much every action loses against the best one. Many fleets of different sizes live side by side; at
-each update a random part of the aircraft of one group acts, mostly as the network says. Together decided
-would be together regretted: decisions fall at random phases, in training as in flight.
+One pass through the channel equations gives the difference cost of every action
+(`objective.difference_costs`), so no trial and error is needed. The network learns, from each aircraft's
+observation, how much every action loses against the best one. Many fleets of different sizes are simulated in
+parallel. At each update a random part of the aircraft of one group acts, mostly as the network decides.
+Decisions fall at random phases, in training as in flight, because simultaneous decisions make the choices
+oscillate.
 """
 
 from __future__ import annotations
@@ -33,18 +34,20 @@ from ground_tools.atmc.learners.validation import Validation
 from sitl_mocks.channel.parameters import ChannelParameters
 
 _SILENCE_PRICE_S = 1e-4
-"""Of one message a second less. Whoever hears nobody may only be deaf, and must be easy to hear: without it a
-fleet of which nobody gets through stays silent for ever."""
+"""Price of sending one message per second less. An aircraft that hears no other may only be deaf, so it must
+stay easy to hear. Without this price, a fleet in which no message gets through would stay silent forever."""
 _TIE_PRICE = 0.01
-"""Of an action's delay where nobody else sends. To the paper's objective everything is alike that reaches
-nobody; without it an aircraft whose nearest neighbour is just out of reach may choose what is slowest."""
+"""Weight of an action's undisturbed delay, added to its cost. The paper's objective rates all actions equally
+that reach no other aircraft. Without this weight, an aircraft whose nearest neighbour is just out of reach
+might choose the slowest action."""
 _IMPORTANCE = 0.1, 10.0
-"""Least and greatest weight of what an aircraft learns, relative to its fleet."""
+"""Least and greatest weight of an aircraft's training sample, relative to its fleet."""
 _LOSS_SCALE = 50.0
-"""So that the greatest norm of the gradient means something."""
+"""Scales the loss so that gradient clipping takes effect at a sensible norm."""
 _ALONE = 0.01
-"""Weight of all others together below which an aircraft counts as alone."""
+"""Sum of the conflict weights below which an aircraft counts as alone."""
 _GOLDEN = 6
+"""Greatest number of golden cases in a policy file."""
 
 _PAPER_WORLD = EnvSettings(world=WorldSettings(sides="any"))
 _FLYING_WORLD = EnvSettings(
@@ -71,7 +74,7 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything that decides a training run of the set network, but the seed."""
+    """Everything except the seed that determines a training run of the set network."""
 
     objective: Literal["paper", "awareness"] = "awareness"
     fleets: Annotated[tuple[tuple[Aircraft, Positive], ...], Meta(min_length=1)] = (
@@ -84,33 +87,34 @@ class FlyingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         (100, 8),
         (100, 8),
     )
-    """Groups: aircraft in a fleet, and how many such fleets live side by side. Each group has the same
+    """Groups: aircraft per fleet, and number of such fleets simulated in parallel. All groups get the same
     share of the updates."""
     episodes: Positive = 80
-    """Rounds, each of `updates` updates."""
+    """Number of rounds, each of `updates` updates."""
     updates: Positive = 110
+    """Updates per round."""
     learning_rate: tuple[Rate, Rate] = (1e-3, 1e-5)
-    """First and last; between them a cosine."""
+    """First and last learning rate; it follows a cosine between them."""
     clip: Rate = 5.0
     """Greatest norm of the gradient."""
     average: Annotated[float, Meta(ge=0, lt=1)] = 0.998
-    """How much of the running average of the weights stays at each update; the average is what is frozen."""
+    """Share of the running average of the weights that is kept at each update. The averaged weights are
+    frozen into the policy file."""
     exploration: tuple[Share, Share] = (0.35, 0.05)
-    """Share of the actions taken at random, first and last. Without them what all do alike is all that is
-    seen, and what follows from anything else is forgotten."""
+    """Share of random actions, first and last. Without random actions the network would only see situations
+    in which all aircraft act alike, and would forget the consequences of other actions."""
     acting: tuple[Share, Share] = (0.2, 0.4)
-    """Share of the aircraft of a fleet that act at an update, drawn between these; at least two of them."""
+    """Range of the share of a fleet's aircraft that act at an update; at least two aircraft act."""
     going_on: Share = 0.4
-    """Share of the updates after which positions go on."""
+    """Share of the updates after which a group's aircraft move to their next positions."""
     anew: Share = 0.08
-    """Share of the updates after which a group's environments are drawn anew."""
+    """Share of the updates after which a group's environments are redrawn."""
     regret_limit_s: Rate = 1.0
-    """Actions that lose more count as losing this much."""
+    """Upper limit of an action's regret in the targets (s)."""
     switch_price_s: Annotated[float, Meta(ge=0, le=10)] = 0.01
-    """What a switch must gain, in the network's values; not used in training."""
+    """Gain in Q value (s) that is required for a switch; not used in training."""
     masked: Share = 0.3
-    """Awareness: share of the aircraft whose radios cannot send on everything, in half of the
-    environments."""
+    """Awareness only: share of aircraft with random missing transports, in half of the environments."""
 
 
 @dataclass(slots=True)
@@ -119,7 +123,7 @@ class _Group:
 
     env: Env
     allowed: Tensor
-    """(E, N, actions)."""
+    """Which actions each aircraft may take, (E, N, actions)."""
 
 
 class FlyingLearner:
@@ -151,11 +155,11 @@ class FlyingLearner:
         ]
         widest = len(OWN_COLUMNS)
         self._bounds = torch.full((4, widest), torch.inf, device=self._device)
-        """Least of the own columns, of a neighbour's; and of their negatives."""
+        """Observed minima. Rows: own columns, neighbour columns, and the negatives of both."""
         self._validation: Validation | None = None
 
     def _group(self, env: Env) -> _Group:
-        """The environments with what each aircraft may send."""
+        """A group of these environments, with the actions that each aircraft may take."""
         shape, count = env.action.shape, len(self._actions)
         allowed = torch.ones((*shape, count), dtype=torch.bool, device=self._device)
         if self.settings.objective == "awareness":
@@ -163,7 +167,7 @@ class FlyingLearner:
         return _Group(env, allowed)
 
     def _allowed(self, shape: Sequence[int]) -> Tensor:
-        """Of random regions for each environment and random radios for each aircraft; (E, N, actions)."""
+        """Allowed actions for random regions (per environment) and radios (per aircraft), (E, N, actions)."""
         g, device = self._generator, self._device
         sets = torch.tensor(legal_sets(self._actions), device=device)
         region = torch.randint(len(sets), (shape[0],), generator=g, device=device)
@@ -174,13 +178,13 @@ class FlyingLearner:
         lacks = (lacks & ~whole).to(torch.float32)
         uses = (self._objective.channel.rates > 0).to(torch.float32)
         possible = law & ((lacks @ uses.T) == 0)
-        # Radios with which nothing is legal do not fly.
+        # An aircraft whose radios allow no legal action would not fly: give it all radios.
         return torch.where(possible.any(-1, keepdim=True), possible, law)
 
     # ------------------------------------------------------------ training
 
     def train(self) -> dict[str, float]:
-        """One round of updates. See `Learner.train`."""
+        """Train for one round of updates. See `Learner.train`."""
         s = self.settings
         losses, regrets = [], []
         for update in range(s.updates):
@@ -200,7 +204,10 @@ class FlyingLearner:
         }
 
     def _update(self, group: _Group, share: float) -> tuple[Tensor, Tensor]:
-        """Some aircraft of each fleet learn what each action would cost, and act."""
+        """Train on the action costs of some aircraft of each fleet, and let these aircraft act.
+
+        Returns the loss and the mean regret (s) of the network's choices.
+        """
         s, env = self.settings, group.env
         acting = self._draw_acting(env.aircraft)
         allowed = group.allowed[:, acting]
@@ -208,8 +215,9 @@ class FlyingLearner:
         self._note(seen)
         target = self._target(group, acting)
         values = self._net(seen.own, seen.rows, seen.heard)
-        # Squares, whose least is the mean: deaf in a conflict is rare and costs much, and a loss that
-        # forgives outliers forgets it. Actions all alike: a bad one learned less carefully is taken for good.
+        # Squared error, because its minimum is the mean: being deaf in a conflict is rare and costly, and a
+        # loss that is robust to outliers would ignore it. All actions have equal weight, because a bad action
+        # that is learned less accurately could be mistaken for a good one.
         error = (values - target).square()
         weight = allowed * self._importance(group, acting)[..., None]
         loss = _LOSS_SCALE * (error * weight).sum() / weight.sum()
@@ -228,17 +236,21 @@ class FlyingLearner:
         return loss.detach(), regret
 
     def _draw_acting(self, aircraft: int) -> Tensor:
-        """Indices of those who act, the same in all fleets of a group: they stand in random places."""
+        """Draw the indices of the aircraft that act.
+
+        The indices are the same in all fleets of a group. Their positions are random anyway.
+        """
         low, high = self.settings.acting
         share = low + (high - low) * float(torch.rand((), generator=self._generator, device=self._device))
         count = min(aircraft, max(2, round(share * aircraft)))
         return torch.randperm(aircraft, generator=self._generator, device=self._device)[:count]
 
     def _importance(self, group: _Group, acting: Tensor) -> Tensor:
-        """Of what each one learns, (E, acting), relative to its fleet.
+        """Weight of each acting aircraft's sample relative to its fleet, (E, acting).
 
-        Awareness: targets are by how many others there are to tell, what the fleet loses is not. Who hears
-        nobody may be alone, which is likely and harmless, or deaf in a conflict, which is rare and counts.
+        For awareness, targets are normalised by the total conflict weight of the other aircraft, but the
+        fleet's loss is not; this weight compensates for it. An aircraft that hears no other may be alone,
+        which is likely and harmless, or deaf in a conflict, which is rare and matters.
         """
         if self.settings.objective == "paper":
             return torch.ones(group.env.environments, len(acting), device=self._device)
@@ -247,21 +259,21 @@ class FlyingLearner:
         return (others[:, acting] / others.mean(1, keepdim=True)).clamp(low, high)
 
     def _target(self, group: _Group, acting: Tensor) -> Tensor:
-        """Minus the regret (s) of every action, (E, acting, actions); 0 for the best one that is allowed."""
+        """Negative regret (s) of every action, (E, acting, actions); 0 for the best allowed action."""
         env, allowed = group.env, group.allowed[:, acting]
         _, cost = difference_costs(self._objective, env.air, env.action, acting)
         if self.settings.objective == "awareness":
-            # By how many others there are to tell: seconds of age for each of them.
+            # Normalise by the total conflict weight of the others, which gives a mean age in seconds.
             cost = cost / (_ALONE + env.air.weight.sum(1)[:, acting])[..., None]
             cost = cost - _SILENCE_PRICE_S * self._objective.channel.rates.sum(1)
         else:
             cost = cost + _TIE_PRICE * self._objective.channel.undisturbed_s()
         least = cost.masked_fill(~allowed, torch.inf).amin(-1, keepdim=True)
-        # What is not allowed may be better than the best; it is not learned from.
+        # A forbidden action may be better than the best allowed one; the loss ignores it.
         return -(cost - least).clamp(min=0.0, max=self.settings.regret_limit_s)
 
     def _act(self, group: _Group, acting: Tensor, greedy: Tensor, share: float) -> None:
-        """They act, a few of them at random; positions go on now and then."""
+        """Apply the choices, some of them replaced by random ones; sometimes move or redraw the group."""
         s, env, g, device = self.settings, group.env, self._generator, self._device
         explore = s.exploration[1] + (s.exploration[0] - s.exploration[1]) * (1.0 - share)
         allowed = group.allowed[:, acting]
@@ -280,7 +292,7 @@ class FlyingLearner:
         return Observation(seen.own[..., self._own], seen.rows[..., self._columns], seen.heard)
 
     def _note(self, seen: Observation) -> None:
-        """Keep the bounds of what was seen."""
+        """Update the bounds of the observed values."""
         own = seen.own.reshape(-1, seen.own.shape[-1])
         rows = seen.rows[seen.heard > 0]
         for index, values in enumerate((own, rows)):
@@ -292,14 +304,15 @@ class FlyingLearner:
     # ------------------------------------------------------------ measuring, keeping, freezing
 
     def decide(self, seen: Observation, action: Tensor) -> Tensor:
-        """What the averaged network would send, anything being allowed; see `Decider.decide`."""
+        """Choice of the averaged network, with all actions allowed; see `Decider.decide`."""
         chosen = self._select(seen)
         with torch.no_grad():
             values: Tensor = self._average(chosen.own, chosen.rows, chosen.heard)
         return values.argmax(-1)
 
     def validate(self) -> dict[str, float]:
-        """See `Learner.validate`: how much is lost against the search, the mean over fleet sizes."""
+        """See `Learner.validate`. "score" is the mean cost beyond the best fixed mode (%) over fleet
+        sizes."""
         if self._validation is None:
             self._validation = Validation(self._objective, self.settings.objective, seed=1_000_003)
         return self._validation.measure(self)
@@ -361,7 +374,7 @@ class FlyingLearner:
         )
 
     def _cases(self) -> list[tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]]:
-        """Observations for the golden cases: the first aircraft of fleets of different sizes."""
+        """Observations for the golden cases, of the first aircraft of fleets of different sizes."""
         cases = []
         for group in self._groups[:_GOLDEN]:
             seen = group.env.observe()

@@ -1,6 +1,8 @@
-"""Independent actor-critic (IAC in Christianos et al., 2020): an actor and a critic for each aircraft, which
-both see what that aircraft sees. On-policy: every few steps the fleet learns from those steps and forgets
-them, so that there is no replay buffer to fill first.
+"""Independent actor-critic (IAC in Christianos et al., 2020).
+
+Each aircraft has an actor and a critic, which both take the observation of that aircraft. Training is
+on-policy: every few steps the networks learn from these steps and discard them, so there is no replay buffer
+to fill first.
 """
 
 from __future__ import annotations
@@ -17,25 +19,28 @@ from ground_tools.atmc.learners.flat import Stack, clipped, frozen
 
 
 class IacSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the paper's table says of all algorithms is taken from there; the rest was tuned
-    (docs/atmc-baselines.md)."""
+    """Settings of IAC.
+
+    Values that the paper's table gives for all algorithms are taken from it; the rest was tuned
+    (docs/atmc-baselines.md).
+    """
 
     task: TaskSettings = TaskSettings()
     episodes: Count = 1000
     learn_every: Count = 10
-    """Steps that an update learns from."""
+    """Number of steps used in each update."""
     discount: Share = 0.95
     learning_rate: Annotated[float, Meta(gt=0)] = 3e-4
-    """Of actors and critics."""
+    """Learning rate of actors and critics."""
     entropy: Annotated[float, Meta(ge=0)] = 0.01
-    """Times the entropy of the choices, taken from the actors' loss."""
+    """Weight of the entropy of the choices, which is subtracted from the actors' loss."""
     gradient_clip: Annotated[float, Meta(gt=0)] = 0.5
     """Greatest norm of the gradient of each network."""
     hidden: tuple[Count, ...] = (256, 128)
 
 
 class Iac:
-    """A `Learner`."""
+    """Trains independent actors and critics. A `Learner`."""
 
     def __init__(self, settings: IacSettings, seed: int, device: torch.device) -> None:
         s = self.settings = settings
@@ -49,7 +54,7 @@ class Iac:
         self._adam = torch.optim.Adam(self._parameters, lr=s.learning_rate, fused=True)
 
     def train(self) -> dict[str, float]:
-        """One episode."""
+        """Train for one episode. See `Learner.train`."""
         s = self.settings
         tally = Tally(s.task.uavs, self._task.device)
         seen = self._task.reset()
@@ -67,15 +72,16 @@ class Iac:
         return tally.metrics()
 
     def _draw(self, seen: Tensor) -> Tensor:
-        """Choices (N,) by the actors' probabilities."""
+        """Draw choices (N,) with the actors' probabilities."""
         with torch.no_grad():
             logits = self.actor.of_all(seen[None])[0]
-        # The least of exponential times divided by the probabilities falls on each choice with its own.
+        # Exponential race: dividing exponential times by the probabilities, each choice has the least time
+        # with its own probability.
         times = torch.empty_like(logits).exponential_(generator=self._generator)
         return (logits - times.log()).argmax(-1)
 
     def _learn(self, path: list[tuple[Tensor, Tensor, Tensor]], then: Tensor) -> Tensor:
-        """One update, from a few steps in a row and what is seen then. Returns the critics' mean loss."""
+        """Update from consecutive steps and the observation after them. Returns the critics' mean loss."""
         s = self.settings
         seen, action, reward = (torch.stack(part, 1) for part in zip(*path, strict=True))  # (N, steps, ...)
         with torch.no_grad():
@@ -99,12 +105,12 @@ class Iac:
         return found
 
     def _best(self, seen: Tensor) -> Tensor:
-        """(E, N, inputs) to (E, N)."""
+        """Most probable choices: (E, N, inputs) to (E, N)."""
         with torch.no_grad():
             return self.actor.of_all(seen).argmax(-1)
 
     def validate(self) -> dict[str, float]:
-        """Delays (ms) of the most probable choices."""
+        """Measure the delays (ms) of the most probable choices. See `Learner.validate`."""
         return self._task.validate(self._best)
 
     def state(self) -> dict[str, Any]:
@@ -131,8 +137,13 @@ class Iac:
 
 
 def discounted(reward: Tensor, after: Tensor, discount: float) -> Tensor:
-    """Discounted sums of the rewards (N, steps) from each step on, with the value (N,) of what is seen after
-    the last one."""
+    """Discounted return from each step on, (N, steps).
+
+    Args:
+        reward: Rewards, (N, steps).
+        after: Value of the observation after the last step, (N,).
+        discount: Discount factor of each step.
+    """
     found, total = [], after
     for step in reversed(range(reward.shape[1])):
         total = reward[:, step] + discount * total

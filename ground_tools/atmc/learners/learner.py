@@ -1,4 +1,4 @@
-"""What the training loop asks of an algorithm; see `ground_tools.atmc.learners.training`."""
+"""The interface between the training loop (`ground_tools.atmc.learners.training`) and an algorithm."""
 
 from __future__ import annotations
 
@@ -9,36 +9,39 @@ class Learner(Protocol):
     """One training run of one algorithm."""
 
     rounds: int
-    """How many calls of `train` the whole run takes: episodes, or rounds of another kind."""
+    """Number of `train` calls in the whole run: episodes, or rounds of another kind."""
     done: int
-    """How many of them are behind."""
+    """Number of `train` calls done so far."""
 
     def train(self) -> dict[str, float]:
-        """One round. Returns what goes into metrics.csv, the same keys every time."""
+        """Train for one round. Returns the values for metrics.csv, with the same keys every time."""
         ...
 
     def validate(self) -> dict[str, float]:
-        """Measure the present policy on a fixed validation set.
+        """Measure the current policy on a fixed validation set.
 
         Returns:
-            "score", of which less is better, and what else is worth a column, the same keys every time.
+            "score" (lower is better) and further columns for metrics.csv, with the same keys every time.
         """
         ...
 
     def state(self) -> dict[str, Any]:
-        """Everything that the rest of the run depends on, for `torch.save`: networks, optimisers, replay
-        buffer, states of all random sources, `done`."""
+        """Everything that the rest of the run depends on, for `torch.save`.
+
+        This includes networks, optimisers, the replay buffer, the states of all random generators, and
+        `done`.
+        """
         ...
 
     def load(self, state: dict[str, Any]) -> None:
-        """Go on from a `state`, bit for bit."""
+        """Continue from a `state`; the results are the same bit for bit."""
         ...
 
     def frozen(self, name: str, results: dict[str, float]) -> bytes:
-        """The present policy as a file of `companion.atmc.policy`.
+        """The current policy as a file of `companion.atmc.policy`.
 
         Args:
-            name: of the run, for messages.
-            results: what `validate` gave for it, for people.
+            name: Name of the run, for messages.
+            results: Results of `validate` for this policy, as information for people.
         """
         ...

@@ -1,13 +1,16 @@
-"""MADDPG (Lowe et al., 2017) for the paper's task: an actor for each aircraft, which sees what that aircraft
-sees, and a critic for each, which in training sees what all see and do.
+"""MADDPG (Lowe et al., 2017) for the paper's task.
 
-Choices are discrete: an actor gives logits, and a choice is drawn by the straight-through Gumbel-softmax: one
-choice forwards, the softmax backwards. Drawing explores. Rewards are standardised by mean and deviation over
-the first full buffer. As in MADQN-ATMC the buffer holds 250 episodes, learning begins when it is full, and
-the last step of an episode is no end of the task.
+Each aircraft has an actor, which takes the observation of that aircraft, and a critic, which in training
+takes the observations and actions of all aircraft.
 
-All aircraft learn from the same drawn moments, and a critic's first layer is linear: the fleet's row goes
-through it once, and another action of one's own only adds and takes a row of weights.
+Choices are discrete. An actor gives logits, and a choice is drawn by the straight-through Gumbel-softmax: one
+choice in the forward pass, the softmax in the backward pass. This sampling is the only exploration. Rewards
+are standardised by their mean and standard deviation over the first full buffer. As in MADQN-ATMC, the buffer
+holds 250 episodes, learning begins when it is full, and the last step of an episode does not end the task.
+
+All aircraft learn from the same sampled steps, and a critic's first layer is linear. The fleet's observations
+and actions therefore pass through it once; a different action of one aircraft only adds one row of weights
+and subtracts another.
 """
 
 from __future__ import annotations
@@ -28,33 +31,36 @@ Rate = Annotated[float, Meta(gt=0)]
 
 
 class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the paper's table says of all algorithms is taken from there; the rest was tuned
-    (docs/atmc-baselines.md)."""
+    """Settings of MADDPG.
+
+    Values that the paper's table gives for all algorithms are taken from it; the rest was tuned
+    (docs/atmc-baselines.md). "Original" below means Lowe et al.
+    """
 
     task: TaskSettings = TaskSettings()
     episodes: Count = 1000
     batch: Count = 256
     buffer_steps: Count = 25_000
-    """Steps that the buffer holds. Learning begins when it is full."""
+    """Capacity of the replay buffer in steps. Learning begins when it is full."""
     learn_every: Count = 5
-    """Steps from one update to the next; the original takes 100 samples."""
+    """Steps from one update to the next; the original uses 100 samples."""
     discount: Share = 0.95
     actor_rate: Rate = 3e-4
     critic_rate: Rate = 1e-3
     soft_update: Share = 0.01
-    """Share of the network in the target network after an update; the original's. The paper's 0.999 is not
-    slow, and an actor that follows a critic needs it slow."""
+    """Share of the network in the target network after an update, as in the original. The paper's 0.999 does
+    not make the target network slow, and an actor that follows a critic needs a slow one."""
     temperature: Rate = 1.0
-    """Of the softmax backwards."""
+    """Temperature of the softmax in the backward pass."""
     logit_cost: Annotated[float, Meta(ge=0)] = 1e-3
-    """Times the mean square of the logits, added to the actors' loss; the original's."""
+    """Weight of the mean square of the logits in the actors' loss, as in the original."""
     gradient_clip: Rate = 0.5
-    """Greatest norm of the gradient of each network; the original's."""
+    """Greatest norm of the gradient of each network, as in the original."""
     hidden: tuple[Count, ...] = (256, 128)
 
 
 class Maddpg:
-    """A `Learner`."""
+    """Trains actors with centralised critics. A `Learner`."""
 
     def __init__(self, settings: MaddpgSettings, seed: int, device: torch.device) -> None:
         s = self.settings = settings
@@ -71,11 +77,11 @@ class Maddpg:
         self._actor_adam = torch.optim.Adam(self.actor.parameters(), lr=s.actor_rate, fused=True)
         self._critic_adam = torch.optim.Adam(self.critic.parameters(), lr=s.critic_rate, fused=True)
         self.replay = Replay(s.buffer_steps, self._uavs, self._task.inputs, device)
-        # Of rewards: mean and deviation, known when the buffer is full.
+        # Mean and standard deviation of the rewards, known when the buffer is full.
         self._scale = torch.tensor([0.0, 1.0], device=device)
 
     def train(self) -> dict[str, float]:
-        """One episode."""
+        """Train for one episode. See `Learner.train`."""
         s = self.settings
         tally = Tally(self._uavs, self._task.device)
         seen = self._task.reset()
@@ -94,14 +100,14 @@ class Maddpg:
         return tally.metrics()
 
     def _draw(self, logits: Tensor) -> Tensor:
-        """Choices (..., actions), one 1 each, by the Gumbel-softmax; gradients go through its softmax."""
+        """Draw one-hot choices (..., actions) by the Gumbel-softmax; gradients pass through the softmax."""
         noise = torch.empty_like(logits).exponential_(generator=self._generator).log().neg()
         soft = torch.softmax((logits + noise) / self.settings.temperature, -1)
         hard = functional.one_hot(soft.argmax(-1), self._actions).to(soft.dtype)
         return hard + soft - soft.detach()
 
     def _learn(self) -> Tensor:
-        """One update of every network. Returns the mean loss of the critics."""
+        """Update every network once. Returns the mean loss of the critics."""
         s = self.settings
         batch = self.replay.sample_steps(s.batch, self._generator)
         taken = functional.one_hot(batch.action, self._actions).to(batch.seen.dtype)
@@ -120,13 +126,13 @@ class Maddpg:
         return found
 
     def _value(self, critic: Stack, seen: Tensor, choice: Tensor) -> Tensor:
-        """Values (N, batch) of what all see (N, batch, inputs) and choose (N, batch, actions)."""
+        """Values (N, batch) of the observations (N, batch, inputs) and choices (N, batch, actions) of all."""
         x = torch.cat([seen, choice], -1).transpose(0, 1).reshape(1, seen.shape[1], -1)
         found: Tensor = critic(x.expand(self._uavs, -1, -1))[..., 0]
         return found
 
     def _improve(self, batch: Batch, taken: Tensor) -> None:
-        """One update of the actors: each one's own choice in place of the one taken, the others' as taken."""
+        """Update the actors once: each actor's new choice replaces its taken one; the others keep theirs."""
         s = self.settings
         logits = self.actor(batch.seen)
         change = self._draw(logits) - taken
@@ -142,12 +148,12 @@ class Maddpg:
         _step(self._actor_adam, self.actor, loss, s.gradient_clip)
 
     def _best(self, seen: Tensor) -> Tensor:
-        """(E, N, inputs) to (E, N)."""
+        """Most probable choices: (E, N, inputs) to (E, N)."""
         with torch.no_grad():
             return self.actor.of_all(seen).argmax(-1)
 
     def validate(self) -> dict[str, float]:
-        """Delays (ms) of the most probable choices."""
+        """Measure the delays (ms) of the most probable choices. See `Learner.validate`."""
         return self._task.validate(self._best)
 
     def state(self) -> dict[str, Any]:
@@ -184,7 +190,7 @@ class Maddpg:
 
 
 def _step(adam: torch.optim.Optimizer, networks: Stack, loss: Tensor, clip: float) -> None:
-    """One step of these networks alone."""
+    """One optimiser step of these networks only, with clipped gradients."""
     parameters = list(networks.parameters())
     gradients = torch.autograd.grad(loss, parameters)
     for parameter, gradient in zip(parameters, clipped(gradients, clip), strict=True):

@@ -1,10 +1,11 @@
-"""MADQN-ATMC, the paper's Algorithm 1 and its table of training parameters.
+"""MADQN-ATMC, the paper's Algorithm 1, with its table of training parameters.
 
-Ten aircraft, each with a Q network and a replay buffer of its own. Option: one network for all of them, which
-learns from what any of them met.
+Each of ten aircraft has its own Q network and replay buffer. Optionally, one network serves all aircraft and
+learns from the experiences of all.
 
-Left open by the paper and chosen here: an episode begins with random actions; the last step of an episode is
-no end of the task, so that its target looks ahead like every other one's; the initial weights (`flat.Stack`).
+The paper leaves three points open. Here an episode begins with random actions. The last step of an episode
+does not end the task, so its target bootstraps like every other one. The initial weights are those of
+`flat.Stack`.
 """
 
 from __future__ import annotations
@@ -22,20 +23,19 @@ from ground_tools.atmc.learners.replay_buffer import Replay
 
 
 class MadqnSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The defaults are those of the paper's table."""
+    """Settings of MADQN-ATMC; the defaults are those of the paper's table."""
 
     task: TaskSettings = TaskSettings()
     shared_network: bool = False
     episodes: Count = 1000
     batch: Count = 256
-    """Experiences that each network learns from in an update."""
+    """Experiences per network in each update."""
     buffer_steps: Count = 25_000
-    """Steps that the buffer holds, with the experience of every aircraft: 250 episodes. Learning begins when
-    it is full."""
+    """Capacity of the replay buffer in steps (250 episodes). Learning begins when it is full."""
     discount: Share = 0.95
     learning_rate: Annotated[float, Meta(gt=0)] = 1e-4
     soft_update: Share = 0.999
-    """tau: share of the network in the target network after an update, as the paper has it."""
+    """tau: share of the network in the target network after an update, as in the paper."""
     first_exploration: Share = 1.0
     last_exploration: Share = 0.1
     exploration_episodes: Count = 500
@@ -43,13 +43,13 @@ class MadqnSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class SharedMadqnSettings(MadqnSettings, frozen=True, kw_only=True):
-    """The same with one network, which takes one batch in an update."""
+    """Settings of MADQN-ATMC with one network for all aircraft, which takes one batch per update."""
 
     shared_network: bool = True
 
 
 class Madqn:
-    """A `Learner`."""
+    """Trains the Q networks. A `Learner`."""
 
     def __init__(self, settings: MadqnSettings, seed: int, device: torch.device) -> None:
         s = self.settings = settings
@@ -61,12 +61,12 @@ class Madqn:
         self.network = Stack(networks, sizes, self._generator)
         self.target = Stack(networks, sizes, self._generator)
         self.target.load_state_dict(self.network.state_dict())
-        # Adam looks at each weight by itself: one for all networks is the same as one for each.
+        # Adam treats each weight separately, so one optimiser for all networks equals one for each.
         self._adam = torch.optim.Adam(self.network.parameters(), lr=s.learning_rate, fused=True)
         self.replay = Replay(s.buffer_steps, s.task.uavs, self._task.inputs, device)
 
     def train(self) -> dict[str, float]:
-        """One episode."""
+        """Train for one episode. See `Learner.train`."""
         s = self.settings
         rate = exploration_rate(s, self.done + 1)
         tally = Tally(s.task.uavs, self._task.device)
@@ -83,25 +83,25 @@ class Madqn:
         return tally.metrics() | {"exploration": rate}
 
     def _explore(self, seen: Tensor, rate: float) -> Tensor:
-        """Actions (N,): of each aircraft a random one, or the best one that its network knows."""
+        """Actions (N,): a random one with probability `rate`, else the best one by the aircraft's network."""
         uavs, device = self.settings.task.uavs, self._task.device
         drawn = torch.rand(uavs, generator=self._generator, device=device)
         some = torch.randint(len(self._task.actions), (uavs,), generator=self._generator, device=device)
         return torch.where(drawn < rate, some, self._best(seen[None])[0])
 
     def _best(self, seen: Tensor) -> Tensor:
-        """(E, N, inputs) to (E, N)."""
+        """Greedy choices: (E, N, inputs) to (E, N)."""
         with torch.no_grad():
             return self.network.of_all(seen).argmax(-1)
 
     def _learn(self) -> Tensor:
-        """One update of every network. Returns the mean of their losses."""
+        """Update every network once. Returns the mean of their losses."""
         s = self.settings
         batch = self.replay.sample(s.batch, self.network.networks, self._generator)
         with torch.no_grad():
             wanted = td_target(batch.reward, self.target(batch.then), s.discount)
         value = self.network(batch.seen).gather(-1, batch.action[..., None])[..., 0]
-        # Mean over the batch, sum over the networks: each one's gradient is that of its own loss.
+        # Mean over the batch, sum over the networks, so that each network's gradient is that of its own loss.
         loss = (wanted - value).square().mean(1).sum()
         self._adam.zero_grad()
         loss.backward()
@@ -111,7 +111,7 @@ class Madqn:
         return found
 
     def validate(self) -> dict[str, float]:
-        """Delays (ms) of the greedy policy."""
+        """Measure the delays (ms) of the greedy policy. See `Learner.validate`."""
         return self._task.validate(self._best)
 
     def state(self) -> dict[str, Any]:
@@ -140,7 +140,7 @@ class Madqn:
 
 
 def exploration_rate(settings: MadqnSettings, episode: int) -> float:
-    """e of an episode, of which the first is 1 (Algorithm 1, lines 5 to 9)."""
+    """Exploration rate e of an episode, counted from 1 (Algorithm 1, lines 5 to 9)."""
     s = settings
     if episode < s.exploration_episodes:
         return (
@@ -151,5 +151,11 @@ def exploration_rate(settings: MadqnSettings, episode: int) -> float:
 
 
 def td_target(reward: Tensor, next_values: Tensor, discount: float) -> Tensor:
-    """y = r + gamma max_a Q'(o', a): rewards (...), the target network's values (..., actions)."""
+    """Temporal-difference target y = r + gamma max_a Q'(o', a).
+
+    Args:
+        reward: Rewards r, (...).
+        next_values: Values Q' of the target network, (..., actions).
+        discount: gamma.
+    """
     return reward + discount * next_values.amax(-1)

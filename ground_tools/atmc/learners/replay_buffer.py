@@ -1,4 +1,7 @@
-"""The replay buffer: what all aircraft of a fleet saw, did, got and saw next. The oldest step goes first."""
+"""The replay buffer: observations, actions, rewards and next observations of all aircraft of a fleet.
+
+When the buffer is full, a new step replaces the oldest one.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,20 @@ from torch import Tensor
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Experiences, for each network its own."""
+    """A batch of experiences for each network."""
 
     seen: Tensor
-    """(networks, batch, inputs)."""
+    """Observations, (networks, batch, inputs)."""
     action: Tensor
-    """(networks, batch)."""
+    """Actions taken, (networks, batch)."""
     reward: Tensor
-    """(networks, batch)."""
+    """Rewards received, (networks, batch)."""
     then: Tensor
-    """(networks, batch, inputs)."""
+    """Next observations, (networks, batch, inputs)."""
 
 
 class Replay:
-    """Holds `steps` steps of `aircraft` aircraft."""
+    """A ring buffer of `steps` steps of `aircraft` aircraft."""
 
     def __init__(self, steps: int, aircraft: int, inputs: int, device: torch.device) -> None:
         self._steps, self._aircraft = steps, aircraft
@@ -33,22 +36,25 @@ class Replay:
         self.action = torch.zeros(steps, aircraft, dtype=torch.long, device=device)
         self.reward = torch.zeros(steps, aircraft, device=device)
         self.added = 0
-        """Steps, also those replaced since."""
+        """Number of steps added so far, including those that were replaced."""
 
     @property
     def full(self) -> bool:
-        """Whether it holds as many steps as it can."""
+        """Whether the buffer holds as many steps as it can."""
         return self.added >= self._steps
 
     def add(self, seen: Tensor, action: Tensor, reward: Tensor, then: Tensor) -> None:
-        """One step of all aircraft: (N, inputs), (N,), (N,), (N, inputs)."""
+        """Add one step of all aircraft: (N, inputs), (N,), (N,), (N, inputs)."""
         at = self.added % self._steps
         self.seen[at], self.action[at], self.reward[at], self.then[at] = seen, action, reward, then
         self.added += 1
 
     def sample(self, batch: int, networks: int, generator: torch.Generator) -> Batch:
-        """Draw from what is held, with replacement. One network for each aircraft draws from that aircraft's
-        experiences; a single one from those of all."""
+        """Draw experiences with replacement.
+
+        With one network per aircraft, each network gets experiences of its aircraft. A single network gets
+        experiences of all aircraft.
+        """
         device = generator.device
         step = torch.randint(
             min(self.added, self._steps), (networks, batch), generator=generator, device=device
@@ -62,7 +68,7 @@ class Replay:
         )
 
     def sample_steps(self, batch: int, generator: torch.Generator) -> Batch:
-        """Draw whole steps, of all aircraft at the same moments: (aircraft, batch, ...)."""
+        """Draw whole steps with replacement, the same ones for all aircraft: (aircraft, batch, ...)."""
         step = torch.randint(
             min(self.added, self._steps), (1, batch), generator=generator, device=generator.device
         )
@@ -72,13 +78,13 @@ class Replay:
         )
 
     def state(self) -> dict[str, Any]:
-        """Everything, for a checkpoint."""
+        """The complete state, for a checkpoint."""
         held = min(self.added, self._steps)
         names = ("seen", "then", "action", "reward")
         return {"added": self.added, **{name: getattr(self, name)[:held].clone() for name in names}}
 
     def load(self, state: dict[str, Any]) -> None:
-        """Go on from a `state`."""
+        """Restore a state that `state` returned."""
         self.added = state["added"]
         for name in ("seen", "then", "action", "reward"):
             getattr(self, name)[: len(state[name])] = state[name]

@@ -1,6 +1,6 @@
-"""The set network: the same two layers for every neighbour, pooled, and two layers on top.
+"""The set network: two shared layers for every neighbour, pooling over neighbours, and two more layers.
 
-Any number of neighbours in any order. `companion.atmc.policy` computes the same aboard in NumPy.
+It takes any number of neighbours in any order. `companion.atmc.policy` computes the same aboard in NumPy.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ WIDTH = 128
 
 
 class SetNet(nn.Module):
-    """Q values (s) of every action.
+    """Gives the Q value (s) of every action.
 
     Args:
-        neighbour_columns: of each neighbour's row.
-        own_columns: of the own row.
-        actions: number of actions.
+        neighbour_columns: Columns of each neighbour's row.
+        own_columns: Columns of the own row.
+        actions: Number of actions.
     """
 
     def __init__(self, neighbour_columns: int, own_columns: int, actions: int) -> None:
@@ -30,15 +30,15 @@ class SetNet(nn.Module):
         self.out = nn.Linear(WIDTH, actions)
 
     def forward(self, own: Tensor, rows: Tensor, heard: Tensor) -> Tensor:
-        """Q values.
+        """Compute the Q values.
 
         Args:
-            own: (..., own columns).
-            rows: (..., neighbours, neighbour columns).
-            heard: (..., neighbours), which rows are there.
+            own: Own rows, (..., own columns).
+            rows: Neighbour rows, (..., neighbours, neighbour columns).
+            heard: Which neighbour rows are valid, (..., neighbours).
 
         Returns:
-            (..., actions).
+            Q values (s), (..., actions).
         """
         each = torch.relu(self.phi1(torch.relu(self.phi0(rows)))) * heard[..., None]
         pooled = torch.cat([torch.log1p(each.sum(-2)), each.amax(-2), own], -1)

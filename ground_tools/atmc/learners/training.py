@@ -1,14 +1,14 @@
 """One training run and its folder: configuration, manifest, metrics, checkpoint, TensorBoard events, policy.
 
-    config.toml          all settings, also the defaults
+    config.toml          all settings, including the defaults
     manifest.json        algorithm, seed, device, versions, commit
     metrics.csv          one row for each round
     events.out.tfevents* the same for TensorBoard
     checkpoint.pt        everything that the rest of the run depends on
     policy.safetensors   the policy of the best validation so far
 
-A checkpoint is written every few rounds and when the run is stopped. A resumed run gives what an
-uninterrupted one gives, bit for bit on a CPU; only its times differ.
+A checkpoint is written every few rounds and when the run is stopped. A resumed run gives the same results as
+an uninterrupted one, bit for bit on a CPU; only the times differ.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _PREFIX = "validation_"
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What one run is to do."""
+    """Definition of one training run."""
 
     algorithm: str
     settings: Any
@@ -57,14 +57,14 @@ class Job:
 
 
 Report = Callable[[int, int, Mapping[str, float | None]], None]
-"""Takes rounds done, rounds in all, and the row of metrics.csv."""
+"""Progress callback. It takes the number of rounds done, the total number, and the row of metrics.csv."""
 
 
 def new_job(algorithm: str, settings: Any, seed: int, device: str, root: Path) -> Job:
     """Make the folder of a new run, with its configuration and manifest.
 
     Raises:
-        ConfigError: the folder cannot be made.
+        ConfigError: The folder cannot be made.
     """
     folder = create_run_folder(root, f"{algorithm}-seed{seed}", time.time(), "--out")
     _write_settings(folder, settings)
@@ -84,14 +84,15 @@ def _write_settings(folder: Path, settings: Any) -> None:
 
 
 def resumed_job(folder: Path, device: str | None, episodes: int | None) -> Job:
-    """Go on in the folder of an earlier run.
+    """Continue in the folder of an earlier run.
 
     Args:
-        device: None: that of the earlier run.
-        episodes: None: as many as were asked for then.
+        folder: The run folder.
+        device: Device name; None for that of the earlier run.
+        episodes: Total number of episodes; None for that of the earlier run.
 
     Raises:
-        ConfigError: it is no run folder, or it holds no checkpoint.
+        ConfigError: The folder is not a run folder, or it holds no checkpoint.
     """
     try:
         manifest = json.loads((folder / "manifest.json").read_text())
@@ -110,10 +111,10 @@ def resumed_job(folder: Path, device: str | None, episodes: int | None) -> Job:
 
 
 def device_of(name: str) -> torch.device:
-    """The device of an option.
+    """The PyTorch device for the value of the option --device.
 
     Raises:
-        ConfigError: there is none of that name here.
+        ConfigError: This machine has no such device.
     """
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("--device: cuda: PyTorch finds no GPU here; allowed: cpu")
@@ -121,13 +122,13 @@ def device_of(name: str) -> torch.device:
 
 
 def train(job: Job, report: Report) -> bool:
-    """Train to the end, or until SIGINT or SIGTERM; the round that runs then is finished.
+    """Train until the end, or until SIGINT or SIGTERM. On a signal, the current round is finished first.
 
     Returns:
-        Whether it came to the end.
+        Whether the run reached its end.
 
     Raises:
-        ConfigError: there is no such device, or a file of an earlier sitting cannot be read.
+        ConfigError: There is no such device, or a file of the earlier session cannot be read.
     """
     device = device_of(job.device)
     set_up_torch()
@@ -143,7 +144,7 @@ def train(job: Job, report: Report) -> bool:
 
 
 class _Run:
-    """A run that is going on, and its files."""
+    """A run in progress, and its files."""
 
     def __init__(self, job: Job, learner: Learner) -> None:
         self._job, self.learner = job, learner
@@ -156,7 +157,7 @@ class _Run:
         self._began_s = time.monotonic()
 
     def round(self) -> dict[str, float | None]:
-        """One round, with what belongs to it in the files."""
+        """Train for one round and write its results to the files. Returns the row of metrics.csv."""
         learner = self.learner
         row: dict[str, float | None] = {"episode": 0, **learner.train()}
         row["episode"] = learner.done
@@ -172,7 +173,7 @@ class _Run:
         return row
 
     def _validate(self) -> dict[str, float]:
-        """Measure; keep the policy where it is the best so far."""
+        """Validate the policy, and save it if it is the best so far."""
         found = self.learner.validate()
         if found["score"] < self._best:
             self._best = found["score"]
@@ -181,7 +182,7 @@ class _Run:
         return found
 
     def write_checkpoint(self) -> None:
-        """Everything, in place of the one before."""
+        """Write the complete state, replacing the previous checkpoint."""
         self._metrics.flush()
         state = {"learner": self.learner.state(), "best": self._best, "seconds": self._seconds()}
         memory = self._job.folder / "checkpoint.pt.new"
@@ -193,25 +194,25 @@ class _Run:
         try:
             state = torch.load(path, map_location="cpu", weights_only=True)
             self.learner.load(state["learner"])
-        except Exception as error:  # a damaged file, or other settings: PyTorch raises of many kinds
+        except Exception as error:  # PyTorch raises many kinds for a damaged file or other settings.
             raise ConfigError(f"--resume: {path}: cannot be read with this configuration: {error}") from error
         self._best, self._earlier_s = state["best"], state["seconds"]
 
     def _seconds(self) -> float:
-        """Of work so far, in all sittings."""
+        """Working time so far, in all sessions."""
         return self._earlier_s + time.monotonic() - self._began_s
 
     def close(self) -> None:
-        """Finish the files."""
+        """Flush and close the files."""
         self._metrics.flush()
         self._board.close()
 
 
 class _Metrics:
-    """metrics.csv; rows beyond the checkpoint that a run goes on from are taken out.
+    """The file metrics.csv. When a run is resumed, rows after its checkpoint are removed.
 
-    Validation comes in some rounds only. Its columns stand at the end, and the file is written anew when they
-    first come.
+    Validation runs in some rounds only. Its columns are the last ones, and the file is rewritten when they
+    first appear.
     """
 
     def __init__(self, path: Path, done: int) -> None:
@@ -228,7 +229,7 @@ class _Metrics:
             self._write_all()
 
     def add(self, row: Mapping[str, float | None]) -> None:
-        """One more."""
+        """Add a row."""
         self._rows.append(dict(row))
         new = [key for key in row if key not in self._columns]
         if new:
@@ -239,7 +240,7 @@ class _Metrics:
                 csv.DictWriter(file, self._columns).writerow(row)
 
     def flush(self) -> None:
-        """All rows are in the file already; make sure that the disk has them."""
+        """Sync the file to disk; all rows are in it already."""
         if self._path.exists():
             with self._path.open("a") as file:
                 os.fsync(file.fileno())
@@ -253,7 +254,7 @@ class _Metrics:
 
 
 def _replace(path: Path, data: bytes) -> None:
-    """Write a file at once: whoever looks finds the old one or the new one."""
+    """Replace a file atomically: a reader finds the old file or the new one."""
     new = path.with_name(path.name + ".new")
     new.write_bytes(data)
     os.replace(new, path)
@@ -261,7 +262,10 @@ def _replace(path: Path, data: bytes) -> None:
 
 @contextmanager
 def _stop_asked() -> Iterator[Callable[[], bool]]:
-    """Gives a function that tells whether Ctrl-C or SIGTERM has come; a second one ends the process."""
+    """Yield a function that tells whether SIGINT (Ctrl-C) or SIGTERM was received.
+
+    The first signal restores its previous handler, so a second one ends the process.
+    """
     asked = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield asked.is_set

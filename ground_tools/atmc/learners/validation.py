@@ -1,5 +1,4 @@
-"""A fixed set of fleets on which a policy is measured while it learns: how it does against the best fixed
-mode."""
+"""A fixed set of fleets on which a policy is compared with the best fixed mode during training."""
 
 from __future__ import annotations
 
@@ -15,13 +14,13 @@ from ground_tools.atmc.env.tasks import ObjectiveName
 from ground_tools.atmc.env.world import SIDES_M, World, WorldSettings, draw
 
 _SIDES_M = SIDES_M[:4]
-"""In larger squares hardly anybody matters to anybody: a few pairs would decide."""
+"""Sides of the squares. In larger ones few aircraft affect each other, so a few pairs would decide."""
 _ROUNDS = 4
 _FLEETS = {
     "paper": ((5, 120), (10, 80), (20, 20), (50, 4)),
     "awareness": ((5, 60), (10, 40), (20, 15), (50, 3), (100, 1)),
 }
-"""Aircraft, and how many environments of each size of square."""
+"""For each objective: aircraft per fleet, and environments for each size of square."""
 _LOAD = 0.5
 _MODES = {"paper": (PAPER_NEAR, PAPER_FAR), "awareness": FIXED_SETS[:2]}
 
@@ -31,14 +30,16 @@ class _Case:
     env: Env
     world: World
     fixed_s: float
-    """Cost of the best of `_MODES` in this square."""
+    """Cost (s) of the best of `_MODES` in this square."""
 
 
 class Validation:
-    """Fleets of several sizes in squares of several sizes; for awareness, each also with others in the band.
+    """Fleets of several sizes in squares of several sizes; for awareness, also each with background traffic.
 
     Args:
-        seed: of the positions.
+        objective: The cost function.
+        name: Name of the objective.
+        seed: Seed of the positions and of all other random draws.
     """
 
     def __init__(self, objective: Objective, name: ObjectiveName, seed: int) -> None:
@@ -62,8 +63,13 @@ class Validation:
                     cases.append(_Case(env, world, min(fixed)))
 
     def measure(self, decider: Decider) -> dict[str, float]:
-        """Cost beyond that of the best of two fixed modes in each square (%), by fleet size, and "score",
-        their mean. Every square counts the same, and chance is the same every time."""
+        """Measure a policy against the best of two fixed modes in each square.
+
+        All squares have equal weight, and all random draws are the same every time.
+
+        Returns:
+            Cost beyond that of the best fixed mode (%) for each fleet size, and "score", their mean.
+        """
         generator = self._generator.manual_seed(self._seed)
         found = {}
         for key, cases in self._cases.items():
