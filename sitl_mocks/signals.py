@@ -12,8 +12,8 @@ from types import FrameType
 def end_signals() -> Iterator[list[int]]:
     """Yield a list that stays empty until SIGINT, SIGTERM or SIGHUP arrives.
 
-    The previous handlers are restored on exit. SIGHUP (the terminal closes) is not handled if it is ignored, as
-    under nohup.
+    The previous handlers are restored on exit. SIGHUP (the terminal closes) is not handled if it is ignored,
+    as under nohup.
     """
     ended: list[int] = []
 

@@ -1,4 +1,4 @@
-"""COMMAND_LONG and COMMAND_INT of the mock vehicle. Each command has one function that returns its MAV_RESULT.
+"""COMMAND_LONG and COMMAND_INT of the mock vehicle: one function per command, which returns its MAV_RESULT.
 
 Every command addressed to the vehicle is acknowledged. Commands that are not in the table are UNSUPPORTED.
 """

@@ -1,10 +1,11 @@
 """Motion of the mock vehicle: a point mass whose velocity follows a command, and the ground under it.
 
-The commanded velocity is first limited in speed (over ground and through the air), then in acceleration (a ramp).
-The vehicle follows the ramp with a first-order lag. The acceleration therefore never exceeds the limit, and a
-reversal overshoots as on real vehicles. Further effects of each firmware were fitted to its recorded flight. PX4
-reaches only a share of the commanded velocity, and part of that slowly. ArduPilot brakes gently from high speed
-and accelerates gently in its missions. The code uses plain floats because it runs 50 times per simulated second.
+The commanded velocity is first limited in speed (over ground and through the air), then in acceleration (a
+ramp). The vehicle follows the ramp with a first-order lag. The acceleration therefore never exceeds the
+limit, and a reversal overshoots as on real vehicles. Further effects of each firmware were fitted to its
+recorded flight. PX4 reaches only a share of the commanded velocity, and part of that slowly. ArduPilot brakes
+gently from high speed and accelerates gently in its missions. The code uses plain floats because it runs 50
+times per simulated second.
 """
 
 from __future__ import annotations
@@ -91,7 +92,10 @@ class Body:
         self._slow_n, self._slow_e = self.ramp_n, self.ramp_e
 
     def step(self, command_n: float, command_e: float, command_d: float) -> bool:
-        """Fly one step towards a velocity (NED, m/s, finite). Return True on the step that touches the ground."""
+        """Fly one step towards a velocity (NED, m/s, finite).
+
+        Return True on the step that touches the ground.
+        """
         speed = math.hypot(command_n, command_e)
         if speed > self.horizontal:
             scale = self.horizontal / speed

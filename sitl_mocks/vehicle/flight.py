@@ -1,7 +1,7 @@
 """The flight controller of the mock vehicle: arming, modes, take-off, setpoints and their loss, landing.
 
-`Flight.step` flies one motion step. The other methods are requests. They are granted, or refused with the text
-that a real autopilot would send.
+`Flight.step` flies one motion step. The other methods are requests. They are granted, or refused with the
+text that a real autopilot would send.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 
 
 def make_body(options: VehicleOptions, manners: Manners) -> Body:
-    """Make the point mass with the options' limits, or with the firmware's limits where the options are None."""
+    """Make the point mass with the options' limits, or the firmware's limits where the options are None."""
     north, east, down = options.start_position_ned_m
     return Body(
         position_ned_m=(north, east, down if options.airborne else 0.0),

@@ -1,7 +1,7 @@
 """A mock MAVLink vehicle that behaves like ArduPilot Copter or PX4: bytes in, bytes out.
 
-The vehicle uses no clock, socket or file. The caller passes in time and the random generator, so the same bytes
-at the same times give the same flight, bit for bit. Use:
+The vehicle uses no clock, socket or file. The caller passes in time and the random generator, so the same
+bytes at the same times give the same flight, bit for bit. Use:
 
     vehicle = MockVehicle(VehicleOptions(firmware=Firmware.PX4), numpy.random.default_rng(1))
     vehicle.receive(data, now_s)
@@ -222,7 +222,10 @@ class MockVehicle:
     # ------------------------------------------------------------ the pilot
 
     def pilot_selects(self, mode: VehicleMode) -> bool:
-        """Select a mode by the pilot's radio switch, not by MAVLink. Return whether the vehicle entered it."""
+        """Select a mode by the pilot's radio switch, not by MAVLink.
+
+        Return whether the vehicle entered it.
+        """
         refused = self._flight.set_mode(mode, self.now_s)
         self._after_change()
         return refused is None
@@ -251,9 +254,9 @@ class MockVehicle:
     def reboot(self, *, flies_on: bool = False) -> None:
         """Restart the autopilot, also in flight.
 
-        For REBOOT_S the vehicle neither receives nor sends; then its state is that after a boot. In the air the
-        motors stop and it falls. With `flies_on` it hovers instead and is armed afterwards, in the boot mode (as
-        after a watchdog reset).
+        For REBOOT_S the vehicle neither receives nor sends; then its state is that after a boot. In the air
+        the motors stop and it falls. With `flies_on` it hovers instead and is armed afterwards, in the boot
+        mode (as after a watchdog reset).
         """
         self.reboots += 1
         self._down_until_s = self.now_s + REBOOT_S
@@ -375,8 +378,10 @@ class MockVehicle:
             link.mode_is_news = self._manners.tells_current_mode
 
     def _tell_mode_left(self, mode: VehicleMode) -> None:
-        """Send CURRENT_MODE with the old mode once more, where its interval allows it; the new mode follows an
-        interval later. PX4 publishes its status when it takes a command, and again when it has changed the mode.
+        """Report the old mode once more, on links whose CURRENT_MODE interval allows it.
+
+        PX4 publishes its status when it takes a command, and again when it has changed the mode. The new mode
+        therefore follows one interval later.
         """
         if not self._manners.tells_current_mode:
             return
@@ -400,7 +405,7 @@ class MockVehicle:
         self._broadcast(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
 
     def _forward(self, frame: Frame, message: MavlinkMessage | SetpointMessage, link: int) -> None:
-        """Forward a frame to all other links if it has no target, else to the links where its target was heard."""
+        """Forward a frame: without a target to all other links, else to links where its target was heard."""
         self._routes[frame.system_id, frame.component_id] = link
         target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
         if target == (self.options.system_id, COMPONENT):

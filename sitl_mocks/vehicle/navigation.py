@@ -1,8 +1,8 @@
-"""The vehicle's navigation solution: truth plus time-correlated errors, and conversion to geodetic coordinates.
+"""The vehicle's navigation solution (truth plus time-correlated errors) and its geodetic coordinates.
 
-The errors are first-order Gauss-Markov processes that are advanced every 0.1 s. They never change the true motion.
-The geodetic conversion is the exact one of `companion.geometry` (ellipsoid and tangent plane). It is written with
-plain floats because it runs for every telemetry sample.
+The errors are first-order Gauss-Markov processes that are advanced every 0.1 s. They never change the true
+motion. The geodetic conversion is the exact one of `companion.geometry` (ellipsoid and tangent plane). It is
+written with plain floats because it runs for every telemetry sample.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _EP2 = _E2 / (1.0 - _E2)
 
 
 class Globe:
-    """Converts NED relative to home (m) to latitude (deg), longitude (deg) and altitude (m, in home's datum)."""
+    """Converts NED relative to home (m) to latitude, longitude (deg) and altitude (m, in home's datum)."""
 
     def __init__(self, lat_deg: float, lon_deg: float, alt_m: float) -> None:
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
@@ -40,7 +40,7 @@ class Globe:
         self._trig = (sin_lat, cos_lat, sin_lon, cos_lon)
 
     def to_geodetic(self, north_m: float, east_m: float, down_m: float) -> Vec3:
-        """Convert by Bowring's formula from Earth-centred coordinates; sub-micrometre error at these heights."""
+        """Convert by Bowring's formula from Earth-centred coordinates (error below 1 um at these heights)."""
         sin_lat, cos_lat, sin_lon, cos_lon = self._trig
         out = -sin_lat * north_m - cos_lat * down_m
         x = self._origin[0] + cos_lon * out - sin_lon * east_m

@@ -1,7 +1,7 @@
 """The messages that the mock vehicle sends by itself, each built from the present state.
 
-The vehicle does not know message ids that are not in `Telemetry.known`. ADSB_VEHICLE is built for each link by
-`sitl_mocks.vehicle.traffic`.
+The vehicle does not know message ids that are not in `Telemetry.known`. ADSB_VEHICLE is built for each link
+by `sitl_mocks.vehicle.traffic`.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Every flight is straight, and the receiver reports it once a second. The autopilots' behaviour was read in the
 firmwares' sources. ArduPilot keeps a list of aircraft. It sends one aircraft per interval of the stream and
-restarts the list once a second. For 5 s it repeats the last report of an aircraft that is no longer heard, with
-`tslc` unchanged. PX4 forwards each report once, with only the first six flags.
+restarts the list once a second. For 5 s it repeats the last report of an aircraft that is no longer heard,
+with `tslc` unchanged. PX4 forwards each report once, with only the first six flags.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class CrewedFlight:
     callsign: str = ""
     emitter: int = mavlink.ADSB_EMITTER_TYPE_LIGHT
     geometric: bool = False
-    """True: the reported altitude is above the ellipsoid. False: it is above mean sea level, from the altimeter."""
+    """Whether the altitude is above the ellipsoid. If not, it is above mean sea level, from the altimeter."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.icao <= 0xFFFFFF:
