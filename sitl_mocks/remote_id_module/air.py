@@ -124,12 +124,12 @@ class Air:
         return 7 if sum(isinstance(m, BasicId) for m in messages) > 1 else 6
 
     def _legacy(self, messages: Sequence[Message]) -> bytes:
-        """Return the next BLE 4 payload: each message in turn, then a second Basic ID if any, then the name."""
+        """Return the next BLE 4 payload: the messages in turn, a second Basic ID if any, then the name."""
         phase = self._phase
         self._phase = (phase + 1) % self._phases(messages)
         second = phase == len(_LEGACY_ORDER)
         if phase > len(_LEGACY_ORDER):
-            return b""  # the name
+            return b""  # the slot of the BLE 4 name
         kind: type[Message] = BasicId if second else _LEGACY_ORDER[phase]
         fitting = [m for m in messages if isinstance(m, kind)][int(second) :]
         return encode(fitting[0]) if fitting else b""

@@ -286,6 +286,6 @@ def _datagrams(sock: socket.socket) -> Iterator[tuple[bytes, Address]]:
 
 def _send_datagrams(sock: socket.socket, data: bytes, address: Address) -> None:
     for at in range(0, len(data), _UDP_PAYLOAD):
-        # UDP may lose datagrams, so a full buffer or an absent network is no error. Frames may span datagrams.
+        # UDP may lose datagrams: a full buffer or an absent network is no error. Frames may span datagrams.
         with contextlib.suppress(OSError):
             sock.sendto(data[at : at + _UDP_PAYLOAD], address)

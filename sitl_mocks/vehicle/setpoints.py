@@ -3,7 +3,7 @@
 Rules, as observed on the real firmwares:
 - A frame outside the firmware's list stops ArduPilot. PX4 ignores such a message.
 - A velocity vector with a single ignored axis is no velocity: the vehicle stops.
-- PX4 accepts a height from the position and the horizontal velocity together; ArduPilot stops.
+- If a message gives the height as position and the rest as velocity, PX4 flies both and ArduPilot stops.
 - A value that is not a finite number stops the vehicle. The message still counts as a setpoint.
 """
 
@@ -34,7 +34,10 @@ class Setpoint:
     yaw_rad: float | None = None
     yaw_rate_radps: float | None = None
     expires: bool = True
-    """Whether the setpoint times out. ArduPilot flies a position without velocity to its end."""
+    """Whether the setpoint ends when its stream stops.
+
+    ArduPilot flies a position without velocity to its end.
+    """
     stop: bool = False
     """The setpoint was not understood, so the vehicle stops."""
 

@@ -89,7 +89,7 @@ class Manners:
     arms_in_external: bool
     arms_in: frozenset[VehicleMode]
     failure_result: int
-    """Result that acknowledges a refused arming, take-off or mode change."""
+    """Result in the ACK of a refused arming, take-off or mode change."""
     land_detect_s: float
     """Time from touch-down until the vehicle reports that it has landed."""
     landed_disarm_s: float
@@ -120,7 +120,7 @@ class Manners:
     """True: a setpoint in an unknown frame stops the vehicle. False: it is ignored."""
     external_needs_stream: bool
     loss_noticed_s: float
-    """Time by which the vehicle reacts to setpoint loss later than its timeout parameter says."""
+    """Extra delay of the reaction to setpoint loss, beyond the timeout parameter."""
     loss_mode: VehicleMode | None
     """Mode after setpoint loss when `loss_actions` gives none, for example without a pilot's radio. None: the
     vehicle brakes and stays in its mode."""
@@ -156,7 +156,7 @@ class Manners:
     """Share of the horizontal velocity that builds up and decays with time constant slow_s."""
     slow_s: float
     brake_fades_mps: float
-    """Speed above which braking becomes weaker. At 3 m/s more it is down to brake_faded_mps2."""
+    """Speed above which braking becomes weaker. From 3 m/s above it only brake_faded_mps2 is left."""
     brake_faded_mps2: float
     mission_speed_mps: float
     acceptance_radius_m: float
@@ -198,7 +198,7 @@ class Manners:
     fence_enable_param: str | None
     fence_distance_param: str
     fence_height_param: str
-    """Parameter with the largest height (m); fence_distance_param has the largest distance (m). 0: no limit."""
+    """Parameter with the largest height; fence_distance_param has the largest distance (m; 0: no limit)."""
     fence_failsafe: Failsafe
     gcs_failsafe: Failsafe
     gcs_timeout_param: str

@@ -86,7 +86,7 @@ def location(
 def home_system(options: VehicleOptions, utc_s: float | None) -> MavlinkMessage:
     """Build PX4's OPEN_DRONE_ID_SYSTEM with home as the take-off point.
 
-    Without GNSS time its timestamp underflows, as on the real PX4.
+    Without GNSS time PX4's timestamp underflows.
     """
     return mavlink.MAVLink_open_drone_id_system_message(
         0,
@@ -108,8 +108,8 @@ def home_system(options: VehicleOptions, utc_s: float | None) -> MavlinkMessage:
 
 
 class RemoteIdRelay:
-    """ArduPilot's relay with DID_ENABLE: stores received Remote ID data, sends it on unchanged, and requires
-    it for arming."""
+    """ArduPilot's relay with DID_ENABLE: stores received Remote ID data, sends it on unchanged, and checks it
+    for arming."""
 
     def __init__(self, location: Callable[[float], MavlinkMessage], start_s: float) -> None:
         """Set up the relay. `location` builds the vehicle's own LOCATION for a now_s."""
