@@ -72,8 +72,8 @@ class VehicleOptions:
     quirks: Mapping[str, object] = field(default_factory=dict)
     """Changes to the firmware behaviour, by field name of `sitl_mocks.vehicle.firmware.kinds.Manners`."""
     did_enable: bool = False
-    """ArduPilot's DID_ENABLE. On all links, the vehicle sends its own Remote ID location and forwards the Remote
-    ID data that it received (the real ArduPilot: on the port of DID_MAVPORT)."""
+    """ArduPilot's DID_ENABLE. On all links, the vehicle sends its own Remote ID location and forwards the
+    Remote ID data that it received (the real ArduPilot: on the port of DID_MAVPORT)."""
     did_require: bool = False
     """DID_OPTIONS = 1: arming, also forced arming, is refused without a transmitter, an identity and an
     operator location."""
