@@ -1,4 +1,4 @@
-"""What `sitl-mocks` runs when it is installed."""
+"""Entry point of the installed command `sitl-mocks`."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ _EXAMPLES = """examples:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command. Returns the exit code: 0 good, 1 the answer is no, 2 wrong input."""
+    """Run the command. Returns the exit code: 0 success, 1 a negative result, 2 wrong input."""
     parser = parser_of(
         "sitl-mocks", "What stands in for hardware: vehicles, the air, whole encounters.", _EXAMPLES
     )

@@ -1,4 +1,4 @@
-"""Ending a server in order."""
+"""Orderly shutdown of a server on a signal."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from types import FrameType
 
 @contextlib.contextmanager
 def end_signals() -> Iterator[list[int]]:
-    """A list that is empty until SIGINT, SIGTERM or SIGHUP came; the handlers before are put back.
+    """Yield a list that stays empty until SIGINT, SIGTERM or SIGHUP arrives.
 
-    SIGHUP, the terminal that closes, is left alone where it is ignored, as under nohup.
+    The previous handlers are restored on exit. SIGHUP (the terminal closes) is not handled if it is ignored,
+    as under nohup.
     """
     ended: list[int] = []
 

@@ -1,4 +1,4 @@
-"""The air of a scenario: which radio channel, with what parameters; a file's [air], and its options."""
+"""The air of a scenario: radio channel and its parameters, from a file's [air] and from command options."""
 
 from __future__ import annotations
 
@@ -27,26 +27,31 @@ Delay = Annotated[float, Meta(ge=0, le=MAX_DELAY_S)]
 
 
 class AirSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the aircraft send, and the radio channel between them."""
+    """The [air] of a scenario: what the aircraft send, and the radio channel between them."""
 
     model: Model = "interval"
-    """"interval": delay, loss and range by fixed numbers. "analytic": the channel equations for every frame.
-    "packets": every packet on the air."""
+    """Radio channel model. "interval": fixed bounds of delay, loss and range. "analytic": the channel
+    equations for every frame. "packets": simulation of every packet on the air."""
     parameters: str | None = None
-    """Path of a parameter file (relative to this file) for "analytic" and "packets"; None: the paper's."""
+    """Path of a parameter file (relative to the scenario's file) for "analytic" and "packets". None: the
+    paper's parameters."""
     delay_s: tuple[Delay, Delay] | None = None
-    """Uniform, drawn for each message and receiver; 0 to 1 when left out. This and the next two are for
-    "interval"."""
+    """Bounds of the delay, which is drawn uniformly for each message and receiver; 0 to 1 s if left out. Only
+    for "interval"."""
     loss: Annotated[float, Meta(ge=0, le=1)] | None = None
-    """None: nothing is lost."""
+    """Loss probability, only for "interval". None: nothing is lost."""
     range_m: Annotated[float, Meta(gt=0, le=1e6)] | None = None
-    """None: everywhere."""
+    """Largest distance at which frames are heard, only for "interval". None: unlimited."""
     transports: Annotated[tuple[TransportName, ...], Meta(min_length=1, max_length=4)] = ("wifi",)
-    """What all aircraft send on, together; where [atmc] chooses, until its first choice."""
+    """Transports on which every aircraft sends, all at once.
+
+    If [atmc] chooses, they hold until its first choice.
+    """
     rate: Annotated[int, Meta(ge=1, le=10)] = 1
-    """Locations a second on each."""
+    """Locations per second on each transport."""
     region: str | None = None
-    """Path of a region profile (relative to this file), whose floor all keep; None: no law."""
+    """Path of a region profile (relative to the scenario's file) whose legal minimum all aircraft keep. None:
+    no legal rules."""
 
     def __post_init__(self) -> None:
         if self.model == "interval":
@@ -62,15 +67,15 @@ class AirSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     @property
     def interval_s(self) -> tuple[float, float]:
-        """Bounds of the delay of model "interval"."""
+        """Bounds of the delay of the model "interval" (s)."""
         return DEFAULT_DELAY_S if self.delay_s is None else self.delay_s
 
 
 def load_parameters(path: Path, air: AirSettings) -> ChannelParameters:
-    """Read a parameter file; the scenario's rate must be allowed in it.
+    """Read a parameter file and check that it allows the scenario's rate.
 
     Raises:
-        ConfigError: names the file, the key and what is allowed.
+        ConfigError: with the file, the key and what is allowed.
     """
     parameters = channel_parameters.load(path)
     check_allowed(air, parameters)
@@ -78,26 +83,27 @@ def load_parameters(path: Path, air: AirSettings) -> ChannelParameters:
 
 
 def check_allowed(air: AirSettings, parameters: ChannelParameters) -> None:
-    """Refuse a rate that the parameters do not allow on one of the transports.
+    """Check that the parameters allow the rate on all transports.
 
     Raises:
-        ConfigError: names the transport and what is allowed.
+        ConfigError: with the transport and what is allowed.
     """
     for transport in air.transports:
         check_rate(WIFI_BEACON if transport == WIFI_NAN else transport, air.rate, parameters)
 
 
 RADIO_SPREAD_S = 0.1
-"""A radio sends at its own time within this after its companion's tick (`PacketChannel`): the interval of the
-highest rate, 10 a second. Companions that share a clock would else send in the same part of it."""
+"""Time after its companion's tick within which a radio sends, each radio at its own offset (`PacketChannel`).
+It is the interval of the highest rate, 10 per second. Without it, companions that share a clock would send in
+the same part of the interval."""
 
 
 def channel_of(air: AirSettings, parameters: ChannelParameters | None) -> Channel:
-    """The radio channel.
+    """Make the radio channel.
 
     Args:
-        air: its `parameters` are taken as read.
-        parameters: for "analytic" and "packets"; None: the paper's.
+        air: the settings. Its `parameters` path is not read here.
+        parameters: for "analytic" and "packets". None: the paper's parameters.
     """
     given = ChannelParameters() if parameters is None else parameters
     if air.model == "analytic":
@@ -108,7 +114,7 @@ def channel_of(air: AirSettings, parameters: ChannelParameters | None) -> Channe
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options that choose the radio channel."""
+    """Add the options that select the radio channel."""
     parser.add_argument("--channel", choices=get_args(Model), help="radio channel model (default: interval)")
     parser.add_argument(
         "--parameters", type=Path, metavar="FILE", help="channel parameters (TOML); default: the paper's"
@@ -118,10 +124,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def with_options(
     air: AirSettings, parameters: ChannelParameters | None, arguments: argparse.Namespace
 ) -> tuple[AirSettings, ChannelParameters | None]:
-    """What the options make of a scenario's air. Another model leaves nothing of the old one's keys.
+    """Apply the command options to a scenario's air. A change of the model drops the keys of the old model.
 
     Raises:
-        ConfigError: an option that does not go with the model, or a wrong parameter file.
+        ConfigError: an option does not go with the model, or the parameter file is wrong.
     """
     if arguments.channel is not None and arguments.channel != air.model:
         air = AirSettings(model=arguments.channel, transports=air.transports, rate=air.rate)

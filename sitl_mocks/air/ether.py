@@ -1,10 +1,10 @@
-"""The air between simulated aircraft: real frames in, the same frames out later, or never, as a channel says.
+"""The air between simulated aircraft: delivers real frames unchanged, later or never, as a channel decides.
 
-Pure: no clock and no socket; time and the random generator are passed in, and one generator with one order of
-calls gives one air. It carries (address, transport, frame), which is what a radio reports about a reception.
-The channel decides about each frame at each receiver, at once or later; until then the frame waits here.
-Distances come from the positions a simulator tells (`place`); for a pair of which nobody told both, from the
-Location messages that the two last put on the air.
+This module uses no clock or socket. Time and the random generator are passed in, so the same generator and
+the same calls give the same result. The air carries (address, transport, frame), which is what a radio
+reports about a reception. The channel decides about each frame at each receiver, at once or later; until then
+the frame waits here. Distances come from the positions that a simulator sets (`place`). For a pair without
+both positions they come from the latest Location messages that the two aircraft sent.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from sitl_mocks.air.pair_statistics import PairStats
 from sitl_mocks.channel.air import Channel, Outcome, Transmission
 
 MAX_PENDING = 100_000
-"""Messages under way at once; more are dropped and counted."""
+"""Largest number of frames in transit. Further frames are dropped and counted."""
 MAX_PAIRS = 10_000
-"""Pairs with statistics of their own; the rest share one."""
+"""Number of pairs with statistics of their own. All other pairs share one entry."""
 MAX_CARRIED = 10_000
-"""Senders whose last carried position is kept."""
+"""Number of senders whose latest Location position is kept."""
 REST = ("*", "*")
-"""The pair under which the pairs beyond `MAX_PAIRS` are counted."""
+"""Key of the statistics of all pairs beyond `MAX_PAIRS`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """One frame arriving at one receiver."""
+    """One frame that arrives at one receiver."""
 
     receiver: str
     sender: str
@@ -47,7 +47,7 @@ class Delivery:
 
 @dataclass(slots=True)
 class _OnAir:
-    """A frame whose fate the channel has not told for every receiver."""
+    """A frame for which the channel has not yet given the outcome at every receiver."""
 
     sender: str
     transport: str
@@ -60,19 +60,19 @@ class _OnAir:
 
 @dataclass(slots=True)
 class _UnderWay:
-    """A delivery, and whether it brings a position."""
+    """A delivery, and whether its frame contains a position."""
 
     delivery: Delivery
     brings_position: bool
 
 
 class Ether:
-    """One shared air.
+    """One air that all aircraft share.
 
     Args:
-        channel: decides delay and loss of every message for every receiver.
-        rng: what the channel draws from.
-        max_pending: bound on the messages under way.
+        channel: decides delay and loss of every frame for every receiver.
+        rng: random generator for the channel.
+        max_pending: largest number of frames in transit.
     """
 
     def __init__(self, channel: Channel, rng: np.random.Generator, *, max_pending: int = MAX_PENDING) -> None:
@@ -87,22 +87,22 @@ class Ether:
         self._number = 0
         self._begin_s: float | None = None
         self._now_s = 0.0
-        """Since the first call that told the time, as all ages of information are counted."""
+        """Time since the first call with a time. Ages of information use this time."""
         self._told: dict[str, Vec3] = {}
-        # On the ellipsoid and Earth-centred, so that two positions need no common origin; and the altitude.
+        # Earth-centred position on the ellipsoid, so that two positions need no common origin, and altitude.
         self._carried: dict[str, tuple[Vec3, float | None]] = {}
         self._stats: dict[tuple[str, str], PairStats] = {}
         self._reader = FrameReceiver()
 
     def join(self, receiver: str) -> None:
-        """From now on `receiver` hears what others send. Joining twice changes nothing."""
+        """Let `receiver` hear what others send from now on. Joining twice changes nothing."""
         self._receivers.setdefault(receiver)
 
     def leave(self, receiver: str) -> None:
-        """`receiver` hears nothing more; what is under way to it is lost and its positions are forgotten.
+        """Remove `receiver`. Frames in transit to it are lost, and its positions are forgotten.
 
-        What it knew of others, and others of it, ages no further; frames of its own that are still under way
-        arrive, but begin no new age.
+        The ages of information of its pairs, as sender or receiver, stop counting. Frames that it sent and
+        that are still in transit arrive, but do not restart an age of information.
         """
         self._receivers.pop(receiver, None)
         self._told.pop(receiver, None)
@@ -129,10 +129,10 @@ class Ether:
                 stats.end(self._now_s)
 
     def place(self, name: str, position_ned_m: Vec3) -> None:
-        """The simulator tells where `name` is (one common local NED frame for all, m).
+        """Set the position of `name` (m, in one local NED frame common to all).
 
         Raises:
-            ValueError: not three finite numbers.
+            ValueError: `position_ned_m` is not three finite numbers.
         """
         if len(position_ned_m) != 3 or not all(map(math.isfinite, position_ned_m)):
             raise ValueError(f"position of {name}: {position_ned_m} is not three finite numbers")
@@ -148,18 +148,18 @@ class Ether:
         *,
         address: str | None = None,
     ) -> None:
-        """Put one frame on the air at `now_s`; every receiver but the sender itself may hear it.
+        """Put one frame on the air at `now_s`. Every receiver except the sender itself may hear it.
 
         Args:
             now_s: time of sending (s).
             sender: name of the aircraft.
-            transport: `companion.radio.radio` name.
-            frame: the bytes on the air, unchanged to the receivers.
-            position_ned_m: where the sender is, like `place`; None leaves what is known.
-            address: the transmitter's radio address; the sender's name where there is none.
+            transport: name from `companion.remote_id.transports`.
+            frame: the bytes on the air, which reach the receivers unchanged.
+            position_ned_m: position of the sender, as for `place`. None keeps the known position.
+            address: radio address of the transmitter. None uses the sender's name.
 
         Raises:
-            ValueError: `now_s` or the position is not finite, the transport is none, or the channel let a
+            ValueError: `now_s` or the position is not finite, the transport is unknown, or the channel let a
                 frame arrive before it was sent.
         """
         if not math.isfinite(now_s):
@@ -188,14 +188,15 @@ class Ether:
                 sender, transport, frame, address, now_s, brings_position, set(distance_m)
             )
             self._undecided += len(distance_m)
-        # Also when nobody is there to hear it: it may collide with what others send.
+        # The channel needs the frame even without receivers, because it may collide with other frames.
         self._channel.transmit(Transmission(number, now_s, sender, transport, distance_m), self._rng)
         self._settle(now_s)
 
     def due(self, now_s: float) -> list[Delivery]:
-        """What has arrived by `now_s`, in order of arrival; what arrives together, in order of sending.
+        """Return the frames that have arrived by `now_s`, in order of arrival.
 
-        A frame that the channel decided late stands behind what an earlier call gave.
+        Frames that arrive at the same time are in order of sending. A frame about which the channel decides
+        late may have arrived before frames that an earlier call returned.
         """
         self._tell_time(now_s)
         self._settle(now_s)
@@ -205,26 +206,26 @@ class Ether:
             delivery = under_way.delivery
             pair = self._pair(delivery.sender, delivery.receiver)
             pair.count_delivery(delivery.transport, now_s - delivery.sent_s)
-            # The pair of the rest is many pairs: what one heard is not what another knows.
+            # The shared entry of the rest covers many pairs, so it has no common age of information.
             if under_way.brings_position and pair is not self._stats.get(REST):
                 pair.refresh(self._now_s, self._now_s - (now_s - delivery.sent_s))
             arrived.append(delivery)
         return arrived
 
     def next_due_s(self) -> float | None:
-        """When `due` may have something to give; None when nothing is under way."""
+        """Next time at which `due` may return a frame; None if nothing is in transit."""
         times = [self._queue[0][0]] if self._queue else []
         decision_s = self._channel.next_s()
         return min(times if decision_s is None else [*times, decision_s], default=None)
 
     def finish(self, now_s: float) -> None:
-        """The run is over: the ages of information in `stats` are counted up to now."""
+        """End the run. The ages of information in `stats` are counted up to `now_s`."""
         self._tell_time(now_s)
         for stats in self._stats.values():
             stats.end(self._now_s)
 
     def distance_m(self, first: str, second: str) -> float | None:
-        """Slant distance of two aircraft (m); None when not known."""
+        """Slant distance of two aircraft (m); None if it is not known."""
         if first in self._told and second in self._told:
             return math.dist(self._told[first], self._told[second])
         if first in self._carried and second in self._carried:
@@ -232,19 +233,20 @@ class Ether:
         return None
 
     def information_age_s(self, sender: str, receiver: str) -> float | None:
-        """Age (s), at the last time told, of what `receiver` knows of `sender`; None before any news."""
+        """Age of information (s) of `sender` at `receiver`, at the time of the latest call; None before the
+        first position."""
         stats = self._stats.get((sender, receiver))
         freshest_s = None if stats is None else stats.freshest_s
         return None if freshest_s is None else self._now_s - freshest_s
 
     @property
     def receivers(self) -> tuple[str, ...]:
-        """Who listens, in order of joining."""
+        """Names of the receivers, in order of joining."""
         return tuple(self._receivers)
 
     @property
     def stats(self) -> dict[tuple[str, str], PairStats]:
-        """Statistics by (sender, receiver). Frames count as delivered at the moment `due` hands them over."""
+        """Statistics by (sender, receiver). A frame counts as delivered when `due` returns it."""
         return self._stats
 
     def _tell_time(self, now_s: float) -> None:
@@ -255,13 +257,13 @@ class Ether:
     def _settle(self, now_s: float) -> None:
         for outcome in self._channel.settle(now_s, self._rng):
             on_air = self._on_air.get(outcome.number)
-            # Not there any more when the receiver left, which counted it.
+            # If the receiver has left, `leave` has already counted the frame as lost.
             if on_air is not None and outcome.receiver in on_air.undecided:
                 self._take(outcome, on_air)
                 self._close(outcome.number, outcome.receiver)
 
     def _take(self, outcome: Outcome, on_air: _OnAir) -> None:
-        """One frame's fate at one receiver is known."""
+        """Record the outcome of one frame at one receiver, and queue its delivery."""
         pair = self._pair(on_air.sender, outcome.receiver)
         if outcome.arrival_s is None:
             pair.lost += 1
@@ -274,13 +276,13 @@ class Ether:
         delivery = Delivery(
             outcome.receiver, on_air.sender, on_air.transport, on_air.frame, on_air.sent_s, on_air.address
         )
-        # The running number settles ties, so that deliveries themselves are never compared.
+        # The running number breaks ties, so that deliveries themselves are never compared.
         entry = (outcome.arrival_s, self._number, _UnderWay(delivery, on_air.brings_position))
         heapq.heappush(self._queue, entry)
         self._number += 1
 
     def _close(self, number: int, receiver: str) -> None:
-        """Nothing more is to be told about a frame at a receiver."""
+        """Remove a receiver from the undecided receivers of a frame."""
         undecided = self._on_air[number].undecided
         undecided.remove(receiver)
         self._undecided -= 1
@@ -297,7 +299,10 @@ class Ether:
         return self._stats.setdefault(key, PairStats())
 
     def _read_position(self, sender: str, transport: str, address: str, frame: bytes) -> bool:
-        """Whether a frame brings a position; it is noted for a sender of whom nobody tells it."""
+        """Whether a frame contains a position.
+
+        It is kept for a sender whose position was never set by `place`.
+        """
         heard = self._reader.receive(transport, address, frame)
         found = False
         for message in heard.messages if heard is not None else ():
@@ -310,7 +315,7 @@ class Ether:
 
 
 def _carried_distance_m(first: tuple[Vec3, float | None], second: tuple[Vec3, float | None]) -> float:
-    """Slant distance (m); horizontal only where an altitude is missing."""
+    """Slant distance (m); horizontal distance if an altitude is missing."""
     level = math.dist(first[0], second[0])
     if first[1] is None or second[1] is None:
         return level

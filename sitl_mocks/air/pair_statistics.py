@@ -1,4 +1,4 @@
-"""What became of the frames between two aircraft, and how old the receiver's knowledge of the sender was."""
+"""Statistics of the frames between two aircraft, and of the age of the receiver's information."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def information_age(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The ages of information in rows of `PairStats.to_dict`, in words."""
+    """Describe the ages of information in rows of `PairStats.to_dict` as text."""
     means = [row["information_age_mean_s"] for row in rows if row["information_age_mean_s"] is not None]
     if not means:
         return "nobody heard anybody"
@@ -21,7 +21,7 @@ def information_age(rows: Sequence[Mapping[str, Any]]) -> str:
 
 @dataclass(slots=True)
 class TransportCount:
-    """Frames of one transport."""
+    """Number of frames of one transport."""
 
     sent: int = 0
     delivered: int = 0
@@ -29,55 +29,58 @@ class TransportCount:
 
 @dataclass(slots=True)
 class PairStats:
-    """What became of the frames of one sender on their way to one receiver.
+    """Statistics of the frames from one sender to one receiver.
 
-    Two kinds of age: a frame's when it is handed over (`age_*`), and the age of information at every moment:
-    now minus the time when the freshest position that was delivered had been sent.
+    There are two kinds of age. `age_*` is the age of a frame at its delivery. The age of information at any
+    moment is that moment minus the time at which the freshest position delivered was sent.
     """
 
     sent: int = 0
     delivered: int = 0
     lost: int = 0
-    """By the channel, or because the receiver left while they were under way."""
+    """Frames lost in the channel, or because the receiver left while they were in transit."""
     overflowed: int = 0
-    """Dropped because too many messages were under way."""
+    """Frames dropped because too many were in transit."""
     unknown_distance: int = 0
-    """Sent while the distance was not known."""
+    """Frames sent while the distance was not known."""
     age_sum_s: float = 0.0
     age_min_s: float = math.inf
     age_max_s: float = 0.0
     transports: dict[str, TransportCount] = field(default_factory=dict)
     first_heard_s: float | None = None
-    """When the first position was delivered, since the air began; the age of information counts from it."""
+    """Time of the first delivery of a position, since the air began.
+
+    The age of information counts from then.
+    """
     information_age_max_s: float = 0.0
     observed_s: float = 0.0
-    """How long it was counted."""
+    """Time over which the age of information was counted."""
     _age_area_s2: float = 0.0
     _freshest_s: float | None = None
     _since_s: float = 0.0
 
     @property
     def age_mean_s(self) -> float | None:
-        """Mean age at delivery (s); None before the first."""
+        """Mean age of frames at delivery (s); None before the first delivery."""
         return self.age_sum_s / self.delivered if self.delivered else None
 
     @property
     def freshest_s(self) -> float | None:
-        """When the freshest position that is known was sent, since the air began; None while none is."""
+        """Time at which the freshest known position was sent, since the air began; None if none is known."""
         return self._freshest_s
 
     @property
     def information_age_mean_s(self) -> float | None:
-        """Time average of the age of information (s), up to the last position or `end`; None before that."""
+        """Time average of the age of information (s) up to the latest position or `end`; None before that."""
         return self._age_area_s2 / self.observed_s if self.observed_s > 0.0 else None
 
     def count_sent(self, transport: str) -> None:
-        """One frame more on its way."""
+        """Count one frame sent."""
         self.sent += 1
         self.transports.setdefault(transport, TransportCount()).sent += 1
 
     def count_delivery(self, transport: str, age_s: float) -> None:
-        """One frame handed over."""
+        """Count one frame delivered at the age `age_s`."""
         self.delivered += 1
         self.transports.setdefault(transport, TransportCount()).delivered += 1
         self.age_sum_s += age_s
@@ -85,7 +88,7 @@ class PairStats:
         self.age_max_s = max(self.age_max_s, age_s)
 
     def refresh(self, now_s: float, sent_s: float) -> None:
-        """A position sent at `sent_s` is handed over; one older than what is known changes nothing."""
+        """Record the delivery of a position sent at `sent_s`. An older one than is known changes nothing."""
         if self._freshest_s is None:
             self._since_s = now_s
             if self.first_heard_s is None:
@@ -98,13 +101,13 @@ class PairStats:
         self.information_age_max_s = max(self.information_age_max_s, now_s - sent_s)
 
     def end(self, now_s: float) -> None:
-        """One of the two left, or the run is over: the age of information is counted up to now."""
+        """Count the age of information up to `now_s`, because one aircraft left or the run is over."""
         if self._freshest_s is not None:
             self._grow_old(now_s, self._freshest_s)
             self._freshest_s = None
 
     def to_dict(self) -> dict[str, object]:
-        """For a JSON line; ages are None before the first delivery."""
+        """Convert to values for a JSON line. Ages are None before the first delivery."""
         heard = self.delivered > 0
         known = self.first_heard_s is not None
         return {

@@ -1,7 +1,7 @@
 """The simulated air as a process: `Ether` behind a UDP socket on loopback (`sitl-mocks ether`).
 
-Datagrams are those of `companion.radio.ether.datagrams`. The process prints "ether on HOST:PORT" when it
-listens, and one JSON line with the statistics when it ends (SIGINT, SIGTERM).
+The datagram format is that of `companion.radio.ether.datagrams`. The process prints "ether on HOST:PORT" when
+it listens, and one JSON line with the statistics when it ends (SIGINT, SIGTERM).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sitl_mocks.signals import end_signals
 
 MAX_CLIENTS = 256
 _MAX_READS = 512
-"""Datagrams taken before what is due goes out again: a flood must not hold up deliveries."""
+"""Largest number of datagrams read between deliveries, so that a flood does not delay deliveries."""
 _POLL_S = 0.1
 _BUFFER_BYTES = 4 * 1024 * 1024
 
@@ -40,15 +40,15 @@ Endpoint = tuple[str, int]
 
 @dataclass(slots=True)
 class Counts:
-    """What the server has met."""
+    """Counters of the server."""
 
     datagrams: int = 0
     bad_datagrams: int = 0
-    """Not a datagram of the wire format, or one that only the server sends."""
+    """Datagrams that do not have the wire format, or that only the server may send."""
     refused_clients: int = 0
-    """Datagrams of endpoints beyond `MAX_CLIENTS`."""
+    """Datagrams from endpoints beyond `MAX_CLIENTS`."""
     unsent: int = 0
-    """Deliveries that the operating system did not take."""
+    """Deliveries that the operating system did not accept."""
 
 
 @dataclass(slots=True)
@@ -58,7 +58,7 @@ class _Client:
 
 
 class EtherServer:
-    """The air on one UDP socket. The caller owns the clock: it passes `now_s` (monotonic, s).
+    """The air on one UDP socket. The caller passes in the time `now_s` (monotonic, s).
 
     Raises:
         ConfigError: the endpoint is not on loopback, or cannot be bound.
@@ -73,23 +73,23 @@ class EtherServer:
 
     @property
     def endpoint(self) -> Endpoint:
-        """Host and port where it listens."""
+        """Host and port on which the server listens."""
         host, port = self._socket.getsockname()[:2]
         return str(host), int(port)
 
     @property
     def clients(self) -> tuple[str, ...]:
-        """Names of those on the air."""
+        """Names of the clients on the air."""
         return tuple(self._by_name)
 
     def wait(self, now_s: float) -> None:
-        """Sleep until a datagram comes, a delivery is due or the poll period is over."""
+        """Sleep until a datagram arrives, a delivery is due or the poll period is over."""
         due_s = self.ether.next_due_s()
         timeout = _POLL_S if due_s is None else min(max(due_s - now_s, 0.0), _POLL_S)
         select([self._socket], [], [], timeout)
 
     def step(self, now_s: float) -> None:
-        """Take in what came, send out what is due, forget who is silent."""
+        """Read received datagrams, send due deliveries, and remove silent clients."""
         for data, endpoint in self._datagrams():
             self.counts.datagrams += 1
             try:
@@ -104,7 +104,7 @@ class EtherServer:
             self._drop(endpoint)
 
     def statistics(self) -> dict[str, object]:
-        """What `sitl-mocks ether` prints at its end; pairs are named "sender>receiver"."""
+        """Statistics that `sitl-mocks ether` prints at its end. Pairs are named "sender>receiver"."""
         return {
             "clients": list(self.clients),
             "datagrams": self.counts.datagrams,
@@ -121,12 +121,12 @@ class EtherServer:
     def _datagrams(self) -> Iterator[tuple[bytes, Endpoint]]:
         for _ in range(_MAX_READS):
             try:
-                # One byte more than allowed, so that an oversized datagram is seen as such.
+                # Read one byte more than allowed, so that an oversized datagram is recognised.
                 yield self._socket.recvfrom(ether_wire.MAX_DATAGRAM + 1)
             except BlockingIOError:
                 return
             except ConnectionError:
-                # The answer to a delivery to a client that is gone; its silence will be noticed.
+                # An earlier delivery went to a client that is gone. It is removed after its silence.
                 continue
 
     def _take(self, now_s: float, datagram: ether_wire.Datagram, endpoint: Endpoint) -> None:
@@ -170,12 +170,12 @@ class EtherServer:
         try:
             self._socket.sendto(data, endpoint)
         except OSError:
-            # A full buffer or a closed port loses a datagram, as UDP may.
+            # UDP may lose datagrams, so a full buffer or a closed port is no error.
             self.counts.unsent += 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `sitl-mocks ether`."""
+    """Add the options of `sitl-mocks ether`."""
     parser.description = "The air between simulated aircraft, over UDP on loopback. Ends on Ctrl-C."
     parser.epilog = (
         "example: sitl-mocks ether --listen 127.0.0.1:14640 --delay 0.2 0.8 --loss 0.1; "
@@ -196,10 +196,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`sitl-mocks ether`: serve until SIGINT or SIGTERM.
+    """Run `sitl-mocks ether`: serve until SIGINT or SIGTERM.
 
     Raises:
-        ConfigError: a channel parameter out of range, or an endpoint that cannot be bound.
+        ConfigError: a channel parameter is out of range, or the endpoint cannot be bound.
     """
     if args.seed < 0:
         raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
@@ -235,7 +235,7 @@ def _bind(host: str, port: int) -> socket.socket:
     except ValueError as error:
         raise ConfigError(f"ether endpoint {host}:{port}: {host!r} is not an IPv4 address") from error
     if not loopback:
-        # Whoever reaches the air can put any aircraft on it.
+        # Anyone who can reach the air can inject any aircraft.
         raise ConfigError(f"ether endpoint {host}:{port}: allowed on loopback (127.0.0.1) only")
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

@@ -1,8 +1,8 @@
-"""What a module with ArduRemoteID firmware puts on the air, and when.
+"""Transmissions of a module with ArduRemoteID firmware, and their timing.
 
-Facts are those of the firmware's main loop and its two drivers (BLE_TX, WiFi_TX), version 1.14. A transport
-whose rate is 0 gets no new payload, but what it had stays on the air: an advertisement and a beacon's element
-go on by themselves. Only NAN frames are sent one by one.
+The facts are from the firmware's main loop and its two drivers (BLE_TX, WiFi_TX), version 1.14. A transport
+with rate 0 gets no new payload, but its last payload stays on the air: the radio repeats an advertisement or
+a beacon element by itself. Only NAN frames are sent one by one.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON, WIFI_NAN
 
 RATES = {BLE4: "BT4_RATE", BLE5: "BT5_RATE", WIFI_BEACON: "WIFI_BCN_RATE", WIFI_NAN: "WIFI_NAN_RATE"}
 BEACON_INTERVAL_S = 0.1024
-"""100 TU: the access point's own, whatever WIFI_BCN_RATE says."""
+"""Beacon interval of the access point, 100 TU. It does not depend on WIFI_BCN_RATE."""
 _LEGACY_ORDER: tuple[type[Message], ...] = (Location, BasicId, SelfId, System, OperatorId)
 _LEGACY_SLOTS_PER_CYCLE = 7
 
 
 @dataclass(frozen=True, slots=True)
 class OnAir:
-    """One transport's transmission as a receiver meets it now."""
+    """Transmission of one transport that a receiver can hear now."""
 
     transport: str
     payload: bytes
-    """A message (BLE 4) or a pack, perhaps of no messages; empty for a BLE 4 name or an empty slot."""
+    """A message (BLE 4) or a message pack, which may be empty. No bytes for a BLE 4 name or an empty slot."""
     frame: bytes | None
-    """AdvData or management frame; None where the payload holds no message."""
+    """AdvData or management frame; None if the payload contains no message."""
     age_s: float
-    """Since the payload was last refreshed."""
+    """Time since the payload was last refreshed."""
     interval_s: float
-    """From one transmission of it to the next; of NAN: from one payload to the next."""
+    """Time between two transmissions of the payload; for NAN, time between two payloads."""
 
     @property
     def messages(self) -> tuple[Message, ...]:
-        """What the payload says."""
+        """Messages in the payload."""
         return read_payload(self.payload).messages if self.payload else ()
 
 
 @dataclass(slots=True)
 class _Slot:
-    """The payload that a transport was last given."""
+    """The latest payload of a transport."""
 
     payload: bytes
     counter: int
@@ -53,24 +53,24 @@ class _Slot:
 
 @dataclass(slots=True)
 class Air:
-    """The transmitters between one start of the module and the next."""
+    """The transmitters of a module from one start to the next."""
 
     address: str
     _slots: dict[str, _Slot] = field(default_factory=dict)
     _ble_interval_s: dict[str, float] | None = None
-    """Taken from the rates when Bluetooth is first used; fixed from then on."""
+    """Advertising intervals, computed from the rates when Bluetooth is first used and fixed from then on."""
     _phase: int = 0
     _channel: int | None = None
 
     @property
     def wifi_channel(self) -> int | None:
-        """As it was when Wi-Fi was first used."""
+        """Wi-Fi channel, fixed when Wi-Fi is first used; None before."""
         return self._channel
 
     def advance(
         self, messages: Sequence[Message], params: Mapping[str, float], now_s: float
     ) -> frozenset[str]:
-        """Refresh what is due; returns the transports refreshed."""
+        """Refresh the payloads that are due. Return the transports refreshed."""
         due = frozenset(
             transport
             for transport, name in RATES.items()
@@ -78,7 +78,7 @@ class Air:
         )
         if due & {BLE4, BLE5} and self._ble_interval_s is None:
             cycles = {BLE4: params["BT4_RATE"] * _LEGACY_SLOTS_PER_CYCLE, BLE5: params["BT5_RATE"]}
-            # With a rate of 0 the interval is no number, and that set never goes on the air.
+            # With a rate of 0 the interval is not a number, and that advertising set never goes on the air.
             self._ble_interval_s = {t: 1.0 / rate for t, rate in cycles.items() if rate > 0.0}
         if due & {WIFI_BEACON, WIFI_NAN} and self._channel is None:
             self._channel = int(params["WIFI_CHANNEL"])
@@ -90,7 +90,7 @@ class Air:
         return due
 
     def on_air(self, params: Mapping[str, float], now_s: float) -> list[OnAir]:
-        """What can be received now."""
+        """Return the transmissions that can be received now."""
         found = []
         for transport, slot in self._slots.items():
             interval_s = self._interval_s(transport, params)
@@ -124,12 +124,12 @@ class Air:
         return 7 if sum(isinstance(m, BasicId) for m in messages) > 1 else 6
 
     def _legacy(self, messages: Sequence[Message]) -> bytes:
-        """One message after another, then the second Basic ID or the name."""
+        """Return the next BLE 4 payload: the messages in turn, a second Basic ID if any, then the name."""
         phase = self._phase
         self._phase = (phase + 1) % self._phases(messages)
         second = phase == len(_LEGACY_ORDER)
         if phase > len(_LEGACY_ORDER):
-            return b""  # the name
+            return b""  # the slot of the BLE 4 name
         kind: type[Message] = BasicId if second else _LEGACY_ORDER[phase]
         fitting = [m for m in messages if isinstance(m, kind)][int(second) :]
         return encode(fitting[0]) if fitting else b""
@@ -146,5 +146,5 @@ class Air:
 
 
 def _pack(messages: Sequence[Message]) -> bytes:
-    """The firmware sends a pack of no messages too, before it knows anything."""
+    """Build a message pack. Before the firmware has any data, it sends a pack without messages."""
     return bytes((0xF2, 25, len(messages))) + b"".join(map(encode, messages))

@@ -1,6 +1,6 @@
-"""OPEN_DRONE_ID_* as pymavlink reads them -> messages, as the module's firmware hands them to its encoder.
+"""Converts OPEN_DRONE_ID_* messages from pymavlink to Remote ID messages, as the module's firmware does.
 
-A reading of its own, apart from the companion's: numbers and units are those of MAVLink's common.xml.
+This conversion is independent of the companion's. Numbers and units are those of MAVLink's common.xml.
 """
 
 from __future__ import annotations
@@ -104,4 +104,7 @@ READERS: dict[str, Callable[..., Callable[[], Message]]] = {
     "SYSTEM": _system,
     "OPERATOR_ID": _operator_id,
 }
-"""A function for each message that the encoder may refuse: it raises ValueError."""
+"""Converter for each message.
+
+The function that it returns raises ValueError for data that the encoder refuses.
+"""

@@ -1,8 +1,9 @@
-"""A Remote ID module with ArduRemoteID firmware, as it really behaves: MAVLink bytes in, bytes out.
+"""A Remote ID module that behaves like the ArduRemoteID firmware: MAVLink bytes in, bytes out.
 
-What it does is read off the firmware (version 1.14), its traps included: what it was told last goes on the
-air for ever, PARAM_SET takes any number and writes it to flash, the parameter count is one too small, text
-stands between the frames. Neither socket nor clock in here; `remote_id_module_server` has them.
+The behaviour was read in the source of firmware version 1.14 and includes its traps. The last data received
+are broadcast for ever. PARAM_SET accepts any number and writes it to flash. The parameter count is one too
+small. Text appears between the MAVLink frames. This module uses no socket or clock;
+`sitl_mocks.remote_id_module.server` has them.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ FORCE_ARM_OK = 1
 DONT_SAVE_BASIC_ID = 2
 PRINT_MESSAGES = 4
 LOCATION_AGE_S = 3.0
-"""Oldest Location and System that may arm."""
+"""Largest age of Location and System with which arming is allowed."""
 OTHER_AGE_S = 22.0
-"""Oldest Self ID and Operator ID that may arm."""
+"""Largest age of Self ID and Operator ID with which arming is allowed."""
 BANNER = b"ArduRemoteID version 1.14 84d8bbf6\n"
 _REAL32 = 9
 _STEP_S = 0.01
@@ -64,33 +65,33 @@ PARAMETERS: dict[str, tuple[str, float]] = {
     "TO_DEFAULTS": (_UINT8, 0),
     "DONE_INIT": (_UINT8, 1),
 }
-"""Numeric parameters in the firmware's order, with type and default. Texts (UAS_ID, ...) are out of MAVLink's
-reach."""
+"""Numeric parameters in the firmware's order, with type and default. Text parameters (UAS_ID, ...) cannot be
+accessed by MAVLink."""
 _HIDDEN = "DONE_INIT"
 
 
 @dataclass(frozen=True, slots=True)
 class ModuleOptions:
-    """How this module is set up, and what is wrong with it or its wires."""
+    """Configuration of a module, and faults of the module or its wiring."""
 
     params: Mapping[str, float] = field(default_factory=dict)
-    """Stored in its flash."""
+    """Parameter values stored in the module's flash."""
     uas_id: str = "ABCD123456789"
     boot_s: float = 1.0
-    """Silent for so long after each start."""
+    """Silence after each start."""
     noise: bool = False
-    """Log lines between the frames, and the boot loader's garbage at a start."""
+    """Send log lines between the frames, and the boot loader's garbage at each start."""
     lose_every: int = 0
-    """Every n-th frame that it sends is lost; 0 loses none."""
+    """Every n-th frame that the module sends is lost. 0: no frame is lost."""
     deaf: bool = False
-    """Nothing reaches it: the wire to its receive pin is off."""
+    """The module receives nothing: the wire to its receive pin is disconnected."""
     without: frozenset[str] = frozenset()
-    """Parameters that an older firmware does not have."""
+    """Parameters that are missing, as in an older firmware."""
     address: str = "c2:0a:0b:0c:0d:0e"
 
 
 class RemoteIdModule:
-    """The module. `now_s` never runs backwards."""
+    """One Remote ID module. The caller's `now_s` must never run backwards."""
 
     def __init__(self, options: ModuleOptions, now_s: float = 0.0) -> None:
         self.options = options
@@ -98,22 +99,22 @@ class RemoteIdModule:
         self.flash.update(options.params)
         self.uas_id = options.uas_id
         self.param_sets: list[tuple[str, float]] = []
-        """Every PARAM_SET that came, taken or not."""
+        """Every PARAM_SET received, accepted or not."""
         self.flash_writes: list[tuple[str, float | str]] = []
         self.catastrophes: list[str] = []
-        """What cannot be undone: fuses burnt, flash erased."""
+        """Commands received whose effect cannot be undone: fuses burnt, flash erased."""
         self.received: Counter[str] = Counter()
-        """MAVLink messages by type."""
+        """Number of MAVLink messages received by type."""
         self.starts = 0
         self._out = bytearray()
         self._sent = 0
         self._now_s = now_s
         self.reboot(now_s)
 
-    # ------------------------------------------------------------ what surrounds it
+    # ------------------------------------------------------------ interface
 
     def reboot(self, now_s: float) -> None:
-        """Power off and on: only the flash is kept."""
+        """Switch the power off and on. Only the flash is kept."""
         self.starts += 1
         self._out.clear()
         self._reader = MavlinkReader()
@@ -134,7 +135,7 @@ class RemoteIdModule:
             self._put_text(bytes(range(0xE0, 0x100)) + b"ESP-ROM:esp32s3-20210327\r\n\xfd\x00\xfe")
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Bytes on its receive pin."""
+        """Process bytes that arrive on the receive pin."""
         self.advance(now_s)
         if not self._running or self.options.deaf:
             return
@@ -148,28 +149,28 @@ class RemoteIdModule:
             self._set_data()
 
     def advance(self, now_s: float) -> None:
-        """Live up to now."""
+        """Run the module's loop up to `now_s`."""
         while self._now_s + _STEP_S <= now_s + 1e-9:
             self._now_s += _STEP_S
             self._step(self._now_s)
 
     def drain(self) -> bytes:
-        """What it has sent since."""
+        """Return and remove the bytes that the module has sent."""
         data = bytes(self._out)
         self._out.clear()
         return data
 
     def on_air(self, now_s: float) -> list[OnAir]:
-        """What a receiver hears of it now."""
+        """Return the transmissions that a receiver can hear now."""
         self.advance(now_s)
         return self._air.on_air(self._params, now_s) if self._running else []
 
     @property
     def wifi_channel(self) -> int | None:
-        """Channel of its Wi-Fi; None before it is used."""
+        """Wi-Fi channel; None before Wi-Fi is first used."""
         return self._air.wifi_channel
 
-    # ------------------------------------------------------------ its loop
+    # ------------------------------------------------------------ main loop
 
     def _step(self, now_s: float) -> None:
         if not self._running:
@@ -211,7 +212,7 @@ class RemoteIdModule:
         return mavlink.MAVLink_open_drone_id_arm_status_message(status, reason.encode()[:_REPORT_BYTES])
 
     def refusal(self, now_s: float) -> str:
-        """Why it may not arm, as the firmware words it; empty when it may."""
+        """Return why the vehicle must not arm, in the firmware's words; empty if it may arm."""
         fail = self._parse_fail or ""
         if fail == "uninitialised" or int(self._params["OPTIONS"]) & FORCE_ARM_OK:
             return fail
@@ -247,14 +248,14 @@ class RemoteIdModule:
     # ------------------------------------------------------------ data to messages
 
     def _set_data(self) -> None:
-        """What goes on the air, and what the encoder refuses."""
+        """Update the messages to broadcast, and note what the encoder refuses."""
         if not self._transmits:
             return
         id_type, ua_type, text = self._given_basic_id()
         save = not int(self._params["OPTIONS"]) & DONT_SAVE_BASIC_ID
         complete = bool(id_type and ua_type and text)
         if complete and save and not self._has_basic_id:
-            # Into the flash for good, locked or not.
+            # The firmware writes the identity to flash permanently, even if parameters are locked.
             self._write("UAS_TYPE", ua_type)
             self._write("UAS_ID_TYPE", id_type)
             self.uas_id = text
@@ -313,7 +314,7 @@ class RemoteIdModule:
             return
         self._data[kind] = message
         if kind == "OPEN_DRONE_ID_SYSTEM":
-            # One that repeats its timestamp does not count as fresh; one without does.
+            # A System with a repeated timestamp does not count as fresh; one without a timestamp does.
             repeated = before is not None and before.timestamp == message.timestamp != 0
             if repeated:
                 return
@@ -328,7 +329,7 @@ class RemoteIdModule:
         self._data_s["OPEN_DRONE_ID_SYSTEM"] = now_s
 
     def _take_list(self, message: MavlinkMessage, now_s: float) -> None:
-        # The hidden one is sent too, with an index of -1.
+        # The hidden parameter is sent too, with an index of -1.
         self._listing = deque(name for name in self._params if name not in self.options.without)
         self._listed_s = now_s
 
@@ -372,7 +373,7 @@ class RemoteIdModule:
         "OPEN_DRONE_ID_SYSTEM_UPDATE": _take_system_update,
         "OPEN_DRONE_ID_OPERATOR_ID": _take_data,
     }
-    """Authentication is kept and never broadcast; a MESSAGE_PACK is not known at all."""
+    """Handlers by message type. Authentication is stored but never broadcast. MESSAGE_PACK is ignored."""
 
     # ------------------------------------------------------------ out
 
@@ -401,7 +402,7 @@ class RemoteIdModule:
 
 
 def _cast(kind: str, value: float) -> float:
-    """As the firmware's C casts a float, where C says how."""
+    """Cast a float like the firmware's C code, as far as C defines the result."""
     if kind == _FLOAT:
         return value
     whole = int(value) if math.isfinite(value) else 0

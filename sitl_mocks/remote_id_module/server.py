@@ -1,7 +1,7 @@
 """A Remote ID module in real time: `sitl-mocks module`.
 
-Prints "link" with what the companion's configuration is to name, then "ready"; at its end one JSON line with
-what became of it. The only part of the module with a socket and a clock.
+The command prints "link" with the link for the companion's configuration, then "ready". At its end it prints
+one JSON line with the module's final state. Only this part of the module uses a socket and a clock.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ _BAUD = 57600
 
 
 class Port(Protocol):
-    """Where the companion meets the module. Nothing blocks."""
+    """Connection between the companion and the module. No method blocks."""
 
     @property
     def name(self) -> str:
-        """The companion's link to it."""
+        """Link for the companion's configuration."""
         ...
 
     def fileno(self) -> int:
-        """For `select`."""
+        """File descriptor for `select`."""
         ...
 
     def read(self) -> bytes:
-        """What came."""
+        """Return the bytes received."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send what can be sent."""
+        """Send as much as possible."""
         ...
 
     def close(self) -> None:
-        """Release it."""
+        """Release the port."""
         ...
 
 
 class UdpPort:
-    """One datagram socket; answers go to whoever spoke last."""
+    """One UDP socket. Answers go to the peer that sent the latest datagram."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -71,11 +71,11 @@ class UdpPort:
         return f"udpout:{host}:{port}"
 
     def fileno(self) -> int:
-        """For `select`."""
+        """File descriptor for `select`."""
         return self._socket.fileno()
 
     def read(self) -> bytes:
-        """What came."""
+        """Return the bytes received."""
         parts = []
         for _ in range(_MAX_READS):
             try:
@@ -88,7 +88,7 @@ class UdpPort:
         return b"".join(parts)
 
     def write(self, data: bytes) -> None:
-        """To the last peer, there or not."""
+        """Send to the latest peer, whether it is still present or not."""
         if self._peer is not None:
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, self._peer)
@@ -99,7 +99,7 @@ class UdpPort:
 
 
 class SerialPort:
-    """A pseudo terminal: to the companion, a serial port."""
+    """A pseudo terminal, which is a serial port to the companion."""
 
     def __init__(self) -> None:
         self._master, self._slave = os.openpty()
@@ -112,18 +112,18 @@ class SerialPort:
         return f"serial:{os.ttyname(self._slave)}:{_BAUD}"
 
     def fileno(self) -> int:
-        """For `select`."""
+        """File descriptor for `select`."""
         return self._master
 
     def read(self) -> bytes:
-        """What came."""
+        """Return the bytes received."""
         try:
             return os.read(self._master, _READ_BYTES)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> None:
-        """What nobody reads is lost, as on a wire."""
+        """Send to the terminal. Bytes that do not fit its buffer are lost, as on a wire without a reader."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, data)
 
@@ -145,7 +145,7 @@ def open_port(spec: str) -> Port:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `sitl-mocks module`."""
+    """Add the options of `sitl-mocks module`."""
     parser.description = "A Remote ID module with ArduRemoteID firmware, in real time. Ends on Ctrl-C."
     parser.epilog = "example: sitl-mocks module --link serial --param WIFI_BCN_RATE=1 --noise"
     add = parser.add_argument
@@ -161,7 +161,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def options_of(args: argparse.Namespace) -> ModuleOptions:
-    """The module that the arguments ask for. Raises ConfigError."""
+    """Make the module options from the arguments. Raises ConfigError."""
     params = {}
     for text in args.param:
         name, _, value = text.partition("=")
@@ -175,10 +175,10 @@ def options_of(args: argparse.Namespace) -> ModuleOptions:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`sitl-mocks module`: live until SIGINT or SIGTERM.
+    """Run `sitl-mocks module` until SIGINT or SIGTERM.
 
     Raises:
-        ConfigError: an option out of range, or a link that cannot be opened.
+        ConfigError: an option is out of range, or a link cannot be opened.
     """
     options = options_of(args)
     with end_signals() as ended, contextlib.closing(open_port(args.link)) as port:

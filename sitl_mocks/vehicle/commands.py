@@ -1,6 +1,6 @@
-"""COMMAND_LONG and COMMAND_INT of the mock vehicle: one function per command, each returns its MAV_RESULT.
+"""COMMAND_LONG and COMMAND_INT of the mock vehicle: one function per command, which returns its MAV_RESULT.
 
-Every command addressed to the vehicle is acknowledged; one that is not in the table is UNSUPPORTED.
+Every command addressed to the vehicle is acknowledged. Commands that are not in the table are UNSUPPORTED.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 _CUSTOM = int(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _REBOOT_AUTOPILOT = 1
 LATE_S = 0.012
-"""From PX4's ACK 0 of a mode command to what became of it."""
+"""Time from PX4's first ACK (result 0) of a mode command to the refusal that follows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command as both messages carry it; params 1-7 (7 is the altitude)."""
+    """A command with params 1-7 (7 is the altitude), as COMMAND_LONG and COMMAND_INT carry it."""
 
     number: int
     params: tuple[float, float, float, float, float, float, float]
@@ -41,7 +41,7 @@ class Command:
 
 
 def read_command(message: MavlinkMessage, link: Link, now_s: float) -> Command:
-    """The command inside a COMMAND_LONG or COMMAND_INT (places in degrees)."""
+    """Read the command from a COMMAND_LONG or COMMAND_INT. Positions are in degrees."""
     head = (message.param1, message.param2, message.param3, message.param4)
     if message.get_type() == "COMMAND_INT":
         return Command(message.command, (*head, message.x * 1e-7, message.y * 1e-7, message.z), link, now_s)
@@ -50,8 +50,12 @@ def read_command(message: MavlinkMessage, link: Link, now_s: float) -> Command:
 
 
 class CommandDesk:
-    """Carries commands out. `say` sends a STATUSTEXT to all links, `remote_id` tells why Remote ID forbids to
-    arm."""
+    """Carries out commands.
+
+    Args:
+        say: sends a STATUSTEXT with a severity and a text to all links.
+        remote_id: returns why Remote ID forbids arming at a now_s, or None.
+    """
 
     def __init__(
         self,
@@ -86,10 +90,10 @@ class CommandDesk:
         }
 
     def execute(self, command: Command) -> list[int | None]:
-        """Carry a command out; the results to acknowledge, in order.
+        """Carry out a command. Return the results to acknowledge, in order.
 
-        None: PX4 says no to a mode only LATE_S later, with `set_mode_late`; a setpoint that comes just after
-        the command still counts.
+        None stands for a result that `set_mode_late` gives LATE_S later. PX4 refuses a mode only then, so a
+        setpoint that arrives just after the command still counts.
         """
         handler = self._table.get(command.number)
         if handler is None:
@@ -100,11 +104,11 @@ class CommandDesk:
         return [result]
 
     def set_mode_late(self, command: Command) -> int:
-        """The answer to a mode command, a step later."""
+        """Return the delayed result of a mode command, LATE_S after it arrived."""
         return self._set_mode(replace(command, now_s=command.now_s + LATE_S))
 
     def enter(self, mode: VehicleMode, now_s: float) -> int:
-        """Change the mode and say why not."""
+        """Change the mode. A refusal is sent as text and returned as result."""
         refusal = self._flight.set_mode(mode, now_s)
         if refusal is None:
             return ACCEPTED
@@ -112,7 +116,7 @@ class CommandDesk:
         return self._manners.failure_result
 
     def enter_custom(self, custom_mode: int, now_s: float) -> int:
-        """Change to a mode by the firmware's number."""
+        """Change to the mode with this firmware number."""
         mode = self._manners.mode_of(custom_mode)
         if mode is None:
             self._say(_WARNING, f"No such mode {custom_mode}")
@@ -133,13 +137,13 @@ class CommandDesk:
         else:
             refusals = [self._flight.disarm(force=force)]
         reasons = [reason for reason in refusals if reason is not None]
-        # The reasons come only as text.
+        # The autopilots report the reasons only as text.
         for reason in reasons:
             self._say(_CRITICAL, f"Arm: {reason}")
         return self._manners.failure_result if reasons else ACCEPTED
 
     def _arm_refusals(self, now_s: float, *, force: bool) -> list[str | None]:
-        """Arm, or all the reasons why not."""
+        """Arm, or return all reasons of the refusal."""
         missing = None if self._flight.armed else self._remote_id(now_s)
         if missing is None:
             return [self._flight.arm(now_s, force=force)]

@@ -1,10 +1,11 @@
-"""How the mock vehicle moves: a point mass whose velocity follows a command, and the ground under it.
+"""Motion of the mock vehicle: a point mass whose velocity follows a command, and the ground under it.
 
-The commanded velocity is first limited in speed (over ground, and through the air), then in acceleration (a
-ramp), and the vehicle follows the ramp with a first-order lag; so the acceleration never exceeds the limit,
-and a reversal overshoots the way the real ones do. What each firmware does beyond that was fitted to its
-recorded flight: PX4 flies a share of what is asked, part of it slowly; ArduPilot brakes gently from high
-speed, and gathers speed gently in its missions. Plain floats: this runs 50 times a simulated second.
+The commanded velocity is first limited in speed (over ground and through the air), then in acceleration (a
+ramp). The vehicle follows the ramp with a first-order lag. The acceleration therefore never exceeds the
+limit, and a reversal overshoots as on real vehicles. Further effects of each firmware were fitted to its
+recorded flight. PX4 reaches only a share of the commanded velocity, and part of that slowly. ArduPilot brakes
+gently from high speed and accelerates gently in its missions. The code uses plain floats because it runs 50
+times per simulated second.
 """
 
 from __future__ import annotations
@@ -22,27 +23,27 @@ _FADED_OVER_MPS = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """How a vehicle follows a commanded velocity (m/s, m/s^2, s)."""
+    """Parameters of how a vehicle follows a commanded velocity (m/s, m/s^2, s)."""
 
     acceleration_mps2: float
-    """Horizontal, to setpoints."""
+    """Horizontal acceleration limit when flying setpoints."""
     vertical_acceleration_mps2: float
     lag_s: float
     vertical_lag_s: float
     auto_acceleration_mps2: float
-    """Horizontal, where the firmware flies by itself."""
+    """Horizontal acceleration limit in the firmware's own modes (mission, return, take-off)."""
     auto_brake_mps2: float
     auto_jerk_mps3: float = math.inf
-    """Of gathering speed."""
+    """Jerk limit while speeding up in the firmware's own modes."""
     gain: float = 1.0
-    """Velocity reached / asked."""
+    """Velocity reached divided by velocity commanded."""
     slow_share: float = 0.0
-    """Part of it, horizontally, that comes and goes with `slow_s`."""
+    """Share of the horizontal velocity that builds up and decays slowly, with time constant `slow_s`."""
     slow_s: float = 1.0
     brake_fades_mps: float = math.inf
-    """Braking grows weaker above this speed, ..."""
+    """Speed above which braking becomes weaker."""
     brake_faded_mps2: float = 0.0
-    """... to this deceleration at _FADED_OVER_MPS more."""
+    """Deceleration that remains at `brake_fades_mps` + _FADED_OVER_MPS and above."""
 
 
 class Body:
@@ -78,7 +79,7 @@ class Body:
         self.airspeed = max_airspeed_mps
         self.touchdown_mps = 0.0
         self.auto = False
-        """The firmware flies by itself: its own acceleration and jerk."""
+        """The firmware flies one of its own modes, with the `auto_*` limits of the response."""
         self._response = response
         self._pace = 0.0
         self._ramp_v = response.vertical_acceleration_mps2 * STEP_S
@@ -91,7 +92,10 @@ class Body:
         self._slow_n, self._slow_e = self.ramp_n, self.ramp_e
 
     def step(self, command_n: float, command_e: float, command_d: float) -> bool:
-        """Fly one step towards a velocity (NED, m/s, finite); True on the step that touches the ground."""
+        """Fly one step towards a velocity (NED, m/s, finite).
+
+        Return True on the step that touches the ground.
+        """
         speed = math.hypot(command_n, command_e)
         if speed > self.horizontal:
             scale = self.horizontal / speed
@@ -128,7 +132,7 @@ class Body:
         return self._move()
 
     def _limit(self, command_mps: float, *, gathers: bool) -> float:
-        """How much the ramp may change in this step (m/s)."""
+        """Largest change of the ramp in this step (m/s)."""
         response = self._response
         if self.auto:
             if not gathers:
@@ -143,7 +147,7 @@ class Body:
         return limit * STEP_S
 
     def fall(self) -> bool:
-        """One step with the motors off. Return True on the step that touches the ground."""
+        """Fall for one step with the motors off. Return True on the step that touches the ground."""
         self.vd = min(self.vd + _GRAVITY * STEP_S, _FALL_SPEED_MPS)
         self.ramp_d = self.vd
         return self._move()
@@ -159,7 +163,7 @@ class Body:
         return True
 
     def rest(self) -> None:
-        """Stand on the ground."""
+        """Come to rest on the ground."""
         self.down = 0.0
         self.vn = self.ve = self.vd = 0.0
         self.ramp_n = self.ramp_e = self.ramp_d = 0.0
@@ -167,17 +171,17 @@ class Body:
 
     @property
     def lean_mps2(self) -> tuple[float, float]:
-        """Acceleration that it leans for, north and east."""
+        """Horizontal acceleration (north, east) that the vehicle's lean produces."""
         lag = self._response.lag_s
         gain = self._response.gain
         return (gain * self.ramp_n - self.vn) / lag, (gain * self.ramp_e - self.ve) / lag
 
     def turn_towards(self, yaw_rad: float, rate_radps: float) -> None:
-        """Turn the nose by the shorter way, no faster than `rate_radps`."""
+        """Turn the nose towards a yaw by the shorter way, at most at `rate_radps`."""
         error = math.remainder(yaw_rad - self.yaw, math.tau)
         limit = rate_radps * STEP_S
         self.yaw = math.remainder(self.yaw + min(max(error, -limit), limit), math.tau)
 
     def speed_towards(self, distance_m: float, cruise_mps: float, acceleration_mps2: float) -> float:
-        """The speed from which the vehicle can still stop within a distance (m/s)."""
+        """Speed (m/s, at most the cruise speed) from which the vehicle can still stop within a distance."""
         return min(cruise_mps, math.sqrt(1.4 * acceleration_mps2 * distance_m), 0.8 * distance_m)

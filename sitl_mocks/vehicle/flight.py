@@ -1,7 +1,7 @@
-"""The flight controller of the mock: arming, modes, take-off, setpoints and their loss, landing.
+"""The flight controller of the mock vehicle: arming, modes, take-off, setpoints and their loss, landing.
 
-`step` flies one motion step; everything else is a request that is granted or refused with the text a real one
-would send.
+`Flight.step` flies one motion step. The other methods are requests. They are granted, or refused with the
+text that a real autopilot would send.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LOITER_SINK_MPS = 2.5
 _NOSE_RATE_RADPS = 1.0
 _MIN_CRUISE_MPS = 0.2
 MANUAL_CONTROL_OFF = 4
-"""COM_RC_IN_MODE without a pilot."""
+"""Value of COM_RC_IN_MODE that disables manual control."""
 _OWN_FLIGHT = frozenset({VehicleMode.MISSION, VehicleMode.RTL, VehicleMode.TAKEOFF})
 _NEEDS_POSITION = frozenset(VehicleMode) - {VehicleMode.MANUAL, VehicleMode.LAND}
 _INFO = int(mavlink.MAV_SEVERITY_INFO)
@@ -36,7 +36,7 @@ _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 
 
 def make_body(options: VehicleOptions, manners: Manners) -> Body:
-    """The point mass with the options' limits, or the firmware's where the options leave them open."""
+    """Make the point mass with the options' limits, or the firmware's limits where the options are None."""
     north, east, down = options.start_position_ned_m
     return Body(
         position_ned_m=(north, east, down if options.airborne else 0.0),
@@ -52,7 +52,7 @@ def make_body(options: VehicleOptions, manners: Manners) -> Body:
 
 
 class Flight:
-    """One aircraft's flight state. Times are the caller's `now_s`."""
+    """Flight state of one aircraft. Times are the caller's `now_s`."""
 
     def __init__(
         self, options: VehicleOptions, manners: Manners, params: ParamBook, book: MissionBook, start_s: float
@@ -63,7 +63,7 @@ class Flight:
         self.mode = options.start_mode or (VehicleMode.HOLD if options.airborne else manners.boot_mode)
         self.failsafe = False
         self.position_lost = False
-        """The estimator cannot say where the vehicle is."""
+        """The estimator has no position."""
         self.setpoint: Setpoint | None = None
         self.texts: list[tuple[int, str]] = []
         self._options = options
@@ -83,7 +83,7 @@ class Flight:
         self._armed_s = start_s
         self._touched_s: float | None = None
         self.landing_detected = self.on_ground
-        """It knows that it stands."""
+        """Whether the firmware has detected that it stands on the ground."""
         self._lift_s: float | None = None
         self._takeoff_down: float | None = None
         self._setpoint_s = -math.inf
@@ -106,14 +106,14 @@ class Flight:
 
     @property
     def cruise_mps(self) -> float:
-        """Speed of missions and of the way home."""
+        """Speed of missions and of the return to launch (m/s)."""
         own = self._options.mission_speed_mps
         set_speed = self._params.get(self._manners.cruise_param) * self._manners.cruise_param_scale
         return own or max(set_speed, _MIN_CRUISE_MPS)
 
     @property
     def landed(self) -> Landed:
-        """What EXTENDED_SYS_STATE tells."""
+        """Landed state as EXTENDED_SYS_STATE reports it."""
         if self.on_ground and self.landing_detected:
             return Landed.ON_GROUND
         in_mission = self.mode is VehicleMode.MISSION
@@ -124,18 +124,18 @@ class Flight:
         return Landed.IN_AIR
 
     def knows_place(self, now_s: float) -> bool:
-        """The estimator has found its place, and not lost it."""
+        """Whether the estimator has a position."""
         return now_s >= self._ready_s and not self.position_lost
 
     @property
     def taking_off(self) -> bool:
-        """A take-off was accepted and is not over."""
+        """Whether an accepted take-off is still in progress."""
         return self._takeoff_down is not None
 
     # ------------------------------------------------------------ requests
 
     def arm(self, now_s: float, *, force: bool = False) -> str | None:
-        """Arm; return None, or why not."""
+        """Arm. Return None, or the reason of the refusal."""
         if self.armed:
             return None
         refusal = self.arm_refusal(now_s, force=force)
@@ -148,7 +148,7 @@ class Flight:
         return None
 
     def arm_refusal(self, now_s: float, *, force: bool = False) -> str | None:
-        """Why it would not arm."""
+        """Return why the vehicle would refuse to arm; None if it would arm."""
         if now_s < self._ready_s or self.position_lost:
             return "Need Position Estimate"
         if self.mode not in self._manners.arms_in and not force:
@@ -156,7 +156,7 @@ class Flight:
         return None
 
     def disarm(self, *, force: bool = False) -> str | None:
-        """Disarm; return None, or why not. Forced in the air it falls."""
+        """Disarm. Return None, or the reason of the refusal. If forced in the air, the vehicle falls."""
         if not self.armed:
             return None
         if not self.on_ground and not force:
@@ -171,7 +171,11 @@ class Flight:
         return None
 
     def take_off(self, height_m: float) -> str | None:
-        """Climb to a height over home (m; NaN: the firmware's own climb); return None, or why not."""
+        """Climb to a height over home. Return None, or the reason of the refusal.
+
+        Args:
+            height_m: in m; NaN climbs by the height in the firmware's take-off parameter, if it has one.
+        """
         if math.isnan(height_m):
             height_m = self._default_takeoff_m()
         if not math.isfinite(height_m):
@@ -187,7 +191,7 @@ class Flight:
         return None
 
     def set_mode(self, mode: VehicleMode, now_s: float) -> str | None:
-        """Change the mode; return None, or why the vehicle stays where it is."""
+        """Change the mode. Return None, or why the vehicle stays in its mode."""
         if mode not in self._manners.custom_modes:
             return "No such mode"
         if mode is self.mode and not self.failsafe:
@@ -210,27 +214,27 @@ class Flight:
         return None
 
     def fail_over(self, mode: VehicleMode) -> None:
-        """A failsafe takes the vehicle into a mode, whatever was asked for."""
+        """Enter a mode because of a failsafe. The requested mode stays `intended`."""
         self._enter(mode)
         self.failsafe = True
 
     def recover(self, now_s: float) -> None:
-        """The cause of a failsafe is over: back to what was asked for."""
+        """Return to the requested mode after the cause of a failsafe is over."""
         self._enter(VehicleMode.HOLD)
         self.set_mode(self._intended, now_s)
 
     @property
     def intended(self) -> VehicleMode:
-        """The mode that was asked for, which a failsafe may have left."""
+        """The requested mode. During a failsafe it can differ from `mode`."""
         return self._intended if self.failsafe else self.mode
 
     def take_over(self) -> None:
-        """The pilot flies."""
+        """Give control to the pilot: enter MANUAL."""
         self._enter(VehicleMode.MANUAL)
         self._intended = VehicleMode.MANUAL
 
     def set_setpoint(self, setpoint: Setpoint, now_s: float) -> None:
-        """A setpoint that the firmware understood."""
+        """Take a setpoint that the firmware understood. ArduPilot ignores it outside GUIDED."""
         external = self.mode is VehicleMode.EXTERNAL
         if not self._manners.external_needs_stream:
             if not external:
@@ -242,17 +246,17 @@ class Flight:
         self.setpoint = setpoint
         self._setpoint_s = now_s
         if self._stream_lost and self._manners.stream_takes_back:
-            # The vehicle still means to fly the stream: it goes back to it by itself.
+            # The requested mode is still EXTERNAL, so the vehicle returns to it by itself.
             self._enter(VehicleMode.EXTERNAL)
 
     def change_speed(self, speed_mps: float) -> None:
-        """DO_CHANGE_SPEED outside a mission."""
+        """Carry out DO_CHANGE_SPEED that came as a command, not as a mission item."""
         self.runner.speed_mps = speed_mps
 
     # ------------------------------------------------------------ one step
 
     def step(self, now_s: float) -> None:
-        """Fly one motion step that begins at `now_s`."""
+        """Fly one motion step of STEP_S that begins at `now_s`."""
         body = self.body
         if not self.armed:
             if not self.on_ground and body.fall():
@@ -269,7 +273,7 @@ class Flight:
         self._turn_nose()
 
     def _watch_stream(self, now_s: float) -> None:
-        """Setpoints that stop coming."""
+        """React to the loss of the setpoint stream."""
         if self.mode is not VehicleMode.EXTERNAL or self.setpoint is None or not self.setpoint.expires:
             return
         if self._streaming(now_s):
@@ -282,7 +286,7 @@ class Flight:
         self.texts.append((_CRITICAL, "Failsafe activated: offboard signal lost"))
 
     def _chosen_for_loss(self) -> VehicleMode | None:
-        """Where the parameters lead, None where they leave it to the manners."""
+        """Mode that the parameters select for setpoint loss; None if the firmware's `loss_mode` applies."""
         if not self._manners.loss_actions:
             return None
         chosen = self._manners.loss_actions.get(int(self._params.get("COM_OBL_RC_ACT")))
@@ -294,7 +298,7 @@ class Flight:
         return now_s - self._setpoint_s < timeout_s - 1e-9
 
     def _stand(self, now_s: float) -> None:
-        """Armed on the ground: lift off, wait, or disarm."""
+        """Handle one step while armed on the ground: lift off, wait, or disarm."""
         if self._wants_up():
             if self._lift_s is None:
                 self._lift_s = max(self._armed_s + self._manners.spin_up_s, now_s)
@@ -333,7 +337,7 @@ class Flight:
             or setpoint is None
             or not self._manners.external_needs_stream
         ):
-            # ArduPilot in GUIDED leaves the ground only by a take-off.
+            # ArduPilot in GUIDED leaves the ground only with a take-off command.
             return False
         return setpoint.velocity_ned_mps[2] < -0.3 or (setpoint.down_m is not None and setpoint.down_m < -1.0)
 

@@ -1,4 +1,4 @@
-"""Where the mock vehicle wants to go when nobody steers it: to a point, home, down, or along its mission."""
+"""Guidance of the mock vehicle in its own modes: to a point, home, down, or along its mission."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NAMES = {_WAYPOINT: "WP", _TAKEOFF: "Takeoff", _LAND: "Land", _RETURN: "RTL", _
 
 
 class Steering:
-    """Velocities (NED, m/s) towards places in the home frame (m)."""
+    """Computes velocities (NED, m/s) towards places in the home frame (m)."""
 
     def __init__(
         self, body: Body, manners: Manners, *, acceleration_mps2: float, vertical_mps2: float
@@ -42,7 +42,7 @@ class Steering:
         self._land = manners.land_speed_mps
 
     def towards(self, target: Vec3, cruise_mps: float) -> Vec3:
-        """Straight at a point, slowing to stop on it."""
+        """Velocity straight towards a point, decreasing so that the vehicle stops on it."""
         body = self._body
         north, east, down = target[0] - body.north, target[1] - body.east, target[2] - body.down
         distance = math.sqrt(north * north + east * east + down * down)
@@ -57,7 +57,7 @@ class Steering:
         return north * scale, east * scale, min(max(vertical, -stop), stop)
 
     def to_height(self, down_m: float) -> Vec3:
-        """Straight up or down to a height."""
+        """Velocity straight up or down to a height."""
         body = self._body
         return self.towards((body.north, body.east, down_m), self._climb_limit)
 
@@ -67,7 +67,11 @@ class Steering:
         return self._climb if -body.down < self._slow_takeoff_m else body.climb
 
     def landing(self, place: tuple[float, float] | None = None) -> Vec3:
-        """Down, slowly near the ground; over a place (north, east) or wherever it is."""
+        """Velocity of a descent that is slow near the ground.
+
+        Args:
+            place: point (north, east) to descend over; None descends at the present position.
+        """
         body = self._body
         above = max(-body.down - _SLOW_LANDING_BELOW_M, 0.0)
         speed = math.sqrt(self._land * self._land + 2.0 * self._vertical * above)
@@ -78,7 +82,7 @@ class Steering:
 
 
 class Homecoming:
-    """Return to launch: climb, fly home, land."""
+    """Guidance of a return to launch: climb, fly home, land."""
 
     def __init__(self, body: Body, steering: Steering, manners: Manners) -> None:
         self._body = body
@@ -89,13 +93,13 @@ class Homecoming:
         self.over_home = False
 
     def begin(self) -> None:
-        """From here, now."""
+        """Start a return from the present position."""
         self._down = min(self._body.down, -self._height_m)
         self._climbed = False
         self.over_home = False
 
     def step(self, cruise_mps: float) -> Vec3:
-        """Velocity for this step."""
+        """Return the velocity for this step."""
         body = self._body
         distance = math.hypot(body.north, body.east)
         self.over_home = self.over_home or distance < 1.0
@@ -108,7 +112,7 @@ class Homecoming:
 
 
 class MissionRunner:
-    """Flies the book's items one after the other; remembers its place when the vehicle leaves the mode."""
+    """Flies the mission items in order. It remembers the current item when the vehicle leaves the mode."""
 
     def __init__(
         self, book: MissionBook, frame: LocalFrame, body: Body, steering: Steering, manners: Manners
@@ -125,12 +129,12 @@ class MissionRunner:
         self.seq = 0
         self.complete = False
         self.speed_mps: float | None = None
-        """Set by DO_CHANGE_SPEED; None flies the cruise speed."""
+        """Speed set by DO_CHANGE_SPEED; None: the cruise speed is flown."""
         self.reached: list[int] = []
         self.texts: list[str] = []
 
     def sync(self) -> None:
-        """Follow what the protocol did to the book: start a new mission over, take a new current item."""
+        """Adopt changes made by the mission protocol: restart a new mission, jump to a requested item."""
         book = self._book
         if book.revision != self._revision:
             self._revision = book.revision
@@ -141,7 +145,7 @@ class MissionRunner:
                 self._restart(seq)
 
     def resume(self) -> None:
-        """Enter the mission mode: go on with the same item."""
+        """Continue with the same item when the vehicle enters the mission mode."""
         self.sync()
         if self.complete or self.seq < self._book.first_seq:
             self._restart(self._book.first_seq)
@@ -150,29 +154,29 @@ class MissionRunner:
 
     @property
     def item(self) -> StoredItem | None:
-        """The item being flown."""
+        """The item being flown; None if there is none."""
         return self._book.items[self.seq] if self.seq < len(self._book.items) else None
 
     @property
     def taking_off(self) -> bool:
-        """The current item is a take-off."""
+        """Whether the current item is a take-off."""
         item = self.item
         return item is not None and item.command == _TAKEOFF and not self.complete
 
     @property
     def climbing(self) -> bool:
-        """It has not reached the height of a take-off yet."""
+        """Whether the current item is a take-off whose height is not reached yet."""
         item = self.item
         return item is not None and self.taking_off and self._body.down >= 0.5 - self._height_m(item)
 
     @property
     def landing(self) -> bool:
-        """The current item ends on the ground."""
+        """Whether the current item ends on the ground."""
         item = self.item
         return item is not None and item.command in (_LAND, _RETURN)
 
     def step(self, now_s: float, cruise_mps: float) -> Vec3:
-        """Velocity for this step; advances over items that are done."""
+        """Return the velocity for this step. Items that are done are passed over."""
         self.sync()
         for _ in range(len(self._book.items) + 1):
             item = self.item
@@ -185,7 +189,7 @@ class MissionRunner:
         return HOVER if self._target is None else self._steering.towards(self._target, cruise_mps)
 
     def rewind(self) -> None:
-        """Back to the beginning."""
+        """Go back to the beginning of the mission."""
         self.seq = 0
         self.complete = False
 
@@ -214,7 +218,7 @@ class MissionRunner:
             self._target = held if self.item.command == _DELAY else None
 
     def _fly(self, item: StoredItem, now_s: float, cruise_mps: float) -> Vec3 | None:
-        """Velocity while the item lasts, None when it is done."""
+        """Return the velocity while the item lasts, None when it is done."""
         command = item.command
         if command == _CHANGE_SPEED:
             if item.params[1] > 0.0:
@@ -267,13 +271,13 @@ class MissionRunner:
         return None if now_s - self._arrived_s >= seconds else HOVER
 
     def _height_m(self, item: StoredItem) -> float:
-        """Height over home; an item without one keeps the present height."""
+        """Height of an item over home. An item without a height keeps the present height."""
         if not math.isfinite(item.z):
             return -self._body.down
         return item.z if item.frame in _RELATIVE_FRAMES else item.z - self._frame.alt_m
 
     def _place(self, item: StoredItem) -> Vec3:
-        """Item to NED. An item without a place means here."""
+        """Place of an item in NED. An item without a place means the present position."""
         if not item.placed:
             return self._body.north, self._body.east, -self._height_m(item)
         return self._frame.to_ned(item.x * 1e-7, item.y * 1e-7, self._frame.alt_m + self._height_m(item))

@@ -1,7 +1,7 @@
-"""One MAVLink link of the mock vehicle: bytes in, bytes out, and what is due on it when.
+"""One MAVLink link of the mock vehicle: bytes in, bytes out, and the schedule of its message streams.
 
-The few messages that come and go many times a second are laid out here and in the telemetry as plain structs;
-all others go through pymavlink.
+The few messages that are exchanged many times a second are packed as plain structs, here and in the
+telemetry. All others are handled by pymavlink.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ _SETPOINT = struct.Struct("<I11fHBBB")
 
 
 class Payload(NamedTuple):
-    """A message that is already laid out."""
+    """A message whose payload is already packed."""
 
     message_id: int
     body: bytes
 
 
 class SetpointMessage(NamedTuple):
-    """SET_POSITION_TARGET_LOCAL_NED in its order on the wire (m, m/s, rad; NED or body by the frame)."""
+    """SET_POSITION_TARGET_LOCAL_NED, fields in wire order (m, m/s, rad; NED or body axes by the frame)."""
 
     time_boot_ms: int
     x: float
@@ -54,7 +54,10 @@ class SetpointMessage(NamedTuple):
 
 
 class Link:
-    """Streams are per link, as on the real ones. Bytes that nobody drains are bounded."""
+    """One link with its own message streams, as on the real autopilots.
+
+    The buffer of unsent bytes is bounded.
+    """
 
     def __init__(
         self,
@@ -70,11 +73,11 @@ class Link:
         self._decoder = mavlink.MAVLink(None)
         self.bytes_dropped = 0
         self.cut = False
-        """Nothing crosses, either way."""
+        """The link is interrupted in both directions."""
         self.mode_is_news = False
-        """CURRENT_MODE has something to tell that was not told on this link."""
+        """The status was published, and no CURRENT_MODE has reported it on this link yet."""
         self.params_due: deque[int] = deque()
-        """Indices of PARAM_VALUE still to send."""
+        """Indices of the parameters whose PARAM_VALUE is still to be sent."""
         self._writer = MavlinkWriter(system_id, 1)
         self._out = bytearray()
         self._streams: dict[int, list[float]] = {}
@@ -82,26 +85,29 @@ class Link:
         self.reset(streams, now_s)
 
     def reset(self, streams: Mapping[int, float], now_s: float) -> None:
-        """Forget what was asked for: message id -> interval (s)."""
+        """Replace all requested streams by `streams` (message id -> interval in s)."""
         self._streams = {message_id: [interval, now_s] for message_id, interval in streams.items()}
         self._earliest_s = now_s
         self.params_due.clear()
 
     def interval(self, message_id: int) -> float | None:
-        """Interval of a stream (s), None when it is off."""
+        """Interval of a stream (s); None if it is off."""
         stream = self._streams.get(message_id)
         return None if stream is None else stream[0]
 
     def set_interval(self, message_id: int, interval_s: float | None, now_s: float) -> None:
-        """Turn a stream on, change it, or turn it off (None)."""
+        """Turn a stream on, change its interval, or turn it off (None)."""
         self._streams.pop(message_id, None)
         if interval_s is not None:
             self._streams[message_id] = [interval_s, now_s]
             self._earliest_s = min(self._earliest_s, now_s)
 
     def due(self, now_s: float) -> list[int]:
-        """Ids of the messages due by now; each at most once, and a late one does not come twice. CURRENT_MODE
-        is left to `tells_mode`."""
+        """Ids of the messages that are due.
+
+        A message that is late by several intervals is returned only once. CURRENT_MODE is left to
+        `tells_mode`.
+        """
         limit = now_s + _EPSILON_S
         if self._earliest_s > limit:
             return []
@@ -123,7 +129,10 @@ class Link:
         return due
 
     def tells_mode(self, now_s: float) -> bool:
-        """Whether CURRENT_MODE may be sent now, its interval after the last one; if so, it must be."""
+        """Whether the interval of CURRENT_MODE has passed.
+
+        If so, it restarts and the caller must send one.
+        """
         stream = self._streams.get(CURRENT_MODE)
         if stream is None or stream[1] > now_s + _EPSILON_S:
             return False
@@ -131,7 +140,7 @@ class Link:
         return True
 
     def feed(self, data: bytes) -> list[tuple[Frame, MavlinkMessage | SetpointMessage]]:
-        """The messages completed by some bytes, with their frames; what cannot be read is left out."""
+        """Return the messages that these bytes complete, with their frames. Unreadable frames are skipped."""
         found: list[tuple[Frame, MavlinkMessage | SetpointMessage]] = []
         if self.cut:
             return found
@@ -145,12 +154,12 @@ class Link:
             try:
                 found.append((frame, self._decoder.decode(bytearray(frame.raw))))
             except (mavlink.MAVError, ValueError):
-                # ValueError: text fields that are not ASCII.
+                # pymavlink raises ValueError for text fields that are not ASCII.
                 continue
         return found
 
     def send(self, message: MavlinkMessage | Payload) -> None:
-        """Encode one message of this vehicle."""
+        """Encode one message of this vehicle and queue it."""
         if isinstance(message, Payload):
             frame = self._writer.pack_payload(message.message_id, message.body)
         else:
@@ -158,7 +167,7 @@ class Link:
         self.pass_on(frame if self._signing is None else self._signing.sign(frame, self._link_id))
 
     def pass_on(self, frame: bytes) -> None:
-        """Send bytes as they are."""
+        """Queue a frame unchanged."""
         if self.cut:
             return
         if len(self._out) + len(frame) > _MAX_WAITING_BYTES:
@@ -167,7 +176,7 @@ class Link:
         self._out += frame
 
     def drain(self) -> bytes:
-        """What waits to be sent."""
+        """Return and remove the bytes that wait to be sent."""
         if not self._out:
             return b""
         data = bytes(self._out)

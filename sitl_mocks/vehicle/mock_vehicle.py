@@ -1,7 +1,7 @@
-"""A mock MAVLink vehicle with the manners of ArduPilot Copter or PX4: bytes in, bytes out.
+"""A mock MAVLink vehicle that behaves like ArduPilot Copter or PX4: bytes in, bytes out.
 
-Pure: no clock, no socket, no file; time and the random generator are passed in, so the same bytes at the same
-times give the same flight, bit for bit. Use:
+The vehicle uses no clock, socket or file. The caller passes in time and the random generator, so the same
+bytes at the same times give the same flight, bit for bit. Use:
 
     vehicle = MockVehicle(VehicleOptions(firmware=Firmware.PX4), numpy.random.default_rng(1))
     vehicle.receive(data, now_s)
@@ -51,9 +51,9 @@ __all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
 COMPONENT = 1
 REBOOT_S = 2.4
 _LINKS_OWN = frozenset({mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE})
-"""Commands that the link carries out by itself."""
+"""Commands that the link handles by itself. They do not make the vehicle publish its status."""
 STATUS_S = 0.5
-"""PX4 publishes its status so often, and at each change: CURRENT_MODE follows."""
+"""Period at which PX4 publishes its status; it also publishes at each change. CURRENT_MODE follows."""
 KEPT_COLLISIONS = 100
 _ADSB = int(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE)
 _EPSILON_S = 1e-9
@@ -78,7 +78,7 @@ _DATA_STREAMS = {
 
 
 class MockVehicle:
-    """One vehicle on any number of links. `start_s` is the now_s at which its motion begins.
+    """One vehicle on any number of links. Its motion begins at now_s = `start_s`.
 
     Raises ConfigError for a mission in the options that cannot be flown.
     """
@@ -86,13 +86,13 @@ class MockVehicle:
     def __init__(self, options: VehicleOptions, rng: numpy.random.Generator, start_s: float = 0.0) -> None:
         self.options = options
         self.setpoints_received = 0
-        """SET_POSITION_TARGET_LOCAL_NED addressed to this vehicle, flown or not."""
+        """Number of SET_POSITION_TARGET_LOCAL_NED messages addressed to this vehicle, flown or not."""
         self.largest_setpoint_gap_s = 0.0
-        """Longest time between two of them."""
+        """Longest time between two setpoint messages."""
         self.setpoint_gaps_over_100ms = 0
         self.reboots = 0
         self.collisions: deque[tuple[float, MavlinkMessage]] = deque(maxlen=KEPT_COLLISIONS)
-        """The last COLLISION messages, each with when it came."""
+        """The latest COLLISION messages, each with its time of arrival."""
         self._manners = options.manners
         self._last_setpoint_s: float | None = None
         self._late_acks: list[tuple[Command, tuple[int, int]]] = []
@@ -101,7 +101,7 @@ class MockVehicle:
         self._down_until_s = -math.inf
         self._errors = NavigationError(options, rng, NOISE_STEPS * STEP_S)
         self.signing: Signing | None = None
-        """Shared by all links, as on the real ones."""
+        """MAVLink signing state, shared by all links as on the real autopilots."""
         if options.signing_key is not None:
             utc_s = 0.0 if options.utc_at_zero_s is None else options.utc_at_zero_s + start_s
             self.signing = Signing(options.signing_key, timestamp_at(utc_s), start_s)
@@ -134,7 +134,7 @@ class MockVehicle:
         self._missions = MissionDesk(self._manners, (self._book, fence))
         home = LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
         self.troubles = Troubles(self._manners, self._params, fence, home, rc_connected=options.rc_connected)
-        """Battery, estimator, GNSS, sticks: to be set from outside."""
+        """Battery, estimator, GNSS and sticks. The caller sets them."""
         self._traffic = Traffic(
             options.traffic,
             home,
@@ -174,13 +174,13 @@ class MockVehicle:
 
     @property
     def position_ned_m(self) -> Vec3:
-        """True position in the LocalFrame of home (with its MSL altitude)."""
+        """True position (m, NED) in the LocalFrame of home, whose altitude is above mean sea level."""
         body = self._flight.body
         return body.north, body.east, body.down
 
     @property
     def velocity_ned_mps(self) -> Vec3:
-        """True velocity over ground."""
+        """True velocity over ground (NED)."""
         body = self._flight.body
         return body.vn, body.ve, body.vd
 
@@ -191,38 +191,41 @@ class MockVehicle:
 
     @property
     def mode(self) -> VehicleMode:
-        """The mode flown."""
+        """The present flight mode."""
         return self._flight.mode
 
     @property
     def custom_mode(self) -> int:
-        """The mode's number in this firmware's heartbeat."""
+        """The present mode's number in this firmware's heartbeat."""
         return self._manners.custom_modes[self._flight.mode]
 
     @property
     def armed(self) -> bool:
-        """Motors may turn."""
+        """Whether the motors may turn."""
         return self._flight.armed
 
     @property
     def failsafe(self) -> bool:
-        """Where a failsafe led: the stream of setpoints was lost, or one of the troubles."""
+        """Whether a failsafe chose the present mode: setpoint loss, or one of the `troubles`."""
         return self._flight.failsafe
 
     @property
     def landed(self) -> Landed:
-        """What EXTENDED_SYS_STATE tells."""
+        """Landed state as EXTENDED_SYS_STATE reports it."""
         return self._flight.landed
 
     @property
     def mission_seq(self) -> int:
-        """Item being flown, in the firmware's own numbering."""
+        """Mission item being flown, in the firmware's own numbering."""
         return self._flight.runner.seq
 
     # ------------------------------------------------------------ the pilot
 
     def pilot_selects(self, mode: VehicleMode) -> bool:
-        """The pilot's switch, by radio and not by MAVLink; return whether the vehicle took the mode."""
+        """Select a mode by the pilot's radio switch, not by MAVLink.
+
+        Return whether the vehicle entered it.
+        """
         refused = self._flight.set_mode(mode, self.now_s)
         self._after_change()
         return refused is None
@@ -230,29 +233,30 @@ class MockVehicle:
     # ------------------------------------------------------------ links
 
     def open_link(self, link: int) -> None:
-        """Open a link, or open it anew: only what every fresh link carries."""
+        """Open or reopen a link with only the message streams that every fresh link carries."""
         self._links[link] = Link(
             self.options.system_id, self._manners.fresh_streams, self.now_s, self.signing, link % 256
         )
 
     def close_link(self, link: int) -> None:
-        """Forget a link, its rates and what waits on it."""
+        """Forget a link with its message rates and its unsent bytes."""
         self._links.pop(link, None)
         self._routes = {route: via for route, via in self._routes.items() if via != link}
 
     def cut_link(self, link: int = 0) -> None:
-        """Nothing crosses this link any more, either way; what is sent meanwhile is lost."""
+        """Interrupt a link in both directions. Everything sent meanwhile is lost."""
         self._links[link].cut = True
 
     def mend_link(self, link: int = 0) -> None:
-        """A cut link carries again, with the rates that were asked for."""
+        """Restore a cut link with the message rates that were requested before."""
         self._links[link].cut = False
 
     def reboot(self, *, flies_on: bool = False) -> None:
-        """The autopilot restarts, also in flight: deaf and mute for REBOOT_S, then as after a boot.
+        """Restart the autopilot, also in flight.
 
-        In the air the motors stop and it falls; with `flies_on` it hovers and is armed afterwards, in the
-        boot mode (as after a watchdog reset).
+        For REBOOT_S the vehicle neither receives nor sends; then its state is that after a boot. In the air
+        the motors stop and it falls. With `flies_on` it hovers instead and is armed afterwards, in the boot
+        mode (as after a watchdog reset).
         """
         self.reboots += 1
         self._down_until_s = self.now_s + REBOOT_S
@@ -263,13 +267,13 @@ class MockVehicle:
         self._flight.texts.clear()
 
     def drain(self, link: int = 0) -> bytes:
-        """Bytes to send on a link."""
+        """Return and remove the bytes to send on a link."""
         if link not in self._links:
             self.open_link(link)
         return self._links[link].drain()
 
     def receive(self, data: bytes, now_s: float, link: int = 0) -> None:
-        """Take bytes that arrived at `now_s` on a link; a vehicle that reboots hears nothing."""
+        """Process bytes that arrived at `now_s` on a link. During a reboot messages are discarded."""
         if link not in self._links:
             self.open_link(link)
         endpoint = self._links[link]
@@ -293,7 +297,7 @@ class MockVehicle:
         self._after_change()
 
     def advance(self, now_s: float) -> None:
-        """Fly in whole steps up to `now_s`, and send what is due on the way."""
+        """Fly in whole steps up to `now_s`, and send the messages that fall due on the way."""
         if self._steps == 0:
             self._send_due(self._start_s)
         while self._start_s + (self._steps + 1) * STEP_S <= now_s + _EPSILON_S:
@@ -343,7 +347,7 @@ class MockVehicle:
                 self._links[asked].send(request)
 
     def _after_change(self) -> None:
-        """Tell what a step or a message has changed."""
+        """Report everything that a step or a message has changed."""
         flight, runner = self._flight, self._flight.runner
         if flight.mode is not self._shown_mode:
             self._tell_mode_left(self._shown_mode)
@@ -374,8 +378,11 @@ class MockVehicle:
             link.mode_is_news = self._manners.tells_current_mode
 
     def _tell_mode_left(self, mode: VehicleMode) -> None:
-        """PX4 publishes its status as it takes a command, and again when it has changed the mode: where
-        CURRENT_MODE may be sent, it tells the old mode once more, and the new one an interval later."""
+        """Report the old mode once more, on links whose CURRENT_MODE interval allows it.
+
+        PX4 publishes its status when it takes a command, and again when it has changed the mode. The new mode
+        therefore follows one interval later.
+        """
         if not self._manners.tells_current_mode:
             return
         for link in self._links.values():
@@ -398,7 +405,7 @@ class MockVehicle:
         self._broadcast(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
 
     def _forward(self, frame: Frame, message: MavlinkMessage | SetpointMessage, link: int) -> None:
-        """Pass a frame on: to everybody when it has no target, else to where its target was heard."""
+        """Forward a frame: without a target to all other links, else to links where its target was heard."""
         self._routes[frame.system_id, frame.component_id] = link
         target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
         if target == (self.options.system_id, COMPONENT):
@@ -412,7 +419,7 @@ class MockVehicle:
                 endpoint.pass_on(frame.raw)
 
     def _wake(self, at_s: float) -> None:
-        """After a reboot: where it stood, with its stored mission and parameters, and nothing asked for."""
+        """Boot again at the same place. Missions and parameters are kept, requested message rates are not."""
         body, on_ground = self._flight.body, self._flight.on_ground
         standing = dataclasses.replace(
             self.options,
@@ -426,7 +433,7 @@ class MockVehicle:
         self.troubles.reboot()
         self._boot(standing, at_s, boot_s=at_s)
         if not self._flight.armed and not on_ground:
-            # Still falling.
+            # The vehicle is still falling.
             fallen, self._flight.on_ground = self._flight.body, False
             fallen.down, fallen.vn, fallen.ve, fallen.vd = body.down, body.vn, body.ve, body.vd
         for link in self._links.values():
@@ -461,7 +468,7 @@ class MockVehicle:
         to = (message.get_srcSystem(), message.get_srcComponent())
         command = read_command(message, endpoint, now_s)
         if command.number not in _LINKS_OWN:
-            # PX4's Commander publishes its status with every command, whatever it makes of it.
+            # PX4's Commander publishes its status with every command, accepted or not.
             self._publish_status(now_s)
         for result in self._desk.execute(command):
             if result is None:
@@ -520,7 +527,7 @@ class MockVehicle:
 
 
 def home_item(options: VehicleOptions) -> StoredItem:
-    """Home as ArduPilot shows it: mission item 0."""
+    """Home as ArduPilot reports it: mission item 0."""
     return StoredItem(
         mavlink.MAV_CMD_NAV_WAYPOINT,
         mavlink.MAV_FRAME_GLOBAL,

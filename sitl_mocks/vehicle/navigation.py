@@ -1,8 +1,8 @@
-"""What the vehicle believes about its motion: truth plus time-correlated errors, and its place on the globe.
+"""The vehicle's navigation solution (truth plus time-correlated errors) and its geodetic coordinates.
 
-The errors are first-order Gauss-Markov processes, advanced every 0.1 s; truth is never touched. The geodetic
-conversion is the exact one of `companion.geometry` (ellipsoid and tangent plane), written with plain floats
-because it runs for every telemetry sample.
+The errors are first-order Gauss-Markov processes that are advanced every 0.1 s. They never change the true
+motion. The geodetic conversion is the exact one of `companion.geometry` (ellipsoid and tangent plane). It is
+written with plain floats because it runs for every telemetry sample.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from companion.geometry import Vec3
 from sitl_mocks.vehicle.options import VehicleOptions
 
 NOISE_STEPS = 5
-"""Motion steps between two advances of the errors."""
+"""Number of motion steps between two advances of the errors."""
 
 _A = 6378137.0
 _F = 1.0 / 298.257223563
@@ -25,7 +25,7 @@ _EP2 = _E2 / (1.0 - _E2)
 
 
 class Globe:
-    """NED of a home point (m) to latitude (deg), longitude (deg) and altitude (m) in the home's datum."""
+    """Converts NED relative to home (m) to latitude, longitude (deg) and altitude (m, in home's datum)."""
 
     def __init__(self, lat_deg: float, lon_deg: float, alt_m: float) -> None:
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
@@ -40,7 +40,7 @@ class Globe:
         self._trig = (sin_lat, cos_lat, sin_lon, cos_lon)
 
     def to_geodetic(self, north_m: float, east_m: float, down_m: float) -> Vec3:
-        """Bowring's formula from earth-centred coordinates: sub-micrometre at these heights."""
+        """Convert by Bowring's formula from Earth-centred coordinates (error below 1 um at these heights)."""
         sin_lat, cos_lat, sin_lon, cos_lon = self._trig
         out = -sin_lat * north_m - cos_lat * down_m
         x = self._origin[0] + cos_lon * out - sin_lon * east_m
@@ -52,13 +52,13 @@ class Globe:
         lat = math.atan2(z + _EP2 * _B * sin_t * sin_t * sin_t, p - _E2 * _A * cos_t * cos_t * cos_t)
         sin_new = math.sin(lat)
         radius = _A / math.sqrt(1.0 - _E2 * sin_new * sin_new)
-        # Both terms so that the height stays exact near the poles too.
+        # Both terms are needed to keep the height exact near the poles.
         height = p * math.cos(lat) + z * sin_new - _A * _A / radius
         return math.degrees(lat), math.degrees(math.atan2(y, x)), height
 
 
 class NavigationError:
-    """Position error (NED, m) and velocity error (NED, m/s) of the vehicle's own solution."""
+    """Position error (NED, m) and velocity error (NED, m/s) of the vehicle's navigation solution."""
 
     def __init__(self, options: VehicleOptions, rng: numpy.random.Generator, interval_s: float) -> None:
         self._rng = rng
@@ -78,7 +78,7 @@ class NavigationError:
             self.errors = tuple(sigma * draw for sigma, draw in zip(self._sigmas, draws, strict=True))
 
     def advance(self) -> None:
-        """One interval further; draws from the generator only where there is noise."""
+        """Advance the errors by one interval. Draws from the generator only if there is noise."""
         if not self.active:
             return
         draws = self._rng.standard_normal(6).tolist()

@@ -1,4 +1,4 @@
-"""What a mock vehicle is made of: firmware, home, start, limits, navigation errors."""
+"""Options of a mock vehicle: firmware, home, start, limits, navigation errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ _PLAIN_VERTICAL_MPS2 = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleOptions:
-    """Everything that is set before the vehicle exists. NED is relative to home; None: the firmware's value.
+    """Everything that is set before the vehicle exists.
+
+    NED is relative to home. A limit of None takes the firmware's value.
 
     Raises ConfigError for values outside their range.
     """
@@ -32,69 +34,74 @@ class VehicleOptions:
     home_lon_deg: float = 8.545
     home_alt_msl_m: float = 400.0
     geoid_separation_m: float = 47.0
-    """Height of mean sea level over the ellipsoid: alt_ellipsoid = alt_msl + this."""
+    """Height of mean sea level above the ellipsoid: alt_ellipsoid = alt_msl + geoid_separation_m."""
 
     signing_key: bytes | None = None
-    """Signs all it sends, believes nothing else on any link (the real ArduPilot trusts its USB port)."""
+    """MAVLink signing key. The vehicle signs every frame and rejects wrongly signed or unsigned frames on
+    every link (the real ArduPilot trusts its USB port)."""
 
     airborne: bool = False
-    """Start in the air, armed; else on the ground at `start_position_ned_m`'s north and east, disarmed."""
+    """True starts armed in the air. False starts disarmed on the ground, at the north and east of
+    `start_position_ned_m`."""
     start_position_ned_m: Vec3 = (0.0, 0.0, 0.0)
     start_velocity_ned_mps: Vec3 = (0.0, 0.0, 0.0)
     start_yaw_rad: float = 0.0
     start_mode: VehicleMode | None = None
-    """None: HOLD in the air, the firmware's boot mode on the ground. A start in EXTERNAL counts the start
-    velocity as the first setpoint."""
+    """None starts in HOLD in the air and in the firmware's boot mode on the ground. In an airborne start in
+    EXTERNAL, the start velocity counts as the first setpoint."""
     mission: tuple[MissionItem, ...] = ()
-    """Held from the start, without ArduPilot's home item."""
+    """Mission stored from the start, without ArduPilot's home item."""
     fence: tuple[FenceArea, ...] = ()
-    """Held from the start. ArduPilot obeys it with FENCE_ENABLE, PX4 as GF_ACTION says."""
+    """Fence stored from the start. ArduPilot obeys it if FENCE_ENABLE is set, PX4 according to GF_ACTION."""
     traffic: tuple[CrewedFlight, ...] = ()
-    """What its ADS-B receiver hears."""
+    """Crewed aircraft that the vehicle's ADS-B receiver hears."""
 
     boot_time_offset_s: float = 120.0
-    """The vehicle's own clock at now_s = 0."""
+    """Reading of the vehicle's own clock at now_s = 0."""
     utc_at_zero_s: float | None = None
-    """Unix time at now_s = 0; None: the vehicle does not know the time."""
+    """Unix time at now_s = 0. None: the vehicle does not know the time."""
     arming_ready_s: float = 0.0
-    """How long after boot arming is refused (the estimator waits for GNSS; 30-45 s on a cold ArduPilot)."""
+    """Time after boot during which arming is refused, because the estimator waits for GNSS (30-45 s on a cold
+    ArduPilot)."""
     rc_connected: bool = True
-    """A pilot's radio with centred sticks. Without one, ArduPilot's LOITER descends (throttle low)."""
+    """Whether there is a pilot's radio, with centred sticks. Without one, ArduPilot's LOITER descends
+    (throttle low)."""
     legacy_parameter_names: bool = False
     parameters: Mapping[str, float] = field(default_factory=dict)
-    """Values that replace the firmware's own, by today's names."""
+    """Parameter values that replace the firmware's defaults, by current parameter name."""
     quirks: Mapping[str, object] = field(default_factory=dict)
-    """Manners that replace the firmware's own, by the names of `vehicle_manners.Manners`."""
+    """Changes to the firmware behaviour, by field name of `sitl_mocks.vehicle.firmware.kinds.Manners`."""
     did_enable: bool = False
-    """ArduPilot's DID_ENABLE: sends its own Remote ID, and what it was told, on all links (the real one: on
-    the port of DID_MAVPORT)."""
+    """ArduPilot's DID_ENABLE. On all links, the vehicle sends its own Remote ID location and forwards the
+    Remote ID data that it received (the real ArduPilot: on the port of DID_MAVPORT)."""
     did_require: bool = False
-    """DID_OPTIONS = 1: refuses to arm, also by force, without a transmitter, identity and operator."""
+    """DID_OPTIONS = 1: arming, also forced arming, is refused without a transmitter, an identity and an
+    operator location."""
 
     max_horizontal_speed_mps: float | None = None
     max_climb_mps: float | None = None
     max_descent_mps: float | None = None
     max_acceleration_mps2: float | None = None
-    """Horizontal."""
+    """Horizontal acceleration."""
     max_vertical_acceleration_mps2: float | None = None
     velocity_lag_s: float | None = None
-    """Given, the vehicle follows its setpoints with a plain ramp (2.5 m/s^2 where none is given) and this
-    lag, vertically within 4 m/s^2, and nothing else of the firmware's own response."""
+    """Lag of a plain response that replaces the firmware's own. The vehicle follows its setpoints with a ramp
+    (2.5 m/s^2 unless `max_acceleration_mps2` is given; vertically at most 4 m/s^2) and this lag."""
     mission_speed_mps: float | None = None
     wind_ned_mps: Vec3 = (0.0, 0.0, 0.0)
     max_airspeed_mps: float = 18.0
-    """The controller holds ground velocity against the wind, up to this airspeed."""
+    """Airspeed up to which the controller holds the ground velocity against the wind."""
 
     gnss_horizontal_sigma_m: float = 0.0
-    """Per axis."""
+    """Standard deviation per axis."""
     gnss_vertical_sigma_m: float = 0.0
     gnss_velocity_sigma_mps: float = 0.0
-    """Per axis."""
+    """Standard deviation per axis."""
     gnss_correlation_s: float = 30.0
     gnss_velocity_correlation_s: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what the vehicle could not fly honestly."""
+        """Check all values."""
         self._check_range("system_id", self.system_id, 1, 255)
         self._check_range("home_lat_deg", self.home_lat_deg, -89.0, 89.0)
         self._check_range("home_lon_deg", self.home_lon_deg, -180.0, 180.0)
@@ -138,12 +145,12 @@ class VehicleOptions:
 
     @property
     def manners(self) -> Manners:
-        """The firmware's ways, with the quirks."""
+        """Behaviour of the firmware, with the quirks applied."""
         return with_quirks(MANNERS[self.firmware], self.quirks)
 
     @property
     def response(self) -> Response:
-        """How the vehicle follows a velocity."""
+        """Parameters of how the vehicle follows a commanded velocity."""
         manners = self.manners
         vertical = self.max_vertical_acceleration_mps2 or manners.max_vertical_acceleration_mps2
         if self.velocity_lag_s is not None:

@@ -1,7 +1,7 @@
 """Sockets of the served mock vehicle: each turns datagrams or a byte stream into links of the vehicle.
 
-`udpout` sends to a fixed peer; `udpin` and `tcpin` open one link for every peer that comes. Nothing here
-blocks, and nothing reads a clock.
+`udpout` sends to a fixed peer. `udpin` and `tcpin` open one link for every peer that connects. Nothing here
+blocks or reads a clock.
 """
 
 from __future__ import annotations
@@ -30,43 +30,43 @@ Address = tuple[str, int]
 
 @dataclass(slots=True)
 class Airframe:
-    """The vehicle that all ports share, and the numbers of its links."""
+    """The vehicle that all ports share, and the counter for its link numbers."""
 
     vehicle: MockVehicle
     numbers: Iterator[int] = field(default_factory=itertools.count)
 
     def open(self) -> int:
-        """A fresh link."""
+        """Open a fresh link and return its number."""
         number = next(self.numbers)
         self.vehicle.open_link(number)
         return number
 
 
 class Port(Protocol):
-    """One place where peers are met."""
+    """One endpoint through which peers reach the vehicle."""
 
     @property
     def name(self) -> str:
-        """`kind:host:port` as it turned out to be."""
+        """`kind:host:port` with the actual port."""
 
     def sockets(self) -> list[socket.socket]:
-        """Everything to wait on for reading."""
+        """All sockets to wait on for reading."""
 
     def receive(self, now_s: float) -> None:
-        """Read what is there."""
+        """Read all waiting bytes and pass them to the vehicle."""
 
     def send(self) -> None:
-        """Send what the vehicle has for this port's links."""
+        """Send the vehicle's pending bytes for this port's links."""
 
     def reboot(self) -> None:
-        """The vehicle restarts."""
+        """React to a restart of the vehicle."""
 
     def close(self) -> None:
         """Release the sockets."""
 
 
 class UdpOut:
-    """Sends to one peer, hears only that peer."""
+    """Sends to one peer and receives only from that peer."""
 
     def __init__(self, airframe: Airframe, address: Address) -> None:
         self._vehicle = airframe.vehicle
@@ -78,25 +78,25 @@ class UdpOut:
 
     @property
     def name(self) -> str:
-        """The peer."""
+        """`udpout:HOST:PORT` of the peer."""
         return f"udpout:{self._peer[0]}:{self._peer[1]}"
 
     def sockets(self) -> list[socket.socket]:
-        """One."""
+        """The one UDP socket."""
         return [self._socket]
 
     def receive(self, now_s: float) -> None:
-        """Read the peer's datagrams; a stranger's are dropped."""
+        """Read the peer's datagrams and drop those of other senders."""
         for data, address in _datagrams(self._socket):
             if address == self._peer:
                 self._vehicle.receive(data, now_s, self._link)
 
     def send(self) -> None:
-        """Send to the peer, there or not."""
+        """Send to the peer, whether it is present or not."""
         _send_datagrams(self._socket, self._vehicle.drain(self._link), self._peer)
 
     def reboot(self) -> None:
-        """Nothing to see on UDP."""
+        """Do nothing: a restart is not visible on UDP."""
 
     def close(self) -> None:
         """Release the socket."""
@@ -104,7 +104,7 @@ class UdpOut:
 
 
 class UdpIn:
-    """Waits for peers; each becomes a link, until it has been silent for a minute."""
+    """Waits for peers. Each peer gets a link, which is closed after PEER_SILENCE_S of silence."""
 
     def __init__(self, airframe: Airframe, address: Address) -> None:
         self._airframe = airframe
@@ -115,16 +115,16 @@ class UdpIn:
 
     @property
     def name(self) -> str:
-        """Where it listens."""
+        """Address on which the port listens."""
         host, port = self._socket.getsockname()
         return f"udpin:{host}:{port}"
 
     def sockets(self) -> list[socket.socket]:
-        """One."""
+        """The one UDP socket."""
         return [self._socket]
 
     def receive(self, now_s: float) -> None:
-        """Read; a new peer opens a link while there is room."""
+        """Read datagrams. A new peer gets a link as long as there are fewer than MAX_PEERS."""
         for data, address in _datagrams(self._socket):
             if address not in self._links:
                 if len(self._links) >= MAX_PEERS:
@@ -142,7 +142,7 @@ class UdpIn:
             _send_datagrams(self._socket, self._airframe.vehicle.drain(link), address)
 
     def reboot(self) -> None:
-        """Nothing to see on UDP."""
+        """Do nothing: a restart is not visible on UDP."""
 
     def close(self) -> None:
         """Release the socket."""
@@ -156,7 +156,10 @@ class _Client:
 
 
 class TcpIn:
-    """Accepts clients; each is a link. A client that does not read, or a reboot, is disconnected."""
+    """Accepts clients; each gets a link.
+
+    Clients that do not read, and all clients at a reboot, are disconnected.
+    """
 
     def __init__(self, airframe: Airframe, address: Address) -> None:
         self._airframe = airframe
@@ -169,16 +172,16 @@ class TcpIn:
 
     @property
     def name(self) -> str:
-        """Where it listens."""
+        """Address on which the port listens."""
         host, port = self._socket.getsockname()
         return f"tcpin:{host}:{port}"
 
     def sockets(self) -> list[socket.socket]:
-        """The listener and the clients."""
+        """The listening socket and the clients' sockets."""
         return [self._socket, *self._clients]
 
     def receive(self, now_s: float) -> None:
-        """Accept who waits, read from the clients."""
+        """Accept waiting clients and read from all clients."""
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while True:
                 client, _ = self._socket.accept()
@@ -201,7 +204,7 @@ class TcpIn:
                 self._drop(client)
 
     def send(self) -> None:
-        """Send to every client as much as it takes."""
+        """Send to every client as much as its socket accepts."""
         for client, state in list(self._clients.items()):
             state.unsent += self._airframe.vehicle.drain(state.link)
             if not state.unsent:
@@ -215,7 +218,7 @@ class TcpIn:
                 self._drop(client)
 
     def reboot(self) -> None:
-        """The connections end with the autopilot."""
+        """Close all connections, as the autopilot does when it restarts."""
         for client in list(self._clients):
             self._drop(client)
 
@@ -230,10 +233,10 @@ class TcpIn:
 
 
 def open_port(spec: str, airframe: Airframe) -> Port:
-    """Open `udpout:HOST:PORT`, `udpin:HOST:PORT` or `tcpin:HOST:PORT`; an empty host is loopback.
+    """Open `udpout:HOST:PORT`, `udpin:HOST:PORT` or `tcpin:HOST:PORT`. An empty host means loopback.
 
     Raises:
-        ConfigError: not such a text, an unknown host, or an address that cannot be had.
+        ConfigError: `spec` is malformed, its host is unknown, or its address cannot be bound.
     """
     kind, _, rest = spec.partition(":")
     host, _, port_text = rest.rpartition(":")
@@ -277,12 +280,12 @@ def _datagrams(sock: socket.socket) -> Iterator[tuple[bytes, Address]]:
         except BlockingIOError:
             return
         except ConnectionError:
-            # The answer of a host to a datagram whose port was closed.
+            # A host reported that the port of an earlier datagram is closed.
             continue
 
 
 def _send_datagrams(sock: socket.socket, data: bytes, address: Address) -> None:
     for at in range(0, len(data), _UDP_PAYLOAD):
-        # A full buffer or an absent network loses the datagram, as UDP may; frames may cross datagrams.
+        # UDP may lose datagrams: a full buffer or an absent network is no error. Frames may span datagrams.
         with contextlib.suppress(OSError):
             sock.sendto(data[at : at + _UDP_PAYLOAD], address)

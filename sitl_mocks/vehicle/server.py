@@ -1,7 +1,8 @@
 """One mock vehicle in real time on UDP and TCP: `sitl-mocks serve`.
 
-The only part of the mock vehicle with sockets, a clock and signals. Prints one line per link with the port it
-got ("link udpin:127.0.0.1:14550"), then "ready"; at its end one JSON line with where the vehicle was left.
+Only this module and `ports` use sockets, and only this module uses a clock and signals. The command prints
+one line per link with its actual port ("link udpin:127.0.0.1:14550"), then "ready". At its end it prints one
+JSON line with the final state of the vehicle.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ _EXAMPLE = """examples:
 
 
 class VehicleServer:
-    """A mock vehicle behind sockets. The caller owns the clock: `now_s` is s since the vehicle's start.
+    """A mock vehicle behind sockets. The caller passes in `now_s`, the seconds since the vehicle's start.
 
     Raises:
-        ConfigError: a link that cannot be opened; sockets opened before it are released.
+        ConfigError: a link cannot be opened. Sockets opened before it are released.
     """
 
     def __init__(self, options: VehicleOptions, links: list[str], rng: numpy.random.Generator) -> None:
@@ -55,15 +56,15 @@ class VehicleServer:
 
     @property
     def names(self) -> list[str]:
-        """The links with their real ports."""
+        """Names of the links with their actual ports."""
         return [port.name for port in self._ports]
 
     def wait(self, timeout_s: float) -> None:
-        """Sleep until something can be read, at most `timeout_s`."""
+        """Sleep until a socket can be read, at most for `timeout_s`."""
         self._selector.select(max(timeout_s, 0.0))
 
     def turn(self, now_s: float) -> None:
-        """Fly up to now, take what came, send what is due."""
+        """Fly up to `now_s`, process received bytes, send what is due."""
         self.vehicle.advance(now_s)
         for port in self._ports:
             port.receive(now_s)
@@ -82,7 +83,7 @@ class VehicleServer:
         self._selector.close()
 
     def _watch(self) -> None:
-        """Keep the selector in step with clients that came and went."""
+        """Register new clients with the selector and unregister closed ones."""
         sockets = {sock.fileno(): sock for port in self._ports for sock in port.sockets()}
         watched = self._selector.get_map()
         for key in [key for key in watched.values() if sockets.get(key.fd) is not key.fileobj]:
@@ -93,7 +94,7 @@ class VehicleServer:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `sitl-mocks serve`."""
+    """Add the options of `sitl-mocks serve`."""
     parser.description = (
         "One MAVLink vehicle in real time, with the manners of ArduPilot Copter or PX4. Ends on Ctrl-C."
     )
@@ -131,7 +132,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def options_of(args: argparse.Namespace) -> VehicleOptions:
-    """The vehicle that the arguments ask for. Raises ConfigError."""
+    """Make the vehicle options from the arguments. Raises ConfigError."""
     height = args.airborne
     horizontal, vertical, speed = args.gnss_sigma
     return VehicleOptions(
@@ -168,7 +169,7 @@ def _parameters(given: list[str]) -> dict[str, float]:
 
 
 def _quirks(given: list[str]) -> dict[str, object]:
-    """A value is JSON (true, 2.5, null), or the name of a mode."""
+    """Read quirks. A value is JSON (true, 2.5, null) or the name of a mode."""
     values: dict[str, object] = {}
     for text in given:
         name, _, value = text.partition("=")
@@ -180,10 +181,10 @@ def _quirks(given: list[str]) -> dict[str, object]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`sitl-mocks serve`: fly in real time until SIGINT or SIGTERM.
+    """Run `sitl-mocks serve`: fly in real time until SIGINT or SIGTERM.
 
     Raises:
-        ConfigError: an option out of range, or a link that cannot be opened.
+        ConfigError: an option is out of range, or a link cannot be opened.
     """
     if args.seed < 0:
         raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
@@ -207,7 +208,10 @@ def run(args: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _truth(path: Path | None) -> Iterator[Callable[[MockVehicle], None]]:
-    """A function that notes a vehicle's true position ten times a second: UTC (s), north, east, down (m)."""
+    """Yield a function that writes a vehicle's true position, ten times a second.
+
+    The columns are UTC (s), north, east and down (m). Without a path the function does nothing.
+    """
     if path is None:
         yield lambda vehicle: None
         return

@@ -1,10 +1,10 @@
 """SET_POSITION_TARGET_LOCAL_NED as each firmware understands it.
 
-Rules, from the real ones:
-- a frame outside the firmware's list stops ArduPilot, and to PX4 is as if nothing had come;
-- a velocity vector with any single ignored axis is no velocity: the vehicle stops;
-- PX4 takes the height from a position and the rest from a velocity, ArduPilot stops;
-- anything that is not a finite number stops the vehicle, and still counts as a setpoint.
+Rules, as observed on the real firmwares:
+- A frame outside the firmware's list stops ArduPilot. PX4 ignores such a message.
+- A velocity vector with a single ignored axis is no velocity: the vehicle stops.
+- If a message gives the height as position and the rest as velocity, PX4 flies both and ArduPilot stops.
+- A value that is not a finite number stops the vehicle. The message still counts as a setpoint.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _LOCAL_OFFSET = 7
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """What to fly until the next one: a velocity (NED, m/s), points to hold (NED, m), a heading."""
+    """What to fly until the next setpoint: a velocity (NED, m/s), a position to hold (NED, m), a heading."""
 
     velocity_ned_mps: Vec3 = (0.0, 0.0, 0.0)
     horizontal_ned_m: tuple[float, float] | None = None
@@ -34,9 +34,12 @@ class Setpoint:
     yaw_rad: float | None = None
     yaw_rate_radps: float | None = None
     expires: bool = True
-    """A velocity ends with its stream; ArduPilot flies a bare position to its end."""
+    """Whether the setpoint ends when its stream stops.
+
+    ArduPilot flies a position without velocity to its end.
+    """
     stop: bool = False
-    """It was not understood: the vehicle stops."""
+    """The setpoint was not understood, so the vehicle stops."""
 
 
 STOP = Setpoint(stop=True)
@@ -45,7 +48,7 @@ STOP = Setpoint(stop=True)
 def interpret(
     message: SetpointMessage, manners: Manners, position_ned_m: Vec3, yaw_rad: float
 ) -> Setpoint | None:
-    """Return the setpoint, STOP for one that stops the vehicle, or None for one that counts as never sent."""
+    """Return the setpoint, STOP if the message stops the vehicle, or None if the firmware ignores it."""
     frame = message.coordinate_frame
     if frame not in manners.setpoint_frames:
         return STOP if manners.bad_frame_stops else None
@@ -87,7 +90,7 @@ _Found = tuple[Vec3, tuple[float, float] | None, float | None]
 def _by_vector(
     position: Vec3, velocity: Vec3, has_p: tuple[bool, ...], has_v: tuple[bool, ...]
 ) -> _Found | None:
-    """All three axes of a vector, or the vector is not there."""
+    """ArduPilot's rule: a vector counts only with all three axes."""
     if all(has_p):
         return (velocity if all(has_v) else (0.0, 0.0, 0.0)), position[:2], position[2]
     return (velocity, None, None) if all(has_v) else None
@@ -96,7 +99,7 @@ def _by_vector(
 def _by_axis(
     position: Vec3, velocity: Vec3, has_p: tuple[bool, ...], has_v: tuple[bool, ...]
 ) -> _Found | None:
-    """The horizontal pair and the height may each come from a position, a velocity or both."""
+    """PX4's rule: the horizontal pair and the height may each come from a position, a velocity or both."""
     horizontal_p, horizontal_v = has_p[0] and has_p[1], has_v[0] and has_v[1]
     if not (horizontal_p or horizontal_v) or not (has_p[2] or has_v[2]):
         return None
@@ -109,6 +112,6 @@ def _by_axis(
 
 
 def _turn(vector: Vec3, yaw_rad: float) -> Vec3:
-    """Forward-right-down to NED."""
+    """Rotate a vector from forward-right-down to NED."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     return (cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1], vector[2])

@@ -1,7 +1,7 @@
 """The messages that the mock vehicle sends by itself, each built from the present state.
 
-A message id that is not in `Telemetry.known` is one that the vehicle does not know. ADSB_VEHICLE is built per
-link, by `sitl_mocks.vehicle.traffic`.
+The vehicle does not know message ids that are not in `Telemetry.known`. ADSB_VEHICLE is built for each link
+by `sitl_mocks.vehicle.traffic`.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from sitl_mocks.vehicle.served.remote_id import home_system, location
 from sitl_mocks.vehicle.troubles import Troubles
 
 Builder = Callable[[float], MavlinkMessage | Payload | None]
-"""None: the vehicle has nothing to tell."""
+"""Builds a message for a now_s; None if the vehicle has nothing to report."""
 
-# Layouts of the messages that are sent many times a second, in their order on the wire.
+# Layouts of the messages that are sent many times a second, with the fields in wire order.
 _GLOBAL_POSITION = struct.Struct("<IiiiihhhH")
 _SIX_FLOATS = struct.Struct("<I6f")
 _POSITION_TARGET = struct.Struct("<I11fHB")
@@ -50,18 +50,18 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
 )
 _ESTIMATOR_GOOD = 0x33F
-"""Attitude, velocities, places (also predicted), heights: bits 0 to 5, 8 and 9."""
+"""Estimator flags for attitude, velocities, positions (also predicted) and heights: bits 0 to 5, 8 and 9."""
 _ESTIMATOR_LOST = 0x025
-"""Attitude, vertical velocity, height."""
+"""Estimator flags for attitude, vertical velocity and height."""
 _FIRST_FIX_S = 8.0
-"""From boot to the first place that GNSS gives; the estimator may take longer."""
+"""Time from boot to the first GNSS position; the estimator may take longer."""
 _MIN_ACCURACY_M = 0.3
 _MIN_SPEED_ACCURACY_MPS = 0.1
 _GRAVITY = 9.81
 
 
 class Telemetry:
-    """Builds messages at a time (the caller's `now_s`, at which the flight state holds)."""
+    """Builds messages for a time: the caller's `now_s`, to which the flight state belongs."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class Telemetry:
         boot_s: float,
     ) -> None:
         self.boot_s = boot_s
-        """now_s at which the vehicle's own clock read 0."""
+        """The now_s at which the vehicle's own clock read 0."""
         self._options = options
         self._manners = manners
         self._flight = flight
@@ -113,21 +113,21 @@ class Telemetry:
         self.known = frozenset((*builders, mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE))
 
     def boot_ns(self, now_s: float) -> int:
-        """The vehicle's own clock (ns)."""
+        """Time of the vehicle's own clock (ns)."""
         return round((now_s - self.boot_s) * 1e9)
 
     def position_ned_m(self) -> Vec3:
-        """Where the vehicle believes it is."""
+        """Position that the vehicle believes: true position plus navigation error (NED, m)."""
         body, error = self._flight.body, self._errors.errors
         return body.north + error[0], body.east + error[1], body.down + error[2]
 
     def velocity_ned_mps(self) -> Vec3:
-        """How the vehicle believes it moves."""
+        """Velocity that the vehicle believes: true velocity plus navigation error (NED, m/s)."""
         body, error = self._flight.body, self._errors.errors
         return body.vn + error[3], body.ve + error[4], body.vd + error[5]
 
     def heartbeat(self, now_s: float) -> MavlinkMessage:
-        """HEARTBEAT."""
+        """Build HEARTBEAT."""
         flight, manners = self._flight, self._manners
         base = manners.base_modes[flight.mode] | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if flight.armed else 0)
         if flight.failsafe:
@@ -142,17 +142,17 @@ class Telemetry:
         )
 
     def current_mode(self, now_s: float) -> Payload:
-        """CURRENT_MODE."""
+        """Build CURRENT_MODE with the present mode."""
         return self.mode_told(self._flight.mode, self._flight.intended)
 
     def mode_told(self, mode: VehicleMode, intended: VehicleMode) -> Payload:
-        """CURRENT_MODE of any mode."""
+        """Build CURRENT_MODE with any mode."""
         manners = self._manners
         numbers = manners.custom_modes[mode], manners.custom_modes[intended]
         return Payload(CURRENT_MODE, _CURRENT_MODE.pack(*numbers, manners.standard_modes.get(mode, 0)))
 
     def home_position(self, now_s: float) -> MavlinkMessage:
-        """HOME_POSITION: the origin of the local frame."""
+        """Build HOME_POSITION: the origin of the local frame."""
         lat, lon, alt = self._home()
         nan = math.nan
         usec = round((now_s - self.boot_s) * 1e6)
@@ -197,7 +197,7 @@ class Telemetry:
         return Payload(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, body)
 
     def _position_target(self, now_s: float) -> Payload | None:
-        """What the firmware makes of the setpoints: a velocity, zero where it flies none."""
+        """The velocity that the firmware flies from the setpoints; zero if it flies none."""
         flight = self._flight
         external = flight.mode is VehicleMode.EXTERNAL
         if not (external or self._manners.target_always_told) or not flight.armed:
@@ -235,7 +235,7 @@ class Telemetry:
         return Payload(mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, body)
 
     def _attitude(self, now_s: float) -> Payload:
-        """Lean of a multicopter that accelerates as this one does; rates are not modelled."""
+        """Roll and pitch of a multicopter with this acceleration. Angular rates are not modelled."""
         body = self._flight.body
         north, east = body.lean_mps2
         cos, sin = math.cos(body.yaw), math.sin(body.yaw)
@@ -264,7 +264,7 @@ class Telemetry:
 
     @property
     def _millivolts(self) -> int:
-        """Three cells in series, as if the voltage fell evenly from full to empty."""
+        """Voltage of three cells in series that falls linearly from full to empty."""
         return round(9900.0 + 2700.0 * self._troubles.battery_remaining)
 
     def _battery_status(self, now_s: float) -> MavlinkMessage:
@@ -281,8 +281,8 @@ class Telemetry:
         return mavlink.MAVLink_rc_channels_message(self._boot_ms(now_s), 8, *channels, 200)
 
     def _estimator_status(self, now_s: float) -> MavlinkMessage:
-        """EKF_STATUS_REPORT or ESTIMATOR_STATUS; the flags have the same bits in both, but constant position
-        is ArduPilot's way out without a position, and PX4's rest on the ground."""
+        """EKF_STATUS_REPORT or ESTIMATOR_STATUS. Both have the same flag bits, but the constant-position flag
+        means "no position" on ArduPilot and "at rest on the ground" on PX4."""
         troubles = self._troubles
         ratio = 1.5 if troubles.estimator_bad else 0.1
         flags = _ESTIMATOR_LOST if troubles.position_lost else _ESTIMATOR_GOOD
@@ -315,7 +315,7 @@ class Telemetry:
         return None if utc is None else utc + now_s
 
     def remote_id_location(self, now_s: float) -> MavlinkMessage:
-        """OPEN_DRONE_ID_LOCATION."""
+        """Build OPEN_DRONE_ID_LOCATION."""
         place = self._globe.to_geodetic(*self.position_ned_m())
         velocity = self.velocity_ned_mps()
         on_ground = self._flight.on_ground
@@ -356,7 +356,7 @@ class Telemetry:
         return mavlink.MAVLink_gps_global_origin_message(*self._home(), round((now_s - self.boot_s) * 1e6))
 
     def autopilot_version(self, now_s: float) -> MavlinkMessage:
-        """AUTOPILOT_VERSION."""
+        """Build AUTOPILOT_VERSION."""
         encode = (
             mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
             if self._manners.param_bytewise

@@ -1,9 +1,9 @@
-"""Crewed aircraft that the mock vehicle's ADS-B receiver hears, and how its autopilot tells of them.
+"""Crewed aircraft that the mock vehicle's ADS-B receiver hears, and how its autopilot reports them.
 
-Every flight is straight; the receiver reports it once a second. Read in the firmwares' sources: ArduPilot
-keeps a list, sends one aircraft per interval of the stream, begins anew once a second, and goes on for 5 s
-with the last report of one that is no longer heard, its `tslc` unchanged. PX4 passes each report on once,
-with the first six flags alone.
+Every flight is straight, and the receiver reports it once a second. The autopilots' behaviour was read in the
+firmwares' sources. ArduPilot keeps a list of aircraft. It sends one aircraft per interval of the stream and
+restarts the list once a second. For 5 s it repeats the last report of an aircraft that is no longer heard,
+with `tslc` unchanged. PX4 forwards each report once, with only the first six flags.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from companion.errors import ConfigError
 from companion.geometry import LocalFrame, Vec3
 
 PERIOD_S = 1.0
-"""Of the receiver's reports, and of ArduPilot's list."""
+"""Period of the receiver's reports and of ArduPilot's list."""
 KEPT_S = 5.0
-"""How long ArduPilot's list holds an aircraft that is no longer heard."""
+"""Time for which ArduPilot's list keeps an aircraft that is no longer heard."""
 _PASSED_ON = 0x3F
-"""Flags that PX4 knows."""
+"""Flags that PX4 forwards."""
 _SQUAWK = 1200
 _EPSILON_S = 1e-9
 
@@ -31,19 +31,19 @@ _EPSILON_S = 1e-9
 class CrewedFlight:
     """One aircraft in straight flight. NED is relative to the vehicle's home; times are the caller's now_s.
 
-    Raises ConfigError for what ADSB_VEHICLE cannot carry.
+    Raises ConfigError for values that ADSB_VEHICLE cannot carry.
     """
 
     icao: int
     start_ned_m: Vec3
-    """At now_s = 0."""
+    """Position at now_s = 0."""
     velocity_ned_mps: Vec3
     heard_from_s: float = 0.0
     heard_until_s: float = math.inf
     callsign: str = ""
     emitter: int = mavlink.ADSB_EMITTER_TYPE_LIGHT
     geometric: bool = False
-    """Altitude above the ellipsoid; False: above mean sea level, as its altimeter shows it."""
+    """Whether the altitude is above the ellipsoid. If not, it is above mean sea level, from the altimeter."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.icao <= 0xFFFFFF:
@@ -56,13 +56,13 @@ class CrewedFlight:
             raise ConfigError(f"flight {self.icao:#x} is faster than 600 m/s, or 300 m/s up or down")
 
     def reported_s(self, now_s: float) -> float | None:
-        """Time of the receiver's last report up to now."""
+        """Time of the receiver's last report up to `now_s`; None if there was none."""
         at_s = math.floor(min(now_s, self.heard_until_s) / PERIOD_S + _EPSILON_S) * PERIOD_S
         return at_s if at_s >= self.heard_from_s else None
 
 
 class Traffic:
-    """What is to be sent on each link of a vehicle when its ADSB_VEHICLE stream is due."""
+    """Builds the messages for each link of a vehicle when its ADSB_VEHICLE stream is due."""
 
     def __init__(
         self,
@@ -72,21 +72,23 @@ class Traffic:
         *,
         listed: bool,
     ) -> None:
-        """Args:
-        home: at its altitude above mean sea level.
-        listed: ArduPilot's way; False: PX4's.
+        """Set up the traffic of one vehicle.
+
+        Args:
+            home: frame with its altitude above mean sea level.
+            listed: True reports aircraft from a list like ArduPilot, False forwards each report like PX4.
         """
         self._flights = flights
         self._home = home
         self._geoid_separation_m = geoid_separation_m
         self._listed = listed
         self._begun: dict[int, tuple[float, int]] = {}
-        """Link -> when its list was begun, and how many of it are sent."""
+        """Link -> time at which its list was begun, and number of aircraft already sent from it."""
         self._passed: dict[tuple[int, int], float] = {}
-        """Link and ICAO address -> report last passed on."""
+        """Link and ICAO address -> time of the report that was forwarded last."""
 
     def due(self, link: int, now_s: float) -> list[MavlinkMessage]:
-        """What to send on a link now."""
+        """Return the messages to send on a link now."""
         heard = [(flight, at_s) for flight in self._flights if (at_s := flight.reported_s(now_s)) is not None]
         return self._next(link, heard, now_s) if self._listed else self._new(link, heard)
 

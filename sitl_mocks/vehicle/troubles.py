@@ -1,8 +1,9 @@
-"""What can go wrong around the mock vehicle, set from outside, and what the firmware does about it.
+"""Troubles of the mock vehicle, which the caller sets, and the firmware's failsafe reactions to them.
 
-Battery, estimator, GNSS, the pilot's sticks, the ground station's silence, the fence. Every failsafe acts
-once, when its cause begins; which mode it leads to stands in the manners, which action was chosen in the
-parameters. Read in the firmwares' sources. ArduPilot's landing from more than 100 m outside is not imitated.
+The causes are the battery, the estimator, GNSS, the pilot's sticks, the ground station's silence and the
+fence. Every failsafe acts once, when its cause begins. The parameters select the action, and the firmware
+behaviour (`Manners`) says which mode it leads to. The reactions were read in the firmwares' sources.
+ArduPilot's landing from more than 100 m outside a fence is not imitated.
 """
 
 from __future__ import annotations
@@ -31,24 +32,28 @@ _ALL_FENCES = _MAX_HEIGHT | _CIRCLE | _POLYGON
 
 
 class Troubles:
-    """The public fields may be set at any time; they hold until they are set again, also over a reboot."""
+    """Troubles and failsafes of one vehicle.
+
+    The caller may set `battery_remaining`, `estimator_bad`, `gnss_lost`, `rc_connected` and `sticks` at any
+    time. They keep their values until they are set again, also across a reboot.
+    """
 
     def __init__(
         self, manners: Manners, params: ParamBook, fence: MissionBook, home: LocalFrame, *, rc_connected: bool
     ) -> None:
         self.battery_remaining = 1.0
-        """Share of the charge, 0 to 1."""
+        """Remaining share of the charge, 0 to 1."""
         self.estimator_bad = False
         self.gnss_lost = False
         self.rc_connected = rc_connected
         self.sticks = (0.0, 0.0, 0.0, 0.0)
         """Roll, pitch, throttle, yaw, each -1 to 1; 0 is centred."""
         self.breaches = 0
-        """Bits of the fence that are broken: 1 height, 2 circle around home, 4 polygons and their circles."""
+        """Bits of the breached fences: 1 height, 2 circle around home, 4 uploaded polygons and circles."""
         self.breach_count = 0
         self.breached_s = 0.0
         self.position_lost = False
-        """The estimator has given up."""
+        """The estimator no longer has a position."""
         self._manners = manners
         self._params = params
         self._fence = fence
@@ -63,12 +68,12 @@ class Troubles:
 
     @property
     def fence_enabled(self) -> bool:
-        """The firmware watches its fence."""
+        """Whether the firmware watches its fence."""
         name = self._manners.fence_enable_param
         return name is None or self._params.get(name) >= 1.0
 
     def reboot(self) -> None:
-        """The autopilot forgets whom it has heard and what it did; the troubles stay."""
+        """Forget ground station heartbeats and active failsafes, as a restart does. The troubles stay."""
         self._station_s = self._deferred = None
         self._bad_since_s = self._lost_since_s = math.inf
         self._active.clear()
@@ -76,7 +81,7 @@ class Troubles:
         self.position_lost = False
 
     def hear(self, heartbeat: MavlinkMessage, now_s: float) -> None:
-        """Someone's HEARTBEAT."""
+        """Take a received HEARTBEAT; those of the ground station feed its failsafe timer."""
         if self._manners.gcs_by_system:
             station = heartbeat.get_srcSystem() == self._params.get("MAV_GCS_SYSID")
         else:
@@ -85,7 +90,7 @@ class Troubles:
             self._station_s = now_s
 
     def step(self, flight: Flight, now_s: float) -> None:
-        """Look at everything once; called every PERIOD_S."""
+        """Check all causes once. The vehicle calls this every PERIOD_S."""
         manners = self._manners
         self._watch_estimator(flight, now_s)
         self._watch_fence(flight, now_s)
@@ -96,7 +101,7 @@ class Troubles:
         if self._deferred is not None:
             due_s, mode = self._deferred
             if not flight.failsafe or flight.mode is not VehicleMode.HOLD:
-                # Somebody chose otherwise.
+                # Another mode was selected in the meantime.
                 self._deferred = None
             elif now_s >= due_s:
                 self._deferred = None
@@ -191,7 +196,7 @@ class Troubles:
         return not (any(inclusions) if self._manners.fence_union else all(inclusions))
 
     def _read_areas(self) -> list[tuple[bool, float, list[tuple[float, float]]]]:
-        """The stored list: inclusion, radius (0: a polygon), corners (north, east in m)."""
+        """Read the stored fence: inclusion, radius (m; 0: a polygon), corners (north and east in m)."""
         areas: list[tuple[bool, float, list[tuple[float, float]]]] = []
         items = self._fence.items
         at = 0
@@ -210,7 +215,7 @@ class Troubles:
     # ------------------------------------------------------------ the pilot
 
     def _follow_sticks(self, flight: Flight) -> None:
-        """PX4 gives the vehicle to a pilot who moves the sticks."""
+        """Give control to the pilot when the sticks move, as PX4 does."""
         if not self._manners.sticks_take_over or not self.rc_connected or not any(self.sticks):
             return
         if self._params.get("COM_RC_IN_MODE") == MANUAL_CONTROL_OFF:
@@ -224,7 +229,7 @@ class Troubles:
 
 
 def _inside(north: float, east: float, corners: list[tuple[float, float]]) -> bool:
-    """Even-odd rule."""
+    """Whether a point lies in a polygon, by the even-odd rule."""
     inside = False
     for (n1, e1), (n2, e2) in pairwise([*corners, corners[0]]):
         if (e1 > east) != (e2 > east) and north < n1 + (east - e1) / (e2 - e1) * (n2 - n1):

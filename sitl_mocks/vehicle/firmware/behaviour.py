@@ -1,6 +1,6 @@
-"""How ArduPilot Copter and PX4 differ, as data: the mock vehicle asks this table and names no firmware.
+"""Differences between ArduPilot Copter and PX4 as data, so that the mock vehicle's code names no firmware.
 
-The values were seen on Copter 4.7 and PX4 1.17 in their own simulations.
+The values were observed on Copter 4.7 and PX4 1.17 in their own simulations.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ ARDUPILOT = Manners(
     altitude_with_horizontal_velocity=False,
     nose_follows_velocity=True,
     max_horizontal_speed_mps=10.0,
-    # GUIDED velocities are not capped by the mission's climb rates: 3 m/s was flown up and down.
+    # The mission's climb rates do not limit velocities in GUIDED: 3 m/s was flown up and down.
     max_climb_mps=5.0,
     max_descent_mps=5.0,
     max_vertical_acceleration_mps2=1.0,
@@ -128,7 +128,7 @@ ARDUPILOT = Manners(
     mission_texts=True,
     marks_current_item=False,
     flies_to_takeoff_item=False,
-    # Read in the source: entering AUTO forgets the speed of the mission.
+    # According to the source, entering AUTO resets the mission's speed.
     speed_change_stays=False,
     paused_state=mavlink.MISSION_STATE_NOT_STARTED,
     one_transfer=False,
@@ -141,7 +141,7 @@ ARDUPILOT = Manners(
     fence_enable_param="FENCE_ENABLE",
     fence_distance_param="FENCE_RADIUS",
     fence_height_param="FENCE_ALT_MAX",
-    # SmartRTL (3, 5) is flown as its second choice.
+    # The mock flies the fallbacks of the SmartRTL actions (3, 5).
     fence_failsafe=Failsafe(
         "FENCE_ACTION",
         MappingProxyType({1: _M.RTL, 2: _M.LAND, 3: _M.RTL, 4: _M.BRAKE, 5: _M.LAND}),
@@ -220,7 +220,7 @@ PX4 = Manners(
         {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: 0.1,
-            # 99 Hz on the real one; the mock sends a message at most once per step.
+            # The real PX4 sends 99 Hz; the mock sends a message at most once per step.
             mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.02,
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.02,
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1 / 30,
@@ -234,7 +234,7 @@ PX4 = Manners(
             mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
             mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 0.1,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
-            # As fast as they come on the real one; the mock's receiver reports once a second.
+            # The real PX4 sends each report as it arrives; the mock's receiver reports once a second.
             mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE: 1.0,
             mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_LOCATION: 1.0,
             mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM: 1.0,
@@ -273,7 +273,7 @@ PX4 = Manners(
     body_frames=frozenset({8}),
     bad_frame_stops=False,
     external_needs_stream=True,
-    # A stream exactly as slow as the timeout counts as lost: that is the honest edge for 1 Hz.
+    # No tolerance: a stream whose period equals the timeout (1 Hz) counts as lost.
     loss_noticed_s=0.0,
     loss_mode=VehicleMode.RTL,
     loss_actions=MappingProxyType({0: _M.MANUAL, 3: _M.RTL, 4: _M.LAND, 5: _M.HOLD}),
@@ -333,7 +333,7 @@ PX4 = Manners(
     battery_failsafe=Failsafe(
         "COM_LOW_BAT_ACT", MappingProxyType({1: _M.RTL, 2: _M.LAND, 3: _M.RTL}), None, deferred=True
     ),
-    # AUTO.LAND is also how its descent without a position shows.
+    # PX4 reports its descent without a position as AUTO.LAND, too.
     estimator_failsafe=Failsafe(None, MappingProxyType({0: _M.LAND}), None, deferred=False),
     estimator_grace_s=0.2,
     gnss_grace_s=5.0,

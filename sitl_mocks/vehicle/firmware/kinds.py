@@ -1,4 +1,4 @@
-"""What describes a firmware's behaviour; `sitl_mocks.vehicle.firmware.behaviour` describes both firmwares."""
+"""Types that describe a firmware's behaviour. `sitl_mocks.vehicle.firmware.behaviour` has the values."""
 
 from __future__ import annotations
 
@@ -13,115 +13,127 @@ from sitl_mocks.vehicle.firmware.param_tables import ParamTable
 
 
 class VehicleMode(enum.Enum):
-    """What the mock can fly; each firmware has its own number for it."""
+    """Flight modes of the mock vehicle. Each firmware has its own numbers for them."""
 
     MANUAL = "manual"
-    """A pilot's mode: ArduPilot STABILIZE, PX4 POSCTL. The mock's pilot keeps the sticks centred."""
+    """The pilot's mode: ArduPilot STABILIZE, PX4 POSCTL. The mock's pilot keeps the sticks centred."""
     EXTERNAL = "external"
-    """ArduPilot GUIDED, PX4 OFFBOARD."""
+    """Mode that flies setpoints: ArduPilot GUIDED, PX4 OFFBOARD."""
     MISSION = "mission"
     HOLD = "hold"
     """ArduPilot LOITER, PX4 AUTO.LOITER."""
     BRAKE = "brake"
     """ArduPilot only."""
     TAKEOFF = "takeoff"
-    """PX4 only: ArduPilot takes off inside GUIDED."""
+    """PX4 only; ArduPilot takes off in GUIDED."""
     RTL = "rtl"
     LAND = "land"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Failsafe:
-    """What one trouble leads to."""
+    """Reaction of a firmware to one trouble."""
 
     param: str | None
-    """Holds the action; None: it cannot be chosen, and is action 0."""
+    """Parameter that selects the action. None: the action cannot be chosen and is always 0."""
     modes: Mapping[int, VehicleMode]
-    """By action. One that is not here does nothing, or is flown by no mode of the mock."""
+    """Mode by action.
+
+    Actions that are missing here do nothing, or need a mode that the mock does not have.
+    """
     text: str | None
     deferred: bool
-    """PX4 holds for COM_FAIL_ACT_T first, so that a pilot may choose otherwise."""
+    """PX4 first holds for COM_FAIL_ACT_T, so that a pilot can select another mode."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manners:
-    """One firmware's ways. Speeds in m/s, accelerations in m/s^2, times in s."""
+    """Behaviour of one firmware. Speeds are in m/s, accelerations in m/s^2, times in s."""
 
     firmware: Firmware
     autopilot_id: int
     """MAV_AUTOPILOT."""
     custom_modes: Mapping[VehicleMode, int]
     base_modes: Mapping[VehicleMode, int]
-    """base_mode without the armed bit."""
+    """base_mode of the heartbeat, without the armed bit."""
     vtol_state: int
     gps_fix_type: int
     boot_mode: VehicleMode
     # telemetry
     fresh_streams: Mapping[int, float]
-    """Message id -> interval of a link nobody has asked anything of."""
+    """Message id -> interval of the streams on a new link, before any request."""
     data_streams: bool
-    """Answers REQUEST_DATA_STREAM."""
+    """Whether the vehicle obeys REQUEST_DATA_STREAM."""
     forwards: bool
-    """Passes frames on from one link to the others."""
+    """Whether the vehicle forwards frames from one link to the others."""
     has_did_params: bool
-    """Can be told to relay Remote ID data (ArduPilot's DID_*)."""
+    """Whether the vehicle can relay Remote ID data (ArduPilot's DID_* parameters)."""
     heartbeat_on_mode_change: bool
     tells_current_mode: bool
-    """Knows CURRENT_MODE."""
+    """Whether the vehicle sends CURRENT_MODE."""
     standard_modes: Mapping[VehicleMode, int]
-    """MAV_STANDARD_MODE; 0 where it is not here."""
+    """MAV_STANDARD_MODE by mode; 0 for modes that are missing here."""
     refuses_interval_param3: bool
     unsupported_interval_result: int
     unsupported_request_result: int
     no_such_message_text: bool
     speaks: bool
-    """Sends STATUSTEXT; PX4 has events in their place."""
+    """Whether the vehicle sends STATUSTEXT. PX4 uses events instead."""
     target_always_told: bool
-    """POSITION_TARGET_LOCAL_NED in every mode; False: only where it flies setpoints."""
+    """True sends POSITION_TARGET_LOCAL_NED in every mode, False only in the mode that flies setpoints."""
     # modes and arming
     mode_ack_first: bool
-    """A mode command is answered by ACK 0 at once, and by the truth a moment later."""
+    """Whether a mode command is first acknowledged with result 0, and then with the actual result."""
     set_mode_acked: bool
-    """The old SET_MODE message gets a COMMAND_ACK."""
+    """Whether the old SET_MODE message is answered with COMMAND_ACK."""
     arms_in_external: bool
     arms_in: frozenset[VehicleMode]
     failure_result: int
-    """ACK of a refused arming or take-off."""
+    """Result in the ACK of a refused arming, take-off or mode change."""
     land_detect_s: float
-    """From touch-down until it says that it has landed."""
+    """Time from touch-down until the vehicle reports that it has landed."""
     landed_disarm_s: float
-    """From touch-down until it disarms, in a mode that lands."""
+    """Time from touch-down until the vehicle disarms, in a mode that lands."""
     disarm_rewinds_mission: bool
     disarm_after_landing_s: float | None
-    """Disarms by itself after a touch-down in a mode that does not land; None: stays armed."""
+    """Time until the vehicle disarms after a touch-down in a mode that does not land.
+
+    None: it stays armed.
+    """
     disarm_preflight_s: float | None
     # take-off
     takeoff_in_external: bool
     takeoff_altitude_is_amsl: bool
     takeoff_param: str | None
-    """Holds the height (m) of a take-off whose command names none; None: such a command is refused."""
+    """Parameter with the height (m) of a take-off whose command gives none.
+
+    None: such a command is refused.
+    """
     spin_up_s: float
     takeoff_speed_mps: float
     slow_takeoff_m: float
-    """Up to this height over home; above it climbs with max_climb_mps."""
+    """Height over home (m) up to which climbs use takeoff_speed_mps. Above it they use max_climb_mps."""
     # setpoints
     setpoint_frames: frozenset[int]
     body_frames: frozenset[int]
     bad_frame_stops: bool
-    """A setpoint in an unknown frame stops the vehicle; False: it is as if it had never come."""
+    """True: a setpoint in an unknown frame stops the vehicle. False: it is ignored."""
     external_needs_stream: bool
     loss_noticed_s: float
-    """How much later than its parameter says it acts on the loss of the stream."""
+    """Extra delay of the reaction to setpoint loss, beyond the timeout parameter."""
     loss_mode: VehicleMode | None
-    """Where the loss of the stream leads without a pilot's radio; None: it brakes and stays."""
+    """Mode after setpoint loss when `loss_actions` gives none, for example without a pilot's radio. None: the
+    vehicle brakes and stays in its mode."""
     loss_actions: Mapping[int, VehicleMode]
-    """By COM_OBL_RC_ACT; MANUAL needs the radio, and another action than these is loss_mode."""
+    """Mode after setpoint loss by the value of COM_OBL_RC_ACT. MANUAL needs the pilot's radio. Values that
+    are missing here lead to `loss_mode`."""
     stream_takes_back: bool
-    """Setpoints that come again after their loss are flown again, unasked."""
+    """Whether setpoints that resume after their loss are flown again without a mode command."""
     cancels_takeoff: bool
-    """A setpoint after lift-off ends a take-off that it flies in the same mode."""
+    """Whether a setpoint after lift-off ends a take-off that is flown in the setpoint mode."""
     needs_whole_velocity: bool
-    """One ignored axis drops the whole vector, and the vehicle stops; False: it counts as zero."""
+    """True: one ignored axis invalidates the whole velocity, and the vehicle stops. False: that axis counts
+    as zero."""
     altitude_with_horizontal_velocity: bool
     nose_follows_velocity: bool
     # flight
@@ -130,21 +142,21 @@ class Manners:
     max_descent_mps: float
     max_vertical_acceleration_mps2: float
     height_acceleration_mps2: float
-    """With which it stops at a height."""
+    """Vertical deceleration with which the vehicle stops at a height."""
     acceleration_mps2: float
-    """Of setpoints."""
+    """Horizontal acceleration limit when flying setpoints."""
     auto_acceleration_mps2: float
     auto_brake_mps2: float
     auto_jerk_mps3: float
     velocity_lag_s: float
     vertical_lag_s: float
     velocity_gain: float
-    """Velocity reached / asked."""
+    """Velocity reached divided by velocity commanded."""
     slow_share: float
-    """Part of a velocity that comes and goes with slow_s."""
+    """Share of the horizontal velocity that builds up and decays with time constant slow_s."""
     slow_s: float
     brake_fades_mps: float
-    """Braking is weaker above this speed, 3 m/s further only ..."""
+    """Speed above which braking becomes weaker. From 3 m/s above it only brake_faded_mps2 is left."""
     brake_faded_mps2: float
     mission_speed_mps: float
     acceptance_radius_m: float
@@ -158,68 +170,75 @@ class Manners:
     upload_retry_s: float
     mission_texts: bool
     marks_current_item: bool
-    """Tells in a list which item is being flown."""
+    """Whether a downloaded mission marks the item being flown as current."""
     flies_to_takeoff_item: bool
-    """A take-off item begun above its height is a point to fly to; False: it is done."""
+    """True: a take-off item begun above its height is a point to fly to. False: it counts as done."""
     speed_change_stays: bool
-    """DO_CHANGE_SPEED of a mission holds after the mode was left and entered again."""
+    """Whether the speed of a mission's DO_CHANGE_SPEED still holds when the mission mode is entered again."""
     paused_state: int
-    """MISSION_STATE of a mission that was left in the middle."""
+    """MISSION_STATE of a mission that was interrupted."""
     one_transfer: bool
-    """Serves one list at a time, to one partner, item by item in order; False: answers every request."""
+    """True: sends one list at a time to one partner, items in order. False: answers every request."""
     fence_frames: Mapping[int, int]
-    """MAV_FRAME of a fence's items as given -> as told; others are refused."""
+    """MAV_FRAME of an uploaded fence item -> frame in which it is sent back. Other frames are refused."""
     fence_altitudes: bool
-    """Keeps the altitudes of a fence's items."""
+    """Whether the altitudes of fence items are stored."""
     fence_union: bool
-    """Inside one inclusion area is inside; False: outside one of them is outside."""
+    """True: the vehicle must be inside at least one inclusion area. False: it must be inside all of them."""
     adsb_listed: bool
-    """Streams a list of the aircraft heard, one per interval; False: passes each report on once."""
+    """True: streams a list of the aircraft heard, one per interval.
+
+    False: forwards each ADS-B report once.
+    """
     # troubles
     estimator_message: int
-    """EKF_STATUS_REPORT or ESTIMATOR_STATUS."""
+    """Id of the estimator's message: EKF_STATUS_REPORT or ESTIMATOR_STATUS."""
     tells_fence: bool
-    """Knows FENCE_STATUS."""
+    """Whether the vehicle sends FENCE_STATUS."""
     fence_enable_param: str | None
     fence_distance_param: str
     fence_height_param: str
-    """Both m; 0 is no limit."""
+    """Parameter with the largest height; fence_distance_param has the largest distance (m; 0: no limit)."""
     fence_failsafe: Failsafe
     gcs_failsafe: Failsafe
     gcs_timeout_param: str
     gcs_by_system: bool
-    """The ground station is the system of MAV_GCS_SYSID; False: any component of that type."""
+    """True: the ground station is the system with the id MAV_GCS_SYSID.
+
+    False: it is any component of type GCS.
+    """
     battery_failsafe: Failsafe
     estimator_failsafe: Failsafe
     estimator_grace_s: float
     gnss_grace_s: float
-    """How long the estimator lives without GNSS."""
+    """Time for which the estimator keeps a position without GNSS."""
     estimator_recovers: bool
-    """Goes back to the mode that was asked for; False: stays where the failsafe led."""
+    """Whether the vehicle returns to the requested mode when the position is back. False: it stays in the
+    failsafe's mode."""
     global_position_stops: bool
-    """Sends no GLOBAL_POSITION_INT without a position."""
+    """Whether GLOBAL_POSITION_INT stops without a position."""
     sticks_take_over: bool
-    """Moved sticks end an automatic mode (COM_RC_OVERRIDE)."""
+    """Whether moved sticks end an automatic mode (COM_RC_OVERRIDE)."""
     # parameters
     param_bytewise: bool
     params: ParamTable
     legacy_names: Mapping[str, str] = field(default_factory=dict)
-    """Today's name -> the name before the last renaming."""
+    """Current parameter name -> the name before the last renaming."""
     timeout_param: str
     cruise_param: str
     cruise_param_scale: float
     """SI value = parameter value times this."""
 
     def mode_of(self, custom_mode: int) -> VehicleMode | None:
-        """The mode of this number, None where the mock does not fly it."""
+        """Return the mode with this firmware number; None if the mock does not have it."""
         return next((mode for mode, number in self.custom_modes.items() if number == custom_mode), None)
 
 
 def with_quirks(manners: Manners, quirks: Mapping[str, object]) -> Manners:
-    """A firmware's manners with some of them changed, by the name of the field.
+    """Return a firmware's behaviour with some fields of `Manners` changed.
 
     Raises:
-        ConfigError: an unknown name, or a value that is not of the field's kind; tables cannot be given.
+        ConfigError: a name is unknown, or a value is not of the field's type. Tables cannot be changed.
     """
     kinds = get_type_hints(Manners)
     given: dict[str, Any] = {}

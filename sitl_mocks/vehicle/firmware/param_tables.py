@@ -1,4 +1,4 @@
-"""The parameters that the mock vehicle has, with the values of a fresh ArduPilot Copter 4.7 and PX4 1.17."""
+"""Parameters of the mock vehicle, with the values of a fresh ArduPilot Copter 4.7 and PX4 1.17."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REAL32 = int(mavlink.MAV_PARAM_TYPE_REAL32)
 
 
 def ardupilot_params() -> ParamTable:
-    """Of ArduPilot Copter."""
+    """Parameters of ArduPilot Copter."""
     return MappingProxyType(
         {
             "MAV_SYSID": (1.0, INT16),
@@ -62,7 +62,7 @@ def ardupilot_params() -> ParamTable:
 
 
 def px4_params() -> ParamTable:
-    """Of PX4."""
+    """Parameters of PX4."""
     return MappingProxyType(
         {
             "MAV_SYS_ID": (1.0, INT32),

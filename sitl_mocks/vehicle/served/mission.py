@@ -1,8 +1,9 @@
-"""The stored mission and fence, and the MAVLink mission protocol, both ways.
+"""The stored mission and fence, and the MAVLink mission protocol for upload and download.
 
-A new list replaces the old one only when its last item has come; a half-done upload is asked for again and
-then dropped. ArduPilot keeps home as item 0 of its mission and asks with MISSION_REQUEST; PX4 has no such
-item and asks with MISSION_REQUEST_INT. An ArduPilot that receives a list refuses to send it.
+A new list replaces the old one only when its last item has arrived. Missing items of an upload are requested
+again; after a timeout the upload is dropped. ArduPilot keeps home as item 0 of its mission and requests items
+with MISSION_REQUEST. PX4 has no home item and uses MISSION_REQUEST_INT. An ArduPilot that is receiving a list
+refuses to send it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from sitl_mocks.vehicle.firmware.behaviour import Manners
 
 MAX_ITEMS = 700
 NO_PLACE = 0x7FFFFFFF
-"""x or y of an item without a place of its own, as NaN is where places are floats."""
+"""x or y of an item without a position of its own; NaN where positions are floats."""
 _MISSION = int(mavlink.MAV_MISSION_TYPE_MISSION)
 _FENCE = int(mavlink.MAV_MISSION_TYPE_FENCE)
 NAV_COMMANDS = frozenset(
@@ -52,7 +53,7 @@ _FRAMES = _GLOBAL_FRAMES | {int(mavlink.MAV_FRAME_MISSION)}
 
 @dataclass(frozen=True, slots=True)
 class StoredItem:
-    """One item as it travels: params 1-4, x and y in 1e-7 deg, z in m."""
+    """One item in the form of MISSION_ITEM_INT: params 1-4, x and y in 1e-7 deg, z in m."""
 
     command: int
     frame: int
@@ -64,7 +65,7 @@ class StoredItem:
 
     @property
     def placed(self) -> bool:
-        """It has a latitude and longitude; 0, 0 and NO_PLACE mean "here"."""
+        """Whether the item has a latitude and longitude. 0, 0 and NO_PLACE mean the present position."""
         return (self.x, self.y) != (0, 0) and NO_PLACE not in (self.x, self.y)
 
 
@@ -79,7 +80,7 @@ class _Upload:
 
 
 def stored(item: MissionItem) -> StoredItem:
-    """The stored form of a companion's mission item."""
+    """Convert a companion's mission item to its stored form."""
     p1, p2, p3, p4 = (math.nan if value is None else value for value in item.params)
     x, y = (NO_PLACE if v is None else round(v * 1e7) for v in (item.lat_deg, item.lon_deg))
     z = math.nan if item.alt_m is None else item.alt_m
@@ -87,7 +88,7 @@ def stored(item: MissionItem) -> StoredItem:
 
 
 def stored_fence(areas: tuple[FenceArea, ...], manners: Manners) -> tuple[StoredItem, ...]:
-    """The stored form of a fence."""
+    """Convert a fence to its stored form."""
     frame = manners.fence_frames[mavlink.MAV_FRAME_GLOBAL]
     items = []
     for area in areas:
@@ -102,9 +103,12 @@ def stored_fence(areas: tuple[FenceArea, ...], manners: Manners) -> tuple[Stored
 
 
 class MissionBook:
-    """The items of one list, and the protocol's state. `revision` counts the replacements.
+    """The items of one list and the state of its upload. `revision` counts the replacements of the list.
 
-    `home` makes it a mission (where ArduPilot's begins with it), None a fence.
+    Args:
+        manners: behaviour of the firmware.
+        home: home item of a mission, which ArduPilot stores as item 0. None makes the list a fence.
+        items: items stored from the start, without the home item.
     """
 
     def __init__(self, manners: Manners, home: StoredItem | None, items: tuple[StoredItem, ...]) -> None:
@@ -113,9 +117,9 @@ class MissionBook:
         self.revision = 0
         self.loaded_s = -math.inf
         self.requested_seq: int | None = None
-        """Set by MISSION_SET_CURRENT, taken by the vehicle."""
+        """Item requested by MISSION_SET_CURRENT. The vehicle resets it to None when it jumps there."""
         self.current_seq = 0
-        """Of the item being flown, told by the vehicle."""
+        """Sequence number of the item being flown, set by the vehicle."""
         self.texts: list[tuple[int, str]] = []
         self._manners = manners
         self._upload: _Upload | None = None
@@ -131,16 +135,16 @@ class MissionBook:
 
     @property
     def receiving(self) -> bool:
-        """An upload is under way."""
+        """Whether an upload is in progress."""
         return self._upload is not None
 
     @property
     def flown_count(self) -> int:
-        """How many items there are to fly."""
+        """Number of items to fly."""
         return max(len(self.items) - self.first_seq, 0)
 
     def handle(self, message: MavlinkMessage, now_s: float, link: int) -> list[MavlinkMessage]:
-        """Take one mission message addressed to this vehicle; return the answers for the same link."""
+        """Handle one mission message addressed to this vehicle. Return the answers for the same link."""
         handler = {
             "MISSION_REQUEST_LIST": self._list,
             "MISSION_REQUEST": self._request,
@@ -157,7 +161,7 @@ class MissionBook:
         return handler(message, partner, now_s, link)
 
     def tick(self, now_s: float) -> tuple[int, MavlinkMessage] | None:
-        """Ask again for a missing item, or give up; the message and the link it goes to."""
+        """Request a missing item again, or drop the upload. Return the link and the message to send on it."""
         upload = self._upload
         if upload is None:
             return None
@@ -171,7 +175,7 @@ class MissionBook:
         return None
 
     def drop_upload(self) -> None:
-        """Forget a half-done upload."""
+        """Drop an upload in progress."""
         self._upload = None
 
     def _list(
@@ -284,7 +288,7 @@ def _from_wire(message: MavlinkMessage) -> StoredItem:
 
 
 def fence_fault_of(item: StoredItem, manners: Manners) -> int | None:
-    """MAV_MISSION_RESULT of an item that no fence holds, else None."""
+    """Return the MAV_MISSION_RESULT of an item that a fence cannot contain, else None."""
     if item.frame not in manners.fence_frames:
         return int(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
     if item.command not in _FENCE_COMMANDS:
@@ -293,7 +297,7 @@ def fence_fault_of(item: StoredItem, manners: Manners) -> int | None:
 
 
 def _as_fenced(item: StoredItem, manners: Manners) -> StoredItem:
-    """An item as the vehicle tells it: without what it does not keep."""
+    """Convert an uploaded fence item to the form that the firmware stores and sends back."""
     size = 0.0 if item.command == mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT else item.params[0]
     z = item.z if manners.fence_altitudes else 0.0
     frame = manners.fence_frames[item.frame]
@@ -301,13 +305,13 @@ def _as_fenced(item: StoredItem, manners: Manners) -> StoredItem:
 
 
 def _whole(items: list[StoredItem]) -> bool:
-    """Every polygon has its vertices, every circle a radius."""
+    """Whether every polygon has all its vertices and every circle a radius."""
     at = 0
     while at < len(items):
         item = items[at]
         size = item.params[0]
         if item.command in VERTICES.values():
-            # NaN fails this comparison too.
+            # NaN also fails this comparison.
             if not 3.0 <= size <= 255.0:
                 return False
             same = [
@@ -324,7 +328,7 @@ def _whole(items: list[StoredItem]) -> bool:
 
 
 def fault_of(item: StoredItem) -> int | None:
-    """MAV_MISSION_RESULT of an item that cannot be flown, else None."""
+    """Return the MAV_MISSION_RESULT of an item that cannot be flown, else None."""
     if item.frame not in _FRAMES:
         return int(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
     if item.command < mavlink.MAV_CMD_NAV_LAST and item.command not in NAV_COMMANDS:

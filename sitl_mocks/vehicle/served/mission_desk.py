@@ -1,8 +1,8 @@
-"""The mission protocol's messages shared out to the mock vehicle's lists, its mission and its fence.
+"""Distributes the messages of the mission protocol to the mock vehicle's lists: its mission and its fence.
 
-PX4 has one transfer at a time, whichever list it is about: until it hears that a list has arrived, or nothing
-for its timeout, it ignores requests for another and changes, and items asked for out of order end it.
-ArduPilot answers every request. Read in the firmwares' sources.
+PX4 has one transfer at a time for all lists. A download ends when the partner acknowledges the list or is
+silent for the timeout. Until then PX4 ignores requests for other lists and changes. An item requested out of
+order ends the download. ArduPilot answers every request. Both were read in the firmwares' sources.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ _ALL = int(mavlink.MAV_MISSION_TYPE_ALL)
 
 @dataclass(slots=True)
 class _Sending:
-    """PX4's state while it sends a list."""
+    """State of PX4 while it sends a list."""
 
     kind: int
     partner: tuple[int, int]
     seq: int
-    """Of the item that may be asked for next."""
+    """Sequence number of the item that may be requested next."""
     last_heard_s: float
 
 
 class MissionDesk:
-    """Gives each message of the mission protocol to the list it is about."""
+    """Gives each message of the mission protocol to the list that it concerns."""
 
     def __init__(self, manners: Manners, books: tuple[MissionBook, ...]) -> None:
         self.books = books
@@ -40,7 +40,7 @@ class MissionDesk:
         self._sending: _Sending | None = None
 
     def handle(self, message: MavlinkMessage, now_s: float, link: int) -> list[MavlinkMessage]:
-        """Take one mission message addressed to this vehicle; return the answers for the same link."""
+        """Handle one mission message addressed to this vehicle. Return the answers for the same link."""
         name, kind = message.get_type(), getattr(message, "mission_type", _MISSION)
         partner = (message.get_srcSystem(), message.get_srcComponent())
         if self._manners.one_transfer:
@@ -62,7 +62,7 @@ class MissionDesk:
         return []
 
     def tick(self, now_s: float) -> list[tuple[int, MavlinkMessage]]:
-        """What uploads ask for again; messages with their links."""
+        """Return repeated requests and timeouts of uploads, each as a link and its message."""
         return [retry for book in self.books if (retry := book.tick(now_s)) is not None]
 
     def reboot(self) -> None:
@@ -74,7 +74,7 @@ class MissionDesk:
     def _px4_transfer(
         self, message: MavlinkMessage, kind: int, partner: tuple[int, int], now_s: float
     ) -> list[MavlinkMessage] | None:
-        """Follow PX4's one transfer; what it answers instead of the list, None where the list answers."""
+        """Update PX4's single transfer. Return the answers, or None if the list itself must answer."""
         name, sending = message.get_type(), self._sending
         if sending is not None:
             done = sending.seq == len(self._by_kind[sending.kind].items)

@@ -12,16 +12,17 @@ from sitl_mocks.vehicle.firmware.behaviour import Manners
 from sitl_mocks.vehicle.firmware.param_tables import REAL32
 
 ECHO_INDEX = 65535
-"""param_index of a value that was not asked for by its index, as ArduPilot sends it."""
+"""param_index with which ArduPilot sends the echo of a PARAM_SET."""
 
 
 class ParamBook:
-    """Named values in a fixed order. Integers are cast to float (ArduPilot) or are its bytes (PX4)."""
+    """Named values in a fixed order. On the wire an integer is cast to float (ArduPilot) or its bytes fill
+    the float (PX4)."""
 
     def __init__(
         self, manners: Manners, values: Mapping[str, float], *, system_id: int, legacy_names: bool
     ) -> None:
-        """`values` replace the firmware's own, by today's names."""
+        """Set up the parameters. `values` replaces the firmware's defaults, by current parameter name."""
         renames = manners.legacy_names if legacy_names else {}
         self._bytewise = manners.param_bytewise
         self._types: dict[str, int] = {}
@@ -34,11 +35,11 @@ class ParamBook:
         self.names = tuple(self._values)
 
     def get(self, name: str) -> float:
-        """Value by name. Raises KeyError."""
+        """Return the value of a parameter. Raises KeyError."""
         return self._values[name]
 
     def message(self, name: str, index: int | None = None) -> MavlinkMessage:
-        """PARAM_VALUE of a known name."""
+        """Build PARAM_VALUE of a known parameter."""
         shown = self.names.index(name) if index is None else index
         value = self._values[name]
         kind = self._types[name]
@@ -47,13 +48,16 @@ class ParamBook:
         return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.names), shown)
 
     def read(self, name: str, index: int) -> MavlinkMessage | None:
-        """Answer to PARAM_REQUEST_READ (by index when it is not negative); None is silence."""
+        """Answer PARAM_REQUEST_READ, by index unless it is negative. None means no answer."""
         if index >= 0:
             return self.message(self.names[index]) if index < len(self.names) else None
         return self.message(name) if name in self._values else None
 
     def set(self, name: str, wire_value: float) -> MavlinkMessage | None:
-        """Take a PARAM_SET and return its echo; None is silence (unknown name, or not a number)."""
+        """Take a PARAM_SET and return its echo.
+
+        None means no answer: unknown name, or not a finite number.
+        """
         if name not in self._values:
             return None
         kind = self._types[name]

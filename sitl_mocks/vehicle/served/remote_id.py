@@ -1,6 +1,7 @@
-"""Remote ID of the mock vehicle: its own Location, and what ArduPilot does with what it is told.
+"""Remote ID of the mock vehicle: its own Location, and ArduPilot's handling of received Remote ID data.
 
-Seen on ArduPilot Copter 4.7 (DID_ENABLE = 1) and read in its source (the arming checks and their texts).
+The behaviour was observed on ArduPilot Copter 4.7 (DID_ENABLE = 1). The arming checks and their texts were
+read in its source.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _NO_ID = bytes(20)
 _UNKNOWN_TIME_S = 65535.0
 _DYNAMIC_PERIOD_S = 1.0
 _STATIC_SPACING_S = 0.8
-"""One of the four in turn."""
+"""Time between two static messages. The four of them are sent in turn."""
 _MAX_AGE_S = 3.0
 _FIRST_COMPLAINT_S = 2.8
 _COMPLAINT_PERIOD_S = 5.1
@@ -39,7 +40,7 @@ _UPDATE = int(mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_SYSTEM_UPDATE)
 _ARM_STATUS = int(mavlink.MAVLINK_MSG_ID_OPEN_DRONE_ID_ARM_STATUS)
 _STATIC = (_BASIC_ID, _SYSTEM, _SELF_ID, _OPERATOR_ID)
 ODID_MESSAGES = frozenset((*_STATIC, _UPDATE, _ARM_STATUS))
-"""What a vehicle can be told."""
+"""Remote ID messages that the relay takes."""
 _SYSTEM_BYTES = 54
 _UPDATE_BYTES = 18
 
@@ -52,7 +53,10 @@ def location(
     *,
     on_ground: bool,
 ) -> MavlinkMessage:
-    """OPEN_DRONE_ID_LOCATION; `place` is latitude and longitude (deg) and altitude (m, mean sea level)."""
+    """Build OPEN_DRONE_ID_LOCATION.
+
+    `place` is latitude and longitude (deg) and altitude (m, mean sea level).
+    """
     lat, lon, alt = place
     north, east, down = velocity_ned_mps
     status = mavlink.MAV_ODID_STATUS_GROUND if on_ground else mavlink.MAV_ODID_STATUS_AIRBORNE
@@ -80,7 +84,10 @@ def location(
 
 
 def home_system(options: VehicleOptions, utc_s: float | None) -> MavlinkMessage:
-    """PX4's OPEN_DRONE_ID_SYSTEM: home as the take-off point; without GNSS time its timestamp underflows."""
+    """Build PX4's OPEN_DRONE_ID_SYSTEM with home as the take-off point.
+
+    Without GNSS time PX4's timestamp underflows.
+    """
     return mavlink.MAVLink_open_drone_id_system_message(
         0,
         0,
@@ -101,10 +108,11 @@ def home_system(options: VehicleOptions, utc_s: float | None) -> MavlinkMessage:
 
 
 class RemoteIdRelay:
-    """ArduPilot with DID_ENABLE: takes what it is told, sends it on as it came, and asks for it to arm."""
+    """ArduPilot's relay with DID_ENABLE: stores received Remote ID data, sends it on unchanged, and checks it
+    for arming."""
 
     def __init__(self, location: Callable[[float], MavlinkMessage], start_s: float) -> None:
-        """`location` builds the vehicle's own LOCATION."""
+        """Set up the relay. `location` builds the vehicle's own LOCATION for a now_s."""
         self._location = location
         self._stored = dict.fromkeys(_STATIC, b"")
         self._heard_s: dict[int, float] = {}
@@ -117,7 +125,10 @@ class RemoteIdRelay:
         self.texts: list[tuple[int, str]] = []
 
     def handle(self, frame: Frame, message: MavlinkMessage, now_s: float) -> None:
-        """An OPEN_DRONE_ID_* message; no address is looked at, so what a receiver has heard counts too."""
+        """Store an OPEN_DRONE_ID_* message.
+
+        The sender is not checked, so messages that a Remote ID receiver passes on count too.
+        """
         number = frame.message_id
         if number == _ARM_STATUS:
             if self._transmitter_lost:
@@ -128,14 +139,14 @@ class RemoteIdRelay:
         elif number == _UPDATE:
             told = frame.payload.ljust(_UPDATE_BYTES, b"\0")
             system = self._stored[_SYSTEM].ljust(_SYSTEM_BYTES, b"\0")
-            # Both carry latitude and longitude, altitude, timestamp in this order.
+            # Both messages carry latitude, longitude, altitude and timestamp in this order.
             self._stored[_SYSTEM] = told[:8] + system[8:16] + told[8:16] + system[24:]
         elif number in self._stored:
             self._stored[number] = frame.payload
         self._heard_s[number] = now_s
 
     def due(self, at_s: float) -> list[MavlinkMessage | Payload]:
-        """What is to be sent now."""
+        """Return the messages to send now."""
         messages: list[MavlinkMessage | Payload] = []
         if at_s >= self._complaint_due_s - _EPSILON_S:
             self._complain(at_s)
@@ -153,7 +164,7 @@ class RemoteIdRelay:
         return messages
 
     def _complain(self, now_s: float) -> None:
-        """Say what it misses."""
+        """Report missing data as text."""
         self._complaint_due_s += _COMPLAINT_PERIOD_S
         warning = int(mavlink.MAV_SEVERITY_WARNING)
         if not self._fresh(_ARM_STATUS, now_s):
@@ -163,7 +174,7 @@ class RemoteIdRelay:
             self.texts.append((warning, "ODID: lost operator location"))
 
     def refusal(self, now_s: float) -> str | None:
-        """Why it does not arm (DID_OPTIONS = 1: enforce), in the order of the firmware's checks."""
+        """Return why the vehicle refuses to arm (DID_OPTIONS = 1), in the order of the firmware's checks."""
         if not any(self._stored[_BASIC_ID][22:23]):
             return "UA_TYPE required in BasicID"
         if not any(self._stored[_SYSTEM][:8]):
