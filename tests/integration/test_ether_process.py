@@ -26,7 +26,7 @@ from sitl_mocks.channel.simple import SimpleChannel
 
 PROGRAM = """
 import argparse, sys
-from sitl_mocks import ether_server
+from sitl_mocks.air import server as ether_server
 parser = argparse.ArgumentParser()
 ether_server.add_arguments(parser)
 sys.exit(ether_server.run(parser.parse_args()))

@@ -16,7 +16,7 @@ mavsdk = pytest.importorskip("mavsdk", reason="mavsdk is not installed")
 
 SERVE = """
 import argparse, sys
-from sitl_mocks import vehicle_server
+from sitl_mocks.vehicle import server as vehicle_server
 parser = argparse.ArgumentParser()
 vehicle_server.add_arguments(parser)
 sys.exit(vehicle_server.run(parser.parse_args()))

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.errors import ConfigError
+from companion.radio.wifi import hostapd as module
 from companion.radio.wifi.hostapd import ApStatus, HostapdControl, parse_status
-from companion.radio.wifi.wifi_radio import hostapd as module
 
 STATUS = (
     "state=ENABLED\nfreq=2437\nchannel=6\nbeacon_int=100\n"

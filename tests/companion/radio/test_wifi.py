@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from companion.config import WifiRadio
 from companion.errors import ConfigError
-from companion.radio.wifi import wifi_radio
+from companion.radio.wifi import packet_socket, wifi_radio
 from companion.radio.wifi.hostapd import ApStatus
 from companion.radio.wifi.packet_socket import channel_of, check_monitor, tuned_channel
-from companion.radio.wifi.wifi_radio import SYNC_PERIOD_S, WifiTransport, packet_socket, stamp
+from companion.radio.wifi.wifi_radio import SYNC_PERIOD_S, WifiTransport, stamp
 from companion.remote_id.captures.radiotap import build_radiotap
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import (
