@@ -244,7 +244,8 @@ class Explainer:
         return tuple(found), (solved[0], solved[1], solved[2])
 
     def _neighbour(self, row: k.Array, track: TrackView, decision: Decision, own_sigma_m: float) -> None:
-        """Fill one row: the track's position at its message, and the accuracy that gives the logged radius."""
+        """Fill one row with the track's position at its message and an accuracy that gives the logged
+        radius."""
         crewed = self._crewed(track)
         age = max(track.age_s, 0.0)
         margin = track.radius_m - separation_m(self._avoidance, crewed)[0] - QUANTUM_MPS * age
