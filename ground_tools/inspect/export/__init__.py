@@ -2,6 +2,6 @@
 
 `export` implements the command `ground-tools export` and is the place to start reading. `tables` produces
 rows of tracks, encounters, manoeuvres and alternatives in blocks, and writes them as CSV or Parquet. `kml`
-writes paths and closest approaches for Google Earth. `incident` turns the closest approach, as flown or as
-planned, into an `Incident`: a scenario file for `sitl-mocks demo --scenario`.
+writes paths and closest approaches for Google Earth. `incident` turns the closest approach as it was
+flown, or the timed paths as planned, into an `Incident`: a scenario for `sitl-mocks demo --scenario`.
 """

@@ -337,10 +337,10 @@ def _separation(first: Path, second: Path, line: Line | None) -> Separation:
 
 
 def _relative(first: Path, second: Path) -> Iterator[tuple[Array, Array]]:
-    """Yield, for each part of the time in which both were recorded, (n,) times and the (n, 3) relative
-    position.
+    """Yield (n,) times and the (n, 3) position of the first relative to the second.
 
-    This is the position of the first relative to the second. It is NaN if either is unknown or on the ground.
+    The time in which both were recorded is covered part by part. The position is NaN if either is unknown or
+    on the ground.
     """
     start = max(first.time_s[0], second.time_s[0])
     end = min(first.time_s[-1], second.time_s[-1])
