@@ -1,4 +1,4 @@
-"""`ground-tools inspect RUN...`: runs as Rerun recordings, as a page, or as figures in words or JSON.
+"""`ground-tools inspect RUN...`: shows runs as Rerun recordings, an HTML page, or figures (text or JSON).
 
 A run is a run folder, an event record, or the telemetry log (.tlog) of any MAVLink vehicle.
 """
@@ -22,7 +22,7 @@ COMPARISON = "compare.rrd"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools inspect`."""
+    """Add the options of `ground-tools inspect` to `parser`."""
     parser.description = "Show what was flown, heard, predicted and decided in a run."
     parser.epilog = EXAMPLE
     parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog")
@@ -62,13 +62,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools inspect`. Returns 0; 2 when one of several inputs, or with --live one of several records,
-    could not be read.
+    """Run `ground-tools inspect`.
+
+    Returns:
+        0, or 2 if one of several inputs could not be read. With --live, 2 if a record could not be read, or
+        not to its end.
 
     Raises:
-        ConfigError: options that do not go together, nothing that can be read, a file that cannot be written,
-            or rerun is not installed.
-        PeerDataError: with --live: no record that is undamaged and of this version.
+        ConfigError: The options contradict each other, no input can be read, a file cannot be written, or
+            rerun is not installed.
+        PeerDataError: With --live, no record is undamaged and of this format version.
     """
     paths: list[Path] = args.run_folder
     _check(args, several=len(paths) > 1 and not (args.together or args.compare))
@@ -84,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace, several: bool) -> None:
-    """Raises ConfigError for options that do not go together."""
+    """Raise ConfigError if the options contradict each other."""
     if args.save is not None and (args.summary or args.json or args.report or args.live):
         raise ConfigError(
             "--save: goes not with --summary, --json, --report or --live, which write no recording"
@@ -133,10 +136,10 @@ def _wrote(path: Path, args: argparse.Namespace) -> None:
 
 
 def read_all(paths: Sequence[Path]) -> list[Run]:
-    """Every input that can be read; of several, what is wrong with the others goes to standard error.
+    """Read every input that can be read. The errors of the others are printed to standard error.
 
     Raises:
-        ConfigError: none can be read.
+        ConfigError: No input can be read.
     """
     runs = []
     for path in paths:

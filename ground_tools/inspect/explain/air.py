@@ -1,9 +1,10 @@
-"""Remote ID of one aircraft: what it sent against the floor of its region, and how the others came in.
+"""Remote ID of one aircraft: what it sent, compared with the legal minimum, and how well it received others.
 
-The floor is that of the region in the record's header (`companion.broadcast.legal_floor`), for as long as a
-transport was to be on the air by the log (`BroadcastChanged`). Losses are counted where frames carry a
-counter, with the rules of `companion.traffic.reception`. The latency of a message is its time of arrival less
-its own time, by UTC of the autopilot; the age of information is that which the law decided with.
+The legal minimum is that of the region in the record's header (`companion.broadcast.legal_floor`). It applies
+while a transport was meant to be on the air according to the log (`BroadcastChanged`). Losses are counted if
+frames carry a counter, with the rules of `companion.traffic.reception`. The latency of a message is its time
+of arrival minus its own timestamp, by UTC of the autopilot. The age of information is the one that the
+avoidance law used in its decisions.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from companion.remote_id.messages import BasicId, Location, System
 from ground_tools.inspect.read.read_run import AircraftRecord
 
 SLACK_S = 1e-3
-"""Rounding of the times: no period is longer for that."""
+"""Tolerance for rounded times. A period that exceeds the legal limit by less is not counted as too long."""
 _HOUR_S = 3600.0
 _LATE_COUNTS = 8
 _LONGEST_GAP_S = 10.0
@@ -31,7 +32,7 @@ _FASTEST, _STEP_SLACK = 20.0, 3.0
 
 @dataclass(slots=True)
 class _Sent:
-    """One kind of message on one transport."""
+    """Statistics of one kind of sent message on one transport."""
 
     count: int = 0
     first_s: float = math.inf
@@ -42,7 +43,7 @@ class _Sent:
     limit_s: float | None = None
     over: int = 0
     broken: bool = True
-    """Nothing was sent since the transport was taken up."""
+    """True if nothing was sent since the transport was put on the air. The next gap is then not counted."""
 
     def add_broadcast(self, now_s: float, limit_s: float | None) -> None:
         if not self.broken:
@@ -58,7 +59,7 @@ class _Sent:
 
 @dataclass(slots=True)
 class _From:
-    """One radio address on one transport."""
+    """Statistics of the frames received from one radio address on one transport."""
 
     frames: int = 0
     last_s: float | None = None
@@ -162,11 +163,13 @@ class _Gatherer:
 
 
 def gather(record: AircraftRecord) -> dict[str, Any]:
-    """Figures of one aircraft's Remote ID, in one pass over its steps at most, ready for JSON; times are its
-    own `now_s`."""
+    """Return the Remote ID figures of one aircraft, ready for JSON. Times are its own `now_s`.
+
+    This takes at most one pass over the steps.
+    """
     config = None if record.header is None else record.header.config
     found = _Gatherer(config, record.facts.utc_offset_s)
-    # A telemetry log may be gigabytes, and of all this tells at most what was heard.
+    # A telemetry log may be gigabytes long and provides only what was heard, so skip one without any.
     nothing = record.tlog and not record.facts.heard
     for step in () if nothing else record.steps():
         for event in step.events:
@@ -216,7 +219,7 @@ def _heard(transport: str, address: str, one: _From) -> dict[str, Any]:
 
 
 def spread(values: array[float]) -> dict[str, float]:
-    """Median, 95 % and worst of one or more numbers."""
+    """Return median, 95th percentile and maximum of one or more values."""
     found = np.array(values)
     return {
         "median_s": float(np.median(found)),

@@ -1,8 +1,9 @@
-"""Every manoeuvre of one aircraft, explained: why, what was done, what came of it, what else was possible.
+"""Every manoeuvre of one aircraft, explained: its reason, what was done, the outcome, and the alternatives.
 
-A manoeuvre is an interval in which the law flew and its chosen velocity left the wanted one because of other
-aircraft or a fence, or in which a guarded vehicle was taken out of its mission; gaps up to `GAP_S` belong to
-it. A command that lags behind a corner of the path for the acceleration limit alone is none.
+A manoeuvre is an interval in which the avoidance law flew and its chosen velocity differed from the wanted
+one because of other aircraft or a fence, or in which a guarded vehicle was taken out of its mission. Gaps up
+to `GAP_S` belong to the manoeuvre. A command that lags behind a corner of the path only because of the
+acceleration limit is not a manoeuvre.
 """
 
 from __future__ import annotations
@@ -25,71 +26,78 @@ from ground_tools.inspect.explain.why import Alternative, Explainer, HalfSpace, 
 from ground_tools.inspect.read.read_run import AircraftRecord
 
 LEFT_MPS = 0.3
-"""The chosen velocity has left the wanted one when they are farther apart than this."""
+"""The chosen velocity counts as different from the wanted one if they are farther apart than this."""
 GAP_S = 5.0
+"""Longest gap within one manoeuvre."""
 _FENCE = frozenset({"fence", "outside the fence"})
 _HOLDING = frozenset(state.value for state in HOLDING)
 _LEAST_TURN_DEG, _LEAST_CHANGE_MPS, _LEAST_LEVEL_MPS = 3.0, 0.2, 0.3
 _TOO_FAST_MPS = 1.0
-"""That a vehicle was taken at so much more than the wanted speed is said."""
+"""If a guarded vehicle was faster than the wanted speed by this or more at the start, the text says so."""
 _MOST_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:
-    """One manoeuvre; times are the aircraft's own `now_s`."""
+    """One manoeuvre. Times are the aircraft's own `now_s`."""
 
     start_s: float
     end_s: float
     guarded: bool
-    """A guarded vehicle was taken out of its mission; False: the law flew all along."""
+    """True if a guarded vehicle was taken out of its mission; False if the law was flying already."""
     tracks: tuple[str, ...]
-    """In conflict, or with an active half-space, at any time; the first ones first."""
+    """Tracks that were in conflict or had an active half-space at any time, in order of their first one."""
     track: str | None
-    """Of those in conflict at the start, the one that would have come nearest; None: a fence."""
+    """The track in conflict at the start that would have come nearest. Without a conflict, the same among the
+    tracks with an active half-space. None if there is neither, as for a fence."""
     time_to_closest_s: float | None
-    """At the start, at the wanted velocity, to that track."""
+    """Time to the closest approach to `track`, at the start and at the wanted velocity."""
     closest_m: float | None
-    """As `time_to_closest_s`; slant."""
+    """Slant distance at that closest approach."""
     limits: tuple[str, ...]
-    """What else bounded the velocity at any time, of `law.LIMITS`."""
+    """Limits from `law.LIMITS` that bounded the velocity at any time, other than the speed limit."""
     feasible: bool
-    """Every decision kept every half-space."""
+    """True if every decision kept every half-space."""
     deviation_m: float | None
-    """Most from the timed path's point, until it was regained; None without a path."""
+    """Largest distance from the timed path's point until the path was regained; None without a path."""
     regained_s: float | None
-    """When it was back within `avoidance.regained_m` of the path's point; None: not before the next manoeuvre
-    or the record's end."""
+    """When the aircraft was back within `avoidance.regained_m` of the path's point. None if that did not
+    happen before the next manoeuvre or the end of the record."""
     nearest_track: str | None
-    """The track that came nearest meanwhile."""
+    """The track that came nearest during the manoeuvre."""
     nearest_m: float | None
-    """As the law predicted it then, not as it was."""
+    """Distance to `nearest_track` as the law predicted it then, not the true distance."""
     nearest_s: float | None
+    """Time of `nearest_m`."""
     decision: Decision
-    """At the start."""
+    """The decision at the start. If that of a guarded vehicle has no conflict, it is the last decision made
+    while watching, provided that this one had a conflict."""
     half_spaces: tuple[HalfSpace, ...]
-    """At the start; geometry of the velocity space, NED (m/s)."""
+    """Half-spaces of the velocity space at the start, NED (m/s)."""
     alternatives: tuple[Alternative, ...]
-    """At the start."""
+    """Velocities that could have been flown at the start."""
     strongest: Decision
-    """The one whose chosen velocity is farthest from the wanted one."""
+    """The decision whose chosen velocity is farthest from the wanted one."""
     why: str
+    """Reason for the manoeuvre, as text."""
     done: str
+    """What was commanded, as text."""
     came: str
+    """Outcome, as text."""
     instead: tuple[str, ...]
-    """The alternatives at the start, each with what it would have led to. Where the law changed its mind
-    within the manoeuvre they are not judged again."""
+    """The alternatives at the start, each with its outcome, as text. They are not judged again if the law
+    changes its choice during the manoeuvre."""
 
     @property
     def text(self) -> str:
-        """All of it in a few sentences."""
+        """The whole explanation in a few sentences."""
         instead = f"Instead, at its start: {'; '.join(self.instead)}." if self.instead else ""
         return " ".join(words for words in (self.why, self.done, self.came, instead) if words)
 
 
 @dataclass(slots=True)
 class _Open:
-    """A manoeuvre that goes on."""
+    """A manoeuvre that has not ended yet."""
 
     start_s: float
     guarded: bool
@@ -103,7 +111,7 @@ class _Open:
     deviation_m: float | None = None
     regained_s: float | None = None
     nearest: tuple[float, float, str] | None = None
-    """Distance, when, track."""
+    """Distance, time and track of the nearest approach."""
 
     def add_decision(self, now_s: float, decision: Decision) -> None:
         self.end_s, self.regained_s = now_s, None
@@ -118,7 +126,7 @@ class _Open:
                 self.nearest = distance, now_s, track.track_id
 
     def follow(self, now_s: float, decision: Decision, regained_m: float) -> None:
-        """The distance from the path, on to where it is regained."""
+        """Update the distance from the path until the path is regained."""
         if decision.path_ned_m is None or self.regained_s is not None:
             return
         away = math.dist(decision.path_ned_m, decision.position_ned_m)
@@ -128,7 +136,7 @@ class _Open:
 
 
 def _left(decision: Decision) -> float:
-    """How far (m/s) the chosen velocity is from the wanted one."""
+    """Return the distance (m/s) between the chosen and the wanted velocity."""
     return math.dist(decision.wanted_ned_mps, decision.chosen_ned_mps)
 
 
@@ -143,7 +151,7 @@ class _Finder:
         self._explainer = Explainer(self._config)
         self.open: _Open | None = None
         self._closed: _Open | None = None
-        """Over, but not back on the path."""
+        """The last manoeuvre that is over. It is followed until the path is regained."""
 
     def _renew(self) -> None:
         self._explainer.configure(self._config, self._vehicle, self._areas)
@@ -154,7 +162,7 @@ class _Finder:
         self._watching = event.state == State.WATCHING.value
 
     def step(self, step: Step) -> Iterator[_Open]:
-        """Yields what is over and followed to its end."""
+        """Take a step; yield manoeuvres that are over and no longer followed."""
         for event in step.events:
             self.own.observe(event, step.now_s)
             self._take(event)
@@ -202,12 +210,12 @@ class _Finder:
         try:
             height_m = None if self.own.position is None else self.own.position.height_above_home_m
             look = self._explainer.look(at_s, why, height_m, self.own.sigma_m)
-        except (ConfigError, ValueError):  # a fence of the record that no flight would have taken
+        except (ConfigError, ValueError):  # the recorded fence is invalid; a flight would have refused it
             look = Look((), ())
         self.open = _Open(now_s, self._guarded, why, look, decision)
 
     def close(self) -> Iterator[_Open]:
-        """The open one is over; the one before it is not followed any more."""
+        """End the open manoeuvre, and stop following the one before it."""
         yield from self._flush()
         self._closed, self.open = self.open, None
 
@@ -217,14 +225,16 @@ class _Finder:
         self._closed = None
 
     def rest(self) -> Iterator[_Open]:
-        """What the end of the record leaves."""
+        """Yield the manoeuvres that are left at the end of the record."""
         yield from self.close()
         yield from self._flush()
 
 
 def find(record: AircraftRecord) -> tuple[Manoeuvre, ...]:
-    """Every manoeuvre of a record, in one pass over its steps; none of a record without its header, or of the
-    law "none"."""
+    """Find every manoeuvre of a record in one pass over its steps.
+
+    A record without a header, or with the law "none", has no manoeuvres.
+    """
     if record.header is None or record.header.config.avoidance.law == "none":
         return ()
     finder = _Finder(record.header.config)
@@ -236,14 +246,14 @@ def find(record: AircraftRecord) -> tuple[Manoeuvre, ...]:
 
 
 class Starts:
-    """The manoeuvres of one aircraft as they begin, of a record that grows."""
+    """Detects the start of manoeuvres of one aircraft while its record grows."""
 
     def __init__(self, config: Config) -> None:
         self._finder = None if config.avoidance.law == "none" else _Finder(config)
         self._told: _Open | None = None
 
     def step(self, step: Step) -> tuple[str, Decision] | None:
-        """Why a manoeuvre began with the next step, in words, and by which decision; None where none did."""
+        """Take the next step. If a manoeuvre begins with it, return its reason as text and its decision."""
         if self._finder is None:
             return None
         for _over in self._finder.step(step):
@@ -309,7 +319,7 @@ def _why(one: _Open) -> str:
 
 
 def change(wanted: Vec3, chosen: Vec3) -> str:
-    """How a velocity differs from the wanted one, in words."""
+    """Describe how a velocity differs from the wanted one."""
     level = math.hypot(wanted[0], wanted[1]), math.hypot(chosen[0], chosen[1])
     words = []
     if min(level) >= _LEAST_LEVEL_MPS:
@@ -359,7 +369,7 @@ def _came(one: _Open) -> str:
 
 
 def outcome(one: Alternative) -> str:
-    """An alternative and what it would have led to, in words."""
+    """Describe an alternative and what it would have led to."""
     if one.closest_track is None or one.closest_m is None:
         led = "no traffic"
     else:
@@ -368,7 +378,7 @@ def outcome(one: Alternative) -> str:
 
 
 def verdict(one: Alternative) -> str:
-    """What kept an alternative from being flown, in words."""
+    """Describe why an alternative was not flown."""
     if one.excluded_by:
         causes = ", ".join(f"{cause} (by {short:.1f} m/s)" for cause, short in one.excluded_by[:_MOST_NAMED])
         return f"excluded by {causes}"
@@ -379,7 +389,7 @@ def verdict(one: Alternative) -> str:
 
 
 def figures(one: Manoeuvre) -> dict[str, object]:
-    """A manoeuvre ready for JSON."""
+    """Return the figures of a manoeuvre, ready for JSON."""
     return {
         "start_s": one.start_s,
         "end_s": one.end_s,

@@ -1,19 +1,21 @@
 """Why a velocity was chosen: the half-spaces of one logged decision, and what else could have been flown.
 
-A `Decision` tells what the law saw, wanted and chose. Its half-spaces are made from that by the law's own
-`kernels.decide`, never by a second implementation. That is not bit for bit what was computed in flight,
-because a `Decision` does not hold all that went in; what is missing is taken so:
+A `Decision` contains what the avoidance law saw, wanted and chose. Its half-spaces are recomputed from that
+with the law's own `kernels.decide`, never with a second implementation. The result is not bit for bit what
+was computed in flight, because a `Decision` does not contain all inputs. The missing ones are assumed as
+follows:
 
-- our share: 1 for crewed traffic, one half for all others (in flight also 1 for what cannot manoeuvre);
-- accuracies: such that the radius is the logged one;
-- the second half-space of a track that fell silent (where it would stand): left out;
-- the floor where none is configured: 15 m above home, or the height flown where that is less.
+- Our share of the avoidance is 1 for crewed traffic and one half for all others. (In flight it is also 1 for
+  traffic that cannot manoeuvre.)
+- Accuracies are such that the radius is the logged one.
+- The second half-space of a track that fell silent (for the place where it would stand) is left out.
+- If no floor is configured, it is 15 m above home, or the height flown if that is less.
 
-Where none of these differs they are the flight's to within rounding, given the own velocities that the record
-holds (`Explainer.note`); a test compares them with the heart's.
+If none of these differs, the half-spaces equal those of the flight to within rounding, given the own
+velocities from the record (`Explainer.note`). A test compares them with those of the companion's core.
 
-Which of them bound the velocity is the log's own word (`TrackView.active`, `Decision.limits`), not taken from
-these. For the exact planes run the heart again (`companion.replay`).
+Which of the half-spaces bound the velocity is taken from the log (`TrackView.active`, `Decision.limits`), not
+from this computation. For the exact planes, replay the record through the core (`companion.replay`).
 """
 
 from __future__ import annotations
@@ -46,73 +48,77 @@ from companion.geometry import LocalFrame, Vec3
 from companion.traffic.right_of_way import CREWED, FREE, share_of
 
 KEPT_MPS = k.SLACK_MPS
-"""A half-space that lacks no more than this is kept."""
+"""A half-space violated by no more than this counts as kept."""
 TURNS_DEG = (15, 30, 45, 60, 75, 90)
+"""Turns that are tried as alternatives, to the right and to the left."""
 _USUAL_TURN_DEG = 45
 _AHEAD_S = 60.0
 _LEAST_SPEED_MPS = 0.3
-"""Of a velocity whose direction can be turned."""
+"""Least horizontal speed of a velocity for which turns are tried."""
 
 
 @dataclass(frozen=True, slots=True)
 class HalfSpace:
-    """Velocities v (NED, m/s) with normal . v >= least_mps are allowed."""
+    """A constraint: velocities v (NED, m/s) with normal . v >= least_mps are allowed."""
 
     cause: str
-    """Track, or one of `law.LIMITS`."""
+    """Track id, or one of `law.LIMITS`."""
     track: bool
+    """True if the cause is a track."""
     normal_ned: Vec3
-    """Unit, into what is allowed."""
+    """Unit normal that points to the allowed side."""
     least_mps: float
     active: bool
-    """It bounded the velocity that was found, by the log."""
+    """True if the half-space bounded the velocity that was found, according to the log."""
 
     @property
     def point_ned_mps(self) -> Vec3:
-        """The plane's point nearest to zero velocity."""
+        """The point of the plane nearest to zero velocity."""
         n, e, d = self.normal_ned
         return (n * self.least_mps, e * self.least_mps, d * self.least_mps)
 
     def short_mps(self, velocity: Vec3) -> float:
-        """What a velocity lacks to be allowed; 0 or less: it is."""
+        """Return by how much a velocity violates the half-space; 0 or less if the velocity is allowed."""
         return self.least_mps - sum(a * b for a, b in zip(self.normal_ned, velocity, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A velocity that could have been flown, and what it led to if every track kept its own."""
+    """A velocity that could have been flown, and its outcome if every track keeps its velocity."""
 
     name: str
     velocity_ned_mps: Vec3
     closest_track: str | None
-    """The track it would have come nearest to within the law's look ahead; None without any track."""
+    """The track that it would have come nearest to within the law's look-ahead time; None without tracks."""
     closest_m: float | None
-    """Slant distance."""
+    """Slant distance to that track at the closest approach."""
     closest_in_s: float | None
+    """Time until the closest approach."""
     enters: tuple[str, ...]
-    """Tracks whose volume (separation and margin) it would have entered."""
+    """Tracks whose volume (separation plus margin) it would have entered."""
     excluded_by: tuple[tuple[str, float], ...]
-    """Constraints that it breaks, and by how much (m/s), the most first."""
+    """Constraints that it violates, and by how much (m/s), the largest violation first."""
     from_wanted_mps: float
-    """How far it is from the wanted velocity: of what is allowed the law takes the nearest."""
+    """Distance from the wanted velocity. The law takes the nearest allowed velocity."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One decision, explained."""
+    """Explanation of one decision."""
 
     half_spaces: tuple[HalfSpace, ...]
     alternatives: tuple[Alternative, ...]
-    """What the law found first: the command follows it as fast as the acceleration limit lets it."""
+    """The first one is the velocity that the law found. The command follows it as fast as the acceleration
+    limit allows."""
 
 
 class Explainer:
-    """Explains decisions of one aircraft; what it is noted beforehand makes the half-spaces truer."""
+    """Explains decisions of one aircraft. Calls of `note` beforehand make the half-spaces more accurate."""
 
     def __init__(self, config: Config) -> None:
         """
         Args:
-            config: of the record's header.
+            config: Configuration from the record's header.
         """
         self.configure(config, None, config.fence)
         self._state = np.zeros(k.STATE_ENTRIES)
@@ -121,11 +127,12 @@ class Explainer:
     def configure(
         self, config: Config, vehicle: VehicleParameters | None, areas: Sequence[FenceArea]
     ) -> None:
-        """What counts from now on.
+        """Set what applies from now on.
 
         Args:
-            vehicle: the vehicle's own limits, as far as known.
-            areas: the fence that is flown within.
+            config: Configuration of the companion.
+            vehicle: The vehicle's own limits; None if unknown.
+            areas: Areas of the fence that applies.
         """
         self._avoidance: AvoidanceConfig = config.avoidance
         self._configured = config.limits
@@ -133,17 +140,19 @@ class Explainer:
         self._areas = tuple(areas)
 
     def note(self, now_s: float, velocity_ned_mps: Vec3) -> None:
-        """Keep the own velocity before a decision, as the heart does at every step."""
+        """Record the own velocity before a decision, as the companion's core does at every step."""
         k.note_velocity(self._state, self._times, self._velocities, now_s, *velocity_ned_mps)
 
     def look(
         self, now_s: float, decision: Decision, height_m: float | None = None, sigma_m: float = 0.0
     ) -> Look:
-        """Half-spaces and alternatives of a decision.
+        """Return the half-spaces and alternatives of a decision.
 
         Args:
-            height_m: own height above home; None: no floor and no ceiling are known.
-            sigma_m: own horizontal standard deviation, by which a fence's margin grows.
+            now_s: Time of the decision.
+            decision: The logged decision.
+            height_m: Own height above home; None if unknown, which leaves out floor and ceiling.
+            sigma_m: Own horizontal standard deviation, by which a fence's margin grows.
         """
         spaces, solved = self._half_spaces(now_s, decision, height_m, sigma_m)
         speed, climb = self._limits.max_speed_mps, self._limits.max_climb_mps
@@ -167,7 +176,7 @@ class Explainer:
         return Look(spaces, (found, wanted, *others))
 
     def _turn(self, side: int, decision: Decision, spaces: tuple[HalfSpace, ...]) -> Alternative:
-        """The smallest of `TURNS_DEG` that is allowed; without any, the usual one."""
+        """Return the smallest allowed turn of `TURNS_DEG`; if none is allowed, that by `_USUAL_TURN_DEG`."""
         n, e, d = decision.wanted_ned_mps
         found: dict[int, Alternative] = {}
         for degrees in TURNS_DEG:
@@ -181,9 +190,9 @@ class Explainer:
     def _half_spaces(
         self, now_s: float, decision: Decision, height_m: float | None, sigma_m: float
     ) -> tuple[tuple[HalfSpace, ...], Vec3]:
-        """The half-spaces, and the velocity that the law finds in them."""
+        """Return the half-spaces, and the velocity that the law finds in them."""
         here, want = decision.position_ned_m, decision.wanted_ned_mps
-        # Through here at the wanted velocity: what the law then prefers is just that.
+        # A straight path through this position at the wanted velocity makes the law prefer that velocity.
         straight = Trajectory(
             [-_AHEAD_S, _AHEAD_S],
             [
@@ -201,7 +210,7 @@ class Explainer:
         own[:6] = *here, *decision.velocity_ned_mps
         own[k.O_SIGMA], own[k.O_NOW], own[k.O_PATH_TIME] = sigma_m, now_s, 0.0
         own[k.O_FLOOR], own[k.O_CEILING] = self._boundaries(here[2], height_m)
-        # Copies: the history goes on as if nobody had looked.
+        # Work on copies, so that this computation does not change the history.
         state, times, velocities = self._state.copy(), self._times.copy(), self._velocities.copy()
         history = state[k.L_HISTORY]
         k.begin(state, settings)
@@ -235,7 +244,8 @@ class Explainer:
         return tuple(found), (solved[0], solved[1], solved[2])
 
     def _neighbour(self, row: k.Array, track: TrackView, decision: Decision, own_sigma_m: float) -> None:
-        """Fill one row: where it was at its message, and what makes its radius the logged one."""
+        """Fill one row with the track's position at its message and an accuracy that gives the logged
+        radius."""
         crewed = self._crewed(track)
         age = max(track.age_s, 0.0)
         margin = track.radius_m - separation_m(self._avoidance, crewed)[0] - QUANTUM_MPS * age
@@ -245,7 +255,7 @@ class Explainer:
         sigma = max(margin, LEAST_MARGIN_M) / SIGMAS
         row[k.N_SIGMA] = math.sqrt(max(sigma * sigma - own_sigma_m * own_sigma_m, 0.0))
         row[k.N_SHARE] = share_of(FREE, CREWED if crewed else FREE)
-        # The kernel predicts who tells no height to exactly our own.
+        # The kernel puts a track without a known height at exactly our own height.
         row[k.N_VERTICAL] = track.position_ned_m[2] != decision.position_ned_m[2]
         row[k.N_CREWED] = crewed
 
@@ -253,7 +263,7 @@ class Explainer:
         return track.adsb and track.radius_m >= separation_m(self._avoidance, True)[0]
 
     def _boundaries(self, down_m: float, height_m: float | None) -> tuple[float, float]:
-        """NED down of floor and ceiling."""
+        """Return the NED down coordinates of floor and ceiling."""
         if height_m is None:
             return math.inf, -math.inf
         floor, ceiling = self._configured.floor_height_m, self._configured.ceiling_height_m
@@ -272,7 +282,7 @@ class Explainer:
             crewed = self._crewed(track)
             away = [a - b for a, b in zip(track.position_ned_m, decision.position_ned_m, strict=True)]
             closing = [a - b for a, b in zip(velocity, track.velocity_ned_mps, strict=True)]
-            if away[2] == 0.0:  # its height is not known
+            if away[2] == 0.0:  # the track's height is unknown
                 closing[2] = 0.0
             look = max(LOOK_S, horizon_s(self._avoidance, crewed))
             t, near2 = k.closest(away[0], away[1], away[2], closing[0], closing[1], closing[2], look)
@@ -304,6 +314,8 @@ class Explainer:
 
 
 def alternatives(decision: Decision, config: Config) -> Look:
-    """Explain one decision alone: the own velocity is taken to have been the same before, and neither floor
-    nor ceiling is known (`Explainer` knows more)."""
+    """Explain a single decision, without the own velocities before it, and without floor and ceiling.
+
+    An `Explainer` that has followed the whole record is more accurate.
+    """
     return Explainer(config).look(0.0, decision)

@@ -1,4 +1,4 @@
-"""`ground-tools export RUN...`: a run for other software: tables, Google Earth, a scenario to fly again."""
+"""`ground-tools export RUN...`: writes a run as tables, as KML, or as a scenario to fly again."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Write = Callable[[Iterator[tables.Rows], tuple[str, ...], Path], int]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools export`."""
+    """Add the options of `ground-tools export` to `parser`."""
     parser.description = "Write what was flown for other software. Several RUNs are put on one UTC time line."
     parser.epilog = EXAMPLE
     parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog")
@@ -43,11 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools export`. Returns 0; 2 when one of several inputs could not be read.
+    """Run `ground-tools export`. Returns 0, or 2 if one of several inputs could not be read.
 
     Raises:
-        ConfigError: nothing that can be read, nothing that can be exported so, or a file that cannot be
-            written.
+        ConfigError: No input can be read, the run cannot be exported in the requested form, or a file cannot
+            be written.
     """
     if not (args.csv or args.parquet or args.kml or args.scenario):
         raise ConfigError("say what to write: --csv, --parquet, --kml or --scenario")

@@ -1,11 +1,11 @@
-"""An incident as a scenario file that `sitl-mocks demo --scenario` flies again.
+"""Writes an incident as a scenario file that `sitl-mocks demo --scenario` can fly again.
 
-- Flown: the tracks of the aircraft around the closest approach become their timed paths, and the simulated
-  vehicles follow them closely (no lag, no wind, no navigation error). The demo's flight without avoidance is
-  then the incident itself, and its flight with avoidance what avoidance makes of it.
-- Planned: the timed paths that the companions were to fly, with the limits, avoidance and air of the run. A
-  simulated run's folder holds everything else, too: flown with the same seed it is the same run. What wind
-  and navigation did to real aircraft cannot be flown again.
+- As flown: the tracks of the aircraft around the closest approach become their timed paths, and the simulated
+  vehicles follow them closely (no lag, no wind, no navigation error). The demo's flight without avoidance
+  then reproduces the incident, and its flight with avoidance shows what avoidance would have changed.
+- As planned: the timed paths that the companions were to fly, with the limits, avoidance and radio channel of
+  the run. The folder of a simulated run also contains everything else, so the same seed gives the same run.
+  The effects of wind and navigation on real aircraft cannot be reproduced.
 """
 
 from __future__ import annotations
@@ -36,13 +36,14 @@ from sitl_mocks.encounters.lockstep import HOME
 from sitl_mocks.encounters.scenario_file import PathSettings, Scenario, VehicleSettings
 
 AROUND_S = 60.0
-"""Flown before and after the closest approach."""
+"""Longest time before, and after, the closest approach that the scenario covers."""
 NEAR = 5.0
-"""Aircraft that come nearer than this many required separations to one of the two take part."""
+"""Other aircraft take part if they come closer to one of the two than this many required separations."""
 PERIOD_S = 0.5
-"""Between two points of a flown track. At 2 m/s2 the straight line between them is 6 cm off."""
+"""Time between two points of a flown track. At 2 m/s2 the straight line between them is off by 6 cm."""
 LOWEST_M = 20.0
-"""The whole incident is lifted until its lowest point is this high: the simulated ground must not matter."""
+"""The whole incident is lifted until its lowest point is this high, so that the simulated ground has no
+effect."""
 _EXACT = VehicleSettings(
     lag_s=0.01,
     max_acceleration_mps2=100.0,
@@ -54,7 +55,7 @@ _ACCELERATION_MPS2 = 20.0
 _RECOVERY_S = 1.0
 _ROOM = 1.05
 _MOST_SPEED_MPS, _MOST_CLIMB_MPS = 50.0, 20.0
-"""Of `LimitsConfig`."""
+"""Largest values that `LimitsConfig` allows."""
 _LEAST_S = 5.0
 _DIGITS = 6
 _IN_CONTROL = (State.GUARDING.value, State.AVOIDING.value, State.RECOVERING.value)
@@ -62,18 +63,18 @@ _IN_CONTROL = (State.GUARDING.value, State.AVOIDING.value, State.RECOVERING.valu
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """A scenario and where it comes from."""
+    """A scenario and its origin."""
 
     scenario: Scenario
     words: tuple[str, ...]
-    """What it is and how to fly it, one line each; they head the file."""
+    """Description of the scenario and how to fly it, one line each. These lines become the file's header."""
 
 
 def write(incident: Incident, path: Path) -> None:
     """Write a scenario file.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: The file cannot be written.
     """
     head = "".join(f"# {line}\n" for line in incident.words)
     body = tomli_w.dumps(without_none(msgspec.to_builtins(incident.scenario)))
@@ -84,10 +85,11 @@ def write(incident: Incident, path: Path) -> None:
 
 
 def flown_again(run: Run, ways: Flown) -> Incident:
-    """The closest approach of a run, as it was flown.
+    """Return the closest approach of a run as it was flown.
 
     Raises:
-        ConfigError: no two aircraft were in the air at once, or one was faster than a scenario may be.
+        ConfigError: No two aircraft were in the air at the same time, the pair's positions are not known for
+            long enough around the closest approach, or an aircraft was faster than a scenario allows.
     """
     pairs = [pair for pair in separations(ways.paths) if pair.minimum_m is not None]
     if not pairs:
@@ -126,15 +128,16 @@ def flown_again(run: Run, ways: Flown) -> Incident:
 
 
 def planned_again(run: Run) -> Incident:
-    """The timed paths of all aircraft of a run, to be flown with avoidance once more.
+    """Return the timed paths of all aircraft of a run, to fly them with avoidance again.
 
     Raises:
-        ConfigError: an aircraft's record holds no timed path, or not when it began.
+        ConfigError: There are fewer than two aircraft, or an aircraft's record has no timed path or no start
+            time of it.
     """
     if len(run.aircraft) < 2:
         raise ConfigError(f"{run.folder}: one aircraft: a scenario needs at least two")
     given = _simulated(run)
-    # In a simulated run the frame is the scenarios' own.
+    # A simulated run uses the local frame of the scenarios.
     frame = HOME if given is not None else _frame(run.aircraft[0], run)
     points = [_planned(record, frame, run) for record in run.aircraft]
     starts = [_start_utc_s(record, run) for record in run.aircraft]
@@ -165,7 +168,8 @@ def planned_again(run: Run) -> Incident:
 
 
 def _window(first: FlownPath, second: FlownPath, at_s: float, run: Run) -> tuple[float, float]:
-    """As long around a time as both places are known without a gap, and no longer than `AROUND_S`."""
+    """Return the span around a time in which both positions are known without a gap, at most `AROUND_S` each
+    way."""
     spans = [_known_around(path, at_s) for path in (first, second)]
     start = max(at_s - AROUND_S, *(span[0] for span in spans))
     end = min(at_s + AROUND_S, *(span[1] for span in spans))
@@ -178,7 +182,7 @@ def _window(first: FlownPath, second: FlownPath, at_s: float, run: Run) -> tuple
 
 
 def _known_around(path: FlownPath, at_s: float) -> tuple[float, float]:
-    """The stretch without a gap that holds a time."""
+    """Return the span without a gap that contains a time."""
     breaks = np.flatnonzero(np.diff(path.time_s) > MAX_GAP_S)
     starts = path.time_s[np.append(0, breaks + 1)]
     ends = path.time_s[np.append(breaks, len(path.time_s) - 1)]
@@ -193,7 +197,7 @@ def _taking_part(
     start_s: float,
     end_s: float,
 ) -> list[str]:
-    """The closest pair and whoever comes near one of them, and is known all the while."""
+    """Return the closest pair, and every aircraft that comes near one of them and is known all the time."""
     two = {closest.first, closest.second}
     names = set(two)
     for pair in pairs:
@@ -209,7 +213,7 @@ def _taking_part(
 
 
 def _lifted(tracks: list[Array]) -> list[Array]:
-    """(n, 3) NED each, all moved up by the same."""
+    """Move all tracks, each (n, 3) NED, up by the same height."""
     lowest = min(float(-track[:, 2].max()) for track in tracks)
     return [track - np.array([0.0, 0.0, max(LOWEST_M - lowest, 0.0)]) for track in tracks]
 
@@ -220,7 +224,7 @@ def _path(times_s: Array, position_ned_m: Array) -> PathSettings:
 
 
 def _configured(records: Sequence[AircraftRecord]) -> tuple[LimitsConfig, AvoidanceConfig]:
-    """What the first companion was configured with, for all; the defaults where there was none."""
+    """Return the configuration of the first companion, to be used for all; the defaults if there is none."""
     for record in records:
         if record.header is not None:
             return record.header.config.limits, record.header.config.avoidance
@@ -228,10 +232,10 @@ def _configured(records: Sequence[AircraftRecord]) -> tuple[LimitsConfig, Avoida
 
 
 def _fast_enough(limits: LimitsConfig, tracks: list[Array], run: Run) -> LimitsConfig:
-    """Limits with which the tracks can be followed.
+    """Return limits with which the tracks can be followed.
 
     Raises:
-        ConfigError: they are faster than limits may be.
+        ConfigError: The tracks are faster than limits may be.
     """
     steps = np.concatenate([np.diff(track, axis=0) for track in tracks]) / PERIOD_S
     needed = {
@@ -256,8 +260,10 @@ def _fast_enough(limits: LimitsConfig, tracks: list[Array], run: Run) -> LimitsC
 
 
 def _simulated(run: Run) -> tuple[Scenario, int | None] | None:
-    """Scenario and seed that a simulated run's folder holds; its flight without avoidance lies in a folder
-    inside."""
+    """Return the scenario and seed of a simulated run; None if its folder has none.
+
+    The parent folder is searched, too, because the flight without avoidance is in a subfolder of its run.
+    """
     for folder in (run.folder, run.folder.parent):
         if not is_regular(folder / "config.toml"):
             continue
@@ -272,7 +278,7 @@ def _simulated(run: Run) -> tuple[Scenario, int | None] | None:
 
 
 def _air(run: Run) -> AirSettings:
-    """How late messages came: as the simulation was told, or as the records tell."""
+    """Return the message delays: those configured in the simulation, otherwise those found in the records."""
     given = _simulated(run)
     if given is not None and given[0].air.model == "interval":
         return given[0].air
@@ -284,7 +290,7 @@ def _air(run: Run) -> AirSettings:
 
 
 def _delays(record: AircraftRecord) -> Array:
-    """(n,) seconds from a heard Location's own time to its reception."""
+    """Return the delays (n,) in seconds from the timestamp of a received Location to its reception."""
     offset = record.facts.utc_offset_s
     found = array("d")
     if offset is not None:
@@ -308,13 +314,13 @@ def _path_of(record: AircraftRecord, run: Run) -> TrajectoryFile:
 
 
 def _frame(record: AircraftRecord, run: Run) -> LocalFrame:
-    """At the first aircraft's first waypoint, at sea level."""
+    """Return the local frame at the aircraft's first waypoint, at sea level."""
     first = _path_of(record, run).waypoint[0]
     return LocalFrame(first.lat_deg, first.lon_deg, 0.0)
 
 
 def _planned(record: AircraftRecord, frame: LocalFrame, run: Run) -> Array:
-    """(n, 4) of time (s) on the path's own clock, north, east, down (m)."""
+    """Return the timed path as (n, 4): time (s) on the path's own clock, north, east, down (m)."""
     path = _path_of(record, run)
     datum_m = 0.0
     if path.altitude == "geodetic":
@@ -325,7 +331,7 @@ def _planned(record: AircraftRecord, frame: LocalFrame, run: Run) -> Array:
 
 
 def _start_utc_s(record: AircraftRecord, run: Run) -> float:
-    """UTC of the path's time 0."""
+    """Return the UTC of the path's time 0."""
     flight = None if record.header is None else record.header.config.flight
     if flight is not None and flight.start == "utc" and flight.start_utc_s is not None:
         return flight.start_utc_s
@@ -337,7 +343,7 @@ def _start_utc_s(record: AircraftRecord, run: Run) -> float:
 
 
 def _home_m(record: AircraftRecord) -> float:
-    """Height of the vehicle's home above mean sea level."""
+    """Return the height of the vehicle's home above mean sea level; 0 if the record has no position."""
     for step in record.steps():
         for event in step.events:
             if isinstance(event, GlobalPosition):

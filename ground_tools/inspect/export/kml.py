@@ -1,7 +1,8 @@
-"""A run as KML, which Google Earth plays on its time slider.
+"""Writes a run as KML, which Google Earth plays on its time slider.
 
-Every aircraft is a `gx:Track` of times and places (longitude, latitude, metres above mean sea level), every
-pair's closest approach a placemark. Structure after OGC KML 2.2 (12-007r2) and Google's extension namespace.
+Every aircraft is a `gx:Track` of times and positions (longitude, latitude, metres above mean sea level).
+Every pair's closest approach is a placemark. The structure follows OGC KML 2.2 (12-007r2) and Google's
+extension namespace.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ from ground_tools.inspect.viewer.palette import colour
 KML = "http://www.opengis.net/kml/2.2"
 GX = "http://www.google.com/kml/ext/2.2"
 PERIOD_S = 0.2
-"""Least time between two points of a track."""
+"""Minimum time between two points of a track."""
 MAX_APPROACHES = 45
-"""Closest pairs with a placemark: ten aircraft in full."""
+"""Most pairs that get a placemark, the closest first. Ten aircraft have 45 pairs."""
 
 
 def write(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> None:
-    """Write `path`.
+    """Write the KML file `path`.
 
     Raises:
-        ConfigError: the run does not know UTC, or the file cannot be written.
+        ConfigError: The run's UTC is unknown, or the file cannot be written.
     """
     if ways.utc_at_zero_s is None:
         raise ConfigError(f"--kml: {run.folder}: no UTC in this run ({ways.clock}): KML places by UTC")
@@ -107,7 +108,7 @@ def _coordinates(places: Array) -> str:
 
 
 def _thinned(time_s: Array) -> list[int]:
-    """Which points to keep: no two nearer than PERIOD_S, the first and the last among them."""
+    """Return the indexes to keep: the first, the last, and points that are at least PERIOD_S apart."""
     kept = [0]
     for index in range(1, len(time_s)):
         if time_s[index] - time_s[kept[-1]] >= PERIOD_S - 1e-6 or index == len(time_s) - 1:

@@ -1,6 +1,6 @@
-"""Tracks, encounters and manoeuvres of a run as tables: what other software reads as CSV or Parquet.
+"""Writes tracks, encounters and manoeuvres of a run as tables (CSV or Parquet) for other software.
 
-Rows come in blocks of columns, so that a long run is never in memory at once.
+Rows are produced in blocks of columns, so that a long run is never in memory as a whole.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ground_tools.inspect.read.flown import TRUE, Array, Flown, Separation, fixe
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 
 BLOCK = 20_000
-"""Rows in memory at a time."""
+"""Number of rows in memory at a time."""
 _TRACK_NUMBERS = (
     "time_s",
     "lat_deg",
@@ -39,9 +39,12 @@ _TRACK_NUMBERS = (
     "velocity_down_mps",
 )
 TRACK_COLUMNS = ("time_utc", "name", "source", "by", *_TRACK_NUMBERS)
-"""`source`: flown (where the aircraft took itself to be), true (where the simulation had it), heard (what
-`by` received of it, at the time of reception). NED is from the run's origin; `time_s` is the run's time
-line. Empty: not known."""
+"""Columns of the table of tracks.
+
+`source` is flown (the aircraft's own position), true (its position in the simulation) or heard (what `by`
+received from it, at the time of reception). NED is relative to the run's origin; `time_s` is on the run's
+time line. An empty cell means unknown.
+"""
 ENCOUNTER_COLUMNS = (
     "time_utc",
     "first",
@@ -53,8 +56,11 @@ ENCOUNTER_COLUMNS = (
     "start_s",
     "end_s",
 )
-"""A row for every time that a pair was closer than required, from `start_s` to `end_s`, and the closest
-approach of a pair that never was."""
+"""Columns of the table of encounters.
+
+There is one row for every time span (`start_s` to `end_s`) in which a pair was closer than required. A pair
+that never was has one row with its closest approach.
+"""
 _NED = ("north", "east", "down")
 MANOEUVRE_COLUMNS = (
     "time_utc",
@@ -82,9 +88,13 @@ MANOEUVRE_COLUMNS = (
     "done",
     "came",
 )
-"""A row for every manoeuvre, `manoeuvres.Manoeuvre` says what they are; times are the run's time line.
-`wanted` and `chosen` are of its start, as are the `half_spaces` that were active then; `most` are of the
-decision that left the wanted velocity the farthest. `half_spaces`, `tracks` and `limits` are JSON lists."""
+"""Columns of the table of manoeuvres, with one row for every manoeuvre.
+
+`manoeuvres.Manoeuvre` explains the values. Times are on the run's time line. `wanted` and `chosen` are the
+velocities at the start; `half_spaces` are those active at the start. `most_wanted` and `most_chosen` belong
+to the decision whose chosen velocity was farthest from the wanted one. `half_spaces`, `tracks` and `limits`
+are JSON lists.
+"""
 ALTERNATIVE_COLUMNS = (
     "time_utc",
     "name",
@@ -98,8 +108,12 @@ ALTERNATIVE_COLUMNS = (
     "enters",
     "excluded_by",
 )
-"""What could have been flown when a manoeuvre began, a row each; `name` and `time_s` are the manoeuvre's.
-`enters` is a JSON list of tracks, `excluded_by` a JSON object of constraints and what they lack (m/s)."""
+"""Columns of the table of alternatives, with one row for every velocity that could have been flown when a
+manoeuvre began.
+
+`name` and `time_s` are those of the manoeuvre. `enters` is a JSON list of tracks. `excluded_by` is a JSON
+object with the violated constraints and by how much the velocity violates them (m/s).
+"""
 _FLAGS = frozenset({"kept", "guarded", "feasible"})
 _WORDS = frozenset(
     {
@@ -112,7 +126,7 @@ Rows = dict[str, list[Any]]
 
 
 def tracks(run: Run, ways: Flown) -> Iterator[Rows]:
-    """Blocks of TRACK_COLUMNS, aircraft by aircraft."""
+    """Yield the table with TRACK_COLUMNS in blocks, aircraft by aircraft."""
     true = {path.name: path for path in ways.paths} if ways.positions == TRUE else {}
     for record in run.aircraft:
         fixes = fixes_of(record)
@@ -135,7 +149,7 @@ def tracks(run: Run, ways: Flown) -> Iterator[Rows]:
 
 
 def encounters(ways: Flown, pairs: list[Separation]) -> Rows:
-    """ENCOUNTER_COLUMNS."""
+    """Return the table with ENCOUNTER_COLUMNS."""
     found: list[tuple[Any, ...]] = []
     for pair in pairs:
         if pair.minimum_m is None or pair.minimum_time_s is None:
@@ -152,10 +166,11 @@ def encounters(ways: Flown, pairs: list[Separation]) -> Rows:
 
 
 def manoeuvres(ways: Flown, done: Mapping[str, Sequence[Manoeuvre]]) -> Rows:
-    """MANOEUVRE_COLUMNS.
+    """Return the table with MANOEUVRE_COLUMNS.
 
     Args:
-        done: by aircraft.
+        ways: Paths and time line of the run.
+        done: Manoeuvres by aircraft.
     """
     found = []
     for name, every in done.items():
@@ -196,10 +211,11 @@ def manoeuvres(ways: Flown, done: Mapping[str, Sequence[Manoeuvre]]) -> Rows:
 
 
 def alternatives(ways: Flown, done: Mapping[str, Sequence[Manoeuvre]]) -> Rows:
-    """ALTERNATIVE_COLUMNS.
+    """Return the table with ALTERNATIVE_COLUMNS.
 
     Args:
-        done: by aircraft.
+        ways: Paths and time line of the run.
+        done: Manoeuvres by aircraft.
     """
     found = [
         (
@@ -221,7 +237,7 @@ def alternatives(ways: Flown, done: Mapping[str, Sequence[Manoeuvre]]) -> Rows:
 
 
 def _begun(ways: Flown, name: str, one: Manoeuvre) -> tuple[float | None, str, float]:
-    """The first three columns."""
+    """Return the values of the first three columns."""
     at_s = one.start_s + ways.offsets_s[name]
     return _utc(ways, at_s), name, at_s
 
@@ -231,10 +247,10 @@ def _rows(found: Sequence[tuple[Any, ...]], columns: tuple[str, ...]) -> Rows:
 
 
 def write_csv(blocks: Iterator[Rows], columns: tuple[str, ...], path: Path) -> int:
-    """Write blocks of columns. Returns how many rows.
+    """Write blocks of columns as CSV. Returns the number of rows.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: The file cannot be written.
     """
     count = 0
     try:
@@ -251,10 +267,10 @@ def write_csv(blocks: Iterator[Rows], columns: tuple[str, ...], path: Path) -> i
 
 
 def write_parquet(blocks: Iterator[Rows], columns: tuple[str, ...], path: Path) -> int:
-    """Write blocks of columns; times are UTC in microseconds. Returns how many rows.
+    """Write blocks of columns as Parquet; `time_utc` is UTC in microseconds. Returns the number of rows.
 
     Raises:
-        ConfigError: pyarrow is not installed, or it cannot be written.
+        ConfigError: pyarrow is not installed, or the file cannot be written.
     """
     try:
         import pyarrow as pa
@@ -281,13 +297,13 @@ def write_parquet(blocks: Iterator[Rows], columns: tuple[str, ...], path: Path) 
 
 
 def iso(utc_s: float) -> str:
-    """2026-01-01T00:00:00.000Z, to the millisecond."""
+    """Format a UTC time (Unix seconds) like 2026-01-01T00:00:00.000Z."""
     whole, thousandths = divmod(round(utc_s * 1e3), 1000)
     return f"{time.strftime('%Y-%m-%dT%H:%M:%S', time.gmtime(whole))}.{thousandths:03d}Z"
 
 
 def to_geodetic(position_ned_m: Array, origin: Vec3) -> Array:
-    """(n, 3) NED (m) from `origin` to (n, 3) of lat_deg, lon_deg, alt_m."""
+    """Convert (n, 3) NED (m) relative to `origin` to (n, 3) lat_deg, lon_deg, alt_m."""
     return np.column_stack(pymap3d.ned2geodetic(*position_ned_m.T, *origin))
 
 
@@ -304,7 +320,7 @@ def _cell(column: str, value: Any) -> Any:
 
 
 def _block(ways: Flown, names: list[str], source: str, by: str, numbers: Array) -> Rows:
-    """`numbers` in the order of _TRACK_NUMBERS, NaN where not known."""
+    """Return a block of the table of tracks. `numbers` has the columns _TRACK_NUMBERS; NaN means unknown."""
     zero = ways.utc_at_zero_s
     utc = [None] * len(numbers) if zero is None else (numbers[:, 0] + zero).tolist()
     count = len(numbers)
@@ -313,7 +329,7 @@ def _block(ways: Flown, names: list[str], source: str, by: str, numbers: Array) 
 
 
 def _heard(record: AircraftRecord, ways: Flown, offset_s: float) -> Iterator[Rows]:
-    """What one aircraft received of others, in the order of reception."""
+    """Yield the positions that one aircraft received from others, in the order of reception."""
     names: list[str] = []
     numbers: list[tuple[float, ...]] = []
     for step in record.steps():
@@ -337,7 +353,7 @@ def _heard_block(
 
 
 def _places(event: AnyEvent, record: AircraftRecord) -> Iterator[tuple[str, tuple[float, ...]]]:
-    """Name, then lat_deg, lon_deg, alt_msl_m and velocity north, east, down (m/s) of whoever was heard."""
+    """Yield each received aircraft: name, then lat_deg, lon_deg, alt_msl_m and NED velocity (m/s)."""
     undulation_m = record.facts.undulation_m
     if isinstance(event, AdsbVehicle):
         altitude = math.nan if event.alt_m is None else event.alt_m - event.alt_geometric * undulation_m
@@ -362,7 +378,7 @@ def _velocity(place: Location) -> tuple[float, float, float]:
 
 
 def _below(pair: Separation) -> list[tuple[float, float, float, float]]:
-    """Every stretch closer than required: start, end, time and distance of its closest approach."""
+    """Return every span closer than required: start, end, time and distance of its closest approach."""
     inside = np.concatenate([[False], pair.distance_m < pair.required_m, [False]])
     edges = np.flatnonzero(np.diff(inside))
     found = []
@@ -372,7 +388,7 @@ def _below(pair: Separation) -> list[tuple[float, float, float, float]]:
         at_s, least_m = float(pair.time_s[closest]), float(pair.distance_m[closest])
         exact_s = pair.minimum_time_s
         if exact_s is not None and pair.minimum_m is not None and start_s <= exact_s <= end_s:
-            # It may lie between two points of the line.
+            # The exact minimum may lie between two samples.
             at_s, least_m = exact_s, pair.minimum_m
         found.append((start_s, end_s, at_s, least_m))
     return found

@@ -1,4 +1,4 @@
-"""Runs that are laid beside each other: their names, and the time that each counts from."""
+"""Alignment of runs for a comparison: a distinct name and a time zero for each run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _IN_AIR = frozenset({Landed.IN_AIR, Landed.TAKEOFF})
 
 
 def names(runs: Sequence[Run]) -> list[str]:
-    """Each run's own name, told apart where two folders are called the same."""
+    """Return the name of each run. If several runs share a name, the later ones get a number."""
     found = [run.name for run in runs]
     return [
         name if name not in found[:index] else f"{name} ({found[:index].count(name) + 1})"
@@ -21,10 +21,11 @@ def names(runs: Sequence[Run]) -> list[str]:
 
 
 def zeros(runs: Sequence[Run], every: Sequence[Flown]) -> tuple[list[float], str]:
-    """When each run begins to count, on its own common time line, and what that moment is, in words.
+    """Return the time zero of each run, on that run's common time line, and a description of that moment.
 
-    The start of the timed paths where every run has one; otherwise the first take-off, and of runs that tell
-    of none the beginning of the first path, or without positions of the first record.
+    If every run has a start of its timed paths, that is time zero. Otherwise it is the first take-off. A run
+    without a recorded take-off uses the first sample of its earliest path or, without positions, the start
+    of its earliest record.
     """
     if all(ways.from_path for ways in every):
         return [0.0] * len(runs), "the start of the timed paths"
@@ -38,7 +39,7 @@ def zeros(runs: Sequence[Run], every: Sequence[Flown]) -> tuple[list[float], str
 
 
 def _take_off(run: Run, ways: Flown) -> float | None:
-    """When the first aircraft was armed and in the air; None where none tells."""
+    """Return when the first aircraft was armed and in the air; None if no record shows this."""
     found = [
         now_s + ways.offsets_s[record.name]
         for record in run.aircraft

@@ -1,7 +1,7 @@
-"""What one aircraft's record tells, in columns: gathered in one pass, and small beside the record.
+"""Content of one aircraft's record in columns, gathered in one pass and much smaller than the record.
 
-Everything that comes often (positions, decisions, messages) is kept as numbers; what comes rarely (who flew,
-alerts, words, changes of mode) as the events and commands themselves. Times are the aircraft's own `now_s`.
+Frequent data (positions, decisions, messages) is kept as numbers. Rare data (authority changes, alerts,
+texts, mode changes) is kept as the events and commands themselves. Times are the aircraft's own `now_s`.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ from ground_tools.inspect.read.spill import BLOCK, Spill
 Array = NDArray[np.float64]
 
 _OWN_AGE_S = 2.0
-"""A distance is taken from an own position of at most this age."""
+"""Maximum age of the own position from which a distance is computed."""
 _CLOCK_OFF_S = 5.0
-"""A sender's timestamp farther than this from reception is not believed."""
+"""A sender's timestamp that differs from the time of reception by more than this is ignored."""
 
 _RARE = (
     AlertChanged,
@@ -83,79 +83,85 @@ _RARE = (
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What was received from one radio address."""
+    """Frames received from one radio address."""
 
     now_s: Array
-    """(n,) of every frame."""
+    """(n,) reception time of every frame."""
     transports: tuple[str, ...]
     uas_ids: tuple[str, ...]
-    """Identities that were sent from there."""
+    """Identities (UAS ids) received from this address."""
     near: Array
-    """(m, 2) of now_s and the slant distance (m) to the aircraft's own position: a row a second, the least of
-    it. By the reported position, moved on to reception; horizontal where a height is not known."""
+    """(m, 2) now_s and slant distance (m) to the aircraft's own position; one row a second with its minimum.
+
+    The reported position is extrapolated to the time of reception. The distance is horizontal if a height is
+    unknown.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class TrackFacts:
-    """How the law saw one track: a row a second, of the decisions in it."""
+    """How the avoidance law saw one track, with one row for the decisions of each second."""
 
     now_s: Array
-    """(n,) of the nearest decision of each second."""
+    """(n,) time of the decision with the smallest distance in each second."""
     distance_m: Array
-    """(n,) slant, the least of the second; what the law predicted, not what was."""
+    """(n,) smallest slant distance of each second, as the law predicted it; not the true distance."""
     age_s: Array
-    """(n,) of the information, the oldest of the second."""
+    """(n,) largest age of the track's information in each second."""
     conflict: NDArray[np.bool_]
-    """(n,) at any decision of the second."""
+    """(n,) True if the track was in conflict at any decision of the second."""
     adsb: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Decisions:
-    """Every decision of the law, in numbers."""
+    """Every decision of the avoidance law, as numbers."""
 
     now_s: Array
     """(n,)"""
     speeds_mps: NDArray[np.float32]
-    """(n, 3) flown, wanted, chosen."""
+    """(n, 3) flown, wanted and chosen speed."""
     feasible: NDArray[np.bool_]
     """(n,)"""
     conflict: NDArray[np.bool_]
-    """(n,) with any track."""
+    """(n,) True if any track was in conflict."""
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """One aircraft."""
+    """Everything gathered from one aircraft's record."""
 
     steps: int
+    """Number of steps."""
     start_s: float
-    """`now_s` of the first step; 0 without any."""
+    """`now_s` of the first step; 0 if there are no steps."""
     end_s: float
+    """`now_s` of the last step; 0 if there are no steps."""
     fixes: Array
-    """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising.
-    Many of them lie in a temporary file (`spill`)."""
+    """Own positions, (n, 7): now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s), with strictly
+    rising now_s. A long table lies in a temporary file (`spill`)."""
     max_height_m: float | None
-    """Above home; None without fixes."""
+    """Maximum height above home; None without fixes."""
     decided: Array
-    """The same by the decisions, where there are no fixes at all; else none."""
+    """As `fixes`, but taken from the decisions. Empty if there are any fixes."""
     decisions: Decisions
     utc_offset_s: float | None
-    """What to add to `now_s` for UTC; None where the aircraft never knew it."""
+    """Offset from `now_s` to UTC; None if the aircraft never knew UTC."""
     undulation_m: float
-    """How far mean sea level lies above the ellipsoid (m); 0 where its GNSS does not say."""
+    """Height of mean sea level above the ellipsoid (m); 0 if the GNSS does not report it."""
     sent: dict[str, Array]
-    """By transport: now_s of every broadcast."""
+    """now_s of every broadcast, by transport."""
     heard: dict[str, Heard]
-    """By radio address."""
+    """Received frames, by radio address."""
     tracks: dict[str, TrackFacts]
+    """Tracks in the law's decisions, by track id."""
     rare: tuple[tuple[float, AnyEvent | AnyCommand], ...]
-    """(now_s, what), in order: whatever does not come in numbers. Of what is told again and again (heartbeat,
-    landed, estimator, Remote ID module) each change."""
+    """(now_s, event or command) in order, for all data that is not kept as numbers. Of periodically repeated
+    events (heartbeat, landed state, estimator state, Remote ID module) only the changes are kept."""
 
     @property
     def duration_s(self) -> float:
-        """From the first step to the last."""
+        """Time from the first step to the last."""
         return self.end_s - self.start_s
 
 
@@ -167,13 +173,13 @@ class _Track:
 
 
 class Gatherer:
-    """Takes steps one by one; `facts` tells what they held."""
+    """Collects steps one by one; `facts` returns what was collected."""
 
     def __init__(self) -> None:
         self.steps = 0
         self.start_s = self.end_s = 0.0
         self.fixes = array("d")
-        """The last ones; those before are in `_spill`."""
+        """The latest fixes; earlier ones are in `_spill`."""
         self._spill = Spill(7)
         self.max_height_m: float | None = None
         self.decided = array("d")
@@ -191,7 +197,7 @@ class Gatherer:
         self._beat: Heartbeat | None = None
 
     def step(self, step: Step) -> None:
-        """The next one."""
+        """Add the next step."""
         self.start_s = step.now_s if self.steps == 0 else self.start_s
         self.end_s = step.now_s
         self.steps += 1
@@ -203,13 +209,13 @@ class Gatherer:
             case GlobalPosition():
                 del self.decided[:]
                 if len(self.fixes) >= 7 and self.fixes[-7] >= now_s:
-                    del self.fixes[-7:]  # of several in one step the last counts
+                    del self.fixes[-7:]  # the last of several fixes in one step counts
                 height_m = item.height_above_home_m
                 if self.max_height_m is None or height_m > self.max_height_m:
                     self.max_height_m = height_m
                 place = (item.lat_deg, item.lon_deg, item.alt_msl_m)
                 if len(self.fixes) >= 7 * BLOCK:
-                    # The last one may yet be replaced.
+                    # Keep the last fix in memory, because it may still be replaced.
                     self._spill.write(memoryview(self.fixes)[:-7])
                     del self.fixes[:-7]
                 self.fixes.extend((now_s, *place, *item.velocity_ned_mps))
@@ -258,7 +264,7 @@ class Gatherer:
                     near[-2], near[-1] = now_s, distance
 
     def _distance_m(self, now_s: float, message: Location) -> float | None:
-        """From the own position to a reported one, moved on to now."""
+        """Distance from the own position to a reported one, which is extrapolated to now."""
         if len(self.fixes) < 7 or now_s - self.fixes[-7] > _OWN_AGE_S:
             return None
         lat, lon, alt = self.fixes[-6], self.fixes[-5], self.fixes[-4]
@@ -300,7 +306,7 @@ class Gatherer:
             self.decided.extend((now_s, *place, *one.velocity_ned_mps))
 
     def facts(self) -> Facts:
-        """Everything taken. They are the same numbers, not a copy: no step can be taken any more."""
+        """Return everything gathered. The arrays are shared, not copied, so no further step can be added."""
         return Facts(
             steps=self.steps,
             start_s=self.start_s,
@@ -343,7 +349,7 @@ def _track_facts(found: _Track) -> TrackFacts:
 
 
 def gather(steps: Iterable[Step]) -> Facts:
-    """The facts of one aircraft's steps, in one pass."""
+    """Gather the facts of one aircraft's steps in one pass."""
     gatherer = Gatherer()
     for step in steps:
         gatherer.step(step)

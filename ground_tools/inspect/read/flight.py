@@ -1,4 +1,4 @@
-"""The flight of one aircraft in figures: arming, distance, speeds, modes, who flew, alerts, faults."""
+"""Figures of one aircraft's flight: arming, distance, speeds, modes, authority, alerts, faults."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _REBOOT = "its clock began anew: it restarted"
 
 
 def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
-    """Figures of a flight, ready for JSON; times are the aircraft's plus `offset_s`, unknown is None."""
+    """Return the figures of a flight, ready for JSON. `offset_s` is added to times; None means unknown."""
     fixes = record.facts.fixes
     speed: float | None = None
     distance: float | None = None
@@ -69,7 +69,7 @@ def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
 def _spans(
     beats: list[tuple[float, Heartbeat]], end_s: float, of: Callable[[Heartbeat], Any]
 ) -> list[tuple[float, float, Any]]:
-    """From when to when what a heartbeat says of one thing stayed the same."""
+    """Return the spans (start, end, value) in which the value of `of` for the heartbeats stayed the same."""
     found: list[tuple[float, float, Any]] = []
     for now_s, beat in beats:
         if found and found[-1][2] == of(beat):
@@ -95,7 +95,7 @@ def _authority(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
 
 
 def alerts(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
-    """Every change of an alert level."""
+    """Return every change of an alert level, ready for JSON. Times are shifted by `offset_s`."""
     return [
         {
             "time_s": now_s + offset_s,
@@ -109,7 +109,8 @@ def alerts(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
 
 
 def faults(record: AircraftRecord, offset_s: float) -> list[dict[str, Any]]:
-    """What went wrong, in order: authority lost, requests refused, doubted tracks, reboots, warnings."""
+    """Return what went wrong, in order of time: lost authority, refused requests, doubted tracks, reboots,
+    warnings."""
     found = [(now_s, words) for now_s, what in record.facts.rare if (words := _fault(what)) is not None]
     if record.link is not None:
         found += [(now_s, ("vehicle", _REBOOT)) for now_s in record.link.reboots_s.tolist()]
@@ -146,7 +147,7 @@ def _fault(what: object) -> tuple[str, str] | None:
 
 
 def missing(record: AircraftRecord) -> list[str]:
-    """What this record does not tell, in words."""
+    """Return what this record does not contain, as text."""
     facts, found = record.facts, []
     if record.header is None:
         found.append(

@@ -1,9 +1,10 @@
-"""What was flown: positions of all aircraft of a run in one local frame and on one time line.
+"""Flown paths: positions of all aircraft of a run in one local frame and on one time line.
 
-Simulated aircraft leave their true positions in the run folder. Where every aircraft has them, paths and
-separations are true. Otherwise they are the aircraft's own (GLOBAL_POSITION_INT as its heart took it in, or,
-without any, those of its decisions): a separation then is what the aircraft's own navigation says, to within
-GNSS error. `Flown.positions` says which.
+Simulated aircraft leave their true positions in the run folder. If every aircraft has them, paths and
+separations are based on true positions. Otherwise they are based on the aircraft's own positions: from
+GLOBAL_POSITION_INT as the companion's core received it or, without any, from its decisions. A separation then
+is as accurate as the aircraft's own navigation, which means to within GNSS error. `Flown.positions` states
+which of the two was used.
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ from ground_tools.inspect.read.truth import ORIGIN
 
 Array = NDArray[np.float64]
 Line = Callable[[Array, Array], tuple[Array, Array]]
-"""What is kept of (n,) times and distances."""
+"""Reduces (n,) times and distances to those that are kept."""
 
 GRID_S = 0.05
-"""Step of the time line on which separations are taken."""
+"""Time step at which separations are computed."""
 PART_S = 600.0
-"""So much of a pair's time is looked at at once."""
+"""Length of the parts in which a pair's separation is computed."""
 MAX_GAP_S = 2.0
-"""Between two own positions farther apart than this the place in between is not known."""
+"""If two own positions are farther apart in time than this, the position in between is unknown."""
 MAX_ERROR_M = 200.0
-"""Truth farther than this from the aircraft's own positions belongs to another frame or flight."""
+"""True positions farther than this from the aircraft's own positions belong to another frame or flight."""
 SAME_M = 2.0
-"""Two recordings of one aircraft are nearer than this to each other, where clocks agree to some 0.1 s."""
+"""Two recordings of one aircraft are closer to each other than this if their clocks agree to about 0.1 s."""
 TRUE = "true positions"
 OWN = "own GNSS positions"
 _ZERO = np.zeros(0)
@@ -46,34 +47,34 @@ _ZERO = np.zeros(0)
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Where one aircraft was."""
+    """Positions of one aircraft over time."""
 
     name: str
     time_s: Array
-    """(n,) on the common time line, rising."""
+    """(n,) rising times on the common time line."""
     position_ned_m: Array
     """(n, 3) in the common frame."""
     radius_m: float
-    """Conflict radius it was configured with."""
+    """Configured conflict radius."""
     on_ground_s: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(n, 2) of when it came to stand or was disarmed, and when it flew again."""
+    """(n, 2) start and end of each span in which the aircraft stood on the ground or was disarmed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """Slant distance of two aircraft over the time that both were recorded."""
+    """Slant distance of two aircraft over the time in which both were recorded."""
 
     first: str
     second: str
     time_s: Array
     """(n,)"""
     distance_m: Array
-    """(n,), NaN where either position is not known, or either stands on the ground."""
+    """(n,), NaN if either position is unknown or either aircraft is on the ground."""
     minimum_m: float | None
-    """None where they were never known in the air at once."""
+    """None if the two were never known to be in the air at the same time."""
     minimum_time_s: float | None
     required_m: float
-    """Both conflict radii together."""
+    """Sum of both conflict radii."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,28 +84,28 @@ class Flown:
     origin: Vec3
     """lat_deg, lon_deg, alt_msl_m of the common frame."""
     paths: tuple[Path, ...]
-    """What was flown, by `positions`."""
+    """Flown paths, from the kind of positions that `positions` names."""
     own: tuple[Path, ...]
-    """Where the aircraft took themselves to be."""
+    """Paths by the aircraft's own positions."""
     positions: str
     """TRUE or OWN."""
     offsets_s: dict[str, float]
-    """What to add to an aircraft's `now_s` for the common time line."""
+    """For each aircraft, the offset from its `now_s` to the common time line."""
     clock: str
-    """Which time line it is, in words."""
+    """Description of the time line."""
     from_path: bool
-    """It counts from the start of the timed paths."""
+    """True if time 0 is the start of the timed paths."""
     problems: tuple[str, ...]
-    """Why there is no truth where some was found."""
+    """Why true positions were found but not used, and possible duplicate recordings, one line each."""
     utc_at_zero_s: float | None
-    """UTC at 0 of the common time line; None where it is not known."""
+    """UTC at time 0 of the common time line; None if unknown."""
 
 
 def flown(run: Run) -> Flown:
-    """Paths of all aircraft of a run.
+    """Return the paths of all aircraft of a run.
 
     Raises:
-        ConfigError: no aircraft recorded a position.
+        ConfigError: No aircraft recorded a position.
     """
     line = time_line(run)
     fixes = {record.name: fixes_of(record) for record in run.aircraft}
@@ -144,8 +145,10 @@ def flown(run: Run) -> Flown:
 
 
 def placed(run: Run) -> Flown:
-    """Paths of all aircraft; of a run in which nobody recorded a position its clocks alone, in a frame of no
-    meaning."""
+    """Return the paths of all aircraft. If no aircraft recorded a position, return only the clocks.
+
+    The frame of a run without positions has no meaning.
+    """
     try:
         return flown(run)
     except ConfigError:
@@ -165,7 +168,7 @@ def placed(run: Run) -> Flown:
 
 
 def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[Path, ...], str | None]:
-    """True paths of all aircraft, or of none and why."""
+    """Return the true paths of all aircraft; or no paths, and the reason."""
     if line.utc_at_zero_s is None:
         return (), f"they are by UTC, and the time line is {line.words}"
     paths = []
@@ -183,7 +186,7 @@ def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[
 
 
 def _twice(own: tuple[Path, ...]) -> tuple[str, ...]:
-    """What is one aircraft in two inputs, by all that positions tell."""
+    """Report pairs of paths so close together that they are probably one aircraft recorded twice."""
     return tuple(
         f"{one.name} and {other.name} were within {SAME_M:g} m of each other most of the time: if that is "
         "one aircraft, recorded twice, their separation means nothing"
@@ -193,7 +196,7 @@ def _twice(own: tuple[Path, ...]) -> tuple[str, ...]:
 
 
 def _median_distance_m(first: Path, second: Path) -> float:
-    """Over the time that both are known; infinite without any."""
+    """Median distance over the time in which both are known; infinite if there is none."""
     inside = (second.time_s >= first.time_s[0]) & (second.time_s <= first.time_s[-1])
     away = np.linalg.norm(at(first, second.time_s[inside]) - second.position_ned_m[inside], axis=1)
     known = away[~np.isnan(away)]
@@ -205,7 +208,7 @@ def _radius_m(record: AircraftRecord) -> float:
 
 
 def _on_ground(record: AircraftRecord) -> Array:
-    """(n, 2) of spans of its `now_s`; unknown counts as flying."""
+    """Return the spans (n, 2) of `now_s` on the ground or disarmed. An unknown state counts as flying."""
     spans: list[tuple[float, float]] = []
     landed, armed, since_s = False, True, None
     for now_s, what in record.facts.rare:
@@ -225,17 +228,17 @@ def _on_ground(record: AircraftRecord) -> Array:
 
 
 def separations(paths: tuple[Path, ...]) -> list[Separation]:
-    """Separation of every pair, the closest pair first; pairs never known at once come last."""
+    """Return the separation of every pair, closest first. Pairs never known at the same time come last."""
     return _of_pairs(paths, lambda time, distance: (time, distance))
 
 
 def thinned(paths: tuple[Path, ...], every_s: float) -> list[Separation]:
-    """As `separations`, of each line the least of every so many seconds."""
+    """As `separations`, but keep only the smallest distance in each interval of `every_s` seconds."""
     return _of_pairs(paths, lambda time, distance: least_in_bins(time, distance, every_s))
 
 
 def closest(paths: tuple[Path, ...]) -> list[Separation]:
-    """As `separations`, without the lines: of a flight of any length only a part is in memory at once."""
+    """As `separations`, but without times and distances, so that a long flight is never in memory at once."""
     return _of_pairs(paths, None)
 
 
@@ -245,9 +248,9 @@ def _of_pairs(paths: tuple[Path, ...], line: Line | None) -> list[Separation]:
 
 
 def crossing(ways: Flown, pairs: Sequence[Separation]) -> Array:
-    """(3,) where the pairs come closest, on average over the pairs that come near at all.
+    """Return the point (3,) where the pairs come closest, averaged over all pairs that come near each other.
 
-    `pairs` are such as are known at once, the closest first.
+    `pairs` must have a known minimum, and the closest pair comes first.
     """
     by_name = {path.name: path for path in ways.paths}
     near = [pair for pair in pairs if (pair.minimum_m or 0.0) <= 5.0 * pair.required_m] or pairs[:1]
@@ -260,7 +263,7 @@ def crossing(ways: Flown, pairs: Sequence[Separation]) -> Array:
 
 
 def least_of(pairs: Sequence[Separation]) -> tuple[Array, Array]:
-    """(n,) times and (n,) least separation of any pair at each, where one is known."""
+    """Return (n,) times and the smallest separation (n,) of any pair at each, where one is known."""
     time = np.unique(np.concatenate([pair.time_s for pair in pairs]))
     rows = np.full((len(pairs), len(time)), np.inf)
     for row, pair in zip(rows, pairs, strict=True):
@@ -273,7 +276,7 @@ def least_of(pairs: Sequence[Separation]) -> tuple[Array, Array]:
 
 
 def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Array]:
-    """Of the rows of each `bin_s` the one with the least value: no minimum is lost."""
+    """Keep the row with the smallest value in each interval of `bin_s`, so that no minimum is lost."""
     if not len(time_s):
         return time_s, values
     bins = np.floor(time_s / bin_s)
@@ -283,7 +286,7 @@ def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Ar
 
 
 def to_ned(geodetic: Array, origin: Vec3) -> Array:
-    """(n, 3) of lat_deg, lon_deg, alt_m to (n, 3) north, east, down (m) from `origin`."""
+    """Convert (n, 3) lat_deg, lon_deg, alt_m to (n, 3) north, east, down (m) from `origin`."""
     if not len(geodetic):
         return np.zeros((0, 3))
     n, e, d = pymap3d.geodetic2ned(geodetic[:, 0], geodetic[:, 1], geodetic[:, 2], *origin)
@@ -291,7 +294,7 @@ def to_ned(geodetic: Array, origin: Vec3) -> Array:
 
 
 def _positions(fixes: Array, origin: Vec3) -> Array:
-    """(n, 3) of fixes, as many in a temporary file as they are."""
+    """Return the NED positions (n, 3) of fixes; more than one block of them goes to a temporary file."""
     found = spilled(
         (to_ned(fixes[at : at + BLOCK, 1:4], origin) for at in range(0, len(fixes), BLOCK)), columns=3
     )
@@ -300,7 +303,7 @@ def _positions(fixes: Array, origin: Vec3) -> Array:
 
 
 def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array:
-    """(n, 3) NED positions (m) of one local frame in another one."""
+    """Convert (n, 3) NED positions (m) from the frame at `frame_origin` to the frame at `origin`."""
     if frame_origin == origin or not len(position_ned_m):
         return position_ned_m
     n, e, d = position_ned_m.T
@@ -308,7 +311,7 @@ def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array
 
 
 def fixes_of(record: AircraftRecord) -> Array:
-    """(n, 7) of now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s); now_s strictly rising."""
+    """Return (n, 7): now_s (strictly rising), lat_deg, lon_deg, alt_msl_m, north, east, down (m/s)."""
     facts = record.facts
     return facts.fixes if len(facts.fixes) else facts.decided
 
@@ -320,7 +323,7 @@ def _separation(first: Path, second: Path, line: Line | None) -> Separation:
     for time, relative in _relative(first, second):
         distance = np.linalg.norm(relative, axis=1)
         if line is not None:
-            # What begins a part ended the one before.
+            # The first sample of a part is the last one of the part before.
             joint = int(len(lines) > 1)
             lines.append(line(time[joint:], distance[joint:]))
         if not np.isnan(distance).all():
@@ -334,15 +337,18 @@ def _separation(first: Path, second: Path, line: Line | None) -> Separation:
 
 
 def _relative(first: Path, second: Path) -> Iterator[tuple[Array, Array]]:
-    """(n,) times and (n, 3) of the first from the second, NaN where either is not known or stands on the
-    ground; part by part of the time that both were recorded."""
+    """Yield (n,) times and the (n, 3) position of the first relative to the second.
+
+    The time in which both were recorded is covered part by part. The position is NaN if either is unknown or
+    on the ground.
+    """
     start = max(first.time_s[0], second.time_s[0])
     end = min(first.time_s[-1], second.time_s[-1])
     ground = np.concatenate([first.on_ground_s, second.on_ground_s])
     for begin in np.arange(start, max(end, np.nextafter(start, np.inf)), PART_S) if start <= end else ():
         stop = min(begin + PART_S, end)
         near = between(first, begin, stop), between(second, begin, stop)
-        # The samples themselves belong to the line: the closest approach must not fall between its points.
+        # The samples are included, so that the closest approach does not fall between two grid points.
         samples = np.concatenate([*(path.time_s for path in near), [stop]])
         time = np.union1d(np.arange(begin, stop, GRID_S), samples[(samples >= begin) & (samples <= stop)])
         relative = at(near[0], time) - at(near[1], time)
@@ -352,20 +358,20 @@ def _relative(first: Path, second: Path) -> Iterator[tuple[Array, Array]]:
 
 
 def between(path: Path, start_s: float, end_s: float) -> Path:
-    """The part of a path from the last sample at or before a time to the first at or after another one."""
+    """Return a path from its last sample at or before `start_s` to its first at or after `end_s`."""
     first = max(int(np.searchsorted(path.time_s, start_s, "right")) - 1, 0)
     last = int(np.searchsorted(path.time_s, end_s, "left")) + 1
     return replace(path, time_s=path.time_s[first:last], position_ned_m=path.position_ned_m[first:last])
 
 
 def place(path: Path, time_s: float) -> Array:
-    """(3,) position at a time, that of the nearest end outside the path's."""
+    """Return the position (3,) at a time; before or after the path, the position of its nearest end."""
     near = between(path, time_s, time_s)
     return np.array([np.interp(time_s, near.time_s, axis) for axis in near.position_ned_m.T])
 
 
 def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:
-    """Least distance and its time, between the samples too: there the relative motion is straight."""
+    """Return the smallest distance and its time. Between two samples the relative motion is straight."""
     step = np.diff(relative_m, axis=0)
     length2 = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
     share = np.clip(-np.einsum("ij,ij->i", relative_m[:-1], step) / length2, 0.0, 1.0)
@@ -377,7 +383,7 @@ def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:
 
 
 def at(path: Path, time_s: Array) -> Array:
-    """(n, 3) positions at times inside the path's, NaN inside gaps."""
+    """Return the positions (n, 3) at times inside the path's time span; NaN inside gaps."""
     position = np.column_stack([np.interp(time_s, path.time_s, axis) for axis in path.position_ned_m.T])
     after = np.clip(np.searchsorted(path.time_s, time_s), 1, max(len(path.time_s) - 1, 1))
     if len(path.time_s) > 1:

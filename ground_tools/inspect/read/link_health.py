@@ -1,8 +1,8 @@
-"""How well a telemetry link carried: what every component sent, what of it is missing, what the radio said.
+"""Quality of a telemetry link: frames received and missing for each component, and what the radio reports.
 
-MAVLink numbers each component's frames from 0 to 255. A number that was skipped is a frame that is not in the
-log: lost on the way, or never written. A silence hides how often the numbers went round, so that it counts
-for 255 missing frames at most; a number that comes twice in a row is a frame that came twice.
+MAVLink numbers each component's frames from 0 to 255. A skipped number is a frame that is not in the log: it
+was lost on the way, or never written. The number may wrap around during a silence, so a silence counts as at
+most 254 missing frames, however long it is. The same number twice in a row is a repeated frame.
 """
 
 from __future__ import annotations
@@ -18,51 +18,51 @@ from companion.autopilot.tlog import TlogCounts
 Array = NDArray[np.float64]
 
 GAP_S = 3.0
-"""Silence of a component beyond this is a gap: three heartbeats."""
+"""A component's silence longer than this is a gap: three heartbeats."""
 _REPEATED = 255
 
 
 @dataclass(frozen=True, slots=True)
 class ComponentHealth:
-    """Frames of one component."""
+    """Frame counts of one component."""
 
     system_id: int
     component_id: int
     frames: int
     missing: int
-    """By their numbers."""
+    """Number of missing frames, from the gaps in the sequence numbers."""
     repeated: int
     gaps_s: Array
-    """(n, 2) of when a silence longer than GAP_S began, and how long it was; the log's end counts."""
+    """(n, 2) start and duration of each silence longer than GAP_S, including one at the end of the log."""
     seconds: Array
-    """(n, 3) of now_s, frames, missing frames: one row for every second with a frame."""
+    """(n, 3) now_s, frames, missing frames; one row for every second with a frame."""
 
     @property
     def missing_share(self) -> float:
-        """Of all that were sent, as far as their numbers tell."""
+        """Share of missing frames among all sent frames, by their sequence numbers."""
         return self.missing / (self.frames + self.missing)
 
 
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
-    """One log's link, as one vehicle's record tells it. Times are that record's `now_s`."""
+    """Link quality in one log, for one vehicle. Times are `now_s` of that vehicle's record."""
 
     components: tuple[ComponentHealth, ...]
-    """Of all systems in the log, in order of their ids."""
+    """Components of all systems in the log, in order of their ids."""
     radio: Array
-    """(n, 8) of RADIO_STATUS: now_s, rssi, remote rssi, noise, remote noise, receive errors, corrected
+    """(n, 8) from RADIO_STATUS: now_s, rssi, remote rssi, noise, remote noise, receive errors, corrected
     packets, free transmit buffer (%). Signal and noise are in the radio's own units."""
     reboots_s: Array
-    """(n,) when this vehicle's clock began anew."""
+    """(n,) times at which this vehicle's boot clock restarted."""
     counts: TlogCounts
-    """Records, damaged spans, bytes that belong to no record."""
+    """Numbers of records, damaged spans, and bytes that belong to no record."""
     unknown: int
-    """Records of messages that this software's dialect does not have."""
+    """Number of records with messages that this software's dialect does not have."""
     bad_values: int
-    """Messages of this vehicle with values that no honest vehicle sends."""
+    """Number of messages of this vehicle with invalid values."""
 
     def moved(self, offset_s: float) -> LinkHealth:
-        """The same with `offset_s` added to all times."""
+        """Return a copy with `offset_s` added to all times."""
         columns = np.array([offset_s, 0.0])
         return replace(
             self,
@@ -92,7 +92,7 @@ class _Component:
 
 
 class Tally:
-    """Counts frames as they come."""
+    """Counts frames as they are read."""
 
     def __init__(self) -> None:
         self.unknown = 0
@@ -101,7 +101,7 @@ class Tally:
         self._end_s = 0.0
 
     def frame(self, now_s: float, system_id: int, component_id: int, number: int) -> None:
-        """One frame's head."""
+        """Count one frame, given the fields of its header."""
         self._end_s = now_s
         one = self._components.get((system_id, component_id))
         if one is None:
@@ -123,12 +123,13 @@ class Tally:
         one.seconds[-1] += skipped
 
     def radio(self, now_s: float, fields: tuple[int, ...]) -> None:
-        """RADIO_STATUS in wire order: rxerrors, fixed, rssi, remrssi, txbuf, noise, remnoise."""
+        """Add a RADIO_STATUS with its fields in wire order: rxerrors, fixed, rssi, remrssi, txbuf, noise,
+        remnoise."""
         errors, fixed, rssi, remote, buffer, noise, remote_noise = fields
         self._radio.extend((now_s, rssi, remote, noise, remote_noise, errors, fixed, buffer))
 
     def health(self, reboots_s: array[float], counts: TlogCounts, bad_values: int) -> LinkHealth:
-        """Everything counted so far, beside what the vehicle's own messages told."""
+        """Return everything counted so far, plus the given values from the vehicle's own messages."""
         return LinkHealth(
             components=tuple(
                 ComponentHealth(
@@ -150,6 +151,6 @@ class Tally:
         )
 
     def _silence(self, one: _Component) -> tuple[float, ...]:
-        """The gap between a component's last frame and the log's end."""
+        """Return the gap from a component's last frame to the end of the log, if longer than GAP_S."""
         silence = self._end_s - one.last_s
         return (one.last_s, silence) if silence > GAP_S else ()

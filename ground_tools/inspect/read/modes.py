@@ -1,4 +1,4 @@
-"""Flight modes in the words of whoever flies in them."""
+"""Names of flight modes, as the autopilot's firmware calls them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from companion.events import Firmware, Heartbeat
 
 
 def mode_name(beat: Heartbeat) -> str:
-    """The flight mode as its firmware calls it; its number where nobody knows."""
+    """Return the firmware's name for the flight mode, or "mode N" if the number is unknown."""
     if beat.firmware is Firmware.PX4 or refusal(beat.firmware, beat.vehicle_type) is None:
         names = DIALECTS[beat.firmware].names
     else:

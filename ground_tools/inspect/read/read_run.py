@@ -1,10 +1,11 @@
-"""Reading what was recorded: a run folder, one event record, or a telemetry log (.tlog) of any vehicle.
+"""Reads what was recorded: a run folder, one event record, or a telemetry log (.tlog) of any vehicle.
 
-A run folder has `manifest.json`, `summary.json` where there is one, and every aircraft's event record. A run
-that was killed is read as far as it was written, and an aircraft whose event record is missing or unreadable
-by its .tlog. What could not be read is said in `problems`, and what was read stands beside it. A folder
-`unavoided` inside holds the same encounter flown without avoidance. In a swarm's run folder, each companion
-made a run folder of its own inside; they are read as one run.
+A run folder contains `manifest.json`, an optional `summary.json`, and the event record of every aircraft. A
+run that was killed is read as far as it was written. If an aircraft's event record is missing or unreadable,
+its .tlog is read instead. `Run.problems` lists what could not be read; everything else is still returned.
+
+A subfolder `unavoided` holds the same encounter flown without avoidance. In the run folder of a swarm, each
+companion has a run folder of its own; these are read as one run.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ _OTHER_KINDS = {
     b"RRF2": "a Rerun recording: open it with rerun",
     b"PK": "an archive: unpack it first",
 }
-"""First bytes of files that people have beside their logs."""
+"""First bytes of other file types that users often keep next to their logs, with the text for the error."""
 TELLING_S = 0.05
-"""A log's clock that was off by more is worth a note."""
+"""If the log's clock differs from the vehicle's UTC by more than this, a note says so."""
 STAMPED = (
     "no vehicle told UTC (SYSTEM_TIME): it is that of the log's own stamps, by the clock of whoever wrote it"
 )
@@ -49,67 +50,71 @@ NOT_REGULAR = "not a regular file (a folder, a FIFO or a device)"
 
 @dataclass(frozen=True, slots=True)
 class AircraftRecord:
-    """What one aircraft recorded: what entered and left its companion's heart, or its telemetry."""
+    """What one aircraft recorded: the inputs and outputs of its companion's core, or its telemetry."""
 
     name: str
     header: Header | None
-    """None for a telemetry log, and where the event record was cut off before it."""
+    """None for a telemetry log, and for an event record that was cut off before its header."""
     facts: Facts
     steps: Callable[[], Iterator[Step]]
-    """Every step in order, read from the file anew: a long record does not fit into memory. Damage ends it,
-    as it did when the facts were gathered."""
+    """Yields every step in order. Each call reads the file again, because a long record does not fit into
+    memory. The iteration ends at damage, as it did when `facts` were gathered."""
     truth: NDArray[np.float64] | None = None
-    """(n, 4) of utc_s, north_m, east_m, down_m; None where its true positions are not known."""
+    """True positions, (n, 4) of utc_s, north_m, east_m, down_m; None if they are not known."""
     tlog: bool = False
-    """Read from a telemetry log: `now_s` is the log's UTC."""
+    """True if read from a telemetry log. Then `now_s` is the log's UTC."""
     stamped: bool = False
-    """Of a telemetry log in which no vehicle told UTC: that of its stamps stands unchecked."""
+    """True for a telemetry log in which no vehicle sent UTC. Then the UTC of its timestamps is unverified."""
     link_of: Callable[[], LinkHealth | None] = lambda: None
 
     @property
     def link(self) -> LinkHealth | None:
-        """How well the autopilot's link carried; read from the .tlog beside the event record when first asked
-        for. None where there is none, or none that can be laid on this record's time."""
+        """Quality of the autopilot's telemetry link.
+
+        It is read on first access from the .tlog next to the event record. None if there is no .tlog, or if
+        its times cannot be converted to this record's time.
+        """
         return self.link_of()
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: a folder's, a log's, or several together."""
+    """One run, read from a folder or a log, or several runs merged."""
 
     folder: Path
-    """The folder, or the file that was read."""
+    """The folder or file that was read."""
     manifest: dict[str, Any] | None
-    """None where there is none, or none that can be read."""
+    """Content of manifest.json; None if it is missing or unreadable."""
     summary: dict[str, Any] | None
-    """Like `manifest`."""
+    """Content of summary.json; None if it is missing or unreadable."""
     aircraft: tuple[AircraftRecord, ...]
     problems: tuple[str, ...]
     """What is damaged or missing, one line each."""
     notes: tuple[str, ...] = ()
-    """What the input is and does not tell, one line each; nothing of it is wrong."""
+    """What the input is and what it does not contain, one line each. None of these is an error."""
     others: int = 0
-    """How many more runs were put together with the one in `folder`."""
+    """Number of further runs merged with the one in `folder`."""
 
     @property
     def name(self) -> str:
-        """The folder's or file's name."""
+        """Name of the folder or file; merged runs add the number of the others."""
         path = self.folder.resolve()
         name = path.name if path.is_dir() else path.stem
         return f"{name} and {self.others} more" if self.others else name
 
     @property
     def recording(self) -> Path:
-        """Where its recording goes unless told otherwise."""
+        """Default path of the run's Rerun recording."""
         if self.others:
             return (self.folder if self.folder.is_dir() else self.folder.parent) / "together.rrd"
         return self.folder / "inspect.rrd" if self.folder.is_dir() else self.folder.with_suffix(".rrd")
 
 
 def is_regular(path: Path) -> bool:
-    """Whether a path can be read as a file, and again from its beginning: a FIFO waits for a writer for ever.
+    """Return whether a path is a regular file, which can be read more than once.
 
-    True too for what cannot be looked at: opening it says why.
+    Opening a FIFO would block until a writer comes. Also true if the path cannot be examined; opening it then
+    raises an error that gives the reason.
     """
     try:
         return stat.S_ISREG(path.stat().st_mode)
@@ -118,7 +123,7 @@ def is_regular(path: Path) -> bool:
 
 
 def read_unavoided(folder: Path) -> Run | None:
-    """The run without avoidance that belongs to a run folder; None where there is none."""
+    """Read the run without avoidance inside a run folder; None if there is none."""
     inner = folder / "unavoided"
     return read_run(inner) if inner.is_dir() else None
 
@@ -127,12 +132,12 @@ def read_run(path: Path) -> Run:
     """Read a run folder, an event record or a telemetry log.
 
     Raises:
-        ConfigError: there is no such file or folder, or nothing of a flight could be read from it.
+        ConfigError: The file or folder does not exist, or no flight data could be read from it.
     """
     try:
         if not stat.S_ISDIR(path.stat().st_mode):
             return _file(path)
-        # A glob passes over what it may not list.
+        # glob() would silently skip a folder without read permission.
         os.scandir(path).close()
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such run folder or file") from None
@@ -155,7 +160,7 @@ def read_run(path: Path) -> Run:
 
 
 def _file(path: Path) -> Run:
-    """A run of one file."""
+    """Read a run that consists of one file."""
     problems: list[str] = []
     notes: list[str] = []
     if not is_regular(path):
@@ -184,7 +189,7 @@ def _beside(events: Path) -> Path | None:
 def _flights(
     folder: Path, manifest: dict[str, Any] | None, problems: list[str]
 ) -> list[tuple[Path | None, Path | None]]:
-    """Event record and telemetry log of every aircraft, one of them at least."""
+    """Return the event record and the telemetry log of every aircraft; at least one of the two exists."""
     events = {path.stem: path for path in _regular(folder.glob("*.events"), problems)}
     tlogs = {path.stem: path for path in _regular(folder.glob("*.tlog"), problems)}
     if manifest is not None:
@@ -205,11 +210,11 @@ def _regular(paths: Iterable[Path], problems: list[str]) -> list[Path]:
 def _nested(
     folder: Path, manifest: dict[str, Any] | None, problems: list[str]
 ) -> list[tuple[Path | None, Path | None]]:
-    """Those of a swarm: in `<utc>-<name>/` of every aircraft in its manifest."""
+    """As `_flights`, for a swarm: search `<utc>-<name>/` for every aircraft in the manifest."""
     names = (manifest or {}).get("aircraft")
     found: list[tuple[Path | None, Path | None]] = []
     for name in names if isinstance(names, list) else []:
-        # Names of run folders begin with their time: the last is the latest.
+        # The names of run folders begin with the time, so the last one is the latest.
         inside = f"*-{glob.escape(str(name))}/{glob.escape(str(name))}"
         events = _regular(folder.glob(f"{inside}.events"), problems)
         tlogs = _regular(folder.glob(f"{inside}.tlog"), problems)
@@ -223,7 +228,7 @@ def _nested(
 
 
 def read_json(path: Path) -> tuple[dict[str, Any] | None, str | None]:
-    """The JSON object in a file, or None and what is wrong with it; neither where there is no file."""
+    """Return the JSON object in a file and None, or None and the error; None twice if there is no file."""
     if not is_regular(path):
         return None, f"{path.name}: {NOT_REGULAR}"
     try:
@@ -242,7 +247,10 @@ def read_json(path: Path) -> tuple[dict[str, Any] | None, str | None]:
 def _flight(
     events: Path | None, tlog: Path | None, folder: Path, problems: list[str], notes: list[str]
 ) -> list[AircraftRecord]:
-    """By the event record, or where that tells nothing by the telemetry log; the truth lies in `folder`."""
+    """Read aircraft from the event record or, if that has no steps, from the telemetry log.
+
+    True positions are read from `folder`.
+    """
     if events is not None:
         one = _aircraft(events, tlog, folder, problems)
         if one.facts.steps or (tlog is None and one.header is not None):
@@ -311,7 +319,7 @@ def _aircraft(path: Path, tlog: Path | None, folder: Path, problems: list[str]) 
         if tlog is None or facts.utc_offset_s is None:
             return None
         try:
-            # A companion writes its log by the vehicle's UTC.
+            # A companion stamps its telemetry log with the vehicle's UTC.
             return read_tlog.read_health(tlog).moved(-facts.utc_offset_s)
         except (PeerDataError, OSError):
             return None
@@ -333,7 +341,7 @@ def _truth(folder: Path, name: str, problems: list[str]) -> NDArray[np.float64] 
 
 
 def _steps(path: Path, headers: list[Header], problems: list[str]) -> Iterator[Step]:
-    """The steps of a file, its headers and what is damaged put aside."""
+    """Yield the steps of a file; append its headers to `headers` and any damage to `problems`."""
     try:
         with path.open("rb") as stream:
             reader = event_record.Reader(stream, path.name)

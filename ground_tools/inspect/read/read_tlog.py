@@ -1,12 +1,13 @@
-"""Reading a telemetry log (.tlog) of any MAVLink vehicle, with or without a companion.
+"""Reads a telemetry log (.tlog) of any MAVLink vehicle, with or without a companion.
 
-Every system with an autopilot's HEARTBEAT becomes an aircraft of its own. Its messages become the same events
-that a companion's link makes of them, setpoints that anybody sends it become commands, and what it relays of
-others (ADS-B, Remote ID) becomes heard traffic. What only a companion knows is not there: decisions, tracks,
-authority. The log is streamed: nothing of it is kept but `Facts`.
+Every system that sends an autopilot's HEARTBEAT becomes one aircraft. Its messages become the same events
+that a companion's link would make of them. Setpoints sent to it by any system become commands. Traffic that
+it relays (ADS-B, Remote ID) becomes heard traffic. Data that only a companion has is missing: decisions,
+tracks, authority. The log is streamed, and only `Facts` are kept.
 
-Times are the log's own stamps, made to rise: UTC by the clock of whoever wrote it. The vehicles' SYSTEM_TIME
-says how far that clock was off, and `Facts.utc_offset_s` is that.
+Times are the log's own timestamps, corrected so that they never decrease. They are UTC by the clock of the
+program that wrote the log. The vehicles' SYSTEM_TIME gives the error of that clock, which is stored in
+`Facts.utc_offset_s`.
 """
 
 from __future__ import annotations
@@ -48,13 +49,13 @@ from ground_tools.inspect.read.link_health import LinkHealth, Tally
 from ground_tools.inspect.read.modes import mode_name
 
 SET_BACK_S = 1.0
-"""A stamp this much before the last one: the clock was set back, and the log goes on from where it was. Less
-is records that overtook each other."""
+"""A timestamp earlier than the last one by more than this means that the clock was set back; time then
+continues from the last timestamp. A smaller step means that records were logged out of order."""
 _HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 _TEXT = mavlink.MAVLINK_MSG_ID_STATUSTEXT
 _RADIO = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
 _SETPOINTS = {
-    # MAV_FRAME in which the velocity is north, east, down; in the others it turns with the nose.
+    # MAV_FRAMEs with a velocity in north, east, down. In the others the velocity turns with the nose.
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: (
         FRAME_LOCAL_NED,
         mavlink.MAV_FRAME_LOCAL_OFFSET_NED,
@@ -66,47 +67,47 @@ _SETPOINTS = {
     ),
 }
 _VELOCITY_IGNORED = 8 | 16 | 32
-"""POSITION_TARGET_TYPEMASK of the three velocity axes."""
+"""Bits of POSITION_TARGET_TYPEMASK that mark the three velocity axes as ignored."""
 _WANTED = frozenset({_HEARTBEAT, _TEXT, *READERS, *_SETPOINTS, *remote_id.MESSAGE_IDS})
 _FIX_3D = 3
 _STATION_FROM_ID = 240
-"""Ground stations have system ids from here on: QGroundControl and Mission Planner are 255."""
+"""System ids from here on are ground stations: QGroundControl and Mission Planner use 255."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoggedVehicle:
-    """One vehicle of a log."""
+    """One vehicle in a log."""
 
     system_id: int
     facts: Facts
     link: LinkHealth
     steps: Callable[[], Iterator[Step]]
-    """One for each message that tells something, read from the file anew."""
+    """Yields one step for each relevant message. Each call reads the file again."""
     about: str
-    """Kind of vehicle and modes flown, in words."""
+    """Kind of vehicle and flight modes used, as text."""
     missing: tuple[str, ...]
-    """What the log does not tell of it, in words."""
+    """What the log does not contain about the vehicle, as text."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tlog:
-    """What one log held."""
+    """Content of one log."""
 
     vehicles: tuple[LoggedVehicle, ...]
-    """In order of their system ids; none where nobody sent an autopilot's HEARTBEAT."""
+    """Vehicles in order of their system ids; empty if no autopilot's HEARTBEAT was logged."""
     counts: TlogCounts
     problems: tuple[str, ...]
     """Damage, one line each."""
     tells_utc: bool
-    """A vehicle told UTC: SYSTEM_TIME."""
+    """True if a vehicle sent UTC (SYSTEM_TIME)."""
 
 
 def read(path: Path) -> Tlog:
-    """Read a log once.
+    """Read a log in one pass.
 
     Raises:
-        PeerDataError: not a telemetry log.
-        OSError: it cannot be read.
+        PeerDataError: The file is not a telemetry log.
+        OSError: The file cannot be read.
     """
     counts, clock, tally = TlogCounts(), _Clock(), Tally()
     vehicles: dict[int, _Vehicle] = {}
@@ -122,7 +123,7 @@ def read(path: Path) -> Tlog:
     known = {system: one for system, one in sorted(vehicles.items()) if one.is_vehicle}
     facts = {system: gatherers[system].facts() for system in known}
     told = [one.utc_offset_s for one in facts.values() if one.utc_offset_s is not None]
-    # One log has one clock: it was off by the same for all.
+    # One log has one clock, so its error is the same for all vehicles.
     offset = float(np.median(told)) if told else 0.0
     problems = _damage(path.name, counts, clock)
     return Tlog(
@@ -144,11 +145,11 @@ def read(path: Path) -> Tlog:
 
 
 def read_health(path: Path) -> LinkHealth:
-    """Only how well the link carried; reboots and bad values are not looked for.
+    """Read only the quality of the link, without reboots and bad values.
 
     Raises:
-        PeerDataError: not a telemetry log.
-        OSError: it cannot be read.
+        PeerDataError: The file is not a telemetry log.
+        OSError: The file cannot be read.
     """
     counts, tally = TlogCounts(), Tally()
     for _ in _frames(path, counts, _Clock(), tally, frozenset()):
@@ -172,7 +173,7 @@ def _frames(
     tally: Tally | None,
     wanted: frozenset[int] = _WANTED,
 ) -> Iterator[tuple[float, Frame]]:
-    """Frames of the wanted messages, all of them counted."""
+    """Yield the frames of the wanted messages with their times; count all frames in `counts` and `tally`."""
     with path.open("rb") as stream:
         for utc_s, raw in read_tlog(stream, path.name, counts):
             now_s = clock.rising(utc_s)
@@ -181,7 +182,7 @@ def _frames(
                 number, system, component = raw[2:5] if raw[0] == MAGIC_V1 else raw[4:7]
                 tally.frame(now_s, system, component, number)
                 tally.unknown += not is_known(message_id)
-            # Of messages that are known, which all of these are, the log's reader has seen the checksum.
+            # All wanted messages are known ones, so the log reader has verified their checksums.
             if message_id in wanted:
                 yield now_s, cut(raw)
             elif message_id == _RADIO and tally is not None:
@@ -189,7 +190,7 @@ def _frames(
 
 
 def _concerned(frame: Frame, vehicles: dict[int, _Vehicle]) -> Iterable[tuple[int, _Vehicle]]:
-    """Whom a frame may tell something: setpoints and Remote ID come from others, too."""
+    """Return the vehicles that a frame may concern. Other systems send setpoints and Remote ID, too."""
     if frame.message_id in _SETPOINTS or frame.message_id in remote_id.MESSAGE_IDS:
         return vehicles.items()
     one = vehicles.get(frame.system_id)
@@ -198,14 +199,14 @@ def _concerned(frame: Frame, vehicles: dict[int, _Vehicle]) -> Iterable[tuple[in
 
 @dataclass(slots=True)
 class _Clock:
-    """Stamps that never fall."""
+    """Turns timestamps into times that never decrease."""
 
     last_s: float = -math.inf
     shift_s: float = 0.0
     set_back: int = 0
 
     def rising(self, utc_s: float) -> float:
-        """The stamp, or the last one where it is earlier."""
+        """Return the corrected timestamp, or the last one if that is later."""
         now_s = utc_s + self.shift_s
         if now_s < self.last_s - SET_BACK_S:
             self.set_back += 1
@@ -217,17 +218,17 @@ class _Clock:
 
 @dataclass(slots=True)
 class _Vehicle:
-    """Messages of, to and about one vehicle, to events and commands."""
+    """Converts messages from, to and about one vehicle to events and commands."""
 
     system_id: int
     is_vehicle: bool = False
     bad_values: int = 0
     turned_setpoints: int = 0
-    """Setpoints that are no velocity north, east, down."""
+    """Number of setpoints that are not a velocity in north, east, down."""
     own_remote_id: int = 0
-    """Own Remote ID told over MAVLink, by whomever of this system."""
+    """Number of own Remote ID messages over MAVLink, from any component of this system."""
     has_fix: bool = False
-    """GNSS, in three dimensions."""
+    """True if there was a 3D GNSS fix."""
     reboots: array[float] = field(default_factory=lambda: array("d"))
     seen: set[type] = field(default_factory=set)
     kinds: dict[str, None] = field(default_factory=dict)
@@ -239,7 +240,7 @@ class _Vehicle:
     )
 
     def step(self, now_s: float, frame: Frame) -> Step | None:
-        """What the frame told, if anything."""
+        """Return the events and commands of a frame; None if there are none."""
         try:
             commands = self._setpoint(frame) if frame.message_id in _SETPOINTS else ()
             events = () if frame.message_id in _SETPOINTS else tuple(self._events(now_s, frame))
@@ -252,7 +253,7 @@ class _Vehicle:
         return Step(now_s=now_s, events=events, commands=commands)
 
     def about(self) -> str:
-        """Kind of vehicle and modes flown."""
+        """Return the kind of vehicle and the flight modes used."""
         modes = f"; modes {', '.join(self.modes)}" if self.modes else ""
         return f"{' then '.join(self.kinds)}{modes}"
 
@@ -293,7 +294,7 @@ class _Vehicle:
     def _text(self, now_s: float, component_id: int, fields: Fields) -> Sequence[AnyEvent]:
         if component_id == AUTOPILOT_COMPONENT:
             return [*self._texts.feed(fields, now_s)]
-        # Components send chunks of their own; theirs are rare, and shown as they come.
+        # Texts of other components are rare, so each chunk is shown on its own.
         chunk = (*fields[:2], 0, 0)
         return [
             VehicleText(severity=text.severity, text=f"component {component_id}: {text.text}")
@@ -325,7 +326,7 @@ class _Vehicle:
 
 
 def _word(enum: str, value: int) -> str:
-    """A name of MAVLink's, in words: MAV_TYPE_GROUND_ROVER is a ground rover."""
+    """Return the name of a MAVLink enum entry in words: MAV_TYPE_GROUND_ROVER is a "ground rover"."""
     entry = mavlink.enums[enum].get(value)
     if entry is None:
         return f"{enum} {value}"
@@ -334,7 +335,7 @@ def _word(enum: str, value: int) -> str:
 
 
 def _missing(facts: Facts, vehicle: _Vehicle) -> tuple[str, ...]:
-    """What the log does not tell."""
+    """List what the log does not contain."""
     words = []
     if not vehicle.modes:
         words.append("flight modes (its autopilot is neither ArduPilot nor PX4)")

@@ -1,6 +1,7 @@
-"""Numbers that are too many to be kept in memory for a whole flight: they lie in a temporary file.
+"""Temporary files for arrays that are too large to keep in memory for a whole flight.
 
-The file has no name and goes when its rows do, or with the process. `TMPDIR` says where it lies.
+The file has no name. It disappears when its rows are no longer referenced, or when the process ends. The
+environment variable `TMPDIR` sets its folder.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from companion.errors import ConfigError
 Array = NDArray[np.float64]
 
 BLOCK = 8192
-"""Rows that are worked on at once; fewer are kept in memory."""
+"""Number of rows processed at once. Shorter tables stay in memory."""
 
 
 class Spill:
-    """Takes rows of so many numbers in order, and gives them back as one array."""
+    """Collects rows with a fixed number of columns, and returns them as one array."""
 
     def __init__(self, columns: int) -> None:
         self._columns = columns
@@ -32,10 +33,10 @@ class Spill:
         return self._file is not None
 
     def write(self, rows: bytes | memoryview) -> None:
-        """The next rows, as 64 bit floats.
+        """Append rows of 64-bit floats.
 
         Raises:
-            ConfigError: no room for them.
+            ConfigError: The temporary file cannot be written.
         """
         try:
             if self._file is None:
@@ -49,7 +50,7 @@ class Spill:
             ) from error
 
     def rows(self) -> Array:
-        """(n, columns) of all that was written. What is read of it stays in memory until `release`."""
+        """Return all written rows as (n, columns). Rows that are read stay in memory until `release`."""
         if self._file is None:
             return np.zeros((0, self._columns))
         table = np.memmap(self._file, dtype=np.float64, mode="r")
@@ -57,10 +58,10 @@ class Spill:
 
 
 def spilled(blocks: Iterable[Array], columns: int) -> Array:
-    """(n, columns) of blocks one after the other, in a temporary file if there is more than one.
+    """Concatenate blocks to one array of shape (n, columns). More than one block goes to a temporary file.
 
     Raises:
-        ConfigError: no room for them.
+        ConfigError: The temporary file cannot be written.
     """
     spill, first = Spill(columns), None
     for block in blocks:
@@ -74,7 +75,7 @@ def spilled(blocks: Iterable[Array], columns: int) -> Array:
 
 
 def release(rows: Array) -> None:
-    """Give back the memory of spilled rows; they are read anew when they are looked at."""
+    """Free the memory of spilled rows. The next access reads them from the file again."""
     base: object = rows
     while base is not None and not isinstance(base, mmap.mmap):
         base = getattr(base, "base", None)

@@ -1,10 +1,10 @@
-"""The common time line of a run's aircraft, and several runs put on one.
+"""The common time line of the aircraft of a run, and the merging of several runs on one time line.
 
-In a lock-step run, and among companions on one machine, `now_s` of the steps is one clock for all. Elsewhere
-each companion counts from its own boot: there, UTC of the autopilots (SYSTEM_TIME) puts them together, to
-within the latency of the links and the error of the autopilots' clocks. A telemetry log has UTC of its own.
-Where all fly timed paths that start at one UTC, the line counts from that start, as the paths do. `words`
-says which it is.
+In a lock-step run, and for companions on one machine, `now_s` of the steps is one clock shared by all.
+Otherwise each companion counts from its own boot. Its times are then aligned by the UTC of the autopilots
+(SYSTEM_TIME), to within the latency of the links and the error of the autopilots' clocks. A telemetry log has
+its own UTC. If all aircraft fly timed paths that start at the same UTC, time 0 is that start, as it is for
+the paths. `TimeLine.words` states which case applies.
 """
 
 from __future__ import annotations
@@ -19,24 +19,25 @@ import numpy as np
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 
 SHARED_CLOCK_S = 0.05
-"""Clocks that agree with UTC alike to within this are one clock."""
+"""Clocks whose offsets to UTC agree to within this are treated as one clock."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeLine:
-    """How each aircraft's clock, and UTC, lie on the common line."""
+    """Relation of each aircraft's clock, and of UTC, to the common time line."""
 
     offsets_s: dict[str, float]
-    """What to add to an aircraft's `now_s`."""
+    """For each aircraft, the offset from its `now_s` to the common time line."""
     utc_at_zero_s: float | None
-    """None where not every aircraft knew UTC."""
+    """UTC at time 0; None if not every aircraft knew UTC."""
     words: str
+    """Description of the time line."""
     from_path: bool = False
-    """It counts from the start of the timed paths."""
+    """True if time 0 is the start of the timed paths."""
 
 
 def time_line(run: Run) -> TimeLine:
-    """The time line of a run."""
+    """Return the common time line of a run."""
     to_utc = {record.name: record.facts.utc_offset_s for record in run.aircraft}
     known = {name: offset for name, offset in to_utc.items() if offset is not None}
     if len(known) < len(to_utc):
@@ -46,7 +47,7 @@ def time_line(run: Run) -> TimeLine:
             words = f"one clock taken for granted: no UTC from {silent}"
         return TimeLine(dict.fromkeys(to_utc, 0.0), None, words)
     values = list(known.values())
-    # Small numbers plot better: the line counts from the first step of all.
+    # The time line starts at the earliest step, because small numbers are easier to read in plots.
     if any(record.tlog for record in run.aircraft):
         words = _utc_of_logs(run.aircraft)
         zero = _first_start(run.aircraft)
@@ -65,7 +66,7 @@ def time_line(run: Run) -> TimeLine:
 
 
 def _utc_of_logs(aircraft: Sequence[AircraftRecord]) -> str:
-    """Where UTC comes from, some of it from telemetry logs."""
+    """Describe the source of UTC if at least one aircraft is a telemetry log."""
     stamped = [record.name for record in aircraft if record.stamped]
     told = "UTC that the vehicles told (SYSTEM_TIME)"
     own = "the log's own stamps" if len(stamped) == 1 else "their logs' own stamps"
@@ -77,12 +78,12 @@ def _utc_of_logs(aircraft: Sequence[AircraftRecord]) -> str:
 
 
 def _first_start(aircraft: Sequence[AircraftRecord]) -> float:
-    """UTC of the first step of all; every one knows UTC."""
+    """Return the UTC of the earliest step. Every aircraft must know UTC."""
     return min(record.facts.start_s + (record.facts.utc_offset_s or 0.0) for record in aircraft)
 
 
 def _start_of_paths(run: Run) -> float | None:
-    """UTC at which the timed paths of all aircraft start; None where that is not one moment."""
+    """Return the UTC at which the timed paths of all aircraft start; None if there is no common start."""
     starts = {
         record.header.config.flight.start_utc_s
         if record.header is not None and record.header.config.flight.start == "utc"
@@ -93,11 +94,11 @@ def _start_of_paths(run: Run) -> float | None:
 
 
 def together(runs: Sequence[Run]) -> Run:
-    """Several runs as one, all aircraft on one UTC time line, their names distinct.
+    """Merge several runs into one, with all aircraft on one UTC time line and with distinct names.
 
-    Who does not know UTC cannot be laid on it: a run in which somebody does gives it to its others, whose
-    clock is taken for the same; a run in which nobody does is left out, and `problems` says so, as they say
-    which runs have no time in common with any other. A run that is given twice is one.
+    An aircraft that does not know UTC gets the median UTC offset of the others in its run, as if they shared
+    a clock. A run in which no aircraft knows UTC is left out. `problems` lists both cases, and runs that do
+    not overlap in time with any other run. A run that is given twice is used once.
     """
     given: dict[Path, Run] = {}
     twice = [run for run in runs if given.setdefault(run.folder.resolve(), run) is not run]
@@ -147,18 +148,18 @@ def _with_utc(record: AircraftRecord, common_s: float, run: str, problems: list[
 
 
 def _span(aircraft: Sequence[AircraftRecord]) -> tuple[float, float]:
-    """UTC of the first and last step."""
+    """Return the UTC of the first and of the last step."""
     ends = [one.facts.end_s + (one.facts.utc_offset_s or 0.0) for one in aircraft]
     return _first_start(aircraft), max(ends)
 
 
 def utc_words(utc_s: float) -> str:
-    """A moment (Unix seconds), to the second."""
+    """Format a time (Unix seconds) as date and UTC time, to the second."""
     return time.strftime("%Y-%m-%d %H:%M:%SZ", time.gmtime(utc_s))
 
 
 def _distinct(aircraft: Sequence[tuple[Run, AircraftRecord]]) -> tuple[AircraftRecord, ...]:
-    """A name that several have gets its run's, and where that does not help, a number."""
+    """Make names distinct: a shared name gets the run's name appended and, if still needed, a number."""
     names = [one.name for _, one in aircraft]
     taken: set[str] = set()
     found = []

@@ -1,6 +1,7 @@
-"""True positions: `<aircraft>.truth.csv`, which the simulated vehicles write beside the event records.
+"""Reader of true positions: `<aircraft>.truth.csv`, which simulated vehicles write next to the event records.
 
-Rows are UTC (s) and north, east, down (m) from the simulation's home, ten a second. A real flight has none.
+Each row holds UTC (s) and north, east, down (m) from the simulation's home position. There are ten rows a
+second. A real flight has no such file.
 """
 
 from __future__ import annotations
@@ -15,17 +16,20 @@ from companion.geometry import Vec3
 from sitl_mocks.encounters.lockstep import HOME
 
 ORIGIN: Vec3 = (HOME.lat_deg, HOME.lon_deg, HOME.alt_m)
-"""Latitude, longitude (degrees) and height above mean sea level (m) of the rows' origin."""
+"""Origin of the NED positions: latitude, longitude (degrees) and height above mean sea level (m)."""
 HEADER = "utc_s,north_m,east_m,down_m"
 
 
 def read_truth(path: Path) -> NDArray[np.float64] | None:
-    """(n, 4) of utc_s, north_m, east_m, down_m, time rising; None where there is no file, or none with rows.
+    """Read true positions as an array (n, 4) of utc_s, north_m, east_m, down_m with rising time.
 
-    A last line without its end is what a killed vehicle leaves, and is left out.
+    A last line without a line end is skipped, because a killed vehicle process may leave one.
+
+    Returns:
+        The array, or None if the file does not exist or has no rows.
 
     Raises:
-        PeerDataError: not such a file.
+        PeerDataError: The file cannot be read, or is not a valid file of this kind.
     """
     try:
         whole, _, _ = path.read_text(encoding="ascii").rpartition("\n")

@@ -1,7 +1,7 @@
-"""Two or more runs side by side: what was configured differently, and what came of it.
+"""Comparison of two or more runs: differences in the configuration, and in the results.
 
-Runs are aligned as in the recording: times count from the start of the timed paths where every run has one,
-and otherwise from the first take-off. Aircraft, and with them pairs, are the same where their names are.
+Runs are aligned as in the recording. Times count from the start of the timed paths if every run has one, and
+otherwise from the first take-off. Aircraft, and therefore pairs, are matched by name.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from ground_tools.inspect.report.summary import describe
 from ground_tools.inspect.report.terminal import PIPED_WIDTH, Rows, line, number, show_table
 
 _WHOLE = frozenset({"path", "fence"})
-"""Parts of a configuration that are told to differ, and not shown."""
+"""Parts of the configuration whose values are not shown; only the fact that they differ is."""
 _OF_RECORDS = "configuration, manoeuvres, alerts, own Remote ID"
 
 
 def compare(runs: Sequence[Run]) -> dict[str, Any]:
-    """Differences of runs, ready for JSON: every list of values has one for each run, in their order.
+    """Return the differences between runs, ready for JSON. Each list of values has one per run, in order.
 
     Raises:
-        ConfigError: fewer than two runs.
+        ConfigError: There are fewer than two runs.
     """
     if len(runs) < 2:
         raise ConfigError("--compare: takes two runs or more, of which each can be read")
@@ -56,7 +56,7 @@ def compare(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _missing(figures: dict[str, Any]) -> list[str]:
-    """What of a run cannot be compared, in words."""
+    """Describe what cannot be compared for a run."""
     found = []
     if figures["positions"] is None:
         found.append("not compared for want of positions: separations, distances, speeds")
@@ -72,7 +72,7 @@ def _missing(figures: dict[str, Any]) -> list[str]:
 
 
 def _config(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Keys that are not alike in all runs; of a run whose aircraft differ, each aircraft's."""
+    """Return the keys that differ between runs. If the aircraft of a run differ, list each one's value."""
     tables = [_by_key(run) for run in runs]
     found = []
     for key in sorted({key for table in tables for key in table}):
@@ -85,7 +85,7 @@ def _config(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 def _by_key(run: Run) -> dict[str, dict[str, Any]]:
-    """By key: of each aircraft the value."""
+    """Return, for each key, the value of each aircraft."""
     found: dict[str, dict[str, Any]] = {}
     for record in run.aircraft:
         if record.header is None:
@@ -105,7 +105,7 @@ def _flat(value: Any, name: str = "") -> dict[str, Any]:
 
 
 def _of_run(values: dict[str, Any]) -> Any:
-    """One value where all aircraft have the same."""
+    """Return a single value if all aircraft have the same one, otherwise the value of each."""
     kinds = list(values.values())
     if not kinds:
         return None
@@ -116,7 +116,7 @@ def _of_run(values: dict[str, Any]) -> Any:
 
 
 def _pairs(described: Sequence[dict[str, Any]], zeros: Sequence[float]) -> list[dict[str, Any]]:
-    """Least separation of every pair, those first that came closest in any run."""
+    """Return the smallest separation of every pair; the pair that came closest in any run is first."""
     tables = [{tuple(sorted(row["pair"])): row for row in figures["separations"]} for figures in described]
     found = []
     for pair in sorted({pair for table in tables for pair in table}):
@@ -139,7 +139,7 @@ def _pairs(described: Sequence[dict[str, Any]], zeros: Sequence[float]) -> list[
 
 
 def _total(of: Callable[[dict[str, Any]], float | None]) -> Callable[[dict[str, Any]], float | None]:
-    """Over all aircraft, of those that know it."""
+    """Return a function that sums a figure over all aircraft for which it is known."""
 
     def total(figures: dict[str, Any]) -> float | None:
         known = [value for one in figures["aircraft"] if (value := of(one)) is not None]
@@ -149,7 +149,7 @@ def _total(of: Callable[[dict[str, Any]], float | None]) -> Callable[[dict[str, 
 
 
 def _most(of: Callable[[dict[str, Any]], Sequence[float | None]]) -> Callable[[dict[str, Any]], float | None]:
-    """The greatest of any aircraft."""
+    """Return a function that gives the largest value of a figure of any aircraft."""
 
     def most(figures: dict[str, Any]) -> float | None:
         return max((v for one in figures["aircraft"] for v in of(one) if v is not None), default=None)
@@ -206,7 +206,7 @@ def _location_gaps(one: dict[str, Any]) -> list[float | None]:
 
 
 def show(figures: dict[str, Any], console: Console) -> None:
-    """Print what `compare` found."""
+    """Print the result of `compare`."""
     line(console, f"Times count from {figures['zero']}", "bold")
     for row in figures["problems"]:
         line(console, f"  problem: {row['run']}: {row['text']}", "yellow")
@@ -221,7 +221,7 @@ def show(figures: dict[str, Any], console: Console) -> None:
 
 
 def text(figures: dict[str, Any]) -> str:
-    """What `show` prints where there is no terminal."""
+    """Return what `show` prints if the output is not a terminal."""
     stream = io.StringIO()
     show(figures, Console(file=stream, width=PIPED_WIDTH, color_system=None, force_terminal=False))
     return stream.getvalue().rstrip("\n")

@@ -1,7 +1,7 @@
-"""A run as one page of HTML: the summary's tables, plots and every manoeuvre; it opens offline and prints.
+"""A run as one HTML page with the summary's tables, plots and every manoeuvre. It opens offline and prints.
 
-The page asks for nothing and runs nothing (its own Content-Security-Policy forbids both). Everything that
-comes from logs is hostile and is escaped.
+The page loads no resources and runs no scripts; its own Content-Security-Policy forbids both. Everything that
+comes from logs is untrusted and is escaped.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from ground_tools.inspect.report import plots, terminal
 from ground_tools.inspect.report.terminal import Rows, number, plain
 
 MOST_DRAWN = 24
-"""Manoeuvres whose velocity space is drawn; the others stand in words."""
+"""Most manoeuvres whose velocity space is drawn. The others are described in text only."""
 _LONGEST_WORD = 20
-"""A longer one may be broken anywhere."""
+"""A word with more characters may be broken anywhere."""
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _STYLE = """
 :root { color-scheme: light; }
@@ -63,7 +63,9 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
     """Write the report of a run.
 
     Args:
-        figures: of `summary.describe`.
+        run: The run.
+        figures: Its figures from `summary.describe`.
+        path: HTML file to write.
 
     Raises:
         ConfigError: matplotlib is not installed, or `path` cannot be written.
@@ -76,9 +78,9 @@ def write(run: Run, figures: dict[str, Any], path: Path) -> None:
 
 
 def page(run: Run, figures: dict[str, Any]) -> str:
-    """The report, whole."""
+    """Return the whole report as HTML."""
     told = [_section(title, _table(rows)) for title, rows in terminal.sections(figures)]
-    # The conflicts come first, and are followed by what they looked like.
+    # The first table, which lists the conflicts if there are any, is followed by the drawings.
     parts = [_head(run, figures), *told[:1], *_drawings(run, figures), *told[1:]]
     parts += _manoeuvres(run, figures)
     title = escaped(f"{figures['run']}: flight report")
@@ -93,7 +95,7 @@ def page(run: Run, figures: dict[str, Any]) -> str:
 
 
 def escaped(text: object) -> str:
-    """As it stands in the page: nothing of it is markup, and nothing invisible."""
+    """Escape a text for the page: no markup, and no invisible characters."""
     return html.escape(plain(text))
 
 
@@ -128,7 +130,7 @@ def _head(run: Run, figures: dict[str, Any]) -> str:
 def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
     try:
         ways = flown(run)
-    except ConfigError:  # told among the problems
+    except ConfigError:  # the run's problems already report it
         return []
     ends = [time for path in ways.paths for time in path.time_s[[0, -1]]]
     every_s = max((max(ends) - min(ends)) / plots.MOST_POINTS, GRID_S)

@@ -1,7 +1,7 @@
-"""`ground-tools picture RUN`: one picture of a run: the paths around the crossing, and how close they came.
+"""`ground-tools picture RUN`: draws the paths around the crossing, and the separation over time.
 
-With an unavoided run beside it (a folder `unavoided` in the run, or --unavoided) both are drawn. matplotlib
-is an optional dependency and imported on use.
+If there is a run without avoidance (a folder `unavoided` in the run, or --unavoided), both are drawn.
+matplotlib is an optional dependency and is imported on use.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from ground_tools.inspect.read.read_run import Run, read_run, read_unavoided
 from ground_tools.inspect.viewer.palette import LIMIT, colour, hexadecimal
 
 HALF_WIDTH_M = 120.0
-"""The view from above reaches this far from the crossing."""
+"""Half the width of the view from above, which is centred on the crossing."""
 MAX_LABELS = 10
-"""More aircraft than this are drawn without names."""
+"""If there are more aircraft than this, they are drawn without names."""
 _TOP_OF_REQUIRED = 6.0
-"""Distances are drawn up to this many times the required one, over the time that any is below."""
+"""Distances are drawn up to this many times the required one, for the time in which any is below that."""
 _WITHOUT = "#7a7a7a"
 _WITH = hexadecimal(colour(0))
 _LIMIT = hexadecimal(LIMIT)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools picture`."""
+    """Add the options of `ground-tools picture` to `parser`."""
     parser.description = "Draw a run: paths around the crossing, and the separation over time."
     parser.epilog = "example: ground-tools picture runs/20260101T000000Z-demo --out encounter.png"
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder")
@@ -53,10 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools picture`. Returns 0.
+    """Run `ground-tools picture`. Returns 0.
 
     Raises:
-        ConfigError: a folder that is no run, a picture that cannot be written, or matplotlib is missing.
+        ConfigError: A folder is not a run, the picture cannot be written, or matplotlib is not installed.
     """
     run = read_run(args.run_folder)
     other = read_run(args.unavoided) if args.unavoided else read_unavoided(args.run_folder)
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def lateness(run: Run) -> str:
-    """How late messages arrived in a simulated run, in words; empty where its summary does not say."""
+    """Describe the message delay in a simulated run; empty if its summary does not contain it."""
     match (run.summary or {}).get("delay_s"):
         case [int() | float() as low, int() | float() as high]:
             return f"Remote ID {low:g} to {high:g} s late"
@@ -76,11 +76,11 @@ def lateness(run: Run) -> str:
 
 
 def draw(avoided: Flown, unavoided: Flown | None, path: Path, words: str = "") -> None:
-    """Write the picture to `path`; `words` join its title.
+    """Write the picture to `path`. `words` are added to its title.
 
     Raises:
-        ConfigError: fewer than two aircraft were in the air at once, `path` cannot be written, or matplotlib
-            is not installed.
+        ConfigError: Fewer than two aircraft were in the air at the same time, `path` cannot be written, or
+            matplotlib is not installed.
     """
     pairs = _known(avoided)
     before = [] if unavoided is None else _known(unavoided)
@@ -97,7 +97,7 @@ def draw(avoided: Flown, unavoided: Flown | None, path: Path, words: str = "") -
 
 
 def title(avoided: Flown, pairs: list[Separation], before: list[Separation], words: str) -> str:
-    """What the picture shows, in figures."""
+    """Return the title, with the closest distances."""
     head = f"{len(avoided.paths)} aircraft" + (f", {words}" if words else "")
     with_avoidance = f"{pairs[0].minimum_m:.1f} m with avoidance"
     without = f", {before[0].minimum_m:.1f} m without" if before else ""
@@ -105,7 +105,7 @@ def title(avoided: Flown, pairs: list[Separation], before: list[Separation], wor
 
 
 def _positions(avoided: Flown, unavoided: Flown | None) -> str:
-    """Whose positions both are by."""
+    """Return the kinds of positions that both runs use."""
     kinds = dict.fromkeys([avoided.positions, *([unavoided.positions] if unavoided else [])])
     return " and ".join(kinds)
 
@@ -135,12 +135,12 @@ def _view_from_above(axes: Any, avoided: Flown, unavoided: Flown | None, centre:
 
 
 def _legend(axes: Any) -> None:
-    """Below the axes, where it hides nothing."""
+    """Draw the legend below the axes, where it hides nothing."""
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=13, frameon=False)
 
 
 def _ends(axes: Any, track: Array, shade: str, name: str | None) -> None:
-    """Markers where the path enters and leaves the view, and the aircraft's name at its entry."""
+    """Draw markers where the path enters and leaves the view, and the aircraft's name where it enters."""
     inside = np.flatnonzero(np.abs(track[:, :2]).max(axis=1) <= HALF_WIDTH_M - 3.0)
     if not len(inside):
         return
@@ -152,13 +152,13 @@ def _ends(axes: Any, track: Array, shade: str, name: str | None) -> None:
 
 
 def _name(axes: Any, at: Array, along: Array, shade: str, name: str) -> None:
-    """The aircraft's name beside its path's entry, on the side with more room."""
+    """Write the aircraft's name next to where its path enters, on the side with more room."""
     heading = along[:2] / max(float(np.hypot(along[0], along[1])), 1e-6)
     north, east = at[:2] + 14.0 * heading
     to_middle = 1.0 if east < 0.0 else -1.0
-    # Near the view's edge there is room only towards its middle, and in the middle itself it does not matter.
+    # Near the view's edge there is room only towards the middle. In the middle the side does not matter.
     to_east = -to_middle if 0.3 < abs(east) / HALF_WIDTH_M < 0.55 else to_middle
-    # A steep path has room beside it, a flat one above or below.
+    # A path that is steep in the view has room to its sides, a flat one above or below.
     steep = abs(heading[0]) > 0.6
     offset = (10.0 * to_east, 0.0) if steep else (0.0, -11.0 if north > 0.0 else 11.0)
     side = "left" if to_east > 0.0 else "right"
@@ -198,7 +198,7 @@ def _over_time(axes: Any, pairs: list[Separation], before: list[Separation], pos
 
 
 def _mark(axes: Any, closest: Separation, shade: str, words: str) -> None:
-    """The closest approach of a run, with its figure."""
+    """Mark the closest approach of a run, with its distance."""
     at = (closest.minimum_time_s, closest.minimum_m)
     axes.plot(*at, "o", color=shade, ms=7)
     beside = words == "without avoidance"

@@ -1,8 +1,8 @@
-"""Plots of a run as SVG that stands in a page: paths, separation, heights, speeds, ages, rates, lanes, and
-the velocity space of a manoeuvre.
+"""Plots of a run as SVG to embed in a page.
 
-Texts stay texts: small, sharp in print. Names come from logs, so nothing in them is read as mathematics, and
-matplotlib writes them escaped.
+They show paths, separation, heights, speeds, ages, rates, lanes, and the velocity space of a manoeuvre.
+Text remains text in the SVG, which keeps the file small and the print sharp. Names come from logs. They are
+not parsed as mathematical text, and matplotlib escapes them.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ from ground_tools.inspect.viewer.palette import LIMIT, colour, hexadecimal
 from ground_tools.inspect.viewer.pieces import HELD_S
 
 MOST_LINES = 12
-"""Pairs or tracks drawn one by one in one plot; beyond, the closest ones."""
+"""Most pairs, aircraft or tracks drawn individually in one plot. If there are more pairs, the closest are
+drawn."""
 MOST_POINTS = 1200
-"""Of one line: more cannot be told apart on paper."""
+"""Most points of one line. More cannot be distinguished on paper."""
 _OVER = 5
-"""Broadcasts that a rate is taken over."""
+"""Number of broadcasts over which a rate is computed."""
 _MAX_SILENCE_S = 3.0
-"""Ages farther apart are not joined by a line."""
+"""Ages farther apart in time are not joined by a line."""
 _HALF_WIDTH_M = 120.0
 _TOP_OF_REQUIRED = 6.0
 _LIMIT = hexadecimal(LIMIT)
@@ -63,12 +64,12 @@ _MARKS = {
     "manoeuvre begins": ("D", "#009e73", 3.5),
     "fault or warning": ("x", "#b00020", 5.0),
 }
-"""Shape, colour and size."""
+"""Shape, colour and size of the marker for each kind of event."""
 _MODES = ("#bcd7ee", "#d8c9e8", "#cfe8c9", "#f0d9b8", "#e0e0e0")
 
 
 def svg(size_in: tuple[float, float], draw: Callable[[Any], None]) -> str:
-    """What `draw` draws on an empty figure, as an <svg> element.
+    """Call `draw` on an empty figure and return the result as an <svg> element.
 
     Raises:
         ConfigError: matplotlib is not installed.
@@ -82,18 +83,18 @@ def svg(size_in: tuple[float, float], draw: Callable[[Any], None]) -> str:
 
 
 def shade(index: int) -> str:
-    """The colour of the aircraft or pair of this number."""
+    """Return the colour of the aircraft or pair with this index."""
     return hexadecimal(colour(index))
 
 
 def thin(time: Array, *rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """Every so many samples of a line, so that `MOST_POINTS` are left."""
+    """Keep every n-th sample of a line, so that about `MOST_POINTS` remain."""
     step = max(len(time) // MOST_POINTS, 1)
     return tuple(row[::step] for row in (time, *rows))
 
 
 def lowest(time: Array, values: Array) -> tuple[Array, Array]:
-    """A line thinned to the least of every so many samples: no minimum is lost."""
+    """Thin a line to the smallest value of every n samples, so that no minimum is lost."""
     step = max(len(time) // MOST_POINTS, 1)
     if step == 1:
         return time, values
@@ -107,7 +108,7 @@ def lowest(time: Array, values: Array) -> tuple[Array, Array]:
 
 
 def paths(ways: Flown, pairs: list[Separation]) -> str:
-    """Seen from above: all of it, and where the pairs come closest."""
+    """Plot the paths from above: the whole run, and the area where the pairs come closest."""
 
     def draw(figure: Any) -> None:
         whole, *near = np.atleast_1d(figure.subplots(1, 2 if pairs else 1))
@@ -127,7 +128,7 @@ def paths(ways: Flown, pairs: list[Separation]) -> str:
 
 
 def _around(axes: Any, ways: Flown, pairs: list[Separation]) -> None:
-    """Look at where the pairs come closest."""
+    """Zoom to where the pairs come closest."""
     for pair in pairs[:MOST_LINES]:
         if pair.minimum_m is not None and pair.minimum_m < pair.required_m:
             _mark(axes, ways, pair)
@@ -144,7 +145,7 @@ def _around(axes: Any, ways: Flown, pairs: list[Separation]) -> None:
 
 
 def _mark(axes: Any, ways: Flown, pair: Separation) -> None:
-    """Where a pair lost its separation."""
+    """Mark where a pair lost its separation."""
     for path in ways.paths:
         if path.name in (pair.first, pair.second):
             n, e = (
@@ -154,7 +155,7 @@ def _mark(axes: Any, ways: Flown, pair: Separation) -> None:
 
 
 def separation(pairs: list[Separation]) -> str:
-    """Of the closest pairs over time, with the limit."""
+    """Plot the separation of the closest pairs over time, with the limit."""
     shown = pairs[:MOST_LINES]
 
     def draw(figure: Any) -> None:
@@ -180,7 +181,7 @@ def separation(pairs: list[Separation]) -> str:
 
 
 def heights(ways: Flown) -> str:
-    """Above the frame's origin."""
+    """Plot the heights above the frame's origin."""
 
     def draw(figure: Any) -> None:
         axes = figure.subplots()
@@ -194,7 +195,7 @@ def heights(ways: Flown) -> str:
 
 
 def speeds(run: Run, ways: Flown) -> str | None:
-    """Wanted, commanded and flown, for each aircraft that decided; None without any."""
+    """Plot the wanted, commanded and flown speed of each aircraft with decisions; None if there are none."""
     deciding = [record for record in run.aircraft if len(record.facts.decisions.now_s)][:MOST_LINES]
     if not deciding:
         return None
@@ -217,7 +218,7 @@ def speeds(run: Run, ways: Flown) -> str | None:
 
 
 def ages(run: Run, ways: Flown) -> str | None:
-    """Of the information about each track, the oldest of every second; None without any."""
+    """Plot the largest age of the information about each track in every second; None without tracks."""
     shown = [
         (record.name, track, facts)
         for record in run.aircraft
@@ -245,7 +246,7 @@ def ages(run: Run, ways: Flown) -> str | None:
 
 
 def rates(run: Run, ways: Flown) -> str | None:
-    """Broadcasts a second on each transport, over the last `_OVER`; None without any."""
+    """Plot the broadcasts per second on each transport, over the last `_OVER`; None if there are too few."""
     lanes = [
         (record.name, transport, times + ways.offsets_s[record.name])
         for record in run.aircraft
@@ -269,10 +270,10 @@ def rates(run: Run, ways: Flown) -> str | None:
 
 
 def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
-    """Who flew, the mode, what happened, and the highest alert, over time; None where nothing is known."""
+    """Plot authority, mode, events and the highest alert over time; None if nothing is known."""
     rows: list[tuple[str, list[tuple[float, float, str]]]] = []
     marks: dict[int, dict[str, list[float]]] = {}
-    """By row."""
+    """Times of the markers, by row and kind."""
     used: dict[str, str] = {}
     modes = list(dict.fromkeys(span["mode"] for one in aircraft for span in one["flight"]["modes"]))
     for one, record in zip(aircraft, run.aircraft, strict=True):
@@ -320,7 +321,7 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
 
 
 def _happened(record: AircraftRecord, figures: dict[str, Any], offset_s: float) -> dict[str, list[float]]:
-    """Times of what happened at one moment, by the kinds of `_MARKS` that there were."""
+    """Return the times of momentary events, by kind (of `_MARKS`)."""
     conflict = record.facts.decisions.now_s[record.facts.decisions.conflict] + offset_s
     rare = [(now_s + offset_s, what) for now_s, what in record.facts.rare]
     found = {
@@ -336,7 +337,7 @@ def _happened(record: AircraftRecord, figures: dict[str, Any], offset_s: float) 
 def _alarms(
     rare: Iterable[tuple[float, object]], offset_s: float, end_s: float
 ) -> list[tuple[float, float, Level]]:
-    """From when to when the highest level of any track was which, above none."""
+    """Return the spans (start, end, level) of the highest alert level of any track, without level 0."""
     levels: dict[str, int] = {}
     found: list[tuple[float, float, Level]] = []
     since, highest = 0.0, 0
@@ -352,8 +353,10 @@ def _alarms(
 
 
 def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
-    """The velocity space of a manoeuvre's start, seen from above: what its half-spaces leave at the vertical
-    speed that the law found. None without half-spaces."""
+    """Plot the velocity space at a manoeuvre's start from above; None without alternatives.
+
+    It shows which horizontal velocities the half-spaces allow at the vertical speed that the law found.
+    """
     if not one.alternatives:
         return None
     found = one.alternatives[0].velocity_ned_mps
@@ -363,7 +366,7 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
         axes = figure.subplots()
         around = np.linspace(0.0, 2.0 * np.pi, 120)
         axes.plot(speed_mps * np.sin(around), speed_mps * np.cos(around), color="#999999", lw=0.9, ls=":")
-        grid = np.linspace(-reach, reach, 9)  # of planes: exact on any grid
+        grid = np.linspace(-reach, reach, 9)  # a coarse grid is exact for planes
         east, north = np.meshgrid(grid, grid)
         index = 0
         shown: list[str] = []
@@ -404,6 +407,6 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
 
 
 def _legend(figure: Any, axes: Any) -> None:
-    """Below everything, where it hides nothing."""
+    """Draw the legend below the plots, where it hides nothing."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=7.5, frameon=False)

@@ -1,5 +1,8 @@
-"""A run in figures: closest approaches and what was done, each flight, manoeuvre and broadcast, what went
-wrong and what is damaged or missing."""
+"""A run in figures.
+
+These are the closest approaches and the reaction to them, each flight, manoeuvre and broadcast, faults, and
+damaged or missing data.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +24,18 @@ from ground_tools.inspect.read.timeline import time_line
 from ground_tools.inspect.report.terminal import text as text
 
 NEAR = 3.0
-"""Pairs that stayed farther apart than so many times their limit, and never conflicted, are no conflict."""
+"""A pair is listed as a conflict if it was in conflict, or came within this many times its limit."""
 _SAME_TIME_S, _FAR_OFF_M = 1.5, 5.0
 _HEARD = "Remote ID, as heard"
 _BEFORE_S = 60.0
-"""A manoeuvre that ended longer before the closest approach has nothing to do with it."""
+"""A manoeuvre that ended longer than this before the closest approach is not related to it."""
 
 
 def describe(run: Run) -> dict[str, Any]:
-    """Figures of a run, ready for JSON; without any position there are no separations in them. All times are
-    on the common time line that `clock` names."""
+    """Return the figures of a run, ready for JSON. Without any position there are no separations.
+
+    All times are on the common time line that `clock` describes.
+    """
     ways = None
     pairs: list[Separation] = []
     unknown: tuple[str, ...] = ()
@@ -67,7 +72,7 @@ def describe(run: Run) -> dict[str, Any]:
 
 
 def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
-    """That a companion's run has no summary, which it writes as it ends."""
+    """Report a companion's run without a summary, because a companion writes one when it ends normally."""
     if run.summary is not None or (run.manifest or {}).get("what") != RUN:
         return []
     return [
@@ -78,7 +83,7 @@ def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
 
 
 def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str]]:
-    """What the run's own summary tells of the air, by ordered pair, and what of it cannot be read."""
+    """Return the simulated radio channel's figures by ordered pair, from the run's summary, and problems."""
     rows = (summary or {}).get("air", [])
     wanted = {
         "sender": str,
@@ -125,7 +130,7 @@ def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: flo
 
 
 def _link(record: AircraftRecord) -> list[dict[str, Any]]:
-    """How well the telemetry carried each component's frames; empty without a telemetry log."""
+    """Return the telemetry link quality for each component; empty without a telemetry log."""
     return [
         {
             "component": f"{one.system_id}/{one.component_id}",
@@ -140,7 +145,7 @@ def _link(record: AircraftRecord) -> list[dict[str, Any]]:
 
 
 def _moved(figures: dict[str, Any], offset_s: float) -> dict[str, Any]:
-    """A manoeuvre's times on the common line."""
+    """Shift a manoeuvre's times to the common time line."""
     for key in ("start_s", "end_s", "regained_s"):
         figures[key] = None if figures[key] is None else figures[key] + offset_s
     nearest = figures["nearest"]
@@ -163,7 +168,8 @@ def _conflicts(
     done: dict[str, tuple[Manoeuvre, ...]],
     offsets: dict[str, float],
 ) -> list[dict[str, Any]]:
-    """Pairs of the run that came near or were in conflict, and heard aircraft that were, closest first."""
+    """Return pairs of the run that came near or were in conflict, and heard aircraft in conflict or with a
+    caution or warning. The closest comes first."""
     records = {record.name: record for record in run.aircraft}
     rows = []
     for pair in pairs:
@@ -219,7 +225,7 @@ def _conflicts(
 
 
 def _warned_of(record: AircraftRecord) -> set[str]:
-    """Tracks that a caution or warning was given for."""
+    """Return the tracks for which there was a caution or warning."""
     return {
         what.track_id
         for _, what in record.facts.rare
@@ -228,8 +234,11 @@ def _warned_of(record: AircraftRecord) -> set[str]:
 
 
 def _closest_of(record: AircraftRecord, track: str) -> tuple[float, float, str] | None:
-    """Least distance to a track, when and by what: as predicted while the law decided, and as heard while it
-    did not, as after a pilot took over."""
+    """Return the smallest distance to a track, its time, and its source.
+
+    The source is the law's prediction while the law decided. At other times, such as after a pilot took over,
+    it is the received positions.
+    """
     found = []
     facts = record.facts.tracks.get(track)
     if facts is not None:
@@ -239,7 +248,7 @@ def _closest_of(record: AircraftRecord, track: str) -> tuple[float, float, str] 
     decided_s = record.facts.decisions.now_s
     for heard in record.facts.heard.values():
         if track in heard.uas_ids:
-            # A decision stands for the time before and after it.
+            # Use received positions only if there is no decision shortly before or after them.
             first = np.searchsorted(decided_s, heard.near[:, 0] - _SAME_TIME_S)
             last = np.searchsorted(decided_s, heard.near[:, 0] + _SAME_TIME_S)
             alone = heard.near[first == last]
@@ -248,7 +257,7 @@ def _closest_of(record: AircraftRecord, track: str) -> tuple[float, float, str] 
 
 
 def _who_flew(record: AircraftRecord, at_s: float) -> str:
-    """The state then, and why."""
+    """Return the authority state at a time, and the reason for it."""
     last = None
     for now_s, what in record.facts.rare:
         if isinstance(what, AuthorityChanged) and now_s <= at_s:
@@ -257,7 +266,7 @@ def _who_flew(record: AircraftRecord, at_s: float) -> str:
 
 
 def _identity(record: AircraftRecord) -> str:
-    """What others know the aircraft by."""
+    """Return the identity under which others know the aircraft."""
     return record.name if record.header is None else record.header.config.identity.uas_id
 
 
@@ -267,7 +276,7 @@ def _in_conflict(record: AircraftRecord, track: str) -> bool:
 
 
 def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ...], at_s: float) -> str:
-    """By one aircraft about a track, around a time of its own clock."""
+    """Describe how one aircraft reacted to a track, around a time by its own clock."""
     near = [
         one
         for one in done
@@ -285,7 +294,7 @@ def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ..
 
 
 def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: float) -> str:
-    """What the law took the distance to be then, where that is far from what it was."""
+    """Return the distance that the law assumed at that time, if it differs much from the actual distance."""
     facts = record.facts.tracks.get(track)
     if facts is None:
         return ""

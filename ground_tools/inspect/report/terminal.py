@@ -1,7 +1,7 @@
-"""The figures of a run in the terminal.
+"""Prints the figures of a run in the terminal.
 
-What comes from logs (identities, texts) is hostile: it is printed as plain text, without markup, and
-characters that steer a terminal are shown as their codes.
+Text from logs (identities, messages) is untrusted. It is printed as plain text without markup, and terminal
+control characters are shown as their escape codes.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from rich.text import Text
 from ground_tools.inspect.read.timeline import utc_words
 
 PIPED_WIDTH = 120
-"""Characters a line where there is no terminal."""
+"""Characters per line if the output is not a terminal."""
 _NAME = 24
-"""Characters of the first column that are not broken up."""
+"""The first column is wide enough for names of up to this many characters."""
 _MOST_ROWS = 40
-"""Of one table; what is left out is counted, and stands whole in --json."""
+"""Most rows printed of one table. The number of omitted rows is printed, and --json has them all."""
 _SHARES = ("median_s", "p95_s", "worst_s")
 
 
 def plain(text: object) -> str:
-    """The text with every character that is not printable as its code."""
+    """Replace every unprintable character in a text by its escape code."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """A figure, or "-" where it is not known."""
+    """Format a figure; "-" if it is unknown."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
 def text(figures: dict[str, Any]) -> str:
-    """The figures of `summary.describe` as a terminal of `PIPED_WIDTH` shows them, without colour."""
+    """Return the figures of `summary.describe` as text, `PIPED_WIDTH` characters wide and without colour."""
     stream = io.StringIO()
     show(figures, Console(file=stream, width=PIPED_WIDTH, color_system=None, force_terminal=False))
     return stream.getvalue().rstrip("\n")
 
 
 def console() -> Console:
-    """What to print to: the terminal, or a fixed width where the output is piped."""
+    """Return the console to print to: the terminal, or one of fixed width if the output is piped."""
     found = Console(highlight=False)
     return found if found.is_terminal else Console(highlight=False, width=PIPED_WIDTH, color_system=None)
 
@@ -69,7 +69,7 @@ def show(figures: dict[str, Any], console: Console) -> None:
 
 
 def head(figures: dict[str, Any]) -> str:
-    """Which run it is, and by what its times and distances are."""
+    """Return a line with the run's name, its time line, and the source of its distances."""
     zero = figures["utc_at_zero_s"]
     return (
         f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
@@ -79,7 +79,7 @@ def head(figures: dict[str, Any]) -> str:
 
 
 def verdicts(figures: dict[str, Any]) -> list[str]:
-    """What matters first, one line each: separation, Remote ID, manoeuvres, faults."""
+    """Return the most important results, one line each: separation, Remote ID, manoeuvres, faults."""
     known = [row for row in figures["separations"] if row["minimum_m"] is not None]
     lost = [row for row in known if not row["kept"]]
     found = []
@@ -126,24 +126,24 @@ def _verdicts_on_remote_id(aircraft: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def damage(figures: dict[str, Any]) -> list[str]:
-    """What is damaged or missing, one line each."""
+    """Return problems, notes and missing data, one line each."""
     gone = [f"missing: {one['name']}: {words}" for one in figures["aircraft"] for words in one["missing"]]
     problems = [f"problem: {words}" for words in figures["problems"]]
     return [*problems, *(f"note: {words}" for words in figures.get("notes", ())), *gone]
 
 
 def sentences(row: dict[str, Any]) -> list[str]:
-    """A manoeuvre in words: why, what was done, what came of it; then each alternative at its start."""
+    """Describe a manoeuvre: its reason, what was done, the outcome; then each alternative at its start."""
     found = [row[key] for key in ("why", "done", "came") if row[key]]
     return [*found, *(f"- at its start, {words}" for words in row["instead"])]
 
 
 Rows = list[list[str]]
-"""The first one is the head."""
+"""Rows of a table. The first row is the header."""
 
 
 def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
-    """Every table of a run: title and rows; such as have no rows are left out."""
+    """Return every table of a run as title and rows. Tables without rows are left out."""
     aircraft = figures["aircraft"]
     found = [
         ("Conflicts", _conflicts(figures["conflicts"])),
@@ -164,12 +164,12 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
 
 
 def kept(value: bool | None) -> str:
-    """A verdict in words."""
+    """Return a verdict as text: "kept", "LOST", or "-" if unknown."""
     return {True: "kept", False: "LOST", None: "-"}[value]
 
 
 def alarming(row: Sequence[str]) -> bool:
-    """Whether a row of a table tells of a loss or of something not kept."""
+    """Return whether a row of a table reports a lost separation or a requirement that was not kept."""
     return any(cell.startswith(("LOST", "NOT ")) or cell == "NO" for cell in row)
 
 
@@ -189,7 +189,7 @@ def _conflicts(rows: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _separations(figures: dict[str, Any]) -> Rows:
-    """Of the pairs that were in no conflict."""
+    """Rows of the pairs that are not in the table of conflicts."""
     told = [row["pair"] for row in figures["conflicts"]]
     return [["pair", "at (s)", "closest (m)", "limit (m)", ""]] + [
         [
@@ -222,7 +222,7 @@ def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _decisions(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    """Of those that decided or alerted."""
+    """Rows of the aircraft that made decisions or raised alerts."""
     keys = ("decisions", "conflicts", "infeasible", "cautions", "warnings")
     return [["aircraft", "decisions", "in conflict", "kept not all half-spaces", "cautions", "warnings"]] + [
         [one["name"], *(str(one[key]) for key in keys)] for one in aircraft if any(one[key] for key in keys)
@@ -235,7 +235,7 @@ def _each(
     rows: Callable[[dict[str, Any]], Sequence[dict[str, Any]]],
     cells: Callable[[dict[str, Any]], list[str]],
 ) -> Rows:
-    """A line for every row of every aircraft, which it begins with."""
+    """Return a line for every row of every aircraft. Each line begins with the aircraft's name."""
     return [["aircraft", *head], *([one["name"], *cells(row)] for one in aircraft for row in rows(one))]
 
 
@@ -357,12 +357,12 @@ def _air(rows: Sequence[dict[str, Any]]) -> Rows:
 
 
 def line(console: Console, words: str, style: str = "") -> None:
-    """Print a line as it is, however long."""
+    """Print a line without wrapping it."""
     console.print(Text(plain(words), style=style), soft_wrap=True)
 
 
 def show_table(console: Console, title: str, rows: Rows) -> None:
-    """Print a table, cut off after `_MOST_ROWS`."""
+    """Print a table, limited to `_MOST_ROWS` rows."""
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
     for column, words in enumerate(rows[0]):
         least = max(map(len, words.split()), default=0)

@@ -1,8 +1,8 @@
-"""How a recording opens: looking at the encounter, and playing it in a loop.
+"""The initial layout of a recording: it opens on the encounter and plays it in a loop.
 
-A viewer starts at the beginning of a time line, and nobody wants to watch minutes of straight flight. So
-there are two: `time` is all of the run, and `encounter` counts from the first conflict and holds only what
-lies around it. What answers at a glance is side by side, the rest behind a tab.
+A viewer starts at the beginning of a time line, which may be minutes of straight flight. Therefore there are
+two time lines: `time` covers the whole run, and `encounter` counts from the first conflict and contains only
+what lies around it. The most important views are side by side, and the others are behind tabs.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from ground_tools.inspect.viewer.writer import ENCOUNTER, WHOLE
 AUTHORITY, ALERT, MODE = "Authority", "Alert level", "Autopilot mode"
 AIR, CHOICE = "On the air", "Chosen, and by whom"
 LANES = {AUTHORITY: "authority", ALERT: "alert", MODE: "mode", AIR: "protocol", CHOICE: "choice"}
-"""Names of views, and what they show."""
+"""Names of the lane views, and the first part of the entity paths that they show."""
 AGE, RANGE = "Age of information (s)", "Distance to heard traffic (m)"
 SPEED, LINK = "Speed (m/s)", "Link (lost/s; dBm)"
 PLOT_SHARE, LANE_SHARE = 3, 4
-"""Of the height: the lanes of five aircraft are seen whole."""
+"""Shares of the window's height, chosen so that the lanes of five aircraft fit."""
 _EYE = (-0.75, -1.25, 1.5)
-"""From what is looked at to the eye, in its radii: east, north, up."""
+"""Eye position relative to the centre of the view, in radii of the view: east, north, up."""
 _LASTING = ("flown", "path")
-"""Of an aircraft: drawn whole at any time."""
+"""Entities of an aircraft that are drawn as a whole at any time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a view turns to."""
+    """The sphere that a view shows."""
 
     centre_ned_m: Array
     """(3,)"""
@@ -41,12 +41,17 @@ class Look:
 def blueprint(
     scene: Scene, pairs: Sequence[Separation], look: Look | None, *, live: bool = False, placed: bool = True
 ) -> Any:
-    """The views of a run. Those for which it has nothing are left out: separations without pairs, what a law
-    saw without a companion, the space without positions.
+    """Return the views of a run. Views without data are left out.
+
+    These are the separations if there are no pairs, the data of the avoidance law if there is no companion,
+    and the space if there are no positions.
 
     Args:
-        live: at its newest time, which goes on.
-        placed: somebody's position is known.
+        scene: The run.
+        pairs: Pairs whose separation is shown.
+        look: Where the view in space looks; None for rerun's own choice.
+        live: Follow the newest time of a run that goes on.
+        placed: True if the position of any aircraft is known.
     """
     import rerun.blueprint as rrb
 
@@ -85,14 +90,14 @@ def comparison(
     closest_m: float,
     zero: str,
 ) -> Any:
-    """The views of several runs: beside each other, and one over the other.
+    """Return the views of several runs, both next to each other and overlaid.
 
     Args:
-        scenes: by the run's name.
-        looks: what to turn to in each.
-        required_m: separation that was to be kept; None without any pair.
-        closest_m: as near as any pair came; 0 without any.
-        zero: what time 0 is, in words.
+        scenes: The runs, by name.
+        looks: Where the view of each run looks.
+        required_m: Required separation; None without any pair.
+        closest_m: Smallest separation of any pair; 0 without any.
+        zero: Description of time 0.
     """
     import rerun.blueprint as rrb
 
@@ -135,7 +140,7 @@ def comparison(
 
 
 def _opened(rrb: Any, scenes: Sequence[Scene], views: Any, *, live: bool = False) -> Any:
-    """Playing the encounter."""
+    """Return a blueprint that plays the encounter or, without one, the whole run."""
     return rrb.Blueprint(
         views,
         rrb.TimePanel(
@@ -184,7 +189,7 @@ def _space(rrb: Any, name: str, scenes: Sequence[Scene], look: Look | None) -> A
         origin="/",
         contents=[f"{scene.root}/{part}/**" for scene in scenes for part in ("aircraft", "markers")],
         eye_controls=eye,
-        # A filled volume hides the arrows in it.
+        # A filled volume would hide the arrows in it.
         defaults=[Ellipsoids3D.from_fields(fill_mode="MajorWireframe")],
         overrides=_at_all_times(rrb, lasting),
     )
@@ -201,7 +206,7 @@ def _map(rrb: Any, scenes: Sequence[Scene]) -> Any:
 
 
 def _at_all_times(rrb: Any, entities: Sequence[str]) -> dict[str, Any]:
-    """Rows of every time are drawn at once, not only the last one."""
+    """Draw the rows of all times of these entities at once, not only the latest one."""
     infinite = rrb.TimeRangeBoundary.infinite()
     ranges = rrb.VisibleTimeRanges(
         [rrb.VisibleTimeRange(line, start=infinite, end=infinite) for line in (WHOLE, ENCOUNTER)]
@@ -210,7 +215,7 @@ def _at_all_times(rrb: Any, entities: Sequence[str]) -> dict[str, Any]:
 
 
 def nearest_m(pairs: Sequence[Separation]) -> float:
-    """As near as any of the pairs came; 0 without any."""
+    """Return the smallest separation of any pair; 0 without any."""
     return min((pair.minimum_m for pair in pairs if pair.minimum_m is not None), default=0.0)
 
 
@@ -263,7 +268,7 @@ def _events(rrb: Any, scenes: Sequence[Scene], name: str) -> Any:
 
 
 def _axis(rrb: Any, scene: Scene) -> Any:
-    """What plots and lanes show first: the encounter, otherwise the whole run; without an end, what comes."""
+    """Return what plots and lanes show first: the encounter, or else the whole run; None for a live run."""
     one = scene.encounter
     span = scene.span_s
     if one is not None:

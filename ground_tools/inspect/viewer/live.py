@@ -1,7 +1,7 @@
-"""`ground-tools inspect RUN --live`: the records of flying companions, followed while they are written.
+"""`ground-tools inspect RUN --live`: follows the records of flying companions while they are written.
 
-A process of its own that only reads the files: a companion does not know of it, and nothing that happens to
-it or to the viewer can reach the flight. What is seen is as old as the companion's `record.sync_period_s`.
+It is a separate process that only reads the files. The companions do not know of it, and no failure of it or
+of the viewer can affect the flight. The data shown is as old as the companion's `record.sync_period_s`.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ from ground_tools.inspect.viewer.writer import Writer, rerun
 from sitl_mocks.signals import end_signals
 
 PERIOD_S = 0.5
-"""Between two looks at the files."""
+"""Period at which the files are read."""
 WAIT_S = 60.0
-"""For the first record of a folder."""
+"""How long to wait for the first record in a folder."""
 PATIENCE_S = 5.0
-"""For every aircraft to tell where it is and what time it has; then what there is is shown."""
+"""How long to wait until every aircraft has reported its position and UTC. Then the view starts without the
+missing data."""
 _CLOSE_S = 2.0
 _HEADER, _POSITION, _UTC = "its first record", "a position", "UTC"
 
@@ -53,10 +54,10 @@ class Followed:
         self._reader = event_record.Reader(self._file, path.name)
 
     def steps(self) -> Iterator[Step]:
-        """What was written since the last call.
+        """Yield the steps written since the last call.
 
         Raises:
-            PeerDataError: the file is no event record of this version, or is damaged.
+            PeerDataError: The file is not an event record of this format version, or is damaged.
         """
         for entry in self._reader.records():
             if isinstance(entry, Header):
@@ -65,28 +66,28 @@ class Followed:
                 yield entry
 
     def close(self) -> None:
-        """Read no more."""
+        """Close the file."""
         self._file.close()
 
 
 class Bridge:
-    """Puts records into a stream, from their beginning to wherever they have grown.
+    """Writes growing records into a stream, from their beginning.
 
     Args:
-        files: event records.
-        stream: a rerun recording stream.
+        files: Event records.
+        stream: A rerun recording stream.
 
     Raises:
-        ConfigError: none of the files can be opened.
+        ConfigError: None of the files can be opened.
     """
 
     def __init__(self, files: Iterable[Path], stream: Any) -> None:
         self._stream = stream
         self._followed: dict[str, Followed] = {}
         self.problems: list[str] = []
-        """Why records are not followed, or no further, one line each."""
+        """Why records are not followed, or are no longer followed, one line each."""
         self.outgrown = False
-        """It began without something that was told since: another one would show more."""
+        """True if the bridge started without data that has arrived since. A new bridge would show more."""
         for file in files:
             try:
                 one = Followed(file)
@@ -97,35 +98,35 @@ class Bridge:
         if not self._followed:
             raise ConfigError("; ".join(self.problems))
         self._early: dict[str, list[Step]] = {name: [] for name in self._followed}
-        """What came before the scene could be made."""
+        """Steps, by aircraft, that arrived before the scene could be made."""
         self._known = {name: Gatherer() for name in self._followed}
-        """What is known of each by then."""
+        """Facts, by aircraft, known before the scene is made."""
         self._lacking: dict[str, set[str]] = {}
-        """By aircraft, what the scene was made without."""
+        """Data, by aircraft, that was missing when the scene was made."""
         self._last: dict[str, Array] = {}
-        """By aircraft: its last position, where the next part of its path begins."""
+        """Last position of each aircraft, at which the next part of its path begins."""
         self._begins: dict[str, Starts] = {}
         self._scene: Scene | None = None
         self._writer: Writer | None = None
 
     @property
     def waits_for(self) -> tuple[str, ...]:
-        """What has not been told and is waited for, a line for each aircraft; none once it has begun."""
+        """Missing data that is waited for, a line for each aircraft; empty once the view has started."""
         return _in_words(self._lacks()) if self._writer is None else ()
 
     @property
     def without(self) -> tuple[str, ...]:
-        """What it has begun without, a line for each aircraft."""
+        """Data without which the view started, a line for each aircraft."""
         return () if self._writer is None else _in_words(self._lacking)
 
     def look(self, *, complete: bool = True) -> int:
-        """Send what is new. Returns how many steps that were.
+        """Send new steps. Returns their number.
 
         Args:
-            complete: begin only when every aircraft has told where it is and what time it has.
+            complete: Start only when every aircraft has reported its position and UTC.
 
         Raises:
-            PeerDataError: no record is of this version and undamaged.
+            PeerDataError: No record is undamaged and of this format version.
         """
         if self._writer is None:
             for name in list(self._early):
@@ -152,7 +153,7 @@ class Bridge:
         return sum(self._send(name, self._new(name)) for name in list(self._followed))
 
     def _new(self, name: str) -> Iterator[Step]:
-        """What came since; a damaged record ends there."""
+        """Yield the new steps of an aircraft. A damaged record is not followed any further."""
         one = self._followed.get(name)
         if one is None:
             return
@@ -163,7 +164,7 @@ class Bridge:
             self._followed.pop(name).close()
 
     def _lacks(self) -> dict[str, set[str]]:
-        """By aircraft, what the scene needs and it has not told."""
+        """Return, by aircraft, the data that the scene needs and that is missing."""
         alone = len(self._known) == 1
         found = {}
         for name, one in self._known.items():
@@ -173,8 +174,11 @@ class Bridge:
         return found
 
     def _made(self) -> Scene:
-        """The scene by what is known. Without UTC of one all clocks are taken for the same; without any
-        position its frame has no meaning."""
+        """Make the scene from what is known.
+
+        If UTC of any aircraft is unknown, all clocks are assumed to be the same. Without any position the
+        frame has no meaning.
+        """
         facts: dict[str, Facts] = {name: one.facts() for name, one in self._known.items()}
         granted = len(facts) == 1 or any(one.utc_offset_s is None for one in facts.values())
         to_utc = {name: 0.0 if granted else (one.utc_offset_s or 0.0) for name, one in facts.items()}
@@ -216,7 +220,7 @@ class Bridge:
         return count
 
     def _starts(self, name: str, steps: Iterable[Step], offset_s: float) -> None:
-        """Tell and mark where manoeuvres begin."""
+        """Write a note and a marker where a manoeuvre begins."""
         assert self._scene is not None
         assert self._writer is not None
         config = next(one.config for one in self._scene.aircraft if one.name == name)
@@ -242,10 +246,11 @@ class Bridge:
         self._writer.flown(Flight(name, joined[:, 0] + offset_s, ned, 0.0), joined[:, 1:3])
 
     def close(self) -> None:
-        """Read no more, and send the rest; a viewer that hangs is not waited for."""
+        """Close the files and send the rest, without waiting for a viewer that hangs."""
         for one in self._followed.values():
             one.close()
-        # Before the viewer goes: Rerun complains of one that went first. It waits for a viewer without end.
+        # Disconnect before the viewer ends, because Rerun complains if the viewer ends first. Use a thread,
+        # because disconnecting would wait forever for a viewer that hangs.
         ending = threading.Thread(target=self._stream.disconnect, daemon=True)
         ending.start()
         ending.join(_CLOSE_S)
@@ -256,15 +261,17 @@ def _in_words(lacking: dict[str, set[str]]) -> tuple[str, ...]:
 
 
 def follow(path: Path) -> int:
-    """Show a run while it is flown, until Ctrl-C or SIGTERM. Returns 0; 2 when a record could not be read, or
-    not to its end.
+    """Show a run while it is flown, until Ctrl-C or SIGTERM.
 
     Args:
-        path: a run folder, a folder of them (a swarm), or one event record.
+        path: A run folder, a folder of run folders (a swarm), or one event record.
+
+    Returns:
+        0, or 2 if a record could not be read, or not to its end.
 
     Raises:
-        ConfigError: no record is written there, rerun is not installed, or its viewer ended by itself.
-        PeerDataError: no record is of this version and undamaged.
+        ConfigError: No record is written there, rerun is not installed, or its viewer ended by itself.
+        PeerDataError: No record is undamaged and of this format version.
     """
     rr = rerun()
     with end_signals() as ended:
@@ -296,17 +303,18 @@ def follow(path: Path) -> int:
 
 
 def _begun(rr: Any, viewer: WebViewer, path: Path, files: Iterable[Path]) -> Bridge:
-    """A bridge to a recording of its own: the viewer turns to the newest."""
+    """Return a bridge to a new recording. The viewer switches to the newest recording."""
     stream = rr.RecordingStream("dmuca", recording_id=f"live {path.resolve().name} {time.monotonic_ns()}")
     stream.connect_grpc(viewer.data_url)
     return Bridge(files, stream)
 
 
 def _waiting(waits: tuple[str, ...], bridge: Bridge) -> list[str]:
-    """What is waited for, and what is not waited for any longer.
+    """Return messages on what is waited for or, once the view has started, on what it started without.
 
     Args:
-        waits: what the bridge waited for before it looked.
+        waits: What the bridge was waiting for before its last look.
+        bridge: The bridge.
     """
     if bridge.waits_for:
         return [f"waiting for {words}" for words in bridge.waits_for]
@@ -314,7 +322,7 @@ def _waiting(waits: tuple[str, ...], bridge: Bridge) -> list[str]:
 
 
 def _tell(lines: Iterable[str], told: set[str], stream: TextIO) -> None:
-    """Print each line once."""
+    """Print the lines that were not printed before."""
     for words in lines:
         if words not in told:
             told.add(words)
@@ -322,8 +330,12 @@ def _tell(lines: Iterable[str], told: set[str], stream: TextIO) -> None:
 
 
 def _records(path: Path, ended: list[int]) -> tuple[list[Path], list[str]]:
-    """The records of a folder, or of the folders in it (a swarm), and what else is called so; none when it
-    ended first."""
+    """Wait for the event records of a folder, or of the folders in it (a swarm).
+
+    Returns:
+        The records, and the reasons why other files named *.events cannot be read. Both are empty if the
+        program is asked to end first.
+    """
     try:
         if not stat.S_ISDIR(path.stat().st_mode):
             if not is_regular(path):

@@ -1,4 +1,4 @@
-"""Colours, told apart with every common colour vision (Okabe and Ito, 2008)."""
+"""Colours that can be distinguished with every common type of colour vision (Okabe and Ito, 2008)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ COLOURS: tuple[Rgb, ...] = (
     (160, 110, 40),
     (90, 90, 90),
 )
-"""Of aircraft. Vermilion is left out: it stands for the separation that must hold."""
+"""Colours of aircraft. Vermilion is left out, because it stands for the required separation."""
 LIMIT = (213, 94, 0)
 PAIR = (150, 150, 150)
 WANTED = (120, 120, 120)
@@ -24,7 +24,7 @@ LEVELS: dict[str, Rgb] = {
     "ERROR": LIMIT,
     "CRITICAL": (180, 0, 30),
 }
-"""Of markers, by the level of what they mark."""
+"""Colours of markers, by log level."""
 
 AUTHORITY: dict[str, Rgb] = {
     "standby": (150, 150, 150),
@@ -35,29 +35,29 @@ AUTHORITY: dict[str, Rgb] = {
     "yielded": (204, 121, 167),
     "fault": (180, 0, 30),
 }
-"""Of `companion.authority.table.State`."""
+"""Colours of the states of `companion.authority.table.State`."""
 ALERTS: dict[str, Rgb] = {"advisory": (86, 180, 233), "caution": (230, 159, 0), "warning": LIMIT}
-"""Of `companion.avoidance.alerts.Level`."""
+"""Colours of the levels of `companion.avoidance.alerts.Level`."""
 
 
 def colour(index: int) -> Rgb:
-    """Red, green, blue (0-255) of the aircraft or pair of this number."""
+    """Return red, green, blue (0-255) of the aircraft or pair with this index."""
     return COLOURS[index % len(COLOURS)]
 
 
 def hexadecimal(rgb: Rgb) -> str:
-    """The colour as "#rrggbb"."""
+    """Format a colour as "#rrggbb"."""
     return "#" + bytes(rgb).hex()
 
 
 def faded(rgb: Rgb, share: float) -> Rgb:
-    """The colour on its way to grey; a share of 1 and above is grey."""
+    """Blend a colour towards grey; a share of 1 or more is grey."""
     part = min(max(share, 0.0), 1.0)
     red, green, blue = (round(c + part * (165 - c)) for c in rgb)
     return red, green, blue
 
 
 def pale(rgb: Rgb) -> Rgb:
-    """The colour half way to white."""
+    """Blend a colour half way to white."""
     red, green, blue = ((c + 255) // 2 for c in rgb)
     return red, green, blue

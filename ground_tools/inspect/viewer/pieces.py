@@ -1,7 +1,7 @@
-"""What some steps of one aircraft show, in columns: what a recording draws of them.
+"""Converts steps of one aircraft to columns that a recording draws.
 
-A `Watch` takes an aircraft's steps piece by piece, in order, and keeps of what came before only what the next
-piece is compared with: modes, conflicts, names. Times that come out are on the common time line.
+A `Watch` takes an aircraft's steps piece by piece, in order. Of earlier pieces it keeps only what later ones
+are compared with: modes, conflicts, names. Times in the result are on the common time line.
 """
 
 from __future__ import annotations
@@ -52,30 +52,30 @@ from ground_tools.inspect.read.modes import mode_name
 from ground_tools.inspect.viewer.scene import Aircraft
 
 HELD_S = 5.0
-"""A conflict that comes back within this time is the same one."""
+"""A conflict that returns within this time is the same conflict."""
 LOST_S = 3.0
-"""Without a heartbeat of the autopilot: three are missing."""
+"""The link is lost after this time without an autopilot's heartbeat: three heartbeats are missing."""
 BOUNDS_S = 1.0
-"""Between two looks at the half-spaces: each is a decision of the law made anew."""
+"""Minimum time between two computations of the half-spaces. Each one repeats a decision of the law."""
 UNKNOWN = ""
-"""State of a lane of which nothing is known, or nothing to be said."""
+"""State of a lane if nothing is known, or if there is nothing to show."""
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something to be read at its time."""
+    """A line of text about an event."""
 
     time_s: float
     level: str
-    """Of rerun's text log: INFO, WARN, ERROR, CRITICAL."""
+    """Level of rerun's text log: INFO, WARN, ERROR, CRITICAL."""
     text: str
     marked: bool = False
-    """It has a marker where the aircraft then was."""
+    """True if a marker is drawn where the aircraft was at that time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Where somebody was said to be."""
+    """Received positions of one other aircraft."""
 
     label: str
     time_s: Array
@@ -83,7 +83,7 @@ class Places:
     position_ned_m: Array
     """(n, 3) in the scene's frame."""
     rssi_dbm: Array
-    """(n,) NaN where the radio does not tell."""
+    """(n,) signal strength; NaN if the radio does not report it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,50 +92,50 @@ class Bound:
 
     time_s: float
     position_ned_m: Array
-    """(3,) own, in the scene's frame."""
+    """(3,) own position in the scene's frame."""
     velocity_ned_mps: Array
-    """(3,) that was chosen."""
+    """(3,) chosen velocity."""
     half_spaces: tuple[HalfSpace, ...]
 
 
 @dataclass(slots=True)
 class Piece:
-    """What some steps of one aircraft show. Positions are in the scene's frame (NED, m)."""
+    """What some steps of one aircraft contain, in columns. Positions are in the scene's frame (NED, m)."""
 
     own_s: Array
-    """(n,)"""
+    """(n,) times of own positions."""
     own_geodetic: Array
     """(n, 3) lat_deg, lon_deg, alt_msl_m."""
     own_ned_m: Array
     """(n, 3)"""
     speed_mps: Array
-    """(n,) flown."""
+    """(n,) flown speed."""
     decided_s: Array
-    """(m,)"""
+    """(m,) times of decisions."""
     decided_ned_m: Array
-    """(m, 3) own positions that the decisions were made from."""
+    """(m, 3) own positions used in the decisions."""
     wanted_ned_mps: Array
     """(m, 3)"""
     chosen_ned_mps: Array
     """(m, 3)"""
     path_s: Array
-    """(p,) of decisions on a timed path."""
+    """(p,) times of decisions on a timed path."""
     path_ned_m: Array
-    """(p, 3) the path's point for then."""
+    """(p, 3) the path's point at those times."""
     seen: tuple[tuple[TrackView, ...], ...]
-    """m times: the tracks of each decision."""
+    """Tracks of each of the m decisions."""
     seen_ned_m: Array
-    """(sum of tracks, 3) where the law predicted them."""
+    """(sum of tracks, 3) positions of these tracks as the law predicted them."""
     setpoint_s: Array
-    """(k,)"""
+    """(k,) times of velocity setpoints."""
     setpoint_mps: Array
-    """(k,) speed that was commanded."""
+    """(k,) commanded speed."""
     bounds: tuple[Bound, ...]
     heard: dict[str, Places]
-    """By radio address, or "adsb" and the ICAO address."""
+    """Received positions, by radio address, or by "adsb" and the ICAO address."""
     notes: list[Note] = field(default_factory=list)
     states: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
-    """By lane: authority, alert, mode, protocol, choice."""
+    """(time, state) of each change, by lane: authority, alert, mode, protocol, choice."""
 
 
 @dataclass(slots=True)
@@ -148,7 +148,7 @@ class _Rows:
 
 
 class Watch:
-    """Takes the steps of one aircraft."""
+    """Converts the steps of one aircraft, piece by piece."""
 
     def __init__(self, aircraft: Aircraft, origin: Vec3) -> None:
         self._aircraft = aircraft
@@ -159,25 +159,25 @@ class Watch:
         self._last: dict[object, object] = {}
         self._beat: Heartbeat | None = None
         self._beat_s = math.inf
-        """When it came; only a companion's record tells of a link that is lost."""
+        """Time of the last heartbeat. A lost link is reported only for a companion's record."""
         self._lost = False
         self._start_s: float | None = None
         self._levels: dict[str, int] = {}
         self._conflict_s: dict[str, float] = {}
-        """When each track was in conflict last."""
+        """Time of the last conflict with each track."""
         self._infeasible_s = self._doubt_s = -math.inf
         self._notes: list[Note] = []
         self._states: dict[str, list[tuple[float, str]]] = {}
 
     def piece_of(self, steps: Iterable[Step]) -> Piece:
-        """The next steps."""
+        """Convert the next steps."""
         rows = _Rows()
         self._notes, self._states = [], {}
         for step in steps:
             time = step.now_s + self._aircraft.offset_s
             if self._start_s is None:
                 self._start_s = time
-                if self._aircraft.config is not None:  # a lane of its own, also where nothing comes
+                if self._aircraft.config is not None:  # show the lane of alerts even if there are none
                     self._state(time, "alert", UNKNOWN)
             self._link(time, step)
             for event in step.events:
@@ -274,7 +274,7 @@ class Watch:
                 self._note(time, "WARN" if command.by == "fallback" else "INFO", words, marked=True)
             case TrackFlagged():
                 words = f"{command.track_id} doubted, {command.flag}: {command.text}"
-                # Of false traffic many are doubted at once.
+                # False traffic can raise many doubts at once, so only the first one is marked.
                 marked = time - self._doubt_s > HELD_S
                 self._note(time, "WARN", words, marked=marked)
                 self._doubt_s = time if marked else self._doubt_s
@@ -285,7 +285,7 @@ class Watch:
                 pass
 
     def _link(self, time: float, step: Step) -> None:
-        """Say when the autopilot fell silent, and when it is heard again."""
+        """Note when the link to the autopilot is lost, and when it returns."""
         if self._aircraft.config is None:
             return
         silent_s = time - self._beat_s
@@ -307,7 +307,7 @@ class Watch:
                     self._names[event.address] = message.uas_id
                 case Location() if message.lat_deg is not None and message.lon_deg is not None:
                     altitude = message.alt_geodetic_m
-                    # Without an altitude it is drawn at the origin's.
+                    # Without an altitude it is drawn at the altitude of the origin.
                     msl = self._origin[2] if altitude is None else altitude - self._aircraft.undulation_m
                     row = (time, message.lat_deg, message.lon_deg, msl, rssi)
                     rows.heard.setdefault(event.address, []).append(row)
@@ -315,7 +315,7 @@ class Watch:
                     pass
 
     def _conflicts(self, time: float, decision: Decision) -> None:
-        """Say where a conflict begins, and where no velocity kept all half-spaces any more."""
+        """Note when a conflict begins, and when no velocity keeps all half-spaces."""
         for track in decision.tracks:
             if not track.conflict:
                 continue
@@ -355,7 +355,7 @@ class Watch:
         self._notes.append(Note(time, level, text, marked))
 
     def _before(self, lane: str, state: str) -> None:
-        """The state before the first change is known from that change."""
+        """Set the state before the first change of a lane, which is known from that change."""
         if self._changed(("lane", lane), True):
             assert self._start_s is not None
             self._state(self._start_s, lane, state)
@@ -402,9 +402,10 @@ class Watch:
         return Places(label, table[:, 0], to_ned(table[:, 1:4], self._origin), table[:, 4])
 
     def _in_scene(self, made: list[Decision], points: list[Vec3]) -> Array:
-        """(n, 3) points of the decisions' frames in the scene's.
+        """Convert points from the decisions' frames to the scene's frame, (n, 3).
 
-        Velocities are not turned: the frames of one flight differ by less than a thousandth of a radian.
+        Velocities are not rotated, because the frames of one flight differ by less than a thousandth of a
+        radian.
         """
         table = np.array(points, dtype=np.float64).reshape(-1, 3)
         frames = [d.origin for d in made]
@@ -415,7 +416,7 @@ class Watch:
 
 
 def rates_text(rates: Iterable[tuple[str, float]]) -> str:
-    """Transports with their messages per second."""
+    """Format transports with their messages per second."""
     return ", ".join(f"{name} {rate:g}/s" for name, rate in rates)
 
 
@@ -430,7 +431,7 @@ def _settings(event: Settings) -> str:
 
 
 def _last_of_each(table: Array) -> Array:
-    """Rows with rising times: of several at one time the last."""
+    """Keep the rows with rising times. Of several rows at one time, keep the last."""
     return table[np.append(np.diff(table[:, 0]) > 0.0, True)] if len(table) else table
 
 

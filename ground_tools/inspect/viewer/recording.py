@@ -1,8 +1,8 @@
-"""A run, or several to compare, as a Rerun recording (.rrd).
+"""Writes a run, or several runs to compare, as a Rerun recording (.rrd).
 
-Steps are read from the records and written piece by piece (`writer.Writer`): a long run takes more time, and
-hardly more memory. What must be known beforehand (where the encounter is, who came closest) are facts that
-were gathered when the run was read.
+Steps are read from the records and written piece by piece (`writer.Writer`), so a long run takes more time
+but hardly more memory. What must be known beforehand (the time of the encounter, the closest pairs) comes
+from the facts gathered when the run was read.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ from ground_tools.inspect.viewer.scene import Aircraft, Encounter, Scene, first_
 from ground_tools.inspect.viewer.writer import Writer, rerun
 
 MAX_PAIRS_DRAWN = 45
-"""Closest pairs with a line of their own: ten aircraft in full."""
+"""Most pairs with a line of their own, the closest first. Ten aircraft have 45 pairs."""
 MOST_TAKEN = 40_000
-"""Steps, and tracks of their decisions, that are written at once: 600 s among ten aircraft."""
+"""Most steps, plus tracks in their decisions, written at once: 600 s among ten aircraft."""
 LOOK_M = (60.0, 600.0)
-"""Radius of what a view turns to, at least and at most."""
+"""Minimum and maximum radius of the volume that a view shows."""
 NEAR_M = 10_000.0
-"""Runs that are compared are drawn in one frame when they lie no farther apart than this."""
+"""A compared run is drawn in the first run's frame if their origins are closer together than this."""
 
 
 _RADIO = (
@@ -64,7 +64,7 @@ _RADIO = (
     "radio corrected packets",
     "radio free buffer",
 )
-"""Columns of `LinkHealth.radio` after the time."""
+"""Names of the columns of `LinkHealth.radio` after the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,14 +73,14 @@ class _Shown:
 
     run: Run
     ways: Flown
-    """On the recording's time line, in the scene's frame."""
+    """Paths on the recording's time line, in the scene's frame."""
     pairs: tuple[Separation, ...]
-    """Of the pairs that are drawn, the closest first: least distances, without the lines."""
+    """Pairs to draw, the closest first. They have the smallest distances, but not the distances over time."""
     scene: Scene
 
 
 def write(run: Run, path: File) -> None:
-    """Write the recording of `run` to `path`; without any position it has lanes, plots and texts.
+    """Write the recording of `run` to `path`. Without any position it has only lanes, plots and texts.
 
     Raises:
         ConfigError: rerun is not installed, or `path` cannot be written.
@@ -95,18 +95,18 @@ def write(run: Run, path: File) -> None:
     plan = blueprint(shown.scene, pairs, look, placed=bool(ways.paths))
     stream = _stream(run.name, path, plan)
     _write_run(stream, shown)
-    # Without this the end of the file is written at some later time, or never if the process is killed.
+    # Otherwise the end of the file would be written later, or never if the process is killed.
     stream.disconnect()
 
 
 def write_comparison(runs: Sequence[Run], path: File) -> None:
     """Write several runs into one recording, each under `/runs/<name>`, aligned at take-off.
 
-    Time 0 is the start of the timed paths where every run has one, and the first take-off otherwise. A run
-    has one colour. One in which no aircraft recorded a position has lanes, plots and texts.
+    Time 0 is the start of the timed paths if every run has one, and the first take-off otherwise. Each run
+    has one colour. A run in which no aircraft recorded a position has only lanes, plots and texts.
 
     Raises:
-        ConfigError: as `write`; fewer than two runs.
+        ConfigError: As for `write`, or there are fewer than two runs.
     """
     rerun()
     if len(runs) < 2:
@@ -175,7 +175,7 @@ def _write_run(stream: Any, shown: _Shown) -> None:
     writer.say(start, words)
     for problem in (*shown.run.problems, *ways.problems):
         writer.say(start, problem)
-    # First what takes the most memory at once: the steps' pieces find it free again.
+    # Write first what takes the most memory at once. The pieces of steps can then reuse that memory.
     for path in ways.paths:
         for part in _pieces(path, scene):
             n, e, d = part.position_ned_m.T
@@ -230,7 +230,7 @@ def _time_of(note: Note) -> float:
 
 
 def _in_pieces(record: AircraftRecord, scene: Scene, offset_s: float) -> Iterator[Iterator[Step]]:
-    """The steps of each piece of the time line, in parts where there are many."""
+    """Yield the steps of each piece of the time line. A piece with many steps is split into parts."""
     current, taken = (0, False), 0
 
     def piece(step: Step) -> tuple[int, bool, int]:
@@ -266,7 +266,7 @@ def _write_distances(writer: Writer, shown: _Shown) -> None:
 
 
 def _pieces(path: Path, scene: Scene) -> list[Path]:
-    """Parts that join: each ends with the first sample of the next one."""
+    """Split a path into joined parts. Each part ends with the first sample of the next one."""
     rows = [slice(one.start, one.stop + 1) for one in scene.pieces(path.time_s)]
     return [replace(path, time_s=path.time_s[r], position_ned_m=path.position_ned_m[r]) for r in rows]
 
@@ -276,7 +276,7 @@ def _closest_pairs(paths: tuple[Path, ...]) -> tuple[Separation, ...]:
 
 
 def _conflicts(run: Run, offsets_s: dict[str, float]) -> Array:
-    """(n,) when any aircraft was in conflict with anybody."""
+    """Return the times (n,) at which any aircraft was in conflict with any track."""
     found = [
         record.facts.decisions.now_s[record.facts.decisions.conflict] + offsets_s[record.name]
         for record in run.aircraft
@@ -304,8 +304,10 @@ def _scene(
 
 
 def _look(ways: Flown, pairs: Sequence[Separation], encounter: Encounter | None) -> Look | None:
-    """Where the pairs come closest, and as far around as the aircraft are when the encounter begins; without
-    an encounter, all that was flown."""
+    """Return a view of where the pairs come closest that includes all aircraft at the start of the encounter.
+
+    Without an encounter it shows everything that was flown. The radius is limited by `LOOK_M`.
+    """
     if not ways.paths:
         return None
     if not pairs or encounter is None:
@@ -323,7 +325,7 @@ def _look(ways: Flown, pairs: Sequence[Separation], encounter: Encounter | None)
 
 
 def _moved(ways: Flown, by_s: float) -> Flown:
-    """The same on a time line that begins elsewhere."""
+    """Return a copy with `by_s` added to all times."""
     return replace(
         ways,
         paths=tuple(replace(path, time_s=path.time_s + by_s) for path in ways.paths),
@@ -347,7 +349,7 @@ def _apart_m(one: Vec3, other: Vec3) -> float:
 
 
 def _joined(found: Sequence[Encounter | None]) -> Encounter | None:
-    """One encounter that holds those of all runs; its zero is the first one's."""
+    """Return one encounter that spans those of all runs. Its time 0 is the earliest of theirs."""
     known = [one for one in found if one is not None]
     if not known:
         return None

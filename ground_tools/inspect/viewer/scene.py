@@ -1,6 +1,6 @@
-"""What the writer of a recording knows before the first step: names, clocks, colours, where to look.
+"""What the writer of a recording knows before the first step: names, clocks, colours and the encounter.
 
-Nothing here needs the whole run: a live view makes its scene from the headers alone.
+A scene does not need the whole run. A live view makes its scene from the beginning of the records.
 """
 
 from __future__ import annotations
@@ -16,15 +16,19 @@ from companion.geometry import Vec3
 from ground_tools.inspect.read.flown import Array, Separation
 
 PIECE_S = 600.0
-"""A recording is written in pieces of at most so much of the time line. A whole piece is in memory at once;
-until the file is closed its index is, some 6 kB for every entity of every piece: shorter pieces take more."""
+"""Longest piece of the time line that is written at once.
+
+A whole piece is in memory at once. The index of all pieces, about 6 kB for every entity of every piece, stays
+in memory until the file is closed, so shorter pieces take more memory in total.
+"""
 BEFORE_S, AFTER_S = 10.0, 20.0
-"""What belongs to an encounter besides its conflicts."""
+"""Time before the first and after the last conflict that belongs to an encounter."""
 CALM_S = 20.0
-"""Conflicts farther apart than this belong to two encounters."""
+"""Conflicts farther apart than this belong to different encounters."""
 LONGEST_S = 300.0
+"""Longest time from the first conflict to the end of an encounter."""
 APPROACH_S = 40.0
-"""Where there was no conflict: the time before and after the closest approach."""
+"""Time before and after the closest approach that belongs to an encounter without a conflict."""
 
 
 _DEFAULT = AvoidanceConfig()
@@ -32,16 +36,16 @@ _DEFAULT = AvoidanceConfig()
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """The part of the time line that a viewer opens on, and its time 0."""
+    """The part of the time line that a viewer shows first, and its time 0."""
 
     start_s: float
     zero_s: float
     end_s: float
     what: str
-    """What happens at time 0."""
+    """Description of what happens at time 0."""
 
     def clipped(self, time_s: Array) -> Array:
-        """Times from its zero; what lies outside is at its ends."""
+        """Return times relative to `zero_s`, limited to the encounter's start and end."""
         inside: Array = np.clip(time_s, self.start_s, self.end_s) - self.zero_s
         return inside
 
@@ -53,40 +57,40 @@ class Aircraft:
     name: str
     rgb: tuple[int, int, int]
     offset_s: float = 0.0
-    """What to add to its `now_s` for the common time line."""
+    """Offset from its `now_s` to the common time line."""
     config: Config | None = None
-    """Of its record's header; None: not known."""
+    """Configuration from its record's header; None if unknown."""
     undulation_m: float = 0.0
-    """How far mean sea level lies above the ellipsoid."""
+    """Height of mean sea level above the ellipsoid."""
 
     @property
     def avoidance(self) -> AvoidanceConfig:
-        """As configured; the defaults where that is not known."""
+        """Avoidance configuration; the defaults if it is unknown."""
         return _DEFAULT if self.config is None else self.config.avoidance
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One run."""
+    """One run, as far as it is known before its first step is written."""
 
     origin: Vec3
-    """lat_deg, lon_deg, alt_msl_m of the frame that all is drawn in."""
+    """lat_deg, lon_deg, alt_msl_m of the frame in which everything is drawn."""
     aircraft: tuple[Aircraft, ...]
     encounter: Encounter | None = None
     root: str = ""
-    """Entity path that the run's entities stand under."""
+    """Entity path that contains the run's entities."""
     name: str = ""
-    """Of the run, where it is one of several: its lines' names begin with it."""
+    """Name of the run if it is one of several. The names of its lines begin with it."""
     span_s: tuple[float, float] | None = None
-    """Its first and last time; None while it goes on."""
+    """First and last time of the run; None while it goes on."""
 
     def piece(self, time_s: float) -> tuple[int, bool]:
-        """Which piece of the time line a time belongs to: a number, and whether it is in the encounter."""
+        """Return the piece of the time line for a time: its number, and whether it is in the encounter."""
         one = self.encounter
         return math.floor(time_s / PIECE_S), one is not None and one.start_s <= time_s <= one.end_s
 
     def pieces(self, time_s: Array) -> list[slice]:
-        """Rows of one piece each."""
+        """Return slices of the rows, one for each piece."""
         if not len(time_s):
             return []
         one = self.encounter
@@ -98,11 +102,11 @@ class Scene:
 
 
 def first_encounter(conflicts_s: Array, closest: Separation | None) -> Encounter | None:
-    """The first conflict and all that follow it soon; without any, the closest approach.
+    """Return the first conflict and all that follow it closely; without conflicts, the closest approach.
 
     Args:
-        conflicts_s: (n,) when any aircraft was in conflict, on the common time line, in any order.
-        closest: the pair that came closest.
+        conflicts_s: (n,) times at which any aircraft was in conflict, on the common time line, in any order.
+        closest: The pair that came closest.
     """
     if len(conflicts_s):
         times = np.sort(conflicts_s)

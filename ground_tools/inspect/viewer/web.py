@@ -1,9 +1,10 @@
-"""Rerun's web viewer on loopback, and a page that asks nobody else.
+"""Rerun's web viewer on loopback, with a page that contacts no other host (except for map tiles).
 
-The viewer comes with rerun: `rerun --serve-web` serves its page and what is sent to it. By itself it listens
-on all interfaces, here on 127.0.0.1 only. Its page asks its makers for news, examples and a font and tells
-them of its use; so a browser gets it from a server in front, with a Content-Security-Policy (W3C CSP 3) that
-keeps it to this machine, and the recording as a file from there.
+The viewer comes with rerun: `rerun --serve-web` serves its page and the data that is sent to it. By default
+it listens on all interfaces; here it listens on 127.0.0.1 only. Its page would contact its makers for news,
+examples and a font, and report its use to them. Therefore a browser gets the page through a server of ours,
+which adds a Content-Security-Policy (W3C CSP 3) that restricts it to this machine. The same server provides
+the recording as a file.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ from sitl_mocks.signals import end_signals
 
 _START_S = 20.0
 _STOP_S = 2.0
-"""For a viewer to end when it is asked to; one that hangs is killed then."""
+"""Time that a viewer gets to end when asked to. After that it is killed."""
 _POLL_S = 0.05
 _PR_SET_PDEATHSIG = 1
 _LOOK_S = 0.2
 _ANSWER_S = 30.0
 MAP_TILES = "https://tile.openstreetmap.org"
-"""The one other place that the page may ask, and does once its map is opened."""
+"""The only other host that the page may contact. It does so once its map is opened."""
 _FILE = "/recording.rrd"
 _ELSEWHERE = re.compile(rb"<link[^>]*https:[^>]*>")
-"""A browser connects for these whatever the policy."""
+"""Links to other hosts in the page. A browser connects to them in spite of the policy."""
 
 
 def serve(recording: Path) -> None:
     """Serve a recording until Ctrl-C or SIGTERM.
 
     Raises:
-        ConfigError: rerun is not installed, or ended by itself.
+        ConfigError: rerun is not installed, or its viewer ended by itself.
     """
     with end_signals() as ended, WebViewer(recording) as viewer:
         print(f"{recording} at {viewer.url}; on this machine only, until Ctrl-C", flush=True)
@@ -62,10 +63,10 @@ class WebViewer:
     """A web viewer that runs until it is closed.
 
     Args:
-        recording: file to show; None to show what is sent to `data_url`.
+        recording: File to show; None to show what is sent to `data_url`.
 
     Raises:
-        ConfigError: rerun is not installed, or does not serve.
+        ConfigError: rerun is not installed, or its viewer does not start to serve.
     """
 
     def __init__(self, recording: Path | None = None) -> None:
@@ -78,10 +79,10 @@ class WebViewer:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            # Ctrl-C is ours: it must not end before what sends to it.
+            # A session of its own: Ctrl-C must not end the viewer before the stream that sends to it.
             start_new_session=True,
             preexec_fn=_end_with(os.getpid()),
-            # The process tells its makers of each page, too, but not where this is set.
+            # Rerun's process also reports each page to its makers, unless this variable is set.
             env={**os.environ, "CI": "1"},
         )
         self._front: _Front | None = None
@@ -95,7 +96,7 @@ class WebViewer:
         own = f"http://127.0.0.1:{self._front.server_port}"
         shown = self.data_url if recording is None else own + _FILE
         self.url = f"{own}/?url={quote(shown, safe='')}"
-        """What a browser opens. A browser without WebGPU needs `&renderer=webgl` behind it."""
+        """Address to open in a browser. A browser without WebGPU needs `&renderer=webgl` appended to it."""
 
     def _wait_for(self, port: int) -> None:
         give_up_s = time.monotonic() + _START_S
@@ -108,16 +109,16 @@ class WebViewer:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id of the viewer."""
         return self._process.pid
 
     def check(self) -> None:
-        """Raises ConfigError when it ended by itself."""
+        """Raise ConfigError if the viewer ended by itself."""
         if self._process.poll() is not None:
             raise ConfigError(f"rerun's web viewer ended with exit code {self._process.returncode}")
 
     def close(self) -> None:
-        """End it."""
+        """End the viewer and the server in front of it."""
         if self._front is not None:
             self._front.end()
         self._process.terminate()
@@ -140,12 +141,12 @@ class WebViewer:
 
 
 class _Front(ThreadingHTTPServer):
-    """Hands on the page that rerun serves, kept to this machine, and the recording.
+    """Serves rerun's page, restricted to this machine, and the recording.
 
     Args:
-        page: port of rerun's page.
-        data: port of its data.
-        recording: file that is served beside the page.
+        page: Port of rerun's page.
+        data: Port of its data.
+        recording: File that is served in addition to the page.
     """
 
     daemon_threads = True
@@ -162,20 +163,20 @@ class _Front(ThreadingHTTPServer):
         self._thread.start()
 
     def end(self) -> None:
-        """Serve no more."""
+        """Stop the server."""
         self.shutdown()
         self._thread.join()
         self.server_close()
 
     def handle_error(self, *_: Any) -> None:
-        """A browser that went away, or a viewer that ended: `WebViewer.check` tells of the latter."""
+        """Ignore errors: the browser disconnected, or the viewer ended, which `WebViewer.check` reports."""
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: _Front
 
     def do_GET(self) -> None:
-        """The recording, or what rerun has by that name."""
+        """Serve the recording, or rerun's file of that name."""
         path = self.path.partition("?")[0]
         if path == _FILE and self.server.recording is not None:
             with self.server.recording.open("rb") as file:
@@ -200,11 +201,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, *_: object) -> None:
-        """A browser's requests are no news."""
+        """Do not log requests."""
 
 
 def _program() -> Path:
-    """The viewer itself: `python -m rerun` would start it as a child that outlives its parent."""
+    """Return the viewer's executable. `python -m rerun` starts it as a child that outlives its parent."""
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
         raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'")
@@ -212,21 +213,21 @@ def _program() -> Path:
 
 
 def _end_with(parent: int) -> Callable[[], None] | None:
-    """What a child does first so that it ends when its parent does, however that ends (Linux, prctl(2))."""
+    """Return a function that makes a new child process end with its parent (Linux, prctl(2)); else None."""
     if not sys.platform.startswith("linux"):
         return None
     prctl = ctypes.CDLL(None).prctl
 
     def bind() -> None:
         prctl(_PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGKILL))
-        if os.getppid() != parent:  # it ended before
+        if os.getppid() != parent:  # the parent ended before prctl() took effect
             os._exit(1)
 
     return bind
 
 
 def _free_ports() -> tuple[int, int]:
-    """Two that nobody listens on now."""
+    """Return two ports that are free now."""
     with socket.socket() as first, socket.socket() as second:
         first.bind(("127.0.0.1", 0))
         second.bind(("127.0.0.1", 0))

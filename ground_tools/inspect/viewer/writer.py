@@ -1,11 +1,12 @@
-"""Puts a run into a Rerun recording piece by piece, in columns (`send_columns`).
+"""Writes a run into a Rerun recording piece by piece, in columns (`send_columns`).
 
-A `Writer` knows a `Scene` and takes what comes: steps of an aircraft, paths that were flown, distances. It
-serves a file that is converted and a flight that goes on alike; its memory is that of a piece. The frame is
-drawn as x east, y north, z up (m). rerun is imported on use: its import takes seconds, and it is an optional
+A `Writer` is given a `Scene`, and then steps of aircraft, flown paths and distances. It works for a finished
+record as well as for a flight that goes on, and needs memory for one piece only. The frame is drawn as x
+east, y north, z up (m). rerun is imported on use, because its import takes seconds and it is an optional
 dependency.
 
-Two time lines: `time` is the run's, `encounter` holds what a viewer opens on, from the encounter's time 0.
+There are two time lines: `time` is that of the run, and `encounter` contains what a viewer shows first,
+relative to the encounter's time 0.
 """
 
 from __future__ import annotations
@@ -40,24 +41,26 @@ from ground_tools.inspect.viewer.scene import Aircraft, Scene
 WHOLE = "time"
 ENCOUNTER = "encounter"
 SHOWN_S = 3.0
-"""A position is drawn until the next one, and no longer than this."""
+"""A position is drawn until the next one, but no longer than this."""
 ARROW_S = 5.0
-"""Arrows reach as far as the velocity leads in this time."""
+"""An arrow is as long as the way at its velocity in this time."""
 SQUARE_M = 6.0
-"""Half the side of the squares that half-spaces are drawn as."""
+"""Half the side of the squares that represent half-spaces."""
 OLD_S = 5.0
-"""Predictions from information of this age are drawn grey."""
+"""Predictions from information of this age or older are drawn grey."""
 DRAWN_S = 0.2
-"""Distances are drawn as the least of each such time."""
+"""Distances are drawn as the minimum in each interval of this length."""
 RANGE_S = 1.0
-"""The same of the distances to tracks, as the law saw them."""
+"""Distances to tracks, as the law saw them, are drawn as the minimum in each interval of this length."""
 MARK_PX = 3.5, 2.5
-"""Radius of markers, at any distance: of what is a warning or worse, and of others, such as switches."""
+"""Radius of markers on the screen: for warnings and worse, and for other events such as switches."""
 AGE_S = 5.0
-"""Ages of information are drawn as the greatest of each such time: a loss stands out of their saw teeth."""
+"""Ages of information are drawn as the maximum in each interval of this length, so that a loss stands out
+from the usual saw-tooth shape."""
 
 HELD_ROWS = 2000
-"""Parts of a line are sent together until they are so many rows: each costs memory until the end."""
+"""Parts of a line are collected up to this many rows and sent together, because each part that is sent costs
+memory until the end."""
 
 _SHAPES = {
     "Arrows3D": "vectors",
@@ -65,7 +68,7 @@ _SHAPES = {
     "LineStrips3D": "strips",
     "Points3D": "positions",
 }
-"""The component without which nothing is drawn."""
+"""Required component of each archetype, which is sent empty to draw nothing."""
 
 _LEGEND = f"""
 In space, in each aircraft's colour:
@@ -89,17 +92,17 @@ Time line `encounter` holds what lies around the first conflict, `time` the whol
 
 
 def rerun() -> Any:
-    """The module.
+    """Import rerun and return the module.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: rerun is not installed.
     """
     try:
         import pyarrow
         import rerun as module
     except ImportError as error:
         raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'") from error
-    # Arrow's own allocator keeps what is freed between pieces.
+    # Arrow's own allocator would keep the memory that is freed between pieces.
     pyarrow.set_memory_pool(pyarrow.system_memory_pool())
     return module
 
@@ -116,15 +119,18 @@ class Writer:
         self._known: set[str] = set()
         self._last_ned_m: dict[str, Array] = {}
         self._held: dict[str, list[tuple[Array, Array]]] = {}
-        """By entity: times and values of a line that are yet to be sent."""
+        """Times and values of lines that are not sent yet, by entity."""
         self._due: dict[str, tuple[str, float]] = {}
-        """By entity: its archetype, and the time of its last row, which is to go when it is stale."""
+        """Archetype and time of the last row, by entity. The row is to be removed when it is stale."""
         stream.log("/", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         about = self._rr.TextDocument(_LEGEND, media_type="text/markdown")
         stream.log(self._entity("about"), about, static=True)
 
     def settle(self, now_s: float = math.inf) -> None:
-        """Send what is held, and take away what was drawn last and is stale now; at the end of a run, all."""
+        """Send what is held back, and remove what was drawn last and is stale now.
+
+        Call it without an argument at the end of a run, to remove everything that was drawn last.
+        """
         for entity in list(self._held):
             self._send_held(entity)
         for entity, due in list(self._due.items()):
@@ -132,12 +138,12 @@ class Writer:
                 self._blank(entity, *self._due.pop(entity))
 
     def say(self, time_s: float, text: str) -> None:
-        """A line about the whole run."""
+        """Write a line of text about the whole run."""
         self.notes("run", [Note(time_s, "INFO", text)])
 
     def steps(self, name: str, steps: Iterable[Step]) -> None:
-        """The next steps of one aircraft; all of them in one piece of the time line (`Scene.piece`)."""
-        one, piece = self._aircraft[name], self._watches[name].piece_of(steps)
+        """Write the next steps of one aircraft. All must be in one piece of the time line (`Scene.piece`)."""
+        one, piece = self._aircraft[name], self._watches[name].take(steps)
         self._own(one, piece)
         self._decisions(one, piece)
         self._tracks(one, piece)
@@ -150,15 +156,15 @@ class Writer:
         self._markers(one, piece)
 
     def tell(self, name: str, note: Note, where_ned_m: Array) -> None:
-        """Something that happened to an aircraft, and where, found in more than its steps."""
+        """Write a note about an aircraft with a marker at its place, for events not found in single steps."""
         self.notes(name, [note])
         self.mark(name, [note], where_ned_m.reshape(1, 3))
 
     def flown(self, path: Path, latitudes: Array) -> None:
-        """The next part of the path that an aircraft flew.
+        """Write the next part of the path that an aircraft flew.
 
         Args:
-            path: of one piece of the time line, and the first sample after it.
+            path: Samples of one piece of the time line, plus the first sample after it.
             latitudes: (n, 2) lat_deg, lon_deg of its samples.
         """
         rr, rgb = self._rr, self._aircraft[path.name].rgb
@@ -172,7 +178,7 @@ class Writer:
         self._send(entity, when, rr.GeoLineStrings.columns(line_strings=[latitudes]), clip=True)
 
     def distances(self, pairs: Sequence[Separation], required_m: float) -> None:
-        """The next part of every pair's distance, and that of whichever two are closest."""
+        """Write the next part of every pair's distance, and of the smallest distance of any pair."""
         if not pairs:
             return
         for pair in pairs:
@@ -198,7 +204,7 @@ class Writer:
         self.mark("closest", [note], where_ned_m.reshape(1, 3))
 
     def link(self, name: str, what: str, time_s: Array, values: Array) -> None:
-        """A figure of a link's health."""
+        """Write a line of one figure of a link's quality."""
         self._line(("link", f"{name} {what}"), time_s, values, self._aircraft[name].rgb, 1.5)
 
     def _own(self, one: Aircraft, piece: Piece) -> None:
@@ -226,7 +232,7 @@ class Writer:
     def _decisions(self, one: Aircraft, piece: Piece) -> None:
         time, rgb = piece.decided_s, one.rgb
         if not len(time):
-            # Without a law there may still be somebody who commands speeds.
+            # Without decisions of a law there may still be velocity setpoints.
             self._line(("speed", one.name, "chosen"), piece.setpoint_s, piece.setpoint_mps, pale(rgb), 1.5)
             return
         for what, velocity, shade in (
@@ -246,7 +252,8 @@ class Writer:
         self._send(entity, piece.path_s[:1], strip, clip=True)
 
     def _tracks(self, one: Aircraft, piece: Piece) -> None:
-        """Where the law took others to be, how old that was, and the volumes of those in its way."""
+        """Write the tracks' positions as the law predicted them, their ages, and the volumes of those in the
+        way."""
         seen = [track for tracks in piece.seen for track in tracks]
         if not len(piece.decided_s):
             return
@@ -276,7 +283,7 @@ class Writer:
             self._line(("age", name), at, -less, rgb, 1.0)
 
     def _in_the_way(self, one: Aircraft, piece: Piece) -> None:
-        """Volumes of tracks in conflict or at an active half-space, and lines to them."""
+        """Write the volumes of tracks in conflict or with an active half-space, and lines to them."""
         rr = self._rr
         flags = np.array([t.conflict or t.active for tracks in piece.seen for t in tracks], dtype=bool)
         entity = self._entity("aircraft", one.name, "in the way")
@@ -303,7 +310,7 @@ class Writer:
         self._send_until_stale(lines, "LineStrips3D", piece.decided_s, columns, lengths)
 
     def _half_spaces(self, one: Aircraft, piece: Piece) -> None:
-        """Of tracks that bound the velocity: a square on the plane where the chosen velocity leads."""
+        """Write, for each track that bounds the velocity, a square on its plane near the chosen velocity."""
         if not piece.bounds:
             return
         rr = self._rr
@@ -340,7 +347,7 @@ class Writer:
         self._send(entity, np.array([time for time, _ in states]), columns, clip=True)
 
     def notes(self, name: str, notes: Sequence[Note]) -> None:
-        """Lines about one aircraft, in order; all of one piece of the time line."""
+        """Write lines of text about one aircraft, in order. All must be in one piece of the time line."""
         if notes:
             who = [self._scene.name] if self._scene.name else []
             if name in self._aircraft:
@@ -364,7 +371,7 @@ class Writer:
         self.mark(one.name, marked, where)
 
     def mark(self, name: str, notes: Sequence[Note], where_ned_m: Array) -> None:
-        """Points at (n, 3) where each of the notes happened, in order; all of one piece of the time line."""
+        """Mark the places (n, 3) of the notes, in order. All must be in one piece of the time line."""
         rr = self._rr
         entity = self._entity("markers", name)
         self._style(entity, rr.Points3D.from_fields(show_labels=False))
@@ -433,7 +440,7 @@ class Writer:
         columns: Any,
         lengths: NDArray[np.int64] | None = None,
     ) -> None:
-        """Rows that are drawn no longer than SHOWN_S where no other follows, in whichever piece."""
+        """Send rows that are removed after SHOWN_S unless another row follows, also in a later piece."""
         due = self._due.pop(entity, None)
         if due is not None and time_s[0] - due[1] > SHOWN_S:
             self._blank(entity, *due)
@@ -448,16 +455,20 @@ class Writer:
         self._send(entity, np.array([last_s + SHOWN_S]), columns)
 
     def _style(self, entity: str, style: Any) -> None:
-        """Log what holds for all of an entity's rows, once."""
+        """Log once what applies to all rows of an entity."""
         if entity not in self._known:
             self._known.add(entity)
             self._stream.log(entity, style, static=True)
 
     def _send(self, entity: str, time_s: Array, columns: Any, *, clip: bool = False) -> None:
-        """Rows of one piece of the time line.
+        """Send rows of one piece of the time line.
 
         Args:
-            clip: rows outside the encounter stand at its ends too: what they tell outlasts them.
+            entity: Entity path.
+            time_s: Times of the rows.
+            columns: Their data.
+            clip: Also put rows outside the encounter on its time line, at its ends, because their content
+                stays valid.
         """
         rr, one = self._rr, self._scene.encounter
         times = [rr.TimeColumn(WHOLE, duration=time_s)]
@@ -471,7 +482,7 @@ class Writer:
 
 
 def until_stale(time_s: Array, lengths: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Rows of so many points each, and a row of none where the next one comes later than SHOWN_S."""
+    """Add an empty row wherever the next row comes later than SHOWN_S; `lengths` are the points per row."""
     last = np.append(np.diff(time_s) > SHOWN_S, False)
     times = np.concatenate([time_s, time_s[last] + SHOWN_S])
     counts = np.concatenate([lengths, np.zeros(last.sum(), dtype=np.int64)])
@@ -480,7 +491,7 @@ def until_stale(time_s: Array, lengths: NDArray[np.int64]) -> tuple[Array, NDArr
 
 
 def square(position_ned_m: Array, velocity_ned_mps: Array, space: HalfSpace) -> Array:
-    """(7, 3) of a line around a square on a half-space's plane, and to the side that is allowed.
+    """Return a line (7, 3) around a square on a half-space's plane, with a tick to the allowed side.
 
     Velocities are drawn from the own position, as the arrows are.
     """
@@ -495,14 +506,14 @@ def square(position_ned_m: Array, velocity_ned_mps: Array, space: HalfSpace) -> 
 
 
 def enu(position_ned_m: Array) -> NDArray[np.float32]:
-    """(n, 3) east, north, up."""
+    """Convert NED positions to (n, 3) east, north, up."""
     return np.column_stack([position_ned_m[:, 1], position_ned_m[:, 0], -position_ned_m[:, 2]]).astype(
         np.float32
     )
 
 
 def _half_size(one: Aircraft, track: TrackView) -> tuple[float, float, float]:
-    """Of the volume that the law kept clear."""
+    """Return the half axes of the volume that the law kept clear."""
     crewed = track.adsb and track.radius_m >= separation_m(one.avoidance, True)[0]
     tall = separation_m(one.avoidance, crewed)[1]
     return (track.radius_m, track.radius_m, track.radius_m / tall)
