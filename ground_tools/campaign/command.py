@@ -198,8 +198,7 @@ def _fly_fences(seeds: Sequence[int], *, noisy: bool, outside: bool) -> list[fen
 def fly_missing(
     wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, work: Work
 ) -> tuple[dict[Cell, list[Row]], int]:
-    """Fly the missing rows of every cell. Returns all rows, in the order of the seeds, and how many were
-    flown now.
+    """Fly the missing rows of every cell. Returns all rows, in the order of the seeds, and the number flown.
 
     Args:
         folder: folder in which rows are kept and looked up; None: rows are not kept.

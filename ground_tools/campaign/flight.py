@@ -96,8 +96,7 @@ def fly(
         kinds: shape (A,): AVOIDS, or another kind of aircraft.
         trace: shape (steps, A, 3): true positions. Written for as many steps as it has; may be empty.
         decided: shape (decisions, A, DECIDED_COLUMNS): own state and result of each decision, with the
-            velocity that is flown in place of its command. Written for as many decisions as it has; may be
-            empty.
+            velocity flown in place of its command. Written for as many decisions as it has; may be empty.
         seen: shape (decisions, A, A, SEEN_COLUMNS), as long as `decided`: what each decision saw of each
             other aircraft. Rows of aircraft from which no message was received are not written.
         pairs: shape (A, A, PAIR_ENTRIES), of each aircraft and each one with a lower index; written.
@@ -110,8 +109,7 @@ def fly(
     own_error, clock, phase, sent, arrival = (
         craft.own_error, craft.clock, craft.phase, craft.sent, craft.arrival,
     )  # fmt: skip
-    # By receiver and sender: the latest message, the time of its reception, and the state of the sender's
-    # track.
+    # By receiver and sender: the latest message, when it was received, and the state of the sender's track.
     heard, got = np.zeros((fleet, fleet, MESSAGE_COLUMNS)), np.zeros((fleet, fleet))
     tracks = np.zeros((fleet, fleet, k.TRACK_ENTRIES))
     heard[:, :, M_TIME] = -math.inf
@@ -184,8 +182,7 @@ def fly(
 
 @_compiled
 def _first_state(settings: Array) -> tuple[Array, Array]:
-    """The initial state of each law, shape (A, STATE_ENTRIES), and the view of the path delays in it, shape
-    (A,)."""
+    """Initial state of each law, shape (A, STATE_ENTRIES), and the view of its path delays, shape (A,)."""
     state = np.zeros((len(settings), k.STATE_ENTRIES))
     for i in range(len(settings)):
         k.begin(state[i], settings[i])

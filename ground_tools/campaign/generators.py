@@ -144,8 +144,7 @@ def _mixed(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, 
 
 
 def _lift(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """Pairs of aircraft that exchange heights in one column; the columns are side by side. No aircraft moves
-    horizontally."""
+    """Pairs of aircraft exchange heights in columns that are side by side. No aircraft moves horizontally."""
     column = np.arange(aircraft) // 2
     across = _along(np.zeros(aircraft), column * APART_M * 1.3)
     return across + _offsets(aircraft, rng) * [1.0, 1.0, 0.0], np.zeros(aircraft), np.zeros(aircraft)
@@ -164,8 +163,7 @@ def _wall(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, R
 
 
 def _matrix(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """Two rows of aircraft side by side cross at right angles, so that each aircraft meets one of the other
-    row."""
+    """Two rows of aircraft side by side cross at right angles: each aircraft meets one of the other row."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     row = np.arange(aircraft) % 2
     heading = turn + 0.5 * math.pi * row

@@ -54,8 +54,7 @@ class Tally(NamedTuple):
     gap: Array
     """(A,): distance of an avoiding aircraft from its timed point."""
     away_since: Array
-    """(A,): time since which the aircraft is more than `AWAY_M` from its timed point; infinite if it is
-    not."""
+    """(A,): since when the aircraft is farther than `AWAY_M` from its timed point; infinite if it is not."""
     way: Array
     """(2,): distance flown and distance planned, summed over all aircraft."""
     least2: Array
@@ -103,7 +102,7 @@ def count_decision(tally: Tally, now: float, i: int, feasible: float, conflict: 
 
 @_compiled
 def beyond(fence: Array, n: float, e: float) -> float:
-    """How far (m) a point is on the wrong side of an area's border, at most over all areas; 0 if it violates
+    """Largest distance (m) of a point beyond the border of an area that it violates; 0 if it violates
     none."""
     worst, first = 0.0, 0
     while first < len(fence):
@@ -208,7 +207,7 @@ def _measure_pairs(now: float, position: Array, before: Array, least2: Array, re
 
 @_compiled
 def land(kinds: Array, late: Array, tally: Tally, pairs: Array, result: Array) -> None:
-    """Write the tally to `pairs` and `result` of `flight.fly` at the end of a flight; `late` as in
+    """Write the tally of a finished flight to `pairs` and `result` of `flight.fly`; `late` as in
     `measure`."""
     for i in range(len(kinds)):
         if kinds[i] == AVOIDS:

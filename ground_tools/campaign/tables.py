@@ -55,8 +55,7 @@ def _twenty() -> list[Cell]:
 
 
 def _fast() -> list[Cell]:
-    """Every generator at 20 m/s: first planned below the greatest speed, then planned as fast as the aircraft
-    can fly."""
+    """Every generator at 20 m/s: first planned below the greatest speed, then as fast as aircraft can fly."""
     delay_s = DELAYS_S[-1]
     rows = [Cell(generator=name, aircraft=5, speed_mps=20.0, delay_s=delay_s) for name in NAMES]
     return rows + [
@@ -152,8 +151,7 @@ def read(path: Path) -> Kept:
 
 
 def markdown(lines: Sequence[Line]) -> str:
-    """The table as Markdown, one line for each cell. Conditions that are the same in all cells have no
-    column."""
+    """The table as Markdown, one line for each cell. Conditions equal in all cells have no column."""
     columns: list[tuple[str, Callable[[Line], str]]] = [
         ("encounter", lambda line: line.cell.generator),
         ("aircraft", lambda line: str(line.cell.aircraft)),

@@ -1,5 +1,4 @@
-"""Flights in which two aircraft send the same identity, with the companion's own track code in the campaign's
-world.
+"""Flights in which two aircraft send one identity, with the companion's track code in the campaign's world.
 
 Vehicles, errors, messages and their delays come from `vehicles`, draw for draw. Here each aircraft receives
 frames (Basic ID and Location, from a radio address) with the companion's `Traffic` and decides with its

@@ -3,8 +3,8 @@
 A vehicle follows a velocity command with a first-order lag and a limited acceleration. Every aircraft sends
 its state once a period, at its own phase. Each other aircraft receives the message after its own delay, or
 not at all. Positions carry a time-correlated GNSS error, which is the same in the messages and in the
-aircraft's own navigation. Sent velocities carry white noise, and messages are quantised as in Remote ID (ASTM
-F3411-22a).
+aircraft's own navigation. Sent velocities carry white noise. Messages are quantised as in Remote ID
+(ASTM F3411-22a).
 """
 
 from __future__ import annotations
@@ -93,8 +93,7 @@ class Fleet(NamedTuple):
     sent: Array
     """(A, slots, MESSAGE_COLUMNS): the latest messages."""
     arrival: Array
-    """(receiver, sender, slots): when each message arrives; infinite if it is lost or was already
-    received."""
+    """(receiver, sender, slots): arrival time of each message; infinite if it is lost or already received."""
 
 
 @_inlined
