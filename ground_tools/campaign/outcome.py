@@ -102,8 +102,7 @@ def count_decision(tally: Tally, now: float, i: int, feasible: float, conflict: 
 
 @_compiled
 def beyond(fence: Array, n: float, e: float) -> float:
-    """Largest distance (m) of a point beyond the border of an area that it violates; 0 if it violates
-    none."""
+    """Largest distance (m) of a point beyond the border of an area that it violates; 0 if there is none."""
     worst, first = 0.0, 0
     while first < len(fence):
         after, near = first, math.inf
@@ -207,8 +206,7 @@ def _measure_pairs(now: float, position: Array, before: Array, least2: Array, re
 
 @_compiled
 def land(kinds: Array, late: Array, tally: Tally, pairs: Array, result: Array) -> None:
-    """Write the tally of a finished flight to `pairs` and `result` of `flight.fly`; `late` as in
-    `measure`."""
+    """Write the final tally to `pairs` and `result` of `flight.fly`; `late` as in `measure`."""
     for i in range(len(kinds)):
         if kinds[i] == AVOIDS:
             result[F_BACK] = max(result[F_BACK], tally.gap[i])
