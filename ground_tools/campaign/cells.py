@@ -134,15 +134,14 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     fence_m: float
     """Largest distance beyond a fence."""
     lost: tuple[int, ...]
-    """Pairs that came nearer than `SEPARATION_M`, by pair number: (0, 1), (0, 2), (1, 2), (0, 3) and so
-    on."""
+    """Numbers of the pairs that came nearer than `SEPARATION_M`, in the order (0, 1), (0, 2), (1, 2), (0, 3)
+    and so on."""
     alerts: tuple[int, ...]
     """Pairs in which an avoiding aircraft was in conflict with the other one, by pair number."""
 
     @property
     def severity(self) -> float:
-        """Severity of the loss of separation: the share of the required distance that was lost, 0 (none) to
-        1.
+        """Severity of the loss of separation: the lost share of the required distance, from 0 (none) to 1.
 
         With a single required distance, this equals the severity of the loss of well clear (SLoWC) of RTCA
         SC-228 and the intrusion severity of the BlueSky simulator.
@@ -279,7 +278,7 @@ def _crewed_ways(times: Table, points: Table, crewed: Flags, seed: int) -> Table
 
 
 def _fence_beside(points: Table) -> Table:
-    """One inclusion area whose border runs beside all paths, on the right-hand side of the first one.
+    """One inclusion area with a border beside all paths and parallel to them, to the right of the first one.
 
     Raises:
         ConfigError: the paths do not run along one line.
@@ -300,7 +299,7 @@ def _fence_beside(points: Table) -> Table:
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:
-    """The kept results of a cell, its rows by seed.
+    """The stored results of a cell, its rows by seed.
 
     Args:
         folder: an existing folder.

@@ -201,7 +201,7 @@ def fly_missing(
     """Fly the missing rows of every cell. Returns all rows, in the order of the seeds, and the number flown.
 
     Args:
-        folder: folder in which rows are kept and looked up; None: rows are not kept.
+        folder: folder in which rows are stored and looked up; None: rows are not stored.
         work: function that flies the units of work.
 
     Raises:

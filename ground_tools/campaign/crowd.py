@@ -135,8 +135,8 @@ def _sort(
 ) -> None:  # fmt: skip
     """Counting sort of the aircraft into the cubes of the torus.
 
-    Cube c gets rows start[c] to start[c + 1] of `place` (position and velocity) and of `who` (the aircraft's
-    number).
+    Cube c gets rows start[c] to start[c + 1] of `place` (position and velocity) and of `who` (index of the
+    aircraft).
     """
     start[:] = 0
     for i in range(len(position)):

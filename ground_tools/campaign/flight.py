@@ -52,8 +52,7 @@ _TURN_S = 4.0
 _TURN_RAD = math.radians(60.0)
 """Largest angle by which a turning aircraft turns away from its course to the path."""
 _BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S = 15.0, 5.0
-"""A loss of GNSS begins in the interval from the first before to the second after the middle of the
-flight."""
+"""A loss of GNSS begins between these times before and after the middle of the flight."""
 _FIT_AGAIN_S = 4.0
 """Time from the return of GNSS to the next command: the companion waits for a steady state and then takes
 control of the vehicle again."""

@@ -69,10 +69,7 @@ _inlined = compiled(inline="always")
 
 @_inlined
 def nothing_yet(fleet: int, pairs: Array, result: Array) -> Tally:
-    """The tally of a flight that has not begun. Also resets the alerts in `pairs`, and `result`.
-
-    `pairs` and `result` are those of `flight.fly`.
-    """
+    """The tally at the start of a flight. Also resets `result` and the alerts in `pairs` of `flight.fly`."""
     pairs[:, :, P_ALERT] = 0.0
     result[:] = 0.0
     result[F_SEPARATION] = result[F_CREWED] = math.inf

@@ -68,7 +68,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     clock_s: Annotated[float, Meta(ge=0)] = 0.0
     """Largest error of a clock, either way. Each aircraft's error is drawn once."""
     floor_m: float = -math.inf
-    """Height in the local frame of the generators (the negative of NED down)."""
+    """Height (the negative of NED down) in the local frame of the generators; unlimited by default."""
     ceiling_m: float = math.inf
     silent_m: Annotated[float, Meta(ge=0)] = 100.0
     lie_m: Annotated[float, Meta(ge=0)] = 50.0

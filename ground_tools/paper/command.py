@@ -1,5 +1,4 @@
-"""The command `ground-tools paper`: recomputes the paper's figures and compares them with what the paper
-says.
+"""The command `ground-tools paper`: recomputes the paper's figures and compares them with its statements.
 
 To add a figure, write a module with `report` and `draw` and add an entry to `FIGURES`.
 """
@@ -45,11 +44,9 @@ class Figure:
     report: Callable[[Study], Report]
     draw: Callable[[Study, Path], None]
     sigmas: int
-    """Number of sigmas of the study that the figure uses. 0: it does not use the study, which is not
-    evaluated."""
+    """Number of sigmas of the study that the figure uses. 0: none, and the study is not evaluated."""
     steps: int = 0
-    """Number of calls of the study's `advance` while the figure is drawn, in addition to those for the
-    sigmas."""
+    """Calls of the study's `advance` while the figure is drawn, in addition to those for the sigmas."""
 
 
 FIGURES: Final = (

@@ -1,9 +1,7 @@
-"""Delays of all methods that need no stored training run, on the same positions and with the paper's
-objective.
+"""Delays of all methods that need no stored training run, on equal positions, with the paper's objective.
 
 The methods are the fixed modes, random choice, the one-line rule, the set network and the search. The system
-delay is the sum over the aircraft of each one's mean delay to those that it reaches. This module needs
-PyTorch.
+delay is the sum over the aircraft of each one's mean delay to those that it reaches. Needs PyTorch.
 """
 
 from __future__ import annotations
@@ -144,8 +142,7 @@ def _decided(env: Env, frozen: Frozen, generator: torch.Generator, rounds: int) 
     """Costs (s), shape (fleets, aircraft), after the fleet has decided in the same way as in its training.
 
     A policy that was trained with random phases decides one part of the fleet after the other, and the last
-    rounds are averaged. This is the same as `settle`, but it computes nothing for aircraft whose turn it is
-    not.
+    rounds are averaged. Unlike `settle`, this computes nothing for the aircraft whose turn it is not.
     """
     if frozen.metadata.decisions == "together":
         return env.act(frozen.decide(env.observe(), env.action))

@@ -139,8 +139,7 @@ def _table(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]], *, right: 
 
 
 def json_rows(figure: str, report: Report) -> list[dict[str, object]]:
-    """The report for JSON: one object for each statement and number. Numbers that are not finite become
-    None."""
+    """The report for JSON: one object for each statement and number; numbers that are not finite are None."""
     statements: list[dict[str, object]] = [
         {
             "figure": figure,

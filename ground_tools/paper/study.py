@@ -21,7 +21,7 @@ SIGMA_PAPER_DB = math.sqrt(6.0)
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Results of one mode over rates and sizes. For Wi-Fi with one of the two ways to assign channels."""
+    """Results of one mode over rates and sizes; for Wi-Fi with one of the two ways to assign channels."""
 
     mode: str
     reading: Reading
@@ -53,8 +53,7 @@ class Curve:
         return min(self.rates, key=lambda rate: sum(self.delay_ms(side_m, rate) for side_m in sides_m))
 
     def mean_ms(self, sides_m: Sequence[float], rate: int) -> tuple[float, float]:
-        """Mean delay over sizes and its Monte Carlo standard error. The draws of the sizes are
-        independent."""
+        """Mean delay over sizes and its Monte Carlo standard error; the sizes' draws are independent."""
         errors = [self.rows[side_m, rate].system_delay_se_ms or 0.0 for side_m in sides_m]
         mean = sum(self.delay_ms(side_m, rate) for side_m in sides_m) / len(sides_m)
         return mean, math.hypot(*errors) / len(sides_m)

@@ -69,8 +69,7 @@ METHODS: Final = {
     "random": Method("random legal set", policy="random"),
     ATMC: Method("ATMC", policy=FILE),
 }
-"""The methods. Those without a policy follow no region's law, because a single Bluetooth mode is legal
-nowhere."""
+"""The methods. Those without a policy ignore regional law: a single Bluetooth mode is legal nowhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +100,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     deviation_m: float
     """Largest distance from the point of the timed path, averaged over the aircraft."""
     age_mean_s: float | None
-    """Weighted mean age of information over the ordered pairs; None without avoidance, which does not use
-    it."""
+    """Weighted mean age of information over the ordered pairs; None without avoidance."""
     age_p95_s: float | None
     age_max_s: float | None
     unheard: int

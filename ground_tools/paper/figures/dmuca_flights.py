@@ -1,5 +1,4 @@
-"""Flights of five aircraft as in the paper's section V, by each law with each delay, and the separation of
-each pair.
+"""Flights of five aircraft as in the paper's section V, by each law with each delay; separation of each pair.
 
 In the paper all aircraft converge inside a box of 500 m x 500 m x 300 m at 250 s; it gives no paths. Crossing
 points anywhere in that box hardly ever conflict (`conflicts_in_the_box`), so S2 of `sitl_mocks.scenario` is
@@ -63,15 +62,13 @@ CASES: Final = tuple(
     for law in FLOWN_LAWS
     for delay_s in (DELAYS_S if law != "none" else DELAYS_S[:1])
 )
-"""All cases. The law "none" has only one delay, because without avoidance the delay does not affect the
-flight."""
+"""All cases. The law "none" has only one delay, because the delay does not affect its flights."""
 Table = dict[Case, Array]
 """Least distances in m, shape (flights, pairs)."""
 
 
 def fly(case: Case, seed: int) -> tuple[Array, Array]:
-    """Fly one flight. With noisy air it is the flight of the campaign's cell with the same law, delays and
-    seed.
+    """Fly one flight. If noisy, it equals that of the campaign's cell with the same law, delays and seed.
 
     Returns:
         Times in s, shape (steps,), and true positions, shape (steps, AIRCRAFT, 3), NED in m.
@@ -145,8 +142,7 @@ def _flown(case: Case, flights: int, seed: int) -> Array:
 
 
 def conflicts_in_the_box(flights: int, seed: int) -> int:
-    """Number of draws that lose separation without avoidance if the crossing points lie anywhere in the
-    paper's box.
+    """Number of draws that lose separation without avoidance, with crossing points anywhere in `BOX_M`.
 
     The paths are those of S2, each moved by a random offset within the box.
     """

@@ -142,8 +142,7 @@ def _lines(axes: Any, times: Array, places: Array) -> None:
 
 
 def _pairs(axes: Any, law: Law, table: Table, top_m: float) -> None:
-    """Draw the least separation of each pair of the pictured flight, with each delay and without
-    avoidance."""
+    """Draw each pair's least separation in the pictured flight, with each delay and without avoidance."""
     axes.set_title(f"{NAMES[law]}: least separation of each pair")
     places, width = np.arange(len(PAIR_NAMES)), 0.27
     for index, delay_s in enumerate(DELAYS_S):
@@ -166,8 +165,7 @@ def _pairs(axes: Any, law: Law, table: Table, top_m: float) -> None:
 
 
 def _all_flights(axes: Any, table: Table) -> None:
-    """Draw the distribution of the flights' least separations. Whiskers reach the smallest and the
-    largest."""
+    """Draw the distribution of the flights' least separations. Whiskers reach the extremes."""
     axes.set_title("least separation of each flight")
     airs: tuple[tuple[Air, str], ...] = (("exact", ""), ("noisy", ", noisy"))
     colours = {("paper", "exact"): "#d55e00", ("paper", "noisy"): "#f5b183",

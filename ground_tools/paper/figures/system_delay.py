@@ -48,8 +48,7 @@ class Bar:
     """Standard error; NaN if there is none."""
     low_ms: float
     high_ms: float
-    """End of the 95 % interval, which begins at `low_ms`. Both are the value itself if there is no
-    interval."""
+    """End of the 95 % interval that begins at `low_ms`. Without an interval, both are the value itself."""
 
 
 Table = dict[str, dict[str, Bar]]

@@ -138,8 +138,7 @@ def _against_fixed(madqn: Sequence[Run], iac: Sequence[Run], least: float) -> li
 
 
 def behind(run: Run) -> list[int]:
-    """Numbers (from 1) of the aircraft that are nearer to the published 200 ms than to the published 100
-    ms."""
+    """Numbers (from 1) of the aircraft that are nearer to the published 200 ms than to the 100 ms."""
     limit = (MADQN_MS + BEHIND_MS) / 2.0
     return [n for n, ms in enumerate(run.best_delay_uav_ms, 1) if ms > limit]
 
