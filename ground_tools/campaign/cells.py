@@ -1,4 +1,4 @@
-"""A campaign's cells: what is flown how often, and what came of it."""
+"""The cells of a campaign: which encounters are flown, and the outcome of each flight."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Flags = NDArray[np.bool_]
 Law = Literal["dmuca", "paper", "none"]
 LAWS: dict[Law, AvoidanceConfig] = {
     "dmuca": AvoidanceConfig(),
-    # The paper gives no parameters; these kept pairs apart most often of those that were tried.
+    # The paper gives no parameters; of those that were tried, these kept pairs apart most often.
     "paper": AvoidanceConfig(
         law="paper", horizon_s=30.0, period_s=0.2, n_noncollide=75, recovery_time_s=10.0
     ),
@@ -43,13 +43,13 @@ LAWS: dict[Law, AvoidanceConfig] = {
 }
 WORLDS = {
     "calm": World(),
-    # Gusts of 2 m/s where drag slows by 0.3 of the airspeed a second: 8 m/s of wind, a quarter in gusts.
+    # Gusts of 2 m/s, a quarter of a wind of 8 m/s, with a drag of 0.3 m/s^2 for each m/s of airspeed.
     "wind": World(gust_mps2=0.6),
     "clocks": World(clock_s=0.5),
     "velocity": World(own_sigma_mps=0.3),
     "layer": World(floor_m=70.0, ceiling_m=130.0),
     "blackout": World(blackout_s=10.0),
-    # One fence beside the paths, for those that all go along one line.
+    # One fence beside the paths; only for encounters whose paths all run along one line.
     "fence": World(),
     "all": World(gust_mps2=0.6, clock_s=0.5, own_sigma_mps=0.3, floor_m=70.0, ceiling_m=130.0),
 }
@@ -69,43 +69,43 @@ CREWED_MPS = 50.0
 FENCE_ASIDE_M = 20.0
 _FAR_M = 1e4
 _RESERVE = 0.6
-"""Planned speed over the greatest, where each aircraft has limits of its own."""
+"""Ratio of planned to greatest speed in encounters in which each aircraft has its own limits."""
 SEPARATION_M = 2.0 * AvoidanceConfig().conflict_radius_m
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
-    """Encounters of one kind, flown by one law in one world; seeds make them different."""
+    """Encounters of one kind, flown by one law in one world. They differ only in their seeds."""
 
     generator: str
     aircraft: int
     law: Law = "dmuca"
     speed_mps: float = 5.0
-    """Greatest speed of each."""
+    """Greatest speed of each aircraft."""
     delay_s: tuple[float, float] = (0.0, 1.0)
     loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
     intruders: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    """Share of the aircraft that do not avoid; the first ones."""
+    """Share of the aircraft that do not avoid. They have the lowest indices."""
     intruder: str = "blind"
-    """What they do, of `vehicles.INTRUDERS` and `vehicles.TWINS`."""
+    """Kind of those aircraft, a key of `vehicles.INTRUDERS` or `vehicles.TWINS`."""
     world: str = "calm"
-    """Of `WORLDS`."""
+    """A key of `WORLDS`."""
     reserve: bool = True
-    """False: nobody can fly faster than planned."""
+    """False: no aircraft can fly faster than planned."""
 
     @property
     def twins(self) -> bool:
-        """Whether two fly with one identity."""
+        """Whether two aircraft send the same identity."""
         return self.intruder in vehicles.TWINS and self.intruders > 0.0
 
     @property
     def name(self) -> str:
-        """Of its file; two cells with the same name are the same."""
+        """Name of the cell's file. Two cells with the same name are equal."""
         digest = hashlib.sha256(msgspec.json.encode(self)).hexdigest()[:8]
         return f"{self.generator}-{self.aircraft}-{self.law}-{digest}"
 
 
 class Row(msgspec.Struct, frozen=True, array_like=True):
-    """What came of one flight."""
+    """Outcome of one flight."""
 
     seed: int
     separation_m: float
@@ -114,11 +114,11 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     first: int
     second: int
     deviation_m: float
-    """Largest distance of any aircraft from its timed point."""
+    """Largest distance of any avoiding aircraft from its timed point."""
     away_s: float
-    """Longest time for which any of them was more than `outcome.AWAY_M` from it."""
+    """Longest time for which any avoiding aircraft was more than `outcome.AWAY_M` from its timed point."""
     back_m: float
-    """Largest distance from it at the end."""
+    """Largest distance of any avoiding aircraft from its timed point at the end."""
     lost_s: float
     """Largest delay of a path."""
     path_ratio: float
@@ -126,66 +126,69 @@ class Row(msgspec.Struct, frozen=True, array_like=True):
     infeasible: float
     """Share of decisions that could not keep every half-space."""
     recovery_s: float | None
-    """Longest time of any aircraft that avoids from its last conflict until it is within `regained_m` of its
-    timed point; 0 where there was none, None where one of them was not back at the end."""
+    """Longest time of any avoiding aircraft from its last conflict until it is within `regained_m` of its
+    timed point. 0 if there was no conflict; None if one of the aircraft was not back at the end."""
     crewed: float | None
-    """Least of the larger of horizontal and vertical distance from crewed traffic, in separations."""
+    """Least of the larger of horizontal and vertical distance from crewed traffic, in separations; None
+    without crewed traffic."""
     fence_m: float
-    """Farthest beyond a fence."""
+    """Largest distance beyond a fence."""
     lost: tuple[int, ...]
-    """Pairs that came nearer than they must, by number: (0, 1), (0, 2), (1, 2), (0, 3) and so on."""
+    """Numbers of the pairs that came nearer than `SEPARATION_M`, in the order (0, 1), (0, 2), (1, 2), (0, 3)
+    and so on."""
     alerts: tuple[int, ...]
-    """Pairs of which one that avoids was in conflict with the other, by number."""
+    """Pairs in which an avoiding aircraft was in conflict with the other one, by pair number."""
 
     @property
     def severity(self) -> float:
-        """Of the loss of separation: the share of what must hold that was lost, from 0 (none) to 1.
+        """Severity of the loss of separation: the lost share of the required distance, from 0 (none) to 1.
 
-        Where one distance must hold, this is the severity of the loss of well clear (SLoWC) of RTCA SC-228,
-        and the intrusion severity of the BlueSky simulator.
+        With a single required distance, this equals the severity of the loss of well clear (SLoWC) of RTCA
+        SC-228 and the intrusion severity of the BlueSky simulator.
         """
         return max(0.0, 1.0 - self.separation_m / SEPARATION_M)
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """All of one flight."""
+    """Complete record of one flight."""
 
     row: Row
     world: World
     avoidance: AvoidanceConfig
     limits: tuple[LimitsConfig, ...]
-    """Of each aircraft."""
+    """Limits of each aircraft."""
     fence: NDArray[np.float64]
-    """As of `kernels.decide`."""
+    """The argument `fence` of `kernels.decide`."""
     times: NDArray[np.float64]
-    """(A, K): of the paths, s."""
+    """(A, K): times of the paths, s."""
     points: NDArray[np.float64]
-    """(A, K, 3), NED, m."""
+    """(A, K, 3): waypoints of the paths, NED, m."""
     kinds: NDArray[np.float64]
-    """(A,): `vehicles.AVOIDS`, or what else an aircraft is."""
+    """(A,): `vehicles.AVOIDS`, or another kind of aircraft."""
     trace: NDArray[np.float64]
     """(steps, A, 3): true positions at the end of each step."""
     decided: NDArray[np.float64]
-    """(decisions, A, flight.DECIDED_COLUMNS)."""
+    """(decisions, A, flight.DECIDED_COLUMNS): own state and result of each decision."""
     seen: NDArray[np.float64]
-    """(decisions, A, A, flight.SEEN_COLUMNS), NaN where nothing was heard."""
+    """(decisions, A, A, flight.SEEN_COLUMNS): the other aircraft at each decision; NaN where no message was
+    received."""
 
 
 def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
-    """Fly encounters.
+    """Fly the encounters of a cell for the given seeds.
 
     Raises:
-        ConfigError: the generator cannot draw one.
+        ConfigError: the generator cannot draw one of them.
     """
     return [_fly(cell, seed, looked=False).row for seed in seeds]
 
 
 def look(cell: Cell, seed: int) -> Look:
-    """Fly one encounter and write everything down; the flight is the one that `fly` flies.
+    """Fly one encounter and record everything. The flight is identical to the one that `fly` flies.
 
     Raises:
-        ConfigError: the generator cannot draw it.
+        ConfigError: the generator cannot draw the encounter.
     """
     return _fly(cell, seed, looked=True)
 
@@ -255,11 +258,12 @@ def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
 
 
 def _crewed_ways(times: Table, points: Table, crewed: Flags, seed: int) -> Table:
-    """Level and straight at CREWED_MPS through the middle of the others' ways, from anywhere.
+    """Waypoints of the crewed aircraft: level and straight at `CREWED_MPS` through the mean position of the
+    others at the middle of the flight, with random headings.
 
     Args:
         times, points: shapes (A, K) and (A, K, 3).
-        crewed: shape (A,), which of them are crewed.
+        crewed: shape (A,), which of the aircraft are crewed.
     """
     rng = np.random.default_rng([seed, 8])
     middle = 0.5 * (times.min() + times.max())
@@ -274,10 +278,10 @@ def _crewed_ways(times: Table, points: Table, crewed: Flags, seed: int) -> Table
 
 
 def _fence_beside(points: Table) -> Table:
-    """One inclusion area whose border runs beside all paths, to the right of the first one.
+    """One inclusion area with a border beside all paths and parallel to them, to the right of the first one.
 
     Raises:
-        ConfigError: the paths do not go along one line.
+        ConfigError: the paths do not run along one line.
     """
     along = points[0, -1, :2] - points[0, 0, :2]
     along = along / np.linalg.norm(along)
@@ -295,13 +299,13 @@ def _fence_beside(points: Table) -> Table:
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:
-    """The file of a cell, its rows by seed.
+    """The stored results of a cell, its rows by seed.
 
     Args:
-        folder: is there.
+        folder: an existing folder.
 
     Raises:
-        ConfigError: it was flown by another state of the law or the world, or cannot be read.
+        ConfigError: the results come from another state of the law or the world, or cannot be read.
     """
     header = {
         **msgspec.to_builtins(cell),
@@ -312,7 +316,11 @@ def kept(folder: Path, cell: Cell) -> Kept[Row]:
 
 
 def software(*, twins: bool = False) -> str:
-    """The state of law, world and encounters that flights hang on; with twins that of the tracks, too."""
+    """Digest of the source code of law, world and encounters, on which the flights depend.
+
+    Args:
+        twins: also include the source code of the tracks.
+    """
     modules = [trajectory, config, flight, generators, scenario]
     if twins:
         modules += _TRACKS
@@ -323,7 +331,11 @@ def software(*, twins: bool = False) -> str:
 
 
 def baseline(cell: Cell) -> Cell:
-    """The same encounters, nobody avoiding; nothing hangs on the air then, nor on who would have avoided."""
+    """The same encounters without avoidance.
+
+    Delays and losses are reset, and so are intruders that merely fly their path: without avoidance they make
+    no difference, and equal baselines are flown only once.
+    """
     turning = cell.intruder in ("turning", "frozen", "crewed", "barometric") and cell.intruders > 0.0
     return msgspec.structs.replace(
         cell,
@@ -336,21 +348,21 @@ def baseline(cell: Cell) -> Cell:
 
 
 def duration_s(cell: Cell) -> float:
-    """Of one flight."""
+    """Duration of one flight of a cell."""
     times, _ = draw(cell.generator, cell.aircraft, cell.speed_mps, 1)
     return float(times.max() - times.min())
 
 
 def lost(rows: Sequence[Row]) -> int:
-    """Flights in which a pair came nearer than it must."""
+    """Number of flights in which a pair came nearer than `SEPARATION_M`."""
     return sum(row.separation_m < SEPARATION_M for row in rows)
 
 
 def collided(rows: Sequence[Row]) -> int:
-    """Flights in which a pair hit."""
+    """Number of flights in which a pair came nearer than `outcome.COLLISION_M`."""
     return sum(row.separation_m < outcome.COLLISION_M for row in rows)
 
 
 def median(values: Sequence[float]) -> float:
-    """NaN of nothing."""
+    """The median, NaN if there are no values."""
     return float(np.median(values)) if values else math.nan

@@ -1,4 +1,4 @@
-"""`ground-tools campaign`: encounters flown by the thousand, and what the law is worth."""
+"""The command `ground-tools campaign`: flies thousands of encounters and reports what the law is worth."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ _MOST_SEEDS = 1_000_000
 _MOST_AIRCRAFT = 200
 _MOST_WORST = 1000
 _AIRCRAFT_AT_ONCE = 500
-"""Aircraft that a worker flies before it hands over what came of them."""
+"""Number of aircraft that a worker flies before it returns their results."""
 _INTRUDERS = (*INTRUDERS, *TWINS)
 _FENCES_AT_ONCE = 20
 _TWINS_LONGER = 50
-"""Times as long as others a flight with twins takes."""
+"""Duration of computing a flight with twins, relative to other flights."""
 
 Part = tuple[Cell, list[int]]
-"""What a worker flies at once: seeds of a cell."""
+"""One unit of work for a worker: some seeds of a cell."""
 Work = Callable[[Sequence[Part]], Iterator[tuple[Part, list[Row]]]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The commands under `campaign`."""
+    """Add the subcommands of `ground-tools campaign`."""
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     command = commands.add_parser(
         "run",
@@ -121,7 +121,7 @@ def _add_common(command: argparse.ArgumentParser, seeds: str) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools campaign run`. Returns 0.
+    """Run `ground-tools campaign run`. Returns 0.
 
     Raises:
         ConfigError: an option is wrong, or a file cannot be read or written.
@@ -153,7 +153,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def run_table(args: argparse.Namespace) -> int:
-    """`ground-tools campaign table`. Returns 0.
+    """Run `ground-tools campaign table`. Returns 0.
 
     Raises:
         ConfigError: an option is wrong, or a file cannot be read or written.
@@ -173,7 +173,7 @@ def run_table(args: argparse.Namespace) -> int:
 
 
 def run_fences(args: argparse.Namespace) -> int:
-    """`ground-tools campaign fences`. Prints one JSON object; returns 0.
+    """Run `ground-tools campaign fences`. Prints one JSON object and returns 0.
 
     Raises:
         ConfigError: an option is wrong.
@@ -198,11 +198,11 @@ def _fly_fences(seeds: Sequence[int], *, noisy: bool, outside: bool) -> list[fen
 def fly_missing(
     wanted: Sequence[Cell], seeds: Sequence[int], folder: Path | None, work: Work
 ) -> tuple[dict[Cell, list[Row]], int]:
-    """The rows of every cell, in the order of the seeds, and how many of them were flown now.
+    """Fly the missing rows of every cell. Returns all rows, in the order of the seeds, and the number flown.
 
     Args:
-        folder: where rows are kept and looked for; None: nowhere.
-        work: who flies.
+        folder: folder in which rows are stored and looked up; None: rows are not stored.
+        work: function that flies the units of work.
 
     Raises:
         ConfigError: a file cannot be read or written, or an encounter cannot be drawn.
@@ -229,13 +229,13 @@ def fly_missing(
 
 
 def _work(args: argparse.Namespace, words: Console) -> Work:
-    """Who flies: processes of this machine, or a cluster."""
+    """The function that flies: with processes of this machine or on a cluster."""
     if args.ray is None:
         processes = _processes(args.processes)
 
         def here(parts: Sequence[Part]) -> Iterator[tuple[Part, list[Row]]]:
             for cell, seeds in parts[:1]:
-                campaign.fly(cell, seeds[:1])  # compiled once, for all workers
+                campaign.fly(cell, seeds[:1])  # compiles once, for all workers
             return in_parallel(_fly, parts, processes, words)
 
         return here
@@ -249,20 +249,21 @@ def _fly(part: Part) -> list[Row]:
 
 
 def _state() -> str:
-    """What rows hang on. All that flies is compiled then, and kept for the other workers of the machine."""
+    """The versions of all software that the rows depend on. Also compiles the flight code once, so that the
+    cached result serves the other workers of the machine."""
     campaign.fly(Cell(generator="crossing", aircraft=2), [1])
     return f"{campaign.software(twins=True)}, numba {numba.__version__}, numpy {np.__version__}"
 
 
 def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
-    """What is printed of one cell, beside the same encounters without avoidance."""
+    """The reported results of one cell, compared with the same encounters without avoidance."""
     losses, losses_unavoided = campaign.lost(rows), campaign.lost(unavoided)
     low, high = wilson(losses, len(rows))
     share = losses_unavoided / len(unavoided)
     severities = [row.severity for row in rows if row.severity > 0.0]
     recovery = campaign.median([math.inf if row.recovery_s is None else row.recovery_s for row in rows])
     alerts = sum(len(row.alerts) for row in rows)
-    # Rows of both come in the order of the seeds.
+    # Both lists of rows are in the order of the seeds.
     false = sum(len(set(row.alerts) - set(other.lost)) for row, other in zip(rows, unavoided, strict=True))
     return {
         "runs": len(rows),
@@ -275,7 +276,7 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
         "unavoided_median_min_separation_m": campaign.median([row.separation_m for row in unavoided]),
         "worst_seed": min(rows, key=lambda row: row.separation_m).seed,
         "risk_ratio": losses / len(rows) / share if share else None,
-        # Of the avoided share alone: that of the unavoided is near 1, and known far better.
+        # Only the uncertainty of the share with avoidance: the share without is near 1 and known far better.
         "risk_ratio_interval": [low / share, high / share] if share else None,
         "median_max_deviation_m": campaign.median([row.deviation_m for row in rows]),
         "median_away_s": campaign.median([row.away_s for row in rows]),
@@ -297,7 +298,7 @@ def summary(rows: Sequence[Row], unavoided: Sequence[Row]) -> dict[str, Any]:
 
 
 def _crewed_losses(rows: Sequence[Row]) -> int:
-    """Flights in which both separations from crewed traffic were lost at once."""
+    """Number of flights in which both separations from crewed traffic were lost at the same time."""
     return sum(row.crewed is not None and row.crewed < 1.0 for row in rows)
 
 
@@ -364,7 +365,7 @@ def _processes(asked: int | None) -> int:
 
 
 def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
-    """The same in words."""
+    """Print the report for people."""
     low, high = cell.delay_s
     r = report
     lines = [

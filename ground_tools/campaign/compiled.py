@@ -1,4 +1,4 @@
-"""numba for functions of the campaign that call the law's kernels."""
+"""numba compilation of the campaign's functions that call the law's kernels."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ SOURCES = (
     *(Path(str(module.__file__)) for module in (law, adsb, right_of_way)),
     *(Path(__file__).with_name(f"{name}.py") for name in ("world", "vehicles", "outcome")),
 )
-"""What is compiled into functions of other files."""
+"""Source files whose functions and constants are compiled into functions of other files."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
 
 
 def compiled(**options: Any) -> Callable[[Function], Function]:
-    """With a cache for each state of the law and the world: numba looks only at the file of the function that
-    is called, and what is compiled here holds functions and numbers from beside it, too."""
+    """numba's `njit` with a separate cache folder for each state of the law and the world.
+
+    numba's own cache checks only the file of the function that is called, but the code compiled here also
+    contains functions and constants of other files.
+    """
 
     def decorate(function: Function) -> Function:
         held = vars(config)["CACHE_DIR"]

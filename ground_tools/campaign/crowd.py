@@ -1,11 +1,13 @@
-"""One step of a crowd: every aircraft's neighbours from a grid, its half-spaces, its new velocity.
+"""One step of a crowd: each aircraft's neighbours from a grid, its half-spaces and its new velocity.
 
-Plain ORCA for thousands of aircraft that know each other exactly: the half-spaces and the programs are the
-companion's (`companion.avoidance.kernels`); messages, margins and paths are what `flight` is for. One step
-reads one state for all and writes one velocity each, so the order of the aircraft means nothing.
+This is plain ORCA for thousands of aircraft that know each other's state exactly. Half-spaces and linear
+programs are the companion's (`companion.avoidance.kernels`); messages, margins and paths are left to
+`flight`. A step reads one common state and writes one velocity for each aircraft, so the order of the
+aircraft does not matter.
 
-The grid is a torus of cubes a little wider than the reach: a cube's index counts modulo the torus' size,
-so that any layout fits into the same arrays; strangers that share a cube are told apart by their distance.
+The grid is a torus of cubes that are slightly wider than the reach. A cube's index is taken modulo the size
+of the torus, so that any layout fits into the same arrays. Aircraft that are far apart and share a cube are
+distinguished by their distance.
 """
 
 from __future__ import annotations
@@ -23,16 +25,17 @@ Integers = NDArray[np.int64]
 _compiled = compiled(_nrt=False)
 
 FARTHEST = 1e6
-"""Coordinates up to this many times the reach are taken."""
+"""Largest accepted coordinate, in multiples of the reach."""
 # Entries of `limits`.
 C_RADIUS, C_SPEED, C_HORIZON, C_OVERLAP, C_REACH = range(5)
 _WIDER = 1.0 + 1e-6
-"""A cube over the reach: rounding at a border then loses nobody, up to the farthest coordinate."""
+"""Ratio of cube width to reach. Above 1, so that rounding at a cube's border loses no neighbour, up to the
+farthest coordinate."""
 
 
 @_compiled
 def _cube(x: float, width: float, side: int) -> int:
-    """Along one axis, the index of the cube that a coordinate lies in."""
+    """Index, along one axis, of the cube that contains a coordinate."""
     return math.floor(x / width) % side
 
 
@@ -40,10 +43,11 @@ def _cube(x: float, width: float, side: int) -> int:
 def _urgency(
     px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, tau: float
 ) -> float:
-    """What neighbours are ranked by, least first; computed without a branch.
+    """Key by which neighbours are ranked, lowest first; computed without a branch.
 
-    Those that overlap, by depth (at most 0); those whose volume is entered within tau as both fly now, by the
-    time until then; all others by distance. The nearest alone would drop a fast one from afar.
+    Overlapping neighbours come first, by depth (at most 0). Next come those whose volume would be entered
+    within tau at the current velocities, by the time until then, and then all others, by distance. Ranking by
+    distance alone would drop a fast, distant neighbour.
     """
     p2 = px * px + py * py + pz * pz
     gap2 = p2 - radius * radius
@@ -57,7 +61,8 @@ def _urgency(
 
 @_compiled
 def _first(place: Array, key: Array, near: Integers, slot: int, urgency: float, j: int) -> bool:
-    """Whether row j comes before the one in a slot; as urgent ones by place and velocity, never by number."""
+    """Whether row j ranks before the row in a slot. Equally urgent rows are ordered by position and velocity,
+    never by their number."""
     if urgency != key[slot]:
         return bool(urgency < key[slot])
     for c in range(6):
@@ -68,7 +73,8 @@ def _first(place: Array, key: Array, near: Integers, slot: int, urgency: float, 
 
 @_compiled
 def _within(row: int, begin: int, end: int, place: Array, reach2: float, near: Integers, count: int) -> int:
-    """Append what of rows begin to end is within reach of `row`, itself, too, to the `count` of `near`."""
+    """Append those of the rows from `begin` to `end` that are within reach of `row`, which may include `row`
+    itself, to the first `count` entries of `near`. Returns the new count."""
     x, y, z = place[row, 0], place[row, 1], place[row, 2]
     for j in range(begin, end):
         px, py, pz = place[j, 0] - x, place[j, 1] - y, place[j, 2] - z
@@ -81,7 +87,7 @@ def _within(row: int, begin: int, end: int, place: Array, reach2: float, near: I
 def _neighbours(
     row: int, start: Integers, place: Array, limits: Array, side: int, most: int, key: Array, near: Integers
 ) -> int:
-    """The most urgent rows within reach of `row`, most urgent first, into `near`; how many."""
+    """Write the most urgent rows within reach of `row` to `near`, most urgent first. Returns their number."""
     reach2, width = limits[C_REACH] * limits[C_REACH], limits[C_REACH] * _WIDER
     x, y, z = place[row, 0], place[row, 1], place[row, 2]
     cx, cy, cz = _cube(x, width, side), _cube(y, width, side), _cube(z, width, side)
@@ -90,7 +96,7 @@ def _neighbours(
         bx = ax + side if ax < 0 else (ax - side if ax >= side else ax)
         for ay in range(cy - 1, cy + 2):
             by = ay + side if ay < 0 else (ay - side if ay >= side else ay)
-            # Along z the cubes are neighbours in memory, but for where the torus closes.
+            # Cubes that are neighbours along z are adjacent in memory, except where the torus closes.
             base = (bx * side + by) * side
             low, high = start[base + max(cz - 1, 0)], start[base + min(cz + 2, side)]
             count = _within(row, low, high, place, reach2, near, count)
@@ -129,7 +135,8 @@ def _sort(
 ) -> None:  # fmt: skip
     """Counting sort of the aircraft into the cubes of the torus.
 
-    Cube c gets rows start[c] to start[c + 1] of `place` (position and velocity) and of `who` (its number).
+    Cube c gets rows start[c] to start[c + 1] of `place` (position and velocity) and of `who` (index of the
+    aircraft).
     """
     start[:] = 0
     for i in range(len(position)):
@@ -141,7 +148,7 @@ def _sort(
     for index in range(2, len(start)):
         start[index] += start[index - 1]
     for i in range(len(position)):
-        row = start[cell[i] + 1]  # moves on to the cube's end
+        row = start[cell[i] + 1]  # advances to the end of the cube
         start[cell[i] + 1] += 1
         who[row] = i
         for c in range(3):
@@ -153,7 +160,11 @@ def _step(
     position: Array, velocity: Array, wish: Array, limits: Array, side: int, cell: Integers, start: Integers,
     place: Array, who: Integers, key: Array, near: Integers, planes: Array, scratch: Array, new: Array,
 ) -> int:  # fmt: skip
-    """New velocities of all; -1, or the number of an aircraft whose state is refused: nothing is written."""
+    """Compute the new velocities of all aircraft.
+
+    Returns:
+        -1, or the number of an aircraft whose state is invalid; then nothing is written.
+    """
     farthest = FARTHEST * limits[C_REACH]
     for i in range(len(position)):
         for c in range(3):
@@ -178,7 +189,7 @@ def _step(
 
 
 class Crowd:
-    """The arrays in which the steps of a crowd are computed; a step allocates none."""
+    """Computes the steps of a crowd in preallocated arrays; a step allocates none."""
 
     def __init__(
         self,
@@ -193,15 +204,16 @@ class Crowd:
     ) -> None:
         """
         Args:
-            aircraft: how many.
-            radius_m: combined radius R of two.
+            aircraft: number of aircraft.
+            radius_m: combined radius R of two aircraft.
             speed_mps: greatest speed.
-            horizon_s: tau.
-            overlap_s: time in which those that overlap are to separate.
-            reach_m: neighbours are looked for within it. Nobody on a collision course within tau is missed
-                with R + tau times the greatest relative speed.
-            neighbours: most that are taken, the most urgent ones: those that overlap, by depth; those that
-                meet within tau as both fly now, by the time; the others, by distance.
+            horizon_s: time horizon tau.
+            overlap_s: time in which overlapping aircraft are to separate.
+            reach_m: radius of the search for neighbours. With R + tau times the greatest relative speed, no
+                neighbour on a collision course within tau is missed.
+            neighbours: largest number of neighbours that are considered. The most urgent ones are taken:
+                those that overlap, by depth; those that meet within tau at the current velocities, by the
+                time until then; the others, by distance.
 
         Raises:
             ValueError: a number is not above 0.
@@ -222,16 +234,16 @@ class Crowd:
         self._planes, self._scratch = np.zeros((neighbours, 4)), np.zeros((neighbours, 4))
 
     def step(self, position: Array, velocity: Array, wish: Array, new: Array) -> None:
-        """Every aircraft's ORCA velocity, all from the same state.
+        """Compute the ORCA velocity of every aircraft, all from the same state.
 
         Args:
             position: shape (aircraft, 3), m, coordinates up to FARTHEST times the reach.
             velocity: shape (aircraft, 3), m/s.
-            wish: shape (aircraft, 3), the velocities that they would fly alone, m/s.
+            wish: shape (aircraft, 3), the preferred velocities without other aircraft, m/s.
             new: shape (aircraft, 3), m/s; written.
 
         Raises:
-            ValueError: a shape is another one, a number is not finite, or a position is too far away.
+            ValueError: a shape is wrong, a number is not finite, or a position is too far away.
         """
         for name, array in (("position", position), ("velocity", velocity), ("wish", wish), ("new", new)):
             if array.shape != (len(self._who), 3):

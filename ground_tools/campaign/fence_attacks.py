@@ -1,4 +1,4 @@
-"""Attacks on fences: random areas, paths close to their borders, neighbours that press an aircraft out."""
+"""Attacks on fences: random areas, paths close to their borders, and neighbours that push an aircraft out."""
 
 from __future__ import annotations
 
@@ -31,32 +31,33 @@ WORLD = World()
 _MESSAGE_S = 1.0
 _TRIES = 400
 _OUT_M = 8.0
-"""Most that a flight that begins outside begins beyond a border."""
+"""Largest distance beyond a border at which a flight begins that begins outside."""
 
 
 class Encounter(msgspec.Struct, frozen=True, kw_only=True):
-    """One attack, drawn."""
+    """One attack as it was drawn."""
 
     areas: tuple[FenceArea, ...]
     path: Trajectory
     start_s: float
     limits: LimitsConfig
     acceleration_mps2: float
-    """Of the vehicle; at least that of the limits."""
+    """Acceleration that the vehicle is capable of; at least that of the limits."""
     others: Others
     sigma_m: float
-    """Of navigation, declared and true; 0: none."""
+    """Standard deviation of the navigation error, both declared and true; 0: no error."""
     floor_down_m: float | None
     ceiling_down_m: float | None
     out_m: float
-    """How far beyond the nearest border it begins, at rest; 0: on the path, at its speed."""
+    """Distance beyond the nearest border at which the flight begins, at rest; 0: it begins on the path, at
+    the path's speed."""
 
 
 # ---------------------------------------------------------------- drawing
 
 
 def draw(rng: np.random.Generator, *, noisy: bool, outside: bool) -> Encounter:
-    """An attack; what cannot be flown is drawn again."""
+    """Draw an attack. A draw that cannot be flown is repeated."""
     anyhow = rng.random() < 0.1
     while True:
         speed = rng.uniform(3.0, 20.0)
@@ -94,7 +95,7 @@ def draw(rng: np.random.Generator, *, noisy: bool, outside: bool) -> Encounter:
 
 
 def _areas(rng: np.random.Generator, size: float) -> tuple[FenceArea, ...]:
-    """One inclusion area, or exclusion areas, or both; the origin lies about in the middle."""
+    """One inclusion area, or exclusion areas, or both. The origin lies roughly in the middle."""
     kind = rng.integers(0, 4)
     found = []
     if kind != 1:
@@ -119,7 +120,7 @@ def _area(rng: np.random.Generator, inclusion: bool, middle: tuple[float, float]
 
 
 def _wedge(rng: np.random.Generator, size: float) -> list[tuple[float, float]]:
-    """A triangle with one corner of 15 to 120 degrees, turned anyhow."""
+    """A triangle with one corner of 15 to 120 degrees, in a random orientation."""
     half = 0.5 * rng.uniform(LEAST_CORNER_RAD, math.radians(120.0))
     turn, long = rng.uniform(0.0, 2.0 * math.pi), 2.0 * size
     tip = complex(1.2 * size, 0.0)
@@ -128,7 +129,7 @@ def _wedge(rng: np.random.Generator, size: float) -> list[tuple[float, float]]:
 
 
 def _star(rng: np.random.Generator, size: float, inclusion: bool) -> list[tuple[float, float]]:
-    """A polygon around the origin whose corners on the aircraft's side are not too sharp."""
+    """A polygon around the origin whose corners on the aircraft's side exceed `LEAST_CORNER_RAD`."""
     for _ in range(_TRIES):
         count = int(rng.integers(3, 11))
         bearing = np.sort(rng.uniform(0.0, 2.0 * math.pi, count))
@@ -146,7 +147,8 @@ def _star(rng: np.random.Generator, size: float, inclusion: bool) -> list[tuple[
 def _path(
     rng: np.random.Generator, areas: Sequence[FenceArea], size: float, speed: float, margin: float
 ) -> Trajectory | None:
-    """Legs that keep their margin, half of them as long as that lets them be; None: none was found."""
+    """A path whose legs keep the margin to all borders; half of the legs are as long as the margin permits.
+    None if none was found."""
     rows = [(area, np.array(walls._walls(0, area, FRAME))) for area in areas]
 
     def kept(a: Array, b: Array) -> bool:
@@ -185,8 +187,8 @@ def _start(
     acceleration: float,
     anyhow: bool,
 ) -> float | None:
-    """When on the path it is taken over: where it could still stop straight ahead, after a second, or
-    anywhere; None: nowhere."""
+    """Time on the path at which the aircraft is taken over: where it could still stop straight ahead after
+    one more second, or anywhere if `anyhow`. None if no such time was found."""
     rows = [(area, np.array(walls._walls(0, area, FRAME))) for area in areas]
     for _ in range(20):
         start = float(rng.uniform(0.0, 0.6 * path.times_s[-1]))
@@ -201,7 +203,7 @@ def _start(
 
 
 class Traffic:
-    """What the aircraft hears, told anew every second."""
+    """The neighbours that the aircraft receives, updated every second."""
 
     def __init__(self, rng: np.random.Generator, one: Encounter, fence: Array) -> None:
         self._rng, self._one, self._fence = rng, one, fence
@@ -212,7 +214,7 @@ class Traffic:
         self._places, self._ways = np.zeros((self._count, 3)), np.zeros((self._count, 3))
 
     def heard(self, now_s: float, position: Array, velocity: Array) -> list[Neighbour]:
-        """The neighbours of a decision at a time, made from the aircraft's true state, NED."""
+        """The neighbours for a decision at a time, constructed from the aircraft's true state, NED."""
         if now_s >= self._next_s and self._count:
             first = self._next_s == -math.inf
             self._next_s, passed = now_s + _MESSAGE_S, now_s - self._at_s
@@ -230,7 +232,8 @@ class Traffic:
         return [Neighbour(f"n{i}", place, way, age, sigma) for i, (place, way) in enumerate(self._heard)]
 
     def _meet(self, position: Array, velocity: Array) -> None:
-        """Straight and level through where the aircraft will be, each from somewhere and at some time."""
+        """Place neighbours that fly straight and level through the aircraft's predicted position, each with a
+        random heading and meeting time."""
         speed = self._one.limits.max_speed_mps
         for i in range(self._count):
             ahead, bearing = self._rng.uniform(2.0, 20.0), self._rng.uniform(0.0, 2.0 * math.pi)
@@ -239,7 +242,7 @@ class Traffic:
             self._places[i] = position + ahead * (velocity - self._ways[i])
 
     def _turn(self, position: Array) -> None:
-        """Each turns towards the aircraft, or anywhere, by up to 60 degrees."""
+        """Turn each neighbour by up to 1 rad, towards the aircraft or in a random direction."""
         for i in range(self._count):
             way, to = self._ways[i], position - self._places[i]
             turn = self._rng.uniform(-1.0, 1.0)
@@ -250,7 +253,8 @@ class Traffic:
             way[0], way[1] = c * way[0] - s * way[1], s * way[0] + c * way[1]
 
     def _push(self, position: Array, velocity: Array) -> None:
-        """Between the aircraft and what is inside: towards the nearest border, or into the nearest corner."""
+        """Place ghosts between the aircraft and the inside of the area, so that they push it towards the
+        nearest border or into the nearest corner."""
         n, e = float(position[0]), float(position[1])
         best, out = math.inf, (1.0, 0.0)
         for row in self._fence:
@@ -273,6 +277,6 @@ class Traffic:
 
 
 def vec(v: Array) -> Vec3:
-    """The same as three numbers."""
+    """A vector as a tuple of three numbers."""
     n, e, d = v.tolist()
     return n, e, d

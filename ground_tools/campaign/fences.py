@@ -1,8 +1,8 @@
-"""Attacks on fences, flown: whether an aircraft crosses, whatever its neighbours do.
+"""Flown attacks on fences: whether the behaviour of the neighbours can make an aircraft cross its fence.
 
-The vehicle is the campaign's: it answers a velocity with a lag, and never accelerates faster than it can. A
-flight that was taken over in a state from which no use of the acceleration limit stays inside crosses; those
-are counted apart.
+The vehicle is that of the campaign: it follows a velocity command with a lag and a limited acceleration. Some
+flights begin in a state from which no use of the acceleration limit stays inside. Their crossings are counted
+separately.
 """
 
 from __future__ import annotations
@@ -40,28 +40,29 @@ _TURNS = 9
 
 
 class Row(msgspec.Struct, frozen=True):
-    """What came of one."""
+    """Outcome of one attack."""
 
     seed: int
     others: Others
     shape: str
     crossed_m: float
-    """Farthest beyond a border, in true positions; 0: never."""
+    """Largest distance beyond a border, from true positions; 0 if it never crossed."""
     error_m: float
-    """Largest horizontal error of navigation."""
+    """Largest horizontal navigation error."""
     further_m: float
-    """Of a flight that begins outside: how much farther out it went than it began."""
+    """For a flight that begins outside: how much farther out it went than where it began."""
     back_s: float
-    """Of such a flight: until it was inside; infinite: never."""
+    """For a flight that begins outside: time until it was inside; infinite if it never was."""
     could_stop: bool
-    """Whether it could have stopped straight on at the acceleration limit from where it was taken over; asked
-    only where it crossed."""
+    """Whether it could have stayed inside by stopping straight ahead at the acceleration limit from the state
+    in which it was taken over. Computed only for flights that begin inside and cross; otherwise False."""
     avoidable: bool
-    """Whether some use of the acceleration limit from there would have stayed inside; asked likewise."""
+    """Whether an acceleration in some direction at the limit, followed by a stop, would have stayed inside
+    from that state. Computed only for flights that begin inside and cross; otherwise False."""
 
     @property
     def over_m(self) -> float:
-        """How much farther beyond a border it was than its navigation erred; 0 or less: not."""
+        """Distance beyond a border in excess of the navigation error; 0 or less means none."""
         return self.crossed_m - self.error_m if self.crossed_m > 0.0 else 0.0
 
 
@@ -69,8 +70,8 @@ def fly(seed: int, *, noisy: bool = False, outside: bool = False) -> Row:
     """Draw and fly one attack.
 
     Args:
-        noisy: navigation errs by the campaign's GNSS error.
-        outside: it begins beyond a border, where ghosts push it further out.
+        noisy: navigation has the campaign's GNSS error.
+        outside: the flight begins beyond a border, and ghosts push the aircraft further out.
     """
     rng = np.random.default_rng([seed, 11, noisy, outside])
     one = draw(rng, noisy=noisy, outside=outside)
@@ -125,7 +126,8 @@ def _fly(seed: int, one: Encounter, rng: np.random.Generator) -> Row:
 def _moved(
     position: Array, velocity: Array, command: Array, lag: float, acceleration: float, step: float
 ) -> tuple[Array, Array]:
-    """One step of the campaign's vehicle (`vehicles.move`); arrays of shape (..., 3)."""
+    """Position and velocity after one step of the campaign's vehicle (`vehicles.move`); arrays of shape
+    (..., 3)."""
     answer = (command - velocity) / lag
     size = np.linalg.norm(answer, axis=-1, keepdims=True)
     answer = answer * np.minimum(1.0, acceleration / np.maximum(size, 1e-12))
@@ -133,7 +135,7 @@ def _moved(
 
 
 def _displaced(rng: np.random.Generator, fence: Array, position: Array, out_m: float) -> Array:
-    """A point beyond some border, as far as asked for."""
+    """A random point beyond some border by at most `out_m`; the given position if none was found."""
     for _ in range(_TRIES):
         row = fence[int(rng.integers(0, len(fence)))]
         if row[k.W_KIND] >= k.IN_CIRCLE:
@@ -151,10 +153,10 @@ def _displaced(rng: np.random.Generator, fence: Array, position: Array, out_m: f
 
 
 def _avoidable(one: Encounter, fence: Array, position: Array, velocity: Array, *, turns: int) -> bool:
-    """Whether turning at the acceleration limit to some side for a time, and then stopping, stays inside.
+    """Whether accelerating in some direction at the limit for a time, and then stopping, stays inside.
 
     Args:
-        turns: times tried; 1: stopping at once.
+        turns: number of durations that are tried; 1 tries only stopping at once.
     """
     lag, step = WORLD.lag_s, WORLD.step_s
     longest = 1.5 * float(np.linalg.norm(velocity)) / one.limits.max_acceleration_mps2
@@ -186,10 +188,11 @@ def _shape(areas: Sequence[FenceArea]) -> str:
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """What is said of many, by what the others did.
+    """Summary of many attacks, by the behaviour of the neighbours.
 
-    Crossings count where they are farther than navigation erred, by the states in which the flights were
-    taken over: from which it could stop, from which only something else would have helped, and nothing.
+    A crossing counts if it is farther than the navigation error. Crossings are divided by the state in which
+    the flight was taken over: stopping would have stayed inside, only another manoeuvre would have, or
+    nothing would.
     """
     found: dict[str, Any] = {"runs": len(rows)}
     for others in OTHERS:
@@ -210,7 +213,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def summary_outside(rows: Sequence[Row]) -> dict[str, Any]:
-    """What is said of many that begin outside."""
+    """Summary of many attacks that begin outside."""
     further = sorted(row.further_m for row in rows)
     back = [row.back_s for row in rows if math.isfinite(row.back_s)]
     return {

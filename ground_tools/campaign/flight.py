@@ -1,6 +1,6 @@
-"""One flight of a fleet, all in compiled code: `vehicles` in a `world`, and the companion's own law.
+"""One flight of a fleet, entirely in compiled code: `vehicles` in a `world`, with the companion's own law.
 
-The decision is `companion.avoidance.kernels.decide`, as it flies.
+The decision function is `companion.avoidance.kernels.decide`, the same that the companion uses in flight.
 """
 
 from __future__ import annotations
@@ -48,15 +48,17 @@ Array = NDArray[np.float64]
 
 CREWED_SHARE = share_of(FREE, CREWED_RANK)
 _TURN_S = 4.0
-"""Between two changes of mind of one that turns."""
+"""Time between two random changes of course of a turning aircraft."""
 _TURN_RAD = math.radians(60.0)
-"""Most that it turns off its way to the path."""
+"""Largest angle by which a turning aircraft turns away from its course to the path."""
 _BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S = 15.0, 5.0
 """A loss of GNSS begins between these times before and after the middle of the flight."""
 _FIT_AGAIN_S = 4.0
-"""From GNSS regained to the next command: the heart waits for a steady state, then takes the vehicle anew."""
-# Columns of what a decision saw of another: when the message was sent (s), then its rows of `neighbours` and
-# of `view`. In the own place stand time, position and velocity of the own last message.
+"""Time from the return of GNSS to the next command: the companion waits for a steady state and then takes
+control of the vehicle again."""
+# Columns of what a decision saw of another aircraft: the time at which its message was sent (s), then its row
+# of `neighbours` and its row of `view`. The aircraft's own place holds time, position and velocity of its own
+# latest message.
 SEEN_MESSAGE, SEEN_NEIGHBOUR = 0, 1
 SEEN_VIEW = SEEN_NEIGHBOUR + k.NEIGHBOUR_COLUMNS
 SEEN_COLUMNS = SEEN_VIEW + k.VIEW_COLUMNS
@@ -85,18 +87,18 @@ def fly(
     """Fly a fleet along its paths.
 
     Args:
-        rng: every draw of the flight.
+        rng: source of all random draws of the flight.
         world: WORLD_ENTRIES values.
         path_times, path_points: shapes (A, K) and (A, K, 3): each aircraft's timed path, NED.
-        fence: as of `kernels.decide`, the same for all.
-        settings: shape (A, SETTINGS_ENTRIES): each aircraft's law.
-        kinds: shape (A,): AVOIDS, or what else an aircraft is.
-        trace: shape (steps, A, 3): true positions; written as far as it goes, empty where nobody looks.
-        decided: shape (decisions, A, DECIDED_COLUMNS); written and empty likewise: own state and answer of
-            each decision, with the velocity that is flown for its command.
+        fence: as in `kernels.decide`, the same for all aircraft.
+        settings: shape (A, SETTINGS_ENTRIES): settings of each aircraft's law.
+        kinds: shape (A,): AVOIDS, or another kind of aircraft.
+        trace: shape (steps, A, 3): true positions. Written for as many steps as it has; may be empty.
+        decided: shape (decisions, A, DECIDED_COLUMNS): own state and result of each decision, with the
+            velocity flown in place of its command. Written for as many decisions as it has; may be empty.
         seen: shape (decisions, A, A, SEEN_COLUMNS), as long as `decided`: what each decision saw of each
-            other aircraft; the rows of those that it had not heard are left alone.
-        pairs: shape (A, A, PAIR_ENTRIES), of each aircraft and one before it; written.
+            other aircraft. Rows of aircraft from which no message was received are not written.
+        pairs: shape (A, A, PAIR_ENTRIES), of each aircraft and each one with a lower index; written.
         result: FLIGHT_ENTRIES values; written.
     """
     fleet, step = len(kinds), world[W_STEP]
@@ -106,12 +108,12 @@ def fly(
     own_error, clock, phase, sent, arrival = (
         craft.own_error, craft.clock, craft.phase, craft.sent, craft.arrival,
     )  # fmt: skip
-    # By receiver and sender: the last message, when it came, and what it makes of the sender's track.
+    # By receiver and sender: the latest message, when it was received, and the state of the sender's track.
     heard, got = np.zeros((fleet, fleet, MESSAGE_COLUMNS)), np.zeros((fleet, fleet))
     tracks = np.zeros((fleet, fleet, k.TRACK_ENTRIES))
     heard[:, :, M_TIME] = -math.inf
     tracks[:, :, k.T_TIME] = -math.inf
-    # What each law keeps, and what one decision takes and gives.
+    # The state that each law keeps, and the inputs and outputs of one decision.
     state, late = _first_state(settings)
     times, velocities = np.zeros((fleet, k.HISTORY_SAMPLES)), np.zeros((fleet, k.HISTORY_SAMPLES, 3))
     own, neighbours = np.zeros(k.OWN_ENTRIES), np.zeros((fleet, k.NEIGHBOUR_COLUMNS))
@@ -179,7 +181,7 @@ def fly(
 
 @_compiled
 def _first_state(settings: Array) -> tuple[Array, Array]:
-    """Of each law, shape (A, STATE_ENTRIES), and the delays of the paths in it, shape (A,)."""
+    """Initial state of each law, shape (A, STATE_ENTRIES), and the view of its path delays, shape (A,)."""
     state = np.zeros((len(settings), k.STATE_ENTRIES))
     for i in range(len(settings)):
         k.begin(state[i], settings[i])
@@ -188,7 +190,7 @@ def _first_state(settings: Array) -> tuple[Array, Array]:
 
 @_compiled
 def _blackout(rng: np.random.Generator, world: Array, kinds: Array) -> tuple[int, float]:
-    """Which aircraft loses GNSS (-1: none), and when."""
+    """Index of the aircraft that loses GNSS (-1: none), and the time at which it does."""
     dark, dark_from = -1, math.inf
     if world[W_BLACKOUT] > 0.0:
         dark = int(rng.integers(0, len(kinds)))
@@ -203,7 +205,7 @@ def _blackout(rng: np.random.Generator, world: Array, kinds: Array) -> tuple[int
 def _receive(
     now: float, declared: float, arrival: Array, sent: Array, heard: Array, got: Array, tracks: Array
 ) -> None:
-    """What came to one aircraft, into its rows of `heard`, `got` and `tracks`."""
+    """Write the messages that one aircraft has received to its rows of `heard`, `got` and `tracks`."""
     for j in range(len(got)):
         for slot in range(sent.shape[1]):
             if arrival[j, slot] <= now:
@@ -227,7 +229,10 @@ def _look(
     neighbours: Array,
     senders: NDArray[np.int64],
 ) -> int:
-    """Those that aircraft i knows of, from its own rows, into `neighbours` and `senders`; how many."""
+    """Write the aircraft that aircraft i knows to `neighbours` and `senders`. Returns their number.
+
+    `heard`, `got` and `tracks` are the rows of aircraft i.
+    """
     count = 0
     for j in range(len(kinds)):
         age = max(now + clock - heard[j, M_TIME], 0.0)
@@ -266,7 +271,7 @@ def _write_down(
     neighbours: Array,
     view: Array,
 ) -> None:
-    """One decision of aircraft i, as it was flown, into the rows of `fly`."""
+    """Record one decision of aircraft i, as it was flown, in the rows of `decided` and `seen` of `fly`."""
     decided[i, : k.OWN_ENTRIES] = own
     decided[i, k.OWN_ENTRIES :] = out
     decided[i, k.OWN_ENTRIES : k.OWN_ENTRIES + 3] = command

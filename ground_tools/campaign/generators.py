@@ -1,9 +1,10 @@
-"""Encounters to fly: who meets whom, how. Timed straight paths in local NED, from a seed.
+"""Encounter generators: timed straight paths in local NED, drawn from a seed.
 
-Each generator draws a fleet that meets around (0, 0), 100 m above the ground, at `MEETING_S`; flown as
-planned, nearly every draw loses separation. Planned speeds are 0.5 to 0.75 of the greatest speed, except on
-S1 to S3, which are `sitl_mocks.encounters.scenario`'s: an aircraft without speed in reserve cannot catch up
-with a timed path. Draws in which two aircraft begin or end nearer than `APART_M` are drawn again.
+Each generator draws a fleet that meets around (0, 0), 100 m above the ground, at `MEETING_S`. Flown as
+planned, nearly every draw loses separation. Planned speeds are 0.5 to 0.75 of the greatest speed, because an
+aircraft without speed in reserve cannot catch up with a timed path. The exceptions are S1 to S3, which are
+those of `sitl_mocks.encounters.scenario`. A draw in which two aircraft begin or end nearer than `APART_M` is
+repeated.
 """
 
 from __future__ import annotations
@@ -25,36 +26,36 @@ END_S: Final = 240.0
 HEIGHT_M: Final = 100.0
 APART_M: Final = 40.0
 LIFT_M: Final = 25.0
-"""From where the lifts begin to where they meet."""
+"""Height difference between the beginning of a lift and the meeting point."""
 _SLOW, _FAST = 0.5, 0.75
-"""Planned speeds, in parts of the greatest."""
+"""Planned speeds, as fractions of the greatest speed."""
 _MISS_M = 5.0
-"""Offsets from the exact meeting, up to this to each side and half of it in height."""
+"""Largest offset from the exact meeting point along north and east; half of it in height."""
 _IN_TRAIL_S = 15.0
 _MOST_DRAWS = 1_000
 
 Generator = Callable[[int, float, np.random.Generator], tuple[Rows, Rows, Rows]]
-"""From the number of aircraft, the greatest speed (m/s) and a generator: where each is at the meeting time
-(A, 3), its heading (A,) and its speed (A,)."""
+"""Takes the number of aircraft, the greatest speed (m/s) and a random generator. Returns the positions at the
+meeting time (A, 3), the headings (A,) and the speeds (A,)."""
 
 
 def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Paths, Paths]:
-    """One encounter; the same arguments give the same paths.
+    """Draw one encounter. The same arguments give the same paths.
 
     Args:
-        name: of `NAMES`.
-        aircraft: how many, at least 2.
-        speed_mps: greatest speed of each; S1 to S3 need at least 5.
+        name: one of `NAMES`.
+        aircraft: number of aircraft, at least 2.
+        speed_mps: greatest speed of each aircraft; S1 to S3 need at least 5.
 
     Returns:
         Times (A, K) in s and waypoints (A, K, 3), NED, m.
 
     Raises:
-        ValueError: an unknown name, too few aircraft, or more than fit apart.
+        ValueError: the name is unknown, or there are too few aircraft, or more than fit `APART_M` apart.
     """
     if name in get_args(Kind):
         rows = np.array(encounter(cast(Kind, name), aircraft, seed))
-        # The same paths, flown faster: all times shrink about the crossing.
+        # The same paths at another speed: the scenario's times are for 5 m/s, so all are scaled.
         rows[:, :, 0] *= 5.0 / speed_mps
         return np.array(rows[:, :, 0], np.float64), np.array(rows[:, :, 1:], np.float64)
     if name not in _GENERATORS:
@@ -90,7 +91,11 @@ def _along(heading: Rows, distance: Rows) -> Rows:
 
 
 def _in_trail(aircraft: int, sides: Rows, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """Streams of one speed through the middle, one behind the other; `sides`: each stream's heading."""
+    """Streams of equal speed through the middle, in each of which the aircraft fly one behind the other.
+
+    Args:
+        sides: heading of each stream.
+    """
     stream = np.arange(aircraft) % len(sides)
     heading = sides[stream]
     speed = _speeds(1, most, rng).repeat(aircraft)
@@ -105,20 +110,21 @@ def _head_on(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows
 
 
 def _crossing(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """Two lanes at 30 to 150 degrees."""
+    """Two lanes that cross at 30 to 150 degrees."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     between = rng.choice([-1.0, 1.0]) * rng.uniform(math.radians(30.0), math.radians(150.0))
     return _in_trail(aircraft, np.array([turn, turn + between]), most, rng)
 
 
 def _streams(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """Four streams, from all sides."""
+    """Four streams from four sides, 90 degrees apart."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     return _in_trail(aircraft, turn + 0.5 * math.pi * np.arange(4.0), most, rng)
 
 
 def _overtaking(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """All the same way, up to five at speeds of their own through one place at once; fives side by side."""
+    """All aircraft fly in the same direction. Groups of up to five, each aircraft at its own speed, pass one
+    place at the same time; the groups fly side by side."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     number, five = np.arange(aircraft) % 5, np.arange(aircraft) // 5
     speed = most * (0.25 + 0.5 * number / max(1, min(aircraft, 5) - 1))
@@ -127,26 +133,26 @@ def _overtaking(aircraft: int, most: float, rng: np.random.Generator) -> tuple[R
 
 
 def _circle(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """From all round through the middle, at angles and speeds of their own."""
+    """Every aircraft flies through the middle with a random heading and speed."""
     heading = rng.uniform(0.0, 2.0 * math.pi, aircraft)
     return _offsets(aircraft, rng), heading, _speeds(aircraft, most, rng)
 
 
 def _mixed(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """As the circle, slow and fast ones: 0.1 to 0.75 of the greatest speed."""
+    """As `_circle`, but with slow and fast aircraft: 0.1 to 0.75 of the greatest speed."""
     heading = rng.uniform(0.0, 2.0 * math.pi, aircraft)
     return _offsets(aircraft, rng), heading, most * rng.uniform(0.1, _FAST, aircraft)
 
 
 def _lift(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """Pairs that change heights in one column, the columns side by side; nobody goes anywhere else."""
+    """Pairs of aircraft exchange heights in columns that are side by side. No aircraft moves horizontally."""
     column = np.arange(aircraft) // 2
     across = _along(np.zeros(aircraft), column * APART_M * 1.3)
     return across + _offsets(aircraft, rng) * [1.0, 1.0, 0.0], np.zeros(aircraft), np.zeros(aircraft)
 
 
 def _wall(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """One against a row of all others, side by side."""
+    """One aircraft flies towards a row of all others, which fly side by side."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     heading = np.full(aircraft, turn + math.pi)
     heading[0] = turn
@@ -158,7 +164,7 @@ def _wall(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, R
 
 
 def _matrix(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """Two rows, each side by side, that cross at right angles: each meets one of the other row."""
+    """Two rows of aircraft side by side cross at right angles: each aircraft meets one of the other row."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     row = np.arange(aircraft) % 2
     heading = turn + 0.5 * math.pi * row
@@ -169,7 +175,8 @@ def _matrix(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows,
 
 
 def _funnel(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """From an arc (90 degrees, or 8 for each) through one place, shortly one after the other, apart again."""
+    """Aircraft come from an arc (90 degrees, or 8 for each aircraft if that is more), pass one place shortly
+    one after the other, and separate again."""
     turn = rng.uniform(0.0, 2.0 * math.pi)
     arc = math.radians(max(90.0, 8.0 * aircraft))
     heading = turn + arc * ((np.arange(aircraft) + 0.5) / aircraft - 0.5)
@@ -179,7 +186,7 @@ def _funnel(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows,
 
 
 def _random(aircraft: int, most: float, rng: np.random.Generator) -> tuple[Rows, Rows, Rows]:
-    """Anywhere in a box at the meeting time: some 4,000 m^2 for each aircraft, 10 m high."""
+    """Random positions in a box at the meeting time: 4,000 m^2 for each aircraft, 10 m high."""
     side = math.sqrt(4_000.0 * aircraft)
     place = rng.uniform(-0.5, 0.5, (aircraft, 3)) * [side, side, 10.0]
     return place, rng.uniform(0.0, 2.0 * math.pi, aircraft), _speeds(aircraft, most, rng)

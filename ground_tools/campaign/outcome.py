@@ -1,4 +1,4 @@
-"""What comes of a flight: least distances, conflicts and what they cost, in compiled code."""
+"""Outcome of a flight: least distances, conflicts and their cost, in compiled code."""
 
 from __future__ import annotations
 
@@ -18,49 +18,49 @@ Array = NDArray[np.float64]
 COLLISION_M = 2.0
 AWAY_M = 15.0
 """Farther than this from the timed point counts as away from the path."""
-# What comes of a flight.
+# Entries of a flight's `result`.
 (
     F_SEPARATION,  # least distance of any pair, m
-    F_TIME,  # when, s
-    F_FIRST,  # of which pair
+    F_TIME,  # time of that least distance, s
+    F_FIRST,  # indices of that pair
     F_SECOND,
-    F_DEVIATION,  # largest distance of any aircraft that avoids from its timed point, m
-    F_AWAY,  # longest time that any of them was away from it, s
-    F_BACK,  # largest distance at the end, m
+    F_DEVIATION,  # largest distance of any avoiding aircraft from its timed point, m
+    F_AWAY,  # longest time that any avoiding aircraft was away from its timed point, s
+    F_BACK,  # largest distance of any avoiding aircraft from its timed point at the end, m
     F_LOST,  # largest delay of a path, s
-    F_PATH_RATIO,  # way flown by all over way planned for all
-    F_MANOEUVRES,  # times that a conflict began, of all
-    F_INFEASIBLE,  # share of decisions that could not keep every plane
-    F_RECOVERY,  # longest time from the last decision in conflict until back, s; infinite: not back
+    F_PATH_RATIO,  # distance flown by all aircraft over the distance planned for all
+    F_MANOEUVRES,  # number of conflicts that began, over all avoiding aircraft
+    F_INFEASIBLE,  # share of decisions that could not keep every half-space
+    F_RECOVERY,  # longest time from the last decision in conflict to the return, s; infinite: no return
     F_CREWED,  # least of the larger of horizontal and vertical distance from crewed traffic, in separations
-    F_FENCE,  # farthest beyond a fence, m
+    F_FENCE,  # largest distance beyond a fence, m
     FLIGHT_ENTRIES,
 ) = range(15)
-# What is counted of decisions: all, those that could not keep every plane, those that began a conflict.
+# Counts of decisions: all, those that could not keep every half-space, those that began a conflict.
 D_ALL, D_INFEASIBLE, D_MANOEUVRES, DECISION_ENTRIES = range(4)
-# What comes of a pair: least distance (m); 1 where one that avoids was in conflict with the other.
+# Entries of a pair: least distance (m); 1 if an avoiding aircraft of the pair was in conflict with the other.
 P_SEPARATION, P_ALERT, PAIR_ENTRIES = range(3)
 
 
 class Tally(NamedTuple):
-    """What is gathered on the way, of A aircraft; m and s."""
+    """Values accumulated during a flight of A aircraft; m and s."""
 
     conflict: Array
-    """(A,): 1 where the last decision saw one."""
+    """(A,): 1 if the last decision saw a conflict."""
     conflict_at: Array
-    """(A,): when it was in conflict last."""
+    """(A,): time of the last decision in conflict."""
     recovery: Array
-    """(A,): how long it took to come back; infinite: not back."""
+    """(A,): time from the last conflict to the return to the path; infinite: not back yet."""
     gap: Array
-    """(A,): distance from the timed point, of those that avoid."""
+    """(A,): distance of an avoiding aircraft from its timed point."""
     away_since: Array
-    """(A,): infinite while it is not away."""
+    """(A,): since when the aircraft is farther than `AWAY_M` from its timed point; infinite if it is not."""
     way: Array
-    """(2,): flown and planned, of all."""
+    """(2,): distance flown and distance planned, summed over all aircraft."""
     least2: Array
     """(A, A): squares of the least distances."""
     decisions: Array
-    """(DECISION_ENTRIES,): of all that avoid."""
+    """(DECISION_ENTRIES,): counts over all avoiding aircraft."""
 
 
 _compiled = compiled()
@@ -69,7 +69,7 @@ _inlined = compiled(inline="always")
 
 @_inlined
 def nothing_yet(fleet: int, pairs: Array, result: Array) -> Tally:
-    """Of a flight that has not begun; arguments as of `flight.fly`."""
+    """The tally at the start of a flight. Also resets `result` and the alerts in `pairs` of `flight.fly`."""
     pairs[:, :, P_ALERT] = 0.0
     result[:] = 0.0
     result[F_SEPARATION] = result[F_CREWED] = math.inf
@@ -87,7 +87,7 @@ def nothing_yet(fleet: int, pairs: Array, result: Array) -> Tally:
 
 @_inlined
 def count_decision(tally: Tally, now: float, i: int, feasible: float, conflict: float) -> None:
-    """One decision of aircraft i, that avoids."""
+    """Count one decision of the avoiding aircraft i."""
     tally.decisions[D_ALL] += 1.0
     tally.decisions[D_INFEASIBLE] += 1.0 - feasible
     if conflict > tally.conflict[i]:
@@ -99,7 +99,7 @@ def count_decision(tally: Tally, now: float, i: int, feasible: float, conflict: 
 
 @_compiled
 def beyond(fence: Array, n: float, e: float) -> float:
-    """How far (m) a point is on the wrong side of the area that it is most wrong about; 0: of none."""
+    """Largest distance (m) of a point beyond the border of an area that it violates; 0 if there is none."""
     worst, first = 0.0, 0
     while first < len(fence):
         after, near = first, math.inf
@@ -116,7 +116,7 @@ def beyond(fence: Array, n: float, e: float) -> float:
 
 @_compiled
 def _least_distance2(position: Array, before: Array, i: int, j: int) -> float:
-    """Square of the least distance of two aircraft on their straight ways of one step."""
+    """Square of the least distance of two aircraft during one step, on straight lines between its ends."""
     px, py, pz = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1], before[j, 2] - before[i, 2]
     dx, dy, dz = (
         position[j, 0] - position[i, 0] - px,
@@ -144,10 +144,10 @@ def measure(
     tally: Tally,
     result: Array,
 ) -> None:
-    """What one step did, when all have moved; arguments as of `flight.fly`.
+    """Measure one step, after all aircraft have moved. Arguments not listed here are those of `flight.fly`.
 
     Args:
-        late: shape (A,): each path's delay, s.
+        late: shape (A,): delay of each path, s.
     """
     now = world[W_START] + tick * world[W_STEP]
     position, before, way, gaps = craft.position, craft.before, tally.way, tally.gap
@@ -177,7 +177,7 @@ def measure(
 
 @_inlined
 def _measure_crewed(settings: Array, kinds: Array, position: Array, result: Array) -> None:
-    """How far those that avoid are from crewed traffic."""
+    """Update the least distance of the avoiding aircraft from crewed traffic."""
     for j in range(len(kinds)):
         if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
             for i in range(len(kinds)):
@@ -203,7 +203,7 @@ def _measure_pairs(now: float, position: Array, before: Array, least2: Array, re
 
 @_compiled
 def land(kinds: Array, late: Array, tally: Tally, pairs: Array, result: Array) -> None:
-    """What was gathered, into `pairs` and `result` of `flight.fly`; `late` as of `measure`."""
+    """Write the final tally to `pairs` and `result` of `flight.fly`; `late` as in `measure`."""
     for i in range(len(kinds)):
         if kinds[i] == AVOIDS:
             result[F_BACK] = max(result[F_BACK], tally.gap[i])

@@ -1,8 +1,9 @@
-"""A campaign's flight as a run folder, for `ground-tools inspect` and `picture`.
+"""A flight of a campaign as a run folder, for `ground-tools inspect` and `picture`.
 
-What is written down is the compiled flight itself: where everybody was, what each decision saw and what was
-commanded. No heart flew, only its law: the records hold no authority, and `companion replay` has nothing to
-compare with them. A message counts as heard at the first decision that knew it.
+The folder records the compiled flight itself: the true positions, what each decision saw and what was
+commanded. Only the law flew, not the whole companion. The records therefore contain no authority state, and
+`companion replay` has nothing to compare with them. A message counts as received at the first decision that
+knew it.
 """
 
 from __future__ import annotations
@@ -55,17 +56,19 @@ from sitl_mocks.encounters.lockstep import UTC_AT_START_S
 Array = NDArray[np.float64]
 
 MOST_AIRCRAFT = 50
-"""What each decision saw of each other grows with the square of their number."""
+"""Largest number of aircraft. The record of what each decision saw of each other aircraft grows with its
+square."""
 _TRANSPORT = "wifi"
 _QUIET_LOG_S = 1.0
-"""As aboard: decisions stand in the record this often, and each one that sees a conflict or recovers."""
+"""Interval at which decisions are recorded. As in a companion's record, every decision that sees a conflict
+or recovers is recorded too."""
 
 
 def write(root: Path, cell: Cell, seed: int, utc_s: float) -> Path:
-    """Fly one encounter again, with avoidance and (in `unavoided`) without, and write all of it.
+    """Fly one encounter again and record it, with avoidance and, in the subfolder `unavoided`, without.
 
     Args:
-        utc_s: now, for the folder's name.
+        utc_s: current time, for the folder's name.
 
     Returns:
         The run folder.
@@ -96,7 +99,7 @@ def write(root: Path, cell: Cell, seed: int, utc_s: float) -> Path:
 
 
 def names(kinds: Array) -> list[str]:
-    """Of the aircraft, in order; those that do not avoid say what they are."""
+    """Names of the aircraft, in order. The name of an aircraft that does not avoid contains its kind."""
     words = {float(kind): f"-{word}" for word, kind in vehicles.INTRUDERS.items()}
     return [f"uas-{number:03d}{words.get(kind, '')}" for number, kind in enumerate(kinds.tolist(), start=1)]
 
@@ -138,7 +141,7 @@ def _write_truth(path: Path, look: Look, i: int) -> None:
 
 
 def _config(look: Look, i: int, name: str) -> Config:
-    """Of one aircraft, as a companion's."""
+    """The configuration that a companion aboard this aircraft would have."""
     avoidance, world = look.avoidance, look.world
     if look.kinds[i] != vehicles.AVOIDS:
         avoidance = msgspec.structs.replace(avoidance, law="none")
@@ -161,7 +164,7 @@ def _config(look: Look, i: int, name: str) -> Config:
 
 
 def _areas(fence: Array) -> tuple[FenceArea, ...]:
-    """The one polygon of a campaign's fence, if there is one."""
+    """The polygon of the campaign's fence; empty without a fence."""
     if not len(fence):
         return ()
     corners = np.zeros((len(fence), 3))
@@ -170,7 +173,7 @@ def _areas(fence: Array) -> tuple[FenceArea, ...]:
 
 
 def _steps(look: Look, i: int, called: list[str]) -> Iterator[Step]:
-    """Each decision of one aircraft as a step of its heart."""
+    """Each decision of one aircraft as a recorded step of a companion."""
     decided, seen = look.decided[:, i], look.seen[:, i]
     places, messages = _geodetic(decided[:, :3]), _messages(seen)
     logged_s = -math.inf
@@ -238,10 +241,10 @@ def _decision(own: list[float], out: list[float], point: Vec3, seen: Array, call
 
 
 def _messages(seen: Array) -> dict[int, list[tuple[int, Location]]]:
-    """By number of decision: senders whose message is a new one, and its Location.
+    """The messages that are new at each decision, by the number of the decision: sender and Location.
 
     Args:
-        seen: shape (decisions, A, flight.SEEN_COLUMNS), of one aircraft.
+        seen: shape (decisions, A, flight.SEEN_COLUMNS), what one aircraft saw.
     """
     sent = seen[:, :, flight.SEEN_MESSAGE]
     before = np.vstack([np.full((1, sent.shape[1]), math.nan), sent[:-1]])
@@ -266,7 +269,7 @@ def _messages(seen: Array) -> dict[int, list[tuple[int, Location]]]:
 
 
 def _geodetic(points: Array) -> list[Vec3]:
-    """Latitude, longitude (deg), height (m) of NED points (n, 3)."""
+    """Latitude, longitude (deg) and height (m) of NED points (n, 3)."""
     if not len(points):
         return []
     lat, lon, alt = pymap3d.ned2geodetic(points[:, 0], points[:, 1], points[:, 2], *ORIGIN)

@@ -1,4 +1,4 @@
-"""Tables of a campaign: many cells, a line for each, as they stand in docs/safety.md."""
+"""The tables of docs/safety.md: many cells of a campaign, one line for each cell."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ground_tools.campaign.vehicles import INTRUDERS, TWINS
 
 _NOTHING: Final = "-"
 FULL_MPS: Final = 26.6
-"""Of which generators plan up to three quarters: 20 m/s."""
+"""Greatest speed for which the generators plan up to 20 m/s, three quarters of it."""
 _ENCOUNTERS: Final = {"fence": ("head-on", "overtaking"), "layer": ("lift", "S2")}
-"""Where a world is felt, of those that not every encounter feels."""
+"""Encounters for the worlds that do not affect every encounter."""
 DELAYS_S: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))
 
 
 def _generators() -> list[Cell]:
-    """Every generator, by our law and the paper's, with the longest delays."""
+    """Every generator, flown by our law and the paper's law with the longest delays."""
     return [
         Cell(generator=name, aircraft=5, law=law, delay_s=DELAYS_S[-1])
         for name in NAMES
@@ -32,7 +32,7 @@ def _generators() -> list[Cell]:
 
 
 def _laws() -> list[Cell]:
-    """The reference's sets by both laws over the delays; then what makes them harder."""
+    """The reference's sets S1 to S3, flown by both laws with each delay; then harder conditions."""
     rows = [
         Cell(generator=name, aircraft=5, law=law, delay_s=delay_s)
         for law in LAWS
@@ -50,23 +50,23 @@ def _laws() -> list[Cell]:
 
 
 def _twenty() -> list[Cell]:
-    """Twenty aircraft: each flight costs as much as ten of five."""
+    """Twenty aircraft: each flight takes as long to compute as ten flights of five aircraft."""
     return [Cell(generator="S2", aircraft=20, delay_s=delay_s) for delay_s in DELAYS_S]
 
 
 def _fast() -> list[Cell]:
-    """Every generator at 20 m/s: planned slower, then planned as fast as the aircraft can."""
+    """Every generator at 20 m/s: first planned below the greatest speed, then as fast as aircraft can fly."""
     delay_s = DELAYS_S[-1]
     rows = [Cell(generator=name, aircraft=5, speed_mps=20.0, delay_s=delay_s) for name in NAMES]
     return rows + [
         Cell(generator=name, aircraft=5, speed_mps=FULL_MPS, delay_s=delay_s, reserve=False)
         for name in NAMES
-        if name != "lift"  # goes up and down, far below any limit
+        if name != "lift"  # only climbs and descends, far below any limit
     ]
 
 
 def _open_ground() -> list[Cell]:
-    """What nobody has an answer to yet."""
+    """Cases that are open problems: every kind of intruder, every world, and 50 aircraft."""
     rows = [
         Cell(generator=name, aircraft=5, intruders=0.2, intruder=kind, delay_s=DELAYS_S[1])
         for kind in INTRUDERS
@@ -82,12 +82,12 @@ def _open_ground() -> list[Cell]:
 
 
 def _twins() -> list[Cell]:
-    """Two with one identity."""
+    """Two aircraft that send the same identity."""
     return [_twin(kind, DELAYS_S[1], 0.0) for kind in ("twin", "own-twin")]
 
 
 def _twins_lost() -> list[Cell]:
-    """The same with four of five messages lost, where one may be taken for the other."""
+    """The same with four of five messages lost, so that one aircraft may be mistaken for the other."""
     return [_twin(kind, DELAYS_S[0], 0.8) for kind in TWINS]
 
 
@@ -107,25 +107,25 @@ TABLES: Final[dict[str, Callable[[], list[Cell]]]] = {
 
 
 class Line(msgspec.Struct, frozen=True, kw_only=True):
-    """A cell and what came of it."""
+    """A cell and its results."""
 
     cell: Cell
     found: dict[str, Any]
-    """`command.summary`."""
+    """The result of `command.summary`."""
 
 
 class Kept(msgspec.Struct, frozen=True, kw_only=True):
-    """A table as it is kept."""
+    """A table as it is stored in a file."""
 
     software: str
-    """State of law and world that flew it."""
+    """Digest of the law and the world that flew it (`cells.software`)."""
     seeds: tuple[int, int]
-    """First and last."""
+    """First and last seed."""
     lines: tuple[Line, ...]
 
 
 def write(path: Path, table: Kept) -> None:
-    """Keep a table.
+    """Write a table to a file.
 
     Raises:
         ConfigError: the file cannot be written.
@@ -137,10 +137,10 @@ def write(path: Path, table: Kept) -> None:
 
 
 def read(path: Path) -> Kept:
-    """A kept table.
+    """Read a stored table.
 
     Raises:
-        ConfigError: there is none, or it is damaged.
+        ConfigError: the file cannot be read, or it is damaged.
     """
     try:
         return msgspec.json.decode(path.read_bytes(), type=Kept)
@@ -151,7 +151,7 @@ def read(path: Path) -> Kept:
 
 
 def markdown(lines: Sequence[Line]) -> str:
-    """A line for each cell; what is alike in all of them has no column."""
+    """The table as Markdown, one line for each cell. Conditions equal in all cells have no column."""
     columns: list[tuple[str, Callable[[Line], str]]] = [
         ("encounter", lambda line: line.cell.generator),
         ("aircraft", lambda line: str(line.cell.aircraft)),
@@ -180,7 +180,7 @@ def markdown(lines: Sequence[Line]) -> str:
         ("late (s)", lambda line: "{median_lost_s:.0f}, {max_lost_s:.0f}".format(**line.found)),
         ("crewed lost: ours, unavoided", _crewed),
     ]
-    # Where nobody lost separation, nothing is said of how severe it was.
+    # A column without any value is omitted, such as the severity if no flight lost separation.
     shown += [c for c in columns if any(c[1](line) != _NOTHING for line in lines)]
     rows = [[title for title, _ in shown], ["---"] * len(shown)]
     rows += [[value(line) for _, value in shown] for line in lines]

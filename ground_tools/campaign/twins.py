@@ -1,9 +1,9 @@
-"""Flights in which two send with one identity: the heart's own tracks, in the campaign's world.
+"""Flights in which two aircraft send one identity, with the companion's track code in the campaign's world.
 
-Vehicles, errors, messages and their delays are `vehicles`', draw for draw. Here each aircraft hears frames
-(Basic ID and Location, from a radio address) with the heart's `Traffic` and decides by its `Law`: who is
-whose twin is not known to either. Everybody hears the own frames, too, as a second receiver does. It takes
-some fifty times as long as the compiled flight.
+Vehicles, errors, messages and their delays come from `vehicles`, draw for draw. Here each aircraft receives
+frames (Basic ID and Location, from a radio address) with the companion's `Traffic` and decides with its
+`Law`. Neither of them knows which aircraft is a twin of which. Every aircraft also receives its own frames,
+as a second receiver would. Such a flight takes about fifty times as long as the compiled one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 FRAME = LocalFrame(*ORIGIN)
 VICTIM = 1
-"""The aircraft whose identity a twin and a clone send with."""
+"""Index of the aircraft whose identity a twin and a clone send."""
 
 
 def fly(
@@ -54,12 +54,12 @@ def fly(
     pairs: Array,
     result: Array,
 ) -> None:
-    """Fly a fleet along its paths; arguments as of `flight.fly`.
+    """Fly a fleet along its paths. Arguments that are not listed here are those of `flight.fly`.
 
     Args:
-        world: without a loss of GNSS.
-        kinds: shape (A,): `vehicles.AVOIDS`, `BLIND`, or of `vehicles.TWINS`.
-        laws: of each aircraft; of one that does not avoid "none".
+        world: a world without a loss of GNSS.
+        kinds: shape (A,): `vehicles.AVOIDS`, `vehicles.BLIND`, or one of `vehicles.TWINS`.
+        laws: law of each aircraft; the law "none" for an aircraft that does not avoid.
     """
     fleet = len(kinds)
     craft, tally = vehicles.on_the_ground(fleet, world), outcome.nothing_yet(fleet, pairs, result)
@@ -102,7 +102,7 @@ def fly(
 
 
 class Heart:
-    """What one aircraft hears and decides with."""
+    """The receiving and deciding part of one aircraft: its tracks and its law."""
 
     def __init__(self, number: int, law: Law) -> None:
         self.law = law
@@ -110,13 +110,17 @@ class Heart:
         self.traffic.own_addresses = (address(number),)
 
     def hear(self, frames: Sequence[RemoteIdHeard], now: float, clock_s: float) -> None:
-        """What came since the last decision, by a clock that leads by so much."""
+        """Process the frames received since the last decision.
+
+        Args:
+            clock_s: how far the aircraft's clock is ahead.
+        """
         for frame in frames:
             self.traffic.hear(frame, now, clock_s, FRAME, 0.0)
         self.traffic.expire(now)
 
     def decide(self, world: Array, now: float, place_ned_m: Vec3, velocity_ned_mps: Vec3) -> LawResult:
-        """At a place and a velocity that it takes for its own."""
+        """Decide, given the position and velocity that the aircraft measures for itself."""
         floor, ceiling = (
             limit if math.isfinite(limit) else None for limit in world[[W_FLOOR, W_CEILING]].tolist()
         )
@@ -129,19 +133,19 @@ class Heart:
 
 
 class Air:
-    """Frames on their way."""
+    """Frames that have been sent and not yet received."""
 
     def __init__(self, kinds: Array, world: Array) -> None:
         self._kinds = kinds.tolist()
         self._declared, self._sigma_mps = (float(world[entry]) for entry in (W_DECLARED, W_SIGMA_VELOCITY))
         self._echo_s = float(world[W_DELAY_LOW])
         self._locations: list[dict[int, Location]] = [{} for _ in kinds]
-        """By sender and slot."""
+        """Latest messages, by sender and slot."""
         self._echoes: list[list[tuple[float, Location]]] = [[] for _ in kinds]
         self._senders: dict[tuple[float | None, float | None], int] = {}
 
     def hear(self, sender: int, slot: int, message: list[float], now: float) -> None:
-        """A message of `vehicles.send`."""
+        """Take over a message that `vehicles.send` wrote."""
         at, north, east, down, *velocity = message
         lat, lon, alt = FRAME.to_geodetic(north, east, down)
         location = Location(
@@ -160,10 +164,10 @@ class Air:
         self._senders[lat, lon] = sender
 
     def heard(self, receiver: int, now: float, arrival: Array) -> list[RemoteIdHeard]:
-        """The frames that came to one aircraft.
+        """The frames that one aircraft has received by now, including its own.
 
         Args:
-            arrival: shape (A, slots), its own; what came is taken out.
+            arrival: shape (A, slots), the receiver's rows; received messages are set to infinity.
         """
         frames = []
         for sender, slot in np.argwhere(arrival <= now).tolist():
@@ -175,7 +179,7 @@ class Air:
         return frames
 
     def sender(self, location: Location) -> int:
-        """Who sent it."""
+        """Index of the aircraft that sent a location."""
         return self._senders[location.lat_deg, location.lon_deg]
 
     def _frame(self, sender: int, receiver: int, location: Location) -> RemoteIdHeard:
@@ -200,10 +204,10 @@ class Air:
 
 
 def name(number: int) -> str:
-    """Identity of an aircraft."""
+    """Identity of an aircraft, by its index."""
     return f"uas-{number:03d}"
 
 
 def address(number: int) -> str:
-    """Of its radio."""
+    """Radio address of an aircraft, by its index."""
     return f"02:00:00:00:00:{number:02x}"

@@ -1,9 +1,10 @@
-"""The vehicles of a flight, in compiled code: what they are, how they move, what they send.
+"""The vehicles of a flight, in compiled code: their kinds, their motion and their messages.
 
-They answer a velocity command with a first-order lag and a limited acceleration. Every aircraft sends its
-state once a period, at its own phase; each of the others gets it after a delay of its own, or not at all.
-Positions carry a time-correlated GNSS error, the same in what is sent and what the aircraft flies by; sent
-velocities carry white noise, and messages are quantised as Remote ID does (ASTM F3411-22a).
+A vehicle follows a velocity command with a first-order lag and a limited acceleration. Every aircraft sends
+its state once a period, at its own phase. Each other aircraft receives the message after its own delay, or
+not at all. Positions carry a time-correlated GNSS error, which is the same in the messages and in the
+aircraft's own navigation. Sent velocities carry white noise. Messages are quantised as in Remote ID
+(ASTM F3411-22a).
 """
 
 from __future__ import annotations
@@ -39,12 +40,13 @@ from ground_tools.campaign.world import (
 
 Array = NDArray[np.float64]
 
-# What an aircraft is: one that avoids; one that sends and flies its path (blind), or besides turns and climbs
-# at random (turning), and always sends its first velocity (frozen), is not heard from afar (silent), sends
-# a wrong position (liar); crewed traffic, heard by ADS-B, with a geometric altitude (crewed) or with one that
-# says nothing within 300 m (barometric); one that flies its path and sends with the identity of the second
-# aircraft (twin), and from its radio address, too (clone), or with that of whoever hears it (own twin, own
-# clone): those are flown by `twins.fly`.
+# Kinds of aircraft. AVOIDS flies the avoidance law; no other kind avoids. BLIND sends and flies its path;
+# TURNING also turns and climbs at random; FROZEN turns likewise, but always sends its first velocity. SILENT
+# is received only at short range. LIAR sends a wrong position. CREWED is crewed traffic that is received by
+# ADS-B with a geometric altitude; BAROMETRIC is the same with an altitude that says nothing within 300 m.
+# TWIN flies its path and sends with the identity of the second aircraft, CLONE also from its radio address;
+# OWN_TWIN and OWN_CLONE do so with those of the aircraft that receives the message. These last four are flown
+# by `twins.fly`.
 (
     AVOIDS, BLIND, TURNING, SILENT, LIAR, FROZEN, CREWED, BAROMETRIC, TWIN, CLONE, OWN_TWIN, OWN_CLONE,
 ) = range(12)  # fmt: skip
@@ -58,43 +60,45 @@ M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
 
 _compiled = compiled()
 _inlined = compiled(inline="always")
-"""For what every step calls: a call that hands over a fleet costs as much as the step."""
+"""For functions that every step calls: passing a fleet to a function that is not inlined costs as much time
+as the step itself."""
 
 
 class Fleet(NamedTuple):
-    """A fleet in the air, A aircraft. NED, m and s; by aircraft where nothing else is said."""
+    """State of a fleet of A aircraft in flight. NED, m and s; the first axis is the aircraft unless stated
+    otherwise."""
 
     position: Array
     """(A, 3)."""
     before: Array
-    """(A, 3): a step ago."""
+    """(A, 3): position one step ago."""
     velocity: Array
     """(A, 3)."""
     command: Array
     """(A, 3)."""
     error: Array
-    """(A, 3), of the GNSS position."""
+    """(A, 3): error of the GNSS position."""
     own_error: Array
-    """(A, 3), of the own velocity."""
+    """(A, 3): error of the own velocity."""
     gust: Array
     """(A, 3), m/s^2."""
     clock: Array
-    """(A,): how far it leads."""
+    """(A,): how far the aircraft's clock is ahead."""
     phase: NDArray[np.int64]
-    """(A,): steps from a message to the flight's first step."""
+    """(A,): offset of the message schedule: steps between a message and the flight's first step."""
     frozen: Array
-    """(A, 3): the first velocity."""
+    """(A, 3): velocity at the start of the flight."""
     lie: Array
-    """(A, 2): what is added to a sent position."""
+    """(A, 2): north and east offset added to a sent position."""
     sent: Array
-    """(A, slots, MESSAGE_COLUMNS): the last messages."""
+    """(A, slots, MESSAGE_COLUMNS): the latest messages."""
     arrival: Array
-    """(receiver, sender, slots): when those come; infinite: not, or they came."""
+    """(receiver, sender, slots): arrival time of each message; infinite if it is lost or already received."""
 
 
 @_inlined
 def on_the_ground(fleet: int, world: Array) -> Fleet:
-    """A fleet of which nothing is known yet."""
+    """A fleet whose arrays are still zero and that has no message under way."""
     slots = int(world[W_DELAY_HIGH] / (world[W_MESSAGE] * world[W_STEP])) + 2
     return Fleet(
         position=np.zeros((fleet, 3)),
@@ -117,7 +121,7 @@ def on_the_ground(fleet: int, world: Array) -> Fleet:
 def begin(
     rng: np.random.Generator, world: Array, path_times: Array, path_points: Array, kinds: Array, craft: Fleet
 ) -> None:
-    """Every aircraft onto its path, with the errors that it has; arguments as of `flight.fly`."""
+    """Place every aircraft on its path and draw its errors. The arguments are those of `flight.fly`."""
     step, message_every = world[W_STEP], int(world[W_MESSAGE])
     position, velocity = craft.position, craft.velocity
     for i in range(len(kinds)):
@@ -140,7 +144,8 @@ def begin(
 
 @_compiled
 def _quantise(message: Array) -> None:
-    """Speed in 0.25 m/s, direction in degrees, vertical speed in 0.5 m/s, 1e-7 degrees, heights in 0.5 m."""
+    """Quantise a message in place: speed to 0.25 m/s, direction to whole degrees, vertical speed to 0.5 m/s,
+    horizontal position to 1e-7 degrees, height to 0.5 m."""
     speed = round(math.hypot(message[4], message[5]) / 0.25) * 0.25
     course = round(math.atan2(message[5], message[4]) * 180.0 / math.pi) * math.pi / 180.0
     message[1], message[2] = round(message[1] / 0.0111) * 0.0111, round(message[2] / 0.0111) * 0.0111
@@ -160,7 +165,11 @@ def _distance(position: Array, i: int, j: int) -> float:
 
 @_inlined
 def send(rng: np.random.Generator, world: Array, tick: int, i: int, kinds: Array, craft: Fleet) -> int:
-    """What aircraft i sends at a step of its phase, into `sent` and `arrival`; the slot."""
+    """Send the message of aircraft i that is due at this step. Writes `sent` and `arrival`.
+
+    Returns:
+        The slot of the message.
+    """
     position, velocity, error, clock = craft.position, craft.velocity, craft.error, craft.clock
     phase, frozen, lie, sent, arrival = craft.phase, craft.frozen, craft.lie, craft.sent, craft.arrival
     now = world[W_START] + tick * world[W_STEP]
@@ -187,7 +196,7 @@ def send(rng: np.random.Generator, world: Array, tick: int, i: int, kinds: Array
 
 @_inlined
 def move(rng: np.random.Generator, world: Array, craft: Fleet) -> None:
-    """One step of all vehicles, as they are commanded."""
+    """Move all vehicles by one step according to their commands."""
     step, lag, most = world[W_STEP], world[W_LAG], world[W_ACCELERATION]
     keep = math.exp(-step / world[W_SIGMA_MEMORY])
     fresh = math.sqrt(1.0 - keep * keep) * world[W_SIGMA]

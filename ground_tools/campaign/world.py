@@ -1,4 +1,4 @@
-"""What a fleet flies in: errors, messages, gusts."""
+"""The conditions under which a fleet flies: navigation errors, messages and gusts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Entries of `world`.
+# Indices of the array `world`, as `World.row` fills it.
 (
     W_START,  # s, on the paths' clock
     W_END,  # s
@@ -25,31 +25,31 @@ Array = NDArray[np.float64]
     W_SIGMA,  # m for each axis
     W_SIGMA_MEMORY,  # s
     W_SIGMA_VELOCITY,  # m/s for each axis
-    W_DECLARED,  # m, what everybody says of the own position's error
+    W_DECLARED,  # m, position error that every aircraft declares of itself
     W_QUANTISED,  # 0 or 1
     W_LAG,  # s
     W_ACCELERATION,  # m/s^2
     W_GUST,  # m/s^2 for each axis
     W_GUST_MEMORY,  # s
-    W_OWN_VELOCITY,  # m/s for each axis, of the error of the own velocity, as slow as that of the position
-    W_CLOCK,  # s, most that a clock is off
+    W_OWN_VELOCITY,  # m/s for each axis, error of the own velocity; correlation time as for the position
+    W_CLOCK,  # s, largest clock error
     W_FLOOR,  # NED down, m
     W_CEILING,  # NED down, m
-    W_SILENT,  # m, within which a silent one is heard
-    W_LIE,  # m, by which a liar's position is off
-    W_BLACKOUT,  # s for which one aircraft has no GNSS
+    W_SILENT,  # m, range within which a silent aircraft is received
+    W_LIE,  # m, error of the position that a liar sends
+    W_BLACKOUT,  # s, how long one aircraft has no GNSS
     WORLD_ENTRIES,
 ) = range(25)
 
 
 class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a fleet flies in."""
+    """The conditions under which a fleet flies."""
 
     start_s: float = 0.0
     end_s: float = 500.0
     step_s: Annotated[float, Meta(gt=0)] = 0.1
     delay_s: tuple[float, float] = (0.0, 1.0)
-    """Of every message to every receiver, drawn uniformly."""
+    """Bounds of the message delay, drawn uniformly for every message and every receiver."""
     loss: Annotated[float, Meta(ge=0, le=1)] = 0.0
     sigma_m: Annotated[float, Meta(ge=0)] = 1.5
     """GNSS error, one standard deviation for each axis."""
@@ -61,22 +61,27 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     lag_s: Annotated[float, Meta(gt=0)] = 0.5
     acceleration_mps2: Annotated[float, Meta(gt=0)] = 2.5
     gust_mps2: Annotated[float, Meta(ge=0)] = 0.0
-    """What gusts do to a vehicle that holds its velocity; a steady wind is compensated."""
+    """Acceleration that gusts cause on a vehicle that holds its velocity, one standard deviation for each
+    axis. Steady wind is not modelled: the vehicle compensates it."""
     gust_memory_s: Annotated[float, Meta(gt=0)] = 3.0
     own_sigma_mps: Annotated[float, Meta(ge=0)] = 0.0
     clock_s: Annotated[float, Meta(ge=0)] = 0.0
-    """Every clock is off by up to this, drawn once."""
+    """Largest error of a clock, either way. Each aircraft's error is drawn once."""
     floor_m: float = -math.inf
-    """Height, as of the generators'."""
+    """Height (the negative of NED down) in the local frame of the generators; unlimited by default."""
     ceiling_m: float = math.inf
     silent_m: Annotated[float, Meta(ge=0)] = 100.0
     lie_m: Annotated[float, Meta(ge=0)] = 50.0
     blackout_s: Annotated[float, Meta(ge=0)] = 0.0
-    """One that avoids has no GNSS for so long around the middle of the flight: it sends nothing, decides
-    nothing and stands still."""
+    """How long one avoiding aircraft has no GNSS, around the middle of the flight. Meanwhile it sends
+    nothing, decides nothing and stands still."""
 
     def row(self, period_s: float) -> Array:
-        """As the kernel takes it, shape (WORLD_ENTRIES,)."""
+        """The same as an array for the compiled code, shape (WORLD_ENTRIES,).
+
+        Args:
+            period_s: time between two decisions of the law.
+        """
         row = np.zeros(WORLD_ENTRIES)
         row[W_START], row[W_END], row[W_STEP] = self.start_s, self.end_s, self.step_s
         row[W_PERIOD] = max(1, round(period_s / self.step_s))

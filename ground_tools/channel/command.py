@@ -1,4 +1,4 @@
-"""`ground-tools channel`: its subcommands."""
+"""The command `ground-tools channel` and its subcommands."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ground_tools.channel import compare, plot, table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Subcommands of `ground-tools channel`; each sets `run`."""
+    """Add the subcommands of `ground-tools channel`; each sets `run`."""
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
         ("table", table, "delay and loss of fixed modes over sizes and rates"),

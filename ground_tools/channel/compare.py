@@ -1,9 +1,9 @@
-"""`ground-tools channel compare`: the equations beside the packet-by-packet simulator, assumption by
-assumption.
+"""The command `ground-tools channel compare`: the equations against the packet-by-packet simulator.
 
-Three studies. "link": one sender and many receivers that hear nobody else, so that only schedules and scans
-matter. "collision": everybody near everybody, so that only packets that meet matter. "fleet": system delays
-of the fixed modes over the sizes, on the same positions for both models.
+The comparison varies the simulator's assumptions one by one, in three studies. "link": one sender and many
+receivers that receive no other sender, so that only schedules and scans matter. "collision": all aircraft are
+near each other, so that only colliding packets matter. "fleet": system delays of the fixed modes over the
+sizes, on the same positions for both models.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _TABLE_WIDTH = 170
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How long and how often is simulated."""
+    """Duration and number of the simulations."""
 
     seconds: float
     environments: int
@@ -59,7 +59,7 @@ class Effort:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools channel compare`."""
+    """Add the options of `ground-tools channel compare`."""
     parser.description = (
         "The channel model's equations beside a packet-by-packet simulation: of one link, of packets that\n"
         "meet, and of fleets. Takes minutes, on all cores."
@@ -89,14 +89,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare and print.
+    """Run `ground-tools channel compare`. Returns 0.
 
     Raises:
         ConfigError: an option is wrong, or matplotlib is missing for --out.
     """
     if not 10.0 <= arguments.seconds <= 86_400.0:
         raise ConfigError(f"--seconds: {arguments.seconds:g}: allowed 10 to 86400")
-    # With fewer, intervals of 95 % by the normal distribution would be far too narrow.
+    # With fewer environments, 95 % intervals from the normal distribution would be far too narrow.
     if not 10 <= arguments.environments <= 10_000:
         raise ConfigError(f"--environments: {arguments.environments}: allowed 10 to 10000")
     options.check_seed(arguments.seed)
@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
         _print(list(compare(p, effort)), console, as_json=arguments.json)
         return 0
     options.make_folder(arguments.out)
-    # The picture first: that matplotlib is missing shows before the simulation, not after.
+    # The picture is opened first, so that a missing matplotlib is reported before the simulation.
     with drawn(arguments.out / "compare.png", compare_plot.SIZE_IN) as figure:
         rows = list(compare(p, effort))
         lines = "".join(_json_line(row) + "\n" for row in rows)
@@ -139,7 +139,7 @@ def _print(rows: list[Row], console: Console, *, as_json: bool) -> None:
         for row in rows:
             print(_json_line(row))
         return
-    # In the 80 columns of a pipe or a file numbers would be cut short.
+    # In the default 80 columns of a pipe or a file, numbers would be truncated.
     console = Console(width=max(console.width, _TABLE_WIDTH))
     for study in VARIANTS:
         console.print(_table(study, [row for row in rows if row.case.study == study]))
@@ -151,7 +151,7 @@ def _json_line(row: Row) -> str:
 
 
 def with_schedule(p: ChannelParameters, schedule: Literal["coprime", "random"]) -> ChannelParameters:
-    """The same parameters with this schedule for both Bluetooth modes."""
+    """The same parameters with the given schedule for both Bluetooth modes."""
     return structs.replace(
         p,
         ble4=structs.replace(p.ble4, schedule=schedule),
@@ -160,7 +160,7 @@ def with_schedule(p: ChannelParameters, schedule: Literal["coprime", "random"]) 
 
 
 def cases(p: ChannelParameters) -> list[Case]:
-    """All of all three studies."""
+    """All cases of the three studies."""
     largest = dict(zip(MODES, parameters.max_rates(p), strict=True))
     found = [
         Case("link", variant, mode, rate, 1 + RECEIVERS)
@@ -184,9 +184,9 @@ def cases(p: ChannelParameters) -> list[Case]:
 
 
 def compare(p: ChannelParameters, effort: Effort) -> Iterator[Row]:
-    """Every case, on all cores."""
+    """Simulate every case, on all cores. Yields the rows in the order of `cases`."""
     asked = cases(p)
-    # Ctrl-C reaches the workers too: it ends them at once and without a word.
+    # Ctrl-C also reaches the workers. It must end them at once and without a message.
     with (
         ProcessPoolExecutor(
             os.cpu_count(), initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)
@@ -202,16 +202,16 @@ def compare(p: ChannelParameters, effort: Effort) -> Iterator[Row]:
 
 
 def row_of(p: ChannelParameters, effort: Effort, case: Case) -> Row:
-    """One comparison, the same whatever else is compared."""
+    """The result of one comparison. It does not depend on which other cases are compared."""
     return {"link": _link, "collision": _collision, "fleet": _fleet}[case.study](p, effort, case)
 
 
 def _link(p: ChannelParameters, effort: Effort, case: Case) -> Row:
-    """One sender in the midst of receivers that do not send."""
+    """Compare the delay of one sender to receivers that do not send."""
     rates = np.zeros((case.uavs, 3), np.intp)
     rates[0, case.column] = case.rate
     near, channels = np.zeros((case.uavs, case.uavs)), np.ones(case.uavs, np.intp)
-    seconds = 2.0 * max(effort.seconds, 60.0)  # long enough for the slowest mode
+    seconds = 2.0 * max(effort.seconds, 60.0)  # enough for the slowest mode
     result = simulate(p, case.assumptions, near, rates, channels, seconds, _rng(effort, case))
     delay = packet_metrics.sample_delay_s(result)
     each = delay.mean_s[0, 1:, case.column]
@@ -230,10 +230,10 @@ def _link(p: ChannelParameters, effort: Effort, case: Case) -> Row:
 
 
 def _collision(p: ChannelParameters, effort: Effort, case: Case) -> Row:
-    """Everybody near everybody; positions matter only for capture."""
+    """Compare the loss among aircraft that are all near each other. Positions matter only for capture."""
     places, rng = _places(effort, case), _rng(effort, case)
     lost, expected, silent = [], [], []
-    # Schedules that meet once may meet in every period: many short runs say more than a few long ones.
+    # Schedules that collide once may collide in every period: many short runs tell more than a few long ones.
     for _ in range(max(effort.environments, 100 * effort.environments // case.uavs)):
         links = all_links(draw_positions(1, case.uavs, DENSE_M, places), p.propagation, places)
         fleet = fixed_mode(case.uavs, case.mode, case.rate, p, rng)
@@ -249,7 +249,8 @@ def _collision(p: ChannelParameters, effort: Effort, case: Case) -> Row:
 
 
 def _fleet(p: ChannelParameters, effort: Effort, case: Case) -> Row:
-    """System delay of a fixed mode, both models same positions; pairs that never heard do not count."""
+    """Compare the system delay of a fixed mode, on the same positions for both models. Pairs of which one
+    received nothing from the other do not count."""
     assert case.side_m is not None
     places, rng = _places(effort, case), _rng(effort, case)
     models = Analytic(p), Analytic(with_schedule(p, "random"))
@@ -271,7 +272,7 @@ def _fleet(p: ChannelParameters, effort: Effort, case: Case) -> Row:
         if result.carried.any():
             silent.append(packet_metrics.never_heard(result))
             waiting.append(_waiting(delay, result, case))
-    # The positions' own spread is common to both models: the interval is that of the paired difference.
+    # The spread of the positions is common to both models, so the interval is that of the paired difference.
     paired, error = _mean_and_error(np.array(simulated) - np.array(expected))
     equations = float(np.mean(expected))
     mean = equations + paired
@@ -289,32 +290,32 @@ def _fleet(p: ChannelParameters, effort: Effort, case: Case) -> Row:
 
 
 def _waiting(delay: packet_metrics.SampleDelay, result: Result, case: Case) -> float:
-    """Share of the samples that pairs with a finite mean still waited for."""
+    """Share of the samples of pairs with a finite mean delay that had not arrived at the end."""
     heard = np.isfinite(delay.mean_s[:, :, case.column])
     samples = 0.8 * result.duration_s / result.gnss_period_s * max(1, int(heard.sum()))
     return float(delay.open_samples[:, :, case.column][heard].sum() / samples)
 
 
 def _places(effort: Effort, case: Case) -> np.random.Generator:
-    """Draws the positions: the same for every mode and variant."""
+    """Random generator for the positions, the same for every mode and variant."""
     return np.random.default_rng([effort.seed, case.uavs, round(case.side_m or 0.0)])
 
 
 def _rng(effort: Effort, case: Case) -> np.random.Generator:
-    """A stream for each case, whatever else is simulated."""
+    """Random generator of one case, independent of which other cases are simulated."""
     words = (case.study, case.variant, case.mode, case.rate, case.uavs, case.side_m)
     return np.random.default_rng([effort.seed, *(int.from_bytes(str(w).encode(), "little") for w in words)])
 
 
 def _matrix(links: Links) -> Floats:
-    """Path loss from row to column (dB)."""
+    """Matrix of the path loss from row to column (dB)."""
     loss = np.full((links.nodes, links.nodes), np.nan)
     loss[links.transmitter, links.receiver] = links.path_loss_db
     return loss
 
 
 def _mean_and_error(values: Floats) -> tuple[float, float]:
-    """Mean and standard error; NaN for what cannot be said."""
+    """Mean and standard error; NaN for a quantity that the number of values does not permit."""
     if len(values) < 2:
         return (float(values[0]) if len(values) else math.nan), math.nan
     return float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))

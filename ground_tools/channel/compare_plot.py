@@ -1,5 +1,4 @@
-"""The picture of `ground-tools channel compare`: equations as lines, the packet-by-packet simulator as
-points."""
+"""The picture of `ground-tools channel compare`: the equations as lines, the packet simulator as points."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ _MARKS = {_EQUAL: ("o", "none"), _REAL: ("D", "full")}
 
 
 def draw(figure: Any, rows: Sequence[Row]) -> None:
-    """A panel for each study."""
+    """Draw a panel for each study."""
     link, collision, fleet = figure.subplots(1, 3)
     _link(link, [r for r in rows if r.case.study == "link"])
     _collision(collision, [r for r in rows if r.case.study == "collision"])

@@ -33,12 +33,13 @@ VARIANTS: dict[str, dict[str, Assumptions]] = {
         "real radios": REAL,
     },
 }
-"""Assumptions of the packet-by-packet simulator in each study, from the paper's to the standards'."""
+"""Assumptions of the packet-by-packet simulator in each study, from those of the paper to those of the
+standards."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What is compared."""
+    """The conditions of one comparison."""
 
     study: str
     variant: str
@@ -49,45 +50,45 @@ class Case:
 
     @property
     def assumptions(self) -> Assumptions:
-        """Those of the packet-by-packet simulator."""
+        """Assumptions of the packet-by-packet simulator."""
         return VARIANTS[self.study][self.variant]
 
     @property
     def column(self) -> int:
-        """Of the mode."""
+        """Index of the mode in `MODES`."""
         return MODES.index(self.mode)
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One comparison. Delays in ms, losses as shares; intervals of 95 %."""
+    """Result of one comparison. Delays in ms, losses as fractions; intervals of 95 %."""
 
     case: Case
     quantity: str
     equations: float
-    """The paper's."""
+    """Value of the paper's equations."""
     equations_random: float
-    """The same with Bluetooth events at random phases (`BleParameters.schedule`)."""
+    """Value of the equations with Bluetooth events at random phases (`BleParameters.schedule`)."""
     packets: float
     packets_low: float
     packets_high: float
     never_heard: float
-    """Share of the pairs in range that heard nothing in the whole run; they are left out of a mean delay."""
+    """Share of the pairs in range that received nothing in the whole run. They do not enter a mean delay."""
     waiting: float
-    """Share of the counted samples that still waited at the end: above 0, the delay is a lower bound."""
+    """Share of the counted samples that had not arrived at the end. Above 0, the delay is a lower bound."""
 
     @property
     def ratio(self) -> float:
-        """Packets over equations."""
+        """Value of the packets divided by that of the equations."""
         return self.packets / self.equations if self.equations else math.nan
 
     @property
     def ratio_random(self) -> float:
-        """Packets over equations with random phases."""
+        """Value of the packets divided by that of the equations with random phases."""
         return self.packets / self.equations_random if self.equations_random else math.nan
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON: what is not finite is null."""
+        """The row as a flat dictionary for JSON; numbers that are not finite become None."""
         fields = asdict(self)
         flat = {**fields.pop("case"), **fields, "ratio": self.ratio, "ratio_random": self.ratio_random}
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in flat.items()}

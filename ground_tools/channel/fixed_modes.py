@@ -1,7 +1,8 @@
-"""Every aircraft on one mode at one rate: system delay and loss over sizes and rates, by Monte Carlo.
+"""System delay and loss when every aircraft uses one mode at one rate, over sizes and rates, by Monte Carlo.
 
-Section "Performance of Remote ID Modes". Positions are drawn anew for every environment. The environments of
-a side are the same for all modes, rates and sigmas, so that these differ by what they do, not by the draw.
+This reproduces the paper's section "Performance of Remote ID Modes". New positions are drawn for every
+environment. All modes, rates and sigmas use the same environments of a side, so that their differences do not
+come from the draw.
 """
 
 from __future__ import annotations
@@ -26,42 +27,42 @@ Reading = Literal["shared", "random"]
 READINGS: Final[tuple[Reading, ...]] = ("shared", "random")
 
 _LINKS_AT_ONCE = 90_000
-"""Environments are evaluated in batches of about so many links, which bounds the memory."""
+"""Approximate number of links that are evaluated in one batch. It bounds the memory."""
 NAMES: Final = {BLE4: "BLE 4", BLE5: "BLE 5", WIFI_BEACON: "Wi-Fi"}
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What to evaluate."""
+    """Selection of what is evaluated."""
 
     parameters: ChannelParameters
     sides_m: tuple[float, ...]
     rates: dict[str, tuple[int, ...]]
-    """Messages in a GNSS period, for each mode that is evaluated."""
+    """Message rates (messages in a GNSS period) of each mode that is evaluated."""
     sigmas_db: tuple[float, ...]
     uavs: int
     samples: int
-    """Environments of each side, at least 2."""
+    """Number of environments of each side, at least 2."""
     seed: int
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One mode at one rate in squares of one side."""
+    """Result for one mode at one rate in squares of one side."""
 
     mode: str
     rate: int
     side_m: float
     sigma_db: float
     wifi_channels: Reading
-    """How beacons spread over the Wi-Fi channels; "shared" for BLE, where it plays no part."""
+    """How beacons are distributed over the Wi-Fi channels. "shared" for BLE, for which it has no effect."""
     system_delay_ms: float | None
-    """Mean over the environments of the sum over the aircraft of each one's mean delay to those it reaches, 0
-    where it reaches nobody (P0). None where some message never arrives."""
+    """System delay (P0): the sum over the aircraft of each one's mean delay to those it reaches (0 if it
+    reaches none), averaged over the environments. None if some message never arrives."""
     system_delay_se_ms: float | None
-    """Monte Carlo standard error."""
+    """Monte Carlo standard error of the system delay."""
     loss: float | None
-    """Mean over all links that carry the mode; None where there is none in any environment."""
+    """Mean loss over all links that carry the mode; None if no environment has such a link."""
     loss_se: float | None
     uavs: int
     samples: int
@@ -69,7 +70,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What one row is about, within one side and sigma."""
+    """The conditions of one row, within one side and sigma."""
 
     mode: str
     reading: Reading
@@ -77,12 +78,12 @@ class Case:
 
 
 def name_of(mode: str, reading: Reading) -> str:
-    """A mode's name for people, with the reading of its channels where there are two."""
+    """Display name of a mode. For Wi-Fi it includes how the channels are assigned."""
     return f"{NAMES[mode]} {reading}" if mode == WIFI_BEACON else NAMES[mode]
 
 
 def cases_of(settings: Settings) -> tuple[Case, ...]:
-    """All rows of one side and sigma."""
+    """The cases of one side and sigma."""
     return tuple(
         Case(mode, reading, rate)
         for mode in MODES
@@ -92,14 +93,14 @@ def cases_of(settings: Settings) -> tuple[Case, ...]:
 
 
 def batches_of(settings: Settings) -> tuple[int, ...]:
-    """Number of environments of each batch."""
+    """Number of environments in each batch."""
     largest = max(1, _LINKS_AT_ONCE // (settings.uavs * (settings.uavs - 1)))
     whole, rest = divmod(settings.samples, largest)
     return (largest,) * whole + ((rest,) if rest else ())
 
 
 def evaluate(settings: Settings, advance: Callable[[], None] = lambda: None) -> Iterator[list[Row]]:
-    """Rows by sigma, then by side; `advance` is called after each batch."""
+    """Evaluate all rows, by sigma and then by side; `advance` is called after each batch."""
     for sigma_db in settings.sigmas_db:
         for side_m in settings.sides_m:
             yield evaluate_side(settings, side_m, sigma_db, advance)
@@ -108,11 +109,11 @@ def evaluate(settings: Settings, advance: Callable[[], None] = lambda: None) -> 
 def evaluate_side(
     settings: Settings, side_m: float, sigma_db: float, advance: Callable[[], None] = lambda: None
 ) -> list[Row]:
-    """The rows of one side and sigma."""
+    """Evaluate the rows of one side and sigma; `advance` is called after each batch."""
     propagation = msgspec.structs.replace(settings.parameters.propagation, shadowing_sigma_db=sigma_db)
     parameters = msgspec.structs.replace(settings.parameters, propagation=propagation)
     model, uavs = Analytic(parameters), settings.uavs
-    # The side is part of the seed: what a row says does not depend on which others were asked for.
+    # The side is part of the seed, so that a row does not depend on which other rows are evaluated.
     bits = int.from_bytes(struct.pack("<d", side_m), "little")
     place, shadow, channel = map(
         np.random.default_rng, np.random.SeedSequence([settings.seed, bits]).spawn(3)
@@ -121,7 +122,7 @@ def evaluate_side(
     for environments in batches_of(settings):
         positions = draw_positions(environments, uavs, side_m, place)
         links = all_links(positions, parameters.propagation, shadow)
-        # Drawn once, not for each case: see the seed.
+        # Drawn once and not for each case, so that a row does not depend on the other rows.
         channels = {
             reading: wifi_channels(
                 links.nodes, msgspec.structs.replace(parameters, wifi_channels=reading), channel
@@ -137,13 +138,13 @@ def evaluate_side(
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Per environment, shape (environments,) each."""
+    """Results of one batch, each of shape (environments,)."""
 
     system_delay_s: Floats
     lost: Floats
-    """Sum of the losses of the links that carry."""
+    """Sum of the losses of the links that carry the mode."""
     carrying: Floats
-    """Number of such links."""
+    """Number of links that carry the mode."""
 
 
 def _batch(model: Analytic, links: Links, fleet: Fleet, mode: int, environments: int) -> _Batch:
@@ -178,15 +179,18 @@ def _row(case: Case, side_m: float, sigma_db: float, batches: list[_Batch], sett
 
 
 def mean_and_error(values: Floats) -> tuple[float, float] | tuple[None, None]:
-    """Mean and its standard error; None for both where a value is infinite."""
+    """Mean and its standard error; None for both if a value is not finite."""
     if not np.isfinite(values).all():
         return None, None
     return float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
 def ratio_and_error(parts: Floats, counts: Floats) -> tuple[float, float] | tuple[None, None]:
-    """Sum of the parts by sum of the counts, and its standard error by the delta method: environments are
-    independent, the links of one are not. None for both where there is nothing to count."""
+    """Sum of the parts divided by the sum of the counts, and its standard error by the delta method.
+
+    The delta method applies because the environments are independent, while the links of one environment are
+    not. None for both if the counts are all 0.
+    """
     total = float(counts.sum())
     if total == 0.0:
         return None, None

@@ -1,4 +1,4 @@
-"""The options that `ground-tools channel table`, `plot` and `compare` share."""
+"""Command-line options that `ground-tools channel table`, `plot` and `compare` share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ground_tools.channel.fixed_modes import Settings
 from sitl_mocks.channel.parameters import MODES, ChannelParameters, check_rate, load, max_rates
 
 SIDES_M: Final = (100.0, 500.0, 1000.0, 3000.0, 5000.0, 10000.0)
-"""The paper's sizes; its "100 m^2" is a square of side 100 m."""
+"""Sides of the paper's squares. Its "100 m^2" is a square with a side of 100 m."""
 UAVS: Final = 10
 SAMPLES: Final = 1000
 SEED: Final = 1
@@ -29,7 +29,7 @@ LISTS = "Lists are separated by spaces or commas: --sides 100 500, --rates 1,5,9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options that say what is evaluated."""
+    """Add the options that select what is evaluated."""
     parser.add_argument(
         "--sides", nargs="+", metavar="M", help="sides of the squares (default: 100 500 1000 3000 5000 10000)"
     )
@@ -53,23 +53,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """The option that names a parameter file."""
+    """Add the option that names a parameter file."""
     parser.add_argument(
         "--parameters", type=Path, metavar="FILE", help="channel parameters, TOML (default: the paper's)"
     )
 
 
 def parameters_of(args: argparse.Namespace) -> ChannelParameters:
-    """What the file holds.
+    """The channel parameters of the file, or the paper's without a file.
 
     Raises:
-        ConfigError: names the file, the key, what it holds and what is allowed.
+        ConfigError: the file is wrong; the message names the file, the key, its value and what is allowed.
     """
     return ChannelParameters() if args.parameters is None else load(args.parameters)
 
 
 def add_sampling(parser: argparse.ArgumentParser) -> None:
-    """Options of the Monte Carlo average."""
+    """Add the options of the Monte Carlo average."""
     parser.add_argument(
         "--samples",
         type=int,
@@ -81,15 +81,15 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
-    """The option of the random draw."""
+    """Add the option for the seed of the random draw."""
     parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of the draw (default: 1)")
 
 
 def settings_of(args: argparse.Namespace) -> Settings:
-    """What the options ask for.
+    """The settings that the options select.
 
     Raises:
-        ConfigError: names the option, what it holds and what is allowed.
+        ConfigError: an option is wrong; the message names it, its value and what is allowed.
     """
     parameters = parameters_of(args)
     check_sampling(args.samples, args.seed)
@@ -112,10 +112,10 @@ def settings_of(args: argparse.Namespace) -> Settings:
 
 
 def check_sampling(samples: int, seed: int) -> None:
-    """Refuse what cannot be averaged or seeded.
+    """Check the number of samples and the seed.
 
     Raises:
-        ConfigError: names the option, what it holds and what is allowed.
+        ConfigError: one of them is out of range; the message names the option, its value and what is allowed.
     """
     if not 2 <= samples <= _MAX_SAMPLES:
         raise ConfigError(f"--samples: {samples}: allowed 2 to {_MAX_SAMPLES}")
@@ -123,20 +123,20 @@ def check_sampling(samples: int, seed: int) -> None:
 
 
 def check_seed(seed: int) -> None:
-    """Refuse what cannot be a seed.
+    """Check the seed.
 
     Raises:
-        ConfigError: names the option, what it holds and what is allowed.
+        ConfigError: the seed is out of range; the message names the option, its value and what is allowed.
     """
     if not 0 <= seed <= MAX_SEED:
         raise ConfigError(f"--seed: {seed}: allowed 0 to {MAX_SEED}")
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder of the option --out where it is missing.
+    """Create the folder of the option --out if it does not exist.
 
     Raises:
-        ConfigError: it cannot be made.
+        ConfigError: the folder cannot be created.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -145,7 +145,7 @@ def make_folder(path: Path) -> None:
 
 
 def _words(option: str, given: Iterable[str]) -> list[str]:
-    """The items of a list."""
+    """Split the arguments of a list option into its items."""
     words = [word.strip() for part in given for word in part.strip().strip(",").split(",")]
     if "" in words:
         raise ConfigError(f"{option}: {' '.join(given)!r}: an item is empty; {LISTS}")
@@ -153,7 +153,7 @@ def _words(option: str, given: Iterable[str]) -> list[str]:
 
 
 def _numbers(option: str, given: list[str], largest: float, *, above: bool = False) -> tuple[float, ...]:
-    """Numbers from 0 (`above`: more than 0) to `largest`, each once."""
+    """Parse numbers from 0 (`above`: more than 0) to `largest`, and drop duplicates."""
     allowed = f"{'more than 0 and up' if above else '0'} to {largest:,.0f}"
     found = []
     for word in _words(option, given):

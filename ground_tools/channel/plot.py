@@ -1,4 +1,4 @@
-"""`ground-tools channel plot`: delay against rate, one panel for each side."""
+"""The command `ground-tools channel plot`: delay against rate, one panel for each side."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _COLUMNS = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools channel plot`."""
+    """Add the options of `ground-tools channel plot`."""
     parser.description = (
         "Draw the system delay of the fixed modes against the rate, one panel for each side.\n"
         + options.LISTS
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools channel plot`. Returns 0.
+    """Run `ground-tools channel plot`. Returns 0.
 
     Raises:
         ConfigError: an option or the parameter file is wrong, the picture cannot be written, or matplotlib is
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     if len(settings.sides_m) > _MAX_PANELS:
         raise ConfigError(f"--sides: {len(settings.sides_m)} values: a picture shows up to {_MAX_PANELS}")
     steps = len(settings.sides_m) * len(batches_of(settings))
-    # The figure first: what is missing for it shows before the computation, not after.
+    # The figure is opened first, so that a missing requirement is reported before the computation.
     with drawn(args.out, size_of(len(settings.sides_m))) as figure, progress("fixed modes", steps) as advance:
         draw(figure, [row for rows in evaluate(settings, advance) for row in rows], "delay")
     print(f"wrote {args.out}")
@@ -55,12 +55,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def size_of(panels: int) -> tuple[float, float]:
-    """Width and height (inches) of a picture with so many panels."""
+    """Width and height (inches) of a picture with the given number of panels."""
     return 1.5 + 4.6 * min(_COLUMNS, panels), 1.8 + 3.5 * math.ceil(panels / _COLUMNS)
 
 
 def draw(figure: Any, rows: Sequence[Row], quantity: Quantity) -> None:
-    """A panel for each side, a line for each mode; all rows are of one sigma."""
+    """Draw a panel for each side with a line for each mode. All rows must be of one sigma."""
     sides = list(dict.fromkeys(row.side_m for row in rows))
     columns = min(_COLUMNS, len(sides))
     figure.suptitle(_title(rows[0], quantity), fontsize=16, fontweight="bold")
@@ -74,7 +74,7 @@ def draw(figure: Any, rows: Sequence[Row], quantity: Quantity) -> None:
         axes.set_visible(False)
     for axes in panels[:, 0]:
         axes.set_ylabel("system delay (ms)" if quantity == "delay" else "loss (%)")
-    # A logarithm has no place where nobody reaches anybody.
+    # If no aircraft reaches another, all delays are 0, which a logarithmic axis cannot show.
     if quantity == "delay" and any(row.system_delay_ms for row in rows):
         panels.flat[0].set_yscale("log")
     handles, labels = panels.flat[0].get_legend_handles_labels()
@@ -115,7 +115,7 @@ def _panel(axes: Any, rows: Sequence[Row], quantity: Quantity) -> None:
 
 
 def _value(row: Row, quantity: Quantity) -> tuple[float, float]:
-    """Value and error; NaN, which leaves a gap, where there is none."""
+    """Value and error; NaN for both if there is none, which leaves a gap in the line."""
     found = (row.system_delay_ms, row.system_delay_se_ms) if quantity == "delay" else (row.loss, row.loss_se)
     scale = 1.0 if quantity == "delay" else 100.0
     value, error = found

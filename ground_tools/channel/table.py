@@ -1,4 +1,4 @@
-"""`ground-tools channel table`: delay and loss of the fixed modes, as tables or as JSON lines."""
+"""The command `ground-tools channel table`: delay and loss of the fixed modes, as tables or as JSON lines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEGEND = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools channel table`."""
+    """Add the options of `ground-tools channel table`."""
     parser.description = (
         "System delay and loss where every aircraft is on one mode at one rate, by the channel model's "
         "equations.\n"
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools channel table`. Returns 0.
+    """Run `ground-tools channel table`. Returns 0.
 
     Raises:
         ConfigError: an option or the parameter file is wrong.
@@ -65,7 +65,7 @@ def json_line(row: Row) -> str:
 
 
 def table_of(rows: Sequence[Row]) -> Table:
-    """The rows of one side and sigma: rates downwards, modes to the right."""
+    """Table of the rows of one side and sigma: a line for each rate, columns for each mode."""
     first = rows[0]
     title = (
         f"Side {first.side_m:,g} m, sigma {first.sigma_db:g} dB, {first.uavs} aircraft, "
@@ -95,18 +95,18 @@ def table_of(rows: Sequence[Row]) -> Table:
 
 
 def delay_cell(row: Row) -> str:
-    """System delay with its error."""
+    """The text of a system delay with its error; "never" if some message never arrives."""
     if row.system_delay_ms is None or row.system_delay_se_ms is None:
         return "never"
     return with_error(row.system_delay_ms, row.system_delay_se_ms)
 
 
 def with_error(value: float, error: float) -> str:
-    """A value and its error to about the digits that the error leaves, at most one decimal."""
+    """The text of a value and its error, with the digits that the error justifies and at most one decimal."""
     whole = error >= 10.0
     return f"{value:.{0 if whole or value >= 1000.0 else 1}f} ±{error:.{0 if whole else 1}f}"
 
 
 def loss_cell(row: Row) -> str:
-    """Loss in percent; "-" where nobody is in range."""
+    """The text of a loss in percent; "-" if no aircraft is in range of another."""
     return "-" if row.loss is None else f"{100.0 * row.loss:.2f}"

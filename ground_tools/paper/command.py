@@ -1,6 +1,6 @@
-"""`ground-tools paper`: the paper's figures, computed anew and set beside what it says of them.
+"""The command `ground-tools paper`: recomputes the paper's figures and compares them with its statements.
 
-A new figure is a module with `report` and `draw`, and its line in `FIGURES`.
+To add a figure, write a module with `report` and `draw` and add an entry to `FIGURES`.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ class Figure:
     """One published figure."""
 
     name: str
-    """On the command line, and of its picture."""
+    """Name on the command line and of the picture's file."""
     words: str
-    """For the help."""
+    """Description for the help."""
     report: Callable[[Study], Report]
     draw: Callable[[Study, Path], None]
     sigmas: int
-    """How many sigmas of the study it looks at; 0: it does not need the study, and none is computed."""
+    """Number of sigmas of the study that the figure uses. 0: none, and the study is not evaluated."""
     steps: int = 0
-    """Calls of the study's `advance` while it is drawn, beside those for the sigmas."""
+    """Calls of the study's `advance` while the figure is drawn, in addition to those for the sigmas."""
 
 
 FIGURES: Final = (
@@ -99,7 +99,7 @@ FIGURES: Final = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `ground-tools paper`."""
+    """Add the options of `ground-tools paper`."""
     lines = [f"  {figure.name:13s} {figure.words}" for figure in FIGURES]
     parser.description = (
         "Compute the paper's figures by the channel model's equations, and by flights, and set them beside\n"
@@ -134,7 +134,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`ground-tools paper`. Returns 0.
+    """Run `ground-tools paper`. Returns 0.
 
     Raises:
         ConfigError: an option is wrong, a picture cannot be written, or matplotlib is missing.
@@ -152,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
         found = []
         for figure in chosen:
             path = args.out / f"{figure.name}.png"
-            # The picture first: that matplotlib is missing shows before the computation, not after.
+            # The picture comes first, so that a missing matplotlib is reported before the computation.
             figure.draw(study, path)
             found.append((figure, figure.report(study), path))
     words = Console(stderr=args.json)

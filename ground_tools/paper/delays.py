@@ -1,4 +1,4 @@
-"""Delays of one method: what a measurement yields and the tables and figures show."""
+"""Delays of one method, as a measurement yields them and as tables and figures show them."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from ground_tools.channel.options import SIDES_M
 from ground_tools.paper.study import LARGE_M, SMALL_M
 
 SET: Final = "set"
-"""Key of the network that chooses sets of transports."""
+"""Key of the set network, which chooses sets of transports."""
 DENSITIES: Final = {"high": SMALL_M, "low": LARGE_M, "dynamic": SIDES_M}
-"""Sides of the area (m) by the paper's names of densities."""
+"""Sides of the area (m), by the paper's name of the density."""
 
 
 @dataclass(frozen=True, slots=True)
 class Delays:
-    """What was measured of one method."""
+    """Measured delays of one method."""
 
     key: str
     name: str
-    """For people."""
+    """Display name."""
     rate: int | str
-    """Messages in a GNSS period; "-" where it changes."""
+    """Messages in a GNSS period; "-" if the rate changes."""
     system: dict[str, tuple[float, float]]
     """System delay and its standard error (ms), by density."""
     uav_ms: tuple[float, ...]
-    """Of each aircraft, dynamic density."""
+    """Delay of each aircraft at dynamic density."""

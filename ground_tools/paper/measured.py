@@ -1,7 +1,7 @@
-"""Delays of everything that needs no kept run: fixed modes, random, the one-line rule, the set network, the
-search; all in the same places, by the paper's objective. Needs PyTorch.
+"""Delays of all methods that need no stored training run, on equal positions, with the paper's objective.
 
-The system delay is the sum over the aircraft of each one's mean delay to those whom it reaches.
+The methods are the fixed modes, random choice, the one-line rule, the set network and the search. The system
+delay is the sum over the aircraft of each one's mean delay to those that it reaches. Needs PyTorch.
 """
 
 from __future__ import annotations
@@ -28,16 +28,18 @@ from ground_tools.paper.delays import DENSITIES, SET, Delays
 from sitl_mocks.channel.parameters import MODES
 
 _CHUNK: Final = 500
-"""Fleets at a time."""
+"""Number of fleets that are evaluated at once."""
 _BEFORE: Final = 2
-"""Rounds of decisions in the place before, that the first choices follow some of its own."""
+"""Rounds of decisions at a previous position, so that the set network's first choices follow earlier choices
+of its own."""
 _RULE_ROUNDS: Final = 2
-"""In the first one some neighbours may go unheard, on a transport that nobody uses afterwards."""
+"""Rounds of the rule. In the first round some neighbours may not be received, because they are on a transport
+that no aircraft uses afterwards."""
 _SEARCH_ROUNDS: Final = 15
 
 
 class Sums:
-    """Costs of one method: system delays by square, and those of each aircraft."""
+    """Accumulated costs of one method: system delays by square, and the delays of each aircraft."""
 
     def __init__(self) -> None:
         self._fleets = dict.fromkeys(SIDES_M, 0)
@@ -46,7 +48,7 @@ class Sums:
         self._each = torch.zeros(UAVS, dtype=torch.float64)
 
     def add(self, side_m: float, cost_s: Tensor) -> None:
-        """Costs (s) in one square, (fleets, aircraft)."""
+        """Add costs (s) in one square, shape (fleets, aircraft)."""
         each_ms = 1000.0 * cost_s.double()
         system = each_ms.sum(1)
         self._fleets[side_m] += len(system)
@@ -55,7 +57,7 @@ class Sums:
         self._each += each_ms.sum(0)
 
     def mean_ms(self, sides_m: Sequence[float]) -> tuple[float, float]:
-        """System delay over these squares and its standard error; the squares are drawn independently."""
+        """Mean system delay over these squares and its standard error; the squares' draws are independent."""
         means, variances = [], []
         for side_m in sides_m:
             n, mean = self._fleets[side_m], self._first[side_m] / self._fleets[side_m]
@@ -64,22 +66,22 @@ class Sums:
         return math.fsum(means) / len(means), math.sqrt(math.fsum(variances)) / len(means)
 
     def delays(self, key: str, name: str, rate: int | str) -> Delays:
-        """All of it; the squares have the same number of fleets."""
+        """The accumulated delays. All squares must have the same number of fleets."""
         system = {density: self.mean_ms(sides_m) for density, sides_m in DENSITIES.items()}
         uav_ms = self._each / sum(self._fleets.values())
         return Delays(key, name, rate, system, tuple(uav_ms.tolist()))
 
 
 def measure(samples: int, seed: int, policy: Path | None) -> tuple[Delays, ...]:
-    """Every method in the same places.
+    """Measure every method on the same positions.
 
     Args:
-        samples: fleets in each of the six squares.
-        seed: of the draw.
-        policy: file of a set network that was trained for the paper's objective.
+        samples: number of fleets in each of the six squares.
+        seed: seed of the draw.
+        policy: file of a set network that was trained for the paper's objective; None leaves this method out.
 
     Raises:
-        ConfigError: the policy is none for this task.
+        ConfigError: the policy is not one for this task.
     """
     frozen = None if policy is None else _frozen(policy)
     sums: dict[int | str, Sums] = {}
@@ -109,7 +111,8 @@ def _frozen(path: Path) -> Frozen:
 def _in_one_place(
     side_m: float, fleets: int, frozen: Frozen | None, generator: torch.Generator
 ) -> dict[int | str, Tensor]:
-    """Costs (s), (fleets, aircraft), of every fixed action by its index, and of the others by their keys."""
+    """Costs (s), shape (fleets, aircraft), of every fixed action by its index and of the other methods by
+    their keys."""
     objective = paper_objective(torch.device("cpu"))
     settings = EnvSettings(world=WorldSettings(sides=side_m), side_drawn="episode")
     env = Env(settings, objective, fleets, UAVS, generator)
@@ -136,10 +139,10 @@ def _in_one_place(
 
 
 def _decided(env: Env, frozen: Frozen, generator: torch.Generator, rounds: int) -> Tensor:
-    """Costs (s) once the fleet has decided in the way of its training, (fleets, aircraft).
+    """Costs (s), shape (fleets, aircraft), after the fleet has decided in the same way as in its training.
 
-    Those of random phases decide one part after the other, and the last rounds are averaged; as `settle`, but
-    nothing is computed for those whose turn it is not.
+    A policy that was trained with random phases decides one part of the fleet after the other, and the last
+    rounds are averaged. Unlike `settle`, this computes nothing for the aircraft whose turn it is not.
     """
     if frozen.metadata.decisions == "together":
         return env.act(frozen.decide(env.observe(), env.action))
@@ -159,7 +162,7 @@ def _decided(env: Env, frozen: Frozen, generator: torch.Generator, rounds: int) 
 
 
 def _best_fixed(fixed: Sequence[Sums]) -> list[Delays]:
-    """Each protocol at the rate of least mean delay over all squares; the lowest one on a tie."""
+    """Each protocol at the rate with the least mean delay over all squares; the lowest such rate on a tie."""
     names = dict(zip(MODES, ("BLE 4", "BLE 5", "Wi-Fi"), strict=True))
     found = []
     for index, mode in enumerate(MODES):

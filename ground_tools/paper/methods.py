@@ -1,6 +1,6 @@
-"""Everything whose delay stands in a figure: learners by their kept runs, the rest measured anew.
+"""All methods whose delays a figure shows: the learners from stored training runs, the others measured anew.
 
-Nothing here needs PyTorch; without it nothing is measured, and the figures say so.
+This module does not need PyTorch. Without PyTorch nothing is measured, and the figures state that.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from ground_tools.paper.figures.convergence import iqm, resampled
 
 POLICIES: Final = Path(__file__).parents[2] / "results" / "policies"
 SET_POLICY: Final = POLICIES / "paper-set.safetensors"
-"""The set network that was trained for the paper's objective."""
+"""File of the set network that was trained for the paper's objective."""
 LEARNERS: Final = ("madqn", "maddpg", "iac")
-"""That the paper compares."""
+"""The learning algorithms that the paper compares."""
 _KEYS: Final = {"high": "high_ms", "low": "low_ms", "dynamic": "delay_ms"}
 
 
 @dataclass(frozen=True, slots=True)
 class Learner:
-    """One algorithm over its seeds."""
+    """Results of one learning algorithm over its seeds."""
 
     key: str
     seeds: int
     system: dict[str, float]
-    """Interquartile mean (ms), by density; of one seed its value."""
+    """Interquartile mean over the seeds (ms), by density; with one seed, its value."""
     error: dict[str, float]
-    """Bootstrap standard error (ms); NaN for one seed."""
+    """Bootstrap standard error (ms), by density; NaN if there is only one seed."""
     interval: dict[str, tuple[float, float]]
-    """95 % bootstrap interval (ms); empty for one seed."""
+    """95 % bootstrap interval (ms), by density; empty if there is only one seed."""
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Display name."""
         return NAMES[self.key]
 
     @property
     def words(self) -> str:
-        """How sure its numbers are."""
+        """Text about the uncertainty of the results."""
         if not self.interval:
             return f"{self.name}: one seed, {self.system['dynamic']:.0f} ms dynamic; no interval"
         low, high = self.interval["dynamic"]
@@ -56,7 +56,7 @@ class Learner:
 
 
 def learner(results: Results, key: str) -> Learner | None:
-    """An algorithm of the kept runs; None where none is kept."""
+    """Results of an algorithm from its stored runs; None if no run is stored."""
     runs = results.of(key)
     if not runs:
         return None
@@ -72,32 +72,32 @@ def learner(results: Results, key: str) -> Learner | None:
 
 
 def best_run(runs: Sequence[Run]) -> Run:
-    """Of the best validation."""
+    """The run with the best validation."""
     return min(runs, key=lambda run: min(ms for _, ms in run.validation))
 
 
 def absent(results: Results) -> list[str]:
-    """The learners without a kept run, in words."""
+    """A text for each learner without a stored run."""
     return [f"{NAMES[key]}: no run is kept; it is absent here" for key in LEARNERS if not results.of(key)]
 
 
 def has_torch() -> bool:
-    """Whether anything can be measured."""
+    """Whether PyTorch is installed, without which nothing can be measured."""
     return importlib.util.find_spec("torch") is not None
 
 
 @functools.lru_cache(maxsize=4)
 def measured(samples: int, seed: int, policy: Path = SET_POLICY) -> tuple[Delays, ...]:
-    """Fixed modes at their best rates, the set network where its file exists, random, the one-line rule and
-    the search, once for all figures; nothing without PyTorch.
+    """Measure the fixed modes at their best rates, the set network if its file exists, random choice, the
+    one-line rule and the search. The result is cached for all figures; it is empty without PyTorch.
 
     Args:
-        samples: fleets in each of the six squares.
-        seed: of the draw.
-        policy: of the set network.
+        samples: number of fleets in each of the six squares.
+        seed: seed of the draw.
+        policy: file of the set network.
 
     Raises:
-        ConfigError: the policy is none for this task.
+        ConfigError: the policy is not one for this task.
     """
     if not has_torch():
         return ()
@@ -108,7 +108,7 @@ def measured(samples: int, seed: int, policy: Path = SET_POLICY) -> tuple[Delays
 
 
 def not_measured(found: Sequence[Delays], policy: Path = SET_POLICY) -> list[str]:
-    """What is missing among the measured ones, in words."""
+    """Texts about the methods that are missing among the measured ones."""
     if not found:
         return ["torch is not installed (pip install -e '.[train]'): only kept runs stand here"]
     if all(method.key != SET for method in found):

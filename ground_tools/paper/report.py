@@ -1,4 +1,4 @@
-"""What is found for one published figure: statements that hold or not, numbers beside published ones."""
+"""Results for one published figure: statements that hold or not, and numbers next to published ones."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from rich.table import Table
 from ground_tools.channel.table import with_error
 
 Value = str | float | tuple[float, float] | None
-"""Of a table: words, a number, from a number to another, or nothing known."""
+"""A value in a table: text, a number, a range, or None if it is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """A published statement and, place by place, whether our numbers bear it out."""
+    """A published statement and whether our numbers confirm it."""
 
     published: str
     ours: str
-    """What our numbers say, in a few words."""
+    """Short text of what our numbers show."""
     checks: dict[str, bool]
-    """Whether it holds, by place (a size, a rate)."""
+    """Whether the statement holds, for each checked condition (a size, a rate)."""
 
     @property
     def holds(self) -> bool:
-        """At every place."""
+        """Whether the statement holds under every condition."""
         return all(self.checks.values())
 
     @property
     def verdict(self) -> str:
-        """In words."""
+        """The result as text."""
         held = sum(self.checks.values())
         if held in (0, len(self.checks)):
             return "holds" if held else "does not hold"
@@ -42,48 +42,48 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A number of ours; beside it the published one where there is one."""
+    """One of our numbers, with the published number if there is one."""
 
     name: str
-    """Of the mode, for people."""
+    """Display name of the mode."""
     labels: dict[str, str | float]
-    """What it is: `mode`, `wifi_channels`, `rate`, `sigma_db`, `density`."""
+    """Conditions of the number: `mode`, `wifi_channels`, `rate`, `sigma_db`, `density`."""
     ours_ms: float
     error_ms: float
-    """Monte Carlo standard error; NaN where none is known."""
+    """Monte Carlo standard error; NaN if it is unknown."""
     published_ms: float | None
 
     @property
     def ratio(self) -> float | None:
-        """Ours by the published one."""
+        """Our number divided by the published one."""
         return None if self.published_ms is None else self.ours_ms / self.published_ms
 
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """A table with columns of its own, for what is no delay."""
+    """A table with its own columns, for numbers that are not delays."""
 
     title: str
     columns: dict[str, str]
-    """Heads for people, by key."""
+    """Column headings, by key."""
     rows: tuple[dict[str, Value], ...]
-    """Values by key; those of other keys than the columns' are for machines alone."""
+    """Values by key. Values whose key is not a column appear only in the JSON output."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """All of one figure."""
+    """All results for one figure."""
 
     title: str
     notes: tuple[str, ...]
-    """How words are meant, how numbers came about."""
+    """Explanations of the terms and of how the numbers were obtained."""
     statements: tuple[Statement, ...] = ()
     comparisons: tuple[Comparison, ...] = ()
     numbers: tuple[Numbers, ...] = ()
 
 
 def show(report: Report, console: Console) -> None:
-    """Print for people."""
+    """Print a report for people."""
     console.print(report.title, style="bold", highlight=False, soft_wrap=True)
     for note in report.notes:
         console.print(note, style="dim", highlight=False, soft_wrap=True)
@@ -112,7 +112,7 @@ def show(report: Report, console: Console) -> None:
 
 
 def _words(value: Value) -> str:
-    """Of a table's value: whole numbers as they are, others with two decimals."""
+    """The text of a table's value. Floating-point numbers have two decimals."""
     if value is None:
         return "-"
     if isinstance(value, tuple):
@@ -123,7 +123,7 @@ def _words(value: Value) -> str:
 
 
 def _ours(c: Comparison) -> str:
-    """Our number, with its error where one is known."""
+    """The text of our number, with its error if it is known."""
     if not math.isnan(c.error_ms):
         return with_error(c.ours_ms, c.error_ms)
     return f"{c.ours_ms:.1f}" if c.ours_ms >= 10.0 else f"{c.ours_ms:.3g}"
@@ -139,7 +139,7 @@ def _table(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]], *, right: 
 
 
 def json_rows(figure: str, report: Report) -> list[dict[str, object]]:
-    """For machines, one object for each statement and number; what is not finite is null."""
+    """The report for JSON: one object for each statement and number; numbers that are not finite are None."""
     statements: list[dict[str, object]] = [
         {
             "figure": figure,

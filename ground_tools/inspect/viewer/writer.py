@@ -143,7 +143,7 @@ class Writer:
 
     def steps(self, name: str, steps: Iterable[Step]) -> None:
         """Write the next steps of one aircraft. All must be in one piece of the time line (`Scene.piece`)."""
-        one, piece = self._aircraft[name], self._watches[name].take(steps)
+        one, piece = self._aircraft[name], self._watches[name].piece_of(steps)
         self._own(one, piece)
         self._decisions(one, piece)
         self._tracks(one, piece)

@@ -1,5 +1,6 @@
-"""What the closed loop found, by cell: a file for each condition and method, a line for each encounter; so a
-method can be added later, and a run that was cut short goes on.
+"""Stored results of the closed loop: a file for each condition and method, with a line for each encounter.
+
+With this layout a method can be added later, and an interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from ground_tools.paper.closed_loop.flights import FILE, METHODS, Flight, Row
 
 
 def cell(folder: Path, flight: Flight, crowd: int) -> Kept[Row]:
-    """One file, its rows by encounter.
+    """The stored results of one condition and method, its rows by encounter.
 
     Args:
-        folder: is there.
-        flight: any of the cell's; what it says beside its seeds must be the same for all.
-        crowd: encounters side by side in one air.
+        folder: an existing folder.
+        flight: any flight of the cell. All flights of a cell must be the same except for their seeds.
+        crowd: number of encounters side by side that share one radio environment.
 
     Raises:
         ConfigError: the file was made with other settings, or cannot be read.
@@ -31,7 +32,7 @@ def cell(folder: Path, flight: Flight, crowd: int) -> Kept[Row]:
 
 
 def _made_with(flight: Flight, crowd: int) -> dict[str, Any]:
-    """What a cell's numbers hang on, beside the software."""
+    """The settings, apart from the software, on which the results of a cell depend."""
     method = METHODS[flight.method]
     return {
         "condition": flight.condition,

@@ -1,7 +1,7 @@
-"""`ground-tools paper closed-loop`: from the policy over the radio channel to the separation.
+"""The command `ground-tools paper closed-loop`: from the policy through the radio channel to the separation.
 
-The paper draws the delays of its avoidance experiment from fixed intervals. Here they come out of the policy
-and the packets on the air, encounter by encounter, the same ones for each method.
+The paper draws the delays of its avoidance experiment from fixed intervals. Here the delays result from the
+policy and the transmitted packets in each encounter. All methods fly the same encounters.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from sitl_mocks.encounters.choosing import read_policy
 from sitl_mocks.encounters.draw import MAX_SIDE_BY_SIDE
 
 Cells = dict[tuple[str, str], Kept[Row]]
-"""By condition and method."""
+"""Stored results, by condition and method."""
 
 NAME: Final = "closed-loop"
 _CONFIG: Final = Path(__file__).parents[3] / "config"
@@ -53,7 +53,7 @@ _COLOURS: Final = {"sparse": "#2a78d6", "dense": "#e34948", "loaded": "#eda100"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of closed-loop alone."""
+    """Add the options that only closed-loop has."""
     group = parser.add_argument_group(NAME)
     group.add_argument(
         "--encounters",
@@ -91,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly what is missing, and show all. Returns 0.
+    """Fly the missing encounters and show all results. Returns 0.
 
     Raises:
         ConfigError: an option is wrong, a file cannot be read or written, or matplotlib is missing.
@@ -136,7 +136,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tuple[str, str], Flight]]]:
-    """The cells that are asked for, and the flights that they lack, each with its cell's key.
+    """The requested cells, and the flights that they lack, each with the key of its cell.
 
     Raises:
         ConfigError: a file cannot be read, or is wrong.
@@ -155,7 +155,7 @@ def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tupl
     for condition in args.conditions:
         size = args.crowd if condition == DENSE else 1
         for method in args.methods:
-            # Without avoidance nothing hangs on the air.
+            # Without avoidance the radio environment has no effect on the flight.
             runs = seeds_of(args.seed, args.encounters, 1 if method == UNAVOIDED else size)
             flights = [Flight(condition, method, seeds, region, channel, policy) for seeds in runs]
             kept = cells[condition, method] = cell(folder, flights[0], size)
@@ -164,13 +164,13 @@ def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tupl
 
 
 def seeds_of(seed: int, encounters: int, size: int) -> list[tuple[int, ...]]:
-    """Seeds of the encounters of each run; the last run may have more than are asked for."""
+    """Seeds of the encounters of each run. The last run may have more encounters than requested."""
     first = seed * _MAX_ENCOUNTERS
     return [tuple(range(first + at, first + at + size)) for at in range(0, encounters, size)]
 
 
 def _shown(args: argparse.Namespace, cells: Cells) -> dict[tuple[str, str], list[Row]]:
-    """The encounters that are asked for, in their order."""
+    """The results of the requested encounters, in the order of the encounters."""
     first = args.seed * _MAX_ENCOUNTERS
     wanted = range(first, first + args.encounters)
     return {key: [cell.rows[n] for n in wanted if n in cell.rows] for key, cell in cells.items()}
@@ -185,7 +185,7 @@ def _fly(
     processes: int,
     words: Console,
 ) -> None:
-    """Fly on several processes; each run is kept as soon as it is over."""
+    """Fly with several processes. Each run is stored as soon as it is finished."""
     warm_up()
     with progress("runs", len(missing)) as advance:
         for (key, _), rows in in_parallel(_rows, missing, processes, words):
@@ -201,7 +201,7 @@ def _rows(item: tuple[tuple[str, str], Flight]) -> list[Row]:
 
 
 def _draw(figure: Any, cells: table.Rows) -> None:
-    """Three panels: age of information, least separation, share of encounters with a loss."""
+    """Draw three panels: age of information, least separation, and share of encounters with a loss."""
     figure.suptitle(
         "Closed loop: from the choice of transports to the separation", fontsize=16, fontweight="bold"
     )
@@ -231,7 +231,7 @@ def _points(
     measure: table.Measure,
     shift: float,
 ) -> None:
-    """One condition's values with their intervals."""
+    """Draw the values of one condition with their intervals."""
     label: str | None = condition
     for place, method in enumerate(methods):
         rows = cells.get((condition, method))

@@ -1,7 +1,7 @@
 """The flights of the closed loop: one encounter or several side by side, under one condition, by one method.
 
-What chooses the transports, the radio channel, the delays, the tracks, the avoidance and the vehicles are all
-those of the lock-step simulation; nothing stands in for any of them.
+The choice of transports, the radio channel, the delays, the tracks, the avoidance and the vehicles are all
+those of the lock-step simulation. None of them is replaced by a simpler model.
 """
 
 from __future__ import annotations
@@ -33,25 +33,27 @@ CONDITIONS: Final = {
     LOADED: "nobody else, but foreign transmissions fill the band",
 }
 LOAD: Final = BackgroundLoad(wifi=0.6, ble4=0.21, ble5=0.21)
-"""Share of time; Bluetooth at 35 % of Wi-Fi's, as it hops."""
+"""Shares of time for which foreign transmissions fill the band. Bluetooth has 35 % of the share of Wi-Fi,
+because it hops."""
 LIMITS: Final = LimitsConfig(max_speed_mps=10.0, max_acceleration_mps2=2.0)
 AVOIDANCE: Final = AvoidanceConfig(recovery_time_s=5.0)
-"""A vehicle that starts at rest is on its path before the crossing."""
+"""With this recovery time, a vehicle that starts at rest is on its path before the crossing."""
 SEPARATION_M: Final = 2.0 * AVOIDANCE.conflict_radius_m
 RATE: Final = 10
-"""Locations a second of the single modes."""
+"""Location messages per second of the single modes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """What decides about the transports."""
+    """How the transports are chosen."""
 
     words: str
-    """For people."""
+    """Display name."""
     transports: tuple[TransportName, ...] = ("ble4", "wifi")
-    """For good where nobody chooses, else until the first choice: then they are the best legal set."""
+    """Transports for the whole flight if there is no policy. With a policy they are used until its first
+    choice and are the best legal set."""
     policy: str | None = None
-    """As in a scenario; FILE for the policy's file."""
+    """The policy as in a scenario, or FILE for the policy in a file."""
     avoids: bool = True
 
 
@@ -67,51 +69,51 @@ METHODS: Final = {
     "random": Method("random legal set", policy="random"),
     ATMC: Method("ATMC", policy=FILE),
 }
-"""Those without a choice keep no region's law: a single Bluetooth mode is legal nowhere."""
+"""The methods. Those without a policy ignore regional law: a single Bluetooth mode is legal nowhere."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """One run: one air."""
+    """One run, whose encounters share one radio environment."""
 
     condition: str
     method: str
     seeds: tuple[int, ...]
-    """Of the encounters in it; the first is also the run's."""
+    """Seeds of its encounters. The first one is also the seed of the run."""
     region: Region
     channel: ChannelParameters
     policy: bytes | None
-    """For the method that takes a file."""
+    """Content of the policy file, for the method that uses one."""
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of one encounter."""
+    """Result of one encounter."""
 
     encounter: int
-    """Its seed."""
+    """Seed of the encounter."""
     run: int
-    """The air that it was in."""
+    """Seed of the run that it was part of."""
     aircraft: int
     least_separation_m: float
     pairs_lost: int
     """Pairs that came nearer than `SEPARATION_M`."""
     deviation_m: float
-    """Largest distance from the timed path's point, the mean over aircraft."""
+    """Largest distance from the point of the timed path, averaged over the aircraft."""
     age_mean_s: float | None
-    """Of the ordered pairs, weighted; None where it plays no part."""
+    """Weighted mean age of information over the ordered pairs; None without avoidance."""
     age_p95_s: float | None
     age_max_s: float | None
     unheard: int
-    """Ordered pairs of which nothing was heard."""
+    """Ordered pairs in which nothing was received."""
     switches_per_minute: float
     seconds: dict[str, float]
-    """Of all its aircraft, by set."""
+    """Time of all its aircraft on each transport set."""
     fallback_share: float = 0.0
-    """Share of their time on the fall-back, because who was to choose could not."""
+    """Share of that time on the fall-back set, because the policy could not choose."""
 
 
 def scenario_of(flight: Flight) -> tuple[Scenario, list[range]]:
-    """The scenario of a run, and which of its aircraft belong to each encounter."""
+    """The scenario of a run, and the indices of the aircraft of each encounter."""
     method = METHODS[flight.method]
     encounters = side_by_side(flight.seeds)
     paths = [PathSettings(points=tuple(map(tuple, rows.tolist()))) for e in encounters for rows in e]
@@ -134,7 +136,7 @@ def scenario_of(flight: Flight) -> tuple[Scenario, list[range]]:
 
 
 def rows_of(flight: Flight) -> list[Row]:
-    """Fly a run; a row for each of its encounters."""
+    """Fly a run. Returns a row for each of its encounters."""
     method = METHODS[flight.method]
     scenario, groups = scenario_of(flight)
     names = names_of(scenario, 0)

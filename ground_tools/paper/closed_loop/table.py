@@ -1,6 +1,6 @@
-"""The closed loop's table: each method under each condition, and ATMC against the best legal set.
+"""The table of the closed loop: each method under each condition, and ATMC compared with the best legal set.
 
-Differences are taken encounter by encounter: all methods fly the same ones.
+Differences are computed for each encounter, because all methods fly the same encounters.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from ground_tools.paper.closed_loop.flights import ATMC, BEST_SET, METHODS, SEPA
 
 Interval = tuple[float, float]
 Rows = Mapping[tuple[str, str], Sequence[Row]]
-"""By condition and method."""
+"""Rows of the encounters, by condition and method."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """One column."""
+    """One column of the table."""
 
     key: str
     title: str
     value: Callable[[Row], float | None]
     statistic: Callable[[Floats], Floats]
-    """Over the last axis."""
+    """Statistic of the values over the last axis."""
     digits: int
     scale: float = 1.0
 
@@ -60,18 +60,18 @@ MEASURES: Final = (
 
 
 _SHOWN: Final = ("age_mean_s", "separation_m", "lost_share", "deviation_m")
-"""What a terminal has room for; the file table.md and JSON have all."""
+"""Keys of the measures that fit on a terminal. The file table.md and the JSON output have all measures."""
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A value with its interval of 95 %; None where there is none."""
+    """A value with its 95 % interval; None for one that does not exist."""
 
     value: float | None
     interval: Interval | None
 
     def words(self, digits: int, scale: float = 1.0) -> str:
-        """For people."""
+        """The number as text for people."""
         if self.value is None:
             return "-"
         text = f"{scale * self.value:.{digits}f}"
@@ -81,7 +81,7 @@ class Number:
 
 
 def number(rows: Sequence[Row], measure: Measure) -> Number:
-    """One measure of a cell."""
+    """One measure of a cell. The value is None if the measure does not apply to some row."""
     if any(measure.value(row) is None for row in rows):
         return Number(None, None)
     values = _by_run(rows, measure)
@@ -92,7 +92,7 @@ def number(rows: Sequence[Row], measure: Measure) -> Number:
 
 
 def difference(first: Sequence[Row], second: Sequence[Row], measure: Measure) -> Number:
-    """Mean of first minus second over the encounters that both have."""
+    """Mean of `first` minus `second` over the encounters that both have."""
     other = {row.encounter: measure.value(row) for row in second}
     runs: dict[int, list[float]] = {}
     for row in first:
@@ -115,7 +115,7 @@ def _by_run(rows: Sequence[Row], measure: Measure) -> list[Floats]:
 
 
 def main_sets(rows: Sequence[Row], most: int = 2) -> str:
-    """The sets that were used most, by share of time."""
+    """Text of the most used transport sets with their shares of the time."""
     total: dict[str, float] = {}
     for row in rows:
         for name, seconds in row.seconds.items():
@@ -126,7 +126,7 @@ def main_sets(rows: Sequence[Row], most: int = 2) -> str:
 
 
 def json_rows(cells: Rows) -> list[dict[str, Any]]:
-    """For machines: one object for each cell, and for each difference."""
+    """The results for JSON: one object for each cell and one for each difference."""
     found: list[dict[str, Any]] = []
     for (condition, method), rows in cells.items():
         head = {"figure": "closed-loop", "kind": "cell", "condition": condition, "method": method}
@@ -146,7 +146,7 @@ def _plain(found: Number) -> dict[str, Any]:
 
 
 def _pairs(cells: Rows) -> dict[str, tuple[Sequence[Row], Sequence[Row]]]:
-    """ATMC's and the best legal set's rows, by condition, where both are there."""
+    """The rows of ATMC and of the best legal set, for each condition that has both."""
     conditions = dict.fromkeys(condition for condition, _ in cells)
     return {
         c: (cells[c, ATMC], cells[c, BEST_SET])
@@ -156,7 +156,7 @@ def _pairs(cells: Rows) -> dict[str, tuple[Sequence[Row], Sequence[Row]]]:
 
 
 def markdown(cells: Rows) -> str:
-    """The tables as they stand in a document."""
+    """The tables as Markdown."""
     lines = []
     titles = ["condition", "method", "encounters", *(m.title for m in MEASURES), "sets"]
     lines += ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
@@ -175,7 +175,7 @@ def markdown(cells: Rows) -> str:
 
 
 def show(cells: Rows, console: Console) -> None:
-    """Print for people."""
+    """Print the tables for people."""
     measures = [m for m in MEASURES if m.key in _SHOWN]
     for condition in dict.fromkeys(condition for condition, _ in cells):
         table = Table(title=f"{condition} (intervals of 95 %)", box=box.SIMPLE_HEAD, pad_edge=False)

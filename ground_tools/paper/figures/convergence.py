@@ -1,8 +1,9 @@
 """Figure "Convergence performance of different algorithms", and the delays that the paper gives for them.
 
-Drawn from the results of training runs that stand in results/atmc (`ground-tools atmc collect`): training
-takes hours. A curve is the interquartile mean over the seeds, its band a 95 % bootstrap interval, both of
-means over 10 episodes. The reward is the sum over the aircraft, the mean of a step, in s, while exploring.
+Because training takes hours, the figure is drawn from stored results of training runs in results/atmc
+(`ground-tools atmc collect`). A curve is the interquartile mean over the seeds, and its band is a 95 %
+bootstrap interval; both are of means over 10 episodes. The reward (s) is the sum over the aircraft, averaged
+over the steps, while the algorithm explores.
 """
 
 from __future__ import annotations
@@ -28,24 +29,26 @@ PUBLISHED_MS: Final = {
     ("maddpg", "dynamic"): 1302.18,
 }
 CONVERGED_BY: Final = {"madqn": 500, "maddpg": 800}
-"""Episodes, as published."""
+"""Episodes after which the algorithms have converged, as published."""
 WITHIN: Final = 0.1
-"""Of the way from the first to the last reward: nearer than this is converged, farther behind the median of
-the aircraft is failed."""
+"""Threshold, as a fraction of the difference between first and last reward. A reward that is nearer than this
+to the last one has converged. An aircraft whose reward ends farther below the aircraft's median has
+failed."""
 _KEYS: Final = {"high": "high_ms", "low": "low_ms", "dynamic": "delay_ms"}
 COLOURS: Final = {"madqn": "#d55e00", "madqn-shared": "#5a5a5a", "maddpg": "#a06e28", "iac": "#cc79a7"}
-"""None of them is that of a protocol, beside which they stand in other figures."""
+"""Colours of the algorithms. They differ from those of the protocols, next to which other figures show
+them."""
 _PANELS: Final = ("madqn", "maddpg", "iac")
 _END: Final = 10
-"""Last points of a curve that its end is the mean of: 100 episodes."""
+"""Number of last points of a curve whose mean is its end: 100 episodes."""
 _DRAWS: Final = 2000
 
 
 def report(path: Path = CONVERGENCE) -> Report:
-    """The figure's statements, and the delays beside the published ones.
+    """The statements of the figure, and our delays next to the published ones.
 
     Raises:
-        ConfigError: there is no file of results.
+        ConfigError: the file of results does not exist.
     """
     results = read(path)
     return Report(
@@ -64,7 +67,7 @@ def report(path: Path = CONVERGENCE) -> Report:
 
 
 def statements(results: Results) -> list[Statement]:
-    """What the paper says of the figure, asked of each seed."""
+    """The paper's statements about the figure, checked for each seed."""
     found = []
     for algorithm, by in CONVERGED_BY.items():
         runs = results.of(algorithm)
@@ -103,7 +106,7 @@ def statements(results: Results) -> list[Statement]:
 
 
 def comparisons(results: Results) -> list[Comparison]:
-    """Delays of every algorithm by density."""
+    """Delays of every algorithm, by density."""
     found = []
     for algorithm in _present(results):
         for density, key in _KEYS.items():
@@ -124,10 +127,10 @@ def comparisons(results: Results) -> list[Comparison]:
 
 
 def draw(path: Path, source: Path = CONVERGENCE) -> None:
-    """Four panels: all algorithms, and the aircraft of three of them.
+    """Draw four panels: one of all algorithms, and three of the single aircraft of one algorithm each.
 
     Raises:
-        ConfigError: `path` cannot be written, matplotlib is missing, or there is no file of results.
+        ConfigError: `path` cannot be written, matplotlib is missing, or the file of results does not exist.
     """
     with drawn(path, (15, 10)) as figure:
         results = read(source)
@@ -141,7 +144,7 @@ def draw(path: Path, source: Path = CONVERGENCE) -> None:
 
 
 def _system(axes: Any, results: Results) -> None:
-    """Reward of the fleet, all algorithms."""
+    """Draw the fleet's reward for all algorithms."""
     for algorithm in _present(results):
         curves = np.array([binned(run.reward) for run in results.of(algorithm)])
         episodes = UAV_EVERY * (np.arange(curves.shape[1]) + 0.5)
@@ -162,7 +165,7 @@ def _system(axes: Any, results: Results) -> None:
 
 
 def _aircraft(axes: Any, run: Run, letter: str) -> None:
-    """Reward of each aircraft of one run."""
+    """Draw the reward of each aircraft of one run."""
     for number, values in enumerate(run.reward_uav):
         episodes = UAV_EVERY * (np.arange(len(values)) + 0.5)
         axes.plot(episodes, values, lw=1.1, color=f"C{number}", label=f"{number + 1}")
@@ -176,7 +179,7 @@ def _aircraft(axes: Any, run: Run, letter: str) -> None:
 
 
 def converged_at(run: Run) -> int:
-    """Episode after which the fleet's reward stays near that of the end; the last one where it does not."""
+    """Episode after which the fleet's reward stays near its final value; the last episode if it does not."""
     curve = binned(run.reward)
     end = float(curve[-_END:].mean())
     far = np.abs(curve - end) > WITHIN * abs(end - curve[0])
@@ -184,7 +187,7 @@ def converged_at(run: Run) -> int:
 
 
 def failures(run: Run) -> int:
-    """Aircraft whose reward ends far behind the fleet's median."""
+    """Number of aircraft whose reward ends far below the fleet's median."""
     curves = np.array(run.reward_uav)
     ends = curves[:, -_END:].mean(1)
     way = abs(float(np.median(ends)) - float(curves[:, 0].mean()))
@@ -192,15 +195,15 @@ def failures(run: Run) -> int:
 
 
 def binned(values: Sequence[float]) -> Floats:
-    """Means over `UAV_EVERY` episodes; what is left over at the end is left out."""
+    """Means over `UAV_EVERY` episodes each. An incomplete group at the end is dropped."""
     whole = len(values) // UAV_EVERY * UAV_EVERY
     found: Floats = np.array(values[:whole], float).reshape(-1, UAV_EVERY).mean(1)
     return found
 
 
 def iqm(values: Floats) -> Floats:
-    """Interquartile mean over the first axis but one, (..., seeds, points): a quarter of the seeds, rounded
-    down, left out at either end."""
+    """Interquartile mean over the second-last axis of values of shape (..., seeds, points). At either end, a
+    quarter of the seeds, rounded down, is left out."""
     seeds = values.shape[-2]
     cut = seeds // 4
     ordered: Floats = np.sort(values, axis=-2)[..., cut : seeds - cut, :]
@@ -209,7 +212,7 @@ def iqm(values: Floats) -> Floats:
 
 
 def resampled(values: Floats) -> Floats:
-    """Interquartile means of seeds drawn with replacement, (seeds, points) to (draws, points)."""
+    """Interquartile means of seeds drawn with replacement: from shape (seeds, points) to (draws, points)."""
     rng = np.random.default_rng(1)
     found: Floats = iqm(values[rng.integers(0, len(values), (_DRAWS, len(values)))])
     return found

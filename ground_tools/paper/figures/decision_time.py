@@ -1,7 +1,8 @@
-"""What the paper gives as "average protocol switching time", 3.84 ms: one decision aboard, NumPy, for every
-policy file that ships; and how often a set policy changes what is sent.
+"""The paper's "average protocol switching time" of 3.84 ms: the time of one decision aboard, computed with
+NumPy.
 
-Times are those of this machine, with whatever else runs on it.
+The time is measured for every policy file in the repository, and for set policies also how often they change
+the transports. The times are those of this machine, including the effect of other processes that run on it.
 """
 
 from __future__ import annotations
@@ -29,46 +30,46 @@ from ground_tools.paper.report import Comparison, Report, Statement
 
 PUBLISHED_MS: Final = 3.84
 NEIGHBOURS: Final = {"flat": (9,), "set": (9, 50)}
-"""By the kind of the policy."""
+"""Numbers of neighbours for which a policy is timed, by the kind of the policy."""
 _UNTIMED: Final = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """One policy with so many neighbours."""
+    """Times of one policy with a given number of neighbours."""
 
     policy: str
     neighbours: int
     median_ms: float
     p99_ms: float
-    """Of the clock, with what else the machine did meanwhile."""
+    """99th percentile of the elapsed time, including delays by other processes."""
     p99_busy_ms: float
-    """Of the processor's time: without that."""
+    """99th percentile of the processor time, without such delays."""
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Display name."""
         return f"{self.policy}, {self.neighbours} neighbours"
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """All policy files of a folder."""
+    """Results for all policy files of a folder."""
 
     timings: tuple[Timing, ...]
     notes: tuple[str, ...]
-    """What could not be timed; switches a minute."""
+    """Notes about policies that could not be timed, and about switches per minute."""
 
 
 def report(decisions: int, seed: int, folder: Path = POLICIES) -> Report:
-    """The figure's statements and numbers.
+    """The statements and numbers of the figure.
 
     Args:
-        decisions: of each policy and number of neighbours.
-        seed: of the flights in which switches are counted.
+        decisions: number of decisions for each policy and number of neighbours.
+        seed: seed of the flights in which switches are counted.
 
     Raises:
-        ConfigError: a file is no policy.
+        ConfigError: a file is not a policy.
     """
     found = timed(decisions, seed, folder)
     return Report(
@@ -85,7 +86,7 @@ def report(decisions: int, seed: int, folder: Path = POLICIES) -> Report:
 
 
 def statements(timings: Sequence[Timing]) -> list[Statement]:
-    """Whether decisions take as little as the published average."""
+    """Statements on whether decisions take at most the published average time."""
     found = []
     for words, values in (
         ("median", {t.name: t.median_ms for t in timings}),
@@ -100,7 +101,7 @@ def statements(timings: Sequence[Timing]) -> list[Statement]:
 
 
 def comparisons(timings: Sequence[Timing]) -> list[Comparison]:
-    """All numbers of every policy."""
+    """The numbers of all policies next to the published one."""
     rows = []
     for timing in timings:
         numbers = {"median": timing.median_ms, "p99": timing.p99_ms, "p99 busy": timing.p99_busy_ms}
@@ -118,10 +119,10 @@ def comparisons(timings: Sequence[Timing]) -> list[Comparison]:
 
 
 def draw(decisions: int, seed: int, path: Path, folder: Path = POLICIES) -> None:
-    """Two bars for each policy and number of neighbours.
+    """Draw two bars for each policy and number of neighbours.
 
     Raises:
-        ConfigError: `path` cannot be written, matplotlib is missing, or a file is no policy.
+        ConfigError: `path` cannot be written, matplotlib is missing, or a file is not a policy.
     """
     with drawn(path, (11, 6)) as figure:
         timings = timed(decisions, seed, folder).timings
@@ -143,10 +144,10 @@ def draw(decisions: int, seed: int, path: Path, folder: Path = POLICIES) -> None
 
 @functools.lru_cache(maxsize=4)
 def timed(decisions: int, seed: int, folder: Path = POLICIES) -> Found:
-    """Time every policy of a folder, once for picture and table.
+    """Time every policy of a folder. The result is cached, so that picture and table show the same times.
 
     Raises:
-        ConfigError: a file is no policy.
+        ConfigError: a file is not a policy.
     """
     timings, notes = [], []
     for path in sorted(folder.glob("*.safetensors")):
@@ -167,10 +168,12 @@ def timed(decisions: int, seed: int, folder: Path = POLICIES) -> Found:
 
 
 def times_ms(policy: Policy, neighbours: int, decisions: int) -> list[tuple[float, float]] | Refused:
-    """Times (ms) of so many decisions, of the clock and of the processor; what the policy says where it
-    refuses.
+    """Elapsed time and processor time (ms) of each of the given number of decisions.
 
-    The rows are those of its own golden cases, repeated to the number of neighbours.
+    The input rows are those of the policy's own golden cases, repeated up to the number of neighbours.
+
+    Returns:
+        The times, or the refusal if the policy refuses to decide.
     """
     golden = policy.metadata.golden
     own = np.array(golden[0].own)
@@ -191,7 +194,7 @@ def times_ms(policy: Policy, neighbours: int, decisions: int) -> list[tuple[floa
 
 
 def _switches(data: bytes, path: Path, policy: Policy, seed: int) -> str:
-    """How often an aircraft of a flying fleet changes what it sends, in words."""
+    """Text about how often an aircraft of a flying fleet changes its transports."""
     if not has_torch():
         return "switches are not counted, torch is not installed"
     set_up_torch()

@@ -1,7 +1,8 @@
 """Figure "Average transmission delay across different spatial sizes using fixed protocol modes".
 
-Its two parts are the sizes of 100 to 1,000 m and of 3,000 to 10,000 m. The paper gives no numbers, only what
-is to be seen. Without shadowing, with which its published delays come out.
+The figure has two parts, for sizes of 100 to 1,000 m and of 3,000 to 10,000 m. The paper gives no numbers,
+only statements about what the figure shows. It is computed without shadowing, because this reproduces the
+paper's published delays.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _BEST = {BLE4: 9, BLE5: 10, WIFI_BEACON: 10}
 
 
 def report(study: Study) -> Report:
-    """The figure's statements."""
+    """The statements of the figure."""
     return Report(
         title="Average transmission delay across different spatial sizes using fixed protocol modes",
         notes=(
@@ -36,7 +37,7 @@ def report(study: Study) -> Report:
 
 
 def draw(study: Study, path: Path) -> None:
-    """Both parts, one above the other.
+    """Draw both parts, one above the other.
 
     Raises:
         ConfigError: `path` cannot be written, or matplotlib is missing.
@@ -46,7 +47,7 @@ def draw(study: Study, path: Path) -> None:
 
 
 def statements(rows: Sequence[Row]) -> list[Statement]:
-    """What the paper says of the figure, asked of these rows."""
+    """The paper's statements about the figure, checked for these rows."""
     curves = curves_of(rows)
     found = []
     for mode, published in _JUMPS.items():
@@ -67,7 +68,7 @@ def statements(rows: Sequence[Row]) -> list[Statement]:
 
 
 def jumps(curve: Curve, side_m: float) -> tuple[int, ...]:
-    """Rates r with delay(r) > delay(r - 1)."""
+    """The rates r with delay(r) > delay(r - 1)."""
     return tuple(
         rate
         for before, rate in pairwise(curve.rates)
@@ -123,7 +124,7 @@ def _best(curve: Curve, published: int) -> Statement:
 def _extreme(
     published: str, curves: Sequence[Curve], wanted: Curve, sides_m: Sequence[float], *, slowest: bool
 ) -> Statement:
-    """Whether one of three is the slowest or the fastest, each at its best rate in that size."""
+    """Whether one of three modes is the slowest or the fastest, each at its best rate for the size."""
     found = {}
     for side_m in sides_m:
         delays = {curve.name: curve.delay_ms(side_m, curve.best_rate((side_m,))) for curve in curves}

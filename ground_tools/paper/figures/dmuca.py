@@ -1,7 +1,8 @@
 """Figures "UAV trajectories and conflict avoidance performance using the DMUCA framework" and "Impact of
 transmission delays on UAV collision avoidance performance", with the paper's law and with ours.
 
-The paper shows one flight under each delay, of paths that it does not give: its statements are asked of many.
+The paper shows one flight for each delay and does not give the paths. Its statements are therefore checked
+for many flights.
 """
 
 from __future__ import annotations
@@ -31,19 +32,20 @@ from ground_tools.paper.figures.dmuca_flights import (
 from ground_tools.paper.report import Numbers, Report, Statement, Value
 
 PUBLISHED_BELOW: Final = dict(zip(DELAYS_S, (0, 2, 6), strict=True))
-"""Pairs of ten that come nearer than 10 m."""
+"""Published number of pairs, of ten, that come nearer than 10 m, by delay."""
 PUBLISHED_LEAST: Final = dict(zip(DELAYS_S, ("> 10", "9.75", "> 2"), strict=True))
-"""m, of all pairs, as the paper has it; the other one below 10 m with delays from 1 to 2 s keeps 9.94 m."""
+"""Published least separation (m) of all pairs, by delay. With delays of 1 to 2 s, the other pair below 10 m
+keeps 9.94 m."""
 NAMES: Final[dict[Law, str]] = {"paper": "paper's law", "dmuca": "ours"}
 PAIR_NAMES: Final = tuple(f"UAV{i + 1}-UAV{j + 1}" for i, j in PAIRS)
 
 
 def report(samples: int, seed: int) -> Report:
-    """The figures' statements and numbers.
+    """The statements and numbers of the figures.
 
     Args:
-        samples: flights by each law under each delay, as far as `table_of` flies so many.
-        seed: of the first of them, whose pairs are listed.
+        samples: number of flights by each law with each delay, limited by `table_of`.
+        seed: seed of the first flight, whose pairs are listed.
     """
     table = table_of(samples, seed)
     flights = len(table[CASES[0]])
@@ -71,7 +73,7 @@ def report(samples: int, seed: int) -> Report:
 
 
 def statements(table: Table, law: Law, seed: int) -> list[Statement]:
-    """What the paper says of the figures, asked of a law's flights without errors."""
+    """The paper's statements about the figures, checked for a law's flights without navigation errors."""
     least = [table[Case(law, delay_s, "exact")].min(axis=1) for delay_s in DELAYS_S]
     below = [_below(table[Case(law, delay_s, "exact")]) for delay_s in DELAYS_S]
 
@@ -97,7 +99,7 @@ def statements(table: Table, law: Law, seed: int) -> list[Statement]:
 
 
 def _below(least_m: Array) -> NDArray[np.int64]:
-    """Pairs nearer than they may be, for each flight."""
+    """Number of pairs below the required separation, for each flight."""
     return np.asarray((least_m < SEPARATION_M).sum(axis=1), dtype=np.int64)
 
 
@@ -106,13 +108,13 @@ def _least(least_m: Array) -> str:
 
 
 def _counted(below: NDArray[np.int64]) -> str:
-    """How many flights have how many pairs too near."""
+    """Text that gives, for each number of pairs below the required separation, the number of flights."""
     counts = sorted(Counter(int(count) for count in below).items())
     return ", ".join(f"{pairs}: {flights}" for pairs, flights in counts) + " (pairs: flights)"
 
 
 def shares(table: Table) -> Numbers:
-    """All flights of each case, the paper's one beside them."""
+    """Table of all flights of each case, next to the paper's single flight."""
     rows: list[dict[str, Value]] = []
     for case in CASES:
         least, below = table[case].min(axis=1), _below(table[case])
@@ -155,7 +157,7 @@ def shares(table: Table) -> Numbers:
 
 
 def pairs(table: Table, seed: int) -> Numbers:
-    """Least separation of each pair in the first flight, without errors."""
+    """Table of the least separation of each pair in the first flight, without errors."""
     cases = {
         "none_m" if case.law == "none" else f"{case.law}_{case.delay_s[0]:g}_{case.delay_s[1]:g}_m": case
         for case in CASES
@@ -177,5 +179,5 @@ def pairs(table: Table, seed: int) -> Numbers:
 
 
 def interval(delay_s: tuple[float, float]) -> str:
-    """As the paper writes it."""
+    """Text of a delay interval in the paper's notation."""
     return f"[{delay_s[0]:g}, {delay_s[1]:g}]"

@@ -1,7 +1,7 @@
-"""Five aircraft as in the paper's section V, flown by each law under each delay; what each pair keeps.
+"""Flights of five aircraft as in the paper's section V, by each law with each delay; separation of each pair.
 
-The paper lets all converge inside a box of 500 m x 500 m x 300 m at 250 s and gives no paths. Crossing points
-anywhere in that box hardly ever conflict (`conflicts_in_the_box`), so S2 of `sitl_mocks.encounters.scenario`
+In the paper all aircraft converge inside a box of 500 m x 500 m x 300 m at 250 s; it gives no paths. Crossing
+points anywhere in that box hardly ever conflict (`conflicts_in_the_box`), so S2 of `sitl_mocks.encounters.scenario`
 is flown.
 """
 
@@ -34,23 +34,24 @@ PAIRS: Final = tuple(itertools.combinations(range(AIRCRAFT), 2))
 SPEED_MPS: Final = 5.0
 DELAYS_S: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))
 IN: Final[dict[Air, World]] = {
-    # The paper names no error of what is sent.
+    # The paper mentions no error of the sent values.
     "exact": World(sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False),
     "noisy": WORLDS["calm"],
 }
 MOST_FLIGHTS: Final = 200
-"""Of each case: a minute of one core. `ground-tools campaign` flies them by the thousand."""
+"""Largest number of flights of each case, which takes a minute on one core. `ground-tools campaign` flies
+thousands."""
 BOX_M: Final = (500.0, 500.0, 300.0)
-"""Where the paper's aircraft converge."""
+"""Size of the box in which the paper's aircraft converge."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Flights that differ in their seeds alone."""
+    """Flights that differ only in their seeds."""
 
     law: Law
     delay_s: tuple[float, float]
-    """Of every message, drawn uniformly."""
+    """Bounds of the message delay, drawn uniformly for every message."""
     air: Air
 
 
@@ -61,13 +62,13 @@ CASES: Final = tuple(
     for law in FLOWN_LAWS
     for delay_s in (DELAYS_S if law != "none" else DELAYS_S[:1])
 )
-"""Whoever does not avoid flies alike under every delay."""
+"""All cases. The law "none" has only one delay, because the delay does not affect its flights."""
 Table = dict[Case, Array]
 """Least distances in m, shape (flights, pairs)."""
 
 
 def fly(case: Case, seed: int) -> tuple[Array, Array]:
-    """One flight; that of the campaign's cell with the same law, delays and seed, where the air is noisy.
+    """Fly one flight. If noisy, it equals that of the campaign's cell with the same law, delays and seed.
 
     Returns:
         Times in s, shape (steps,), and true positions, shape (steps, AIRCRAFT, 3), NED in m.
@@ -96,13 +97,21 @@ def fly(case: Case, seed: int) -> tuple[Array, Array]:
 
 
 def gaps(places: Array) -> Array:
-    """From one to the other of each pair, shape (steps, pairs, 3), of positions (steps, aircraft, 3)."""
+    """Vector from the first to the second aircraft of each pair, shape (steps, pairs, 3).
+
+    Args:
+        places: positions, shape (steps, aircraft, 3).
+    """
     first, second = np.triu_indices(places.shape[1], 1)  # in the order of PAIRS
     return places[:, second] - places[:, first]
 
 
 def least_distances(places: Array) -> Array:
-    """Of each pair, on straight ways between positions (steps, aircraft, 3); shape (pairs,)."""
+    """Least distance of each pair, shape (pairs,), on straight lines between positions.
+
+    Args:
+        places: positions, shape (steps, aircraft, 3).
+    """
     gap = gaps(places)
     begin, way = gap[:-1], np.diff(gap, axis=0)
     length2 = (way * way).sum(axis=2)
@@ -112,10 +121,11 @@ def least_distances(places: Array) -> Array:
 
 
 def table_of(samples: int, seed: int, advance: Callable[[], None] = lambda: None) -> Table:
-    """All cases, flown once for picture and report.
+    """Fly all cases. The result is cached, so that picture and report share one set of flights.
 
     Args:
-        samples: flights of each case, MOST_FLIGHTS at most; of seeds from `seed` on, the same in every case.
+        samples: number of flights of each case; MOST_FLIGHTS at most are flown.
+        seed: first seed. All cases use the same consecutive seeds.
         advance: called after each case.
     """
     flights = min(samples, MOST_FLIGHTS)
@@ -132,8 +142,10 @@ def _flown(case: Case, flights: int, seed: int) -> Array:
 
 
 def conflicts_in_the_box(flights: int, seed: int) -> int:
-    """How many of so many draws lose separation unavoided where crossing points lie anywhere in the paper's
-    box: paths of S2, each moved by a draw from the box."""
+    """Number of draws that lose separation without avoidance, with crossing points anywhere in `BOX_M`.
+
+    The paths are those of S2, each moved by a random offset within the box.
+    """
     lost = 0
     for one in range(seed, seed + flights):
         points = np.array(encounter("S2", AIRCRAFT, one))[:, :, 1:]

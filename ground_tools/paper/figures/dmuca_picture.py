@@ -1,4 +1,4 @@
-"""The picture of `ground_tools.paper.figures.dmuca`: one flight by each law, then all flights."""
+"""The picture for `ground_tools.paper.figures.dmuca`: one flight by each law, then all flights."""
 
 from __future__ import annotations
 
@@ -29,21 +29,23 @@ from sitl_mocks.encounters.scenario import CROSSING_S, encounter
 AIRCRAFT_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#000000")
 DELAY_COLOURS: Final = dict(zip(DELAYS_S, ("#9ecae1", "#4292c6", "#08306b"), strict=True))
 _AROUND_M: Final = 90.0
-"""The view from above shows so much on each side of the crossing."""
+"""Half the width of the view from above, which is centred on the crossing."""
 _POINTS_S: Final = 20.0
-"""Between points on the paths."""
+"""Time between two marked points on a path."""
 _STEP: Final = 5
-"""Every so many positions are drawn."""
+"""Only every fifth position is drawn."""
 _LAWS: Final[tuple[Law, ...]] = ("paper", "dmuca")
 
 
 def draw(samples: int, seed: int, path: Path, advance: Callable[[], None] = lambda: None) -> None:
-    """A row for each law: the flight of `seed` under delays of 0 to 1 s from above, in 3D, its separations;
-    below, the pairs under all delays and the least separations of all flights.
+    """Draw the picture.
+
+    A row for each law shows the flight of `seed` with delays of 0 to 1 s: from above, in 3D, and its
+    separations. The row below shows the pairs with all delays and the least separations of all flights.
 
     Args:
-        samples, seed: as of `dmuca.report`.
-        advance: called after each case flown.
+        samples, seed: as in `dmuca.report`.
+        advance: called after each case that was flown.
 
     Raises:
         ConfigError: `path` cannot be written, or matplotlib is missing.
@@ -71,7 +73,7 @@ def draw(samples: int, seed: int, path: Path, advance: Callable[[], None] = lamb
 
 
 def _from_above(axes: Any, law: Law, times: Array, places: Array, seed: int) -> None:
-    """The middle of the paths, planned ones thin and dashed."""
+    """Draw the middle of the paths from above, with the planned paths thin and dashed."""
     axes.set_title(f"{NAMES[law]}: the middle from above")
     near = np.abs(times - CROSSING_S) < 150.0
     marked = near & (np.abs(times % _POINTS_S) < 1e-6)
@@ -91,7 +93,7 @@ def _from_above(axes: Any, law: Law, times: Array, places: Array, seed: int) -> 
 
 
 def _in_3d(axes: Any, law: Law, times: Array, places: Array) -> None:
-    """The whole flight; where all are at the planned crossing's time."""
+    """Draw the whole flight in 3D and mark the positions at the time of the planned crossing."""
     axes.set_title(f"{NAMES[law]}: the whole flight")
     at = int(np.argmin(np.abs(times - CROSSING_S)))
     for i, colour in enumerate(AIRCRAFT_COLOURS):
@@ -108,7 +110,7 @@ def _in_3d(axes: Any, law: Law, times: Array, places: Array) -> None:
 
 
 def _separations(axes: Any, law: Law, times: Array, places: Array) -> None:
-    """Of every pair over time."""
+    """Draw the separation of every pair over time."""
     axes.set_title(f"{NAMES[law]}: separation of each pair")
     _lines(axes, times, places)
     axes.set_yscale("log")
@@ -121,7 +123,7 @@ def _separations(axes: Any, law: Law, times: Array, places: Array) -> None:
 
 
 def _closest(axes: Any, law: Law, times: Array, places: Array) -> None:
-    """The same around the crossing."""
+    """Draw the separation of every pair around the time of the crossing."""
     axes.set_title(f"{NAMES[law]}: around the crossing")
     _lines(axes, times, places)
     axes.set_xlim(CROSSING_S - 50.0, CROSSING_S + 50.0)
@@ -131,7 +133,7 @@ def _closest(axes: Any, law: Law, times: Array, places: Array) -> None:
 
 
 def _lines(axes: Any, times: Array, places: Array) -> None:
-    """A line for each pair, and the limit."""
+    """Draw the separation of each pair and the required separation."""
     distances = np.linalg.norm(gaps(places), axis=2)
     for index, name in enumerate(PAIR_NAMES):
         axes.plot(times[::_STEP], distances[::_STEP, index], color=f"C{index}", lw=1.6, label=name)
@@ -140,7 +142,7 @@ def _lines(axes: Any, times: Array, places: Array) -> None:
 
 
 def _pairs(axes: Any, law: Law, table: Table, top_m: float) -> None:
-    """Least separation of each pair of the pictured flight, under each delay and unavoided."""
+    """Draw each pair's least separation in the pictured flight, with each delay and without avoidance."""
     axes.set_title(f"{NAMES[law]}: least separation of each pair")
     places, width = np.arange(len(PAIR_NAMES)), 0.27
     for index, delay_s in enumerate(DELAYS_S):
@@ -163,7 +165,7 @@ def _pairs(axes: Any, law: Law, table: Table, top_m: float) -> None:
 
 
 def _all_flights(axes: Any, table: Table) -> None:
-    """Spread of each flight's least separation; whiskers reach the least and the largest."""
+    """Draw the distribution of the flights' least separations. Whiskers reach the extremes."""
     axes.set_title("least separation of each flight")
     airs: tuple[tuple[Air, str], ...] = (("exact", ""), ("noisy", ", noisy"))
     colours = {("paper", "exact"): "#d55e00", ("paper", "noisy"): "#f5b183",

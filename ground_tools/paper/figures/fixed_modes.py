@@ -1,8 +1,8 @@
 """Figure "Average system-wide transmission delays for different communication methods across various airspace
-densities": its fixed modes, each at its best rate.
+densities": the fixed modes, each at its best rate.
 
-High density is the mean over 100, 500 and 1,000 m, low density over 3,000, 5,000 and 10,000 m, dynamic over
-all six.
+High density is the mean over squares of 100, 500 and 1,000 m, low density the mean over 3,000, 5,000 and
+10,000 m, and dynamic density the mean over all six.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PUBLISHED_MS = {
 
 
 def report(study: Study) -> Report:
-    """The figure's numbers."""
+    """The numbers of the figure."""
     return Report(
         title="Average system-wide transmission delays of the fixed modes across various airspace densities",
         notes=(
@@ -44,7 +44,7 @@ def report(study: Study) -> Report:
 
 
 def comparisons(rows: Sequence[Row]) -> list[Comparison]:
-    """Ours beside the published numbers, for the rows of one sigma."""
+    """Our numbers next to the published ones, for the rows of one sigma."""
     sigma_db = rows[0].sigma_db
     found = []
     for curve in curves_of(rows).values():
@@ -64,7 +64,7 @@ def comparisons(rows: Sequence[Row]) -> list[Comparison]:
 
 
 def draw(study: Study, path: Path) -> None:
-    """A group of bars for each density; lines where the paper gives a number.
+    """Draw a group of bars for each density, with a line for each number that the paper gives.
 
     Raises:
         ConfigError: `path` cannot be written, or matplotlib is missing.
@@ -89,7 +89,7 @@ def draw(study: Study, path: Path) -> None:
 
 
 def _bars(axes: Any, index: int, number: int, label: str, values: Sequence[Comparison]) -> None:
-    """One mode, reading and sigma over all densities."""
+    """Draw the bars of one mode, channel assignment and sigma over all densities."""
     width = 0.86 / number
     first = values[0].labels
     hollow = first["wifi_channels"] == "random"

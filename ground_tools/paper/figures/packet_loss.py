@@ -1,6 +1,7 @@
 """Figure "Average packet loss rates across different spatial sizes using fixed protocol modes", six panels.
 
-The paper gives no numbers, only what is to be seen. Without shadowing, as in the figure of the delays.
+The paper gives no numbers, only statements about what the figure shows. It is computed without shadowing, as
+the figure of the delays is.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from ground_tools.paper.report import Report, Statement
 from ground_tools.paper.study import LARGE_M, SMALL_M, Curve, Study, curves_of, of_mode, trios
 
 UNCHANGED = 0.01
-"""A loss that changes by no more than this (1 percentage point) looks unchanged in a figure."""
+"""Largest change of a loss (1 percentage point) that looks unchanged in a figure."""
 NEAR_ZERO = 0.01
 
 
 def report(study: Study) -> Report:
-    """The figure's statements."""
+    """The statements of the figure."""
     return Report(
         title="Average packet loss rates across different spatial sizes using fixed protocol modes",
         notes=(
@@ -37,7 +38,7 @@ def report(study: Study) -> Report:
 
 
 def draw(study: Study, path: Path) -> None:
-    """The six panels.
+    """Draw the six panels.
 
     Raises:
         ConfigError: `path` cannot be written, or matplotlib is missing.
@@ -47,7 +48,7 @@ def draw(study: Study, path: Path) -> None:
 
 
 def statements(rows: Sequence[Row]) -> list[Statement]:
-    """What the paper says of the figure, asked of these rows."""
+    """The paper's statements about the figure, checked for these rows."""
     curves = curves_of(rows)
     ble4 = of_mode(curves, BLE4)[0]
     others = [curve for curve in curves.values() if curve.mode != BLE4]
@@ -61,7 +62,7 @@ def statements(rows: Sequence[Row]) -> list[Statement]:
 
 
 def _percent(values: Sequence[float]) -> str:
-    """NaN stands for a size where nobody is in range."""
+    """Text of losses in percent. NaN stands for a size in which no aircraft is in range of another."""
     return ", ".join("-" if math.isnan(value) else f"{100.0 * value:.2g}" for value in values) + " %"
 
 

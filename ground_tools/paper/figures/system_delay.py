@@ -1,8 +1,8 @@
 """Figure "Average system-wide transmission delays for different communication methods across various airspace
-densities", with the learners: those of the paper by their kept runs, all else measured anew.
+densities", with all methods: the paper's learners from their stored runs, all others measured anew.
 
-High density is the mean over squares of 100, 500 and 1,000 m, low density over 3,000, 5,000 and 10,000 m,
-dynamic over all six.
+High density is the mean over squares of 100, 500 and 1,000 m, low density the mean over 3,000, 5,000 and
+10,000 m, and dynamic density the mean over all six.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from ground_tools.paper.methods import LEARNERS, SET_POLICY, Learner, absent, le
 from ground_tools.paper.report import Comparison, Report, Statement
 
 PUBLISHED_MS: Final = {**fixed_modes.PUBLISHED_MS, **convergence.PUBLISHED_MS}
-"""By method and density."""
+"""Published delays, by method and density."""
 PAPERS: Final = (*LEARNERS, BLE4, BLE5, WIFI_BEACON, "random")
-"""Methods that stand in the paper's figure."""
+"""Methods in the paper's figure."""
 NEAR: Final = 0.1
-"""Two delays that differ by less are close; by more, one is significantly higher."""
+"""Relative difference of two delays up to which they count as close; above it, one counts as significantly
+higher."""
 COLOURS: Final = {
     **convergence.COLOURS,
     **plot.COLOURS,
@@ -40,14 +41,14 @@ COLOURS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A method at one density."""
+    """Delay of a method at one density."""
 
     ms: float
     error_ms: float
-    """Standard error; NaN where there is none."""
+    """Standard error; NaN if there is none."""
     low_ms: float
     high_ms: float
-    """95 % interval; the value itself where there is none."""
+    """End of the 95 % interval that begins at `low_ms`. Without an interval, both are the value itself."""
 
 
 Table = dict[str, dict[str, Bar]]
@@ -55,14 +56,14 @@ Table = dict[str, dict[str, Bar]]
 
 
 def report(samples: int, seed: int, path: Path = CONVERGENCE, policy: Path = SET_POLICY) -> Report:
-    """The figure's statements and numbers.
+    """The statements and numbers of the figure.
 
     Args:
-        samples: fleets in each of the six squares, for what is measured anew.
-        seed: of their draw.
+        samples: number of fleets in each of the six squares, for the methods that are measured anew.
+        seed: seed of their draw.
 
     Raises:
-        ConfigError: there is no file of results, or the policy is none for this task.
+        ConfigError: the file of results does not exist, or the policy is not one for this task.
     """
     results = read(path)
     found = measured(samples, seed, policy)
@@ -90,7 +91,7 @@ def _learners(results: Results) -> list[Learner]:
 
 
 def table_of(learners: Sequence[Learner], found: Sequence[Delays]) -> Table:
-    """All methods."""
+    """The bars of all methods."""
     table: Table = {}
     for one in learners:
         table[one.key] = {
@@ -106,7 +107,7 @@ def table_of(learners: Sequence[Learner], found: Sequence[Delays]) -> Table:
 
 
 def statements(table: Table) -> list[Statement]:
-    """What the paper says of the figure; nothing of methods that are absent."""
+    """The paper's statements about the figure, without those about methods that are absent."""
     found = [
         _lowest(table, "high", "MADQN-ATMC has the lowest delay at high density"),
         _closeness(table, WIFI_BEACON, "high", "MADQN-ATMC is close to fixed Wi-Fi at high density"),
@@ -186,7 +187,7 @@ def _listed(values: dict[str, float]) -> str:
 
 
 def comparisons(table: Table, learners: Sequence[Learner], found: Sequence[Delays]) -> list[Comparison]:
-    """All methods and densities, beside the published numbers where there are any."""
+    """Our numbers for all methods and densities, next to the published ones if there are any."""
     names: dict[str, tuple[str, int | str, int | None]] = {
         **{one.key: (one.name, "-", one.seeds) for one in learners},
         **{method.key: (method.name, method.rate, None) for method in found},
@@ -211,11 +212,11 @@ def comparisons(table: Table, learners: Sequence[Learner], found: Sequence[Delay
 
 
 def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE, policy: Path = SET_POLICY) -> None:
-    """A group of bars for each density; lines where the paper gives a number.
+    """Draw a group of bars for each density, with a line for each number that the paper gives.
 
     Raises:
-        ConfigError: `path` cannot be written, matplotlib is missing, there is no file of results, or the
-            policy is none for this task.
+        ConfigError: `path` cannot be written, matplotlib is missing, the file of results does not exist, or
+            the policy is not one for this task.
     """
     with drawn(path, (14, 7)) as figure:
         results = read(source)
@@ -239,7 +240,7 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE, policy
 
 
 def _bars(axes: Any, index: int, number: int, key: str, name: str, bars: Sequence[Bar]) -> None:
-    """One method over all densities."""
+    """Draw the bars of one method over all densities."""
     width = 0.88 / number
     places = [group + (index - (number - 1) / 2.0) * width for group in range(len(bars))]
     axes.bar(

@@ -1,8 +1,8 @@
 """Figure "Individual transmission delays of 10 UAVs in dynamic airspace density across different
-communication methods": the learners by their kept runs, fixed modes and random measured anew.
+communication methods": the learners from their stored runs, fixed modes and random choice measured anew.
 
-Which aircraft falls behind is chance where all begin alike: statements that name aircraft are asked as they
-stand, and how many they are beside it.
+If all aircraft begin alike, it is chance which of them falls behind. Statements that name aircraft are
+checked as published, and the number of such aircraft is given as well.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from ground_tools.paper.methods import LEARNERS, SET_POLICY, best_run, measured,
 from ground_tools.paper.report import Comparison, Report, Statement
 
 AROUND: Final = 0.15
-"""A delay within this share of a published one is around it."""
+"""Largest relative difference from a published delay at which a delay counts as around it."""
 MADQN_MS: Final = 100.0
-"""Published, every aircraft."""
+"""Published delay of every aircraft with MADQN-ATMC."""
 BEHIND_MS: Final = 200.0
-"""Published, UAVs 5 and 6 with MADDPG."""
+"""Published delay of UAVs 5 and 6 with MADDPG."""
 _FIXED: Final = (BLE4, BLE5, WIFI_BEACON)
 _PLACES: Final = {"madqn": (1, 10), "maddpg": (5, 6), "iac": (2, 4)}
 
 
 def report(samples: int, seed: int, path: Path = CONVERGENCE) -> Report:
-    """The figure's statements and numbers.
+    """The statements and numbers of the figure.
 
     Args:
-        samples: fleets in each of the six squares, for what is measured anew.
-        seed: of their draw.
+        samples: number of fleets in each of the six squares, for the methods that are measured anew.
+        seed: seed of their draw.
 
     Raises:
-        ConfigError: there is no file of results.
+        ConfigError: the file of results does not exist.
     """
     results = read(path)
     found = _others(samples, seed)
@@ -59,7 +59,7 @@ def report(samples: int, seed: int, path: Path = CONVERGENCE) -> Report:
 
 
 def _others(samples: int, seed: int) -> list[Delays]:
-    """Fixed modes and random."""
+    """Delays of the fixed modes and of random choice."""
     return [m for m in measured(samples, seed, SET_POLICY) if m.key in (*_FIXED, "random")]
 
 
@@ -81,7 +81,7 @@ def _seeds(results: Results) -> str:
 
 
 def statements(results: Results, found: Sequence[Delays]) -> list[Statement]:
-    """What the paper says of the figure; nothing of methods that are absent."""
+    """The paper's statements about the figure, without those about methods that are absent."""
     fixed = {m.key: sum(m.uav_ms) / UAVS for m in found if m.key in _FIXED}
     least = min(fixed.values(), default=math.nan)
     madqn, maddpg, iac = (_runs(results, key) for key in LEARNERS)
@@ -116,7 +116,7 @@ def statements(results: Results, found: Sequence[Delays]) -> list[Statement]:
 
 
 def _against_fixed(madqn: Sequence[Run], iac: Sequence[Run], least: float) -> list[Statement]:
-    """Statements that look at the fixed modes, the best of them at `least` ms for an aircraft."""
+    """Statements about the fixed modes, the best of which has a delay of `least` ms for an aircraft."""
     below = {run.seed: [n for n, ms in enumerate(run.best_delay_uav_ms, 1) if ms < least] for run in iac}
     words = "; ".join(f"seed {seed}: {_named(them)}" for seed, them in below.items())
     return [
@@ -138,13 +138,13 @@ def _against_fixed(madqn: Sequence[Run], iac: Sequence[Run], least: float) -> li
 
 
 def behind(run: Run) -> list[int]:
-    """Aircraft, from 1, nearer to the published 200 ms than to the published 100 ms."""
+    """Numbers (from 1) of the aircraft that are nearer to the published 200 ms than to the 100 ms."""
     limit = (MADQN_MS + BEHIND_MS) / 2.0
     return [n for n, ms in enumerate(run.best_delay_uav_ms, 1) if ms > limit]
 
 
 def comparisons(results: Results, found: Sequence[Delays]) -> list[Comparison]:
-    """Every aircraft with every method."""
+    """The delays of every aircraft with every method."""
     rows = []
     for key, name, rate, uav_ms in _table(results, found):
         for number, ms in enumerate(uav_ms, 1):
@@ -164,7 +164,7 @@ def comparisons(results: Results, found: Sequence[Delays]) -> list[Comparison]:
 
 
 def _table(results: Results, found: Sequence[Delays]) -> list[tuple[str, str, int | str, tuple[float, ...]]]:
-    """Key, name, rate and delays of the aircraft (ms) of all methods."""
+    """Key, name, rate and the aircraft's delays (ms) for all methods."""
     rows: list[tuple[str, str, int | str, tuple[float, ...]]] = []
     for key in LEARNERS:
         if runs := _runs(results, key):
@@ -174,10 +174,10 @@ def _table(results: Results, found: Sequence[Delays]) -> list[tuple[str, str, in
 
 
 def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE) -> None:
-    """A group of bars for each aircraft.
+    """Draw a group of bars for each aircraft.
 
     Raises:
-        ConfigError: `path` cannot be written, matplotlib is missing, or there is no file of results.
+        ConfigError: `path` cannot be written, matplotlib is missing, or the file of results does not exist.
     """
     with drawn(path, (14, 7)) as figure:
         results, found = read(source), _others(samples, seed)
