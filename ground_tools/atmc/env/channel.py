@@ -3,7 +3,8 @@
 It implements the same equations as `sitl_mocks.channel.equations.analytic`; a test checks that both agree.
 Training needs two differences. First, every environment is dense: all aircraft against all. Second, one
 forward and one backward pass give the *difference cost*: what the fleet's total cost would become for each
-action of each aircraft. The aircraft's own delay in it is exact; the delay of the others is a first-order approximation.
+action of each aircraft. The aircraft's own delay in it is exact; the delay of the others is a first-order
+approximation.
 
 Transmissions of other aircraft act on a link through a few sums over these aircraft (`Loads`). Each sum is
 linear in what one aircraft adds, so the backward pass uses the transposed sums.

@@ -1,8 +1,8 @@
 """Flights of five aircraft as in the paper's section V, by each law with each delay; separation of each pair.
 
-In the paper all aircraft converge inside a box of 500 m x 500 m x 300 m at 250 s; it gives no paths. Crossing
-points anywhere in that box hardly ever conflict (`conflicts_in_the_box`), so S2 of `sitl_mocks.encounters.scenario`
-is flown.
+In the paper all aircraft converge inside a box of 500 m x 500 m x 300 m at 250 s; it gives no paths.
+Crossing points anywhere in that box hardly ever conflict (`conflicts_in_the_box`), so S2 of
+`sitl_mocks.encounters.scenario` is flown.
 """
 
 from __future__ import annotations
