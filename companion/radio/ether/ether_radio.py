@@ -147,7 +147,10 @@ class EtherTransport:
         return self._answered_s is not None and now_s - self._answered_s <= _SILENT_AFTER_S
 
     def _keep_joined(self, now_s: float) -> None:
-        self._now_s = now_s
+        pause_s, self._now_s = now_s - self._now_s, now_s
+        if self._answered_s is not None and pause_s > datagrams.JOIN_PERIOD_S:
+            # This process stood still and asked for no answer: the air was not silent.
+            self._answered_s += pause_s
         if self._joined_s is None or now_s - self._joined_s >= datagrams.JOIN_PERIOD_S:
             self._joined_s = now_s
             self._put(self._join)

@@ -94,6 +94,8 @@ def test_health_is_ok_only_while_the_air_answers(air: socket.socket, radio: Ethe
     air.sendto(datagrams.encode(Welcome(2)), client)
     radio.heard(1.0)
     assert radio.health(1.0).ok
+    for second in range(2, 8):
+        radio.heard(float(second))
     assert radio.health(7.0).ok
     assert radio.health(7.0).can_send == {"ble4", "ble5", "wifi", "nan"}
     assert not radio.health(7.1).ok
@@ -124,3 +126,14 @@ def test_an_unknown_transport_is_refused(radio: EtherTransport) -> None:
 def test_an_endpoint_that_is_none_names_the_key(endpoint: str) -> None:
     with pytest.raises(ConfigError, match=r"radio\.address"):
         EtherTransport(endpoint, "a", ADDRESS)
+
+
+def test_a_pause_of_our_own_is_no_silence_of_the_air(air: socket.socket, radio: EtherTransport) -> None:
+    client = air.recvfrom(2000)[1]
+    air.sendto(datagrams.encode(Welcome(2)), client)
+    radio.heard(0.0)
+    radio.heard(20.0)
+    assert radio.health(20.0).ok
+    for tenth in range(200, 300):
+        radio.heard(tenth / 10.0)
+    assert not radio.health(30.0).ok
