@@ -14,10 +14,11 @@ import pytest
 
 from companion import event_record
 from companion.autopilot.tlog import read_tlog
-from companion.autopilot.wire import MavlinkReader, MavlinkWriter, mavlink
+from companion.autopilot.wire import MavlinkReader, MavlinkWriter, mavlink, message_id_of
 from companion.commands import cli
 from companion.events import AuthorityChanged, Heartbeat, VelocitySetpoint
 
+SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 TRAJECTORY = """altitude = "home"
 waypoint = [
   { t_s = 0.0, lat_deg = 47.397, lon_deg = 8.545, alt_m = 50.0 },
@@ -115,7 +116,6 @@ def test_flies_and_ends_cleanly_leaving_the_vehicle_holding(start, tmp_path, fir
     assert left["setpoints_received"] > 50
     file, items = the_record(tmp_path)
     assert isinstance(items[0], event_record.Header)
-    assert abs(count_setpoints(items) - left["setpoints_received"]) <= 2
     summary = json.loads((file.parent / "summary.json").read_text())
     assert summary["records_dropped"] == 0
     assert summary["recorder_error"] is None
@@ -123,6 +123,9 @@ def test_flies_and_ends_cleanly_leaving_the_vehicle_holding(start, tmp_path, fir
         frames = list(read_tlog(stream, "tlog"))
     systems = {(frame[5], frame[6]) for _, frame in frames}
     assert systems == {(1, 1), (1, 191)}
+    sent = sum(frame[6] == 191 and message_id_of(frame) == SETPOINT for _, frame in frames)
+    assert abs(sent - left["setpoints_received"]) <= 2
+    assert sent <= count_setpoints(items), "on a busy machine some wait too long to leave"
     assert next(frame[4] for _, frame in frames if frame[6] == 191) == 0, "the first frame is in the log"
     assert cli.main(["replay", str(file.parent)]) == 0
 
