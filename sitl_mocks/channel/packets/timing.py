@@ -1,7 +1,8 @@
-"""What the packet simulator assumes of schedules and receivers, and all durations that it uses, in slots.
+"""Assumptions of the packet simulator about schedules and receivers, and all durations that it uses, in
+slots.
 
-Section "Packet Reception Model" of the paper, with what it leaves out (drift, random delay, half-duplex) to
-be switched on one by one.
+They follow section "Packet Reception Model" of the paper. Effects that it leaves out (drift, random delay,
+half-duplex) can be switched on one by one.
 """
 
 from __future__ import annotations
@@ -27,14 +28,16 @@ _MAX_CLOCK_PPM = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Assumptions:
-    """What is assumed of the radios. See `PAPER` and `REAL`.
+    """Assumptions about the radios. See `PAPER` and `REAL`.
 
     Raises:
-        ConfigError: a value that is not allowed.
+        ConfigError: a value is not allowed.
     """
 
     slotted: bool
-    """Durations rounded down to whole slots and every drawn time a whole slot; else exact and continuous."""
+    """True: durations are rounded down to whole slots and every drawn time is a whole slot. False: times are
+    exact and continuous.
+    """
     advertiser: Literal["paper", "standard"]
     """"paper": the schedule restarts at each GNSS sample. "standard": it runs on at its own interval, and
     each event carries the latest sample."""
@@ -44,15 +47,20 @@ class Assumptions:
     random_delay: bool
     """Bluetooth events get the pseudo-random delay R_D."""
     half_duplex: bool
-    """Who sends Bluetooth hears no Bluetooth meanwhile, and likewise for Wi-Fi."""
+    """A radio that sends on Bluetooth receives no Bluetooth meanwhile; likewise for Wi-Fi."""
     capture_db: float | None
-    """A packet survives when it is this much stronger than each one that overlaps it; None: it never does."""
+    """A packet survives if it is this much stronger than each packet that overlaps it. None: it never
+    survives.
+    """
     clock_ppm: float
-    """Every aircraft's clock is fast or slow by a share drawn uniformly up to this. It drives its advertising
-    intervals and its scan pattern; GNSS samples keep true time."""
+    """Each aircraft's clock error is drawn uniformly up to this. It affects advertising intervals and scan
+    patterns; GNSS samples keep true time.
+    """
     carrier_sense: bool
-    """Who would send a beacon while it hears another's waits as in `packet_access`. Bluetooth never waits.
-    Foreign transmissions are drawn at each receiver for itself: nobody waits for them."""
+    """A station that wants to send a beacon while it hears another station's waits as in `packets.access`.
+    Bluetooth never waits. Foreign transmissions are drawn separately at each receiver, so no station waits
+    for them.
+    """
 
     def __post_init__(self) -> None:
         if self.advertiser not in ("paper", "standard"):
@@ -78,7 +86,9 @@ PAPER = Assumptions(
     clock_ppm=0.0,
     carrier_sense=False,
 )
-"""As the equations assume; phases are redrawn, for one and the same in all cycles may never deliver."""
+"""Assumptions of the equations, except that scan phases are redrawn. A phase that stays the same in all
+cycles may never deliver.
+"""
 REAL = Assumptions(
     slotted=False,
     advertiser="standard",
@@ -89,16 +99,17 @@ REAL = Assumptions(
     clock_ppm=20.0,
     carrier_sense=True,
 )
-"""As radios behave that follow the standards. Left out: beacon intervals are whole time units of 1.024 ms, so
-that ten in a second are no more than nearly that; and what `packet_access` names."""
+"""Behaviour of radios that follow the standards. Not modelled: beacon intervals are whole time units of 1.024
+ms, so that ten a second are only approximate; and what `packets.access` lists.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Durations:
-    """Durations in slots, whole ones where slotted. Rows are modes in the order of `parameters.MODES`.
+    """Durations in slots, whole ones if slotted. Rows are modes in the order of `parameters.MODES`.
 
-    A part is one packet of an event: on channels 37, 38, 39 parts 0, 1, 2; the auxiliary packet part 3; the
-    beacon part 0.
+    A part is one packet of an event. Parts 0, 1, 2 are the packets on channels 37, 38, 39; part 3 is the
+    auxiliary packet. A beacon is part 0.
     """
 
     slotted: bool
@@ -114,9 +125,11 @@ class Durations:
     span: Floats
     """Shape (3,): longest time from the beginning to the end of an event."""
     dwell: Floats
-    """Shape (3,): from one scanned channel to the next, S_I or T_S + C_T. Three are a scan cycle."""
+    """Shape (3,): time from one scanned channel to the next, S_I or T_S + C_T. Three of them form a scan
+    cycle.
+    """
     window: Floats
-    """Shape (3,): how long of that the receiver listens, S_W or T_S."""
+    """Shape (3,): time within a dwell during which the receiver listens, S_W or T_S."""
     random_delay: Floats
     """Shape (3,): R_D; 0 for Wi-Fi."""
     uncertainty: float
@@ -158,7 +171,7 @@ class Durations:
         )
 
     def uniform(self, upper: float, shape: int | tuple[int, ...], rng: np.random.Generator) -> Floats:
-        """Uniform times in [0, upper]; whole slots, both ends among them, where slotted."""
+        """Uniform times in [0, upper]. If slotted, they are whole slots including both ends."""
         if self.slotted:
             return rng.integers(0, int(upper), shape, endpoint=True).astype(float)
         return rng.uniform(0.0, upper, shape)
@@ -171,10 +184,12 @@ class Durations:
 
 
 def coprime_interval(rate: int, mode: int, parameters: ChannelParameters) -> int:
-    """A-hat (B-hat) in slots: coprime to the scan cycle, nearest to floor(T_GNSS / psi), or the lower."""
+    """A-hat (B-hat) in slots: coprime to the scan cycle, nearest to floor(T_GNSS / psi), the lower one on a
+    tie.
+    """
     durations = Durations.of(parameters, slotted=True)
     wanted = int(durations.gnss_period) // rate
     cycle = 3 * int(durations.dwell[mode])
-    # A neighbour of a multiple of the cycle is coprime to it: no need to look farther than one cycle.
+    # A neighbour of a multiple of the cycle is coprime to it, so one cycle on each side is enough.
     near = (a for a in range(max(1, wanted - cycle), wanted + cycle + 1) if math.gcd(a, cycle) == 1)
     return min(near, key=lambda a: (abs(a - wanted), a))
