@@ -24,7 +24,7 @@ _SHADOW_MARGIN = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """Directed links, one row each, of one environment or of many side by side."""
+    """Directed links of one environment or of many environments, one row each."""
 
     nodes: int
     """Number of aircraft in all environments together."""

@@ -233,7 +233,7 @@ class ChannelParameters(_Section, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Slots:
-    """The durations in whole slots, X_d = floor(X / Delta)."""
+    """Durations in whole slots, X_d = floor(X / Delta)."""
 
     parameters: ChannelParameters
 

@@ -38,10 +38,10 @@ class Fleet:
 def fixed_mode(
     nodes: int, mode: str, rate: int, parameters: ChannelParameters, rng: np.random.Generator | None = None
 ) -> Fleet:
-    """A fleet that sends on one mode at one rate.
+    """A fleet in which all aircraft send in one mode at one rate.
 
     Args:
-        rng: draws the Wi-Fi channels where the parameters say "random".
+        rng: draws the Wi-Fi channels if the parameters require "random".
 
     Raises:
         ValueError: random Wi-Fi channels without a generator.
@@ -144,7 +144,7 @@ class Analytic:
         ):
             on_mode = np.flatnonzero(carried[:, index])
             loss[on_mode, index] = 1.0 - first[on_mode] * second[on_mode]
-            rates = fleet.rates[links.transmitter[on_mode], index].astype(np.int16)  # int16 makes the stable sort a radix sort
+            rates = fleet.rates[links.transmitter[on_mode], index].astype(np.int16)  # radix sort
             order = np.argsort(rates, kind="stable")
             numbers = np.bincount(rates)
             for rate, at in enumerate(np.split(on_mode[order], np.cumsum(numbers)[:-1])):

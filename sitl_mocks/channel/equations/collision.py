@@ -70,7 +70,7 @@ def shares_of(parameters: ChannelParameters) -> Shares:
 class Survival:
     """Probability that one packet survives on its link, each of shape (links,); 1 where it is not carried.
 
-    BLE 4's PDU, BLE 5's pointer and auxiliary packet, Wi-Fi's beacon.
+    The packets are BLE 4's PDU, BLE 5's pointer and auxiliary packet, and Wi-Fi's beacon.
     """
 
     ble4: Floats

@@ -45,10 +45,10 @@ to 3 pointers announce.
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """What a mode and rate gives within one GNSS period, averaged over the phases.
+    """Terms of a mode and rate within one GNSS period, averaged over the phases.
 
     A term stands for all cases in which a try succeeds after `failed` earlier tries without success. Tries
-    are told apart by their number of pointers, 1 to `TRIES`; BLE 4 and Wi-Fi have only the first kind.
+    are distinguished by their number of pointers, 1 to `TRIES`; BLE 4 and Wi-Fi have only the first kind.
     """
 
     failed: Integers

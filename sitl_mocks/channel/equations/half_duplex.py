@@ -27,8 +27,9 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class DeafShares:
-    """Share of the GNSS period in which one event of the receiver covers a packet, by what it sends: on BLE 4
-    and on BLE 5."""
+    """Share of the GNSS period in which one event of the receiver covers a packet. Each pair holds the shares
+    for own events on BLE 4 and on BLE 5.
+    """
 
     ble4: Pair
     """Share for the PDU of BLE 4."""

@@ -23,7 +23,7 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """How a receiver listens to one mode, and what it must fit into a window."""
+    """Scan pattern of a receiver in one mode, and the packets that must fit into its windows."""
 
     cycle: int
     """Slots after which the scan repeats (3 S_I, or 3 (T_S + C_T))."""
@@ -85,7 +85,7 @@ def event_period(mode: str, rate: int, parameters: ChannelParameters) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Packets of one GNSS period that fall whole into a scan window, for every phase; one row each."""
+    """Packets of one GNSS period that fall completely into a scan window, for every phase; one row each."""
 
     phase: Integers
     """t0, from 0 to below the scan cycle."""
