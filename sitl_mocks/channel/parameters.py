@@ -99,7 +99,7 @@ class Ble5Parameters(BleParameters, frozen=True, kw_only=True):
 
 
 class WifiParameters(_Section, frozen=True, kw_only=True):
-    """Wi-Fi beacons."""
+    """Parameters of Wi-Fi beacons."""
 
     beacon_ms: float = 0.632
     """B_D: duration of a beacon."""

@@ -22,7 +22,7 @@ class SimpleChannel:
     """
 
     delay_s: tuple[float, float] = (0.0, 0.0)
-    """Lower and upper bound of the delay; equal ones make it constant."""
+    """Lower and upper bound of the delay. Equal bounds make it constant."""
     loss: float = 0.0
     """Probability that a message is lost."""
     range_m: float | None = None

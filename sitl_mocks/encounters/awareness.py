@@ -47,7 +47,7 @@ class AgeLog:
 
 @dataclass(frozen=True, slots=True)
 class Awareness:
-    """Ages of information (s) over time and pairs."""
+    """Statistics of ages of information (s) over time and pairs."""
 
     mean_s: float
     p95_s: float

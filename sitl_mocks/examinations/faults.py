@@ -76,7 +76,7 @@ class Place(Protocol):
 
     @property
     def link(self) -> ModelledLink:
-        """The router."""
+        """Modelled link in the router."""
 
     @property
     def judge(self) -> Judge:

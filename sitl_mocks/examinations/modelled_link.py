@@ -237,7 +237,7 @@ class ModelledLink:
         self._up.append((gone_s, decided_s, data))
 
     def arrived(self, now_s: float) -> list[tuple[float, bytes]]:
-        """What has reached the vehicle's end: when each was decided, and its bytes."""
+        """Data that has reached the vehicle's end: the decision time of each piece, and its bytes."""
         if self._up_held is not None:
             sent_s, decided_s, data = self._up_held
             if now_s - sent_s > LATE_S:

@@ -73,7 +73,7 @@ class Bounds:
     max_climb_mps: float
     max_descent_mps: float
     external: int
-    """The mode that flies setpoints."""
+    """The mode in which the vehicle flies setpoints."""
     given: frozenset[int]
     """Modes from which the companion may take a vehicle that it did not control before."""
     px4_modes: bool
@@ -288,7 +288,7 @@ class Judge:
     # ------------------------------------------------------------ what it sends
 
     def leaves(self, now_s: float, data: bytes) -> None:
-        """Bytes leave the companion."""
+        """Judge bytes that leave the companion."""
         for message_id, payload in self._frames(data):
             if message_id == _SETPOINT:
                 self._judge_setpoint(now_s, payload)

@@ -126,7 +126,7 @@ class World:
         return taken
 
     def station_says(self, kind: str, *fields: Any) -> None:
-        """Send a ground station's message on a separate link, which is open only meanwhile because telemetry
+        """Send a ground station's message on a separate link. The link is closed again because telemetry
         costs time.
         """
         message = getattr(self._writer.encoder, f"{kind}_encode")(*fields)
@@ -281,7 +281,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def bounds_of(firmware: Firmware, use: Use, limits: LimitsConfig = _LIMITS) -> Bounds:
-    """What a companion may do on this firmware. The default limits are those of `new_companion`."""
+    """Limits of a companion on this firmware. The default limits are those of `new_companion`."""
     modes = MANNERS[firmware].custom_modes
     given = {VehicleMode.MISSION}
     if use == "fly":

@@ -140,8 +140,8 @@ class AnalyticChannel:
         return (self._phases[pair] + slot) % self._cycles[mode]
 
     def _measure_rates(self, now_s: float) -> None:
-        """Count what each aircraft sent in the period before now. All frames of one moment get the same
-        result, in any order.
+        """Count the frames that each aircraft sent in the period before now. All frames of one moment get the
+        same result, in any order.
         """
         if now_s == self._interferers_s:
             return

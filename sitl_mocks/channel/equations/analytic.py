@@ -32,7 +32,7 @@ class Fleet:
     the mode.
     """
     wifi_channel: Indices
-    """Shape (nodes,), index into `WIFI_CHANNELS`."""
+    """Index into `WIFI_CHANNELS`, shape (nodes,)."""
 
 
 def fixed_mode(

@@ -64,12 +64,12 @@ class Terms:
     missed_weight: Floats
     """Shape (cases,): share of the phases."""
     period_s: float
-    """T_GNSS."""
+    """T_GNSS in seconds."""
 
 
 @lru_cache(maxsize=1024)
 def terms_of(mode: str, rate: int, parameters: ChannelParameters) -> Terms:
-    """The terms of a mode and rate.
+    """Compute the terms of a mode and rate.
 
     Raises:
         ConfigError: the rate is less than 1 or more than the mode's largest.

@@ -1,4 +1,4 @@
-"""Packet-level simulation of the radio channel, the reference against which the channel equations are checked.
+"""Packet-level simulation of the radio channel, the reference for the channel equations.
 
 Every PDU, pointer, auxiliary packet and beacon has its channel and its time, and every receiver its scan
 windows. `simulation.simulate` runs aircraft at fixed positions and rates and returns a `Result`, from which

@@ -39,7 +39,7 @@ class Age:
     """Age of information, shape (nodes, nodes), transmitter by receiver. NaN where nothing was received."""
 
     mean_s: Floats
-    """Time-average."""
+    """Average over time."""
     largest_s: Floats
 
 

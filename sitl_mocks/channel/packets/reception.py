@@ -98,7 +98,7 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class Scanners:
-    """The receivers' scan patterns. Bluetooth 4, Bluetooth 5 and Wi-Fi scan side by side."""
+    """Scan patterns of the receivers. Bluetooth 4, Bluetooth 5 and Wi-Fi scan at the same time."""
 
     phase: Floats
     """Shape (rows, nodes): a time on the receiver's own clock at which a scan cycle begins (slots).
@@ -224,7 +224,9 @@ def _hits(
 
 
 def _overlapping_pairs(packets: Packets) -> tuple[Indices, Indices]:
-    """All ordered pairs of packets that share some time; one that ends as another begins shares none."""
+    """All ordered pairs of packets that share some time. A packet that ends when another begins shares none
+    with it.
+    """
     order = np.argsort(packets.begin, kind="stable")
     begin = packets.begin[order]
     position = np.arange(len(order))

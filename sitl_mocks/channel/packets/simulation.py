@@ -52,7 +52,9 @@ class Result:
     carried: Bools
     """Shape (nodes, nodes, 3): the transmitter (row) uses the mode and reaches the receiver (column)."""
     transmitter: Indices
-    """Index of the transmitter, shape (events,), in the order of time; the next four arrays likewise."""
+    """Index of the transmitter, shape (events,), in the order of time. The next four arrays have the same
+    shape and order.
+    """
     mode: Indices
     sample: Indices
     """Number of the GNSS sample that the event carries."""
@@ -61,7 +63,7 @@ class Result:
     sample_s: Floats
     """Time of that GNSS sample."""
     heard_event: Indices
-    """Index of the received event, shape (receptions,); the next two arrays likewise."""
+    """Index of the received event, shape (receptions,). The next two arrays have the same shape and order."""
     heard_by: Indices
     heard_s: Floats
     """Time at which the message was complete."""

@@ -47,13 +47,13 @@ class Assumptions:
     random_delay: bool
     """Bluetooth events get the pseudo-random delay R_D."""
     half_duplex: bool
-    """A radio that sends on Bluetooth receives no Bluetooth meanwhile; likewise for Wi-Fi."""
+    """A radio that sends on Bluetooth receives no Bluetooth during that time. The same applies to Wi-Fi."""
     capture_db: float | None
     """A packet survives if it is this much stronger than each packet that overlaps it. None: it never
     survives.
     """
     clock_ppm: float
-    """Each aircraft's clock error is drawn uniformly up to this. It affects advertising intervals and scan
+    """Each aircraft's clock error is drawn uniformly up to this, in either direction. It affects advertising intervals and scan
     patterns; GNSS samples keep true time.
     """
     carrier_sense: bool
@@ -67,7 +67,7 @@ class Assumptions:
             raise ConfigError(f"advertiser: {self.advertiser!r}: allowed 'paper', 'standard'")
         if self.phases not in ("redrawn", "free"):
             raise ConfigError(f"phases: {self.phases!r}: allowed 'redrawn', 'free'")
-        # Negated comparisons refuse NaN too.
+        # The negated comparisons also refuse NaN.
         if self.capture_db is not None and not 0.0 <= self.capture_db < math.inf:
             raise ConfigError(f"capture_db: {self.capture_db:g}: allowed none, or a finite value >= 0")
         if not 0.0 <= self.clock_ppm <= _MAX_CLOCK_PPM:
@@ -100,7 +100,7 @@ REAL = Assumptions(
     carrier_sense=True,
 )
 """Behaviour of radios that follow the standards. Not modelled: beacon intervals are whole time units of 1.024
-ms, so that ten a second are only approximate; and what `packets.access` lists.
+ms, so that ten a second are only approximate. Effects that `packets.access` lists are not modelled either.
 """
 
 
@@ -115,13 +115,13 @@ class Durations:
     slotted: bool
     slot_s: float
     gnss_period: float
-    """T_GNSS."""
+    """T_GNSS in slots."""
     parts: Indices
     """Shape (3,): packets in one event."""
     offset: Floats
-    """Shape (3, 4): from the beginning of the event to that of the part."""
+    """Shape (3, 4): time from the beginning of the event to that of the part."""
     length: Floats
-    """Shape (3, 4): A_P, T_AUX or B_D."""
+    """Shape (3, 4): duration of the part, A_P, T_AUX or B_D."""
     span: Floats
     """Shape (3,): longest time from the beginning to the end of an event."""
     dwell: Floats
@@ -131,13 +131,13 @@ class Durations:
     window: Floats
     """Shape (3,): time within a dwell during which the receiver listens, S_W or T_S."""
     random_delay: Floats
-    """Shape (3,): R_D; 0 for Wi-Fi."""
+    """Shape (3,): greatest random delay R_D; 0 for Wi-Fi."""
     uncertainty: float
     """O_U: greatest extra delay of an auxiliary packet."""
 
     @staticmethod
     def of(parameters: ChannelParameters, slotted: bool) -> Durations:
-        """The durations of these parameters."""
+        """Compute the durations from the parameters."""
         slots = Slots(parameters)
 
         def count(duration_ms: float) -> float:
@@ -177,7 +177,7 @@ class Durations:
         return rng.uniform(0.0, upper, shape)
 
     def phase(self, period: float, shape: int | tuple[int, ...], rng: np.random.Generator) -> Floats:
-        """Uniform phases in [0, period); whole slots where slotted."""
+        """Uniform phases in [0, period). If slotted, they are whole slots."""
         if self.slotted:
             return rng.integers(0, int(period), shape).astype(float)
         return rng.uniform(0.0, period, shape)
