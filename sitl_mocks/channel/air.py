@@ -48,8 +48,7 @@ class Channel(Protocol):
         ...
 
     def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
-        """Every outcome that is certain at `now_s` and was not returned before, in an order that the channel
-        chooses.
+        """Outcomes that are certain at `now_s` and were not returned before, in any order.
 
         Each transmission gets one outcome for every receiver that it names. The time of this call affects
         only when an outcome is returned, never its content.

@@ -72,7 +72,7 @@ class AirLinks:
     def path_loss_db(
         self, sender: str, distance_m: Mapping[str, float | None], rng: np.random.Generator
     ) -> dict[str, float]:
-        """Path loss to each receiver (dB). Shadowing is drawn once for each pair and is the same in both
+        """Path loss to each receiver (dB). Shadowing is drawn once for each pair, equal in both
         directions.
         """
         propagation = self._parameters.propagation
@@ -86,7 +86,7 @@ class AirLinks:
         return loss_db
 
     def wifi_channel(self, sender: str, transport: str, rng: np.random.Generator) -> int:
-        """Index into `WIFI_CHANNELS`: channel 6 for "shared" and for Wi-Fi NAN, else drawn once for each
+        """Index into `WIFI_CHANNELS`: channel 6 for "shared" and Wi-Fi NAN, else drawn once for each
         sender.
         """
         if transport == WIFI_NAN or self._parameters.wifi_channels == "shared":

@@ -134,9 +134,7 @@ class Chosen:
                 self._by_fallback = command.by == "fallback"
 
     def note(self, now_s: float, rates: Mapping[str, int]) -> None:
-        """Record the transports in use from now on, with Locations per second. An unchanged set has no
-        effect.
-        """
+        """Record the transports in use from now on (Locations per second). An unchanged set has no effect."""
         name = words_of(rates)
         if name == self._present:
             return

@@ -47,7 +47,7 @@ class Crossing:
         self._told_s = self._drawn_s = 0.0
 
     def meet(self, now_s: float, position: Vec3, velocity: Vec3) -> None:
-        """Add an aircraft that will pass close to the vehicle in 10 to 40 s if both fly straight on (m, m/s,
+        """Add an aircraft that passes close to the vehicle in 10 to 40 s if both fly straight (m, m/s,
         NED).
         """
         rng = self._rng

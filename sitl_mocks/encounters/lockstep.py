@@ -175,9 +175,7 @@ def _parameters(firmware: Firmware, limits: LimitsConfig) -> dict[str, float]:
 
 
 def uas_id_of(scenario: Scenario, name: str) -> str:
-    """Remote ID identity of an aircraft: its name, in the form of a serial number if the region requires
-    it.
-    """
+    """Remote ID identity of an aircraft: its name, as a serial number if the region requires its form."""
     if scenario.region.serial_number == "any":
         return name
     return f"{_PREFIX}{len(name):X}{name}"
@@ -281,9 +279,7 @@ def _aircraft(
     record: Callable[[str, Config], Callable[[Step], None]] | None,
     tlog: Callable[[str], ByteSink] | None,
 ) -> Aircraft:
-    """Create one aircraft of `fly`. Random choices have a generator of their own, separate from navigation
-    errors.
-    """
+    """Create one aircraft of `fly`. Random choices have a generator separate from navigation errors."""
     config = companion_config(scenario, name, path, law)
     drawn = np.random.default_rng(luck.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
     return Aircraft(

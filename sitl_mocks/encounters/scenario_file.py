@@ -65,9 +65,7 @@ class Scenario(_Section, frozen=True):
     region: Region = Region()
     """Content of the file that `air.region` names."""
     atmc: AtmcConfig = AtmcConfig()
-    """How the transports of all aircraft are chosen, as in a companion's file. `policy` may also be
-    "random".
-    """
+    """Choice of transports for all aircraft, as in a companion's file. `policy` may also be "random"."""
     limits: LimitsConfig = LimitsConfig()
     avoidance: AvoidanceConfig = AvoidanceConfig()
 

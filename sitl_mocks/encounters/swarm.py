@@ -42,7 +42,7 @@ _EXAMPLE = (
     "example: sitl-mocks swarm --duration 120 --delay 0 1; sitl-mocks swarm --aircraft 3 --faults --seed 7"
 )
 START_S = 15.0
-"""Time from starting the processes to the paths' time 0. Interpreters and kernels take long to load on few
+"""Time from starting the processes to the paths' time 0, in which interpreters and kernels load on few
 cores.
 """
 _END_S = 15.0
@@ -164,9 +164,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def window(path: Points, duration_s: float) -> Points:
-    """The middle `duration_s` of a timed path, with its clock starting at 0; rows of time, north, east,
-    down.
-    """
+    """The middle `duration_s` of a timed path, with its clock from 0; rows of time, north, east, down."""
     start = max(0.0, 0.5 * (float(path[-1, 0]) - duration_s))
     end = min(start + duration_s, float(path[-1, 0]))
     inside = path[(path[:, 0] > start) & (path[:, 0] < end), 0]
@@ -303,9 +301,7 @@ def _examine(
 
 
 def _ether_options(scenario: Scenario, folder: Path) -> list[str]:
-    """The scenario's air as options of `sitl-mocks ether`. Parameters are passed in a file in the run
-    folder.
-    """
+    """The scenario's air as options of `sitl-mocks ether`. Parameters go to a file in the run folder."""
     air = scenario.air
     options = ["--channel", air.model]
     if air.model == "interval":

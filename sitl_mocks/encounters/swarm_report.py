@@ -114,8 +114,7 @@ def _gaps(left: dict[str, object]) -> dict[str, float]:
 
 
 def _air(folder: Path, identities: dict[str, str], statistics: dict[str, object]) -> list[dict[str, object]]:
-    """Frames per ordered pair: sent and lost as counted by the air, received according to each companion's
-    record.
+    """Frames per ordered pair: sent and lost (air's count), received (record of each companion).
 
     Frames that were sent and not lost on the air must have been received.
     """

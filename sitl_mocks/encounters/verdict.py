@@ -35,15 +35,11 @@ class Deviation:
     largest_m: float
     final_m: float
     back_s: float | None
-    """Time from the largest deviation until the aircraft stays on the path. None: it is not back, or never
-    left.
-    """
+    """Time from the largest deviation until the aircraft stays on the path. None: not back, or never left."""
 
 
 def pairs_of(run: Run) -> list[Pair]:
-    """Least separation of every pair, including times between ticks (positions move straight between
-    ticks).
-    """
+    """Least separation of every pair, also between ticks (positions move straight between ticks)."""
     found = []
     for a, b in combinations(run.aircraft, 2):
         least, tick = _least(a.position_ned_m - b.position_ned_m)

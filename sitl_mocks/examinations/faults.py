@@ -322,9 +322,7 @@ def _is_mode_request(message_id: int, payload: bytes) -> bool:
 
 
 def others_frames() -> list[bytes]:
-    """Other frames that a router sends to the companion: a neighbour's telemetry, a ground station, a
-    radio.
-    """
+    """Foreign frames that a router sends: a neighbour's telemetry, a ground station, a radio."""
     neighbour, station, radio = MavlinkWriter(77, 1), MavlinkWriter(255, 190), MavlinkWriter(51, 68)
     frames = []
     for n in range(20):

@@ -1,5 +1,4 @@
-"""Judges a companion from outside: from the bytes at the vehicle's end and the pilot's choices and their
-times.
+"""Judges a companion from outside: from the bytes at the vehicle's end and the pilot's timed choices.
 
 The judge knows the frames that left the companion and those that reached the vehicle, what the vehicle sent
 and when the companion could first read it, the vehicle's own modes, the pilot's choices, and the limits. It
@@ -111,8 +110,8 @@ class Judge:
     ) -> None:
         self.breaches: list[Breach] = []
         self.crossed = 0
-        """Number of choices undone by a request of ours that was already on its way, so that we could not
-        have known.
+        """Number of choices undone by a request of ours that was already on its way, which we could not
+        know.
         """
         self.alike = 0
         """Number of choices that were not judged, because we had requested the same mode."""
@@ -131,9 +130,7 @@ class Judge:
         """Whether the mode was entered by our request."""
         self._selected: tuple[float, int] | None = None
         self._choices: list[_Choice] = []
-        """Modes that are not ours since authority ended, oldest first. The vehicle should be in the last
-        one.
-        """
+        """Modes that are not ours since authority ended, oldest first. The last is the one to be in."""
         self._final = False
         """Whether only disarming gives authority back."""
         self._gone_s = math.inf
@@ -159,15 +156,11 @@ class Judge:
 
     @property
     def held(self) -> bool:
-        """Whether we control the vehicle: it is in the setpoint mode, or in a mode in which we asked it to
-        wait.
-        """
+        """Whether we control the vehicle: in the setpoint mode, or in a mode in which we asked it to wait."""
         return self._mode == self._bounds.external or (self._ours and self._mode not in self._bounds.given)
 
     def selects(self, now_s: float, custom_mode: int) -> None:
-        """The pilot selects a mode that the vehicle will accept. Call `shows` and then `accepted`
-        afterwards.
-        """
+        """The pilot selects a mode that the vehicle will accept. Call `shows`, then `accepted` afterwards."""
         self._selected = now_s, custom_mode
 
     def accepted(self, now_s: float) -> None:
@@ -332,8 +325,8 @@ class Judge:
             self.alike += 1
 
     def reaches(self, now_s: float, data: bytes, decided_s: float) -> None:
-        """Bytes of the companion, decided at `decided_s`, reach the vehicle. Call it before the vehicle
-        processes them.
+        """Bytes of the companion, decided at `decided_s`, reach the vehicle. Call before it processes
+        them.
         """
         age_s = now_s - decided_s
         for message_id, payload in self._frames(data):

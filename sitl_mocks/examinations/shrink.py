@@ -1,6 +1,4 @@
-"""Finds the shortest schedule that still breaks a rule: delta debugging on its entries, then on their
-times.
-"""
+"""Finds the shortest schedule that still breaks a rule: delta debugging on entries, then on times."""
 
 from __future__ import annotations
 
@@ -21,9 +19,7 @@ _SHARES: Final = (0.1, 0.5, 0.8)
 
 
 class _Search:
-    """Shortest schedule so far. The search stops after a number of flights with the shortest schedule found
-    by then.
-    """
+    """Shortest schedule so far. The search stops after a number of flights."""
 
     def __init__(self, faults: tuple[Fault, ...], error: BrokenRuleError, breaks: Breaks) -> None:
         self.faults = tuple(fault for fault in faults if fault.at_s <= error.at_s)

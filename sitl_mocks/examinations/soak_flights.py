@@ -21,9 +21,7 @@ SETTLED_S = 30.0
 _ON_GROUND_S = 5.0
 _LOOKS_S = 1.0
 _FLOWN_S = 600.0
-"""Flight time after which the pilot ends a flight that the companion flies, because its path ends in the
-air.
-"""
+"""Flight time after which the pilot ends a flight of a companion, because its path ends in the air."""
 
 
 class BrokenRuleError(Exception):
@@ -99,8 +97,8 @@ class Flights(World):
         self._authority = self._authority and not self.vehicle.armed
 
     def _count(self) -> None:
-        """Update the report and the state that the pilot knows from a ground station. The judge does not use
-        them.
+        """Update the report and the state that the pilot knows, as from a ground station. The judge uses
+        neither.
         """
         state = self.onboard.heart.state
         if not self.vehicle.armed:
@@ -118,9 +116,7 @@ class Flights(World):
 
     @property
     def at_work(self) -> bool:
-        """Whether the companion flies the vehicle or watches its mission. This must hold some time after the
-        last trouble.
-        """
+        """Whether the companion flies, or watches a mission. Must hold some time after the last trouble."""
         on_mission = self.vehicle.mode is VehicleMode.MISSION
         return self._state in HOLDING | ({State.WATCHING} if on_mission else set())
 

@@ -40,9 +40,7 @@ from sitl_mocks.examinations.world import bounds_of
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 GIVEN_BACK: Final = "given back"
-"""Kind of event: the vehicle is disarmed and armed again in the air, by which a pilot gives authority
-anew.
-"""
+"""Kind of event: disarmed and armed again in the air, by which a pilot gives authority anew."""
 _OTHERS: Final = (*(kind for kind in TROUBLES if kind != "stall"), "link")
 _MANNERS: Final = ("disobeyed", "unanswered", "denied")
 """Faults of the vehicle's answers. They begin before the companion takes the vehicle."""
@@ -91,9 +89,7 @@ def schedule_of(seed: int, number: int, duration_s: float) -> tuple[Fault, ...]:
 
 
 def _round(given_s: float, begins_s: float, rng: np.random.Generator) -> tuple[list[Fault], float]:
-    """Draw one trouble, mostly with a stall, and a pilot around it. Returns the faults and the time when all
-    are over.
-    """
+    """Draw one trouble, mostly with a stall, and a pilot around it; and the time when all is over."""
     trouble = "stall" if rng.random() < 0.5 else str(rng.choice(_OTHERS))
     lasts_s = float(np.exp(rng.uniform(*np.log(_LASTS_S))))
     faults: list[Fault] = []
@@ -387,7 +383,7 @@ class Examination:
             heapq.heappush(self._lasting, (now_s + fault.lasts_s, len(self.done), fault))
 
     def _until_taken(self, patience_s: float) -> bool:
-        """Wait until the vehicle is in the setpoint mode and setpoints stream. Returns whether that
+        """Wait until the vehicle is in the setpoint mode and setpoints stream. Returns whether it
         happened.
         """
         give_up_s, since_s, taken = self.now_s + patience_s, math.inf, False
@@ -468,18 +464,14 @@ class Examination:
         self._waited.append((now_s, 1e-9 * waited_ns))
 
     def _waited_for_cpu_s(self, at_s: float) -> float:
-        """Time that the threads waited for a processor around a breach. If it is long, the machine is the
-        cause.
-        """
+        """Time that the threads waited for a processor around a breach. A long time blames the machine."""
         before, after = _AROUND_BREACH_S
         around = [waited for t, waited in self._waited if at_s - before <= t <= at_s + after]
         return round(max(around) - min(around), 3) if around else 0.0
 
 
 def end_all(examinations: list[Examination], folder: Path) -> dict[str, Any]:
-    """End the examinations and write schedules, injected faults and results. Returns the reports by
-    aircraft.
-    """
+    """End the examinations and write schedules, injected faults and results. Returns reports by aircraft."""
     for one in examinations:
         one.close()
     reports = {one.name: one.report() for one in examinations}

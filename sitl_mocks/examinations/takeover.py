@@ -108,8 +108,8 @@ def some(seed: int, first: int, count: int, troubles: tuple[str, ...], portions:
 
 
 def many(seed: int, cases: int, troubles: tuple[str, ...], portions: int | None, jobs: int) -> Result:
-    """Fly the cases from 0 to below `cases` of a seed on `jobs` processes. The result does not depend on
-    `jobs`.
+    """Fly the cases from 0 to below `cases` of a seed. The result does not depend on `jobs`, the
+    processes.
     """
     batches = [(first, min(_BATCH, cases - first)) for first in range(0, cases, _BATCH)]
     result = Result()
@@ -126,9 +126,7 @@ def many(seed: int, cases: int, troubles: tuple[str, ...], portions: int | None,
 
 
 def shortest(case: Case, rule: str, portions: int | None) -> tuple[Case, Breach]:
-    """The shortest case found that still breaks this rule first. Parts are left out or reduced where
-    possible.
-    """
+    """The shortest case found that still breaks this rule first, with parts left out or reduced."""
 
     def breach_of(one: Case) -> Breach | None:
         breaches = fly(one, portions).breaches

@@ -30,9 +30,7 @@ TROUBLES: Final = (
     "stall", "burst", "late", "reorder", "duplicate", "down", "up", "slow", "modes", "disobeyed",
     "unanswered", "denied",
 )  # fmt: skip
-"""Faults that may occur around the pilot's choice. `modes` means two choices within one step and no other
-fault.
-"""
+"""Faults that may occur around the pilot's choice. `modes`: two choices in one step, no other fault."""
 _PREPARED_SEED = 1
 _SNAPSHOTS = 60
 _EVERY_S = 0.73
@@ -215,9 +213,7 @@ def shorter(case: Case) -> Iterator[Case]:
 
 
 def _with(case: Case, number: int, fault: Fault) -> Case:
-    """Replace a fault. If it became shorter, later faults move earlier, so that the pilot keeps his place
-    within it.
-    """
+    """Replace a fault. If it became shorter, later faults move earlier, so that the pilot stays within it."""
     before, faults = case.faults[number], list(case.faults)
     faults[number] = fault
     if before.lasts_s > fault.lasts_s:

@@ -32,9 +32,7 @@ from sitl_mocks.examinations.world import bounds_of
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
 
 GRACE_S: Final = 0.15
-"""A step of the companion that was under way when the pilot's mode arrived may still send within this
-time.
-"""
+"""A step of the companion that was under way when the pilot's mode arrived may send for this long."""
 CAUSE_S: Final = 1.5
 _READY_S = 60.0
 _RETAKEN_S = 25.0
@@ -232,8 +230,7 @@ class RealFlight:
             self._pump(0.002)
 
     def give_back(self) -> None:
-        """Disarm the vehicle for a moment in the air, which gives authority anew, and wait until the
-        companion takes it.
+        """Disarm for a moment in the air, which gives authority anew, and wait until the companion takes it.
 
         Raises:
             NoFlightError: the companion does not take the vehicle, or has ended.
@@ -327,9 +324,7 @@ def _ready(flight: RealFlight | None, firmware: Firmware, link: Kind, folder: Pa
 
 
 def many_real(seed: int, cases: int, jobs: int, folder: Path) -> list[RealVerdict]:
-    """Fly the cases from 0 to below `cases` of a seed on `jobs` threads, alternating between firmware and
-    link.
-    """
+    """Fly the cases from 0 to below `cases` of a seed on `jobs` threads, in turn by firmware and link."""
     turns = {
         place: [real_case(seed, number) for number in range(k, cases, len(PLACES))]
         for k, place in enumerate(PLACES)

@@ -34,9 +34,7 @@ _STAMPED: Final = 35
 _STAMP = struct.Struct("@ll")
 _HEARTBEAT, _SYSTEM_TIME, _LOCAL, _GLOBAL, _SETPOINT = 0, 2, 32, 33, 84
 _CLOCKS: Final = {_SYSTEM_TIME: 8, _LOCAL: 0, _GLOBAL: 0}
-"""Messages from which the companion knows the vehicle's clock, and the offset of the clock in them (uint32,
-ms).
-"""
+"""Messages that give the companion the vehicle's clock, and the clock's offset in them (uint32, ms)."""
 _WATCHED: Final = frozenset({_HEARTBEAT, CURRENT_MODE, *_CLOCKS})
 """Messages of the autopilot for which the router must know whether they were delivered."""
 _AUTOPILOT = 1
@@ -94,8 +92,8 @@ class Wire:
         """Frames that were sent to a stopped companion; None while it runs."""
         self._stopped_s = 0.0
         self._recent: deque[tuple[float, float, bytes]] = deque()
-        """Recent frames to a running companion: the time of sending, the time the frame left the vehicle, and
-        the frame.
+        """Recent frames to a running companion: time of sending, time of leaving the vehicle, and the
+        frame.
         """
         self._ran_s = time.monotonic()
         self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -29,9 +29,7 @@ from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameter
 
 _BLE5, _WIFI = MODES.index(BLE5), MODES.index(WIFI_BEACON)
 _DRAWS = 3
-"""Numbers drawn for each frame and receiver, used or not, so that the draws do not depend on other
-outcomes.
-"""
+"""Numbers drawn for each frame and receiver, used or not, so that draws do not depend on other outcomes."""
 _EPSILON_S = 1e-6
 
 
@@ -158,9 +156,7 @@ class AnalyticChannel:
             )
 
     def _survival(self, sender: str, receiver: str, mode: int, channel: int) -> tuple[float, float]:
-        """Probability that one packet meets no other, and that of the auxiliary packet: the eight
-        products.
-        """
+        """Probability that one packet meets no other, and that of the auxiliary packet (eight products)."""
         first, auxiliary = self._first_quiet[mode], self._auxiliary_quiet if mode == _BLE5 else 1.0
         for other in self._interferers:
             loss = other.path_loss_db.get(receiver)

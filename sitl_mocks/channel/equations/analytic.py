@@ -28,9 +28,7 @@ class Fleet:
     """Message rates and Wi-Fi channels of all aircraft."""
 
     rates: Indices
-    """Shape (nodes, 3), in the order of `MODES`: messages in a GNSS period; 0 if the aircraft does not use
-    the mode.
-    """
+    """Shape (nodes, 3), in the order of `MODES`: messages in a GNSS period; 0 if the mode is not used."""
     wifi_channel: Indices
     """Index into `WIFI_CHANNELS`, shape (nodes,)."""
 
@@ -157,9 +155,7 @@ class Analytic:
         return Evaluation(links, carried, delay, loss)
 
     def _sensed_load(self, links: Links, carried: Bools, fleet: Fleet) -> Floats | None:
-        """Wi-Fi load around each aircraft, shape (nodes,). None if stations do not listen before they
-        send.
-        """
+        """Wi-Fi load around each aircraft, shape (nodes,). None if stations send without listening."""
         if self.parameters.wifi.access == "independent":
             return None
         return carrier_sense.sensed_load(links, carried, fleet.rates, fleet.wifi_channel, self.parameters)

@@ -49,19 +49,13 @@ Floats = NDArray[np.float64]
 MEETING: Final = 0.029
 """c: how often two stations that waited for the same busy period collide."""
 CROWDING: Final = 0.71
-"""a: inverse of the number of further stations that begin together, for each unit of load beyond the
-capacity.
-"""
+"""a: inverse of the number of further stations that begin together, per unit of load beyond the capacity."""
 GAP_MS: Final = 0.092
 """h: idle time per beacon: the DIFS and some backoff slots."""
 WAIT: Final = 16.5
-"""w: wait, in beacon lengths, for each other station that begins together with this one; half of CWmin +
-2.
-"""
+"""w: wait, in beacon lengths, for each other station that begins with this one; half of CWmin + 2."""
 BLUR: Final = 10.7
-"""Waits of a scan cycle divided by this number remove half of the regularity with which scans meet
-beacons.
-"""
+"""Waits of a scan cycle divided by this number halve the regularity with which scans meet beacons."""
 
 _BLE5, _WIFI = MODES.index(BLE5), MODES.index(WIFI_BEACON)
 _NOTHING = 1e-300

@@ -125,9 +125,7 @@ def survival(
     sender, receiver = [links.transmitter[at] for at in on], [links.receiver[at] for at in on]
 
     def log_product(mode: int, by: int, share: float, channels: Indices | None = None) -> Floats:
-        """Log product over the senders in mode `by` that reach the receiver, for the links that carry
-        `mode`.
-        """
+        """Log product over senders in mode `by` that reach the receiver, for the links that carry `mode`."""
         factor = np.log1p(-share * rates[:, by])
         key, by_key, kinds = receiver[mode], receiver[by], 1
         if channels is not None:

@@ -31,9 +31,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 Hits = dict[tuple[int, ...], list[float]]
-"""Weight and weighted delay (s), by the number of failed tries of each kind and the kind of the successful
-try.
-"""
+"""Weight and weighted delay (s), by the number of failed tries of each kind and the successful kind."""
 Misses = dict[tuple[int, ...], float]
 """Weight by the number of failed tries of each kind."""
 
@@ -110,8 +108,7 @@ def _add_phases(mode: str, rate: int, parameters: ChannelParameters, hits: Hits,
 
 
 def _add_draws(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, misses: Misses) -> None:
-    """The random schedule: the sample falls anywhere between two events, and each event has a random scan
-    phase.
+    """The random schedule: the sample falls anywhere between two events, and scan phases are random.
 
     If several packets of one BLE 4 event fall into windows, they count like several pointers: one of them is
     enough.

@@ -60,8 +60,8 @@ def deaf_shares_of(parameters: ChannelParameters) -> DeafShares:
 def log_hearing(parameters: ChannelParameters, rates: NDArray[np.integer]) -> tuple[Floats, Floats, Floats]:
     """Log probability that packets do not overlap the receiver's own packets.
 
-    The three arrays are for
-    BLE 4's PDU, a pointer, and the auxiliary packet of a received pointer, each of shape (receivers,).
+    The three arrays are for BLE 4's PDU, a pointer, and the auxiliary packet of a received pointer, each of
+    shape (receivers,).
 
     Args:
         rates: shape (receivers, 3), messages in a GNSS period, in the order of `MODES`.

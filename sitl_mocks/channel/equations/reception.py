@@ -56,8 +56,7 @@ def scan_of(mode: str, parameters: ChannelParameters) -> Scan:
 
 
 def coprime_period(period: int, cycle: int) -> int:
-    """The integer nearest to `period` that shares no factor with `cycle` (A-hat, B-hat), the lower one on a
-    tie.
+    """The integer nearest to `period` and coprime to `cycle` (A-hat, B-hat), the lower one on a tie.
 
     Raises:
         ValueError: `period` or `cycle` is less than 1.

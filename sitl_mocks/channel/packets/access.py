@@ -86,7 +86,7 @@ class WifiAccess:
         self._wanted: list[tuple[float, int, Beacon]] = []
         self._waiting: dict[Hashable, _Waiting] = {}
         self._sent: list[tuple[float, Beacon]] = []
-        """Beacons that were sent, each with its end time. Those that ended a DIFS ago or earlier are
+        """Beacons that were sent, with their end times. Those that ended a DIFS ago or earlier are
         dropped.
         """
         self._until = -math.inf
@@ -152,7 +152,7 @@ class WifiAccess:
         return max(heard, default=-math.inf)
 
     def _send(self, beacon: Beacon, now: float) -> None:
-        """Send a beacon. Stations that hear it stop counting, except those whose countdown ends at the same
+        """Send a beacon. Stations that hear it stop counting, unless their countdown ends at the same
         time.
         """
         end = now + beacon.duration

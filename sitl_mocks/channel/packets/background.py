@@ -33,9 +33,7 @@ class _Bursts:
         return np.asarray((latest >= 0) & (self._end[latest] > begin), bool)
 
     def forget(self, before: float) -> None:
-        """Drop bursts that ended before a time. The latest one stays, because the process continues from
-        it.
-        """
+        """Drop bursts that ended before a time. The latest one stays, because the process continues there."""
         over = min(int(self._end.searchsorted(before)), len(self._end) - 1)
         if over >= _BLOCK:
             self._begin, self._end = self._begin[over:], self._end[over:]
@@ -96,9 +94,7 @@ class Background:
         return met
 
     def forget(self, before: float) -> None:
-        """Drop bursts that ended before a time. Packets that begin at or after `before` can still be
-        queried.
-        """
+        """Drop bursts that ended before a time. Packets that begin at or after `before` remain valid."""
         for bursts in self._bursts:
             for process in bursts or ():
                 process.forget(before)

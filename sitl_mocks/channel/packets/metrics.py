@@ -119,7 +119,7 @@ def age_of_information_s(result: Result) -> Age:
 
 def loss(result: Result) -> Floats:
     """Share of hearable packets (BLE 5: messages) lost to others, shape (nodes, nodes, 3). NaN without
-    hearable packets.
+    any.
     """
     with np.errstate(invalid="ignore"):
         return np.asarray(result.lost / result.hearable, float)
@@ -144,9 +144,7 @@ def _sample_times_s(result: Result, node: int, tail_s: float) -> Floats:
 
 
 def _delays_s(result: Result, node: int, mode: int, tail_s: float) -> Floats:
-    """Delay of each counted sample to each receiver (s), shape (samples, nodes); inf for samples that did not
-    arrive.
-    """
+    """Delay of each counted sample to each receiver (s), shape (samples, nodes); inf if it did not arrive."""
     taken_s = _sample_times_s(result, node, tail_s)
     event = result.heard_event
     own = np.nonzero((result.transmitter[event] == node) & (result.mode[event] == mode))[0]

@@ -117,9 +117,7 @@ class Outcome:
     packet needs a hearable pointer of its event instead of a scan window.
     """
     received: Bools
-    """The packet is hearable and undisturbed. An auxiliary packet also needs a received pointer of its
-    event.
-    """
+    """The packet is hearable and undisturbed. An auxiliary packet also needs a received pointer."""
 
 
 def decide(
@@ -153,8 +151,7 @@ def decide(
 
 
 def arrivals(packets: Packets, received: Bools, events: int) -> Floats:
-    """Arrival time of each event's message at each node (slots), shape (events, nodes); NaN where it did not
-    arrive.
+    """Arrival time of each event's message at each node (slots), shape (events, nodes); NaN if lost.
 
     The message arrives at the end of the first PDU (BLE 4), of the auxiliary packet (BLE 5) or of the beacon
     (Wi-Fi).
@@ -224,9 +221,7 @@ def _hits(
 
 
 def _overlapping_pairs(packets: Packets) -> tuple[Indices, Indices]:
-    """All ordered pairs of packets that share some time. A packet that ends when another begins shares none
-    with it.
-    """
+    """All ordered pairs of packets that share some time. Packets that only touch share none."""
     order = np.argsort(packets.begin, kind="stable")
     begin = packets.begin[order]
     position = np.arange(len(order))

@@ -1,5 +1,4 @@
-"""Packet-level simulation of the radio channel, the reference against which the channel equations are
-checked.
+"""Packet-level simulation of the radio channel, the reference for the channel equations.
 
 Every aircraft's packets are placed on one time line, and each packet is decided at each receiver. The
 simulation shares only the parameters and the link budget with the equations. Times are in slots inside and in
@@ -34,16 +33,12 @@ Bools = NDArray[np.bool_]
 _CELLS = 1 << 17
 """Maximum of events times nodes that are processed at once. It limits memory."""
 _FEWEST = 1000
-"""Minimum number of events that are processed at once, because their neighbours in time are processed with
-them.
-"""
+"""Fewest events that are processed at once, because their neighbours in time are processed with them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What was sent and what was received. Each aircraft's sample 0, and everything sent before 0 s, is
-    warm-up.
-    """
+    """Sent and received messages. Each aircraft's sample 0, and everything sent before 0 s, is warm-up."""
 
     duration_s: float
     gnss_period_s: float
@@ -68,16 +63,12 @@ class Result:
     heard_s: Floats
     """Time at which the message was complete."""
     hearable: NDArray[np.int64]
-    """Shape (nodes, nodes, 3): number of packets (BLE 5: messages) that reached a receiver listening to
-    them.
-    """
+    """Shape (nodes, nodes, 3): number of packets (BLE 5: messages) that reached a listening receiver."""
     lost: NDArray[np.int64]
     """Shape (nodes, nodes, 3): number of hearable packets lost to other packets or foreign transmissions."""
 
     def arrival_s(self) -> Floats:
-        """Arrival time of each event's message (s), shape (events, nodes); NaN where it did not arrive. May
-        be large.
-        """
+        """Arrival time of each event's message (s), shape (events, nodes); NaN if lost. May be large."""
         times = np.full((len(self.transmitter), len(self.first_sample_s)), np.nan)
         times[self.heard_event, self.heard_by] = self.heard_s
         return times

@@ -1,5 +1,4 @@
-"""Assumptions of the packet simulator about schedules and receivers, and all durations that it uses, in
-slots.
+"""Assumptions of the packet simulator about schedules and receivers, and its durations in slots.
 
 They follow section "Packet Reception Model" of the paper. Effects that it leaves out (drift, random delay,
 half-duplex) can be switched on one by one.
@@ -49,12 +48,10 @@ class Assumptions:
     half_duplex: bool
     """A radio that sends on Bluetooth receives no Bluetooth during that time. The same applies to Wi-Fi."""
     capture_db: float | None
-    """A packet survives if it is this much stronger than each packet that overlaps it. None: it never
-    survives.
-    """
+    """A packet survives if it is this much stronger than each overlapping packet. None: it never survives."""
     clock_ppm: float
-    """Each aircraft's clock error is drawn uniformly up to this, in either direction. It affects advertising intervals and scan
-    patterns; GNSS samples keep true time.
+    """Each aircraft's clock error is drawn uniformly up to this, in either direction. It affects
+    advertising intervals and scan patterns; GNSS samples keep true time.
     """
     carrier_sense: bool
     """A station that wants to send a beacon while it hears another station's waits as in `packets.access`.
@@ -125,9 +122,7 @@ class Durations:
     span: Floats
     """Shape (3,): longest time from the beginning to the end of an event."""
     dwell: Floats
-    """Shape (3,): time from one scanned channel to the next, S_I or T_S + C_T. Three of them form a scan
-    cycle.
-    """
+    """Shape (3,): time from one scanned channel to the next, S_I or T_S + C_T. A scan cycle has three."""
     window: Floats
     """Shape (3,): time within a dwell during which the receiver listens, S_W or T_S."""
     random_delay: Floats
@@ -184,9 +179,7 @@ class Durations:
 
 
 def coprime_interval(rate: int, mode: int, parameters: ChannelParameters) -> int:
-    """A-hat (B-hat) in slots: coprime to the scan cycle, nearest to floor(T_GNSS / psi), the lower one on a
-    tie.
-    """
+    """A-hat (B-hat) in slots: coprime to the scan cycle, nearest to floor(T_GNSS / psi), or the lower one."""
     durations = Durations.of(parameters, slotted=True)
     wanted = int(durations.gnss_period) // rate
     cycle = 3 * int(durations.dwell[mode])
