@@ -19,6 +19,9 @@ class SimpleChannel:
 
     Two numbers are drawn for every message and receiver, also for messages that are lost. Two runs with one
     seed therefore draw the same numbers message by message, however differently their aircraft fly.
+
+    Raises:
+        ConfigError: a parameter is out of its range.
     """
 
     delay_s: tuple[float, float] = (0.0, 0.0)

@@ -464,7 +464,7 @@ class Examination:
         self._waited.append((now_s, 1e-9 * waited_ns))
 
     def _waited_for_cpu_s(self, at_s: float) -> float:
-        """Time that the threads waited for a processor around a breach. A long time blames the machine."""
+        """Time that the threads waited for a processor around a breach. If long, the machine is the cause."""
         before, after = _AROUND_BREACH_S
         around = [waited for t, waited in self._waited if at_s - before <= t <= at_s + after]
         return round(max(around) - min(around), 3) if around else 0.0

@@ -108,8 +108,8 @@ def some(seed: int, first: int, count: int, troubles: tuple[str, ...], portions:
 
 
 def many(seed: int, cases: int, troubles: tuple[str, ...], portions: int | None, jobs: int) -> Result:
-    """Fly the cases from 0 to below `cases` of a seed. The result does not depend on `jobs`, the
-    processes.
+    """Fly the cases from 0 to below `cases` of a seed on several processes, which do not affect the
+    result.
     """
     batches = [(first, min(_BATCH, cases - first)) for first in range(0, cases, _BATCH)]
     result = Result()

@@ -126,7 +126,7 @@ class World:
         return taken
 
     def station_says(self, kind: str, *fields: Any) -> None:
-        """Send a ground station's message on a separate link, which is closed again to save telemetry."""
+        """Send a ground station's message on a separate link. It is closed again to save telemetry time."""
         message = getattr(self._writer.encoder, f"{kind}_encode")(*fields)
         self.vehicle.receive(self._writer.pack(message), self.now_s, 1)
         self.vehicle.close_link(1)
