@@ -1,8 +1,8 @@
-"""The radio channel as the simulated air sees it: frames go in, fates come out when certain.
+"""Interface of the radio channel: frames go in, and their outcomes come out when they are certain.
 
-A packet's fate is known only once nothing can collide with it any more, so that a channel may decide later
-than it is asked. What it draws comes from the generator that is passed in: a seed and an order of calls give
-one air.
+The outcome of a packet is known only when no further packet can collide with it. A channel may therefore
+decide later than at the time of sending. All random numbers come from the generator that is passed in: the
+same seed and the same order of calls give the same results.
 """
 
 from __future__ import annotations
@@ -19,62 +19,64 @@ class Transmission:
     """One frame that an aircraft puts on the air."""
 
     number: int
-    """Unique, and higher than that of any earlier one."""
+    """Unique, and higher than that of any earlier transmission."""
     sent_s: float
-    """When the companion hands it to its radio."""
+    """Time at which the companion hands the frame to its radio."""
     sender: str
     transport: str
-    """`companion.radio.radio` name."""
+    """Transport name as in `companion.radio.radio`."""
     distance_m: Mapping[str, float | None]
-    """By receiver: slant distance, None where it is not known."""
+    """Slant distance by receiver; None where it is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one frame at one receiver."""
+    """Result of one frame at one receiver."""
 
     number: int
-    """The transmission's."""
+    """Number of the transmission."""
     receiver: str
     arrival_s: float | None
-    """Finite, not before it was sent; None when it is lost."""
+    """Time of arrival, finite and not before it was sent; None if the frame is lost."""
 
 
 class Channel(Protocol):
-    """A radio model. Times never go back: no frame is sent before the time of an earlier call."""
+    """A radio model. Times never decrease: no frame is sent before the time of an earlier call."""
 
     def transmit(self, transmission: Transmission, rng: np.random.Generator) -> None:
         """Put one frame on the air."""
         ...
 
     def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
-        """Every outcome that is certain by `now_s` and was not given before, in an order of the channel's.
+        """Outcomes that are certain at `now_s` and were not returned before, in any order.
 
-        Each transmission gets one outcome for every receiver that it names. The time of this call decides
-        when an outcome is told, never what it is.
+        Each transmission gets one outcome for every receiver that it names. The time of this call affects
+        only when an outcome is returned, never its content.
         """
         ...
 
     def next_s(self) -> float | None:
-        """When `settle` may have more to tell; a call then tells it or moves this on. None: all is told."""
+        """Time at which `settle` may have more outcomes. A call at that time returns them or moves this time
+        on. None if all outcomes were returned.
+        """
         ...
 
 
 class Decisions:
-    """Outcomes of a channel that decides at once: they wait here for `settle`."""
+    """Outcomes of a channel that decides at once. They are kept until `settle`."""
 
     def __init__(self) -> None:
         self._outcomes: list[Outcome] = []
         self._first_s = 0.0
 
     def add(self, transmission: Transmission, receiver: str, arrival_s: float | None) -> None:
-        """One more outcome."""
+        """Add one outcome."""
         if not self._outcomes:
             self._first_s = transmission.sent_s
         self._outcomes.append(Outcome(transmission.number, receiver, arrival_s))
 
     def pop_outcomes(self) -> list[Outcome]:
-        """Those that were added since the last call, in their order."""
+        """Return the outcomes added since the last call, in their order."""
         taken, self._outcomes = self._outcomes, []
         return taken
 

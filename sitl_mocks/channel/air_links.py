@@ -1,6 +1,6 @@
-"""What both channel models of the air know of its aircraft: modes, path losses, Wi-Fi channels.
+"""Path losses and Wi-Fi channels of the simulated aircraft, shared by both models of the air.
 
-Names and pairs get what chance gives them when they are first met, and keep it.
+Values are drawn at random when a name or a pair is first used, and stay fixed afterwards.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from sitl_mocks.channel.link_budget import path_loss_db, thresholds_db
 from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameters
 
 MAX_NAMES = 10_000
-"""Names whose draws are kept; the oldest are forgotten, and drawn anew when they come back."""
+"""Maximum number of names whose draws are kept. The oldest are dropped and drawn anew if they return."""
 MAX_PAIRS = 100_000
-"""Pairs likewise: those of more aircraft than any air here holds at once."""
+"""Maximum number of pairs whose draws are kept. This exceeds the pairs of any air simulated here."""
 UNKNOWN_DISTANCE_M = 1.0
-"""What counts where a distance is not known: in range of everything."""
+"""Distance assumed where it is unknown, so that the receiver is in range of every mode."""
 CHANNEL_6 = WIFI_CHANNELS.index(6)
 
 Key = TypeVar("Key")
@@ -27,10 +27,10 @@ Value = TypeVar("Value")
 
 
 class Kept(Generic[Key, Value]):
-    """Draws that are made once for each key.
+    """Values that are drawn once for each key.
 
     Args:
-        limit: how many are kept.
+        limit: maximum number of keys that are kept.
     """
 
     def __init__(self, limit: int = MAX_NAMES) -> None:
@@ -38,7 +38,7 @@ class Kept(Generic[Key, Value]):
         self._values: dict[Key, Value] = {}
 
     def get(self, key: Key, draw: Callable[[], Value]) -> Value:
-        """The key's value; drawn when it is met for the first time."""
+        """Return the key's value. It is drawn when the key is used for the first time."""
         if key not in self._values:
             if len(self._values) >= self._limit:
                 del self._values[next(iter(self._values))]
@@ -50,29 +50,31 @@ def mode_of(transport: str) -> int:
     """Index into `MODES`. Wi-Fi NAN counts as a beacon on channel 6 (see `AirLinks`).
 
     Raises:
-        ValueError: not a transport that the channel models know.
+        ValueError: the channel models do not support the transport.
     """
     return MODES.index(WIFI_BEACON if transport == WIFI_NAN else transport)
 
 
 class AirLinks:
-    """Path losses and Wi-Fi channels.
+    """Path losses of pairs of aircraft and Wi-Fi channels of senders.
 
     Args:
-        parameters: those of the channel.
+        parameters: parameters of the channel.
     """
 
     def __init__(self, parameters: ChannelParameters) -> None:
         self._parameters = parameters
         self.thresholds_db: list[float] = thresholds_db(parameters).tolist()
-        """Greatest path loss over which each mode is heard, in the order of `MODES`."""
+        """Greatest path loss at which each mode can be received (dB), in the order of `MODES`."""
         self._shadowing_db: Kept[tuple[str, str], float] = Kept(MAX_PAIRS)
         self._wifi_channel: Kept[str, int] = Kept()
 
     def path_loss_db(
         self, sender: str, distance_m: Mapping[str, float | None], rng: np.random.Generator
     ) -> dict[str, float]:
-        """Path loss to each receiver (dB); shadowing is frozen for a pair and the same in both directions."""
+        """Path loss to each receiver (dB). Shadowing is drawn once for each pair, equal in both
+        directions.
+        """
         propagation = self._parameters.propagation
         away = [UNKNOWN_DISTANCE_M if d is None else d for d in distance_m.values()]
         loss_db = dict(zip(distance_m, path_loss_db(np.array(away), propagation).tolist(), strict=True))
@@ -84,7 +86,9 @@ class AirLinks:
         return loss_db
 
     def wifi_channel(self, sender: str, transport: str, rng: np.random.Generator) -> int:
-        """Index into `WIFI_CHANNELS`: 6 for all ("shared", and Wi-Fi NAN), or drawn once for each sender."""
+        """Index into `WIFI_CHANNELS`: channel 6 for "shared" and Wi-Fi NAN, else drawn once for each
+        sender.
+        """
         if transport == WIFI_NAN or self._parameters.wifi_channels == "shared":
             return CHANNEL_6
         return self._wifi_channel.get(sender, lambda: int(rng.integers(len(WIFI_CHANNELS))))

@@ -1,7 +1,7 @@
-"""Who reaches whom: log-distance path loss, log-normal shadowing, and the links that follow from positions.
+"""Link budget: log-distance path loss, log-normal shadowing, and the links that follow from positions.
 
 Section "Packet Collision Model" (the sets R and S), with the parameters of "Performance of Remote ID Modes".
-A link carries a mode where transmit power - path loss >= sensitivity.
+A link carries a mode if transmit power - path loss >= sensitivity.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ Bools = NDArray[np.bool_]
 
 _MIN_DISTANCE_M = 0.1
 _SHADOW_MARGIN = 4.0
-"""Standard deviations of shadowing up to which a search for neighbours looks: beyond lie 3 in 100,000."""
+"""Standard deviations of shadowing that the search for neighbours covers. 3 in 100,000 values lie beyond."""
 
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """Directed links, one row each, of one environment or of many side by side."""
+    """Directed links of one environment or of many environments, one row each."""
 
     nodes: int
-    """Number of aircraft, of all environments together."""
+    """Number of aircraft in all environments together."""
     transmitter: Indices
     """Shape (links,): index of the aircraft that sends."""
     receiver: Indices
-    """Shape (links,): index of the one that hears."""
+    """Shape (links,): index of the aircraft that receives."""
     path_loss_db: Floats
-    """Shape (links,), shadowing included."""
+    """Shape (links,), including shadowing."""
 
 
 def path_loss_db(distance_m: Floats, propagation: PropagationParameters) -> Floats:
@@ -43,13 +43,13 @@ def path_loss_db(distance_m: Floats, propagation: PropagationParameters) -> Floa
 
 
 def thresholds_db(parameters: ChannelParameters) -> Floats:
-    """Greatest path loss over which each mode is heard (dB), shape (3,) in the order of `MODES`."""
+    """Greatest path loss at which each mode can be received (dB), shape (3,) in the order of `MODES`."""
     modes = (parameters.ble4, parameters.ble5, parameters.wifi)
     return np.array([m.transmit_power_dbm - m.sensitivity_dbm for m in modes])
 
 
 def ranges_m(parameters: ChannelParameters) -> Floats:
-    """Distance (m) up to which each mode is heard without shadowing, shape (3,)."""
+    """Distance (m) up to which each mode can be received without shadowing, shape (3,)."""
     p = parameters.propagation
     return np.asarray(10.0 ** ((thresholds_db(parameters) - p.loss_at_1m_db) / (10.0 * p.exponent)), float)
 
@@ -66,15 +66,15 @@ def all_links(
 
     Args:
         positions_m: shape (environments, aircraft, 3) or (aircraft, 3).
-        rng: draws the shadowing, the same for both directions of a pair. Needed where there is shadowing.
+        rng: draws the shadowing, the same for both directions of a pair. Required with shadowing.
 
     Raises:
-        ValueError: another shape, a position that is not finite, or shadowing without a generator.
+        ValueError: a wrong shape, a position that is not finite, or shadowing without a generator.
     """
     positions = positions_m if positions_m.ndim == 3 else positions_m[None]
     if positions.ndim != 3 or positions.shape[2] != 3:
         raise ValueError(f"positions have shape {positions_m.shape}; expected (environments, aircraft, 3)")
-    # Such an aircraft would reach nobody, which P0 takes for the best of all.
+    # Such an aircraft would reach no other, which P0 would treat as the best result.
     if not np.isfinite(positions).all():
         raise ValueError("a position is not finite")
     environments, aircraft, _ = positions.shape
@@ -90,16 +90,16 @@ def all_links(
 def near_links(
     positions_m: Floats, parameters: ChannelParameters, rng: np.random.Generator | None = None
 ) -> Links:
-    """The links of one large environment that may carry any mode, found in about linear time.
+    """The links of one large environment that may carry any mode. The search takes about linear time.
 
     Args:
         positions_m: shape (aircraft, 3).
-        rng: as for `all_links`.
+        rng: see `all_links`.
 
     Raises:
-        ValueError: another shape, a position that is not finite, or shadowing without a generator.
+        ValueError: a wrong shape, a position that is not finite, or shadowing without a generator.
     """
-    # Only whoever simulates thousands of aircraft needs SciPy; it comes with the extra `inspect`.
+    # SciPy is needed only to simulate thousands of aircraft. The extra `inspect` installs it.
     from scipy.spatial import cKDTree
 
     if positions_m.ndim != 2 or positions_m.shape[1] != 3:
@@ -141,7 +141,7 @@ def draw_positions(
     *,
     altitude_m: tuple[float, float] = (30.0, 120.0),
 ) -> Floats:
-    """Uniform positions (m) in a square and a band of altitudes, shape (environments, aircraft, 3)."""
+    """Uniform positions (m) in a square and an altitude band, shape (environments, aircraft, 3)."""
     low = np.array([0.0, 0.0, altitude_m[0]])
     high = np.array([side_m, side_m, altitude_m[1]])
     return rng.uniform(low, high, (environments, aircraft, 3))

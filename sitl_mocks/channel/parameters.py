@@ -1,7 +1,7 @@
-"""Parameters of the radio channel: durations, powers and the way loss grows with distance.
+"""Parameters of the radio channel: durations, powers and the growth of path loss with distance.
 
 The defaults are the paper's table "Parameter settings for BLE 4, BLE 5, and Wi-Fi". Durations are in
-milliseconds as there; `Slots` counts them in whole slots, rounded down (section "Packet Reception Model").
+milliseconds as there; `Slots` converts them to whole slots, rounded down (section "Packet Reception Model").
 """
 
 from __future__ import annotations
@@ -19,47 +19,48 @@ from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from companion.toml_reader import decode_toml
 
 MODES: Final = (BLE4, BLE5, WIFI_BEACON)
-"""The paper's set of protocols, in the order in which every array of this package holds them."""
+"""The paper's set of protocols, in the order that every array of this package uses."""
 WIFI_CHANNELS: Final = (1, 6, 11)
 SECONDARY_CHANNELS: Final = 37
 """BLE channels 0-36, on which auxiliary packets hop."""
 OVERLAPPED_CHANNELS: Final = 9
-"""Secondary BLE channels that one Wi-Fi channel covers, as the paper counts them."""
+"""Number of secondary BLE channels that one Wi-Fi channel covers, according to the paper."""
 
 _DAY_MS = 86_400_000.0
 _MAX_CYCLE_SLOTS = 1_000_000
-"""Longest scan cycle; Bluetooth's, of three times 10.24 s, takes a quarter of it."""
+"""Longest scan cycle. Bluetooth's longest cycle, three times 10.24 s, takes a quarter of it."""
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Common to all sections."""
+    """Base class of all sections."""
 
     def _need(self, key: str, low: float, high: float, *, above: bool = False) -> None:
-        """A ValueError unless `low` <= the key's value <= `high` (`above`: more than `low`)."""
+        """Raise ValueError unless `low` <= the key's value <= `high` (with `above`: `low` < value)."""
         value = getattr(self, key)
-        # Negated, so that NaN is refused too.
+        # The negated comparison also refuses NaN.
         if not (low < value <= high if above else low <= value <= high):
             wanted = f"more than {low:g} and up to {high:g}" if above else f"{low:g} to {high:g}"
             raise ValueError(f"{key}: {value:g}: expected {wanted}")
 
 
 class BleParameters(_Section, frozen=True, kw_only=True):
-    """BLE 4, and the primary channels of BLE 5."""
+    """Parameters of BLE 4 and of the primary channels of BLE 5."""
 
     packet_ms: float = 0.376
     """A_P: one PDU (BLE 5: one pointer) on a primary channel."""
     gap_ms: float = 0.125
-    """P_I: from the end of one PDU to the next one, on the next channel."""
+    """P_I: time from the end of one PDU to the start of the next one, on the next channel."""
     scan_interval_ms: float = 8.0
     """S_I: time that the receiver stays on one primary channel."""
     scan_window_ms: float = 2.0
-    """S_W: how long of it, from its beginning, it listens."""
+    """S_W: time from the start of the scan interval during which the receiver listens."""
     random_delay_ms: float = 5.0
     """R_D: greatest pseudo-random delay of an advertising event. The equations do not use its length."""
     schedule: Literal["coprime", "random"] = "coprime"
-    """How the equations let events meet the receiver's scan. "coprime" is the paper's: an interval that
-    shares no factor with the scan cycle, begun anew at every GNSS sample. "random": each event at a phase of
-    its own, as the random delay brings it about."""
+    """How the equations model the timing of events relative to the receiver's scan. "coprime" is the paper's:
+    an interval that shares no factor with the scan cycle and restarts at every GNSS sample. "random": each
+    event has a phase of its own, which is the effect of the random delay.
+    """
     transmit_power_dbm: float = 18.0
     sensitivity_dbm: float = -85.0
     max_rate: int = 10
@@ -83,34 +84,36 @@ class Ble5Parameters(BleParameters, frozen=True, kw_only=True):
     packet_ms: float = 1.152
     sensitivity_dbm: float = -97.0
     auxiliary_offset_ms: float = 5.0
-    """A_Offset: from the beginning of an event to its auxiliary packet."""
+    """A_Offset: time from the beginning of an event to its auxiliary packet."""
     auxiliary_ms: float = 3.328
-    """T_AUX."""
+    """T_AUX: duration of the auxiliary packet."""
     auxiliary_uncertainty_ms: float = 0.0
-    """O_U."""
+    """O_U: greatest extra delay of the auxiliary packet."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._need("auxiliary_ms", 0.0, _DAY_MS, above=True)
         self._need("auxiliary_uncertainty_ms", 0.0, _DAY_MS)
-        # The auxiliary packet follows the third pointer; one radio sends both.
+        # The auxiliary packet follows the third pointer, because one radio sends both.
         self._need("auxiliary_offset_ms", 3.0 * self.packet_ms + 2.0 * self.gap_ms, _DAY_MS)
 
 
 class WifiParameters(_Section, frozen=True, kw_only=True):
-    """Wi-Fi beacons."""
+    """Parameters of Wi-Fi beacons."""
 
     beacon_ms: float = 0.632
-    """B_D."""
+    """B_D: duration of a beacon."""
     scan_ms: float = 6.0
-    """T_S: time on one channel."""
+    """T_S: listening time on one channel."""
     switch_ms: float = 1.0
-    """C_T: deaf time from one channel to the next."""
+    """C_T: deaf time while switching from one channel to the next."""
     access: Literal["independent", "carrier_sense"] = "independent"
-    """How the equations let beacons begin. "independent" is the paper's: whatever others send, at an interval
-    begun anew at every GNSS sample. "carrier_sense": stations that hear each other take turns, and intervals
-    run on (see `carrier_sense`). Of `Analytic` only: `AnalyticChannel`, which decides frame by frame, always
-    takes beacons as independent, and the packet-by-packet simulator has assumptions of its own."""
+    """How the equations model the start of beacons. "independent" is the paper's: beacons ignore other
+    transmissions, and their interval restarts at every GNSS sample. "carrier_sense": stations that hear each
+    other take turns, and intervals run on (see `carrier_sense`). This affects only `Analytic`.
+    `AnalyticChannel`, which decides frame by frame, always assumes independent beacons, and the packet-level
+    simulator has its own assumptions.
+    """
     transmit_power_dbm: float = 18.0
     sensitivity_dbm: float = -105.0
     max_rate: int = 10
@@ -128,11 +131,14 @@ class PropagationParameters(_Section, frozen=True, kw_only=True):
     """Log-distance path loss with log-normal shadowing."""
 
     loss_at_1m_db: float = 52.55
-    """Not in the paper, calibrated to it: ranges of 253, 941 and 2,263 m, where it states 250, 1,000 and
-    2,000 m, and its published delays within 5 %."""
+    """Not given in the paper but calibrated to it. It yields ranges of 253, 941 and 2,263 m, where the paper
+    states 250, 1,000 and 2,000 m, and its published delays within 5 %.
+    """
     exponent: float = 2.1
     shadowing_sigma_db: float = 0.0
-    """The paper says a variance of 6 dB (sigma 2.449 dB); its published delays come out without shadowing."""
+    """The paper states a variance of 6 dB (sigma 2.449 dB), but its published delays are reproduced without
+    shadowing.
+    """
 
     def __post_init__(self) -> None:
         self._need("loss_at_1m_db", 0.0, 200.0)
@@ -141,14 +147,15 @@ class PropagationParameters(_Section, frozen=True, kw_only=True):
 
 
 class BackgroundLoad(_Section, frozen=True, kw_only=True):
-    """Others in the band: share of time that foreign transmissions fill a transport's channel at a receiver.
+    """Share of time that foreign transmissions occupy a transport's channel at a receiver.
 
-    A packet that meets one of them is lost. Foreign transmissions and the gaps between them are exponential.
+    A packet that overlaps one of them is lost. Foreign transmissions and the gaps between them have
+    exponential lengths.
     """
 
     ble4: float = 0.0
     ble5: float = 0.0
-    """Primary and secondary channels alike."""
+    """Applies to primary and secondary channels."""
     wifi: float = 0.0
     burst_ms: float = 2.0
     """Mean length of a foreign transmission."""
@@ -160,18 +167,20 @@ class BackgroundLoad(_Section, frozen=True, kw_only=True):
 
 
 class ChannelParameters(_Section, frozen=True, kw_only=True):
-    """Everything that the two channel models share."""
+    """All parameters that the two channel models share."""
 
     slot_ms: float = 0.125
-    """Delta."""
+    """Delta: length of a slot."""
     gnss_period_ms: float = 1000.0
-    """T_GNSS."""
+    """T_GNSS: time between GNSS samples."""
     wifi_channels: Literal["shared", "random"] = "shared"
-    """Beacons of all aircraft on one channel, which the published delays fit, or each aircraft's on one drawn
-    from 1, 6, 11, which the paper's table says."""
+    """"shared": beacons of all aircraft use one channel, which fits the published delays. "random": each
+    aircraft's channel is drawn from 1, 6, 11, as the paper's table states.
+    """
     bluetooth_half_duplex: bool = False
-    """Whether the equations take it that a Bluetooth radio does not hear while it sends (see `half_duplex`);
-    the paper's does. Of `Analytic` only, like `wifi.access`."""
+    """Whether the equations assume that a Bluetooth radio does not receive while it sends (see
+    `half_duplex`). In the paper it does receive. This affects only `Analytic`, like `wifi.access`.
+    """
     ble4: BleParameters = BleParameters()
     ble5: Ble5Parameters = Ble5Parameters()
     wifi: WifiParameters = WifiParameters()
@@ -224,18 +233,18 @@ class ChannelParameters(_Section, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Slots:
-    """The durations in whole slots, X_d = floor(X / Delta)."""
+    """Durations in whole slots, X_d = floor(X / Delta)."""
 
     parameters: ChannelParameters
 
     def of(self, duration_ms: float) -> int:
-        """Whole slots in a duration."""
-        # 0.3 / 0.1 must not fall below 3 by rounding of the quotient of decimal fractions.
+        """Number of whole slots in a duration."""
+        # The small offset keeps rounding from making 0.3 / 0.1 less than 3.
         return math.floor(duration_ms / self.parameters.slot_ms + 1e-9)
 
     @cached_property
     def gnss_period(self) -> int:
-        """T_GNSS."""
+        """T_GNSS in slots."""
         return self.of(self.parameters.gnss_period_ms)
 
     def seconds(self, slots: float) -> float:
@@ -247,7 +256,7 @@ def load(path: Path) -> ChannelParameters:
     """Read a parameter file.
 
     Raises:
-        ConfigError: names the file, the key, what it holds and what is allowed.
+        ConfigError: the message names the file, the key, its value and the allowed values.
     """
     return decode_toml(path, ChannelParameters)
 
@@ -261,7 +270,7 @@ def check_rate(mode: str, rate: int, parameters: ChannelParameters) -> None:
     """Refuse a message rate that the parameters do not allow.
 
     Raises:
-        ConfigError: less than 1, or more than the mode's `max_rate`.
+        ConfigError: the rate is less than 1 or more than the mode's `max_rate`.
     """
     largest = max_rates(parameters)[MODES.index(mode)]
     if not 1 <= rate <= largest:

@@ -1,4 +1,4 @@
-"""The plainest radio channel: delay, loss and range by fixed numbers."""
+"""The simplest radio channel: delay, loss and range are fixed parameters."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ MAX_DELAY_S = 60.0
 
 @dataclass(slots=True)
 class SimpleChannel:
-    """Uniform delay, independent loss, hard range limit. A `Channel` that decides at once.
+    """Uniform delay, independent loss and a hard range limit. This `Channel` decides at once.
 
-    Two numbers are drawn for every message and receiver whatever becomes of it. Two runs with one seed thus
-    meet the same luck message by message, however differently their aircraft fly.
+    Two numbers are drawn for every message and receiver, also for messages that are lost. Two runs with one
+    seed therefore draw the same numbers message by message, however differently their aircraft fly.
 
     Raises:
         ConfigError: a parameter is out of its range.
     """
 
     delay_s: tuple[float, float] = (0.0, 0.0)
-    """Lower and upper bound of the delay; equal ones make it constant."""
+    """Lower and upper bound of the delay. Equal bounds make it constant."""
     loss: float = 0.0
     """Probability that a message is lost."""
     range_m: float | None = None
-    """Nothing is heard farther than this. A message over an unknown distance is in range."""
+    """Greatest distance at which a message is received. A message over an unknown distance is in range."""
     _decisions: Decisions = field(default_factory=Decisions, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         low, high = self.delay_s
-        # Negated comparisons refuse NaN too.
+        # The negated comparison also refuses NaN.
         if not 0.0 <= low <= high <= MAX_DELAY_S:
             raise ConfigError(
                 f"channel.delay_s: {low:g}, {high:g}: allowed 0 <= low <= high <= {MAX_DELAY_S:g}"
@@ -52,7 +52,7 @@ class SimpleChannel:
             self._decisions.add(transmission, receiver, arrival_s)
 
     def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
-        """See `Channel.settle`: all that was sent, in the order of sending."""
+        """See `Channel.settle`. Returns the outcomes of all frames sent, in the order of sending."""
         return self._decisions.pop_outcomes()
 
     def next_s(self) -> float | None:

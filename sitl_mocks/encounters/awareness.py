@@ -1,4 +1,4 @@
-"""How old aircraft's knowledge of each other was, weighted by how soon they could be in conflict."""
+"""Age of aircraft's knowledge of each other, weighted by how soon they could be in conflict."""
 
 from __future__ import annotations
 
@@ -14,47 +14,50 @@ from sitl_mocks.encounters.lockstep import TICK_S, Run
 
 Floats = NDArray[np.float64]
 NEAR_WEIGHT = 0.5
-"""The largest age is looked for where the weight is at least this: an aircraft that could be in conflict
-within `companion.atmc.observation.LOOK_AHEAD_S`."""
+"""The largest age is evaluated where the weight is at least this, that is, for an aircraft that could be in
+conflict within `companion.atmc.observation.LOOK_AHEAD_S`.
+"""
 
 
 @dataclass(slots=True)
 class AgeLog:
-    """Ages of information of some pairs at every tick; hand it to `lockstep.fly` as `watch`."""
+    """Ages of information of selected pairs at every tick. Pass it to `lockstep.fly` as `watch`."""
 
     pairs: Sequence[tuple[str, str]]
-    """(sender, receiver)."""
+    """Pairs of (sender, receiver)."""
     _rows: list[list[float]] = field(default_factory=list)
 
     def __call__(self, ether: Ether) -> None:
-        """One tick."""
+        """Record the ages of one tick."""
         ages = (ether.information_age_s(sender, receiver) for sender, receiver in self.pairs)
         self._rows.append([np.nan if age_s is None else age_s for age_s in ages])
 
     def ages_s(self) -> Floats:
-        """Shape (ticks, pairs). Before its first news, what a receiver knows is as old as the run."""
+        """Ages of information (s), shape (ticks, pairs). Before the first reception, the age is the time
+        since the start of the run.
+        """
         ages = np.array(self._rows).reshape(len(self._rows), len(self.pairs))
         elapsed_s = np.arange(len(ages))[:, None] * TICK_S
         return np.where(np.isnan(ages), elapsed_s, ages)
 
     def unheard(self) -> int:
-        """Pairs of which the receiver never had news."""
+        """Number of pairs of which the receiver received nothing."""
         return sum(all(np.isnan(column)) for column in zip(*self._rows, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
 class Awareness:
-    """Ages of information (s) over time and pairs."""
+    """Statistics of ages of information (s) over time and pairs."""
 
     mean_s: float
     p95_s: float
-    """95 % of the weight lies at or below it."""
+    """Weighted 95th percentile: 95 % of the weight lies at or below it."""
     largest_s: float
-    """Where the weight is at least `NEAR_WEIGHT`."""
+    """Largest age where the weight is at least `NEAR_WEIGHT`."""
 
 
 def weights_of(run: Run, pairs: Sequence[tuple[str, str]]) -> Floats:
-    """`conflict_weight` by the true positions, shape (ticks, pairs); 0 before the paths begin."""
+    """`conflict_weight` from the true positions, shape (ticks, pairs); 0 before the paths begin."""
     place = {aircraft.name: aircraft.position_ned_m for aircraft in run.aircraft}
     columns = []
     for first, second in pairs:

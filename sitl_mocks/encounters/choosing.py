@@ -1,7 +1,6 @@
-"""Who chooses the transports of simulated aircraft: the options of the commands, the policy's file, the
-random chooser, and what was chosen.
+"""Choice of transports for simulated aircraft: command options, policy file, random chooser and statistics.
 
-Only `read_policy` and `keep` touch files; the simulation gets the policy's bytes.
+Only `read_policy` and `keep` access files. The simulation receives the policy's bytes.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ from sitl_mocks.encounters import scenario_file
 from sitl_mocks.encounters.scenario_file import POLICY_WORDS, Scenario
 
 SILENT: Final = "nothing"
-"""The name of no transport at all."""
+"""Name for the empty set of transports."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options that say who chooses, and by what law."""
+    """Add the options that select the policy and the region."""
     parser.add_argument(
         "--policy",
         metavar=f"FILE|{'|'.join(POLICY_WORDS)}",
@@ -42,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def with_options(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
-    """What the options make of a scenario.
+    """Apply the options to a scenario.
 
     Raises:
         ConfigError: the region's profile cannot be read or is wrong.
@@ -61,10 +60,11 @@ def with_options(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
 
 
 def read_policy(scenario: Scenario) -> bytes | None:
-    """The scenario's policy file, tried; None where no file is named.
+    """Read and check the scenario's policy file. Returns None if no file is named.
 
     Raises:
-        ConfigError: it cannot be read or flown, or none of its actions is legal in the scenario's region.
+        ConfigError: the file cannot be read or flown, or none of its actions is legal in the scenario's
+            region.
     """
     where = scenario.atmc.policy
     if where is None or where in POLICY_WORDS:
@@ -81,7 +81,7 @@ def read_policy(scenario: Scenario) -> bytes | None:
 
 
 def keep(folder: Path, scenario: Scenario, policy: bytes | None) -> Scenario:
-    """The scenario as a run folder holds it: with the policy's file beside it."""
+    """Copy the policy's file to the run folder, and return the scenario that refers to the copy."""
     if policy is None:
         return scenario
     (folder / RUN_FILE).write_bytes(policy)
@@ -91,19 +91,19 @@ def keep(folder: Path, scenario: Scenario, policy: bytes | None) -> Scenario:
 
 @dataclass(slots=True)
 class RandomMind:
-    """Any allowed action, all with the same probability. A `Mind` for comparison; it never flies."""
+    """A `Mind` for comparison that chooses any allowed action with equal probability. It never flies."""
 
     rng: np.random.Generator
 
     @property
     def actions(self) -> tuple[Action, ...]:
-        """What it can choose."""
+        """Actions that it can choose."""
         return SET_ACTIONS
 
     def choose(
         self, own_row: Floats, neighbour_rows: Floats, allowed: Bools, current: int | None, agent: int = 0
     ) -> Choice | Refused:
-        """See `Mind`; nothing is looked at but what is allowed."""
+        """See `Mind`. Only `allowed` is used."""
         can = np.flatnonzero(allowed)
         if not len(can):
             return Refused(Why.NOTHING_ALLOWED, "no set of transports is legal and can be sent")
@@ -113,19 +113,19 @@ class RandomMind:
 
 @dataclass(slots=True)
 class Chosen:
-    """What one aircraft's transports were over time."""
+    """Transports of one aircraft over time."""
 
     seconds: dict[str, float] = field(default_factory=dict)
-    """By set, in words: how long it was in use."""
+    """Time in use (s) by set, in words."""
     switches: int = 0
     fallback_s: float = 0.0
-    """How long the fall-back was flown, because who was to choose could not."""
+    """Time on the fallback (s), because the configured chooser could not choose."""
     _by_fallback: bool = False
     _present: str | None = None
     _since_s: float = 0.0
 
     def add_step(self, step: Step) -> None:
-        """What a step of the heart says of them."""
+        """Update from a step of the companion core."""
         for command in step.commands:
             if isinstance(command, BroadcastChanged):
                 self.note(step.now_s, {name: int(rate) for name, rate in command.rates})
@@ -134,7 +134,7 @@ class Chosen:
                 self._by_fallback = command.by == "fallback"
 
     def note(self, now_s: float, rates: Mapping[str, int]) -> None:
-        """What is to be on the air from now on, with Locations a second; the same as before says nothing."""
+        """Record the transports in use from now on (Locations per second). An unchanged set has no effect."""
         name = words_of(rates)
         if name == self._present:
             return
@@ -143,7 +143,7 @@ class Chosen:
         self._present, self._since_s = name, now_s
 
     def end(self, now_s: float) -> None:
-        """Time is counted up to now."""
+        """Count the time up to now."""
         if self._present is not None and self._present != SILENT:
             self.seconds[self._present] = self.seconds.get(self._present, 0.0) + now_s - self._since_s
             if self._by_fallback:
@@ -152,12 +152,12 @@ class Chosen:
 
     @property
     def switches_per_minute(self) -> float:
-        """Of the time in which anything was sent."""
+        """Switches per minute of the time in which anything was sent."""
         total_s = sum(self.seconds.values())
         return 60.0 * self.switches / total_s if total_s > 0.0 else 0.0
 
     def to_dict(self) -> dict[str, object]:
-        """For a JSON line."""
+        """Values for a JSON line."""
         return {
             "seconds": {name: round(s, 3) for name, s in self.seconds.items()},
             "switches_per_minute": round(self.switches_per_minute, 3),
@@ -166,7 +166,7 @@ class Chosen:
 
 
 def chosen_of(records: Iterable[Record]) -> Chosen:
-    """What an aircraft's event record says of its transports."""
+    """Transports of an aircraft according to its event record."""
     chosen, now_s = Chosen(), 0.0
     for item in records:
         if isinstance(item, Step):
@@ -177,12 +177,12 @@ def chosen_of(records: Iterable[Record]) -> Chosen:
 
 
 def words_of(rates: Mapping[str, int]) -> str:
-    """A set of transports in words: "ble4 10 + wifi 10"."""
+    """A set of transports in words, for example "ble4 10 + wifi 10"."""
     return " + ".join(f"{name} {rate:g}" for name, rate in sorted(rates.items())) or SILENT
 
 
 def shares_of(chosen: Sequence[Chosen]) -> dict[str, float]:
-    """Share of all aircraft's time on each set, the largest first."""
+    """Share of all aircraft's time for each set, the largest first."""
     total: dict[str, float] = {}
     for one in chosen:
         for name, seconds in one.seconds.items():
@@ -192,7 +192,7 @@ def shares_of(chosen: Sequence[Chosen]) -> dict[str, float]:
 
 
 def choices_in_words(chosen: Sequence[Chosen], most: int = 5) -> str:
-    """Sets by share of time, and how often each aircraft changed."""
+    """Text with the sets by share of time and the number of switches per aircraft."""
     shares = list(shares_of(chosen).items())
     if not shares:
         return "transports: nothing was sent"
@@ -206,11 +206,11 @@ def choices_in_words(chosen: Sequence[Chosen], most: int = 5) -> str:
 
 
 def fallback_share(chosen: Sequence[Chosen]) -> float:
-    """Share of all aircraft's time on the fall-back."""
+    """Share of all aircraft's time on the fallback."""
     whole_s = sum(sum(one.seconds.values()) for one in chosen)
     return sum(one.fallback_s for one in chosen) / whole_s if whole_s > 0.0 else 0.0
 
 
 def mean_switches(chosen: Sequence[Chosen]) -> float:
-    """Switches a minute, the mean over aircraft."""
+    """Switches per minute, averaged over aircraft."""
     return sum(one.switches_per_minute for one in chosen) / len(chosen)

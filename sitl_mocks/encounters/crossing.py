@@ -1,4 +1,4 @@
-"""Others that cross one vehicle's way near to it, heard by Remote ID twice a second."""
+"""Simulated other aircraft that cross one vehicle's path closely, received by Remote ID twice a second."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class _Other(NamedTuple):
 
 
 class Crossing:
-    """Who is in the air beside one vehicle.
+    """Other aircraft around one vehicle.
 
     Args:
-        home: of the vehicle.
-        height_m: of the others above home.
+        home: local frame of the vehicle.
+        height_m: height of the other aircraft above home.
         utc_at_zero_s: UTC when the caller's clock is 0.
     """
 
@@ -38,7 +38,7 @@ class Crossing:
         self, home: LocalFrame, height_m: float, utc_at_zero_s: float, rng: np.random.Generator
     ) -> None:
         self.mean_s = _MEAN_S
-        """Between two that come by chance; infinite: none does."""
+        """Mean time between other aircraft that appear by chance. With infinity none appears."""
         self._home = home
         self._height_m = height_m
         self._utc_at_zero_s = utc_at_zero_s
@@ -47,7 +47,9 @@ class Crossing:
         self._told_s = self._drawn_s = 0.0
 
     def meet(self, now_s: float, position: Vec3, velocity: Vec3) -> None:
-        """One that will pass the vehicle near to it in 10 to 40 s, if both fly straight on (m, m/s, NED)."""
+        """Add an aircraft that passes close to the vehicle in 10 to 40 s if both fly straight (m, m/s,
+        NED).
+        """
         rng = self._rng
         course, ahead_s = float(rng.uniform(0.0, 2.0 * math.pi)), float(rng.uniform(10.0, 40.0))
         speed = float(rng.uniform(1.0, 15.0))
@@ -57,7 +59,7 @@ class Crossing:
         self._others.append(_Other(f"OTHER{rng.integers(1000)}", now_s, (north, east), way))
 
     def heard(self, now_s: float, position: Vec3, velocity: Vec3) -> list[RemoteIdHeard]:
-        """What the radio has received since the last call, and who comes new."""
+        """Remote ID received since the last call. New aircraft may appear."""
         passed_s, self._drawn_s = now_s - self._drawn_s, now_s
         if len(self._others) < _MOST and self._rng.random() < passed_s / self.mean_s:
             self.meet(now_s, position, velocity)

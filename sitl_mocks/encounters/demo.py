@@ -1,4 +1,4 @@
-"""`sitl-mocks demo`: fly an encounter in virtual time, with and without avoidance, and say how it went."""
+"""`sitl-mocks demo`: fly an encounter in virtual time, with and without avoidance, and report the result."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _EXAMPLE = "example: sitl-mocks demo --delay 1 2 --seed 7; sitl-mocks demo --see
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `sitl-mocks demo`."""
+    """Add the options of `sitl-mocks demo`."""
     parser.epilog = _EXAMPLE
     add_scenario_arguments(parser)
     seeds = parser.add_mutually_exclusive_group()
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options that choose and change a scenario."""
+    """Add the options that choose and change a scenario."""
     parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: five aircraft, S2")
     parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
     air_settings.add_arguments(parser)
@@ -66,7 +66,7 @@ def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly and judge. Returns 0 when every seed is ok, 1 when one is not.
+    """Fly and judge. Returns 0 if every seed is ok, else 1.
 
     Raises:
         ConfigError: an option or the scenario file is wrong.
@@ -109,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def scenario_of(arguments: argparse.Namespace) -> Scenario:
-    """The scenario that the options name.
+    """The scenario that the options select.
 
     Raises:
         ConfigError: an option or the scenario file is wrong.
@@ -179,7 +179,7 @@ def _fly_one(
     folder: Path | None,
     policy: bytes | None = None,
 ) -> Outcome:
-    """One flight, in a worker process."""
+    """Fly once, in a worker process."""
     started = time.monotonic()
     paths = paths_of(scenario, seed)
 
@@ -226,7 +226,7 @@ def _fly_one(
 
 
 def _write_truth(folder: Path, result: Run) -> None:
-    """`<aircraft>.truth.csv` of every aircraft, as a served vehicle writes it: ten rows a second."""
+    """Write `<aircraft>.truth.csv` of every aircraft in the format of a served vehicle: ten rows a second."""
     for aircraft in result.aircraft:
         with (folder / f"{aircraft.name}.truth.csv").open("w") as file:
             file.write("utc_s,north_m,east_m,down_m\n")
@@ -243,7 +243,7 @@ def _workers(seeds: list[int]) -> int:
 def _fly_all(
     scenario: Scenario, policy: bytes | None, seeds: list[int], console: Console, folder: Path | None
 ) -> Iterator[Verdict]:
-    """Both flights of every seed, on all cores; verdicts in the order of the seeds."""
+    """Fly both flights of every seed on all cores. Yields verdicts in the order of the seeds."""
     context = multiprocessing.get_context("spawn")
     shared: Queue[tuple[int, float]] = context.Queue()
     with (
@@ -272,7 +272,7 @@ def _fly_all(
                     seed = waiting.pop(0)
                     yield Verdict(seed, scenario, outcomes[seed, True], outcomes[seed, False])
         except KeyboardInterrupt:
-            # The workers do not hear Ctrl-C, and the pool would wait for the flights that they have begun.
+            # The workers ignore Ctrl-C, and the pool would wait for the flights that have begun.
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()

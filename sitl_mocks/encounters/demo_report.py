@@ -1,4 +1,4 @@
-"""What `sitl-mocks demo` found, as data and in words."""
+"""Results of `sitl-mocks demo`, as data and as text."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sitl_mocks.encounters.verdict import Deviation, Pair, on_path_limit_m
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One flight of one seed, reduced to what the verdict needs."""
+    """One flight of one seed, reduced to the data that the verdict needs."""
 
     seed: int
     avoided: bool
@@ -27,20 +27,20 @@ class Outcome:
     wall_s: float
     simulated_s: float
     air: list[dict[str, object]]
-    """By ordered pair: sender, receiver, and what became of the frames (`PairStats.to_dict`)."""
+    """Frame statistics by ordered pair: sender, receiver and the fields of `PairStats.to_dict`."""
     messages: dict[str, int]
     chosen: dict[str, Chosen]
-    """By aircraft: the transports that it used."""
+    """Transports that each aircraft used, by name."""
 
     @property
     def min_separation_m(self) -> float:
-        """Least separation of any pair."""
+        """Least separation of all pairs."""
         return min(p.min_separation_m for p in self.pairs)
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One seed, both flights."""
+    """Verdict on one seed, from both flights."""
 
     seed: int
     scenario: Scenario
@@ -49,16 +49,16 @@ class Verdict:
 
     @property
     def limit_m(self) -> float:
-        """Separation that must hold: both conflict radii."""
+        """Separation that must hold: the sum of both conflict radii."""
         return 2.0 * self.scenario.avoidance.conflict_radius_m
 
     @property
     def ok(self) -> bool:
-        """Every pair kept apart, and everyone back on the path at the end."""
+        """Whether every pair kept apart and every aircraft was back on its path at the end."""
         return not self.reasons()
 
     def reasons(self) -> list[str]:
-        """What did not hold, in words."""
+        """Requirements that did not hold, as text."""
         found = []
         near = [p for p in self.avoided.pairs if p.min_separation_m <= self.limit_m]
         if near:
@@ -73,7 +73,7 @@ class Verdict:
         return found
 
     def as_dict(self) -> dict[str, object]:
-        """One JSON object."""
+        """The verdict as one JSON object."""
         deviations = self.avoided.deviations
         air = self.scenario.air
         radio = {"delay_s": list(air.interval_s)} if air.model == "interval" else {"channel": air.model}
@@ -114,7 +114,7 @@ def pair_rows(verdict: Verdict) -> list[dict[str, object]]:
 
 
 def show(verdict: Verdict, folder: Path, console: Console) -> None:
-    """One seed, for people."""
+    """Print the verdict on one seed as tables and text."""
     limit = verdict.limit_m
     avoids = verdict.scenario.avoidance.law != "none"
     table = Table(title=f"Least separation of each pair (must stay above {limit:g} m)")
@@ -162,13 +162,13 @@ def show(verdict: Verdict, folder: Path, console: Console) -> None:
 
 
 def command(name: str) -> str:
-    """How to call one of our commands from where this one was called."""
+    """Command line for one of our commands, from where this command was called."""
     beside = Path(sys.argv[0]).with_name(name)
     return name if shutil.which(name) or not beside.exists() else str(beside)
 
 
 def seed_table(verdicts: list[Verdict]) -> Table:
-    """A line for each seed."""
+    """Table with a line for each seed."""
     table = Table()
     for name in ("seed", "without", "with", "largest deviation", "at the end", "ok"):
         table.add_column(name, justify="right")

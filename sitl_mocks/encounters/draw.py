@@ -1,11 +1,11 @@
-"""Short encounters for campaigns: a few aircraft that turn towards one place and reach it together, alone or
-many side by side in one air.
+"""Short encounters for campaigns: a few aircraft that turn towards one place and reach it together.
 
-Each aircraft flies at one speed, turns once, 4 to 9 s before the crossing, and all pass within a ball of 3 m
-at 15 s: without avoidance every pair comes within 6 m of each other, and nobody's first leg shows it. Alone,
-nobody else is on the air (sparse). Side by side (dense), each encounter has a cell and a height of its own,
-so that it is the same encounter in a crowd that loads the band; the crowd is other encounters, of the same
-companions with the same choice of transports.
+Each aircraft flies at constant speed and turns once, 4 to 9 s before the crossing. All pass within a ball of
+3 m at 15 s, so without avoidance every pair comes within 6 m of each other, and no first leg shows this. A
+single encounter has no other aircraft on the air (sparse). Many encounters can also share one air, side by
+side (dense). Each then has a cell and a height of its own, so that it is the same encounter in a crowd that
+loads the band. The crowd consists of other encounters, of the same companions with the same choice of
+transports.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ TURN_BEFORE_S: Final = (4.0, 9.0)
 CLIMB_MPS: Final = 0.5
 AIRCRAFT: Final = (2, 4)
 APART_M: Final = 40.0
-"""At the beginning and at the end."""
+"""Least distance between aircraft at the beginning and at the end."""
 HEIGHT_M: Final = 60.0
 CELL_M: Final = 250.0
-"""Side of a cell: beginnings lie up to 105 m from its centre, so that neighbours are 40 m apart."""
+"""Side of a cell. Start points lie up to 105 m from its centre, so that neighbours are 40 m apart."""
 LAYER_M: Final = 40.0
 CELLS_A_LAYER: Final = 4
 MAX_SIDE_BY_SIDE: Final = 32
@@ -38,7 +38,7 @@ _MOST_DRAWS: Final = 1_000
 
 
 def converging(seed: int) -> tuple[Rows, ...]:
-    """One encounter round (0, 0), 60 m above the ground; the same seed gives the same paths.
+    """One encounter around (0, 0), 60 m above the ground. The same seed gives the same paths.
 
     Returns:
         For each of 2 to 4 aircraft an array of shape (4, 4): rows of time (s), north, east, down (m) at the
@@ -50,17 +50,17 @@ def converging(seed: int) -> tuple[Rows, ...]:
         rows = tuple(_path(rng) for _ in range(count))
         if all(_least_distance(np.stack([row[at, 1:] for row in rows])) > APART_M for at in (0, -1)):
             return rows
-    raise AssertionError(f"{count} aircraft do not begin {APART_M:g} m apart")  # as good as impossible
+    raise AssertionError(f"{count} aircraft do not begin {APART_M:g} m apart")  # practically impossible
 
 
 def side_by_side(seeds: tuple[int, ...]) -> tuple[tuple[Rows, ...], ...]:
     """Encounters of several seeds in one air: four to a layer of 500 m by 500 m, layers 40 m apart.
 
     Returns:
-        The paths of each, as `converging` gives them, moved to its cell.
+        The paths of each encounter, as from `converging`, moved to its cell.
 
     Raises:
-        ValueError: none, or more than `MAX_SIDE_BY_SIDE`.
+        ValueError: no seed, or more than `MAX_SIDE_BY_SIDE`.
     """
     if not 1 <= len(seeds) <= MAX_SIDE_BY_SIDE:
         raise ValueError(f"{len(seeds)} encounters side by side: allowed 1 to {MAX_SIDE_BY_SIDE}")
@@ -73,7 +73,7 @@ def side_by_side(seeds: tuple[int, ...]) -> tuple[tuple[Rows, ...], ...]:
 
 
 def _path(rng: np.random.Generator) -> Rows:
-    """One aircraft's way, from its crossing backwards and onwards."""
+    """One aircraft's path, computed backwards and forwards from its crossing point."""
     direction = rng.normal(size=3)
     direction *= BALL_M * rng.uniform() ** (1.0 / 3.0) / np.linalg.norm(direction)
     crossing = direction + np.array([0.0, 0.0, -HEIGHT_M])

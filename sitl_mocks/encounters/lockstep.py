@@ -1,7 +1,8 @@
-"""Several aircraft in virtual time, in one thread: vehicle, link, heart and air of each, over real bytes.
+"""Lock-step simulation of several aircraft in virtual time, in one thread, over real bytes.
 
-Everything that crosses between two parts crosses as it would in flight: MAVLink frames between vehicle and
-companion, Remote ID frames between companions. Time is a number that this loop counts up.
+Each aircraft has a vehicle, a link and a companion core; all share the air. Data between two parts has the
+same form as in flight: MAVLink frames between vehicle and companion, Remote ID frames between companions.
+Time is a number that this loop increments.
 """
 
 from __future__ import annotations
@@ -45,23 +46,23 @@ from sitl_mocks.vehicle.options import VehicleOptions
 
 TICK_S = 0.05
 UTC_AT_START_S = 1_767_225_590.0
-"""2025-12-31 23:59:50 UTC: the hour of the Remote ID timestamp wraps ten seconds into every run."""
+"""2025-12-31 23:59:50 UTC, so that the hour of the Remote ID timestamp wraps ten seconds into every run."""
 HOME = LocalFrame(47.397, 8.545, 400.0)
 _PREFIX = "1596"
-"""Manufacturer code of simulated serial numbers, where a law asks for their form."""
+"""Manufacturer code of simulated serial numbers, for regions that require their form."""
 _OPERATOR_EU = "FIN87astrdge12k8-xyz"
-"""The sample number of ASD-STAN EN 4709-002."""
+"""Sample operator number of ASD-STAN EN 4709-002."""
 _DECODED = 4096
-"""Frames whose decoding is kept: all receivers of one frame read the same."""
+"""Number of decoded frames that are cached, because all receivers of one frame decode the same bytes."""
 SETTLE_S = 3.0
-"""Time for the companions to find their vehicles and take them, before the paths' clock starts."""
+"""Time for the companions to find and take their vehicles before the paths' clock starts."""
 
 Points = NDArray[np.float64]
 
 
 @dataclass(slots=True)
 class Flown:
-    """What one aircraft did: true positions at every tick."""
+    """True positions of one aircraft at every tick."""
 
     name: str
     position_ned_m: Points
@@ -70,14 +71,14 @@ class Flown:
 
 @dataclass(slots=True)
 class Run:
-    """One lock-step run."""
+    """Result of one lock-step run."""
 
     aircraft: list[Flown]
     air: dict[tuple[str, str], PairStats]
     time_s: NDArray[np.float64]
     """Path time of every tick."""
     chosen: dict[str, Chosen]
-    """By aircraft: the transports that it used."""
+    """Transports that each aircraft used, by name."""
 
 
 class Aircraft:
@@ -113,7 +114,7 @@ class Aircraft:
         self.sender = FrameSender(address)
 
     def _take(self, step: Step) -> None:
-        """One step of the heart."""
+        """Process one step of the companion core."""
         self.chosen.add_step(step)
         if self._record is not None:
             self._record(step)
@@ -127,12 +128,12 @@ def paths_of(scenario: Scenario, seed: int) -> list[Points]:
 
 
 def names_of(scenario: Scenario, seed: int) -> list[str]:
-    """Names of the aircraft, which are their identities on the air."""
+    """Names of the aircraft. They are also their identities on the air."""
     return [f"DMUCA{number:03d}" for number in range(1, len(paths_of(scenario, seed)) + 1)]
 
 
 def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOptions:
-    """The mock vehicle that begins airborne at a path's start."""
+    """Options of the mock vehicle, which begins airborne at the path's start."""
     v, limits = scenario.vehicle, scenario.limits
     firmware = Firmware.PX4 if number % 2 else Firmware.ARDUPILOT
     if v.firmware != "mixed":
@@ -162,7 +163,7 @@ def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOpt
 
 
 def _parameters(firmware: Firmware, limits: LimitsConfig) -> dict[str, float]:
-    """Such that the vehicle's own limits bind nobody: the scenario's do."""
+    """Parameters that make the vehicle's own limits so wide that only the scenario's limits apply."""
     speed, climb, descent = 2.0 * limits.max_speed_mps, limits.max_climb_mps, limits.max_descent_mps
     if firmware is Firmware.PX4:
         return {"MPC_XY_VEL_MAX": speed, "MPC_Z_VEL_MAX_UP": climb, "MPC_Z_VEL_MAX_DN": descent}
@@ -174,14 +175,14 @@ def _parameters(firmware: Firmware, limits: LimitsConfig) -> dict[str, float]:
 
 
 def uas_id_of(scenario: Scenario, name: str) -> str:
-    """The identity of an aircraft: its name, as a serial number where the region asks for its form."""
+    """Remote ID identity of an aircraft: its name, as a serial number if the region requires its form."""
     if scenario.region.serial_number == "any":
         return name
     return f"{_PREFIX}{len(name):X}{name}"
 
 
 def companion_config(scenario: Scenario, name: str, path: Points, law: str | None) -> Config:
-    """The companion's configuration for one aircraft; `law` replaces the scenario's."""
+    """The companion's configuration for one aircraft. `law` replaces the scenario's law."""
     waypoints = []
     for t, north, east, down in path:
         lat, lon, alt = HOME.to_geodetic(float(north), float(east), float(down))
@@ -225,13 +226,14 @@ def fly(
     """Fly a scenario once.
 
     Args:
-        seed: fixes paths (drawn geometries), navigation errors and the channel.
-        law: replaces the scenario's law ("none" is the unavoided baseline).
-        policy: file of the policy that chooses the transports of all aircraft, as `CompanionSystem` takes it.
-            A record must hold it in its header.
-        record: called once per aircraft with its name and configuration; returns where its steps go.
-        tlog: called once per aircraft with its name; returns where its MAVLink goes.
-        progress: called with the share done, about once per simulated second.
+        seed: determines paths (drawn geometries), navigation errors and the channel.
+        law: replaces the scenario's law ("none" is the baseline without avoidance).
+        policy: content of the policy file that chooses the transports of all aircraft, in the form that
+            `CompanionSystem` takes. A record must hold it in its header.
+        record: called once per aircraft with its name and configuration; returns the function that receives
+            its steps.
+        tlog: called once per aircraft with its name; returns the sink for its MAVLink.
+        progress: called with the completed share, about once per simulated second.
         watch: called with the air at the end of every tick.
     """
     paths = paths_of(scenario, seed)
@@ -277,7 +279,7 @@ def _aircraft(
     record: Callable[[str, Config], Callable[[Step], None]] | None,
     tlog: Callable[[str], ByteSink] | None,
 ) -> Aircraft:
-    """One aircraft of `fly`; its choices, where they are random, take nothing from its navigation's luck."""
+    """Create one aircraft of `fly`. Random choices have a generator separate from navigation errors."""
     config = companion_config(scenario, name, path, law)
     drawn = np.random.default_rng(luck.spawn(1)[0]) if scenario.atmc.policy == RANDOM else None
     return Aircraft(

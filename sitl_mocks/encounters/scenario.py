@@ -1,19 +1,19 @@
 """Encounters of several aircraft on timed straight paths, after the paper's section V.
 
-The paper: a 1 km x 1 km airspace, flights of 500 s, all aircraft converging at 250 s inside a box of
-500 m x 500 m x 300 m, v_max 5 m/s. Crossing points spread over the whole box do not conflict at all, so the
-sets that are used here draw them close together:
+The paper has a 1 km x 1 km airspace, flights of 500 s, all aircraft converging at 250 s inside a box of
+500 m x 500 m x 300 m, and v_max 5 m/s. Crossing points spread over the whole box do not conflict at all, so
+the sets used here draw them close together:
 
-- S1: uniformly in a ball of 30 m radius; S2: in a ball of 8 m radius. Each aircraft flies straight through
-  its own crossing point at 250 s, in a direction drawn uniformly from the compass.
+- S1 and S2: crossing points are uniform in a ball of 30 m radius (S1) or 8 m radius (S2). Each aircraft flies
+  straight through its own crossing point at 250 s, in a direction drawn uniformly from the compass.
 - S3: an exactly symmetric circle: all at one height, from equal angles and equal distances through one point.
-  The seed turns the circle and sets its radius.
+  The seed sets the rotation and the radius of the circle.
 
-The centre of all of them is (0, 0), 100 m above the ground, the middle of the airspace. On S1 and S2 a path
+The centre of all sets is (0, 0), 100 m above the ground, the middle of the airspace. On S1 and S2 a path
 begins and ends between 75 % and 98 % of the way to the edge of the airspace, so speeds lie between 1.4 and
-2.8 m/s: clearly below v_max, as an aircraft without speed in reserve cannot catch up with a timed path. Its
-height changes by up to 25 m on either side of the crossing. Draws in which two aircraft are nearer than 60 m
-to each other at the beginning or the end are drawn again, from the same generator.
+2.8 m/s. This is clearly below v_max, because an aircraft without speed in reserve cannot catch up with a
+timed path. The height changes by up to 25 m on either side of the crossing. Draws in which two aircraft are
+nearer than 60 m to each other at the beginning or the end are repeated with the same generator.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ CROSSING_BALL_M = {"S1": 30.0, "S2": 8.0}
 CLIMB_M = 25.0
 APART_M = 60.0
 _MOST_DRAWS = 100_000
-"""Twenty aircraft on S1 or S2 take some thousand now and then."""
+"""Twenty aircraft on S1 or S2 occasionally need some thousand draws."""
 
 
 def encounter(kind: Kind, aircraft: int, seed: int) -> tuple[Rows, ...]:
-    """One encounter; the same arguments give the same paths.
+    """One encounter. The same arguments give the same paths.
 
     Args:
-        kind: which set.
-        aircraft: how many, at least 2.
-        seed: of the draw.
+        kind: kind of set.
+        aircraft: number of aircraft, at least 2.
+        seed: seed of the draw.
 
     Returns:
         For each aircraft an array of shape (3, 4): rows of time (s), north, east, down (m) at the beginning,
@@ -66,7 +66,7 @@ def encounter(kind: Kind, aircraft: int, seed: int) -> tuple[Rows, ...]:
 
 
 def _ball(radius_m: float, aircraft: int, rng: np.random.Generator) -> Rows:
-    """Shape (aircraft, 3, 4): crossings uniformly in a ball."""
+    """Paths with crossings uniform in a ball, shape (aircraft, 3, 4)."""
     direction = rng.normal(size=(aircraft, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     crossing = direction * radius_m * rng.uniform(size=(aircraft, 1)) ** (1.0 / 3.0)
@@ -79,7 +79,7 @@ def _ball(radius_m: float, aircraft: int, rng: np.random.Generator) -> Rows:
 
 
 def _circle(aircraft: int, rng: np.random.Generator) -> Rows:
-    """Shape (aircraft, 3, 4): the symmetric circle."""
+    """Paths of the symmetric circle, shape (aircraft, 3, 4)."""
     turn, radius = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(400.0, 490.0)
     heading = turn + 2.0 * math.pi * np.arange(aircraft) / aircraft
     half = radius * np.column_stack([np.cos(heading), np.sin(heading), np.zeros(aircraft)])
@@ -87,7 +87,7 @@ def _circle(aircraft: int, rng: np.random.Generator) -> Rows:
 
 
 def _straight(crossing: Rows, half: Rows) -> Rows:
-    """Paths from crossing - half to crossing + half, the centre lifted to its height."""
+    """Paths from crossing - half to crossing + half, with the centre raised to its height."""
     centre = crossing + np.array([0.0, 0.0, -HEIGHT_M])
     points = np.stack([centre - half, centre, centre + half], axis=1)
     times = np.broadcast_to(np.array([0.0, CROSSING_S, DURATION_S])[:, None], (*points.shape[:2], 1))

@@ -1,6 +1,6 @@
-"""A scenario file: who flies where, in what air, with what errors. Every key is checked.
+"""Scenario file: aircraft and their paths, the air, and the errors. Every key is checked.
 
-The keys of the command line (`--aircraft`, `--delay`, `--seed`) replace the file's.
+Options of the command line (`--aircraft`, `--delay`, `--seed`) override the file's keys.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Common to all sections."""
+    """Base class of all sections."""
 
 
 class VehicleSettings(_Section, frozen=True):
@@ -48,22 +48,24 @@ class PathSettings(_Section, frozen=True):
 
 
 class Scenario(_Section, frozen=True):
-    """Everything that decides a run, but the seed's luck."""
+    """Everything that determines a run, except the seed."""
 
     geometry: Literal["S1", "S2", "S3"] | None = None
-    """Drawn paths; without it `path` gives them."""
+    """Kind of drawn paths. Without it, `path` gives the paths."""
     aircraft: Annotated[int, Meta(ge=2, le=100)] = 5
     path: tuple[PathSettings, ...] = ()
     duration_s: Positive | None = None
-    """The end of the last path when left out."""
+    """Default: the end of the last path."""
     vehicle: VehicleSettings = VehicleSettings()
     air: AirSettings = AirSettings()
     channel: ChannelParameters | None = None
-    """What the file says that `air.parameters` names: a resolved scenario stands alone in a run folder."""
+    """Content of the file that `air.parameters` names, so that a resolved scenario in a run folder needs no
+    other file.
+    """
     region: Region = Region()
-    """What the file says that `air.region` names."""
+    """Content of the file that `air.region` names."""
     atmc: AtmcConfig = AtmcConfig()
-    """Who chooses the transports of all aircraft, as in a companion's file; `policy` may also be "random"."""
+    """Choice of transports for all aircraft, as in a companion's file. `policy` may also be "random"."""
     limits: LimitsConfig = LimitsConfig()
     avoidance: AvoidanceConfig = AvoidanceConfig()
 
@@ -73,17 +75,17 @@ class Scenario(_Section, frozen=True):
 
 
 RANDOM = "random"
-"""What `atmc.policy` may say only here: a legal set drawn anew at every decision."""
+"""Value of `atmc.policy` that is allowed only here: a legal set is drawn anew at every decision."""
 POLICY_WORDS = (*CHOOSER_WORDS, RANDOM)
 DEFAULT = Scenario(geometry="S2", air=AirSettings(delay_s=DEFAULT_DELAY_S))
-"""Five aircraft crossing in an 8 m ball."""
+"""Five aircraft that cross in a ball of 8 m radius."""
 
 
 def load(path: Path) -> Scenario:
     """Read and check a scenario file.
 
     Raises:
-        ConfigError: names the file and the key.
+        ConfigError: the message names the file and the key.
     """
     scenario = decode_toml(path, Scenario)
     if (scenario.geometry is None) == (not scenario.path):
@@ -100,12 +102,16 @@ def load(path: Path) -> Scenario:
 
 
 def load_region(path: Path) -> Region:
-    """Read a region profile. Raises ConfigError naming the file and the key."""
+    """Read a region profile.
+
+    Raises:
+        ConfigError: the message names the file and the key.
+    """
     return decode_toml(path, Region)
 
 
 def _with_region(scenario: Scenario, path: Path) -> Scenario:
-    """The scenario with its region's profile read."""
+    """Return the scenario with the profile of its region loaded."""
     name = scenario.air.region
     if name is None:
         return scenario
@@ -120,7 +126,7 @@ def _with_region(scenario: Scenario, path: Path) -> Scenario:
 
 
 def _with_policy(scenario: Scenario, path: Path) -> Scenario:
-    """The scenario with the whole path of its policy."""
+    """Return the scenario with the absolute path of its policy."""
     name = scenario.atmc.policy
     if name is None or name in POLICY_WORDS:
         return scenario
@@ -129,7 +135,7 @@ def _with_policy(scenario: Scenario, path: Path) -> Scenario:
 
 
 def _with_parameters(scenario: Scenario, path: Path) -> Scenario:
-    """The scenario with its channel's parameter file read."""
+    """Return the scenario with its channel's parameter file loaded."""
     name = scenario.air.parameters
     if name is None:
         if scenario.channel is not None:

@@ -1,8 +1,8 @@
-"""`sitl-mocks swarm`: an encounter in real time; every vehicle, every companion and the air is a process.
+"""`sitl-mocks swarm`: an encounter in real time. Every vehicle, every companion and the air is a process.
 
-MAVLink and the air's datagrams go over UDP on loopback. Positions come from the vehicles' own truth files, so
-that the verdict does not rest on what the companions believe. With `--faults` each companion is examined
-while something goes wrong around it (`swarm_faults`).
+MAVLink and the air's datagrams use UDP on loopback. Positions come from the vehicles' own truth files, so
+that the verdict does not depend on the companions' estimates. With `--faults` each companion is examined
+while faults are injected (`swarm_faults`).
 """
 
 from __future__ import annotations
@@ -42,15 +42,17 @@ _EXAMPLE = (
     "example: sitl-mocks swarm --duration 120 --delay 0 1; sitl-mocks swarm --aircraft 3 --faults --seed 7"
 )
 START_S = 15.0
-"""From starting the processes to the paths' time 0: interpreters and kernels load on few cores."""
+"""Time from starting the processes to the paths' time 0, in which interpreters and kernels load on few
+cores.
+"""
 _END_S = 15.0
 _ANYWHERE_M = 10_000.0
-"""In an examination pilots have flown the vehicle elsewhere when the companion takes it again."""
+"""In an examination pilots may have flown the vehicle far away before the companion takes it again."""
 
 
 @dataclass(slots=True)
 class Process:
-    """One child and what it prints."""
+    """One child process and its output."""
 
     name: str
     child: subprocess.Popen[str]
@@ -58,10 +60,10 @@ class Process:
     lines: list[str] = field(default_factory=list)
 
     def expect(self, pattern: str) -> str:
-        """Read on until a line matches; returns its first group.
+        """Read until a line matches, and return its first group.
 
         Raises:
-            ConfigError: the process ended before.
+            ConfigError: the process ended before a line matched.
         """
         assert self.child.stdout is not None
         for line in self.child.stdout:
@@ -73,7 +75,7 @@ class Process:
         raise ConfigError(f"{self.name} ended with code {self.child.returncode}; see {self.log}")
 
     def last_json(self) -> dict[str, object]:
-        """The JSON object on the last line; empty when there is none."""
+        """The JSON object on the last line; empty if there is none."""
         assert self.child.stdout is not None
         self.lines += [line.rstrip() for line in self.child.stdout]
         try:
@@ -84,7 +86,7 @@ class Process:
 
 
 class Swarm:
-    """The processes of one run, and who stands between them. `close` ends whatever still runs."""
+    """The processes of one run, and the examinations between them. `close` kills all that still run."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -93,7 +95,7 @@ class Swarm:
         self._logs: list[IO[str]] = []
 
     def start(self, name: str, *arguments: str, piped: bool) -> Process:
-        """Start one of our commands; its errors (and its output, unless piped) go to NAME.log."""
+        """Start one of our commands. Its errors (and its output, unless piped) go to NAME.log."""
         path = self.folder / f"{name}.log"
         log = path.open("w")
         self._logs.append(log)
@@ -103,7 +105,7 @@ class Swarm:
             stderr=log,
             stdin=subprocess.DEVNULL,
             text=True,
-            # Ctrl-C is for us: the children are ended in order, companions first.
+            # Ctrl-C must reach only this process, which then ends the children in order, companions first.
             start_new_session=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
@@ -112,7 +114,7 @@ class Swarm:
         return process
 
     def end(self, processes: list[Process]) -> list[str]:
-        """Ask processes to end and wait; names of those that did not end well."""
+        """Ask processes to end and wait for them. Returns the names of those that did not end well."""
         for process in processes:
             if process.child.poll() is None:
                 process.child.send_signal(signal.SIGINT)
@@ -129,7 +131,7 @@ class Swarm:
         return bad
 
     def close(self) -> None:
-        """Kill what is left and close the logs."""
+        """Kill the remaining processes and close the logs."""
         for process in self.processes:
             if process.child.poll() is None:
                 process.child.kill()
@@ -141,7 +143,7 @@ class Swarm:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `sitl-mocks swarm`."""
+    """Add the options of `sitl-mocks swarm`."""
     parser.epilog = _EXAMPLE
     demo.add_scenario_arguments(parser)
     parser.add_argument("--seed", type=int, default=1, help="what chance draws from (default 1)")
@@ -162,7 +164,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def window(path: Points, duration_s: float) -> Points:
-    """The middle `duration_s` of a timed path, its clock beginning at 0; rows of time, north, east, down."""
+    """The middle `duration_s` of a timed path, with its clock from 0; rows of time, north, east, down."""
     start = max(0.0, 0.5 * (float(path[-1, 0]) - duration_s))
     end = min(start + duration_s, float(path[-1, 0]))
     inside = path[(path[:, 0] > start) & (path[:, 0] < end), 0]
@@ -172,7 +174,7 @@ def window(path: Points, duration_s: float) -> Points:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly in real time and judge. Returns 0 when all held, 1 when something did not.
+    """Fly in real time and judge. Returns 0 if all requirements held, else 1.
 
     Raises:
         ConfigError: an option or the scenario is wrong, or a process could not start.
@@ -256,7 +258,7 @@ def _fly(
     except ConfigError as error:
         if not arguments.faults:
             raise
-        # Of an examination that is a finding.
+        # In an examination this is a finding, not an error.
         interrupted, bad = False, [str(error)]
     for examination in swarm.examinations:
         examination.rest()
@@ -278,7 +280,7 @@ def _examine(
     ports: list[list[str]],
     start_utc_s: float,
 ) -> None:
-    """Between each vehicle and its companion."""
+    """Start an examination between each vehicle and its companion."""
     begins_s = time.monotonic() + start_utc_s - time.time()
     for number, name in enumerate(names_of(scenario, arguments.seed)):
         options = vehicle_options(scenario, number, paths[number])
@@ -299,7 +301,7 @@ def _examine(
 
 
 def _ether_options(scenario: Scenario, folder: Path) -> list[str]:
-    """The scenario's air as options of `sitl-mocks ether`; parameters go by a file in the run folder."""
+    """The scenario's air as options of `sitl-mocks ether`. Parameters go to a file in the run folder."""
     air = scenario.air
     options = ["--channel", air.model]
     if air.model == "interval":
@@ -332,7 +334,7 @@ def _start_vehicle(
 
 
 def _watch(swarm: Swarm, start_utc_s: float, duration_s: float, console: Console) -> bool:
-    """Wait for the end; True when interrupted by Ctrl-C.
+    """Wait for the end. Returns True if interrupted by Ctrl-C.
 
     Raises:
         ConfigError: a process ended by itself.

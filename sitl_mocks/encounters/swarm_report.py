@@ -1,4 +1,4 @@
-"""What came of a swarm: positions of the vehicles' truth files, setpoints, frames, transports."""
+"""Results of a swarm run: positions from the vehicles' truth files, setpoints, frames and transports."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _GOOD_GAP_S = 0.1
 _WORST_GAP_S = 0.5
 _GOOD_SHARE = 0.999
 _UNHEARD = 3
-"""Frames of a pair that may lie in a socket when its companion ends."""
+"""Number of frames of a pair that may still lie in a socket when its companion ends."""
 
 
 def limit_m(scenario: Scenario) -> float:
-    """Separation that must hold: both conflict radii."""
+    """Separation that must hold: the sum of both conflict radii."""
     return 2.0 * scenario.avoidance.conflict_radius_m
 
 
@@ -44,12 +44,12 @@ def report_of(
     """The verdict on a run, for JSON.
 
     Args:
-        folder: of the run.
-        vehicles: by aircraft, the last words of its vehicle.
-        air: the last words of the ether.
+        folder: run folder.
+        vehicles: by aircraft, the final output of its vehicle process.
+        air: the final output of the ether process.
         bad: processes that did not end well.
-        start_utc_s: when the paths began.
-        interrupted: by Ctrl-C.
+        start_utc_s: UTC at which the paths began.
+        interrupted: whether Ctrl-C interrupted the run.
     """
     names = list(vehicles)
     separation = _separations(folder, names, start_utc_s)
@@ -114,9 +114,9 @@ def _gaps(left: dict[str, object]) -> dict[str, float]:
 
 
 def _air(folder: Path, identities: dict[str, str], statistics: dict[str, object]) -> list[dict[str, object]]:
-    """Sent and lost by the air's count, heard by each companion's own record; per ordered pair.
+    """Frames per ordered pair: sent and lost (air's count), received (record of each companion).
 
-    What was sent and not lost on the air must have been heard.
+    Frames that were sent and not lost on the air must have been received.
     """
     addresses = {radio_address(identity): name for name, identity in identities.items()}
     pairs: dict[str, dict[str, Any]] = statistics.get("pairs", {})  # type: ignore[assignment]
@@ -154,14 +154,14 @@ def _heard(folder: Path, receiver: str, addresses: dict[str, str]) -> dict[str, 
 
 
 def _records(folder: Path, name: str) -> Iterator[event_record.Record]:
-    """The event record of one aircraft."""
+    """Event records of one aircraft."""
     for file in folder.glob(f"*-{name}/*.events"):
         with file.open("rb") as stream:
             yield from event_record.read(stream, str(file))
 
 
 def show(report: dict[str, object], console: Console) -> None:
-    """The verdict, for people."""
+    """Print the verdict as tables and text."""
     pairs = Table(title="Least separation of each pair")
     pairs.add_column("pair")
     pairs.add_column("separation", justify="right")

@@ -1,4 +1,4 @@
-"""What a run shows: separations, deviations, return to the timed path, from the true positions."""
+"""Results of a run from the true positions: separations, deviations and return to the timed path."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from sitl_mocks.encounters.lockstep import Points, Run
 from sitl_mocks.encounters.scenario_file import Scenario
 
 ON_PATH_M = 2.0
-"""Closer than this to the timed point, beside the navigation error, counts as on the path."""
+"""Closer than this to the timed point, plus the navigation error, counts as on the path."""
 NOISE_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One pair of aircraft."""
+    """Closest approach of one pair of aircraft."""
 
     first: str
     second: str
@@ -29,17 +29,17 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
-    """One aircraft against its timed path."""
+    """Deviation of one aircraft from its timed path."""
 
     name: str
     largest_m: float
     final_m: float
     back_s: float | None
-    """From the largest deviation to being on the path for good; None: not back, or never away."""
+    """Time from the largest deviation until the aircraft stays on the path. None: not back, or never left."""
 
 
 def pairs_of(run: Run) -> list[Pair]:
-    """Least separation of every pair, between ticks too (positions move straight within one)."""
+    """Least separation of every pair, also between ticks (positions move straight between ticks)."""
     found = []
     for a, b in combinations(run.aircraft, 2):
         least, tick = _least(a.position_ned_m - b.position_ned_m)
@@ -57,7 +57,7 @@ def _least(relative: Points) -> tuple[float, int]:
 
 
 def on_path_limit_m(scenario: Scenario) -> float:
-    """Deviation up to which an aircraft is on its path: 2 m, and three sigma of its navigation noise."""
+    """Deviation up to which an aircraft is on its path: 2 m plus three sigma of its navigation noise."""
     return ON_PATH_M + NOISE_SIGMAS * scenario.vehicle.gnss_horizontal_sigma_m
 
 

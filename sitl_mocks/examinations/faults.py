@@ -1,7 +1,7 @@
-"""What goes wrong in a flight, as entries of a schedule that is drawn up front and can be cut down.
+"""Faults in a flight, as entries of a schedule that is drawn in advance and can be shortened.
 
-Each kind has a function that begins it, and one that ends it where it lasts. `numbers` and `modes` are what
-was drawn for it, so that an entry says all there is to say.
+Each kind has a function that begins it and, if it lasts, one that ends it. `numbers` and `modes` hold the
+values drawn for it, so that an entry describes the fault completely.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _PILOTS: Final = (VehicleMode.RTL, VehicleMode.LAND, VehicleMode.HOLD, VehicleMo
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One entry. What the numbers mean, its kind says."""
+    """One entry of a schedule. The meaning of `numbers` depends on `kind`."""
 
     kind: str
     at_s: float
@@ -42,15 +42,15 @@ class Fault:
 
 
 def to_json(fault: Fault) -> dict[str, Any]:
-    """As plain values, without what is empty."""
+    """Plain values of a fault, without empty fields."""
     return {key: value for key, value in asdict(fault).items() if value not in ((), 0.0) or key == "at_s"}
 
 
 def from_json(value: dict[str, Any]) -> Fault:
-    """The other way.
+    """Read a fault from plain values.
 
     Raises:
-        ConfigError: not such an entry.
+        ConfigError: the value is not a valid fault.
     """
     try:
         fault = Fault(**value)
@@ -65,36 +65,36 @@ def from_json(value: dict[str, Any]) -> Fault:
 
 
 class Place(Protocol):
-    """Where a vehicle, its companion and the link between them can be got at from outside; real or not."""
+    """External access to a vehicle, its companion and the link between them, real or simulated."""
 
     traffic_hz: float
-    """Frames of others that a router sends down the companion's link."""
+    """Rate of foreign frames that a router sends to the companion."""
 
     @property
     def now_s(self) -> float:
-        """The clock of the link and the judge."""
+        """Clock of the link and the judge."""
 
     @property
     def link(self) -> ModelledLink:
-        """The router."""
+        """Modelled link in the router."""
 
     @property
     def judge(self) -> Judge:
-        """Of this vehicle and companion."""
+        """Judge of this vehicle and companion."""
 
     @property
     def interposer(self) -> Interposer:
-        """Between the link and the vehicle."""
+        """Interposer between the link and the vehicle."""
 
     def stop(self, for_s: float, *, in_step: bool) -> None:
-        """The companion stands still."""
+        """Stall the companion."""
 
     def pilot_selects(self, mode: VehicleMode) -> bool:
-        """Return whether the vehicle took the mode."""
+        """Select a mode as the pilot. Returns whether the vehicle accepted it."""
 
 
 class World(Place, Protocol):
-    """A place in which the vehicle and the companion can be got at from within, too."""
+    """A place that also gives access to the internals of the vehicle and the companion."""
 
     @property
     def vehicle(self) -> MockVehicle:
@@ -102,33 +102,33 @@ class World(Place, Protocol):
 
     @property
     def onboard(self) -> CompanionSystem:
-        """The companion."""
+        """The companion's core."""
 
     def station_says(self, kind: str, *fields: Any) -> None:
-        """A ground station sends the vehicle a message, by its name in the dialect."""
+        """Send the vehicle a message from a ground station, by its name in the dialect."""
 
     def restart_companion(self) -> None:
-        """A new companion takes the place of the one that is there."""
+        """Replace the companion by a new one."""
 
 
 def begin(world: World, fault: Fault) -> None:
-    """It begins now."""
+    """Begin a fault now."""
     _BEGIN[fault.kind](world, fault)
 
 
 def end(world: World, fault: Fault) -> None:
-    """It is over; nothing to do where it is a moment's."""
+    """End a fault. Faults without duration need no action."""
     if fault.kind in _END:
         _END[fault.kind](world, fault)
 
 
 def begin_outside(place: Place, fault: Fault) -> None:
-    """It begins now; one of `OUTSIDE`."""
+    """Begin a fault of a kind in `OUTSIDE` now."""
     _BEGIN_OUTSIDE[fault.kind](place, fault)
 
 
 def end_outside(place: Place, fault: Fault) -> None:
-    """It is over."""
+    """End a fault of a kind in `OUTSIDE`."""
     if fault.kind in _END_OUTSIDE:
         _END_OUTSIDE[fault.kind](place, fault)
 
@@ -144,7 +144,9 @@ def _cut(world: Place, stands: bool) -> None:
 
 
 def _set(name: str, before: Any) -> tuple[_Act, _Act]:
-    """A fault of the way whose number is the value, and what there was before."""
+    """Begin and end of a link fault. Its number is the new value (True if it has none), and `before` is the
+    normal value.
+    """
 
     def begins(world: Place, fault: Fault) -> None:
         setattr(world.link.weather, name, fault.numbers[0] if fault.numbers else True)
@@ -156,7 +158,7 @@ def _set(name: str, before: Any) -> tuple[_Act, _Act]:
 
 
 def _late(world: Place, fault: Fault) -> None:
-    """A router that holds everything up; what crosses on the way takes longer by that."""
+    """Delay everything in the router. Messages that cross on the way then take longer by that time."""
     world.link.weather.delay_s = fault.numbers[0]
     world.judge.crossing_s += fault.numbers[0]
 
@@ -172,7 +174,7 @@ def _fast(world: Place, fault: Fault) -> None:
 
 
 def _answers(world: Place, fault: Fault) -> None:
-    """The kind is the manner."""
+    """The kind of the fault is the name of the answer behaviour."""
     world.interposer.manner = fault.kind
 
 
@@ -181,7 +183,7 @@ def _answers_right(world: Place, fault: Fault) -> None:
 
 
 def _burst(world: Place, fault: Fault) -> None:
-    """Others' frames, all at once."""
+    """Send foreign frames, all at once."""
     frames = others_frames()
     world.link.tell(world.now_s, [frames[n % len(frames)] for n in range(int(fault.numbers[0]))])
 
@@ -195,18 +197,18 @@ def _no_traffic(world: Place, fault: Fault) -> None:
 
 
 def _stall(world: Place, fault: Fault) -> None:
-    """The number tells where it stands: 1 between a step and its sending."""
+    """The number selects where the companion stalls: 1 is between a step and its sending."""
     world.stop(fault.lasts_s, in_step=bool(fault.numbers and fault.numbers[0]))
 
 
 def _modes(world: Place, fault: Fault) -> None:
-    """One after the other, at the same moment."""
+    """Select the modes one after the other, at the same moment."""
     for mode in fault.modes:
         world.pilot_selects(VehicleMode(mode))
 
 
 def _mission(world: World, fault: Fault) -> None:
-    """A ground station sends the vehicle to another item."""
+    """A ground station sends the vehicle to another mission item."""
     world.station_says("mission_set_current", 1, 1, int(fault.numbers[0]))
 
 
@@ -254,7 +256,7 @@ _END_OUTSIDE: Final[dict[str, _Act]] = {
     "denied": _answers_right,
 }
 OUTSIDE: Final = tuple(_BEGIN_OUTSIDE)
-"""Kinds that need nothing but the outside of vehicle and companion."""
+"""Kinds that need only external access to vehicle and companion."""
 _BEGIN: Final[dict[str, Callable[[World, Fault], None]]] = {
     **_BEGIN_OUTSIDE,
     "reboot": lambda w, f: w.vehicle.reboot(flies_on=True),
@@ -275,17 +277,18 @@ KINDS: Final = tuple(_BEGIN)
 
 
 class Interposer:
-    """A vehicle that answers the companion's mode requests otherwise than it acts on them."""
+    """Makes the vehicle's answers to the companion's mode requests differ from its actions."""
 
     def __init__(self, system_id: int = 1) -> None:
         self.manner = ""
-        """disobeyed: acknowledged, not carried out; unanswered: carried out, not acknowledged; denied:
-        carried out, and refused in words."""
+        """Current behaviour. "disobeyed": acknowledged but not carried out. "unanswered": carried out but not
+        acknowledged. "denied": carried out but answered with a refusal.
+        """
         self._answers: list[bytes] = []
         self._writer = MavlinkWriter(system_id, 1)
 
     def up(self, data: bytes) -> bytes:
-        """What of the companion's bytes the vehicle sees."""
+        """Filter the companion's bytes. Returns those that the vehicle receives."""
         if self.manner != "disobeyed":
             return data
         kept = []
@@ -297,7 +300,7 @@ class Interposer:
         return b"".join(kept)
 
     def down(self, frames: list[bytes]) -> list[bytes]:
-        """What of the vehicle's frames the companion sees."""
+        """Filter the vehicle's frames. Returns those that the companion receives."""
         answers, self._answers = self._answers, []
         if self.manner not in ("unanswered", "denied"):
             return frames + answers
@@ -319,7 +322,7 @@ def _is_mode_request(message_id: int, payload: bytes) -> bool:
 
 
 def others_frames() -> list[bytes]:
-    """What else a router sends down: a neighbour's telemetry, a ground station, a radio."""
+    """Foreign frames that a router sends: a neighbour's telemetry, a ground station, a radio."""
     neighbour, station, radio = MavlinkWriter(77, 1), MavlinkWriter(255, 190), MavlinkWriter(51, 68)
     frames = []
     for n in range(20):
@@ -340,7 +343,7 @@ def others_frames() -> list[bytes]:
 
 
 def drawn(kind: str, at_s: float, lasts_s: float, rng: np.random.Generator) -> Fault:
-    """One of a kind, with all that it needs."""
+    """Draw a fault of a kind with all its values."""
     numbers: tuple[float, ...] = ()
     modes: tuple[str, ...] = ()
     match kind:

@@ -1,8 +1,8 @@
-"""The link between vehicle and companion in virtual time, as a kernel and a router make it.
+"""Model in virtual time of the link between vehicle and companion, with the effects of a kernel and a router.
 
-Down (to the companion) frames go through a router, which may hold them up, into the kernel's buffer, from
-which the companion's reader takes portions. Up, a stream takes at most one send while the one before it has
-not left. The figures were measured on Linux 6.18 (loopback, default buffers).
+Down (to the companion), frames pass a router, which may delay them, into the kernel's buffer, from
+which the companion's reader takes portions. Up, a stream accepts no further data until the previous data has
+left. The figures were measured on Linux 6.18 (loopback, default buffers).
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Kind = Literal["udp", "tcp", "pty"]
 KINDS: Final[tuple[Kind, ...]] = ("udp", "tcp", "pty")
 
 _BUFFER_BYTES: Final = {"udp": 212_992, "tcp": 3_990_216, "pty": 19_712}
-"""What the kernel holds for a reader that does not read. UDP counts its own overhead."""
+"""Bytes that the kernel holds for a reader that does not read. UDP includes its own overhead."""
 _PORTION_BYTES: Final = {"tcp": 65_536, "pty": 4_095}
-"""What one read returns at most."""
+"""Greatest number of bytes that one read returns."""
 _PORTION_DATAGRAMS = 64
-"""What the companion's UDP link takes at most at once."""
+"""Greatest number of datagrams that the companion's UDP link takes at once."""
 _DATAGRAM_BYTES = 1400
 _SENDER_BYTES: Final = {"udp": 1 << 30, "tcp": 65_536, "pty": 4_096}
-"""What waits at the vehicle's end of a slow or standing link; frames that do not fit are not sent."""
+"""Bytes that wait at the vehicle's end of a slow or blocked link. Frames that do not fit are not sent."""
 _BITS_PER_BYTE = 10
 
 
@@ -39,28 +39,28 @@ def datagram_cost(size: int) -> int:
 
 @dataclass(slots=True)
 class Weather:
-    """What is wrong with the way at the moment. Probabilities are of each datagram (UDP only)."""
+    """Current impairments of the link. Probabilities apply to each datagram (UDP only)."""
 
     delay_s: float = 0.0
-    """The router holds what comes down by so much."""
+    """Delay that the router adds in the down direction."""
     duplicate: float = 0.0
     reorder: float = 0.0
-    """Of being held up by up to 0.1 s more than the next."""
+    """Probability that a datagram is delayed by up to 0.1 s more than the next one."""
     rate_bps: float = math.inf
-    """Bits a second: down, and up where the link is a stream."""
+    """Data rate in bits per second: down, and also up if the link is a stream."""
     down_stands: bool = False
     up_stands: bool = False
 
 
 class ModelledLink:
-    """One link; times never go back.
+    """One modelled link. Times must not decrease.
 
     Args:
-        portions: portions that the reader takes right after the companion stood still, before it decides;
-            None: until nothing waits. At all other times it reads until nothing waits.
-        routed: a router sends each frame as a datagram of its own; False: what the vehicle sends at once
-            shares datagrams.
-        buffered: False: a real kernel stands behind the router, and what arrives is only `news`.
+        portions: number of portions that the reader takes directly after a stall, before the companion
+            decides; None: until nothing waits. At all other times it reads until nothing waits.
+        routed: True: a router sends each frame as a separate datagram. False: frames that the vehicle sends
+            at once share datagrams.
+        buffered: False: a real kernel follows the router, and arriving frames are only in `news`.
     """
 
     def __init__(
@@ -76,30 +76,30 @@ class ModelledLink:
         self.weather = Weather()
         self.portions = portions
         self.dropped = 0
-        """Frames that found the buffer full."""
+        """Number of frames lost because the buffer was full."""
         self._rng = rng
         self._routed = routed
         self._buffered = buffered
         self._count = 0
         self._way: list[tuple[float, int, float, tuple[bytes, ...]]] = []
-        """Down: when it arrives, a number, when it was sent, its frames."""
+        """Down: time of arrival, a number, time of sending, frames."""
         self._held: list[tuple[float, tuple[bytes, ...]]] = []
-        """Down, on a stream that stands."""
+        """Down: time of sending and frames that wait on a blocked stream."""
         self._free_s = self._up_free_s = -math.inf
-        """Until when each direction of a slow link is busy."""
+        """Time until which each direction of a slow link is busy."""
         self._buffer: deque[bytes] = deque()
         self._buffer_bytes = 0
         self._stream = bytearray()
         self._news: list[tuple[float, bytes]] = []
         self._up: deque[tuple[float, float, bytes]] = deque()
-        """When it arrives, when it was decided, its bytes."""
+        """Up: time of arrival, time of decision, bytes."""
         self._up_held: tuple[float, float, bytes] | None = None
-        """In the kernel of a stream that stands: when it was sent and decided, its bytes."""
+        """Up: data in the kernel on a blocked stream: time of sending, time of decision, bytes."""
 
     # ------------------------------------------------------------ down
 
     def tell(self, now_s: float, frames: list[bytes]) -> None:
-        """The vehicle, or somebody else on its network, sends frames down."""
+        """Send frames down from the vehicle or from another sender on its network."""
         self._release(now_s)
         if self.kind == "udp" and not self._routed:
             for datagram in _packed(frames):
@@ -142,7 +142,7 @@ class ModelledLink:
         return self._count
 
     def _release(self, now_s: float) -> None:
-        """What stood goes on."""
+        """Move frames on that were blocked or are due."""
         if self._held and not self.weather.down_stands:
             held, self._held = self._held, []
             for sent_s, frames in held:
@@ -152,14 +152,14 @@ class ModelledLink:
             self._arrive(sent_s, frames)
 
     def hurry(self, now_s: float) -> None:
-        """A link that was slow is not any more: what is under way arrives now."""
+        """End the slowness of a link: data that is under way arrives now."""
         self._way = [(min(at_s, now_s), number, sent_s, frames) for at_s, number, sent_s, frames in self._way]
         self._way.sort(key=lambda item: item[1])
         self._up = deque((min(at_s, now_s), decided_s, data) for at_s, decided_s, data in self._up)
         self._free_s = self._up_free_s = -math.inf
 
     def _arrive(self, sent_s: float, frames: tuple[bytes, ...]) -> None:
-        """Into the kernel's buffer: what does not fit is lost, and that is the newest."""
+        """Put frames into the kernel's buffer. Frames that do not fit are lost, so the newest are dropped."""
         if not self._buffered:
             self._news += [(sent_s, frame) for frame in frames]
             return
@@ -177,23 +177,23 @@ class ModelledLink:
         self._news += [(sent_s, frame) for frame in frames]
 
     def news(self, now_s: float) -> list[tuple[float, bytes]]:
-        """Frames that have come into the kernel's buffer since the last call, with when each was sent."""
+        """Frames that have entered the kernel's buffer since the last call, each with its time of sending."""
         self._release(now_s)
         news, self._news = self._news, []
         return news
 
     @property
     def under_way(self) -> bool:
-        """Something is still to arrive."""
+        """Whether data is still to arrive."""
         return bool(self._way or self._up)
 
     @property
     def waiting(self) -> bool:
-        """Something can be read."""
+        """Whether data can be read."""
         return bool(self._buffer or self._stream)
 
     def read(self) -> bytes:
-        """One portion, as the companion's link takes it; empty when nothing waits."""
+        """Read one portion, as the companion's link does; empty when nothing waits."""
         if self.kind == "udp":
             parts = [self._buffer.popleft() for _ in range(min(_PORTION_DATAGRAMS, len(self._buffer)))]
             self._buffer_bytes -= sum(datagram_cost(len(part)) for part in parts)
@@ -204,7 +204,7 @@ class ModelledLink:
         return data
 
     def clear(self) -> None:
-        """Forget what is under way and what waits: a new connection."""
+        """Discard data that is under way or waits, as for a new connection."""
         self._way.clear()
         self._held.clear()
         self._buffer.clear()
@@ -216,7 +216,7 @@ class ModelledLink:
     # ------------------------------------------------------------ up
 
     def send(self, now_s: float, data: bytes, decided_s: float) -> None:
-        """The companion sends; a stream that has not let go of what came before takes nothing."""
+        """Send data from the companion. A stream that still holds earlier data accepts nothing."""
         if not data:
             return
         weather = self.weather
@@ -232,16 +232,16 @@ class ModelledLink:
             return
         gone_s = max(self._up_free_s, now_s) + len(data) * _BITS_PER_BYTE / weather.rate_bps
         if gone_s - now_s > LATE_S:
-            return  # Thrown away before it has left.
+            return  # Discarded before it has left.
         self._up_free_s = gone_s
         self._up.append((gone_s, decided_s, data))
 
     def arrived(self, now_s: float) -> list[tuple[float, bytes]]:
-        """What has reached the vehicle's end: when each was decided, and its bytes."""
+        """Data that has reached the vehicle's end: the decision time of each piece, and its bytes."""
         if self._up_held is not None:
             sent_s, decided_s, data = self._up_held
             if now_s - sent_s > LATE_S:
-                self._up_held = None  # A stream's link throws away what does not leave in time.
+                self._up_held = None  # A stream's link discards data that does not leave in time.
             elif not self.weather.up_stands:
                 self._up_held = None
                 self._up.append((now_s, decided_s, data))
@@ -253,7 +253,7 @@ class ModelledLink:
 
 
 def _packed(frames: list[bytes]) -> list[tuple[bytes, ...]]:
-    """Frames that share datagrams."""
+    """Frames grouped into datagrams."""
     datagrams: list[tuple[bytes, ...]] = []
     at, size = 0, 0
     for number, frame in enumerate(frames):

@@ -23,16 +23,16 @@ _READ_BYTES = 65536
 
 
 class PilotLink:
-    """Commands to one vehicle, and its answers. Nothing here blocks.
+    """Sends commands to one vehicle and receives its answers. No method blocks.
 
     Args:
-        port: where the vehicle listens for this link alone.
+        port: port on which the vehicle listens for this link only.
     """
 
     def __init__(self, firmware: Firmware, port: int, system_id: int = 1) -> None:
         self.modes = MANNERS[firmware].custom_modes
         self.answers: list[tuple[int, int]] = []
-        """Commands with their results since the last one was sent."""
+        """Commands and their results since the last command was sent."""
         self._px4 = firmware is Firmware.PX4
         self._system_id = system_id
         self._scanner = FrameScanner()
@@ -47,13 +47,13 @@ class PilotLink:
         self._socket.close()
 
     def ask_mode(self, mode: VehicleMode) -> None:
-        """Ask for a mode, once."""
+        """Request a mode once."""
         number = self.modes[mode]
         params = (number >> 16 & 0xFF, number >> 24) if self._px4 else (number, 0)
         self._command(SET_MODE, 1.0, *map(float, params))
 
     def arm(self, *, armed: bool) -> None:
-        """Arm, or disarm in the air."""
+        """Arm or disarm the vehicle, also in the air."""
         self._command(ARM, float(armed), FORCE)
 
     def _command(self, number: int, *params: float) -> None:
@@ -64,10 +64,10 @@ class PilotLink:
             self._socket.send(self._writer.pack(message))
 
     def hear(self, shown: Callable[[int, bool | None], None] | None = None) -> None:
-        """Read what has come.
+        """Read all messages that have arrived.
 
         Args:
-            shown: called with what each message tells, as `mode_told` gives it.
+            shown: called with the result of `mode_told` for each message that reports a mode.
         """
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while True:
@@ -82,8 +82,10 @@ class PilotLink:
 
 
 def mode_told(message_id: int, payload: bytes) -> tuple[int, bool | None] | None:
-    """The mode (`custom_mode`) that an autopilot's message tells, and whether the vehicle is armed (None: not
-    told with it); None for all other messages."""
+    """Mode (`custom_mode`) reported by an autopilot's message, and whether the vehicle is armed.
+
+    The second value is None if the message does not contain it. The result is None for all other messages.
+    """
     if message_id == CURRENT_MODE:
         return unpack(message_id, payload)[0], None
     if message_id != mavlink.MAVLINK_MSG_ID_HEARTBEAT:

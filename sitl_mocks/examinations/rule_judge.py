@@ -1,21 +1,22 @@
-"""Judges a companion from outside: from the bytes at the vehicle's end and from what the pilot did and when.
+"""Judges a companion from outside: from the bytes at the vehicle's end and the pilot's timed choices.
 
-It knows the frames that left the companion and that reached the vehicle, what the vehicle told and when
-the companion could first read it, the vehicle's own modes, the pilot's choices, and the limits. It knows
-nothing of what the companion believes. Times are seconds on the caller's clock. Rules, by their names:
+The judge knows the frames that left the companion and those that reached the vehicle, what the vehicle sent
+and when the companion could first read it, the vehicle's own modes, the pilot's choices, and the limits. It
+does not use the companion's internal state. Times are seconds on the caller's clock. The rules, by name:
 
     request    a command that changes the flight left after the mode that ended our authority could be read
     setpoint   a setpoint left more than 0.1 s after that
     left       the vehicle left the pilot's mode because of us
-    unread     the same, of a mode that could not be read: its message was lost, or had not come yet
+    unread     like "left", but the mode could not be read: its message was lost, or had not arrived yet
     refused    a mode that the pilot selected, and the vehicle accepted, was not entered
     stale      a setpoint left on an own position older than 1.5 s
     old        a setpoint or a mode request reached the vehicle more than 0.25 s after it was decided
-    bounds     a setpoint beyond the limits on speed, climb or descent, or no number
+    bounds     a setpoint beyond the limits on speed, climb or descent, or not a number
     form       a setpoint with another mask, frame or target than the two firmwares fly
 
-Authority ends with any mode that is not ours, selected by the pilot or by a failsafe. Where the vehicle
-was in our hands it comes back with the disarming (`flight.rearm = "disarm"`), else with a mode that gives it.
+"We" is the companion. Authority ends with any mode that is not ours, selected by the pilot or by a failsafe.
+If we controlled the vehicle, authority returns with disarming (`flight.rearm = "disarm"`), else with a mode
+that gives it.
 """
 
 from __future__ import annotations
@@ -37,26 +38,26 @@ _MODE_COMMANDS: Final = frozenset({_DO_SET_MODE, _CHANGE_SPEED, 20, 21, 22, 192,
 _LONG = struct.Struct("<7fHBBB")
 _LOCAL_NED = struct.Struct("<I11fHBBB")
 _MASKS: Final = frozenset({0x9C7, 0x5C7})
-"""The velocity vector with a yaw, or with a yaw rate."""
+"""Type masks of a velocity vector with a yaw, and with a yaw rate."""
 _FRAME_LOCAL_NED = 1
 _AUTOPILOT = 1
 
 REACTION_S: Final = 0.1
-"""From the pilot's mode that can be read to the last setpoint."""
+"""Longest time from when the pilot's mode can be read to the last setpoint."""
 STALE_S: Final = 1.5
-"""Setpoints on an own position older than this."""
+"""Greatest age of the own position on which a setpoint may be based."""
 OLD_S: Final = 0.25
-"""From the decision to the vehicle."""
+"""Longest time from the decision to the arrival at the vehicle."""
 PILOTS: Final = "the pilot's"
 _ALIKE_S = 8.0
-"""A mode that we asked for within this time is no sign of the pilot."""
+"""A mode that we requested within this time cannot be attributed to the pilot."""
 _GAP_S = 0.15
-"""A companion that did not read for so long stood still."""
+"""A companion that did not read for longer than this stood still."""
 _SLACK = 1e-3
 
 
 class Breach(NamedTuple):
-    """A rule that was broken."""
+    """A breach of a rule."""
 
     at_s: float
     rule: str
@@ -65,17 +66,17 @@ class Breach(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What a setpoint may ask for (m/s), and the modes (`custom_mode`) that mean something to authority."""
+    """Limits of setpoints (m/s), and the modes (`custom_mode`) that affect authority."""
 
     max_speed_mps: float
     max_climb_mps: float
     max_descent_mps: float
     external: int
-    """The mode that flies setpoints."""
+    """The mode in which the vehicle flies setpoints."""
     given: frozenset[int]
-    """Modes from which the companion may take a vehicle that was not in its hands."""
+    """Modes from which the companion may take a vehicle that it did not control before."""
     px4_modes: bool
-    """Modes are asked for as PX4's main and sub mode."""
+    """Whether modes are requested as PX4's main and sub mode."""
 
 
 class _Request(NamedTuple):
@@ -85,7 +86,7 @@ class _Request(NamedTuple):
 
 @dataclass(slots=True)
 class _Choice:
-    """A mode that is not ours, since when, and when the companion could first read it."""
+    """A mode that is not ours, its start time, and the time at which the companion could first read it."""
 
     custom_mode: int
     at_s: float
@@ -94,12 +95,14 @@ class _Choice:
 
 
 class Judge:
-    """One vehicle with one companion.
+    """Judge of one vehicle with one companion.
 
     Args:
-        grace_s: a companion that runs may be in a step for so long when a message comes; 0 in virtual time.
-        cause_s: a change of the mode this long after our request arrived is its effect.
-        crossing_s: a request this long after the pilot's choice may have crossed the message that shows it.
+        grace_s: longest time that a step of a running companion may still take when a message arrives; 0 in
+            virtual time.
+        cause_s: a change of the mode within this time after our request arrived is its effect.
+        crossing_s: a request within this time after the pilot's choice may have crossed the message that
+            shows it.
     """
 
     def __init__(
@@ -107,12 +110,14 @@ class Judge:
     ) -> None:
         self.breaches: list[Breach] = []
         self.crossed = 0
-        """Choices that a request of ours, already on its way, has undone: nobody could have known."""
+        """Number of choices undone by a request of ours that was already on its way, which we could not
+        know.
+        """
         self.alike = 0
-        """Choices that were not judged: we had asked for the same mode."""
+        """Number of choices that were not judged, because we had requested the same mode."""
         self.setpoints = 0
         self.setpoint_s = -math.inf
-        """When the last one left."""
+        """Time at which the last setpoint left."""
         self.crossing_s = crossing_s
         self._bounds = bounds
         self._grace_s = grace_s
@@ -122,23 +127,23 @@ class Judge:
         self._mode: int | None = None
         self._armed = False
         self._ours = False
-        """The mode was entered by our request."""
+        """Whether the mode was entered by our request."""
         self._selected: tuple[float, int] | None = None
         self._choices: list[_Choice] = []
-        """Of this authority's end, oldest first; the last is the mode that the vehicle should be in."""
+        """Modes that are not ours since authority ended, oldest first. The last is the one to be in."""
         self._final = False
-        """Only the disarming gives authority back."""
+        """Whether only disarming gives authority back."""
         self._gone_s = math.inf
-        """When the companion could first read that authority has ended."""
+        """Time at which the companion could first read that authority has ended."""
         self._asked: deque[_Request] = deque(maxlen=50)
         self._reached: deque[tuple[float, int]] = deque(maxlen=50)
         self._sampled_s = -math.inf
-        """When the newest position that could be read was sent."""
+        """Time at which the newest readable position was sent."""
         self._read_s = -math.inf
         self._resumed_s = -math.inf
 
     def first(self) -> tuple[Breach, ...]:
-        """Of each rule the first breach, in their order."""
+        """First breach of each rule, in their order."""
         found: dict[str, Breach] = {}
         for breach in self.breaches:
             found.setdefault(breach.rule, breach)
@@ -151,15 +156,15 @@ class Judge:
 
     @property
     def held(self) -> bool:
-        """The vehicle is in our hands: in the mode that flies setpoints, or where we asked it to wait."""
+        """Whether we control the vehicle: in the setpoint mode, or in a mode in which we asked it to wait."""
         return self._mode == self._bounds.external or (self._ours and self._mode not in self._bounds.given)
 
     def selects(self, now_s: float, custom_mode: int) -> None:
-        """The pilot selects a mode that the vehicle will accept; `shows`, and then `accepted`, follow."""
+        """The pilot selects a mode that the vehicle will accept. Call `shows`, then `accepted` afterwards."""
         self._selected = now_s, custom_mode
 
     def accepted(self, now_s: float) -> None:
-        """The vehicle has shown its mode after an accepted choice: was it entered?"""
+        """The vehicle has shown its mode after an accepted choice. Checks whether the mode was entered."""
         if self._selected is not None and self._mode != self._selected[1]:
             self._breach(now_s, "refused", f"mode {self._selected[1]} was accepted and not entered")
         self._selected = None
@@ -169,7 +174,7 @@ class Judge:
         self._selected = None
 
     def shows(self, now_s: float, custom_mode: int, *, armed: bool) -> None:
-        """The vehicle's own mode, whenever it may have changed."""
+        """Report the vehicle's own mode. Call it whenever the mode may have changed."""
         if not armed:
             self._mode, self._armed, self._ours = custom_mode, False, False
             self._choices.clear()
@@ -195,7 +200,7 @@ class Judge:
             return PILOTS
         if any(m == custom_mode and now_s - at <= self._cause_s for at, m in self._reached):
             return "ours"
-        # Setpoints that come again end a failsafe of PX4: nothing else but we leads there.
+        # Setpoints that resume end a failsafe of PX4, so only we can cause a change to this mode.
         return "ours" if custom_mode == self._bounds.external else "the vehicle's"
 
     def _choose(self, now_s: float, custom_mode: int, whose: str, *, held: bool) -> None:
@@ -212,7 +217,7 @@ class Judge:
         self._choices.append(_Choice(custom_mode, at_s, whose))
 
     def _judge_left(self, now_s: float, before: int | None, custom_mode: int) -> None:
-        """The vehicle is in a mode of ours: was it in one that was not ours to end?"""
+        """The vehicle is in a mode of ours. Check whether it left a mode that we must not end."""
         if not self._choices or self._choices[-1].custom_mode != before:
             return
         choice = self._choices[-1]
@@ -234,10 +239,11 @@ class Judge:
     # ------------------------------------------------------------ what the companion can know
 
     def reads(self, now_s: float, told: Iterable[tuple[float, bytes]]) -> None:
-        """The companion runs, and can read these frames now at the latest.
+        """The companion runs and can read these frames, now at the latest.
 
         Args:
-            told: when each frame left the vehicle, and its bytes; only what really waits to be read.
+            told: time at which each frame left the vehicle, and its bytes; only frames that really wait to be
+                read.
         """
         if now_s - self._read_s > _GAP_S:
             self._resumed_s = now_s
@@ -253,8 +259,10 @@ class Judge:
                 self._note_shown(now_s, sent_s, int.from_bytes(payload, "little"))
 
     def stops(self, now_s: float) -> None:
-        """The companion stands still from now on: what it may not have read yet, it reads when it goes on.
-        Give it to `reads` again then."""
+        """The companion stands still from now on. It reads what it may not have read yet when it resumes.
+
+        Pass those frames to `reads` again at that time.
+        """
         if not now_s < self._gone_s < math.inf:
             return
         for choice in self._choices:
@@ -265,7 +273,7 @@ class Judge:
     def _note_shown(self, now_s: float, sent_s: float, custom_mode: int) -> None:
         for choice in self._choices:
             if choice.custom_mode == custom_mode and sent_s >= choice.at_s - 1e-6:
-                # Of a companion that stood still nothing was under way.
+                # A companion that stood still had no step under way, so it gets no grace time.
                 known_s = now_s if now_s == self._resumed_s else now_s + self._grace_s
                 choice.readable_s = min(choice.readable_s, known_s)
                 self._gone_s = min(self._gone_s, known_s)
@@ -273,7 +281,7 @@ class Judge:
     # ------------------------------------------------------------ what it sends
 
     def leaves(self, now_s: float, data: bytes) -> None:
-        """Bytes leave the companion."""
+        """Judge bytes that leave the companion."""
         for message_id, payload in self._frames(data):
             if message_id == _SETPOINT:
                 self._judge_setpoint(now_s, payload)
@@ -312,13 +320,14 @@ class Judge:
             self._breach(now_s, "request", words)
         last = self._choices[-1] if self._choices else None
         if last is not None and last.custom_mode == custom_mode and last.readable_s == math.inf:
-            # From here on nobody can tell the pilot's choice from what we asked for.
+            # From here on the pilot's choice cannot be distinguished from our request.
             self._choices.pop()
             self.alike += 1
 
     def reaches(self, now_s: float, data: bytes, decided_s: float) -> None:
-        """Bytes of the companion, decided at `decided_s`, reach the vehicle. Call it before the vehicle takes
-        them."""
+        """Bytes of the companion, decided at `decided_s`, reach the vehicle. Call before it processes
+        them.
+        """
         age_s = now_s - decided_s
         for message_id, payload in self._frames(data):
             custom_mode = self._mode_asked(message_id, payload)
@@ -329,14 +338,15 @@ class Judge:
                 self._breach(now_s, "old", f"{what} reached the vehicle after {age_s:.2f} s")
 
     def _frames(self, data: bytes) -> list[tuple[int, bytes]]:
-        """What leaves arrives mostly as it is: read it once."""
+        """Parse frames. Bytes mostly arrive as they left, so the last result is cached."""
         if self._parsed[0] is not data:
             self._parsed = data, [(f.message_id, f.payload) for f in self._scanner.frames(data)]
         return self._parsed[1]
 
     def _mode_asked(self, message_id: int, payload: bytes) -> int | None:
-        """The mode (`custom_mode`) that a message asks for, -1 for another command that changes the flight;
-        None for all other messages."""
+        """The mode (`custom_mode`) that a message requests, -1 for another command that changes the flight,
+        else None.
+        """
         if message_id == _SET_MODE:
             return int.from_bytes(payload[:4].ljust(4, b"\0"), "little")
         if message_id not in (_COMMAND_LONG, _COMMAND_INT):

@@ -1,4 +1,4 @@
-"""The shortest schedule that still breaks a rule: delta debugging on its entries, then on their times."""
+"""Finds the shortest schedule that still breaks a rule: delta debugging on entries, then on times."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from sitl_mocks.examinations.faults import Fault
 from sitl_mocks.examinations.soak_flights import BrokenRuleError
 
 Breaks = Callable[[tuple[Fault, ...], float], BrokenRuleError | None]
-"""Flies entries until a time (s); the error where the same rule is broken."""
+"""Flies entries until a time (s). Returns the error if the same rule is broken."""
 _TRIES: Final = 80
 _AFTER_S = 1.0
 _EARLIEST_S: Final = (60.0, 120.0)
-"""Where the first trouble of a short schedule is tried; a vehicle is in the air by then."""
+"""Times tried for the first trouble of a short schedule. The vehicle is in the air by then."""
 _SHARES: Final = (0.1, 0.5, 0.8)
 
 
 class _Search:
-    """The shortest so far. Gives up after a number of flights: what is found by then is short enough."""
+    """Shortest schedule so far. The search stops after a number of flights."""
 
     def __init__(self, faults: tuple[Fault, ...], error: BrokenRuleError, breaks: Breaks) -> None:
         self.faults = tuple(fault for fault in faults if fault.at_s <= error.at_s)
@@ -32,7 +32,7 @@ class _Search:
         return round(self.error.at_s + _AFTER_S, 3)
 
     def keeps(self, faults: tuple[Fault, ...], until_s: float | None = None) -> bool:
-        """Take these in place of what there was, if they break the rule."""
+        """Use these entries instead of the current ones if they break the rule."""
         if self._left <= 0 or not faults:
             return False
         self._left -= 1
@@ -43,21 +43,21 @@ class _Search:
         return True
 
     def earlier(self) -> None:
-        """Leave out the time before."""
+        """Shorten the time before the first trouble."""
         first_s = min(fault.at_s for fault in self.faults)
         for start_s in (*_EARLIEST_S, first_s - self.error.flight_s):
             if 0.0 < start_s < first_s and self.keeps(moved(self.faults, start_s - first_s)):
                 return
 
     def last_few(self) -> None:
-        """Mostly what came last is enough."""
+        """Try the last few entries alone, because they are mostly enough."""
         for count in (1, 2, 4, 8):
             last = sorted(self.faults, key=lambda fault: fault.at_s)[-count:]
             if len(last) < len(self.faults) and self.keeps(tuple(last)):
                 return
 
     def fewer(self) -> None:
-        """Without each part, of ever smaller size."""
+        """Leave out parts of decreasing size."""
         size = max(1, len(self.faults) // 2)
         while size >= 1:
             at = 0
@@ -67,7 +67,7 @@ class _Search:
             size //= 2
 
     def briefer(self) -> None:
-        """Each trouble shorter, as far as it goes."""
+        """Shorten each trouble as far as possible."""
         for number, fault in enumerate(self.faults):
             for share in _SHARES:
                 brief = replace(fault, lasts_s=round(share * fault.lasts_s, 3))
@@ -78,14 +78,14 @@ class _Search:
 
 
 def moved(faults: tuple[Fault, ...], by_s: float) -> tuple[Fault, ...]:
-    """The same, all earlier or later."""
+    """The same faults, all earlier or later."""
     return tuple(replace(fault, at_s=round(fault.at_s + by_s, 3)) for fault in faults)
 
 
 def shortest(
     faults: tuple[Fault, ...], error: BrokenRuleError, breaks: Breaks
 ) -> tuple[tuple[Fault, ...], float]:
-    """The fewest and shortest entries found, and until when they must be flown (s)."""
+    """The fewest and shortest entries found, and the time until which they must be flown (s)."""
     search = _Search(faults, error, breaks)
     if search.faults:
         search.last_few()

@@ -1,9 +1,10 @@
-"""`sitl-mocks soak`: hours of flights in virtual time with random troubles, watched by rules of its own.
+"""`sitl-mocks soak`: hours of flights in virtual time with random faults, checked by independent rules.
 
-One vehicle flies its mission again and again, with a companion that guards or flies it; others cross its way;
-links, navigation, autopilot, pilot, companion and radio fail at random. What may never happen is judged from
-what crosses the link (`judge`), and not by what the companion says of itself. What goes wrong is a schedule,
-drawn up front: a seed fixes everything, and what breaks a rule is cut down to the shortest that does.
+One vehicle flies its mission again and again with a companion that guards or flies it, and other aircraft
+cross its path. Links, navigation, autopilot, pilot, companion and radio fail at random. The rules are checked
+on the bytes that cross the link (`rule_judge`), not on the companion's own reports. The faults are a schedule
+that is drawn in
+advance: a seed determines everything, and a schedule that breaks a rule is shortened as far as possible.
 """
 
 from __future__ import annotations
@@ -37,15 +38,15 @@ _TROUBLES: Final = (
 )  # fmt: skip
 _FIRST_S = 60.0
 _MEAN_S = 90.0
-"""Between the end of one trouble and the next."""
+"""Mean time between the end of one trouble and the next."""
 _WITH_PILOT = 0.3
-"""Share of the troubles around which the pilot selects a mode, too."""
+"""Share of the troubles around which the pilot also selects a mode."""
 _AROUND_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """All that fixes one run."""
+    """All data that determines one run."""
 
     firmware: Firmware
     use: Use
@@ -57,17 +58,17 @@ class Schedule:
 
 @dataclass(slots=True)
 class Flown:
-    """What came of a soak."""
+    """Results of a soak."""
 
     hours: float
     link: str
     told: Told
     memory_mb: list[float] = field(default_factory=list)
-    """Resident, at the end of each simulated hour."""
+    """Resident memory at the end of each simulated hour (MB)."""
 
 
 def schedule_of(firmware: Firmware, use: Use, seed: int, hours: float) -> Schedule:
-    """Draw what goes wrong in some hours."""
+    """Draw the schedule of faults for some hours."""
     rng = np.random.default_rng((seed, list(Firmware).index(firmware), use == "fly", 99))
     until_s, at_s = hours * 3600.0, _FIRST_S
     link = LINKS[int(rng.integers(len(LINKS)))]
@@ -84,16 +85,16 @@ def schedule_of(firmware: Firmware, use: Use, seed: int, hours: float) -> Schedu
 
 
 def to_file(schedule: Schedule, portions: int | None) -> dict[str, Any]:
-    """As plain values."""
+    """Plain values of a schedule."""
     given = asdict(schedule) | {"faults": [to_json(fault) for fault in schedule.faults]}
     return given | {"firmware": schedule.firmware.value, "portions": portions}
 
 
 def from_file(value: dict[str, Any]) -> tuple[Schedule, int | None]:
-    """The other way.
+    """Read a schedule from plain values.
 
     Raises:
-        ConfigError: not such a schedule.
+        ConfigError: the value is not a valid schedule.
     """
     try:
         given = dict(value)
@@ -112,7 +113,7 @@ def fly(schedule: Schedule, portions: int | None = None) -> Flown:
     """Fly one schedule to its end.
 
     Args:
-        portions: as `ModelledLink` takes it.
+        portions: see `ModelledLink`.
 
     Raises:
         BrokenRuleError: a rule was broken.
@@ -144,7 +145,7 @@ def fly(schedule: Schedule, portions: int | None = None) -> Flown:
 
 
 def soak(firmware: Firmware, use: Use, seed: int, hours: float, portions: int | None = None) -> Flown:
-    """Fly one pair for some simulated hours.
+    """Fly one pair of firmware and use for some simulated hours.
 
     Raises:
         BrokenRuleError: a rule was broken.
@@ -174,7 +175,7 @@ def shorten(schedule: Schedule, error: BrokenRuleError, portions: int | None) ->
 def _pair(
     firmware: Firmware, use: Use, seed: int, hours: float, portions: int | None
 ) -> Flown | tuple[str, dict[str, Any]]:
-    """One pair's verdict; where a rule was broken its words and the shortest schedule."""
+    """Result of one pair; if a rule was broken, its description and the shortest schedule."""
     schedule = schedule_of(firmware, use, seed, hours)
     try:
         return fly(schedule, portions)
@@ -183,7 +184,7 @@ def _pair(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `sitl-mocks soak`."""
+    """Add the options of `sitl-mocks soak`."""
     parser.description = (
         "Hours of flights with random troubles, in virtual time: both firmwares' manners, guarded and flown. "
         "Ends with 1 when a rule is broken, and says with which seed, when, and with which troubles at least."
@@ -206,10 +207,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`sitl-mocks soak`. Returns 0, or 1 where a rule was broken.
+    """Run `sitl-mocks soak`. Returns 0, or 1 if a rule was broken.
 
     Raises:
-        ConfigError: an option out of range, or a file that is no schedule.
+        ConfigError: an option is out of range, or a file is not a schedule.
     """
     if args.schedule is not None:
         return _replay(args.schedule)

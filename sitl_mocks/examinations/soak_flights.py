@@ -1,6 +1,6 @@
-"""Flights one after another in a `World`: a pilot who starts each of them, and what comes of them.
+"""Successive flights in a `World`, with a simulated pilot who starts each of them, and their results.
 
-The vehicle takes off, flies its mission, comes home, and takes off again; a companion guards or flies it.
+The vehicle takes off, flies its mission, returns home and takes off again. A companion guards or flies it.
 """
 
 from __future__ import annotations
@@ -15,33 +15,33 @@ from sitl_mocks.examinations.world import Use, World
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 PATIENCE_S = 1800.0
-"""A flight that is not over by then is stuck."""
+"""A flight that lasts longer than this counts as stuck."""
 SETTLED_S = 30.0
-"""After the last trouble, until the companion must be at work again."""
+"""Time after the last trouble within which the companion must be at work again."""
 _ON_GROUND_S = 5.0
 _LOOKS_S = 1.0
 _FLOWN_S = 600.0
-"""A path that is flown ends in the air: the pilot ends the flight."""
+"""Flight time after which the pilot ends a flight of a companion, because its path ends in the air."""
 
 
 class BrokenRuleError(Exception):
     """A rule was broken.
 
     Args:
-        rule: its name.
-        at_s: when.
+        rule: name of the rule.
+        at_s: time of the breach.
     """
 
     def __init__(self, rule: str, at_s: float, words: str) -> None:
         super().__init__(f"at {at_s:.2f} s: {rule}: {words}")
         self.rule, self.at_s, self.words = rule, at_s, words
         self.flight_s = 0.0
-        """When the flight began in which it was."""
+        """Time at which the flight with the breach began."""
 
 
 @dataclass(slots=True)
 class Told:
-    """What came of the flights."""
+    """Counts over all flights."""
 
     flights: int = 0
     taken: int = 0
@@ -53,7 +53,7 @@ class Told:
 
 
 class Flights(World):
-    """See the module. `step` raises BrokenRuleError for the first rule that is broken."""
+    """Flights one after another. `step` raises BrokenRuleError for the first rule that is broken."""
 
     def __init__(self, firmware: Firmware, use: Use, seed: int, link: ModelledLink | None = None) -> None:
         super().__init__(firmware, use, seed, link)
@@ -61,18 +61,18 @@ class Flights(World):
         self.quiet_from_s = 0.0
         """End of the last trouble."""
         self.flight_s = 0.0
-        """Since when this flight lasts."""
+        """Start time of the current flight."""
         self._armed_s = 0.0
         self._on_mission_s = 0.0
-        """Since when the vehicle flies its mission in the air."""
+        """Time since which the vehicle flies its mission in the air."""
         self._pilot_s = 0.0
-        """When the pilot looks next."""
+        """Time at which the pilot checks the vehicle next."""
         self._state = State.STANDBY
         self._authority = True
-        """Not lost in this flight."""
+        """Whether the companion has not lost authority in this flight."""
 
     def step(self) -> None:
-        """As a world's, with its pilot and its judge.
+        """Step the world with its pilot and its judge.
 
         Raises:
             BrokenRuleError: a rule was broken.
@@ -85,19 +85,21 @@ class Flights(World):
             raise BrokenRuleError(breach.rule, breach.at_s, breach.words)
 
     def began(self, fault: Fault) -> None:
-        """As a world's; what a router holds up comes after its end."""
+        """See `World.began`. Frames that a router delays arrive after the end of the fault."""
         held_s = fault.numbers[0] if fault.kind == "late" else 0.0
         self.quiet_from_s = max(self.quiet_from_s, self.now_s + fault.lasts_s + held_s)
         self.told.troubles[fault.kind] = self.told.troubles.get(fault.kind, 0) + 1
 
     def restart_companion(self) -> None:
-        """As a world's: what was known of it is void."""
+        """See `World.restart_companion`. The companion's known state is reset."""
         super().restart_companion()
         self._state = State.STANDBY
         self._authority = self._authority and not self.vehicle.armed
 
     def _count(self) -> None:
-        """For the pilot, who knows what a ground station shows, and for the report; the judge asks nobody."""
+        """Update the report and the state that the pilot knows, as from a ground station. The judge uses
+        neither.
+        """
         state = self.onboard.heart.state
         if not self.vehicle.armed:
             self._authority = True
@@ -114,14 +116,14 @@ class Flights(World):
 
     @property
     def at_work(self) -> bool:
-        """What must be so when nothing has been wrong for a while: the companion flies, or looks on."""
+        """Whether the companion flies, or watches a mission. Must hold some time after the last trouble."""
         on_mission = self.vehicle.mode is VehicleMode.MISSION
         return self._state in HOLDING | ({State.WATCHING} if on_mission else set())
 
     # ------------------------------------------------------------ the pilot
 
     def _pilot(self) -> None:
-        """Starts the next flight from the ground; brings a vehicle back that hangs somewhere."""
+        """Start the next flight from the ground, and recover a vehicle that makes no progress."""
         now_s, vehicle = self.now_s, self.vehicle
         if now_s < self._pilot_s:
             return

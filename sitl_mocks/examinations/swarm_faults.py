@@ -1,9 +1,9 @@
-"""`sitl-mocks swarm --faults`: every companion is examined while something goes wrong around it.
+"""`sitl-mocks swarm --faults`: examine every companion while faults are injected around it.
 
-Between each vehicle and its companion stands a router of ours (`takeover_wire`); companions are stopped
-(SIGSTOP) and go on; pilots select modes on links of their own; the vehicle is disarmed for a moment, which
-gives authority back, and the next round begins. A judge that sees nothing but the bytes at the vehicle's end
-and the pilot's choices says which rules were broken.
+A router of ours (`takeover_wire`) stands between each vehicle and its companion. Companions are stopped
+(SIGSTOP) and resumed. Pilots select modes on links of their own. The vehicle is then disarmed for a moment,
+which gives authority back, and the next round begins. A judge that uses only the bytes at the vehicle's end
+and the pilot's choices reports which rules were broken.
 """
 
 from __future__ import annotations
@@ -40,28 +40,30 @@ from sitl_mocks.examinations.world import bounds_of
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
 GIVEN_BACK: Final = "given back"
-"""Disarmed and armed again, in the air: a pilot gives authority anew."""
+"""Kind of event: disarmed and armed again in the air, by which a pilot gives authority anew."""
 _OTHERS: Final = (*(kind for kind in TROUBLES if kind != "stall"), "link")
 _MANNERS: Final = ("disobeyed", "unanswered", "denied")
-"""Of the vehicle's answers: they begin as the companion is about to take the vehicle."""
+"""Faults of the vehicle's answers. They begin before the companion takes the vehicle."""
 _MODES_AT_ONCE: Final = (0.6, 0.3, 0.1)
-"""Shares of one, two and three modes within one step."""
+"""Probabilities of one, two and three modes within one step."""
 _AROUND_S = 0.5
 _LASTS_S: Final = (0.1, 10.0)
 _FIRST_S: Final = (2.0, 5.0)
 _AFTER_S: Final = (0.5, 4.0)
-"""From the last event of a round to its end."""
+"""Time from the last event of a round to its end."""
 _BETWEEN_S: Final = (0.5, 4.0)
-"""From the vehicle in the companion's hands to the next round."""
+"""Time from the companion taking the vehicle to the next round."""
 _PUMP_S = 0.02
 _STAMP = struct.Struct(">Q")
-"""Of a record in a telemetry log."""
+"""Time stamp of a record in a telemetry log."""
 _ANSWER_S = 5.0
 _TAKEN_S = 10.0
 _GIVEN_TIMES = 3
-"""A failsafe may have taken the vehicle before the companion did, and that ends authority too."""
+"""Attempts to give the vehicle back. A failsafe may take the vehicle before the companion does, which also
+ends authority.
+"""
 _HELD_S = 0.4
-"""Setpoints stream for so long before a round begins."""
+"""Setpoints must stream for this long before a round begins."""
 _STREAMS_S = 0.2
 _STOPS_S = 2.0
 _WAITED_EVERY_S = 0.25
@@ -69,10 +71,10 @@ _AROUND_BREACH_S: Final = (1.5, 0.25)
 
 
 def schedule_of(seed: int, number: int, duration_s: float) -> tuple[Fault, ...]:
-    """What goes wrong for aircraft `number`, in the order of its times.
+    """Schedule of faults for aircraft `number`, in the order of their times.
 
-    Times count from the moment at which the companion first flies its vehicle, and stand still while the
-    vehicle is given back and taken again.
+    Times count from the moment at which the companion first flies its vehicle. The clock stands still while
+    the vehicle is given back and taken again.
     """
     rng = np.random.default_rng((seed, number, 7))
     found = [drawn("traffic", 0.0, duration_s, rng)]
@@ -87,7 +89,7 @@ def schedule_of(seed: int, number: int, duration_s: float) -> tuple[Fault, ...]:
 
 
 def _round(given_s: float, begins_s: float, rng: np.random.Generator) -> tuple[list[Fault], float]:
-    """One trouble, mostly with a stall, and a pilot around it; and when all of it is over."""
+    """Draw one trouble, mostly with a stall, and a pilot around it; and the time when all is over."""
     trouble = "stall" if rng.random() < 0.5 else str(rng.choice(_OTHERS))
     lasts_s = float(np.exp(rng.uniform(*np.log(_LASTS_S))))
     faults: list[Fault] = []
@@ -109,22 +111,22 @@ def _round(given_s: float, begins_s: float, rng: np.random.Generator) -> tuple[l
 
 @dataclass(slots=True)
 class Done:
-    """What was done when (s of the timed paths), and what the pilot met."""
+    """A fault that was injected, its time (s of the timed paths), and the answers to the pilot."""
 
     at_s: float
     fault: Fault
     held: bool = False
-    """The vehicle was in the companion's hands."""
+    """Whether the companion controlled the vehicle."""
     answers: tuple[str, ...] = ()
-    """Of the vehicle to the pilot: after how long, or what else."""
+    """Answers of the vehicle to the pilot: the time until acceptance, or another result."""
 
     def to_json(self) -> dict[str, Any]:
-        """As plain values."""
+        """Plain values for JSON."""
         row = to_json(self.fault) | {"at_s": round(self.at_s, 3), "held": self.held}
         return row | ({"answers": list(self.answers)} if self.answers else {})
 
     def words(self) -> str:
-        """For people."""
+        """Text for people."""
         fault = self.fault
         numbers = "" if fault.kind == "stall" else ", ".join(f"{number:.3g}" for number in fault.numbers)
         words = " ".join(word for word in (fault.kind, ", ".join(fault.modes), numbers) if word)
@@ -134,16 +136,16 @@ class Done:
 
 
 class Examination:
-    """One aircraft: the router, the pilot, the judge, and a thread in which all three are at work.
+    """Examination of one aircraft: the router, the pilot and the judge, which all run in one thread.
 
-    It is the `Place` of its faults. Call `start`, `watch` as the companion has been started, `rest` before it
-    is asked to end, and `close`.
+    It is the `Place` of its faults. Call `start`, then `watch` when the companion has been started, `rest`
+    before the companion is asked to end, and `close`.
 
     Args:
-        ports: of the vehicle: for the companion, for the pilot.
+        ports: ports of the vehicle: for the companion and for the pilot.
         begins_s: time 0 of the timed paths on the monotonic clock.
-        schedule: as `schedule_of` gives it.
-        folder: where the bytes at the vehicle's end are written.
+        schedule: result of `schedule_of`.
+        folder: folder for the bytes at the vehicle's end.
     """
 
     def __init__(
@@ -162,7 +164,7 @@ class Examination:
         self.schedule = schedule
         self.done: list[Done] = []
         self.trouble: str | None = None
-        """Why nothing can be said any more."""
+        """Reason why no result is known; None if there is none."""
         self._judge = Judge(bounds_of(firmware, "fly", limits), grace_s=GRACE_S, cause_s=CAUSE_S)
         self._system_id = system_id
         self._start_mode = VehicleMode.EXTERNAL if firmware is Firmware.ARDUPILOT else VehicleMode.HOLD
@@ -178,18 +180,20 @@ class Examination:
         self._pilot = PilotLink(firmware, ports[1], system_id)
         self._stack.callback(self._pilot.close)
         self.link_name = self._wire.name
-        """What the companion is configured with."""
+        """Link name for the companion's configuration."""
         self._armed = True
         self._mode: int | None = None
         self._entered: set[int] = set()
-        """Modes that the vehicle has told since the pilot's last command."""
+        """Modes that the vehicle has reported since the pilot's last command."""
         self._child: subprocess.Popen[str] | None = None
         self._waited: deque[tuple[float, float]] = deque()
         self._continue_s: float | None = None
         self._lasting: list[tuple[float, int, Fault]] = []
         self._waiting = deque(schedule)
         self._shift_s = math.inf
-        """From the schedule's clock to the monotonic one; it does not run before the companion flies."""
+        """Offset from the schedule's clock to the monotonic clock. The schedule's clock starts when the
+        companion first flies.
+        """
         self._rests = threading.Event()
         self._resting = threading.Event()
         self._ends = threading.Event()
@@ -198,20 +202,20 @@ class Examination:
     # ------------------------------------------------------------ from the swarm
 
     def start(self) -> None:
-        """Begin to pass on what comes."""
+        """Start to forward data."""
         self._thread.start()
 
     def watch(self, child: subprocess.Popen[str]) -> None:
-        """This is the companion, the leader of its process group."""
+        """Set the companion's process, which is the leader of its process group."""
         self._child = child
 
     def rest(self) -> None:
-        """Nothing goes wrong any more; the companion goes on."""
+        """Stop injecting faults and let the companion resume."""
         self._rests.set()
         self._resting.wait(_STOPS_S + 2.0 * _ANSWER_S)
 
     def close(self) -> None:
-        """End the thread; a companion that is stopped goes on."""
+        """End the thread. A stopped companion resumes."""
         self._rests.set()
         self._ends.set()
         if self._thread.ident is not None:
@@ -220,7 +224,7 @@ class Examination:
         self._stack.close()
 
     def report(self) -> dict[str, Any]:
-        """What was done and what came of it, for JSON."""
+        """Injected faults and their results, for JSON."""
         choices = [done for done in self.done if done.fault.kind == "mode"]
         unknown = self.trouble
         if unknown is None and not any(done.held for done in choices):
@@ -252,27 +256,27 @@ class Examination:
 
     @property
     def now_s(self) -> float:
-        """Of the router and the judge."""
+        """Clock of the router and the judge."""
         return time.monotonic()
 
     @property
     def link(self) -> ModelledLink:
-        """The router's way."""
+        """Modelled link of the router."""
         return self._wire.way
 
     @property
     def judge(self) -> Judge:
-        """Of this companion."""
+        """Judge of this companion."""
         return self._judge
 
     @property
     def interposer(self) -> Interposer:
-        """Between the router and the vehicle."""
+        """Interposer between the router and the vehicle."""
         return self._wire.interposer
 
     @property
     def traffic_hz(self) -> float:
-        """Frames of others down the companion's link."""
+        """Rate of foreign frames that are sent to the companion."""
         return self._wire.traffic_hz
 
     @traffic_hz.setter
@@ -280,7 +284,7 @@ class Examination:
         self._wire.traffic_hz = value
 
     def stop(self, for_s: float, *, in_step: bool) -> None:
-        """The companion's process group is stopped, wherever it is in its step."""
+        """Stop the companion's process group at any point of its step."""
         until_s = self.now_s + for_s
         if self._continue_s is not None:
             self._continue_s = max(self._continue_s, until_s)
@@ -295,7 +299,7 @@ class Examination:
         self._continue_s = until_s
 
     def pilot_selects(self, mode: VehicleMode) -> bool:
-        """Until the vehicle has answered."""
+        """Select a mode and wait for the vehicle's answer."""
         number, asked_s = self._pilot.modes[mode], self.now_s
         self._judge.selects(asked_s, number)
         self._entered.clear()
@@ -306,7 +310,8 @@ class Examination:
             self._judge.declined()
         else:
             answer = f"{self.now_s - asked_s:.3f} s"
-            # What the vehicle has told on the companion's link counts: it may have been sent elsewhere since.
+            # Also use the modes that the vehicle reported on the companion's link, because it may have
+            # changed its mode again since.
             if number in self._entered:
                 self._judge.declined()
             else:
@@ -316,7 +321,7 @@ class Examination:
         return result == 0
 
     def _give_back(self) -> None:
-        """Disarmed in the air until it has said so, and armed again."""
+        """Disarm the vehicle in the air, wait until it reports this, and arm it again."""
         self._pilot.arm(armed=False)
         if self._answered(ARM) != 0:
             self.done[-1].answers += ("not disarmed",)
@@ -329,7 +334,7 @@ class Examination:
         self._answered(ARM)
 
     def _answered(self, command: int) -> int | None:
-        """The result; None where the vehicle says nothing."""
+        """Result of a command; None if the vehicle does not answer."""
         give_up_s = self.now_s + _ANSWER_S
         while self.now_s < give_up_s:
             for number, result in self._pilot.answers:
@@ -355,7 +360,7 @@ class Examination:
             self._resting.set()
 
     def _next(self) -> None:
-        """The next fault, or the time until it."""
+        """Begin the next fault, or wait for it."""
         now_s = self.now_s
         due_s = self._waiting[0].at_s + self._shift_s if self._waiting else math.inf
         if now_s < due_s:
@@ -378,7 +383,9 @@ class Examination:
             heapq.heappush(self._lasting, (now_s + fault.lasts_s, len(self.done), fault))
 
     def _until_taken(self, patience_s: float) -> bool:
-        """Whether it came to be in the mode that flies setpoints, and they stream."""
+        """Wait until the vehicle is in the setpoint mode and setpoints stream. Returns whether it
+        happened.
+        """
         give_up_s, since_s, taken = self.now_s + patience_s, math.inf, False
         while not taken and self.now_s < give_up_s and not self._rests.is_set():
             self._pump(_PUMP_S)
@@ -391,14 +398,15 @@ class Examination:
         return taken
 
     def _pump(self, for_s: float) -> None:
-        """Pass on, and end what is over."""
+        """Forward data, and end faults that are over."""
         now_s = self.now_s
         if self._continue_s is not None and now_s >= self._continue_s:
             self._go_on()
         while self._lasting and self._lasting[0][0] <= now_s:
             end_outside(self, heapq.heappop(self._lasting)[2])
         soon_s = min(now_s + for_s, self._continue_s or math.inf)
-        # What the pilot has heard by now was sent after what the vehicle then had sent to the companion.
+        # Read the pilot's link first: everything on it was sent after what the vehicle had then sent to the
+        # companion.
         self._pilot.hear()
         self._wire.pump(max(0.0, soon_s - now_s))
         self._note_waiting(now_s)
@@ -445,7 +453,7 @@ class Examination:
             self._file.write(stamp + frame)
 
     def _note_waiting(self, now_s: float) -> None:
-        """How long the companion's threads have waited for a processor so far."""
+        """Record how long the companion's threads have waited for a processor so far."""
         if self._child is None or (self._waited and now_s - self._waited[-1][0] < _WAITED_EVERY_S):
             return
         waited_ns = 0
@@ -456,14 +464,14 @@ class Examination:
         self._waited.append((now_s, 1e-9 * waited_ns))
 
     def _waited_for_cpu_s(self, at_s: float) -> float:
-        """Around a breach: of a companion that waits for a processor the machine is to blame."""
+        """Time that the threads waited for a processor around a breach. If long, the machine is the cause."""
         before, after = _AROUND_BREACH_S
         around = [waited for t, waited in self._waited if at_s - before <= t <= at_s + after]
         return round(max(around) - min(around), 3) if around else 0.0
 
 
 def end_all(examinations: list[Examination], folder: Path) -> dict[str, Any]:
-    """End them, and write what was drawn, done and found; the reports by aircraft."""
+    """End the examinations and write schedules, injected faults and results. Returns reports by aircraft."""
     for one in examinations:
         one.close()
     reports = {one.name: one.report() for one in examinations}
@@ -474,19 +482,22 @@ def end_all(examinations: list[Examination], folder: Path) -> dict[str, Any]:
 
 
 def broken(reports: dict[str, Any]) -> bool:
-    """Whether a rule was broken, or nothing is known of an aircraft."""
+    """Whether a rule was broken, or an aircraft has no result."""
     return any(report["breaches"] or report["unknown"] for report in reports.values())
 
 
 def judged(report: dict[str, object], reports: dict[str, Any]) -> dict[str, object]:
-    """The swarm's report with that of the faults. What the verdict rests on without faults is reported and
-    does not count: a companion that is stopped neither avoids nor sends nor hears."""
+    """The swarm's report with the results of the faults.
+
+    The criteria of a run without faults are reported but do not count, because a stopped companion neither
+    avoids nor sends nor receives.
+    """
     ok = not report["ended_badly"] and not report["interrupted"] and not broken(reports)
     return report | {"ok": ok, "faults": reports}
 
 
 def show(reports: dict[str, Any], console: Console) -> None:
-    """For people: of each aircraft what was done, and which rules were broken."""
+    """Print, for each aircraft, the injected faults and the broken rules."""
     for name, report in reports.items():
         console.print(f"[bold]{name}[/]: what was done", highlight=False)
         for row in report["done"]:

@@ -1,7 +1,8 @@
-"""`sitl-mocks takeover`: whatever goes wrong around it, what the pilot selects stays selected.
+"""`sitl-mocks takeover`: checks that a mode selected by the pilot stays selected despite faults.
 
-Thousands of short cases in virtual time, each judged from the bytes at the vehicle's end (`judge`); or fewer
-with real processes (`takeover_real`). A failure is made as short as it gets and written to a file.
+It runs thousands of short cases in virtual time, each judged from the bytes at the vehicle's end
+(`rule_judge`), or fewer cases with real processes (`takeover_real`). A failing case is shortened as far as
+possible and written to a file.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _MOST_CASES = 10_000_000
 
 
 class Result:
-    """Counts of many cases, and the first of each kind that failed."""
+    """Counts of many cases, and the first failing case for each rule."""
 
     def __init__(self) -> None:
         self.cases = 0
@@ -51,12 +52,12 @@ class Result:
         self.crossed = 0
         self.alike = 0
         self.broken: Counter[tuple[str, str, str, str]] = Counter()
-        """By trouble, firmware, link and the rules broken in it; "" where none was."""
+        """Number of cases by trouble, firmware, link and the rules broken ("" if none)."""
         self.first: dict[str, int] = {}
         """Number of the first case by its first broken rule."""
 
     def add(self, number: int, case: Case, verdict: Verdict) -> None:
-        """One more case."""
+        """Add one case."""
         self.cases += 1
         self.held += verdict.held
         self.crossed += verdict.crossed
@@ -68,7 +69,7 @@ class Result:
             self.first[rule] = min(number, self.first.get(rule, number))
 
     def merge(self, other: Result) -> None:
-        """The cases of another process."""
+        """Add the cases of another process."""
         self.cases += other.cases
         self.held += other.held
         self.crossed += other.crossed
@@ -79,11 +80,11 @@ class Result:
 
     @property
     def failed(self) -> int:
-        """Cases in which a rule was broken."""
+        """Number of cases in which a rule was broken."""
         return sum(count for key, count in self.broken.items() if key[3])
 
     def lines(self) -> Iterable[str]:
-        """By trouble: how many, and what was broken how often."""
+        """One line for each trouble: number of cases, and how often which rules were broken."""
         for trouble in TROUBLES:
             rows = {key: count for key, count in self.broken.items() if key[0] == trouble}
             if not rows:
@@ -107,7 +108,9 @@ def some(seed: int, first: int, count: int, troubles: tuple[str, ...], portions:
 
 
 def many(seed: int, cases: int, troubles: tuple[str, ...], portions: int | None, jobs: int) -> Result:
-    """Fly the cases 0 to `cases` of a seed on some processes; the result does not depend on how many."""
+    """Fly the cases from 0 to below `cases` of a seed on several processes, which do not affect the
+    result.
+    """
     batches = [(first, min(_BATCH, cases - first)) for first in range(0, cases, _BATCH)]
     result = Result()
     if jobs == 1:
@@ -123,7 +126,7 @@ def many(seed: int, cases: int, troubles: tuple[str, ...], portions: int | None,
 
 
 def shortest(case: Case, rule: str, portions: int | None) -> tuple[Case, Breach]:
-    """The shortest case that still breaks this rule first: what can be left out or made smaller is."""
+    """The shortest case found that still breaks this rule first, with parts left out or reduced."""
 
     def breach_of(one: Case) -> Breach | None:
         breaches = fly(one, portions).breaches
@@ -144,7 +147,7 @@ def shortest(case: Case, rule: str, portions: int | None) -> tuple[Case, Breach]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of `sitl-mocks takeover`."""
+    """Add the options of `sitl-mocks takeover`."""
     parser.description = (
         "Short cases in which something goes wrong around the moment at which the pilot selects a mode, with "
         "both firmwares' manners, guarded and flown, over UDP, TCP and a serial line. Ends with 1 when a "
@@ -166,10 +169,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """`sitl-mocks takeover`. Returns 0, or 1 where a rule was broken.
+    """Run `sitl-mocks takeover`. Returns 0, or 1 if a rule was broken.
 
     Raises:
-        ConfigError: an option out of range, or a file that is no schedule.
+        ConfigError: an option is out of range, or a file is not a schedule.
     """
     troubles = TROUBLES if "all" in args.trouble else tuple(args.trouble)
     for name, low, high in (("cases", 1, _MOST_CASES), ("jobs", 1, 64), ("seed", 0, 1 << 62)):

@@ -1,7 +1,6 @@
-"""Cases for `sitl-mocks takeover`: a vehicle in the companion's hands, something that goes wrong, and a pilot
-who selects a mode around it.
+"""Cases for `sitl-mocks takeover`: a companion controls a vehicle, and a pilot selects a mode around a fault.
 
-Flights are prepared once and kept as snapshots; a case continues one of them with a link and faults of its
+Flights are prepared once and kept as snapshots. A case continues one of them with a link and faults of its
 own.
 """
 
@@ -31,17 +30,19 @@ TROUBLES: Final = (
     "stall", "burst", "late", "reorder", "duplicate", "down", "up", "slow", "modes", "disobeyed",
     "unanswered", "denied",
 )  # fmt: skip
-"""What may go wrong around the pilot's choice; `modes`: two choices within one step, and nothing else."""
+"""Faults that may occur around the pilot's choice. `modes`: two choices in one step, no other fault."""
 _PREPARED_SEED = 1
 _SNAPSHOTS = 60
 _EVERY_S = 0.73
-"""Between two snapshots: in all phases of the step and of the vehicle's messages."""
+"""Time between two snapshots, chosen to cover all phases of the step and of the vehicle's messages."""
 _MET_EVERY_S = 45.0
 _SOON_S, _LONG_S = 1.0, 6.0
-"""For how long after the last event a case is watched; one in seven for long, until a fault would be over."""
+"""How long a case is watched after the last event. One in seven is watched for the long time, until a fault
+would be over.
+"""
 _LONG_SHARE = 0.15
 _AROUND_S = 0.5
-"""The pilot selects at most so long before or after what goes wrong."""
+"""Longest time before or after the fault at which the pilot selects a mode."""
 _HELD: Final = (VehicleMode.EXTERNAL, VehicleMode.BRAKE)
 PILOTS: Final = ("rtl", "land", "hold", "manual")
 """Modes that a pilot selects against a companion."""
@@ -49,7 +50,7 @@ PILOTS: Final = ("rtl", "land", "hold", "manual")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """All that fixes one case."""
+    """All data that determines one case."""
 
     firmware: Firmware
     use: Use
@@ -58,26 +59,26 @@ class Case:
     link: Kind
     routed: bool
     faults: tuple[Fault, ...]
-    """Times from the snapshot on."""
+    """Faults with times relative to the snapshot."""
     watch_s: float
     seed: int
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What came of a case."""
+    """Result of a case."""
 
     breaches: tuple[Breach, ...]
-    """Of each rule that was broken the first time, in their order; times count from the snapshot."""
+    """First breach of each rule that was broken, in their order. Times count from the snapshot."""
     crossed: int
     alike: int
     held: bool
-    """The vehicle was in the companion's hands when the case began."""
+    """Whether the companion controlled the vehicle when the case began."""
 
 
 @lru_cache(maxsize=len(PAIRS))
 def prepared(firmware: Firmware, use: Use) -> tuple[Snapshot, ...]:
-    """One flight in moments to continue from: held on its path and avoiding, taken and given back."""
+    """Snapshots of one flight to continue from: held on its path and avoiding, taken and given back."""
     flights = Flights(firmware, use, _PREPARED_SEED)
     flights.others.mean_s = math.inf
     found: list[Snapshot] = []
@@ -90,7 +91,8 @@ def prepared(firmware: Firmware, use: Use) -> tuple[Snapshot, ...]:
         if now_s - met_s >= _MET_EVERY_S:
             met_s = now_s
             flights.others.meet(now_s, vehicle.position_ned_m, vehicle.velocity_ned_mps)
-        # Of a vehicle that its autopilot flies only every tenth: the companion has little to give up.
+        # While the autopilot flies the vehicle, take only a tenth as many: the companion has little to give
+        # up.
         if now_s >= next_s:
             next_s = now_s + (_EVERY_S if vehicle.mode in _HELD else 10.0 * _EVERY_S)
             found.append(flights.snapshot())
@@ -132,7 +134,7 @@ def case_of(seed: int, number: int, troubles: Sequence[str]) -> Case:
 
 
 def to_schedule(case: Case) -> dict[str, Any]:
-    """As plain values for a file."""
+    """Plain values of a case for a file."""
     return {
         "firmware": case.firmware.value,
         "use": case.use,
@@ -147,10 +149,10 @@ def to_schedule(case: Case) -> dict[str, Any]:
 
 
 def from_schedule(value: dict[str, Any]) -> Case:
-    """The other way.
+    """Read a case from plain values.
 
     Raises:
-        ConfigError: not such a schedule.
+        ConfigError: the value is not a valid case.
     """
     try:
         given = dict(value)
@@ -170,10 +172,10 @@ def from_schedule(value: dict[str, Any]) -> Case:
 
 
 def fly(case: Case, portions: int | None) -> Verdict:
-    """Fly one case to its end, or to the first rule that is broken.
+    """Fly one case until its end or an exception.
 
     Args:
-        portions: as `ModelledLink` takes it.
+        portions: see `ModelledLink`.
     """
     world = prepared(case.firmware, case.use)[case.snapshot].world()
     held = world.vehicle.mode in _HELD
@@ -187,14 +189,14 @@ def fly(case: Case, portions: int | None) -> Verdict:
         while world.now_s < start_s + case.watch_s:
             World.step(world)
     except Exception as error:
-        # What the companion's loop would die of is a verdict too.
+        # An exception that would end the companion's loop is also a verdict.
         judge.breaches.append(Breach(world.now_s, "exception", f"{type(error).__name__}: {error}"))
     breaches = tuple(b._replace(at_s=round(b.at_s - start_s, 3)) for b in judge.first())
     return Verdict(breaches, judge.crossed, judge.alike, held)
 
 
 def shorter(case: Case) -> Iterator[Case]:
-    """Cases that are a little less than this one, the boldest first."""
+    """Cases that are slightly reduced, those with the greatest reduction first."""
     for number in range(len(case.faults)):
         yield replace(case, faults=case.faults[:number] + case.faults[number + 1 :])
     for number, fault in enumerate(case.faults):
@@ -211,7 +213,7 @@ def shorter(case: Case) -> Iterator[Case]:
 
 
 def _with(case: Case, number: int, fault: Fault) -> Case:
-    """The pilot keeps his place within a fault that was made shorter."""
+    """Replace a fault. If it became shorter, later faults move earlier, so that the pilot stays within it."""
     before, faults = case.faults[number], list(case.faults)
     faults[number] = fault
     if before.lasts_s > fault.lasts_s:

@@ -1,8 +1,8 @@
-"""`sitl-mocks takeover --real`: the same examination with real processes, sockets and signals.
+"""`sitl-mocks takeover --real`: the takeover examination with real processes, sockets and signals.
 
 `companion run` and `sitl-mocks serve` are processes; a router of ours (`takeover_wire`) stands between them.
-The companion holds the vehicle, is stopped (SIGSTOP), the pilot selects a mode on a second link, the
-companion goes on (SIGCONT). Disarming gives authority back, and the next case begins.
+While the companion controls the vehicle, it is stopped (SIGSTOP), the pilot selects a mode on a second link,
+and the companion is resumed (SIGCONT). Disarming gives authority back, and the next case begins.
 """
 
 from __future__ import annotations
@@ -32,16 +32,18 @@ from sitl_mocks.examinations.world import bounds_of
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
 
 GRACE_S: Final = 0.15
-"""A step of the companion that was under way when the pilot's mode came may still send."""
+"""A step of the companion that was under way when the pilot's mode arrived may send for this long."""
 CAUSE_S: Final = 1.5
 _READY_S = 60.0
 _RETAKEN_S = 25.0
 _DISARMED_S = 1.2
-"""Longer than from one heartbeat to the next."""
+"""Longer than the time from one heartbeat to the next."""
 _HELD_S = 0.4
-"""Setpoints stream for so long before a case begins."""
+"""Setpoints must stream for this long before a case begins."""
 _WATCH_S = (1.0, 4.5)
-"""After the companion goes on; one case in four for long, until a fault is over."""
+"""Observation time after the companion resumes. One case in four is watched for the long time, until a fault
+is over.
+"""
 _LONGEST_S = 10.0
 _HEIGHT_M = 400.0
 _PILOTS: Final = (VehicleMode.RTL, VehicleMode.LAND, VehicleMode.HOLD, VehicleMode.MANUAL)
@@ -73,12 +75,12 @@ folder = "{folder}"
 
 @dataclass(frozen=True, slots=True)
 class RealCase:
-    """What is done in one case."""
+    """Actions and times of one case."""
 
     number: int
     stall_s: float
     selects_s: float
-    """After the stop (s)."""
+    """Time of the pilot's choice after the stop (s)."""
     mode: VehicleMode
     traffic_hz: float
     watch_s: float
@@ -86,7 +88,7 @@ class RealCase:
 
 @dataclass(frozen=True, slots=True)
 class RealVerdict:
-    """What came of one; `trouble` where nothing can be said."""
+    """Result of one case. `trouble` is the reason if there is no result."""
 
     firmware: Firmware
     link: Kind
@@ -114,7 +116,7 @@ class NoFlightError(Exception):
 
 
 class RealFlight:
-    """One vehicle, one companion and the wire between them, for cases one after another.
+    """One vehicle, one companion and the wire between them, for successive cases.
 
     Raises:
         NoFlightError: a process ended, or the companion does not take the vehicle.
@@ -182,10 +184,10 @@ class RealFlight:
     # ------------------------------------------------------------ one case
 
     def fly(self, case: RealCase) -> RealVerdict:
-        """One case, with a vehicle that the companion holds.
+        """Fly one case. The companion must control the vehicle.
 
         Raises:
-            NoFlightError: the vehicle does not take the pilot's mode.
+            NoFlightError: the vehicle does not accept the pilot's mode.
         """
         self._wire.traffic_hz = case.traffic_hz
         self._pump(0.2)
@@ -213,7 +215,7 @@ class RealFlight:
         os.kill(self._companion.pid, signal.SIGCONT)
 
     def _select(self, mode: VehicleMode) -> None:
-        """Until the vehicle has accepted it."""
+        """Select a mode and wait until the vehicle has accepted it."""
         self.judge.selects(time.monotonic(), self._modes[mode])
         self._pilot.ask_mode(mode)
         self._acknowledged(SET_MODE)
@@ -228,10 +230,10 @@ class RealFlight:
             self._pump(0.002)
 
     def give_back(self) -> None:
-        """Disarmed for a moment, in the air: authority is given anew, and the companion takes it.
+        """Disarm for a moment in the air, which gives authority anew, and wait until the companion takes it.
 
         Raises:
-            NoFlightError: it does not, or has ended.
+            NoFlightError: the companion does not take the vehicle, or has ended.
         """
         self._pilot.arm(armed=False)
         self._acknowledged(ARM)
@@ -241,7 +243,7 @@ class RealFlight:
         self._until_held(_RETAKEN_S)
 
     def _until_held(self, patience_s: float) -> None:
-        """In the mode that flies setpoints, and they stream."""
+        """Wait until the vehicle is in the setpoint mode and setpoints stream."""
         external = self._modes[VehicleMode.EXTERNAL]
         give_up_s, since_s = time.monotonic() + patience_s, math.inf
         while time.monotonic() - since_s < _HELD_S:
@@ -277,7 +279,7 @@ class RealFlight:
 
 
 def state_of(pid: int) -> str:
-    """Of a process, as the kernel writes it; "T": stopped."""
+    """State of a process as the kernel reports it; "T" is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
 
 
@@ -289,7 +291,7 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def fly_cases(firmware: Firmware, link: Kind, cases: list[RealCase], folder: Path) -> list[RealVerdict]:
-    """Cases of one firmware and link; a companion that ended is started anew."""
+    """Fly cases of one firmware and link. A companion that ended is started anew."""
     found: list[RealVerdict] = []
     flight: RealFlight | None = None
     try:
@@ -309,7 +311,7 @@ def fly_cases(firmware: Firmware, link: Kind, cases: list[RealCase], folder: Pat
 
 
 def _ready(flight: RealFlight | None, firmware: Firmware, link: Kind, folder: Path) -> RealFlight:
-    """The same flight, where its companion takes the vehicle again; else another."""
+    """The same flight if its companion takes the vehicle again, else a new one."""
     if flight is not None:
         try:
             flight.give_back()
@@ -322,7 +324,7 @@ def _ready(flight: RealFlight | None, firmware: Firmware, link: Kind, folder: Pa
 
 
 def many_real(seed: int, cases: int, jobs: int, folder: Path) -> list[RealVerdict]:
-    """The cases 0 to `cases` of a seed, in turn by firmware and link, on some threads."""
+    """Fly the cases from 0 to below `cases` of a seed on `jobs` threads, in turn by firmware and link."""
     turns = {
         place: [real_case(seed, number) for number in range(k, cases, len(PLACES))]
         for k, place in enumerate(PLACES)

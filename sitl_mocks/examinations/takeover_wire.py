@@ -1,9 +1,9 @@
-"""The way between one `companion run` and one served vehicle, in real time: a router of our own.
+"""Real-time router between one `companion run` process and one served vehicle.
 
-It sends each frame as a datagram of its own (UDP) or writes it (TCP, a pseudo-terminal), adds others' frames,
-does to them what its weather says (`modelled_link`), and tells a judge what passes and when. Datagrams are
-judged at the times at which the kernel took them, not at those at which we came to read them. A companion
-that is stopped reads nothing: what waits for it becomes readable when it goes on.
+It sends each frame as a separate datagram (UDP) or writes it (TCP, a pseudo-terminal), adds foreign frames,
+applies the impairments of a modelled link (`modelled_link`), and reports to a judge what passes and when.
+Datagrams are judged at the kernel's receive times, not at the times at which the router reads them. A
+companion that is stopped reads nothing. Data that waits for it becomes readable when it resumes.
 """
 
 from __future__ import annotations
@@ -34,26 +34,27 @@ _STAMPED: Final = 35
 _STAMP = struct.Struct("@ll")
 _HEARTBEAT, _SYSTEM_TIME, _LOCAL, _GLOBAL, _SETPOINT = 0, 2, 32, 33, 84
 _CLOCKS: Final = {_SYSTEM_TIME: 8, _LOCAL: 0, _GLOBAL: 0}
-"""Messages by which the companion knows the vehicle's clock, and where it stands in them (uint32, ms)."""
+"""Messages that give the companion the vehicle's clock, and the clock's offset in them (uint32, ms)."""
 _WATCHED: Final = frozenset({_HEARTBEAT, CURRENT_MODE, *_CLOCKS})
-"""Messages of the autopilot of which must be known whether they were delivered."""
+"""Messages of the autopilot for which the router must know whether they were delivered."""
 _AUTOPILOT = 1
 _FEW = 8
 _UNDER_WAY_S = 0.002
 _UNSURE_S = 0.2
-"""What a companion that ran was sent within this time before it was stopped it may not have read."""
+"""Messages sent to a running companion within this time before a stop may not have been read."""
 _RUNS_EVERY_S = 0.1
 
 
 class Wire:
-    """One companion's link. `name` is what the companion is configured with.
+    """One companion's link. `name` is the link name for the companion's configuration.
 
     Args:
-        kind: of the companion's link.
-        vehicle_port: where the vehicle listens (UDP, loopback).
-        rng: what the weather draws from.
-        shown: called with each of the vehicle's frames, as it leaves the vehicle, and when that was.
-        passed: called with all that passes at the vehicle's end, both ways: when, and its frames.
+        kind: kind of the companion's link.
+        vehicle_port: port on which the vehicle listens (UDP, loopback).
+        rng: generator for the impairments of the link.
+        shown: called with the time and each of the vehicle's frames as it leaves the vehicle.
+        passed: called with the time and the frames of all that passes at the vehicle's end, in both
+            directions.
     """
 
     def __init__(
@@ -72,26 +73,28 @@ class Wire:
         self.way = ModelledLink("udp", np.random.default_rng(0) if rng is None else rng, buffered=False)
         self.interposer = Interposer(system_id)
         self.late_s = 0.0
-        """The longest that a datagram waited for us."""
+        """Longest time that a datagram waited for the router."""
         self._decisions = Decisions()
         self._drops = 0
         self._loses = False
-        """The companion's buffer was full the last time that we looked."""
+        """Whether the companion's buffer was full at the last check."""
         self._shown = shown
         self._passed = passed
         self.traffic_hz = 0.0
         self.dropped = 0
-        """Frames that a full stream, or a full UDP buffer, did not take."""
+        """Number of frames that a full stream or a full UDP buffer did not accept."""
         self._traffic = others_frames()
         self._traffic_s = 0.0
         self._traffic_n = 0
         self._scanner = FrameScanner(keep_unknown=True)
         self._up_scanner = FrameScanner(keep_unknown=True)
         self._stopped: list[tuple[float, bytes]] | None = None
-        """What was sent to a companion that is stopped."""
+        """Frames that were sent to a stopped companion; None while it runs."""
         self._stopped_s = 0.0
         self._recent: deque[tuple[float, float, bytes]] = deque()
-        """When it was sent to a companion that runs, when it left the vehicle, and a frame."""
+        """Recent frames to a running companion: time of sending, time of leaving the vehicle, and the
+        frame.
+        """
         self._ran_s = time.monotonic()
         self._vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._vehicle.connect(("127.0.0.1", vehicle_port))
@@ -125,7 +128,7 @@ class Wire:
         return f"udpout:127.0.0.1:{port}" if self.kind == "udp" else f"tcp:127.0.0.1:{port}"
 
     def close(self) -> None:
-        """Release everything."""
+        """Close all sockets and file descriptors."""
         self._selector.close()
         for sock in (self._vehicle, self._socket, self._client):
             if sock is not None:
@@ -136,23 +139,23 @@ class Wire:
     # ------------------------------------------------------------ the companion
 
     def stopped(self) -> None:
-        """The companion was stopped: from now on nothing is read."""
+        """The companion was stopped and reads nothing from now on."""
         now_s = time.monotonic()
         self.judge.stops(now_s)
         self._stopped_s = now_s
         self._stopped = [(sent_s, frame) for at_s, sent_s, frame in self._recent if now_s - at_s < _UNSURE_S]
 
     def continues(self) -> None:
-        """The companion is about to go on: what waits for it can be read."""
+        """The companion is about to resume and can read what waits for it."""
         assert self._stopped is not None
         told, self._stopped = self._stopped, None
         self._ran_s = time.monotonic()
         self.judge.reads(self._ran_s, told)
-        # It reads until nothing waits: what it decides from now on, it decides knowing all of it.
+        # The companion reads until nothing waits, so its later decisions use all of this data.
         self._decisions.readable(self._stopped_s, told)
 
     def _kernel_drops(self) -> int:
-        """Datagrams for the companion that the kernel has dropped so far."""
+        """Number of datagrams for the companion that the kernel has dropped so far."""
         if self.kind != "udp" or self._peer is None:
             return 0
         end = f":{self._peer[1]:04X}"
@@ -165,7 +168,7 @@ class Wire:
     # ------------------------------------------------------------ passing on
 
     def pump(self, for_s: float) -> None:
-        """Pass on whatever comes for so long."""
+        """Forward all data that arrives within this time."""
         ready = self._selector.select(min(for_s, _UNDER_WAY_S) if self.way.under_way else for_s)
         now_s = time.monotonic()
         came: list[tuple[float, bool, bytes]] = []
@@ -188,14 +191,14 @@ class Wire:
         self._flush()
 
     def _datagrams(self, sock: socket.socket) -> list[tuple[float, bytes]]:
-        """All that wait, and when each came."""
+        """All waiting datagrams with their receive times."""
         found: list[tuple[float, bytes]] = []
         with contextlib.suppress(BlockingIOError):
             while True:
                 try:
                     data, ancillary, _, address = sock.recvmsg(_READ_BYTES, _ANCILLARY_BYTES)
                 except ConnectionError:
-                    continue  # The answer of a socket that was closed.
+                    continue  # Error from a socket that was closed.
                 now_s, utc_s = time.monotonic(), time.time()
                 seconds, nanoseconds = _STAMP.unpack_from(ancillary[0][2])
                 late_s = max(0.0, utc_s - seconds - 1e-9 * nanoseconds)
@@ -238,12 +241,12 @@ class Wire:
             self.way.tell(now_s, [self._traffic[n % len(self._traffic)] for n in numbers])
 
     def _deliver(self, now_s: float) -> None:
-        """To the companion, what has arrived."""
+        """Write the frames that have arrived to the companion."""
         told = self._write_all(self.way.news(now_s))
         if self._stopped is not None:
             self._stopped += told
             return
-        # That we came late ourselves does not mean that the companion stood still.
+        # A delay of the router itself does not mean that the companion stood still.
         now_s = time.monotonic()
         while now_s - self._ran_s > _RUNS_EVERY_S:
             self._ran_s += _RUNS_EVERY_S
@@ -256,10 +259,11 @@ class Wire:
             self._recent.popleft()
 
     def _write_all(self, news: list[tuple[float, bytes]]) -> list[tuple[float, bytes]]:
-        """Those frames that are watched and were delivered, of a full UDP buffer as far as the kernel tells.
+        """Write frames to the companion. Returns the watched frames that were delivered.
 
-        The kernel's count of drops costs time: it is looked at once for a few frames, and around each one
-        where they are many, or where some were lost the last time.
+        With a full UDP buffer, delivery is known only as far as the kernel reports it. Reading the kernel's
+        count of drops takes time. It is read once for a few frames, and around each watched frame if there
+        are many or if some were lost the last time.
         """
         singly = self._loses or len(news) > _FEW
         told = []
@@ -272,12 +276,12 @@ class Wire:
             if not singly or self._count_drops() == 0:
                 told.append((sent_s, frame))
         if self.kind == "udp" and told and not singly and (lost := self._count_drops()):
-            # A full buffer drops what comes: the first ones are there.
+            # A full buffer drops new datagrams, so the first ones were delivered.
             told = told[: max(0, len(told) - lost)]
         return told
 
     def _count_drops(self) -> int:
-        """Since the last time."""
+        """Number of datagrams dropped since the last call."""
         if self.kind != "udp":
             return 0
         before, self._drops = self._drops, self._kernel_drops()
@@ -287,7 +291,7 @@ class Wire:
         return lost
 
     def _write(self, frame: bytes) -> bool:
-        """Whether it was sent, whole; a stream that is full loses the newest."""
+        """Whether the whole frame was accepted. A full stream drops the newest frame."""
         if self.kind == "udp":
             if self._peer is None or self._socket is None:
                 return False
@@ -307,7 +311,7 @@ class Wire:
         return True
 
     def _flush(self) -> None:
-        """The rest of a frame that was begun."""
+        """Write the rest of a partly written frame."""
         if not self._unsent:
             return
         with contextlib.suppress(BlockingIOError, ConnectionError):
@@ -346,16 +350,16 @@ class Wire:
 
 
 class Decisions:
-    """When setpoints were decided at the latest, as far as it can be told from outside.
+    """Latest possible decision times of setpoints, as far as they can be inferred from outside.
 
-    A setpoint carries the vehicle's clock as the companion knew it. Where a message that tells a later time
-    had been readable, the companion decided before it read that one; where it was readable as the companion
-    went on after a stop, before the stop.
+    A setpoint carries the vehicle's clock as the companion knew it. If a message with a later time had been
+    readable, the companion decided before it read that message. If the message was readable when the
+    companion resumed after a stop, the companion decided before the stop.
     """
 
     def __init__(self) -> None:
         self._told: deque[tuple[float, int]] = deque(maxlen=1000)
-        """When it could be read, and the vehicle's clock (ms); both rise."""
+        """Times at which a message could be read, and the vehicle's clock in it (ms). Both increase."""
         self._newest_ms = -1
 
     def readable(self, now_s: float, told: list[tuple[float, bytes]]) -> None:
@@ -367,19 +371,20 @@ class Decisions:
                 continue
             clock_ms = int.from_bytes(raw[10 : 10 + raw[1]].ljust(12, b"\0")[at : at + 4], "little")
             if clock_ms < self._newest_ms:
-                # Out of order: the companion's clock goes back, and nothing is known until it has gone on.
+                # Out of order: the companion's clock goes back, and nothing is known until it has advanced
+                # again.
                 self._told.clear()
             elif clock_ms > self._newest_ms:
                 self._newest_ms = clock_ms
                 self._told.append((now_s, clock_ms))
 
     def decided_s(self, now_s: float, frames: list[Frame]) -> float:
-        """Of what leaves now."""
+        """Latest possible decision time of frames that leave now."""
         decided_s = now_s
         for frame in frames:
             if frame.message_id == _SETPOINT:
                 clock_ms = int.from_bytes(frame.payload[:4], "little")
-                # A message may have been taken after the step had begun.
+                # A message may have been read after the step had begun.
                 later = next((at_s for at_s, told_ms in self._told if told_ms > clock_ms), now_s)
                 decided_s = min(decided_s, later)
         while len(self._told) > 1 and now_s - self._told[0][0] > _KNOWN_S:
@@ -388,7 +393,7 @@ class Decisions:
 
 
 _KNOWN_S = 30.0
-"""Longer than a companion stands still."""
+"""Longer than any stall of a companion."""
 
 
 def _is_watched(frame: bytes) -> bool:

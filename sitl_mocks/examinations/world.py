@@ -1,7 +1,7 @@
-"""One vehicle with one companion in virtual time, a modelled link between them, and a judge beside it.
+"""One vehicle with one companion in virtual time, with a modelled link between them and a judge.
 
-The companion is stepped as its flight loop steps it: twenty times a second, and where it stood still, at once
-when it goes on. Everything is drawn from one seed; the whole world can be pickled (`snapshot`) and continued.
+The companion is stepped like in its flight loop: twenty times a second, and immediately when it resumes after
+a stall. Everything is drawn from one seed. The whole world can be pickled (`snapshot`) and continued.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ _WAYPOINTS: Final = ((0.0, 0.0), (200.0, 0.0), (200.0, 150.0), (0.0, 150.0))
 _LAUNCH: Final = 20
 _LIMITS: Final = LimitsConfig(max_speed_mps=6.0)
 _SHARED: Final = (Config, Manners, VehicleOptions, Dialect, struct.Struct)
-"""Never changed, and not copied with a snapshot."""
+"""Types of immutable objects, which snapshots share instead of copying."""
 
 
 class World:
-    """Everything of one flight but a plan for it.
+    """The complete state of one flight, except a plan for it.
 
     Args:
-        seed: of every draw.
-        link: of the companion; None: UDP behind a router, read until nothing waits.
+        seed: seed of every draw.
+        link: link of the companion; None: UDP behind a router, read until nothing waits.
     """
 
     def __init__(self, firmware: Firmware, use: Use, seed: int, link: ModelledLink | None = None) -> None:
@@ -73,11 +73,11 @@ class World:
         self.interposer = Interposer()
         self.now_s = 0.0
         self.traffic_hz = 0.0
-        """Frames of others that a router sends down the companion's link."""
+        """Rate of foreign frames that a router sends to the companion."""
         self._traffic = others_frames()
         self._traffic_n = 0
         self._stands: tuple[float, float] | None = None
-        """From when to when the companion stands still."""
+        """Begin and end of the companion's stall."""
         self._stopped_in_step = False
         self._decided_s: float | None = None
         self._stepped_s = 0.0
@@ -89,19 +89,19 @@ class World:
     # ------------------------------------------------------------ faults
 
     def plan(self, *faults: Fault) -> None:
-        """Faults to come."""
+        """Schedule faults."""
         for fault in faults:
             self._faults += 1
             heapq.heappush(self._due, (fault.at_s, self._faults, True, fault))
 
     def began(self, fault: Fault) -> None:
-        """For who keeps a record."""
+        """Called when a fault begins. Subclasses may override it to keep a record."""
 
     def stop(self, for_s: float, *, in_step: bool) -> None:
-        """The companion stands still: nothing is read, nothing is sent.
+        """Stall the companion: it reads and sends nothing.
 
         Args:
-            in_step: between a step and its sending; otherwise while it waits for bytes.
+            in_step: stall between a step and its sending; otherwise while the companion waits for bytes.
         """
         until_s = (self._next_step_s() if in_step else self.now_s) + for_s
         if self._stands is not None and self._stands[1] > self.now_s:
@@ -110,12 +110,12 @@ class World:
         self._stands, self._stopped_in_step = (self.now_s, until_s), in_step
 
     def restart_companion(self) -> None:
-        """It is started anew, in flight or not."""
+        """Start the companion anew, in flight or on the ground."""
         self.onboard = new_companion(self.use)
         self.link.clear()
 
     def pilot_selects(self, mode: VehicleMode) -> bool:
-        """The pilot's switch; return whether the vehicle took the mode."""
+        """Select a mode with the pilot's switch. Returns whether the vehicle accepted the mode."""
         self.show()
         taken = self.vehicle.pilot_selects(mode)
         if taken:
@@ -126,20 +126,20 @@ class World:
         return taken
 
     def station_says(self, kind: str, *fields: Any) -> None:
-        """A ground station's message, on a link of its own that is open only for it: telemetry costs time."""
+        """Send a ground station's message on a separate link. It is closed again to save telemetry time."""
         message = getattr(self._writer.encoder, f"{kind}_encode")(*fields)
         self.vehicle.receive(self._writer.pack(message), self.now_s, 1)
         self.vehicle.close_link(1)
         self.show()
 
     def show(self) -> None:
-        """Let the judge see the vehicle's mode, whenever it may have changed."""
+        """Report the vehicle's mode to the judge. Call it whenever the mode may have changed."""
         self.judge.shows(self.now_s, self.vehicle.custom_mode, armed=self.vehicle.armed)
 
     # ------------------------------------------------------------ one step
 
     def step(self) -> None:
-        """Up to the companion's next step, with all that happens before it."""
+        """Advance to the companion's next step, with all events before it."""
         while self._due and self._due[0][0] <= self._next_step_s():
             at_s, number, begins, fault = heapq.heappop(self._due)
             self._fly_to(max(at_s, self.now_s))
@@ -170,7 +170,7 @@ class World:
             self._take()
 
     def _tell(self, before_s: float) -> None:
-        """What the vehicle and others send down, in the order in which it is sent."""
+        """Send the frames of the vehicle and of others to the companion, in the order of sending."""
         vehicle, now_s = self.vehicle, self.now_s
         frames = [frame.raw for frame in self._scanner.frames(vehicle.drain())]
         frames = self.interposer.down(frames)
@@ -183,7 +183,7 @@ class World:
             self.link.tell(now_s, frames)
 
     def _take(self) -> None:
-        """What has come up to the vehicle."""
+        """Deliver the bytes that have reached the vehicle."""
         for decided_s, sent in self.link.arrived(self.now_s):
             data = self.interposer.up(sent)
             self.judge.reaches(self.now_s, data, decided_s)
@@ -196,7 +196,8 @@ class World:
         self._stepped_s = now_s
         portions = self.link.portions if late else None
         if self._decided_s is not None:
-            # It stood between a step and its sending: the loop reads once less before the next one.
+            # The companion stood still between a step and its sending, so the loop reads once less before the
+            # next step.
             decided_s, self._decided_s = self._decided_s, None
             self._send(onboard.drain(now_s), decided_s)
             portions = None if portions is None else max(1, portions - 1)
@@ -214,7 +215,7 @@ class World:
             self._send(onboard.drain(now_s), now_s)
 
     def _read(self, portions: int | None) -> bool:
-        """Whether nothing waits any more."""
+        """Read waiting bytes. Returns whether nothing waits any more."""
         link, read = self.link, 0
         while link.waiting and (portions is None or read < portions):
             read += 1
@@ -231,12 +232,12 @@ class World:
     # ------------------------------------------------------------ copies
 
     def snapshot(self) -> Snapshot:
-        """The world as it is now, to be continued any number of times."""
+        """Save the current state of the world, which can be continued any number of times."""
         return Snapshot(self)
 
 
 class Snapshot:
-    """A world to continue from, each time from the same moment."""
+    """A saved world. Every continuation starts from the same moment."""
 
     def __init__(self, world: World) -> None:
         self.now_s = world.now_s
@@ -248,14 +249,14 @@ class Snapshot:
         self._data = file.getvalue()
 
     def world(self) -> World:
-        """A copy that shares nothing that changes with any other."""
+        """A copy that shares no mutable object with any other copy."""
         world = _Unpickler(io.BytesIO(self._data), self.shared).load()
         assert isinstance(world, World)
         return world
 
 
 class _Pickler(pickle.Pickler):
-    """Fails on what it cannot copy, such as a function that closes over another object."""
+    """Pickler that fails on objects it cannot copy, such as a function that closes over another object."""
 
     def __init__(self, file: io.BytesIO, shared: list[object]) -> None:
         super().__init__(file, pickle.HIGHEST_PROTOCOL)
@@ -278,7 +279,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def bounds_of(firmware: Firmware, use: Use, limits: LimitsConfig = _LIMITS) -> Bounds:
-    """What a companion may do on this firmware; by default one of `new_companion`."""
+    """Limits of a companion on this firmware. The default limits are those of `new_companion`."""
     modes = MANNERS[firmware].custom_modes
     given = {VehicleMode.MISSION}
     if use == "fly":
@@ -294,7 +295,7 @@ def bounds_of(firmware: Firmware, use: Use, limits: LimitsConfig = _LIMITS) -> B
 
 
 def new_companion(use: Use) -> CompanionSystem:
-    """A companion that has heard nothing yet."""
+    """A companion that has not received anything yet."""
     fly = {"trajectory": "mission", "mission_speed_mps": 4.0} if use == "fly" else {}
     onboard = CompanionSystem(
         Config(
@@ -309,7 +310,7 @@ def new_companion(use: Use) -> CompanionSystem:
 
 
 def mission(first: int) -> tuple[MissionItem, ...]:
-    """Take-off, three rounds of a rectangle, home; the first item's number."""
+    """Mission with take-off, three rounds of a rectangle and return; `first` is the first item's number."""
     points = [(22, *_WAYPOINTS[0]), *((16, *point) for point in 3 * _WAYPOINTS[1:] + _WAYPOINTS[:1])]
     items = []
     for number, (command, north, east) in enumerate(points):

@@ -1,13 +1,14 @@
-"""The channel equations, frame by frame: who hears each frame that is really sent, and when.
+"""The channel equations applied frame by frame: which receivers get each frame that is really sent, and when.
 
-A frame is one event of the paper (an advertising event, or a beacon). Its time against the receiver's scan
-says which of its packets fall into a scan window (section "Packet Reception Model"); the collision products
-(section "Packet Collision Model"), with the rates at which the others really send, give the probability of
-each. The delay of a frame is the time from its sending to the end of the packet that brought it. There is no
-sum over repetitions as in "Average Transmission Delay Model": repetitions are frames of their own here.
+A frame is one event of the paper (an advertising event or a beacon). Its time relative to the receiver's scan
+determines which of its packets fall into a scan window (section "Packet Reception Model"). The collision
+products (section "Packet Collision Model"), with the rates at which the other aircraft really send, give the
+probability of each. The delay of a frame is the time from its sending to the end of the packet that delivered
+it. There is no sum over repetitions as in "Average Transmission Delay Model", because repetitions are
+separate frames here.
 
 As in those equations, packets collide independently, and the scan phase of each pair and mode is redrawn for
-every GNSS period. Senders keep their real times: nothing makes an interval coprime to the scan cycle.
+every GNSS period. Senders keep their real times: intervals are not made coprime to the scan cycle.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameter
 
 _BLE5, _WIFI = MODES.index(BLE5), MODES.index(WIFI_BEACON)
 _DRAWS = 3
-"""Numbers drawn for each frame and receiver, used or not: luck does not depend on what others did."""
+"""Numbers drawn for each frame and receiver, used or not, so that draws do not depend on other outcomes."""
 _EPSILON_S = 1e-6
 
 
 @dataclass(slots=True)
 class _Active:
-    """What one aircraft sent on one mode in the last GNSS period."""
+    """Frames that one aircraft sent in one mode in the last GNSS period."""
 
     sent_s: deque[float] = field(default_factory=deque)
     path_loss_db: dict[str, float] = field(default_factory=dict)
-    """By receiver, of its last frame."""
+    """Path loss of its last frame (dB), by receiver."""
     wifi_channel: int = 0
 
 
@@ -54,11 +55,11 @@ class _Interferer:
 class AnalyticChannel:
     """A `Channel` that decides at once, by the equations.
 
-    An interferer counts with the frames that it sent in the GNSS period before, [t - T_GNSS, t), and only
-    where it reaches the receiver.
+    An interferer is counted with the frames that it sent in the preceding GNSS period, [t - T_GNSS, t), and
+    only if it reaches the receiver.
 
     Args:
-        parameters: of the channel.
+        parameters: parameters of the channel.
     """
 
     def __init__(self, parameters: ChannelParameters) -> None:
@@ -68,7 +69,7 @@ class AnalyticChannel:
         self._links = AirLinks(parameters)
         self._decisions = Decisions()
         s = shares_of(parameters)
-        # Of the GNSS period, by victim and interferer in the order of `MODES`.
+        # Shares of the GNSS period, by victim and interferer in the order of `MODES`.
         self._shares = [
             [s.ble4_by_ble4, s.ble4_by_ble5, 0.0],
             [s.pointer_by_ble4, s.pointer_by_ble5, 0.0],
@@ -117,7 +118,7 @@ class AnalyticChannel:
         active.path_loss_db, active.wifi_channel = loss_db, channel
 
     def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
-        """See `Channel.settle`: all that was sent, in the order of sending."""
+        """See `Channel.settle`. Returns the outcomes of all frames sent, in the order of sending."""
         return self._decisions.pop_outcomes()
 
     def next_s(self) -> float | None:
@@ -125,7 +126,7 @@ class AnalyticChannel:
         return self._decisions.next_s()
 
     def _phase(self, now_s: float, sender: str, receiver: str, mode: int, rng: np.random.Generator) -> int:
-        """Slot of the receiver's scan cycle in which an event begins that is sent now."""
+        """Slot of the receiver's scan cycle in which an event sent now begins."""
         cycle = math.floor(now_s / self._period_s)
         if cycle != self._cycle:
             self._phases.clear()
@@ -137,7 +138,9 @@ class AnalyticChannel:
         return (self._phases[pair] + slot) % self._cycles[mode]
 
     def _measure_rates(self, now_s: float) -> None:
-        """Who sent how often before now; one answer for all frames of one moment, whatever their order."""
+        """Count the frames that each aircraft sent in the period before now. All frames of one moment get the
+        same result, in any order.
+        """
         if now_s == self._interferers_s:
             return
         self._interferers_s = now_s
@@ -153,7 +156,7 @@ class AnalyticChannel:
             )
 
     def _survival(self, sender: str, receiver: str, mode: int, channel: int) -> tuple[float, float]:
-        """Probability that one packet meets no other, and that of the auxiliary packet: eight products."""
+        """Probability that one packet meets no other, and that of the auxiliary packet (eight products)."""
         first, auxiliary = self._first_quiet[mode], self._auxiliary_quiet if mode == _BLE5 else 1.0
         for other in self._interferers:
             loss = other.path_loss_db.get(receiver)
@@ -161,7 +164,8 @@ class AnalyticChannel:
                 continue
             if mode == other.mode == _WIFI and other.wifi_channel != channel:
                 continue
-            # A flood leaves nothing: 1 - x psi is a probability only while it is above 0.
+            # 1 - x psi is a probability only while it is not negative. At very high rates it would be, so it
+            # is limited to 0.
             first *= max(1.0 - self._shares[mode][other.mode] * other.rate, 0.0)
             auxiliary *= max(1.0 - self._auxiliary_shares[mode][other.mode] * other.rate, 0.0)
         return first, auxiliary
@@ -169,7 +173,7 @@ class AnalyticChannel:
     def _received_s(
         self, mode: int, heard: Sequence[int], first: float, auxiliary: float, draws: Sequence[float]
     ) -> float | None:
-        """Time from sending to the end of the packet that brought the message; None when none did."""
+        """Time from sending to the end of the packet that delivered the message. None if no packet did."""
         delays_s = self._delays_s[mode]
         if mode == _BLE5:
             pointers = 1.0 - (1.0 - first) ** len(heard)

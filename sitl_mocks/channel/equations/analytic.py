@@ -1,7 +1,7 @@
 """The paper's channel model for whole fleets: mean delay and loss of every link, and the system delay of P0.
 
-Vectorised over links: environments lie side by side in one set of links, and every aircraft may send on
-several modes, each at its own rate.
+It is vectorised over links. One set of links may hold many environments. Every aircraft may send in several
+modes, each at its own rate.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """What every aircraft sends."""
+    """Message rates and Wi-Fi channels of all aircraft."""
 
     rates: Indices
-    """Shape (nodes, 3), in the order of `MODES`: messages in a GNSS period; 0 where not on that mode."""
+    """Shape (nodes, 3), in the order of `MODES`: messages in a GNSS period; 0 if the mode is not used."""
     wifi_channel: Indices
-    """Shape (nodes,), index into `WIFI_CHANNELS`."""
+    """Index into `WIFI_CHANNELS`, shape (nodes,)."""
 
 
 def fixed_mode(
     nodes: int, mode: str, rate: int, parameters: ChannelParameters, rng: np.random.Generator | None = None
 ) -> Fleet:
-    """A fleet that sends on one mode at one rate.
+    """A fleet in which all aircraft send in one mode at one rate.
 
     Args:
-        rng: draws the Wi-Fi channels where the parameters say "random".
+        rng: draws the Wi-Fi channels if the parameters require "random".
 
     Raises:
         ValueError: random Wi-Fi channels without a generator.
@@ -48,14 +48,14 @@ def fixed_mode(
 
 
 def fixed_rates(nodes: int, mode: str, rate: int) -> Indices:
-    """`Fleet.rates` where everybody sends on one mode at one rate."""
+    """`Fleet.rates` of a fleet in which all aircraft send in one mode at one rate."""
     rates = np.zeros((nodes, len(MODES)), np.intp)
     rates[:, MODES.index(mode)] = rate
     return rates
 
 
 def wifi_channels(nodes: int, parameters: ChannelParameters, rng: np.random.Generator | None) -> Indices:
-    """`Fleet.wifi_channel` as the parameters say.
+    """`Fleet.wifi_channel` according to the parameters.
 
     Raises:
         ValueError: random Wi-Fi channels without a generator.
@@ -69,22 +69,23 @@ def wifi_channels(nodes: int, parameters: ChannelParameters, rng: np.random.Gene
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What the model says of every link and mode."""
+    """Results of the model for every link and mode."""
 
     links: Links
     carried: Bools
-    """Shape (links, 3): the sender is on the mode and the link carries it."""
+    """Shape (links, 3): the sender uses the mode and the link carries it."""
     delay_s: Floats
-    """Shape (links, 3): mean delay; NaN where not carried, infinite where nothing ever arrives."""
+    """Shape (links, 3): mean delay; NaN where not carried, infinite where no message ever arrives."""
     loss: Floats
-    """Shape (links, 3): probability that what the receiver's scan would have met is destroyed on the air; NaN
-    where not carried. BLE 5: one pointer and the auxiliary packet must both survive."""
+    """Shape (links, 3): probability that a packet which the receiver's scan would have met is destroyed on
+    the air; NaN where not carried. For BLE 5, one pointer and the auxiliary packet must both survive.
+    """
 
     def uav_delay_s(self) -> Floats:
-        """Shape (nodes,): mean over the aircraft that each one reaches; 0 for one that reaches nobody (P0).
+        """Mean delay to the aircraft that each one reaches, shape (nodes,); 0 for one that reaches none (P0).
 
         Raises:
-            ValueError: an aircraft is on more than one mode, which P0 does not know.
+            ValueError: an aircraft uses more than one mode, which P0 does not cover.
         """
         if (self.carried.sum(axis=1) > 1).any():
             raise ValueError("P0 takes one mode for each aircraft")
@@ -96,13 +97,13 @@ class Evaluation:
 
 
 def system_delay_s(evaluation: Evaluation, environments: int) -> Floats:
-    """Shape (environments,): sum over the aircraft of each environment, all of one size."""
+    """Sum over the aircraft of each environment, shape (environments,). All environments have one size."""
     each: Floats = evaluation.uav_delay_s().reshape(environments, -1).sum(axis=1)
     return each
 
 
 class Analytic:
-    """The model with its parameters."""
+    """The channel equations with their parameters."""
 
     def __init__(self, parameters: ChannelParameters) -> None:
         self.parameters = parameters
@@ -111,16 +112,17 @@ class Analytic:
         """Delay and loss of every link.
 
         Args:
-            busy: shape (nodes, 3), share of time that others fill each mode's channel at each receiver; that
-                of the parameters when left out.
+            busy: shape (nodes, 3), share of time that foreign transmissions fill each mode's channel at each
+                receiver. Default: the background load of the parameters.
 
         Raises:
-            ConfigError: a rate is below 0 or above the mode's largest, or a busy share outside 0 to below 1.
-            ValueError: an array of another shape, rates that are no whole numbers, or a Wi-Fi channel that
-                is no index into `WIFI_CHANNELS`.
+            ConfigError: a rate is below 0 or above the mode's largest, or a busy share is below 0 or not
+                below 1.
+            ValueError: an array has a wrong shape, rates are not integers, or a Wi-Fi channel is not an index
+                into `WIFI_CHANNELS`.
         """
         self._check(links, fleet, busy)
-        # Columns lie in one piece each: they are searched and filled one by one.
+        # Column-major order, because columns are searched and filled one by one.
         carried = np.asfortranarray(reached(links, self.parameters) & (fleet.rates > 0)[links.transmitter])
         alive = survival(links, carried, fleet.rates, fleet.wifi_channel, self.parameters)
         ble4, pointer, auxiliary, wifi = alive.ble4, alive.pointer, alive.auxiliary, alive.wifi
@@ -140,7 +142,7 @@ class Analytic:
         ):
             on_mode = np.flatnonzero(carried[:, index])
             loss[on_mode, index] = 1.0 - first[on_mode] * second[on_mode]
-            rates = fleet.rates[links.transmitter[on_mode], index].astype(np.int16)  # sorted by radix
+            rates = fleet.rates[links.transmitter[on_mode], index].astype(np.int16)  # radix sort
             order = np.argsort(rates, kind="stable")
             numbers = np.bincount(rates)
             for rate, at in enumerate(np.split(on_mode[order], np.cumsum(numbers)[:-1])):
@@ -153,7 +155,7 @@ class Analytic:
         return Evaluation(links, carried, delay, loss)
 
     def _sensed_load(self, links: Links, carried: Bools, fleet: Fleet) -> Floats | None:
-        """Shape (nodes,): Wi-Fi load around each aircraft; None where beacons are sent blindly."""
+        """Wi-Fi load around each aircraft, shape (nodes,). None if stations send without listening."""
         if self.parameters.wifi.access == "independent":
             return None
         return carrier_sense.sensed_load(links, carried, fleet.rates, fleet.wifi_channel, self.parameters)
@@ -170,7 +172,7 @@ class Analytic:
         channels = fleet.wifi_channel
         if channels.shape != (links.nodes,):
             raise ValueError(f"wifi_channel has shape {channels.shape}; expected ({links.nodes},)")
-        # Another number would count as a channel of the next receiver.
+        # Another number would be taken for a channel of the next receiver.
         if channels.size and not 0 <= channels.min() <= channels.max() < len(WIFI_CHANNELS):
             raise ValueError(
                 f"wifi_channel: {channels.min()} to {channels.max()}: expected indices 0 to "

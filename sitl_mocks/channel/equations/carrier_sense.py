@@ -1,26 +1,26 @@
-"""Wi-Fi beacons of stations that listen before they send: what survives, and how late it comes.
+"""Survival and delay of Wi-Fi beacons from stations that listen before they send.
 
-The paper's product takes beacons as sent blindly. With `WifiParameters.access` "carrier_sense" the equations
-tell the stations k apart that reach the receiver i of a link from j, on j's channel:
+The paper's product assumes that stations do not listen first. With `WifiParameters.access` "carrier_sense"
+the equations distinguish the stations k that reach the receiver i of a link from j, on j's channel:
 
-- those that j does not sense (they do not reach it) are hidden and keep the paper's 1 - 2 B_D psi_k / T;
-- those that j senses wait for it, as it does for them. Two of them meet only where they waited for the same
-  busy time and their countdowns end together. With u = sum of psi_k (B_D + h) / T over the stations that j
-  senses, and u_i over those of them that reach i too,
+- Stations that j does not sense (they do not reach it) are hidden and keep the paper's 1 - 2 B_D psi_k / T.
+- Stations that j senses wait for j, and j waits for them. Two of them collide only if they waited for the
+  same busy period and their countdowns end together. With u = sum of psi_k (B_D + h) / T over the stations
+  that j senses, and u_i the sum over those of them that also reach i,
 
       survival = exp(-u_i v(u)),    v(u) = 2 c u / (1 - u + sqrt((1 - u)^2 + 4 a c u^2)).
 
 u v(u) is the mean number of others that begin together with j: c u^2 / (1 - u) while there is time for all,
-(u - 1) / a when there is not. Then all that is asked for is still sent, several at a time.
+(u - 1) / a when there is not. In the latter case all beacons are still sent, several at a time.
 
-The paper's factors for an auxiliary packet of BLE 5 draw its channel anew for each beacon that it may meet;
-but it lies on one channel, and 28 of 37 are free of any Wi-Fi channel (`log_auxiliary_under_wifi`).
+The paper's factors for an auxiliary packet of BLE 5 draw its channel anew for each beacon that it may meet.
+In fact it lies on one channel, and 28 of 37 are free of any Wi-Fi channel (`log_auxiliary_under_wifi`).
 
-The beacon waits, W = w (B_D + h) v(u), and its interval runs on past a GNSS sample, so that a receiver's scan
-meets it after the same number of beacons again and again (`running_terms`), until the waits blur that
-(`blur`).
+The beacon waits, W = w (B_D + h) v(u), and its interval runs on past a GNSS sample. A receiver's scan
+therefore meets it after the same number of beacons again and again (`running_terms`), until the waits blur
+that pattern (`blur`).
 
-c, a, h, w and the blur are fitted to the packet-by-packet simulator (docs/channel.md).
+c, a, h, w and the blur are fitted to the packet-level simulator (docs/channel.md).
 """
 
 from __future__ import annotations
@@ -47,34 +47,34 @@ from sitl_mocks.channel.parameters import (
 Floats = NDArray[np.float64]
 
 MEETING: Final = 0.029
-"""c: how often two stations meet that waited for the same busy time."""
+"""c: how often two stations that waited for the same busy period collide."""
 CROWDING: Final = 0.71
-"""a: inverse of the number of further stations that begin together for each airtime asked for beyond all."""
+"""a: inverse of the number of further stations that begin together, per unit of load beyond the capacity."""
 GAP_MS: Final = 0.092
-"""h: idle time that each beacon costs, the DIFS and some backoff slots."""
+"""h: idle time per beacon: the DIFS and some backoff slots."""
 WAIT: Final = 16.5
-"""w: beacon lengths that a station waits for each other one that begins with it; half of CWmin + 2."""
+"""w: wait, in beacon lengths, for each other station that begins with this one; half of CWmin + 2."""
 BLUR: Final = 10.7
-"""Waits of this part of a scan cycle leave half of the regularity with which scans and beacons meet."""
+"""Waits of a scan cycle divided by this number halve the regularity with which scans meet beacons."""
 
 _BLE5, _WIFI = MODES.index(BLE5), MODES.index(WIFI_BEACON)
 _NOTHING = 1e-300
 _PHASES = 2048
 _LONGEST_PATTERN = 256
 _DENSE_NODES = 1024
-"""Largest group of aircraft that reach each other for which a full matrix is made."""
+"""Largest group of aircraft that reach each other for which a full matrix is built."""
 _DENSE_CELLS = 1 << 22
-"""Cells of such matrices at a time: bounds the memory."""
+"""Number of cells of such matrices that are processed at once. It limits memory."""
 
 
 def crowding(load: Floats) -> Floats:
-    """v(u), same shape: others that begin together with a station, for each unit of load around it."""
+    """v(u), same shape: number of others that begin together with a station, per unit of load around it."""
     free = 1.0 - load
     return 2.0 * MEETING * load / (free + np.sqrt(free * free + 4.0 * CROWDING * MEETING * load * load))
 
 
 def load_of(rates: Floats, parameters: ChannelParameters) -> Floats:
-    """Share of the GNSS period that a station fills at psi messages, psi (B_D + h) / T; same shape."""
+    """Share of the GNSS period that a station fills with psi messages, psi (B_D + h) / T; same shape."""
     return rates * ((parameters.wifi.beacon_ms + GAP_MS) / parameters.gnss_period_ms)
 
 
@@ -83,7 +83,7 @@ def sensed_load(
 ) -> Floats:
     """u of every aircraft: load of the stations that it senses on its channel, shape (nodes,).
 
-    Args: as for `collision.survival`.
+    Args: see `collision.survival`.
     """
     sender, receiver = _heard_on_own_channel(links, carried, wifi_channel)
     load = load_of(rates[:, _WIFI].astype(float), parameters)
@@ -93,11 +93,11 @@ def sensed_load(
 def log_survival(
     links: Links, carried: Bools, rates: Indices, wifi_channel: Indices, parameters: ChannelParameters
 ) -> tuple[Floats, Floats]:
-    """What becomes of the paper's product over Wi-Fi, for the links that carry it, each of shape (on,).
+    """Corrections to the paper's product over Wi-Fi, for the links that carry Wi-Fi, each of shape (on,).
 
     Returns:
-        The log of the factors of the stations that the sender senses, to be taken out of the paper's product,
-        and the log of the survival among these, to be put in.
+        The log of the factors of the stations that the sender senses, to be removed from the paper's product,
+        and the log of the survival among these stations, to be added instead.
     """
     on = np.flatnonzero(carried[:, _WIFI])
     psi = rates[:, _WIFI].astype(float)
@@ -113,14 +113,15 @@ def log_auxiliary_under_wifi(
 ) -> Floats:
     """Log of the probability that an auxiliary packet meets no beacon, for the links that carry BLE 5, (on,).
 
-    On one of the 9 secondary channels under a Wi-Fi channel it meets all beacons there, else none of them.
+    On one of the 9 secondary channels under a Wi-Fi channel it can meet all beacons on that channel, else
+    none.
 
-    Args: as for `collision.survival`.
+    Args: see `collision.survival`.
     """
     on, by = np.flatnonzero(carried[:, _BLE5]), np.flatnonzero(carried[:, _WIFI])
     sender, receiver = links.transmitter[on], links.receiver[on]
     together_ms = parameters.ble5.auxiliary_ms + parameters.wifi.beacon_ms
-    # Long packets at a high rate leave nothing on such a channel.
+    # Long packets at a high rate leave no idle time on such a channel.
     idle = np.maximum(1.0 - together_ms / parameters.gnss_period_ms * rates[:, _WIFI], 1e-12)
     factor = np.log(idle)
     hit = np.zeros(len(on))
@@ -133,7 +134,7 @@ def log_auxiliary_under_wifi(
 
 
 def _heard_on_own_channel(links: Links, carried: Bools, wifi_channel: Indices) -> tuple[Indices, Indices]:
-    """Senders and receivers of the links that carry Wi-Fi between stations of one channel."""
+    """Senders and receivers of the links that carry Wi-Fi between stations on the same channel."""
     on = np.flatnonzero(carried[:, _WIFI])
     sender, receiver = links.transmitter[on], links.receiver[on]
     same = wifi_channel[sender] == wifi_channel[receiver]
@@ -176,23 +177,23 @@ def _over_common(links: Links, on: Indices, wifi_channel: Indices, weights: Floa
             same = wifi_channel[sender[rows]] == wifi_channel[receiver[rows]]
             for kind, weight in enumerate(weights):
                 sensed = np.zeros_like(hears)
-                # Transposed: row by who senses, column by who is sensed.
+                # Transposed: the row is the sensing station, the column the sensed one.
                 sensed[block[same], i[same], j[same]] = weight[sender[rows[same]]]
                 found[kind, rows] = (sensed @ hears)[block, j, i]
     return found
 
 
 def _groups(nodes: int, sender: Indices, receiver: Indices) -> tuple[Indices, Indices, Indices]:
-    """Runs of successive aircraft that no link leaves: environments lie side by side.
+    """Ranges of successive aircraft that no link leaves, because environments are stored one after the other.
 
     Returns:
-        Shape (nodes,): the run of each aircraft and its place there; shape (runs,): their sizes.
+        Shape (nodes,): the range of each aircraft and its position in it; shape (ranges,): their sizes.
     """
     spanned = np.zeros(nodes + 1, np.intp)
     low, high = np.minimum(sender, receiver), np.maximum(sender, receiver)
     spanned[:nodes] += np.bincount(low + 1, minlength=nodes)[:nodes]
     spanned -= np.bincount(high + 1, minlength=nodes + 1)
-    # A run begins at each aircraft that no link passes by or comes to from before.
+    # A range begins at each aircraft that no link spans or reaches from an earlier aircraft.
     begins = np.cumsum(spanned[:nodes]) == 0
     group = np.cumsum(begins) - 1
     first = np.flatnonzero(begins)
@@ -201,8 +202,8 @@ def _groups(nodes: int, sender: Indices, receiver: Indices) -> tuple[Indices, In
 
 
 def _sparse(sender: Indices, receiver: Indices, wifi_channel: Indices, weights: Floats) -> Floats:
-    """As `_over_common`, for one large group, shape (kinds, links)."""
-    # Only whoever simulates thousands of aircraft needs SciPy; it comes with the extra `inspect`.
+    """Like `_over_common`, for one large group, shape (kinds, links)."""
+    # SciPy is needed only to simulate thousands of aircraft. The extra `inspect` installs it.
     from scipy.sparse import csr_array
 
     low = int(min(sender.min(), receiver.min()))
@@ -218,7 +219,7 @@ def _sparse(sender: Indices, receiver: Indices, wifi_channel: Indices, weights: 
 
 
 def delay_s(rate: int, survival: Floats, sensed: Floats, parameters: ChannelParameters) -> Floats:
-    """Mean delay (s) from a GNSS sample to the first beacon heard of it or of a later one.
+    """Mean delay (s) from a GNSS sample to the first beacon received that carries it or a later one.
 
     Args:
         rate: psi of the sender.
@@ -226,7 +227,7 @@ def delay_s(rate: int, survival: Floats, sensed: Floats, parameters: ChannelPara
         sensed: u of the sender, same shape.
 
     Returns:
-        Same shape; infinite where nothing can ever arrive.
+        Same shape; infinite where no beacon can ever arrive.
 
     Raises:
         ConfigError: the rate is less than 1 or more than the largest.
@@ -241,22 +242,22 @@ def delay_s(rate: int, survival: Floats, sensed: Floats, parameters: ChannelPara
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         by_chance = interval_s * (1.0 / (met * survival) - 0.5) + wifi.beacon_ms / 1000.0
         mixed = (1.0 - blurred) * regular + blurred * by_chance
-    # Where nothing survives both are infinite, and one of the shares may be 0.
+    # Where nothing survives both delays are infinite, and a share of 0 would give NaN.
     return np.where(survival > _NOTHING, mixed, np.inf) + wait_ms / 1000.0
 
 
 def blur(wait_ms: Floats, cycle_ms: float) -> Floats:
-    """Share of the regularity between beacons and scans that waits take away, 0 to 1."""
+    """Share of the regularity between beacons and scans that waits remove, 0 to 1."""
     square = (BLUR * wait_ms / cycle_ms) ** 2
     return square / (1.0 + square)
 
 
 @lru_cache(maxsize=1024)
 def running_terms(rate: int, parameters: ChannelParameters) -> Terms:
-    """The terms of beacons whose interval T_GNSS / psi runs on past GNSS samples, in exact time.
+    """Terms of beacons whose interval T_GNSS / psi runs on past GNSS samples, in exact time.
 
-    A period is as many beacons as it takes until beacon and scan stand to each other as before (at most
-    `_LONGEST_PATTERN`); its phase is uniform, and so is the time from the sample to the next beacon.
+    A period has as many beacons as it takes until beacon and scan have the same relative phase again (at most
+    `_LONGEST_PATTERN`). Its phase is uniform, and so is the time from the sample to the next beacon.
 
     Raises:
         ConfigError: the rate is less than 1 or more than the largest.

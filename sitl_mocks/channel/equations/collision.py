@@ -1,8 +1,8 @@
-"""Packets that meet on the air: section "Packet Collision Model", its eight products, and others in the band.
+"""Packet collisions: section "Packet Collision Model" with its eight products, and foreign transmissions.
 
 STI is interference by the same technology, CTI by another one. Every factor is 1 - x psi, where psi is the
-rate of one interfering aircraft and x the share of a GNSS period in which its packet would destroy ours.
-Durations are those on the air, not whole slots: rounding down would hide up to a fifth of the collisions.
+rate of one interfering aircraft and x the share of a GNSS period in which its packet would destroy the
+victim. Durations are exact, not whole slots: rounding down would hide up to a fifth of the collisions.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Shares:
 
 
 def shares_of(parameters: ChannelParameters) -> Shares:
-    """The shares that follow from the durations."""
+    """Compute the shares from the durations."""
     period = parameters.gnss_period_ms
     a4, a5 = parameters.ble4.packet_ms, parameters.ble5.packet_ms
     aux, beacon = parameters.ble5.auxiliary_ms, parameters.wifi.beacon_ms
@@ -70,7 +70,7 @@ def shares_of(parameters: ChannelParameters) -> Shares:
 class Survival:
     """Probability that one packet survives on its link, each of shape (links,); 1 where it is not carried.
 
-    BLE 4's PDU, BLE 5's pointer and auxiliary packet, Wi-Fi's beacon.
+    The packets are BLE 4's PDU, BLE 5's pointer and auxiliary packet, and Wi-Fi's beacon.
     """
 
     ble4: Floats
@@ -82,10 +82,11 @@ class Survival:
 def background_survival(parameters: ChannelParameters, busy: Floats) -> Survival:
     """Probability that a packet meets none of the foreign transmissions at its receiver.
 
-    Busy and idle times are exponential: the packet must begin in an idle time and end before that does.
+    Busy and idle periods are exponential. The packet must begin in an idle period and end before that period
+    does.
 
     Args:
-        busy: shape (receivers, 3), share of time filled, in the order of `MODES`, below 1.
+        busy: shape (receivers, 3), share of busy time, in the order of `MODES`, below 1.
     """
     burst_ms = parameters.background.burst_ms
 
@@ -109,13 +110,13 @@ def survival(
     wifi_channel: Indices,
     parameters: ChannelParameters,
 ) -> Survival:
-    """The eight products for every link; Wi-Fi among itself as the parameters' `access` says.
+    """The eight products for every link. Wi-Fi against Wi-Fi follows `access` of the parameters.
 
-    A sender's own packets on other modes do not disturb it, and a receiver's own do not disturb what it
-    hears: the sets R hold neither.
+    A sender's own packets in other modes do not disturb its packet, and a receiver's own packets do not
+    disturb what it receives: the sets R contain neither.
 
     Args:
-        carried: shape (links, 3), the sender is on the mode and the link carries it.
+        carried: shape (links, 3), the sender uses the mode and the link carries it.
         rates: shape (nodes, 3), messages in a GNSS period.
         wifi_channel: shape (nodes,), index into `WIFI_CHANNELS`.
     """
@@ -124,7 +125,7 @@ def survival(
     sender, receiver = [links.transmitter[at] for at in on], [links.receiver[at] for at in on]
 
     def log_product(mode: int, by: int, share: float, channels: Indices | None = None) -> Floats:
-        """Over the senders on mode `by` that reach the receiver; for the links that carry `mode`."""
+        """Log product over senders in mode `by` that reach the receiver, for the links that carry `mode`."""
         factor = np.log1p(-share * rates[:, by])
         key, by_key, kinds = receiver[mode], receiver[by], 1
         if channels is not None:
@@ -136,18 +137,18 @@ def survival(
         return np.asarray(total[key] - (own if mode == by else np.where(carried[on[mode], by], own, 0.0)))
 
     def product(mode: int, *logs: Floats) -> Floats:
-        """Over all interferers, (links,)."""
+        """Product over all interferers, shape (links,)."""
         result = np.ones(len(links.receiver))
-        # Rounding must not make a probability of more than 1 from an empty product.
+        # Rounding must not turn an empty product into a probability of more than 1.
         result[on[mode]] = np.exp(np.minimum(sum(logs), 0.0))
         return result
 
     def beacons(blind: Floats) -> tuple[Floats, ...]:
-        """Over the stations on Wi-Fi, given the product over all of them."""
+        """Log factors of the Wi-Fi stations, given the log product over all of them."""
         if parameters.wifi.access == "independent":
             return (blind,)
         sensed, among_sensed = log_survival(links, carried, rates, wifi_channel, parameters)
-        # Rounding must not make hidden stations out of none.
+        # Rounding must not create hidden stations where there are none.
         return np.minimum(blind - sensed, 0.0), among_sensed
 
     return Survival(

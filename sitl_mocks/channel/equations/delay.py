@@ -1,17 +1,17 @@
-"""From a GNSS sample to the first message heard: section "Average Transmission Delay Model", three averages.
+"""Mean delay from a GNSS sample to the first message received: section "Average Transmission Delay Model".
 
 The paper sums over GNSS periods that all begin at the same phase t0 of the receiver's scan. A phase without a
-match would then never hear anything and the sum would be undefined, so here the phase is redrawn for every
-period: with F the probability that a period brings nothing,
+match would then never receive anything, and the sum would be undefined. Here the phase is therefore redrawn
+for every period. With F the probability that a period delivers nothing,
 
     mean delay = (E[delay; something heard] + F T_GNSS) / (1 - F).
 
 Both E and F are sums over the phases of products of the packets' probabilities. Phases with the same pattern
-give the same product, so that few terms remain (`Terms`) and a mean delay is a polynomial in the loss of one
+give the same product, so few terms remain (`Terms`), and a mean delay is a polynomial in the loss of one
 packet.
 
-With the parameters' `schedule` "random" the same sum is taken over events that each meet the scan at a phase
-of their own.
+With the parameters' `schedule` "random" the same sum is taken over events that each have a scan phase of
+their own.
 """
 
 from __future__ import annotations
@@ -31,41 +31,43 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 Hits = dict[tuple[int, ...], list[float]]
-"""Weight and weighted delay (s) by the tries failed before and the kind of the try."""
+"""Weight and weighted delay (s), by the number of failed tries of each kind and the successful kind."""
 Misses = dict[tuple[int, ...], float]
-"""Weight by the tries failed."""
+"""Weight by the number of failed tries of each kind."""
 
 TRIES = 3
-"""A try is one packet of BLE 4 or Wi-Fi, or one auxiliary packet of BLE 5, which 1 to 3 pointers announce."""
+"""Number of kinds of tries. A try is one packet of BLE 4 or Wi-Fi, or one auxiliary packet of BLE 5, which 1
+to 3 pointers announce.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """What a mode and rate gives within one GNSS period, averaged over the phases.
+    """Terms of a mode and rate within one GNSS period, averaged over the phases.
 
     A term stands for all cases in which a try succeeds after `failed` earlier tries without success. Tries
-    are told apart by their number of pointers, 1 to `TRIES`; BLE 4 and Wi-Fi have only the first kind.
+    are distinguished by their number of pointers, 1 to `TRIES`; BLE 4 and Wi-Fi have only the first kind.
     """
 
     failed: Integers
-    """Shape (terms, TRIES): number of tries of each kind before."""
+    """Shape (terms, TRIES): number of earlier tries of each kind."""
     kind: Integers
-    """Shape (terms,): kind of the try itself, from 0."""
+    """Shape (terms,): kind of the successful try, from 0."""
     weight: Floats
     """Shape (terms,): share of the phases."""
     delay_s: Floats
-    """Shape (terms,): that share times the delay (s)."""
+    """Shape (terms,): weight times the delay (s)."""
     missed: Integers
-    """Shape (cases, TRIES): numbers of tries of a whole period, all without success."""
+    """Shape (cases, TRIES): number of tries of each kind in a whole period, all without success."""
     missed_weight: Floats
-    """Shape (cases,)."""
+    """Shape (cases,): share of the phases."""
     period_s: float
-    """T_GNSS."""
+    """T_GNSS in seconds."""
 
 
 @lru_cache(maxsize=1024)
 def terms_of(mode: str, rate: int, parameters: ChannelParameters) -> Terms:
-    """The terms of a mode and rate.
+    """Compute the terms of a mode and rate.
 
     Raises:
         ConfigError: the rate is less than 1 or more than the mode's largest.
@@ -93,7 +95,7 @@ def terms_of(mode: str, rate: int, parameters: ChannelParameters) -> Terms:
 
 
 def _add_phases(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, misses: Misses) -> None:
-    """The paper's schedule: every phase of the scan cycle has its own fixed row of tries."""
+    """The paper's schedule: every phase of the scan cycle has a fixed sequence of tries."""
     slots, cycle = Slots(parameters), scan_of(mode, parameters).cycle
     for tries in _tries(mode, rate, parameters):
         failed = [0] * TRIES
@@ -106,10 +108,10 @@ def _add_phases(mode: str, rate: int, parameters: ChannelParameters, hits: Hits,
 
 
 def _add_draws(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, misses: Misses) -> None:
-    """The random schedule: the sample falls anywhere between two events, and each event meets the scan by
-    chance.
+    """The random schedule: the sample falls anywhere between two events, and scan phases are random.
 
-    Several packets of one BLE 4 event in windows count like several pointers: one of them is enough.
+    If several packets of one BLE 4 event fall into windows, they count like several pointers: one of them is
+    enough.
     """
     chance, delay_ms = meeting_chances(mode, parameters)
     before: Misses = {(0,) * TRIES: 1.0}
@@ -130,7 +132,7 @@ def _add_draws(mode: str, rate: int, parameters: ChannelParameters, hits: Hits, 
 
 
 def _tries(mode: str, rate: int, parameters: ChannelParameters) -> list[list[tuple[int, int]]]:
-    """By phase: the tries of one GNSS period in their order, as number of pointers and delay in slots."""
+    """By phase: the tries of one GNSS period in order, as number of pointers and delay in slots."""
     scan, slots = scan_of(mode, parameters), Slots(parameters)
     matches = matching_packets(mode, rate, parameters)
     tries: list[list[tuple[int, int]]] = [[] for _ in range(scan.cycle)]
@@ -138,8 +140,8 @@ def _tries(mode: str, rate: int, parameters: ChannelParameters) -> list[list[tup
         for phase, slot in zip(matches.phase.tolist(), matches.slot.tolist(), strict=True):
             tries[phase].append((1, slot + scan.duration))  # D(delta) = delta - t0 + A_P or B_D
         return tries
-    # D(xi) = (xi - 1) A_I + A_Offset + O_U + T_AUX, xi the event whose pointers were heard: A_I as it stands
-    # there, though the pointers keep the approximated interval.
+    # D(xi) = (xi - 1) A_I + A_Offset + O_U + T_AUX, where xi is the event whose pointers were received. A_I
+    # is used as in that formula, although the pointers keep the approximated interval.
     period, ble5 = event_period(mode, rate, parameters), parameters.ble5
     interval = slots.gnss_period // rate
     behind = sum(
@@ -158,14 +160,14 @@ def _tries(mode: str, rate: int, parameters: ChannelParameters) -> list[list[tup
 
 
 def mean_delay_s(terms: Terms, first: Floats, second: Floats) -> Floats:
-    """Mean delay (s) from a GNSS sample to the first message heard of it or of a later one.
+    """Mean delay (s) from a GNSS sample to the first message received that carries it or a later one.
 
     Args:
         first: probability that one packet survives (BLE 5: one pointer); any shape.
         second: probability that the auxiliary packet survives; 1 for BLE 4 and Wi-Fi. Same shape.
 
     Returns:
-        Same shape; infinite where nothing can ever arrive.
+        Same shape; infinite where no message can ever arrive.
     """
     kinds = range(1 + int(terms.kind.max(initial=0)))
     # P_succ of each kind of try, and the powers of its complement.

@@ -1,10 +1,11 @@
-"""A Bluetooth radio that sends does not hear: what that costs, for the equations.
+"""Losses of a Bluetooth radio that does not receive while it sends, for the equations.
 
-The paper lets a receiver hear while it sends. With `ChannelParameters.bluetooth_half_duplex` a packet is lost
-when it overlaps one that its receiver sends, on BLE 4 or BLE 5, which share a radio. Own events come at
-random against those of others: with rate psi and a share s of the GNSS period in which one own event would
-cover a packet, it survives with 1 - s psi. A pointer and its auxiliary packet are covered together more often
-than two packets by themselves; s of both is that of their union, for the mean of the three pointers.
+In the paper a receiver also receives while it sends. With `ChannelParameters.bluetooth_half_duplex` a packet
+is lost when it overlaps one that its receiver sends on BLE 4 or BLE 5, which share a radio. The receiver's
+own events fall at random times relative to those of others. With rate psi and a share s of the GNSS period in
+which one own event would cover a packet, the packet survives with probability 1 - s psi. A pointer and its
+auxiliary packet are covered together more often than two independent packets. The s of both is that of their
+union, averaged over the three pointers.
 """
 
 from __future__ import annotations
@@ -26,19 +27,20 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class DeafShares:
-    """Share of the GNSS period in which one event of the receiver covers a packet, by what it sends: on BLE 4
-    and on BLE 5."""
+    """Share of the GNSS period in which one event of the receiver covers a packet. Each pair holds the shares
+    for own events on BLE 4 and on BLE 5.
+    """
 
     ble4: Pair
-    """BLE 4's PDU."""
+    """Share for the PDU of BLE 4."""
     pointer: Pair
     both: Pair
-    """A pointer, its auxiliary packet, or both."""
+    """Share for a pointer, its auxiliary packet, or both."""
 
 
 @lru_cache(maxsize=64)
 def deaf_shares_of(parameters: ChannelParameters) -> DeafShares:
-    """The shares that follow from the durations."""
+    """Compute the shares from the durations."""
     ble4, ble5 = _advertisements(parameters.ble4), _advertisements(parameters.ble5)
     begin = parameters.ble5.auxiliary_offset_ms
     auxiliary = (begin, begin + parameters.ble5.auxiliary_ms)
@@ -56,8 +58,10 @@ def deaf_shares_of(parameters: ChannelParameters) -> DeafShares:
 
 
 def log_hearing(parameters: ChannelParameters, rates: NDArray[np.integer]) -> tuple[Floats, Floats, Floats]:
-    """Log probability that BLE 4's PDU, a pointer, and the auxiliary packet of a pointer that was heard, do
-    not fall into what the receiver sends itself; each of shape (receivers,).
+    """Log probability that packets do not overlap the receiver's own packets.
+
+    The three arrays are for BLE 4's PDU, a pointer, and the auxiliary packet of a received pointer, each of
+    shape (receivers,).
 
     Args:
         rates: shape (receivers, 3), messages in a GNSS period, in the order of `MODES`.
@@ -72,13 +76,13 @@ def log_hearing(parameters: ChannelParameters, rates: NDArray[np.integer]) -> tu
 
 
 def _advertisements(ble: BleParameters) -> list[tuple[float, float]]:
-    """When the three packets on the primary channels begin and end (ms), from the beginning of the event."""
+    """Begin and end of the three packets on the primary channels (ms), from the beginning of the event."""
     step = ble.packet_ms + ble.gap_ms
     return [(k * step, k * step + ble.packet_ms) for k in range(3)]
 
 
 def _covered_ms(victims: _Spans, own: _Spans) -> float:
-    """Length of all offsets at which any of the own packets overlaps any of the victims (ms)."""
+    """Total length of the offsets at which any of the own packets overlaps any of the victims (ms)."""
     offsets = sorted((v[0] - o[1], v[1] - o[0]) for v in victims for o in own)
     total, reached = 0.0, -np.inf
     for low, high in offsets:

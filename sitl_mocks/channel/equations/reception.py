@@ -2,8 +2,8 @@
 
 All times are whole slots. A sender begins at phase t0 of the receiver's scan cycle and repeats its event with
 a period that shares no factor with the cycle. The paper finds the slots in which a packet falls into a scan
-window by the Chinese remainder theorem, window slot by window slot; within one GNSS period it is less work to
-look at every event, and the sets are the same.
+window by the Chinese remainder theorem, window slot by window slot. Within one GNSS period it is less work to
+check every event, and the sets are the same.
 """
 
 from __future__ import annotations
@@ -23,18 +23,20 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """How a receiver listens to one mode, and what it must fit into a window."""
+    """Scan pattern of a receiver in one mode, and the packets that must fit into its windows."""
 
     cycle: int
     """Slots after which the scan repeats (3 S_I, or 3 (T_S + C_T))."""
     window_starts: tuple[int, int, int]
     """First slot of the window on each of the three channels."""
     slack: int
-    """A packet is heard whole when it begins up to so many slots after the window (S_W - A_P, T_S - B_D)."""
+    """A packet is received completely if it begins at most this many slots after the start of the window (S_W
+    - A_P, T_S - B_D).
+    """
     packet_offsets: tuple[int, ...]
-    """Slots from the beginning of an event to its packet on each channel; one channel only for Wi-Fi."""
+    """Slots from the beginning of an event to its packet on each channel. Wi-Fi has one channel only."""
     duration: int
-    """Slots that one such packet takes."""
+    """Duration of one such packet in slots."""
 
 
 def scan_of(mode: str, parameters: ChannelParameters) -> Scan:
@@ -54,15 +56,14 @@ def scan_of(mode: str, parameters: ChannelParameters) -> Scan:
 
 
 def coprime_period(period: int, cycle: int) -> int:
-    """The integer nearest to `period` that shares no factor with `cycle`, the lower one on a tie (A-hat,
-    B-hat).
+    """The integer nearest to `period` and coprime to `cycle` (A-hat, B-hat), the lower one on a tie.
 
     Raises:
         ValueError: `period` or `cycle` is less than 1.
     """
     if period < 1 or cycle < 1:
         raise ValueError(f"period {period}, cycle {cycle}: expected at least 1 slot each")
-    # 1 shares no factor with anything, so that the search ends.
+    # The search ends because 1 shares no factor with any number.
     return next(
         near
         for away in range(period + 1)
@@ -83,14 +84,14 @@ def event_period(mode: str, rate: int, parameters: ChannelParameters) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Packets of one GNSS period that fall whole into a scan window, for every phase; one row each."""
+    """Packets of one GNSS period that fall completely into a scan window, for every phase; one row each."""
 
     phase: Integers
-    """t0, from 0 to the scan cycle."""
+    """t0, from 0 to below the scan cycle."""
     slot: Integers
     """Slots after t0 at which the packet begins."""
     channel: Integers
-    """Index of the channel on which it is heard."""
+    """Index of the channel on which it is received."""
 
 
 def matching_packets(
@@ -109,17 +110,18 @@ def matching_packets(
 
 
 def coincidences(scan: Scan, period: int, horizon: int, wifi_channel: int = 0) -> Matches:
-    """All slots up to `horizon` at which a packet begins and is heard whole, for all phases at once.
+    """All slots up to `horizon` at which a packet begins and is received completely, for all phases at once.
 
-    Two congruences hold at such a slot t, one modulo the sender's period and one modulo the receiver's cycle;
-    by the Chinese remainder theorem (the paper's T) one t in period x cycle solves both. There are far fewer
-    events than slots in a window, so that the solutions are found by walking through the events.
+    Two congruences hold at such a slot t, one modulo the sender's period and one modulo the receiver's cycle.
+    By the Chinese remainder theorem (the paper's T) one t in period x cycle solves both. There are far fewer
+    events than slots in a window, so the solutions are found by checking each event.
 
     Args:
         period: slots from one event to the next.
 
     Raises:
-        ValueError: the period is less than 1 or shares a factor with the cycle: phases would never meet.
+        ValueError: the period is less than 1 or shares a factor with the cycle, so that some phases never
+            meet.
     """
     if period < 1 or (shared := math.gcd(period, scan.cycle)) != 1:
         why = (
@@ -142,8 +144,10 @@ def coincidences(scan: Scan, period: int, horizon: int, wifi_channel: int = 0) -
 def heard_packets(
     mode: str, phase: float, parameters: ChannelParameters, *, wifi_channel: int = 0
 ) -> tuple[int, ...]:
-    """Which packets of one event fall whole into a window, when the event begins at this phase of the scan
-    (slots): indices into `Scan.packet_offsets`."""
+    """Packets of one event that fall completely into a window if the event begins at this scan phase (slots).
+
+    The result holds indices into `Scan.packet_offsets`.
+    """
     scan = scan_of(mode, parameters)
     heard = []
     for index, offset in enumerate(scan.packet_offsets):
@@ -154,16 +158,17 @@ def heard_packets(
 
 
 def meeting_chances(mode: str, parameters: ChannelParameters) -> tuple[tuple[float, float, float], float]:
-    """A Bluetooth event that begins at any phase of the scan, with exact durations.
+    """Reception of a Bluetooth event that begins at a uniformly random scan phase, with exact durations.
 
     Returns:
-        Probability that exactly 1, 2 and 3 of its packets fall whole into a window; and the mean time (ms)
-        from its beginning until the message is complete, when it is heard.
+        Probability that exactly 1, 2 and 3 of its packets fall completely into a window; and the mean time
+        (ms) from its beginning until the message is complete, if it is received.
     """
     ble = parameters.ble4 if mode == BLE4 else parameters.ble5
     slack, cycle = ble.scan_window_ms - ble.packet_ms, 3.0 * ble.scan_interval_ms
     offsets = [channel * (ble.packet_ms + ble.gap_ms) for channel in range(3)]
-    # Phases of the event at which each packet begins to be heard; between two edges the number is the same.
+    # Event phases from which each packet can be received. Between two edges the number of such packets is
+    # constant.
     opens = [(channel * ble.scan_interval_ms - offset) % cycle for channel, offset in enumerate(offsets)]
     edges = sorted({0.0, cycle, *opens, *((x + slack) % cycle for x in opens)})
     chance, complete = [0.0, 0.0, 0.0], 0.0

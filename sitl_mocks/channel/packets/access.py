@@ -1,14 +1,14 @@
 """Carrier sense: when a Wi-Fi station that wants to send a beacon really begins to send it.
 
-The distributed coordination function of IEEE 802.11 (DCF) for frames without acknowledgement, which are sent
-once and never again. A station that finds the medium idle, and idle for a DIFS before, begins at once. Else
-it waits until the medium has been idle for a DIFS and then counts down a number of backoff slots, which stops
-while the medium is busy and goes on after the next DIFS. Stations whose countdowns end together collide, and
-so do stations that do not hear each other.
+This is the distributed coordination function of IEEE 802.11 (DCF) for frames without acknowledgement, which
+are never repeated. A station begins at once if the medium is idle and has been idle for a DIFS. Otherwise
+it waits until the medium has been idle for a DIFS and then counts down a number of backoff slots. The
+countdown stops while the medium is busy and continues after the next DIFS. Stations whose countdowns end
+together collide, and so do stations that do not hear each other.
 
-Left out: the few microseconds that it takes to notice a transmission and to turn from listening to sending;
-the longer wait (EIFS) after a frame that a collision made illegible; that a station waits for Bluetooth or
-for foreign transmissions. A station senses the channel on which it sends, at all times.
+Not modelled: the few microseconds needed to notice a transmission and to switch from listening to sending;
+the longer wait (EIFS) after a frame that a collision made illegible; waiting for Bluetooth or for foreign
+transmissions. A station senses the channel on which it sends, at all times.
 """
 
 from __future__ import annotations
@@ -30,28 +30,31 @@ Bools = NDArray[np.bool_]
 DIFS_MS: Final = 0.05
 BACKOFF_SLOT_MS: Final = 0.02
 MAX_BACKOFF: Final = 31
-"""CWmin; without acknowledgements the contention window stays. All three as for DSSS; OFDM that shares the
-band with DSSS differs by its CWmin of 15."""
+"""CWmin. Without acknowledgements the contention window stays constant. All three values are those of DSSS;
+OFDM that shares the band with DSSS differs by its CWmin of 15.
+"""
 
 _ROUNDING = 1e-6
-"""Of a backoff slot: a station that begins at the end of the others' nth slot leaves them n slots on."""
+"""Tolerance as a share of a backoff slot. A station that begins at the end of the others' nth slot reduces
+their countdown by n slots.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Beacon:
-    """What a station wants to send. Times in any unit, the same for all."""
+    """A beacon that a station wants to send. Times are in any unit, the same for all."""
 
     number: int
-    """The caller's."""
+    """Number given by the caller."""
     station: Hashable
     channel: int
     wanted: float
-    """When it would begin if the medium were idle."""
+    """Time at which it would begin if the medium were idle."""
     duration: float
     heard_by: AbstractSet[Hashable]
-    """The stations that sense it."""
+    """Stations that sense it."""
     backoff: int
-    """Slots to count down if it must wait, uniform in 0 to `MAX_BACKOFF`. Drawn by the caller."""
+    """Slots to count down if the station must wait, drawn by the caller uniformly from 0 to `MAX_BACKOFF`."""
 
 
 @dataclass(slots=True)
@@ -62,20 +65,20 @@ class _Waiting:
     left: int
     """Backoff slots left at `since`."""
     since: float
-    """When the countdown goes on: a DIFS after the medium became idle."""
+    """Time at which the countdown continues: a DIFS after the medium became idle."""
     begin: float
-    """When it will be over if the medium stays idle."""
+    """Time at which the countdown ends if the medium stays idle."""
 
 
 class WifiAccess:
-    """The stations' access to the medium, through time. A pure function of what is wanted.
+    """Access of all stations to the medium over time. The result depends only on the beacons that are wanted.
 
-    A station waits with one beacon at a time: where it wants the next one before it could send, the newer
-    takes the older one's place in the countdown and the older one is never sent.
+    A station waits with one beacon at a time. If it wants to send the next one before the current one could
+    be sent, the newer one takes the older one's place in the countdown, and the older one is never sent.
 
     Args:
-        difs: in the unit of all times.
-        backoff_slot: likewise.
+        difs: length of a DIFS, in the unit of all times.
+        backoff_slot: length of a backoff slot, in the same unit.
     """
 
     def __init__(self, difs: float, backoff_slot: float) -> None:
@@ -83,25 +86,27 @@ class WifiAccess:
         self._wanted: list[tuple[float, int, Beacon]] = []
         self._waiting: dict[Hashable, _Waiting] = {}
         self._sent: list[tuple[float, Beacon]] = []
-        """With their ends; those that ended less than a DIFS ago, or later."""
+        """Beacons that were sent, with their end times. Those that ended a DIFS ago or earlier are
+        dropped.
+        """
         self._until = -math.inf
 
     def want(self, beacon: Beacon) -> None:
-        """Take up a beacon. Those wanted at one time get their turns in the order of their numbers.
+        """Add a beacon. Beacons wanted at the same time are processed in the order of their numbers.
 
         Raises:
-            ValueError: it is wanted before a time up to which all was decided.
+            ValueError: the beacon is wanted before a time up to which everything was decided.
         """
         if beacon.wanted < self._until:
             raise ValueError(f"beacon {beacon.number}: wanted {beacon.wanted} before {self._until}")
         heapq.heappush(self._wanted, (beacon.wanted, beacon.number, beacon))
 
     def advance(self, until: float) -> list[tuple[int, float | None]]:
-        """Decide all that happens before a time: nothing wanted before it may come later.
+        """Decide everything that happens before a time. No beacon wanted before that time may be added later.
 
         Returns:
-            By time, the numbers of the beacons that begin before `until`, each with its beginning; and those
-            that newer ones replaced, with None.
+            In time order, the numbers of the beacons that begin before `until`, each with its start time.
+            Beacons that newer ones replaced are included with None.
         """
         decided: list[tuple[int, float | None]] = []
         while (now := self._next()) < until:
@@ -128,7 +133,7 @@ class WifiAccess:
         return decided
 
     def next_time(self) -> float | None:
-        """When something may happen next, as far as is known; None when nothing is wanted."""
+        """Earliest time at which something may happen, as far as is known. None if no beacon is wanted."""
         time = self._next()
         return None if math.isinf(time) else time
 
@@ -137,7 +142,7 @@ class WifiAccess:
         return min(wanted, min((w.begin for w in self._waiting.values()), default=math.inf))
 
     def _busy_until(self, beacon: Beacon) -> float:
-        """Until when the medium is busy, or was, where the station is."""
+        """Time until which the medium at the station is or was busy."""
         heard = (
             end
             for end, other in self._sent
@@ -147,7 +152,9 @@ class WifiAccess:
         return max(heard, default=-math.inf)
 
     def _send(self, beacon: Beacon, now: float) -> None:
-        """The stations that hear it stop counting, but for those whose countdown ends at this very time."""
+        """Send a beacon. Stations that hear it stop counting, unless their countdown ends at the same
+        time.
+        """
         end = now + beacon.duration
         self._sent = [sent for sent in self._sent if sent[0] > now - self._difs]
         self._sent.append((end, beacon))
@@ -170,14 +177,15 @@ def defer(
     slot_ms: float,
     rng: np.random.Generator,
 ) -> Floats:
-    """When beacons begin, shape (beacons,); NaN for those that newer ones of the same station replaced.
+    """Start times of beacons, shape (beacons,); NaN for those that newer ones of the same station replaced.
 
     Args:
         wanted: shape (beacons,), in any order, in slots of the channel model.
         station: shape (beacons,): row of `hears`.
         channel: shape (beacons,).
-        duration: of each (slots).
-        hears: shape (stations, stations): whether the transmitter (row) is sensed by the other (column).
+        duration: duration of each beacon (slots).
+        hears: shape (stations, stations): whether the station in the column senses the transmitter in the
+            row.
         slot_ms: length of a slot of the channel model.
         rng: draws one backoff for each beacon, whether it has to wait or not.
     """

@@ -1,20 +1,21 @@
-"""The channel packet by packet, for the frames that are really sent (see `packet_reception`).
+"""Packet-level channel for the frames that the companions really send (see `packets.reception`).
 
-Every frame is laid on the time line as its packets, at the time at which its radio sends it. Receivers scan
-on their own clocks, one that sends does not hear, and packets that overlap are lost. Wi-Fi stations listen
-before they send (see `packet_access`).
+Every frame is placed on the time line as its packets, at the time at which its radio sends it. Receivers scan
+on their own clocks, a radio that sends does not receive, and packets that overlap are lost. Wi-Fi stations
+listen before they send (see `packets.access`).
 
 When is an outcome certain? No frame is sent before the time of an earlier call, and no packet begins before
-its frame is sent. So at `settle(now_s)` every packet that may still come begins at or after `now_s`: who has
-the medium until then is decided, and what may still come overlaps nothing that has ended. An event that has
-ended is therefore judged for good, with exactly those events beside it that share some of its time; and
-nothing is drawn in judging. That holds in lock-step too, where the frames of a tick are sent after the air
-was settled at that tick: they begin at or after it.
+its frame is sent. So at `settle(now_s)` every packet that may still come begins at or after `now_s`. Access
+to the medium until then is decided, and no later packet overlaps an event that has ended. An event that has
+ended is therefore decided for good, together with exactly those events that share some of its time. Deciding
+draws no random numbers. This holds in lock-step too, where the frames of a tick are sent after the air was
+settled at that tick: they begin at or after it.
 
-When does a radio send? At its own time. Companions hand frames over at ticks, in lock-step all at the same
-ones, and processes of one machine share its clock. Radios of aircraft have schedules of their own, which move
-against each other by clock errors and, on Bluetooth, by the random delays R_D, which add up. Without that,
-two aircraft that once send together would do so for ever, and never hear each other.
+When does a radio send? At its own time. Companions hand frames over at ticks. In lock-step all companions do
+so at the same ticks, and processes of one machine share its clock. Radios of aircraft have schedules of their
+own, which drift against each other by clock errors and, on Bluetooth, by the random delays R_D, which
+accumulate. Without that drift, two aircraft that once send at the same time would do so forever and never
+receive each other.
 """
 
 from __future__ import annotations
@@ -37,20 +38,20 @@ from sitl_mocks.channel.packets.timing import BLE5, REAL, WIFI, Durations
 from sitl_mocks.channel.parameters import MODES, SECONDARY_CHANNELS, ChannelParameters
 
 MAX_BACKLOG_S = 1.0
-"""A radio that is busy for longer drops the frame: what it would send is out of date."""
+"""A radio that is busy for longer than this drops the frame, because its content is out of date."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True)
 class _Radio:
-    """One aircraft's radio; what chance gave it stays."""
+    """One aircraft's radio. Its random values are drawn once."""
 
     phase: Floats
-    """Shape (3,): when its scan cycle of each mode begins (slots of its own clock)."""
+    """Shape (3,): start of its scan cycle of each mode (slots of its own clock)."""
     clock: float
     offset_s: list[float]
-    """By mode: from hand-over to its time to send, without clock error, modulo the spread."""
+    """By mode: time from hand-over to sending, without clock error, modulo the spread."""
     background: Background
     bluetooth_free_s: float = -math.inf
     wifi_free_s: float = -math.inf
@@ -61,7 +62,7 @@ class _Event:
     """One frame as its radio sends it. Times in slots."""
 
     number: int
-    """Of its transmission."""
+    """Number of the transmission."""
     sender: str
     mode: int
     begin: float
@@ -69,18 +70,19 @@ class _Event:
     channel: int
     auxiliary_delay: float
     path_loss_db: dict[str, float]
-    """By receiver."""
+    """Path loss to each receiver (dB), by name."""
     radios: dict[str, _Radio]
-    """Of the sender and all receivers."""
+    """Radios of the sender and all receivers, by name."""
 
 
 class PacketChannel:
     """A `Channel` that decides about a frame when its last packet has ended.
 
     Args:
-        parameters: of the channel.
-        spread_s: longest time from a frame's hand-over to its radio's own time to send; where in it that
-            lies is drawn for each aircraft and mode, and moves on. 0: at once, on Bluetooth up to R_D later.
+        parameters: parameters of the channel.
+        spread_s: longest time from a frame's hand-over to its radio's own sending time. The position within
+            it is drawn for each aircraft and mode, and drifts. With 0, radios send at once, on Bluetooth up
+            to R_D later.
     """
 
     def __init__(self, parameters: ChannelParameters, spread_s: float = 0.0) -> None:
@@ -94,14 +96,14 @@ class PacketChannel:
         slot_ms = parameters.slot_ms
         self._access = WifiAccess(DIFS_MS / slot_ms, BACKOFF_SLOT_MS / slot_ms)
         self._wanting: dict[int, _Event] = {}
-        """By number, the Wi-Fi frames for which it is not decided when they begin."""
+        """Wi-Fi frames whose start is not decided yet, by number."""
         self._settled_s = -math.inf
 
     def transmit(self, transmission: Transmission, rng: np.random.Generator) -> None:
         """See `Channel.transmit`.
 
         Raises:
-            ValueError: sent before the time of the last `settle`.
+            ValueError: the frame is sent before the time of the last `settle`.
         """
         sent_s, sender = transmission.sent_s, transmission.sender
         if sent_s < self._settled_s:
@@ -110,7 +112,8 @@ class PacketChannel:
         radios = {name: self._radio(name, sent_s, rng) for name in (sender, *transmission.distance_m)}
         wifi_channel = self._links.wifi_channel(sender, transmission.transport, rng)
         loss_db = self._links.path_loss_db(sender, transmission.distance_m, rng)
-        # The same numbers for every frame, whatever its mode, so that luck does not hang on what others did.
+        # Draw the same numbers for every frame in every mode, so that the draws do not depend on other
+        # aircraft's choices.
         random_delay, uncertainty = rng.random(2).tolist()
         secondary, backoff = int(rng.integers(SECONDARY_CHANNELS)), int(rng.integers(1 + MAX_BACKOFF))
         random_delay_s = random_delay * float(durations.random_delay[mode]) * durations.slot_s
@@ -144,19 +147,19 @@ class PacketChannel:
     def _lay(self, event: _Event) -> None:
         """Put an event on the time line."""
         self._around.append(event)
-        # One slot more: the times of seconds and of slots may differ by rounding.
+        # One slot is added because times in seconds and in slots may differ by rounding.
         certain_s = (event.end + 1.0) * self._durations.slot_s
         heapq.heappush(self._open, (certain_s, event.number, tuple(event.path_loss_db), event))
 
     def settle(self, now_s: float, rng: np.random.Generator) -> list[Outcome]:
-        """See `Channel.settle`: in the order in which the events end."""
+        """See `Channel.settle`. Outcomes are in the order in which the events end."""
         self._settled_s = max(self._settled_s, now_s)
         slot_s = self._durations.slot_s
         for number, begin in self._access.advance(self._settled_s / slot_s):
             event = self._wanting.pop(number)
             if begin is not None:
                 self._lay(replace(event, begin=begin, end=begin + event.end - event.begin))
-            else:  # a newer frame of its own sender took its place
+            else:  # a newer frame of the same sender replaced it
                 lost = (event.begin * slot_s, number, tuple(event.path_loss_db), None)
                 heapq.heappush(self._open, lost)
         over = []
@@ -176,7 +179,7 @@ class PacketChannel:
         begins = self._access.next_time()
         times = []
         if begins is not None:
-            # What begins then is certain when it has ended, as in `_lay`.
+            # A beacon that begins then becomes certain when it has ended, as in `_lay`.
             times.append((begins + float(self._durations.span[WIFI]) + 1.0) * self._durations.slot_s)
         return min([*times, *(entry[0] for entry in self._open[:1])], default=None)
 
@@ -192,7 +195,7 @@ class PacketChannel:
         return self._radios.get(name, draw)
 
     def _begin_s(self, radio: _Radio, mode: int, sent_s: float, random_delay_s: float) -> float | None:
-        """When a radio would begin to send (s), one event after the other; None: it drops the frame."""
+        """When a radio would begin to send (s), one event after the other. None if it drops the frame."""
         wait_s = random_delay_s
         if self._spread_s > 0.0:
             radio.offset_s[mode] += random_delay_s
@@ -203,14 +206,14 @@ class PacketChannel:
             return None
         free_s = begin_s + float(self._durations.span[mode]) * self._durations.slot_s
         if mode == WIFI:
-            # A station's next frame comes after a backoff of its own.
+            # A station's next frame follows after a backoff of its own.
             radio.wifi_free_s = free_s + (DIFS_MS + MAX_BACKOFF * BACKOFF_SLOT_MS) / 1000.0
         else:
             radio.bluetooth_free_s = free_s
         return begin_s
 
     def _arrivals_s(self, ended: Sequence[_Event]) -> dict[tuple[int, str], float]:
-        """When frames arrived (s), by number and receiver that heard it."""
+        """Arrival times of frames (s), by number and receiver. Lost frames are left out."""
         if not any(event.path_loss_db for event in ended):
             return {}
         begin, end = min(event.begin for event in ended), max(event.end for event in ended)
@@ -222,7 +225,7 @@ class PacketChannel:
         for one in around:
             radios.setdefault(one.sender, one.radios[one.sender])
         index = {name: number for number, name in enumerate(radios)}
-        # A row for each frame: senders move from one to the next.
+        # One row for each frame, because senders move between frames.
         loss_db = np.full((len(around), len(radios)), np.nan)
         for row, one in zip(loss_db, around, strict=True):
             for receiver, loss in one.path_loss_db.items():
@@ -251,7 +254,7 @@ class PacketChannel:
         }
 
     def _forget(self, now_s: float) -> None:
-        """Drop events that nothing open or still to come can overlap, and foreign bursts as old."""
+        """Drop events that no open or future event can overlap, and equally old foreign bursts."""
         now = now_s / self._durations.slot_s - 1.0
         since = min([now, *(event.begin for *_, event in self._open if event is not None)])
         for event in self._around:
@@ -262,7 +265,7 @@ class PacketChannel:
 
 
 class _Backgrounds(Background):
-    """Several receivers' foreign transmissions side by side, each drawn for itself."""
+    """Foreign transmissions at several receivers, drawn independently for each."""
 
     def __init__(self, receivers: Sequence[Background]) -> None:
         self._receivers = receivers
@@ -271,7 +274,7 @@ class _Backgrounds(Background):
         """See `Background.overlaps`."""
         columns = [receiver.overlaps(mode, begin, end) for receiver in self._receivers]
         met = [column for column in columns if column is not None]
-        # All have the same parameters: there is a background for every receiver or for none.
+        # All receivers have the same parameters, so either all of them have a background or none has.
         return np.concatenate(met, axis=1) if met else None
 
 

@@ -1,4 +1,4 @@
-"""Foreign transmissions at the receivers: an on/off process for each receiver and mode."""
+"""Foreign transmissions at the receivers, as an on/off process for each receiver and mode."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ class _Bursts:
         self._rng = rng
         self._burst = burst
         self._idle = burst * (1.0 - share) / share
-        # Without memory, what is left of a period that runs at the start is exponential as a whole one is.
+        # Exponential periods are memoryless: the rest of a period that runs at the start is distributed like
+        # a whole one.
         first = rng.exponential(burst) if rng.random() < share else 0.0
         self._begin, self._end = np.array([start]), np.array([start + first])
 
     def overlaps(self, begin: Floats, end: Floats) -> Bools:
-        """Whether each interval meets a burst. Begin must not lie before what was forgotten."""
+        """Whether each interval meets a burst. No `begin` may lie before the time of the last `forget`."""
         self._extend(float(end.max()))
         latest = self._begin.searchsorted(end) - 1
-        # Bursts end in the order in which they begin: the latest one that begins before `end` decides.
+        # Bursts end in the order in which they begin, so the latest one that begins before `end` decides.
         return np.asarray((latest >= 0) & (self._end[latest] > begin), bool)
 
     def forget(self, before: float) -> None:
-        """Drop bursts that ended before a time; the latest stays, for the process goes on from it."""
+        """Drop bursts that ended before a time. The latest one stays, because the process continues there."""
         over = min(int(self._end.searchsorted(before)), len(self._end) - 1)
         if over >= _BLOCK:
             self._begin, self._end = self._begin[over:], self._end[over:]
@@ -40,7 +41,7 @@ class _Bursts:
     def _extend(self, until: float) -> None:
         if self._end[-1] >= until:
             return
-        # Blocks of one size: what is drawn does not depend on how the caller divides time.
+        # Blocks have one size, so that the draws do not depend on how the caller divides time.
         begins, ends = [self._begin], [self._end]
         while ends[-1][-1] < until:
             idle = self._rng.exponential(self._idle, _BLOCK)
@@ -52,7 +53,7 @@ class _Bursts:
 
 
 class Background:
-    """Foreign bursts at every receiver, drawn as far as they are asked for. Times in slots."""
+    """Foreign bursts at every receiver, drawn as far as they are needed. Times in slots."""
 
     def __init__(
         self, parameters: ChannelParameters, nodes: int, start: float, rng: np.random.Generator
@@ -61,8 +62,8 @@ class Background:
         Args:
             parameters: their `background` gives the share of each mode and the mean burst.
             nodes: number of receivers.
-            start: where the processes begin (slots).
-            rng: parent of one generator for each process, so that none disturbs another.
+            start: time at which the processes begin (slots).
+            rng: parent of one generator for each process, so that their draws are independent of each other.
         """
         load = parameters.background
         burst = load.burst_ms / parameters.slot_ms
@@ -77,8 +78,8 @@ class Background:
     def overlaps(self, mode: NDArray[np.intp], begin: Floats, end: Floats) -> Bools | None:
         """Whether each packet meets a burst on its mode at each receiver, shape (packets, nodes).
 
-        None stands for a band without foreign transmissions. Packets that begin before the time of the last
-        `forget` get no valid answer.
+        The result is None for a band without foreign transmissions. It is not valid for packets that begin
+        before the time of the last `forget`.
         """
         if not any(self._bursts):
             return None
@@ -93,7 +94,7 @@ class Background:
         return met
 
     def forget(self, before: float) -> None:
-        """Drop what no later question can be about: packets that begin at or after `before` still can."""
+        """Drop bursts that ended before a time. Packets that begin at or after `before` remain valid."""
         for bursts in self._bursts:
             for process in bursts or ():
                 process.forget(before)

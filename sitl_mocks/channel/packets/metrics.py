@@ -1,4 +1,4 @@
-"""What a packet simulation says about delay, age of information, loss and coverage."""
+"""Delay, age of information, loss and coverage from the results of a packet simulation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BATCHES = 20
 
 @dataclass(frozen=True, slots=True)
 class SampleDelay:
-    """Delay of GNSS samples, from each transmitter (row) to each receiver (column) by each mode."""
+    """Delay of GNSS samples, from each transmitter (row) to each receiver (column) in each mode."""
 
     mean_s: Floats
     """Shape (nodes, nodes, 3). NaN where the mode is not carried, inf where no counted sample arrived."""
@@ -26,36 +26,37 @@ class SampleDelay:
     """Shape (nodes, nodes, 3); NaN where there is no finite mean."""
     open_samples: NDArray[np.int64]
     """Shape (nodes, nodes, 3): counted samples without an arrival by the end of the run. They enter with the
-    time for which they have waited: where there are any, the mean is a lower bound."""
+    time for which they have waited, so the mean is a lower bound if there are any.
+    """
     pooled_s: Floats
     """Shape (3,): mean over the pairs with a finite mean; NaN where a mode has none."""
     pooled_error_s: Floats
-    """Shape (3,)."""
+    """Standard error of `pooled_s`, shape (3,)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Age:
-    """Age of information, shape (nodes, nodes), transmitter by receiver. NaN where nothing was heard."""
+    """Age of information, shape (nodes, nodes), transmitter by receiver. NaN where nothing was received."""
 
     mean_s: Floats
-    """Time-average."""
+    """Average over time."""
     largest_s: Floats
 
 
 def sample_delay_s(result: Result, tail_s: float | None = None) -> SampleDelay:
     """The paper's delay: from a GNSS sample until a message with it, or with a later one, has arrived.
 
-    Counted are the samples taken from 0 s until `tail_s` before the end of the run. Which ones these are
-    depends on nothing that happened, so that leaving out the last ones favours neither long nor short delays;
-    the tail has to be long enough for `open_samples` to be 0. Standard errors come from the means of 20
-    successive pieces of the run, because one arrival may serve many samples. They hold for the phases and
-    clocks of this run. What differs from one drawing of these to the next shows only in runs with other seeds
-    and is the larger part where schedules keep step: with the "paper" advertiser, for Wi-Fi, which has no
-    random delay, and for some minutes even for Bluetooth, whose random delay is short beside its interval.
+    Samples taken from 0 s until `tail_s` before the end of the run are counted. This choice does not depend
+    on the outcome, so leaving out the last samples favours neither long nor short delays. The tail must be
+    long enough for `open_samples` to be 0. Standard errors come from the means of 20 successive pieces of the
+    run, because one arrival may serve many samples. They hold for the phases and clocks of this run. The
+    variation between drawings of phases and clocks shows only in runs with other seeds. It is the larger part
+    where schedules keep step: with the "paper" advertiser, for Wi-Fi, which has no random delay, and for some
+    minutes even for Bluetooth, whose random delay is short compared with its interval.
 
     Args:
-        result: of `simulate`.
-        tail_s: default a fifth of the run.
+        result: result of `simulate`.
+        tail_s: default is a fifth of the run.
 
     Raises:
         ConfigError: no sample is left to count.
@@ -88,7 +89,7 @@ def sample_delay_s(result: Result, tail_s: float | None = None) -> SampleDelay:
 
 
 def age_of_information_s(result: Result) -> Age:
-    """Now minus the time of the freshest sample heard, by whichever mode.
+    """Age of the freshest sample received in any mode: now minus the time of the sample.
 
     Averaged from a pair's first reception (or 0 s, if that is later) to the end of the run.
     """
@@ -97,7 +98,8 @@ def age_of_information_s(result: Result) -> Age:
     pair = transmitter * nodes + result.heard_by
     order = np.lexsort((result.heard_s, pair))
     pair, arrival_s = pair[order], result.heard_s[order]
-    # One running maximum over all pairs: a pair's numbers all lie above those of the pairs before it.
+    # One running maximum serves all pairs, because a pair's numbers all lie above those of the pairs before
+    # it.
     stride = int(result.sample.max()) + 1
     rank = np.maximum.accumulate(pair * stride + result.sample[result.heard_event][order])
     freshest_s = result.first_sample_s[transmitter[order]] + (rank - pair * stride) * result.gnss_period_s
@@ -116,13 +118,15 @@ def age_of_information_s(result: Result) -> Age:
 
 
 def loss(result: Result) -> Floats:
-    """Share of hearable packets (BLE 5: messages) lost to others, shape (nodes, nodes, 3); else NaN."""
+    """Share of hearable packets (BLE 5: messages) lost to others, shape (nodes, nodes, 3). NaN without
+    any.
+    """
     with np.errstate(invalid="ignore"):
         return np.asarray(result.lost / result.hearable, float)
 
 
 def never_heard(result: Result) -> float:
-    """Share of the pairs in reach by any mode that exchanged nothing in the whole run; NaN without pairs."""
+    """Share of the pairs in reach in any mode that exchanged nothing in the whole run. NaN without pairs."""
     in_reach = result.carried.any(axis=2)
     heard = np.zeros_like(in_reach)
     heard[result.transmitter[result.heard_event], result.heard_by] = True
@@ -131,7 +135,7 @@ def never_heard(result: Result) -> float:
 
 
 def _sample_times_s(result: Result, node: int, tail_s: float) -> Floats:
-    """Times of a transmitter's counted samples; sample 0 comes before 0 s and does not count."""
+    """Times of a transmitter's counted samples. Sample 0 lies before 0 s and is not counted."""
     first, period = result.first_sample_s[node], result.gnss_period_s
     count = math.floor((result.duration_s - tail_s - first) / period)
     if count < 1:
@@ -140,7 +144,7 @@ def _sample_times_s(result: Result, node: int, tail_s: float) -> Floats:
 
 
 def _delays_s(result: Result, node: int, mode: int, tail_s: float) -> Floats:
-    """Delay of each counted sample to each receiver (s), shape (samples, nodes); inf while under way."""
+    """Delay of each counted sample to each receiver (s), shape (samples, nodes); inf if it did not arrive."""
     taken_s = _sample_times_s(result, node, tail_s)
     event = result.heard_event
     own = np.nonzero((result.transmitter[event] == node) & (result.mode[event] == mode))[0]

@@ -1,7 +1,8 @@
-"""Which packets are received by whom: reach, scan window, half-duplex, collisions, background. No randomness.
+"""Decides which receiver receives which packet: reach, scan window, half-duplex, collisions and background.
 
-Sections "Packet Reception Model" and "Packet Collision Model", packet by packet. Times are in slots. A
-channel is an index: 0-39 the BLE channels, 40-42 the Wi-Fi channels 1, 6, 11.
+Implements sections "Packet Reception Model" and "Packet Collision Model" of the paper packet by packet,
+without randomness. Times are in slots. A channel is an index: 0-39 are the BLE channels, 40-42 the Wi-Fi
+channels 1, 6, 11.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ FIRST_PRIMARY = 37
 FIRST_WIFI = 40
 _WIFI_HALF_WIDTH_MHZ = 10.0
 _PAIR_CELLS = 1 << 24
-"""Pairs times nodes that are looked at together: bounds the memory."""
+"""Maximum of pairs times nodes that are processed at once. It limits memory."""
 
 
 def _frequencies_mhz() -> Floats:
-    """Centre of each channel index: BLE 0-10, 11-36, then 37, 38, 39, then Wi-Fi."""
+    """Centre frequency of each channel index: BLE 0-10, 11-36, then 37, 38, 39, then Wi-Fi."""
     data = [*range(2404, 2425, 2), *range(2428, 2479, 2)]
     return np.array([*data, 2402, 2426, 2480, *(2407 + 5 * c for c in WIFI_CHANNELS)], float)
 
 
 def _overlap() -> Bools:
-    """Whether two channels disturb each other: the same one; Wi-Fi and BLE less than 10 MHz apart."""
+    """Whether two channels interfere: the same channel, or Wi-Fi and BLE less than 10 MHz apart."""
     mhz = _frequencies_mhz()
     wifi = np.arange(len(mhz)) >= FIRST_WIFI
     mixed = wifi[:, None] != wifi
@@ -44,7 +45,7 @@ def _overlap() -> Bools:
 
 CHANNEL_MHZ = _frequencies_mhz()
 CHANNELS_OVERLAP = _overlap()
-"""Shape (43, 43)."""
+"""Whether two channels interfere, shape (43, 43)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,29 +53,29 @@ class Packets:
     """Packets on the air, arrays of shape (packets,), in any order. Times in slots."""
 
     event: Indices
-    """Index of the event that the packet is a part of; 0 up to the number of events."""
+    """Index of the event to which the packet belongs, from 0 to below the number of events."""
     transmitter: Indices
     place: Indices
-    """Row of the coverage that holds for the packet: its transmitter's, where nobody moves."""
+    """Row of the coverage that applies to the packet. It is the transmitter's row if no aircraft moves."""
     mode: Indices
     """Column of `parameters.MODES`."""
     channel: Indices
     begin: Floats
     end: Floats
     scan_row: Indices
-    """Row of `Scanners.phase` that holds for the packet."""
+    """Row of `Scanners.phase` that applies to the packet."""
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Who reaches whom."""
+    """Which transmitters reach which receivers."""
 
     path_loss_db: Floats
     """Shape (places, nodes), from row to column; inf from a node to itself."""
     reach: Bools
-    """Shape (3, places, nodes): mode, place of sending, receiver; whoever sends does not reach itself."""
+    """Shape (3, places, nodes): mode, place of sending, receiver. A transmitter does not reach itself."""
     transmit_power_dbm: Floats
-    """Shape (3,)."""
+    """Transmit power of each mode, shape (3,)."""
 
     @staticmethod
     def of(path_loss_db: Floats, parameters: ChannelParameters) -> Coverage:
@@ -97,24 +98,26 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class Scanners:
-    """The receivers' scan patterns. Bluetooth 4, Bluetooth 5 and Wi-Fi scan side by side."""
+    """Scan patterns of the receivers. Bluetooth 4, Bluetooth 5 and Wi-Fi scan at the same time."""
 
     phase: Floats
     """Shape (rows, nodes): a time on the receiver's own clock at which a scan cycle begins (slots).
-    A packet's `scan_row` says which row. With free phases row m is mode m."""
+    A packet's `scan_row` selects the row. With free phases, row m is mode m.
+    """
     clock: Floats
     """Shape (nodes,): rate of the receiver's clock, 1 + its error."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of each packet at each receiver, both of shape (packets, nodes)."""
+    """Fate of each packet at each receiver. Both arrays have shape (packets, nodes)."""
 
     hearable: Bools
-    """It reaches, falls in the scan window (an auxiliary packet: a hearable pointer of its event did), and
-    the receiver does not send."""
+    """The packet reaches the receiver within its scan window, and the receiver does not send. An auxiliary
+    packet needs a hearable pointer of its event instead of a scan window.
+    """
     received: Bools
-    """Hearable and undisturbed; an auxiliary packet: a pointer of its event was received too."""
+    """The packet is hearable and undisturbed. An auxiliary packet also needs a received pointer."""
 
 
 def decide(
@@ -125,10 +128,11 @@ def decide(
     assumptions: Assumptions,
     background: Background | None = None,
 ) -> Outcome:
-    """Who received what, given everything on the air.
+    """Decide which receiver received which packet, given all packets on the air.
 
-    The verdict on an event is right when all of its packets and all that overlap one of them are passed. A
-    caller that goes through time piece by piece passes the neighbours too and leaves their verdicts alone.
+    The result for an event is correct if all of its packets and all packets that overlap one of them are
+    passed. A caller that processes time piece by piece also passes the neighbouring packets and ignores their
+    results.
     """
     auxiliary = (packets.mode == BLE5) & (packets.channel < FIRST_PRIMARY)
     disturbed, deaf = _overlaps(packets, coverage, assumptions)
@@ -147,9 +151,10 @@ def decide(
 
 
 def arrivals(packets: Packets, received: Bools, events: int) -> Floats:
-    """When the message of each event arrived at each node (slots), shape (events, nodes); NaN where not.
+    """Arrival time of each event's message at each node (slots), shape (events, nodes); NaN if lost.
 
-    It is there at the end of the first PDU (BLE 4), of the auxiliary packet (BLE 5), of the beacon (Wi-Fi).
+    The message arrives at the end of the first PDU (BLE 4), of the auxiliary packet (BLE 5) or of the beacon
+    (Wi-Fi).
     """
     times = np.full((events, received.shape[1]), np.nan)
     content = carries_message(packets)
@@ -166,7 +171,7 @@ def arrivals(packets: Packets, received: Bools, events: int) -> Floats:
 
 
 def carries_message(packets: Packets) -> Bools:
-    """Which packets carry the message itself: all but pointers."""
+    """Which packets carry the message itself: all except pointers."""
     return np.asarray((packets.mode != BLE5) | (packets.channel < FIRST_PRIMARY), bool)
 
 
@@ -216,7 +221,7 @@ def _hits(
 
 
 def _overlapping_pairs(packets: Packets) -> tuple[Indices, Indices]:
-    """All ordered pairs of packets that share some time; one that ends as another begins shares none."""
+    """All ordered pairs of packets that share some time. Packets that only touch share none."""
     order = np.argsort(packets.begin, kind="stable")
     begin = packets.begin[order]
     position = np.arange(len(order))

@@ -1,4 +1,4 @@
-"""When each aircraft sends: the events of a whole run, and the packets that make them up."""
+"""Sending times of each aircraft: the events of a whole run and their packets."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class Events:
     sample: Indices
     """Number of the transmitter's GNSS sample that the event carries, from 0."""
     parts: Indices
-    """How many packets are sent: all of `Durations.parts`, or the first ones."""
+    """Number of packets sent: all of `Durations.parts`, or only the first ones."""
     channel: Indices
     """Channel index of the beacon or of the auxiliary packet; unused for BLE 4."""
     auxiliary_delay: Floats
-    """Of the auxiliary packet, beyond A_Offset."""
+    """Delay of the auxiliary packet beyond A_Offset (slots)."""
     scan_row: Indices
     """See `Packets.scan_row`."""
 
     def select(self, which: slice | Indices) -> Events:
-        """Some of the events, in the order asked for."""
+        """Select some of the events, in the given order."""
         return Events(
             self.transmitter[which],
             self.mode[which],
@@ -82,14 +82,14 @@ def draw_schedule(
     end: float,
     rng: np.random.Generator,
 ) -> tuple[Events, Indices]:
-    """All events that begin before `end`, by time, and the mode of each scan row.
+    """Draw all events that begin before `end`, sorted by time, and the mode of each scan row.
 
     Args:
-        rates: shape (nodes, 3): psi; 0 for a mode that is off.
+        rates: shape (nodes, 3): psi, or 0 for a mode that is off.
         wifi_channel: shape (nodes,): index into `WIFI_CHANNELS`.
         clock: shape (nodes,): rate of each aircraft's clock.
         first_sample: shape (nodes,): time of GNSS sample 0, before which an aircraft does not send (slots).
-        end: in slots.
+        end: end of the schedule (slots).
     """
     schedule = _paper_schedule if assumptions.advertiser == "paper" else _standard_schedule
     period = durations.gnss_period
@@ -129,13 +129,13 @@ def draw_schedule(
 
 
 def sense_carrier(events: Events, durations: Durations, hears: Bools, rng: np.random.Generator) -> Events:
-    """The events with beacons put off while the medium is busy (see `packet_access`), by time again.
+    """Delay beacons while the medium is busy (see `packets.access`) and sort the events by time again.
 
-    A beacon carries the sample that it would have carried without waiting. One that still waits when its
-    aircraft wants the next one is never sent and left out.
+    A beacon carries the sample that it would have carried without waiting. A beacon that still waits when its
+    aircraft wants to send the next one is never sent and is left out.
 
     Args:
-        hears: shape (nodes, nodes): beacons of the transmitter (row) are sensed by the other (column).
+        hears: shape (nodes, nodes): the aircraft in the column senses beacons of the transmitter in the row.
     """
     wifi = np.nonzero(events.mode == WIFI)[0]
     begin = events.begin.copy()
@@ -144,7 +144,7 @@ def sense_carrier(events: Events, durations: Durations, hears: Bools, rng: np.ra
         hears, 1000.0 * durations.slot_s, rng,
     )  # fmt: skip
     order = np.argsort(begin, kind="stable")
-    # NaN, the beacons never sent, sorts last.
+    # NaN marks beacons that were never sent; it sorts last.
     return replace(events, begin=begin).select(order[: len(order) - int(np.isnan(begin).sum())])
 
 
@@ -158,10 +158,10 @@ def _paper_schedule(
     clock: float,
     rng: np.random.Generator,
 ) -> tuple[Floats, Indices, Indices]:
-    """Beginnings, from GNSS sample 0 on, samples and parts: each sample restarts the schedule."""
+    """Start times from GNSS sample 0 on, samples and parts. Each sample restarts the schedule."""
     interval = coprime_interval(rate, mode, parameters)
-    # Packets begin up to t0 + T_GNSS inclusive, as in the matching sets: the last event of BLE 4 may lack
-    # some. Of BLE 5 there are psi auxiliary packets.
+    # Packets begin up to t0 + T_GNSS inclusive, as in the matching sets, so the last event of BLE 4 may lack
+    # some packets. BLE 5 has psi auxiliary packets.
     in_cycle = rate if mode == BLE5 else math.floor(durations.gnss_period / interval) + 1
     cycles = math.ceil(end / durations.gnss_period)
     since_sample = np.tile(np.arange(in_cycle) * float(interval), (cycles, 1))
@@ -187,14 +187,14 @@ def _standard_schedule(
     clock: float,
     rng: np.random.Generator,
 ) -> tuple[Floats, Indices, Indices]:
-    """Beginnings, from GNSS sample 0 on, samples and parts: at a free-running interval."""
+    """Start times from GNSS sample 0 on, samples and parts, at a free-running interval."""
     mean = durations.gnss_period / rate
     half_delay = durations.random_delay[mode] / 2.0
     if durations.slotted:
         mean, half_delay = float(math.floor(mean)), float(math.floor(half_delay))
     if not assumptions.random_delay:
         half_delay = 0.0
-    # One radio ends an event before it begins the next.
+    # A radio ends one event before it begins the next.
     shortest = max(mean - half_delay, durations.span[mode])
     intervals = np.full(math.ceil(end / (shortest * clock)) + 1, mean - half_delay)
     if assumptions.random_delay:

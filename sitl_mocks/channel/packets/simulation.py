@@ -1,8 +1,8 @@
-"""The radio channel packet by packet: the truth beside which the channel equations are judged.
+"""Packet-level simulation of the radio channel, the reference for the channel equations.
 
-Every aircraft's packets are laid on one time line and each is judged at each receiver. It shares the
-parameters and the link budget with the equations, nothing else. Times are in slots inside, in seconds in the
-result.
+Every aircraft's packets are placed on one time line, and each packet is decided at each receiver. The
+simulation shares only the parameters and the link budget with the equations. Times are in slots inside and in
+seconds in the result.
 """
 
 from __future__ import annotations
@@ -31,42 +31,44 @@ Indices = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
 _CELLS = 1 << 17
-"""Events times nodes that are judged at once: bounds the memory."""
+"""Maximum of events times nodes that are processed at once. It limits memory."""
 _FEWEST = 1000
-"""Fewest events that are judged at once: their neighbours in time have to be judged with them."""
+"""Fewest events that are processed at once, because their neighbours in time are processed with them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What was sent and what was heard. Each aircraft's sample 0, and what is sent before 0 s, is warm-up."""
+    """Sent and received messages. Each aircraft's sample 0, and everything sent before 0 s, is warm-up."""
 
     duration_s: float
     gnss_period_s: float
     first_sample_s: Floats
     """Shape (nodes,): time of each aircraft's GNSS sample 0, between minus one period and 0."""
     carried: Bools
-    """Shape (nodes, nodes, 3): the transmitter (row) is on the mode and reaches the receiver (column)."""
+    """Shape (nodes, nodes, 3): the transmitter (row) uses the mode and reaches the receiver (column)."""
     transmitter: Indices
-    """Shape (events,), in the order of time, as the next four."""
+    """Index of the transmitter, shape (events,), in the order of time. The next four arrays have the same
+    shape and order.
+    """
     mode: Indices
     sample: Indices
     """Number of the GNSS sample that the event carries."""
     start_s: Floats
-    """When it began to be sent, after any wait for the medium. Beacons that never were sent are not in."""
+    """When sending began, after any wait for the medium. Beacons that were never sent are left out."""
     sample_s: Floats
-    """Time of that sample."""
+    """Time of that GNSS sample."""
     heard_event: Indices
-    """Shape (receptions,): which event was received, as the next two."""
+    """Index of the received event, shape (receptions,). The next two arrays have the same shape and order."""
     heard_by: Indices
     heard_s: Floats
-    """When its message was complete."""
+    """Time at which the message was complete."""
     hearable: NDArray[np.int64]
-    """Shape (nodes, nodes, 3): packets (BLE 5: messages) that reached a receiver that listened there."""
+    """Shape (nodes, nodes, 3): number of packets (BLE 5: messages) that reached a listening receiver."""
     lost: NDArray[np.int64]
-    """Shape (nodes, nodes, 3): those of them lost to other packets or foreign transmissions."""
+    """Shape (nodes, nodes, 3): number of hearable packets lost to other packets or foreign transmissions."""
 
     def arrival_s(self) -> Floats:
-        """When each event's message arrived (s), shape (events, nodes); NaN where not. May be large."""
+        """Arrival time of each event's message (s), shape (events, nodes); NaN if lost. May be large."""
         times = np.full((len(self.transmitter), len(self.first_sample_s)), np.nan)
         times[self.heard_event, self.heard_by] = self.heard_s
         return times
@@ -81,13 +83,14 @@ def simulate(
     duration_s: float,
     rng: np.random.Generator,
 ) -> Result:
-    """Simulate aircraft at fixed places and rates.
+    """Simulate aircraft at fixed positions and message rates.
 
     Args:
-        path_loss_db: shape (nodes, nodes), from row to column; the diagonal is ignored, NaN is out of reach.
-        rates: shape (nodes, 3) in the order of `parameters.MODES`: psi, 0 for a mode that is off.
+        path_loss_db: shape (nodes, nodes), from row to column; the diagonal is ignored, and NaN means out of
+            reach.
+        rates: shape (nodes, 3) in the order of `parameters.MODES`: psi, or 0 for a mode that is off.
         wifi_channel: shape (nodes,): index into `WIFI_CHANNELS`.
-        duration_s: longer than one slot.
+        duration_s: at least one slot.
 
     Raises:
         ConfigError: a rate, a Wi-Fi channel or the duration is not allowed.
@@ -114,7 +117,7 @@ def simulate(
     scanners = Scanners(phase, clock)
     background = Background(parameters, nodes, -period - margin, rng)
     if assumptions.carrier_sense:
-        # Drawn last: what else chance decides is the same with carrier sense and without.
+        # Carrier sense draws its numbers last, so that all other draws are the same with and without it.
         events = sense_carrier(events, durations, coverage.reach[WIFI], rng)
 
     tally = _Tally(nodes)
@@ -122,7 +125,7 @@ def simulate(
     step = max(_FEWEST, _CELLS // nodes)
     for low in range(0, count, step):
         high = min(low + step, count)
-        # Whatever may overlap these events comes along; its own verdicts fall in its own turn.
+        # Include all events that may overlap these; their own results are computed in their own turn.
         since = events.begin[low] - margin
         around = slice(
             int(np.searchsorted(events.begin, since, side="left")),
@@ -158,7 +161,7 @@ def simulate(
 
 
 class _Tally:
-    """What the pieces of a run add up to."""
+    """Sums over the pieces of a run."""
 
     def __init__(self, nodes: int) -> None:
         self._nodes = nodes
@@ -202,6 +205,6 @@ def _check(
         raise ConfigError(
             f"wifi_channel: allowed 0 to {len(WIFI_CHANNELS) - 1}, for channels {WIFI_CHANNELS}"
         )
-    # Negated, so that NaN is refused too.
+    # The negated comparison also refuses NaN.
     if not parameters.slot_ms / 1000.0 <= duration_s < np.inf:
         raise ConfigError(f"duration_s: {duration_s:g}: expected a finite value of at least one slot")

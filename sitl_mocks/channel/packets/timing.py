@@ -1,7 +1,7 @@
-"""What the packet simulator assumes of schedules and receivers, and all durations that it uses, in slots.
+"""Assumptions of the packet simulator about schedules and receivers, and its durations in slots.
 
-Section "Packet Reception Model" of the paper, with what it leaves out (drift, random delay, half-duplex) to
-be switched on one by one.
+They follow section "Packet Reception Model" of the paper. Effects that it leaves out (drift, random delay,
+half-duplex) can be switched on one by one.
 """
 
 from __future__ import annotations
@@ -27,14 +27,16 @@ _MAX_CLOCK_PPM = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Assumptions:
-    """What is assumed of the radios. See `PAPER` and `REAL`.
+    """Assumptions about the radios. See `PAPER` and `REAL`.
 
     Raises:
-        ConfigError: a value that is not allowed.
+        ConfigError: a value is not allowed.
     """
 
     slotted: bool
-    """Durations rounded down to whole slots and every drawn time a whole slot; else exact and continuous."""
+    """True: durations are rounded down to whole slots and every drawn time is a whole slot. False: times are
+    exact and continuous.
+    """
     advertiser: Literal["paper", "standard"]
     """"paper": the schedule restarts at each GNSS sample. "standard": it runs on at its own interval, and
     each event carries the latest sample."""
@@ -44,22 +46,25 @@ class Assumptions:
     random_delay: bool
     """Bluetooth events get the pseudo-random delay R_D."""
     half_duplex: bool
-    """Who sends Bluetooth hears no Bluetooth meanwhile, and likewise for Wi-Fi."""
+    """A radio that sends on Bluetooth receives no Bluetooth during that time. The same applies to Wi-Fi."""
     capture_db: float | None
-    """A packet survives when it is this much stronger than each one that overlaps it; None: it never does."""
+    """A packet survives if it is this much stronger than each overlapping packet. None: it never survives."""
     clock_ppm: float
-    """Every aircraft's clock is fast or slow by a share drawn uniformly up to this. It drives its advertising
-    intervals and its scan pattern; GNSS samples keep true time."""
+    """Each aircraft's clock error is drawn uniformly up to this, in either direction. It affects
+    advertising intervals and scan patterns; GNSS samples keep true time.
+    """
     carrier_sense: bool
-    """Who would send a beacon while it hears another's waits as in `packet_access`. Bluetooth never waits.
-    Foreign transmissions are drawn at each receiver for itself: nobody waits for them."""
+    """A station that wants to send a beacon while it hears another station's waits as in `packets.access`.
+    Bluetooth never waits. Foreign transmissions are drawn separately at each receiver, so no station waits
+    for them.
+    """
 
     def __post_init__(self) -> None:
         if self.advertiser not in ("paper", "standard"):
             raise ConfigError(f"advertiser: {self.advertiser!r}: allowed 'paper', 'standard'")
         if self.phases not in ("redrawn", "free"):
             raise ConfigError(f"phases: {self.phases!r}: allowed 'redrawn', 'free'")
-        # Negated comparisons refuse NaN too.
+        # The negated comparisons also refuse NaN.
         if self.capture_db is not None and not 0.0 <= self.capture_db < math.inf:
             raise ConfigError(f"capture_db: {self.capture_db:g}: allowed none, or a finite value >= 0")
         if not 0.0 <= self.clock_ppm <= _MAX_CLOCK_PPM:
@@ -78,7 +83,9 @@ PAPER = Assumptions(
     clock_ppm=0.0,
     carrier_sense=False,
 )
-"""As the equations assume; phases are redrawn, for one and the same in all cycles may never deliver."""
+"""Assumptions of the equations, except that scan phases are redrawn. A phase that stays the same in all
+cycles may never deliver.
+"""
 REAL = Assumptions(
     slotted=False,
     advertiser="standard",
@@ -89,42 +96,43 @@ REAL = Assumptions(
     clock_ppm=20.0,
     carrier_sense=True,
 )
-"""As radios behave that follow the standards. Left out: beacon intervals are whole time units of 1.024 ms, so
-that ten in a second are no more than nearly that; and what `packet_access` names."""
+"""Behaviour of radios that follow the standards. Not modelled: beacon intervals are whole time units of 1.024
+ms, so that ten a second are only approximate. Effects that `packets.access` lists are not modelled either.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Durations:
-    """Durations in slots, whole ones where slotted. Rows are modes in the order of `parameters.MODES`.
+    """Durations in slots, whole ones if slotted. Rows are modes in the order of `parameters.MODES`.
 
-    A part is one packet of an event: on channels 37, 38, 39 parts 0, 1, 2; the auxiliary packet part 3; the
-    beacon part 0.
+    A part is one packet of an event. Parts 0, 1, 2 are the packets on channels 37, 38, 39; part 3 is the
+    auxiliary packet. A beacon is part 0.
     """
 
     slotted: bool
     slot_s: float
     gnss_period: float
-    """T_GNSS."""
+    """T_GNSS in slots."""
     parts: Indices
     """Shape (3,): packets in one event."""
     offset: Floats
-    """Shape (3, 4): from the beginning of the event to that of the part."""
+    """Shape (3, 4): time from the beginning of the event to that of the part."""
     length: Floats
-    """Shape (3, 4): A_P, T_AUX or B_D."""
+    """Shape (3, 4): duration of the part, A_P, T_AUX or B_D."""
     span: Floats
     """Shape (3,): longest time from the beginning to the end of an event."""
     dwell: Floats
-    """Shape (3,): from one scanned channel to the next, S_I or T_S + C_T. Three are a scan cycle."""
+    """Shape (3,): time from one scanned channel to the next, S_I or T_S + C_T. A scan cycle has three."""
     window: Floats
-    """Shape (3,): how long of that the receiver listens, S_W or T_S."""
+    """Shape (3,): time within a dwell during which the receiver listens, S_W or T_S."""
     random_delay: Floats
-    """Shape (3,): R_D; 0 for Wi-Fi."""
+    """Shape (3,): greatest random delay R_D; 0 for Wi-Fi."""
     uncertainty: float
     """O_U: greatest extra delay of an auxiliary packet."""
 
     @staticmethod
     def of(parameters: ChannelParameters, slotted: bool) -> Durations:
-        """The durations of these parameters."""
+        """Compute the durations from the parameters."""
         slots = Slots(parameters)
 
         def count(duration_ms: float) -> float:
@@ -158,23 +166,23 @@ class Durations:
         )
 
     def uniform(self, upper: float, shape: int | tuple[int, ...], rng: np.random.Generator) -> Floats:
-        """Uniform times in [0, upper]; whole slots, both ends among them, where slotted."""
+        """Uniform times in [0, upper]. If slotted, they are whole slots including both ends."""
         if self.slotted:
             return rng.integers(0, int(upper), shape, endpoint=True).astype(float)
         return rng.uniform(0.0, upper, shape)
 
     def phase(self, period: float, shape: int | tuple[int, ...], rng: np.random.Generator) -> Floats:
-        """Uniform phases in [0, period); whole slots where slotted."""
+        """Uniform phases in [0, period). If slotted, they are whole slots."""
         if self.slotted:
             return rng.integers(0, int(period), shape).astype(float)
         return rng.uniform(0.0, period, shape)
 
 
 def coprime_interval(rate: int, mode: int, parameters: ChannelParameters) -> int:
-    """A-hat (B-hat) in slots: coprime to the scan cycle, nearest to floor(T_GNSS / psi), or the lower."""
+    """A-hat (B-hat) in slots: coprime to the scan cycle, nearest to floor(T_GNSS / psi), or the lower one."""
     durations = Durations.of(parameters, slotted=True)
     wanted = int(durations.gnss_period) // rate
     cycle = 3 * int(durations.dwell[mode])
-    # A neighbour of a multiple of the cycle is coprime to it: no need to look farther than one cycle.
+    # A neighbour of a multiple of the cycle is coprime to it, so one cycle on each side is enough.
     near = (a for a in range(max(1, wanted - cycle), wanted + cycle + 1) if math.gcd(a, cycle) == 1)
     return min(near, key=lambda a: (abs(a - wanted), a))
