@@ -16,7 +16,7 @@ from companion.errors import ConfigError
 from companion.events import FenceArea
 from companion.radio.ether import datagrams
 from companion.radio.hci import channel
-from companion.runtime.links.open_link import open_link
+from companion.runtime.links import open_link
 
 CONFIG = Path(__file__).parents[2] / "config"
 IDENTITY = '[identity]\nuas_id = "A1"\n'
