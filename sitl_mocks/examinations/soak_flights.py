@@ -103,6 +103,10 @@ class Flights(World):
         state = self.onboard.heart.state
         if not self.vehicle.armed:
             self._authority = True
+        elif self.onboard.gate.lost is not None:
+            # The ground station shows "takes nothing": a mode that the pilot selects after a fault, while the
+            # vehicle is still in the one that the companion asked for, ends authority as any other.
+            self._authority = False
         if state is self._state:
             return
         before, self._state = self._state, state
