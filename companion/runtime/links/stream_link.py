@@ -7,7 +7,7 @@ import time
 from abc import ABC, abstractmethod
 
 from companion.runtime import clock
-from companion.runtime.links.byte_link import LATE_S, READ_BYTES, LinkTrouble, Received, Waiting
+from companion.runtime.links.byte_link import HELD_S, LATE_S, READ_BYTES, LinkTrouble, Received, Waiting
 
 _READS = 64
 """Largest number of reads in one call, so that a far end that writes byte by byte does not hold the call."""
@@ -81,7 +81,8 @@ class StreamLink(ABC):
         if self._unsent or self._unanswered(len(data), now) or not self._takes_more(now):
             self._trouble.dropped += 1
             return
-        taken = self._try_write(data)
+        # The looks above are calls to the kernel, in which this process may have been held up.
+        taken = 0 if clock.now_s() - now > HELD_S else self._try_write(data)
         if not taken:
             self._trouble.dropped += 1
             return

@@ -122,6 +122,9 @@ class UdpLink:
         elif self._waits_since_s is not None and now - self._waits_since_s > HELD_S:
             self._trouble.dropped += 1
             return
+        if clock.now_s() - now > HELD_S:  # this process was held up in the call above
+            self._trouble.dropped += 1
+            return
         try:
             self._socket.sendto(data, self._peer)
         except BlockingIOError:

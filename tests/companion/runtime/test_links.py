@@ -162,6 +162,28 @@ def test_udp_sends_nothing_behind_what_has_not_left(listening, sender, trouble, 
     assert [vehicle.recv(100) for _ in range(3)] == [b"1", b"2", b"4"]
 
 
+@pytest.mark.parametrize(("held_up_s", "leaves"), [(0.05, True), (0.15, False)])
+def test_udp_sends_nothing_when_the_process_was_held_up_before_it(
+    listening, sender, trouble, monkeypatch, held_up_s, leaves
+):
+    vehicle = sender()
+    vehicle.send(MAVLINK)
+    listening.receive(0.0)
+    now = [1000.0]
+    monkeypatch.setattr("companion.runtime.clock.now_s", lambda: now[0])
+
+    def queued():
+        now[0] += held_up_s
+        return 0
+
+    monkeypatch.setattr(listening, "_queued", queued)
+    listening.send(b"held up")
+    assert trouble.dropped == (0 if leaves else 1)
+    monkeypatch.setattr(listening, "_queued", lambda: 0)
+    listening.send(b"in time")
+    assert vehicle.recv(100) == (b"held up" if leaves else b"in time")
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="told by Linux only")
 def test_udp_asks_the_kernel_what_has_not_left(listening, sender):
     sender().send(MAVLINK)

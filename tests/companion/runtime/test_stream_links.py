@@ -409,3 +409,26 @@ def test_a_serial_port_that_is_aborted_can_be_opened_again(serial_line, trouble,
     assert read(master) == b"x"
     again.close()
     os.close(held)
+
+
+@linux
+@pytest.mark.parametrize(("held_up_s", "leaves"), [(0.05, True), (0.15, False)])
+def test_data_does_not_leave_when_the_process_was_held_up_before_it_was_written(
+    open_tcp, clock, monkeypatch, trouble, held_up_s, leaves
+):
+    link, peer = open_tcp
+    asked = link._queued
+
+    def queued():
+        clock.s += held_up_s
+        return asked()
+
+    monkeypatch.setattr(link, "_queued", queued)
+    link.send(b"x" * 50)
+    assert trouble.dropped == (0 if leaves else 1)
+    peer.setblocking(False)
+    if leaves:
+        assert peer.recv(100) == b"x" * 50
+    else:
+        with pytest.raises(BlockingIOError):
+            peer.recv(100)
