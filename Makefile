@@ -9,7 +9,7 @@ demo: .venv/base.stamp
 	$(BIN)/sitl-mocks demo
 
 test: .venv/dev.stamp
-	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+	PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: .venv/dev.stamp
 	$(BIN)/ruff check .

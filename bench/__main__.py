@@ -1,29 +1,46 @@
-"""`python -m bench`: every figure, one table after the other."""
+"""`python -m bench [NAME ...]`: the figures of the named benches, or of all, one table after the other.
 
-from bench import (
-    bench_aboard,
-    bench_atmc,
-    bench_avoidance,
-    bench_channel,
-    bench_gate,
-    bench_heart,
-    bench_inspect,
-    bench_links,
-    bench_lockstep,
-    bench_remote_id,
+Each bench runs in a process of its own, so that neither the modules nor the memory of one weigh on the next.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from importlib import import_module
+
+NAMES = (
+    "avoidance",
+    "core",
+    "gate",
+    "aboard",
+    "lockstep",
+    "remote_id",
+    "channel",
+    "atmc",
+    "inspect",
+    "links",
 )
 
-for module in (
-    bench_avoidance,
-    bench_heart,
-    bench_gate,
-    bench_aboard,
-    bench_lockstep,
-    bench_remote_id,
-    bench_channel,
-    bench_atmc,
-    bench_inspect,
-    bench_links,
-):
-    print(f"\n== {(module.__doc__ or '').splitlines()[0]}\n", flush=True)
-    module.main()
+
+def main() -> int:
+    """Run the benches. Returns 1 if one of them failed, else 0."""
+    parser = argparse.ArgumentParser(
+        prog="python -m bench", description="Runs benchmarks and prints their figures as tables."
+    )
+    parser.add_argument("name", nargs="*", help=f"benchmarks to run (default: all): {', '.join(NAMES)}")
+    names = parser.parse_args().name or NAMES
+    unknown = [name for name in names if name not in NAMES]
+    if unknown:
+        parser.error(f"there is no benchmark {', '.join(unknown)}; allowed: {', '.join(NAMES)}")
+    if len(names) == 1:
+        module = import_module(f"bench.bench_{names[0]}")
+        print(f"\n== {(module.__doc__ or '').splitlines()[0]}\n", flush=True)
+        module.main()
+        return 0
+    return max([subprocess.run([sys.executable, "-m", "bench", name]).returncode != 0 for name in names])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,7 +1,7 @@
 """What `companion run` takes of a computer: memory, processor, start, and how late its ticks come.
 
 The real process, flying the mock vehicle at 20 Hz on loopback, with 20 aircraft heard once a second on a ring
-of 150 m. Targets: under 200 MB, under a tenth of one core, ready for the first setpoint within 5 s of its
+of 150 m. Targets: under 150 MB, under a tenth of one core, ready for the first setpoint within 5 s of its
 start (the kernels compiled before). Beside it the same with every core busy with something else, at normal
 priority and, where this process may ask for it, in real time.
 """
@@ -21,7 +21,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench.bench_heart import NEIGHBOURS, heard
+from bench.bench_core import NEIGHBOURS, heard
+from bench.memory import memory_mb
 from companion.radio.ether import datagrams
 from companion.radio.ether.datagrams import Heard, Welcome
 from companion.radio.frames_io import FrameSender, radio_address
@@ -126,21 +127,13 @@ def wait_for(log: Path, pattern: str) -> re.Match[str]:
         if found := re.search(pattern, log.read_text()):
             return found
         time.sleep(0.01)
-    raise RuntimeError(f"{pattern!r} never came:\n{log.read_text()}")
+    raise RuntimeError(f"{pattern!r} did not appear in the log:\n{log.read_text()}")
 
 
 def processor_s(pid: int) -> float:
     """Processor time that a process has taken, by /proc/PID/stat."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def memory_mb(pid: int, key: str) -> float:
-    """VmRSS or VmHWM, 10^6 bytes."""
-    text = Path(f"/proc/{pid}/status").read_text()
-    found = re.search(rf"{key}:\s+(\d+) kB", text)
-    assert found is not None
-    return int(found[1]) * 1024 / 1e6
 
 
 def fly(folder: Path) -> dict[str, float]:
@@ -165,8 +158,9 @@ def fly(folder: Path) -> dict[str, float]:
                 figures = {
                     "ready_s": ready_s,
                     "core": share,
-                    "rss": memory_mb(child.pid, "VmRSS"),
-                    "peak": memory_mb(child.pid, "VmHWM"),
+                    "rss": memory_mb("VmRSS", child.pid),
+                    "anon": memory_mb("RssAnon", child.pid),
+                    "peak": memory_mb("VmHWM", child.pid),
                 }
         (summary,) = (folder / "runs").glob("*/summary.json")
         flown_h = (time.monotonic() - began_s - ready_s) / 3600.0
@@ -208,8 +202,8 @@ def real_time() -> Iterator[bool]:
 def line(name: str, f: dict[str, float]) -> None:
     """Print a flight's figures."""
     print(
-        f"{name:26}{f['ready_s']:9.1f}{f['rss']:8.0f}{f['peak']:8.0f}{100 * f['core']:8.1f}{f['median']:9.1f}"
-        f"{f['p99']:8.1f}{f['worst']:8.1f}{f['missed']:8.0f}{f['ticks']:8.0f}{f['mb_an_hour']:8.0f}",
+        f"{name:26}{f['ready_s']:9.1f}{f['rss']:8.0f}{f['anon']:8.0f}{f['peak']:8.0f}{100 * f['core']:8.1f}"
+        f"{f['median']:9.1f}{f['p99']:8.1f}{f['worst']:8.1f}{f['missed']:8.0f}{f['ticks']:8.0f}{f['mb_an_hour']:8.0f}",
         flush=True,
     )
 
@@ -217,20 +211,31 @@ def line(name: str, f: dict[str, float]) -> None:
 def main() -> None:
     """Print the table."""
     cores = len(os.sched_getaffinity(0))
-    heads = ("RSS MB", "peak MB", "core %", "late ms", "p99 ms", "worst", "missed", "ticks", "MB/h")
+    heads = (
+        "RSS MB",
+        "anon MB",
+        "peak MB",
+        "core %",
+        "late ms",
+        "p99 ms",
+        "worst",
+        "missed",
+        "ticks",
+        "MB/h",
+    )
     print(f"{'':26}{'ready s':>9}" + "".join(f"{h:>{9 if h == 'late ms' else 8}}" for h in heads))
     with tempfile.TemporaryDirectory() as folder:
         for name in ("idle", "busy", "real"):
             (Path(folder) / name).mkdir()
         fly_in = Path(folder)
-        line("as it is here", fly(fly_in / "idle"))
+        line("unloaded, default", fly(fly_in / "idle"))
         with busy(2 * cores):
-            line(f"{2 * cores} busy processes beside", fly(fly_in / "busy"))
+            line(f"{2 * cores} busy processes", fly(fly_in / "busy"))
             with real_time() as allowed:
                 if allowed:
-                    line("the same, in real time", fly(fly_in / "real"))
+                    line("also real-time priority", fly(fly_in / "real"))
                 else:
-                    print("real time: this process may not ask for it")
+                    print("not measured: this process may not use real-time scheduling")
 
 
 if __name__ == "__main__":

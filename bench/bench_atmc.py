@@ -28,7 +28,7 @@ def main() -> None:
     try:
         set_up_torch()
     except ConfigError as error:
-        print(f"no figures of training: {error}")
+        print(f"training was not measured: {error}")
     else:
         _learners()
         _training()
@@ -42,8 +42,14 @@ def _learners() -> None:
 
     from ground_tools.atmc.learners.algorithms import ALGORITHMS
 
-    table = Table(title="the paper's learners, one core")
-    for head in ("algorithm", "decisions a second", "while learning", "learning", "minutes, 1,000 episodes"):
+    table = Table(title="Training with the paper's algorithms on one core")
+    for head in (
+        "algorithm",
+        "decisions/s, filling",
+        "decisions/s, learning",
+        "time in updates",
+        "minutes per 1,000 episodes",
+    ):
         table.add_column(head, justify="right")
     for name in _LEARNERS:
         parts = ALGORITHMS[name].parts()
@@ -70,8 +76,16 @@ def _training() -> None:
 
     learner = FlyingLearner(FlyingSettings(episodes=2, updates=6), 1)
     learner.train()
-    table = Table(title="training the set network, one core: each group of fleets")
-    for head in ("aircraft", "fleets", "ms an update", "labels a second", "observing", "costs", "network"):
+    table = Table(title="Training the set network on one core, by group of fleets")
+    for head in (
+        "aircraft",
+        "fleets",
+        "ms per update",
+        "labels/s",
+        "observation share",
+        "cost share",
+        "network share",
+    ):
         table.add_column(head, justify="right")
     for group in learner._groups:
         env = group.env
@@ -96,8 +110,8 @@ def _aboard() -> None:
     own = np.array(policy.metadata.golden[0].own)
     rows = np.array([row for golden in policy.metadata.golden for row in golden.rows])
     allowed = np.ones(len(policy.actions), bool)
-    table = Table(title="one decision aboard, NumPy")
-    for head in ("neighbours", "us", "of the paper's 3.84 ms"):
+    table = Table(title="One decision on board (NumPy)")
+    for head in ("neighbours", "us", "relative to the paper's 3.84 ms"):
         table.add_column(head, justify="right")
     for neighbours in (0, 9, 50, 99):
         some = np.resize(rows, (neighbours, len(NEIGHBOUR_COLUMNS)))

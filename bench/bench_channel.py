@@ -62,7 +62,7 @@ def environments(parameters: ChannelParameters, rng: np.random.Generator) -> Non
 
 def packets(parameters: ChannelParameters, rng: np.random.Generator) -> None:
     """10 aircraft near each other, one core."""
-    print("\npacket by packet, 10 aircraft, one core")
+    print("\npacket simulation, 10 aircraft, one core")
     print(f"{'mode':>10}{'assumptions':>16}{'times real time':>18}")
     near = np.zeros((10, 10))
     for mode, rate in BEST_RATES.items():
@@ -79,8 +79,8 @@ def growth(parameters: ChannelParameters, rng: np.random.Generator) -> None:
     """One environment, neighbours found by range, from positions to delays."""
     model = Analytic(parameters)
     for density in DENSITIES:
-        print(f"\nequations, {density:g} aircraft/km2, neighbours in range only")
-        print(f"{'aircraft':>10}{'links':>12}{'ms':>10}{'us a link':>12}")
+        print(f"\nequations, {density:g} aircraft/km2, only neighbours in range")
+        print(f"{'aircraft':>10}{'links':>12}{'ms':>10}{'us/link':>12}")
         for nodes in FLEETS:
             positions = draw_positions(1, nodes, 1000.0 * (nodes / density) ** 0.5, rng)[0]
             fleet = mixed(nodes, rng)

@@ -90,7 +90,7 @@ def measure(radius_m: float) -> tuple[list[float], list[float]]:
         ended = time.perf_counter()
         if tick > 20:
             if left != frame:
-                raise RuntimeError(f"refused: {gate.broken()}")
+                raise RuntimeError(f"the gate refused the setpoint: {gate.broken()}")
             steps.append(ended - began)
             releases.append(ended - released_s)
     return steps, releases
@@ -98,8 +98,8 @@ def measure(radius_m: float) -> tuple[list[float], list[float]]:
 
 def main() -> None:
     """Print the table."""
-    print(f"{'fence of eight edges':28}{'median us':>12}{'p99 us':>10}{'of 50 ms':>10}{'release':>10}")
-    for name, radius_m in (("2 km away", 2000.0), ("near: 12 m", 12.0)):
+    print(f"{'distance to octagonal fence':28}{'median us':>12}{'p99 us':>10}{'of 50 ms':>10}{'release':>10}")
+    for name, radius_m in (("2 km away", 2000.0), ("12 m away", 12.0)):
         steps, releases = measure(radius_m)
         median, p99 = np.percentile(steps, [50, 99]) * 1e6
         share = float(np.median(releases)) * 1e6 / median

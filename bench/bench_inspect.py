@@ -25,20 +25,6 @@ from sitl_mocks.encounters.lockstep import fly
 
 LONGER = 10
 KINDS = ("recording", "summary", "report")
-_CONVERT = """
-import resource, sys
-from pathlib import Path
-from ground_tools.inspect import recording, report, summary
-from ground_tools.inspect.read.read_run import read_run
-kind, path = sys.argv[1], Path(sys.argv[3])
-run = read_run(Path(sys.argv[2]))
-figures = None if kind == "recording" else summary.describe(run)
-if kind == "recording":
-    recording.write(run, path)
-elif kind == "report":
-    report.write(run, figures, path)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6)
-"""
 
 
 def flown(folder: Path) -> float:
@@ -100,14 +86,16 @@ def main() -> None:
         once, longer = Path(scratch) / "once", Path(scratch) / "longer"
         length_s = flown(once)
         repeated(once, longer, length_s + 0.05)
-        print(f"{'':9}{'s flown':>8}{'records (MB)':>14}{'CPU s':>8}{'written (MB)':>14}{'peak (MB)':>11}")
+        print(
+            f"{'':8}{'flown (s)':>9}{'records (MB)':>14}{'CPU (s)':>8}{'written (MB)':>14}{'peak (MB)':>11}"
+        )
         peaks: dict[str, list[float]] = {kind: [] for kind in KINDS}
         for folder, times in ((once, 1), (longer, LONGER)):
             records = sum(file.stat().st_size for file in folder.glob("*.events"))
             for kind, found in peaks.items():
                 path = folder / f"inspect.{'html' if kind == 'report' else 'rrd'}"
                 path.unlink(missing_ok=True)
-                took, printed = cpu_s(sys.executable, "-c", _CONVERT, kind, folder, path)
+                took, printed = cpu_s(sys.executable, "-m", "bench.convert_run", kind, folder, path)
                 found.append(float(printed))
                 size = path.stat().st_size if path.exists() else 0
                 print(
@@ -116,9 +104,9 @@ def main() -> None:
                 )
                 if kind == "recording":
                     check, _ = cpu_s(Path(sys.executable).with_name("rerun"), "rrd", "verify", path)
-                    print(f"{'  verified':31}{check:8.1f}")
+                    print(f"{'  verification':31}{check:8.1f}")
         for kind, (first, other) in peaks.items():
-            print(f"peak memory of the {kind}, {LONGER} times as long: {other / first:.2f} times")
+            print(f"peak memory of the {kind} of a run {LONGER} times as long: factor {other / first:.2f}")
 
 
 if __name__ == "__main__":

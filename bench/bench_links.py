@@ -282,9 +282,9 @@ def flood() -> None:
             pass
         costs.sort()
         print(
-            f"UDP flood of {name:12} median {1e3 * costs[len(costs) // 2]:.2f} ms a call, "
+            f"UDP flood of {name:12} median {1e3 * costs[len(costs) // 2]:.2f} ms per call, "
             f"99 % {1e3 * costs[len(costs) * 99 // 100]:.2f}, worst {1e3 * costs[-1]:.2f}; "
-            f"emptied in {emptied} of {len(costs)} calls"
+            f"{emptied} of {len(costs)} calls emptied the buffer"
         )
     listening.close()
     portion = (beat * 1000)[: 16 * 1024]
@@ -312,7 +312,7 @@ def main(stall_s: float = STALL_S) -> None:
     ]
     if sys.platform == "linux" and os.geteuid() == 0:
         cases += [("tcp", "drops", 0), ("udp", "drops", 0)]
-    heads = ("sent", "came", "old", "oldest s", "back s", "dropped", "discarded", "losses")
+    heads = ("sent", "received", "old", "oldest s", "resumed s", "dropped", "discarded", "losses")
     print(f"\nstall of {stall_s:.1f} s\n{'':24}" + "".join(f"{head:>10}" for head in heads))
     for kind, how, buffer in cases:
         f = stall(kind, how, buffer, stall_s)

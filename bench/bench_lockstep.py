@@ -21,7 +21,7 @@ PARTS = {
     "mock vehicle: receive": ("sitl_mocks/vehicle/mock_vehicle.py", "receive"),
     "companion: MAVLink in": ("companion/system.py", "receive"),
     "companion: step and MAVLink out": ("companion/system.py", "tick"),
-    "of that, the heart": ("companion/core.py", "step"),
+    "of which the core": ("companion/core.py", "step"),
     "air": ("sitl_mocks/air/ether.py", "transmit"),
 }
 
@@ -41,7 +41,7 @@ def main() -> None:
     profile.runcall(fly, scenario, 1)
     stats = pstats.Stats(profile)
     total = stats.total_tt  # type: ignore[attr-defined]
-    print("\nshare of the time, 5 aircraft (profiled)")
+    print("\nshare of the run time, 5 aircraft (profiled)")
     for name, (file, function) in PARTS.items():
         spent = sum(
             entry[3]

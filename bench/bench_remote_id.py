@@ -120,13 +120,13 @@ def main() -> None:
     messages = (BASIC, LOCATION, System())
     (frame,) = sender.frames("wifi", messages)
     for name, call in (
-        ("Location encoded", lambda: codec.encode(LOCATION)),
-        ("Location decoded", lambda: codec.decode(data)),
-        ("pack of three to a beacon", lambda: sender.frames("wifi", messages)),
-        ("beacon to a pack of three", lambda: receiver.receive("wifi", "a", frame)),
+        ("Location: encode", lambda: codec.encode(LOCATION)),
+        ("Location: decode", lambda: codec.decode(data)),
+        ("pack of three messages: encode", lambda: sender.frames("wifi", messages)),
+        ("pack of three messages: decode", lambda: receiver.receive("wifi", "a", frame)),
     ):
-        print(f"{name:34}{rate(call):12,.0f} a second")
-    print(f"\nfrom a frame's bytes to the update of its track, {AIRCRAFT} aircraft")
+        print(f"{name:34}{rate(call):12,.0f} per second")
+    print(f"\ntime from a received frame to the track update, {AIRCRAFT} aircraft")
     for transport in (BLE4, BLE5, WIFI_BEACON, WIFI_NAN):
         reception = Reception(transport)
         per_s = rate(reception.take)

@@ -2,7 +2,7 @@
 
 `step(now, events)` returns commands and uses no clock, socket, file or random source. The same object runs on
 the aircraft, in lock-step simulation and in replay. The same events at the same times give the same commands,
-bit for bit. Other modules also call this object the heart.
+bit for bit.
 """
 
 from __future__ import annotations

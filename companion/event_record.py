@@ -106,8 +106,8 @@ class Reader:
         magic = self._stream.read(len(MAGIC))
         if magic != MAGIC and magic[:-1] == MAGIC[:-1]:
             raise PeerDataError(
-                f"{self._name}: event record of format {magic[-1:]!r}; this version reads {MAGIC[-1:]!r}: "
-                "use the version that wrote it (its number stands in manifest.json)"
+                f"{self._name}: event record of format {magic[-1:]!r}; this version reads {MAGIC[-1:]!r}; "
+                "use the version that wrote it (manifest.json gives its number)"
             )
         if magic != MAGIC:
             raise PeerDataError(f"{self._name}: not an event record (it does not begin with {MAGIC!r})")
@@ -121,7 +121,7 @@ class Reader:
             return None
         length, crc = _HEAD.unpack(head)
         if length > _MAX_RECORD:
-            raise self._damaged(f"record of {length} bytes, at most {_MAX_RECORD}")
+            raise self._damaged(f"record of {length} bytes; allowed: up to {_MAX_RECORD}")
         body = self._stream.read(length)
         if len(body) < length:
             self._torn = True

@@ -14,8 +14,8 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
+from companion.arrays import Integers
 from companion.errors import ConfigError
 from companion.events import FenceArea
 from companion.toml_reader import decode_toml
@@ -43,11 +43,11 @@ class _Area(_Section, frozen=True):
 
     def __post_init__(self) -> None:
         if not self.points and not self.center:
-            raise ValueError("points: missing; give either it, or center and radius_m")
+            raise ValueError("points: missing; give either points, or center and radius_m")
         if self.points and (self.center or self.radius_m is not None):
-            raise ValueError("points: give either it, or center and radius_m")
+            raise ValueError("points: give either points, or center and radius_m, not both")
         if self.center and self.radius_m is None:
-            raise ValueError("radius_m: missing; center needs it")
+            raise ValueError("radius_m: missing; a circle needs center and radius_m")
         names = [f"points[{number}]" for number in range(len(self.points))]
         for name, place in zip(names or ["center"], self.points or [self.center], strict=True):
             if len(place) != 2:
@@ -110,13 +110,13 @@ def _circle_fault(area: FenceArea) -> str | None:
     if len(area.points) != 1:
         return f"center: {len(area.points)} points; a circle has one"
     if not 0.0 < (area.radius_m or 0.0) <= MAX_RADIUS_M:
-        return f"radius_m: {area.radius_m}: allowed are more than 0 and at most {MAX_RADIUS_M:g}"
+        return f"radius_m: {area.radius_m}: allowed: more than 0, up to {MAX_RADIUS_M:g}"
     return None
 
 
 def _polygon_fault(area: FenceArea) -> str | None:
     if len(area.points) < MIN_POINTS:
-        return f"points: {len(area.points)} of them; a polygon has at least {MIN_POINTS}"
+        return f"points: {len(area.points)} points; a polygon has at least {MIN_POINTS}"
     lat0, lon0 = area.points[0]
     corners = np.empty((len(area.points), 2), dtype=np.int64)
     seen: dict[tuple[int, int], int] = {}
@@ -128,7 +128,7 @@ def _polygon_fault(area: FenceArea) -> str | None:
         corner = round(span[0] * _E7), round(span[1] * _E7)
         same = seen.setdefault(corner, number)
         if same != number:
-            closed = "; the first corner is not repeated at the end" if same == 0 else ""
+            closed = "; do not repeat the first corner at the end" if same == 0 else ""
             return f"points[{number}]: the same place as points[{same}]{closed}"
         corners[number] = corner
     crossing = _crossing(corners)
@@ -142,7 +142,7 @@ def _polygon_fault(area: FenceArea) -> str | None:
     return None
 
 
-def _crossing(corners: NDArray[np.int64]) -> tuple[int, int] | None:
+def _crossing(corners: Integers) -> tuple[int, int] | None:
     """Find two edges of a polygon that meet elsewhere than at a common corner; None if there are none.
 
     Two segments meet if the ends of each lie on both sides of the other's line, or on it. Segments on one
@@ -171,8 +171,8 @@ def _crossing(corners: NDArray[np.int64]) -> tuple[int, int] | None:
     return None
 
 
-def _side(p: NDArray[np.int64], q: NDArray[np.int64], r: NDArray[np.int64]) -> NDArray[np.int64]:
+def _side(p: Integers, q: Integers, r: Integers) -> Integers:
     """Side of the line from p to q on which the point r lies: -1, 0 or 1, computed exactly."""
     along, to = q - p, r - p
-    side: NDArray[np.int64] = np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])
+    side: Integers = np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])
     return side

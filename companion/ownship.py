@@ -82,16 +82,8 @@ class _BootClock:
     least_s: float | None = None
     boot_s: float = 0.0
     at_s: float = 0.0
-
-    @property
-    def offset_s(self) -> float | None:
-        """Estimated offset; None before the first time stamp."""
-        if self.most_s is None or self.least_s is None:
-            return self.most_s
-        width = self.most_s - self.least_s
-        # Bounds closer than _FINE_S are treated as equal; from twice that width on, the estimate is the
-        # middle.
-        return self.most_s - min(width / 2.0, max(0.0, width - _FINE_S))
+    offset_s: float | None = None
+    """Estimated offset; None before the first time stamp."""
 
     def add_stamp(self, time_boot_s: float, now_s: float, drift: float) -> bool:
         """Take in one time stamp. Returns True if the autopilot's clock has restarted."""
@@ -106,6 +98,7 @@ class _BootClock:
                 self.least_s -= _DRIFT_AHEAD * (now_s - self.at_s)
         self.boot_s, self.at_s = time_boot_s, now_s
         self._bound(most)
+        self._estimate()
         return began_anew
 
     def read(self, event: ClockRead) -> None:
@@ -118,12 +111,22 @@ class _BootClock:
         # The answer proves that the clock fell behind, not that the link is slow: discard the old bound.
         self._bound(most if least > self.most_s + _FINE_S else min(most, self.most_s))
         self.least_s = least if self.least_s is None else max(least, self.least_s)
+        self._estimate()
 
     def _bound(self, most_s: float) -> None:
         self.most_s = most_s
         if self.least_s is not None and most_s < self.least_s - _FINE_S:
             # The autopilot's clock ran ahead: discard the lower bound.
             self.least_s = None
+
+    def _estimate(self) -> None:
+        if self.most_s is None or self.least_s is None:
+            self.offset_s = self.most_s
+            return
+        width = self.most_s - self.least_s
+        # Bounds closer than _FINE_S are treated as equal; from twice that width on, the estimate is the
+        # middle.
+        self.offset_s = self.most_s - min(width / 2.0, max(0.0, width - _FINE_S))
 
 
 @dataclass(slots=True)

@@ -16,7 +16,8 @@ import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.counts import LinkCounts
-from companion.autopilot.dialect import CMD_DO_SET_MODE, CUSTOM_MODE_ENABLED, DIALECTS
+from companion.autopilot.dialect import CMD_DO_SET_MODE, DIALECTS
+from companion.autopilot.dialects.definition import CUSTOM_MODE_ENABLED
 from companion.autopilot.encoders import Outgoing, command_long, velocity_setpoint
 from companion.autopilot.wire import MavlinkWriter, message_id_of
 from companion.config import Config, IdentityConfig
@@ -78,16 +79,16 @@ def replay_record(records: Iterable[Record], name: str, tolerance: float) -> Rec
         PeerDataError: the record does not begin with its header.
     """
     result = RecordReplay()
-    heart: Companion | None = None
+    core: Companion | None = None
     gate: _GateAgain | None = None
     for item in records:
         if isinstance(item, Header):
-            heart, result.aircraft = Companion(item.config, item.policy), item.aircraft
+            core, result.aircraft = Companion(item.config, item.policy), item.aircraft
             gate = _GateAgain(item.config, result.refused)
             continue
-        if heart is None or gate is None:
+        if core is None or gate is None:
             raise PeerDataError(f"{name}: the first record is not a header")
-        commands = tuple(heart.step(item.now_s, item.events))
+        commands = tuple(core.step(item.now_s, item.events))
         gate.judge(item, commands)
         result.steps += 1
         result.commands += len(commands)

@@ -47,10 +47,14 @@ from companion.gate.gate import STALL_S, Gate
 _SAY_AGAIN_S = 5.0
 """Least time between two messages to the pilot about the same rule of the gate."""
 _HOLDING = frozenset(state.value for state in HOLDING)
+_REQUESTS = (DownloadMission, DownloadFence)
+"""Commands for the link that command nothing."""
+_COMMANDS = (VelocitySetpoint, SetMode, SetSpeed, Say, ArmStatus, Threat)
+"""Commands for the link that a companion which commands nothing does not send."""
 
 
 class CompanionSystem:
-    """The core (`heart`) with its MAVLink link and the gate."""
+    """The core (`core`) with its MAVLink link and the gate."""
 
     def __init__(
         self,
@@ -79,7 +83,7 @@ class CompanionSystem:
         self.commanding = commanding
         self.tlog = tlog
         self._utc_guess_s = utc_guess_s
-        self.heart = Companion(config, policy)
+        self.core = Companion(config, policy)
         self.gate = Gate(config)
         self._own_parameters = OwnParameters(config, settings or Settings())
         self.link = AutopilotLink(
@@ -165,12 +169,9 @@ class CompanionSystem:
         """
         events = self._step_events(now_s, read_s)
         self.gate.decided(now_s)
-        commands = self.heart.step(now_s, events)
+        commands = self.core.step(now_s, events)
         for command in commands:
-            if isinstance(command, DownloadMission | DownloadFence) or (
-                self.commanding
-                and isinstance(command, VelocitySetpoint | SetMode | SetSpeed | Say | ArmStatus | Threat)
-            ):
+            if isinstance(command, _REQUESTS) or (self.commanding and isinstance(command, _COMMANDS)):
                 self.link.send(command, now_s)
             elif isinstance(command, AuthorityChanged) and command.state not in _HOLDING:
                 self.link.cancel_mode()
@@ -224,7 +225,7 @@ class CompanionSystem:
         return data
 
     def _utc_s(self, now_s: float) -> float:
-        known = self.heart.own.utc_offset_s
+        known = self.core.own.utc_offset_s
         return now_s + (self._utc_guess_s if known is None else known)
 
     def let_go(self, now_s: float) -> None:
@@ -244,4 +245,4 @@ class CompanionSystem:
             read_s: as in `tick`.
         """
         for event in self._step_events(now_s, read_s):
-            self.heart.own.observe(event, now_s)
+            self.core.own.observe(event, now_s)

@@ -25,6 +25,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from companion.arrays import Floats
 from companion.avoidance import kernels
 
 TOLERANCE_MPS = 1e-5
@@ -79,9 +80,15 @@ class Answer:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
-    parser.add_argument("cases", type=Path, help="oracle file (.json or .json.gz)")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    """Add the subcommand `check`."""
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    check = commands.add_parser(
+        "check",
+        help="compare the kernels with an oracle's answers",
+        description="Solve every case of an oracle file with the avoidance kernels and compare the answers.",
+    )
+    check.add_argument("cases", type=Path, help="file of oracle cases (.json or .json.gz)")
+    check.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -122,11 +129,13 @@ def load(path: Path) -> tuple[Case, ...]:
     seen: set[str] = set()
     for case in cases:
         if case.id in seen:
-            raise ValueError(f"case {case.id} stands in the file twice")
+            raise ValueError(f"case {case.id} is in the file twice")
         seen.add(case.id)
         known = case.feasible is not None and case.max_violation is not None
         if case.conditioning != "degenerate" and not (known and case.new_velocity_float64 is not None):
-            raise ValueError(f"case {case.id}: {case.conditioning} and yet without an answer")
+            raise ValueError(
+                f"case {case.id}: conditioning {case.conditioning!r} needs an answer, but the case has none"
+            )
         for body in (case.agent, *case.neighbours):
             if not body.radius + case.agent.radius > 0.0:
                 raise ValueError(f"case {case.id}: both radii are 0")
@@ -135,14 +144,11 @@ def load(path: Path) -> tuple[Case, ...]:
 
 def solve(case: Case) -> Answer:
     """Run the kernels on a case."""
-    planes = _planes(case)
-    agent, out = case.agent, np.zeros(3)
-    wish, scratch = np.array(agent.preferred_velocity), np.zeros_like(planes)
-    count = len(case.neighbours)
-    feasible = kernels.solve(planes, 0, count, agent.max_speed, 0.0, wish, scratch, out)
-    violation = float((planes[:count, 3] - planes[:count, :3] @ out).max(initial=0.0))
-    n, e, d = out.tolist()
-    return Answer((n, e, d), feasible, violation)
+    planes, count = _planes(case), len(case.neighbours)
+    wish, speed = kernels.Vector(*case.agent.preferred_velocity), case.agent.max_speed
+    feasible, v = kernels.solve(planes, 0, count, speed, 0.0, wish, np.zeros_like(planes))
+    violation = float((planes[:count, 3] - planes[:count, :3] @ np.array(v)).max(initial=0.0))
+    return Answer((v.n, v.e, v.d), feasible, violation)
 
 
 def compare(case: Case, answer: Answer) -> str | None:
@@ -151,12 +157,12 @@ def compare(case: Case, answer: Answer) -> str | None:
     if not math.isfinite(speed):
         return f"velocity {answer.velocity} is not finite"
     if speed > case.agent.max_speed + TOLERANCE_MPS:
-        return f"speed {speed:.9g} m/s is above {case.agent.max_speed:.9g}"
+        return f"speed {speed:.9g} m/s is above the limit, {case.agent.max_speed:.9g} m/s"
     if case.conditioning == "degenerate":
         return _not_avoiding(case, answer)
     if answer.feasible != case.feasible:
         words = {True: "feasible", False: "infeasible", None: "unknown"}
-        return f"{words[answer.feasible]} here, {words[case.feasible]} in the oracle"
+        return f"feasibility: {words[answer.feasible]} by the kernels, {words[case.feasible]} by the oracle"
     if case.conditioning == "ill":
         return None
     assert case.new_velocity_float64 is not None  # load() ensures this.
@@ -164,28 +170,28 @@ def compare(case: Case, answer: Answer) -> str | None:
     if case.feasible:
         gap = math.dist(answer.velocity, case.new_velocity_float64)
         if not gap <= TOLERANCE_MPS:
-            return f"velocity {answer.velocity} is {gap:.3g} m/s from {case.new_velocity_float64}"
+            return (
+                f"velocity {answer.velocity} is {gap:.3g} m/s from the oracle's, {case.new_velocity_float64}"
+            )
         return None
     gap = answer.max_violation - case.max_violation
     if not abs(gap) <= TOLERANCE_MPS:
-        return f"largest violation {answer.max_violation:.9g} m/s, {case.max_violation:.9g} in the oracle"
+        found = f"{answer.max_violation:.9g} m/s by the kernels, {case.max_violation:.9g} m/s by the oracle"
+        return f"largest violation: {found}"
     return None
 
 
-def _planes(case: Case) -> kernels.Array:
+def _planes(case: Case) -> Floats:
     """The half-spaces of all neighbours, (neighbours, 4)."""
     agent = case.agent
     planes = np.zeros((max(len(case.neighbours), 1), 4))
-    own = np.array(agent.velocity)
-    for row, other in zip(planes, case.neighbours, strict=False):
-        p = np.array(other.position) - np.array(agent.position)
-        v = own - np.array(other.velocity)
+    own = kernels.Vector(*agent.velocity)
+    for row, other in enumerate(case.neighbours):
+        p = kernels.minus(kernels.Vector(*other.position), kernels.Vector(*agent.position))
+        v = kernels.minus(own, kernels.Vector(*other.velocity))
         radius = agent.radius + other.radius
-        nx, ny, nz, s = kernels.half_space(
-            p[0], p[1], p[2], v[0], v[1], v[2], radius, agent.time_horizon, agent.time_step
-        )
-        row[:3] = nx, ny, nz
-        row[3] = row[:3] @ own + 0.5 * s
+        n, s = kernels.half_space(p, v, radius, agent.time_horizon, agent.time_step)
+        kernels.put_plane(planes, row, n, kernels.dot(n, own) + 0.5 * s)
     return planes
 
 
@@ -211,13 +217,15 @@ def _not_avoiding(case: Case, answer: Answer) -> str | None:
         v = [a - b for a, b in zip(answer.velocity, theirs, strict=True)]
         nearest = _nearest(p, v, agent.time_horizon)
         if not nearest >= least * (1.0 - 1e-6) - 1e-6:
-            return f"comes within {nearest:.6g} m of neighbour {number}, radius {radius:g} m"
+            return (
+                f"the agent comes within {nearest:.6g} m of neighbour {number}; allowed: {radius:g} m or more"
+            )
     return None
 
 
 def _nearest(p: list[float], v: list[float], window_s: float) -> float:
     """Least distance (m) within the window, from relative position p and velocity v = v_self - v_other."""
-    _, near2 = kernels.closest(p[0], p[1], p[2], v[0], v[1], v[2], window_s)
+    _, near2 = kernels.closest(kernels.Vector(*p), kernels.Vector(*v), window_s)
     return math.sqrt(near2)
 
 

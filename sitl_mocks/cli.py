@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
+from typing import Final
 
-from companion.commands.entry_point import parser_of, run_command
-from sitl_mocks.air import server as ether_server
-from sitl_mocks.encounters import demo, swarm
-from sitl_mocks.examinations import soak, takeover
-from sitl_mocks.remote_id_module import server as remote_id_module_server
-from sitl_mocks.vehicle import server as vehicle_server
+from companion.commands.entry_point import add_commands, parser_of, run_command
 
 _EXAMPLES = """examples:
   sitl-mocks demo
@@ -21,28 +16,42 @@ _EXAMPLES = """examples:
 """
 
 
+COMMANDS: Final = (
+    (
+        "demo",
+        "sitl_mocks.encounters.demo",
+        "simulate an encounter in virtual time, with and without avoidance",
+    ),
+    ("serve", "sitl_mocks.vehicle.server", "simulate one MAVLink vehicle on UDP or TCP"),
+    ("ether", "sitl_mocks.air.server", "simulate the radio channel between aircraft, on UDP"),
+    (
+        "module",
+        "sitl_mocks.remote_id_module.server",
+        "simulate a Remote ID module (ArduRemoteID firmware) on UDP or a serial port",
+    ),
+    (
+        "swarm",
+        "sitl_mocks.encounters.swarm",
+        "run vehicles, companions and the radio channel as processes, in real time",
+    ),
+    ("soak", "sitl_mocks.examinations.soak", "fly for hours with random faults, in virtual time"),
+    (
+        "takeover",
+        "sitl_mocks.examinations.takeover",
+        "test thousands of short cases in which a pilot takes over during a fault",
+    ),
+)
+"""Name, module and words of help of each subcommand."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command. Returns the exit code: 0 success, 1 a negative result, 2 wrong input."""
     parser = parser_of(
-        "sitl-mocks", "What stands in for hardware: vehicles, the air, whole encounters.", _EXAMPLES
+        "sitl-mocks",
+        "Simulates vehicles, the radio channel and encounters, so that no hardware is needed.",
+        _EXAMPLES,
     )
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name, module, words in (
-        ("demo", demo, "an encounter in virtual time, with and without avoidance"),
-        ("serve", vehicle_server, "one MAVLink vehicle on UDP or TCP"),
-        ("ether", ether_server, "the simulated air between aircraft, on UDP"),
-        (
-            "module",
-            remote_id_module_server,
-            "a Remote ID module (ArduRemoteID firmware) on UDP or a serial port",
-        ),
-        ("swarm", swarm, "vehicles, companions and air as processes, in real time"),
-        ("soak", soak, "hours of flights with random troubles, in virtual time"),
-        ("takeover", takeover, "pilots who take over while something goes wrong: thousands of short cases"),
-    ):
-        command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
-        module.add_arguments(command)
-        command.set_defaults(run=module.run)
+    add_commands(parser, COMMANDS, argv)
     return run_command(parser, argv)
 
 

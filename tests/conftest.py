@@ -1,4 +1,4 @@
-"""How the suite is spread over the workers of pytest-xdist."""
+"""How the suite is spread over the workers of pytest-xdist, and what holds for all tests."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ import signal
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import settings
 
 from companion.avoidance import kernels
+
+settings.register_profile("no wall clock", deadline=None)
+settings.load_profile("no wall clock")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -30,7 +34,10 @@ def pytest_xdist_auto_num_workers() -> int:
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_setupnodes() -> None:
     """Compile once what in a fresh clone all workers, and the processes that they start, would compile."""
+    from ground_tools.campaign import cells  # takes a second, which the workers do not need to spend
+
     kernels.warm_up()
+    cells.fly(cells.Cell(generator="S2", aircraft=3), [1])
 
 
 @pytest.fixture

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from bench import bench_aboard, bench_channel, bench_gate, bench_heart, bench_lockstep, bench_remote_id
+from bench import bench_aboard, bench_channel, bench_core, bench_gate, bench_lockstep, bench_remote_id
 
 
 @pytest.mark.parametrize(
     ("module", "shorter", "words"),
     [
-        (bench_heart, ("SECONDS", 10), "that decides, 20 neighbours"),
-        (bench_gate, ("STEPS", 300), "fence of eight edges"),
+        (bench_core, ("SECONDS", 10), "with a decision, 20 neighbours"),
+        (bench_gate, ("STEPS", 300), "octagonal fence"),
         (bench_lockstep, ("SECONDS", 2.0), "times real time"),
-        (bench_remote_id, ("NUMBER", 200), "Location encoded"),
-        (bench_channel, ("FLEETS", (10, 30)), "neighbours in range only"),
+        (bench_remote_id, ("NUMBER", 200), "Location: encode"),
+        (bench_channel, ("FLEETS", (10, 30)), "only neighbours in range"),
     ],
 )
 def test_a_bench_prints_its_table(monkeypatch, capsys, module, shorter, words):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import re
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -39,3 +42,36 @@ def test_relative_links_lead_somewhere():
         for target in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
             if "://" not in target:
                 assert (path.parent / target).exists(), f"{path.name}: {target}"
+
+
+def test_the_examples_of_the_library_page_print_what_it_shows(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    text = (ROOT / "docs" / "library.md").read_text()
+    examples = re.findall(r"```python\n(.*?)```\n\n((?:    [^\n]*\n)+)", text, re.S)
+    assert len(examples) == text.count("```python") == 5
+    names: dict[str, object] = {}
+    for code, printed in examples:
+        exec(code, names)
+        assert capsys.readouterr().out == textwrap.dedent(printed)
+
+
+@pytest.mark.parametrize(
+    "room",
+    [
+        "companion.remote_id",
+        "companion.traffic",
+        "companion.avoidance",
+        "companion.atmc",
+        "sitl_mocks.channel",
+        "ground_tools.atmc",
+    ],
+)
+def test_each_library_exports_documented_names(room):
+    module = importlib.import_module(room)
+    assert len(module.__all__) == len(set(module.__all__))
+    for name in module.__all__:
+        public = getattr(module, name)
+        if inspect.isclass(public) or inspect.isfunction(public):
+            assert public.__doc__, f"{room}.{name}"
+    with pytest.raises(AttributeError):
+        module.no_such_name  # noqa: B018 - the access itself is tested

@@ -6,6 +6,37 @@ decides, by default every 2 s, on which of BLE 4, BLE 5 and Wi-Fi the own Locati
 `rule.Rule`, which needs no network. `senses.Senses` builds the observation from tracks, and `observation`
 defines its columns for the aircraft and the trainer alike. Whatever is chosen, the broadcaster keeps the
 region's legal minimum. This room may import the rooms before it in `ROOMS` (tests/test_imports.py), up to
-`traffic`; it uses `errors`, `remote_id`, `events`, `config`, `ownship`, `broadcast` and `traffic`. Start with
-`chooser.py`, then `actions.py` and `policy.py`; docs/atmc.md and docs/atmc-policy.md give the results.
+`traffic`; it uses `arrays`, `errors`, `remote_id`, `events`, `config`, `ownship`, `broadcast` and `traffic`.
+Start with `chooser.py`, then `actions.py` and `policy.py`; docs/atmc.md and docs/atmc-policy.md give the
+results.
 """
+
+from companion.atmc.actions import Action, able, legal, rates_of, transports_of
+from companion.atmc.choice import Choice, Mind, Refused, Why
+from companion.atmc.chooser import Chooser, chooser_of
+from companion.atmc.policy import Policy, PolicyError, check_flyable
+from companion.atmc.policy import load as load_policy
+from companion.atmc.rule import Rule, fixed
+from companion.atmc.senses import Seen, Senses
+
+__all__ = [
+    "Action",
+    "Choice",
+    "Chooser",
+    "Mind",
+    "Policy",
+    "PolicyError",
+    "Refused",
+    "Rule",
+    "Seen",
+    "Senses",
+    "Why",
+    "able",
+    "check_flyable",
+    "chooser_of",
+    "fixed",
+    "legal",
+    "load_policy",
+    "rates_of",
+    "transports_of",
+]

@@ -12,8 +12,8 @@ from collections.abc import Collection
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools
 from companion.remote_id.region import Region
 from companion.remote_id.transports import BLE4, BLE5, MAX_RATE, WIFI_BEACON
 
@@ -22,7 +22,6 @@ TRANSPORTS: Final = (BLE4, BLE5, WIFI_BEACON)
 
 Action = tuple[int, int, int]
 """Locations per second on each of `TRANSPORTS`; 0 for a transport that is not used."""
-Bools = NDArray[np.bool_]
 
 PAPER_ACTIONS: Final[tuple[Action, ...]] = tuple(
     tuple(rate if mode == chosen else 0 for mode in range(3))  # type: ignore[misc]

@@ -9,7 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.atmc.actions import Action, Bools
+from companion.arrays import Bools
+from companion.atmc.actions import Action
 
 Floats = NDArray[np.floating[Any]]
 

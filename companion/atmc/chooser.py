@@ -15,7 +15,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from companion.atmc.actions import TRANSPORTS, Action, Bools, able, legal, rates_of, transports_of
+from companion.arrays import Bools
+from companion.atmc.actions import TRANSPORTS, Action, able, legal, rates_of, transports_of
 from companion.atmc.choice import Mind, Refused
 from companion.atmc.observation import random_phase
 from companion.atmc.policy import PolicyError, check_flyable, load

@@ -11,11 +11,10 @@ from collections.abc import Mapping
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Float32s
 from companion.errors import ConfigError
 
-Float32s = NDArray[np.float32]
 Tensors = Mapping[str, Float32s]
 
 MAX_WIDTH: Final = 2048

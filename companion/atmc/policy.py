@@ -8,9 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from companion.atmc.actions import Action, Bools
+from companion.arrays import Bools, Float32s
+from companion.atmc.actions import Action
 from companion.atmc.choice import Choice, Floats, Refused, Why
-from companion.atmc.networks import FlatNetwork, Float32s, Network, PolicyError, SetNetwork, Tensors
+from companion.atmc.networks import FlatNetwork, Network, PolicyError, SetNetwork, Tensors
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
 from companion.atmc.policy_file import MAX_BYTES, Bounds, Golden, Metadata, read, write
 

@@ -17,7 +17,8 @@ import safetensors
 import safetensors.numpy
 from msgspec import Meta
 
-from companion.atmc.networks import Float32s, PolicyError, Tensors
+from companion.arrays import Float32s
+from companion.atmc.networks import PolicyError, Tensors
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS, SCHEMA
 from companion.remote_id.transports import MAX_RATE
 

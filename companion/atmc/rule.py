@@ -10,7 +10,8 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Final
 
-from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS, Action, Bools, able, legal
+from companion.arrays import Bools
+from companion.atmc.actions import PAPER_ACTIONS, SET_ACTIONS, Action, able, legal
 from companion.atmc.choice import Choice, Floats, Refused, Why
 from companion.atmc.observation import NEIGHBOUR_COLUMNS
 from companion.remote_id.region import Region

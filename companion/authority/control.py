@@ -13,17 +13,18 @@ from companion.authority.guard import GuardPlan
 from companion.authority.handback import HandBack
 from companion.authority.modes import OurModes
 from companion.authority.plan import Plan
-from companion.authority.readiness import Readiness, mode_name, was_disarmed
+from companion.authority.readiness import Readiness, was_disarmed
+from companion.authority.reasons import Reasons, Refused
 from companion.authority.standstill import Standstill
 from companion.authority.step import Cycle, Step
 from companion.authority.sticks import Sticks
 from companion.authority.table import HOLDING, Found, State, Trigger, next_state
+from companion.autopilot.dialect import DIALECTS
 from companion.avoidance.law import LawResult
 from companion.config import Config
 from companion.events import (
     AuthorityChanged,
     Command,
-    Firmware,
     FlightMode,
     GateRefused,
     Heartbeat,
@@ -54,17 +55,6 @@ conflict, it is handed back where it is."""
 _TOLD_LOUDLY = frozenset({Trigger.PILOT, Trigger.UNFIT, Trigger.CHANGED})
 _TOLD = _TOLD_LOUDLY | {Trigger.READY, Trigger.RELEASE, Trigger.WATCH, Trigger.RESUMED, Trigger.ENDED}
 """Transitions that are reported to the pilot, in addition to every transition out of `State.WATCHING`."""
-_REASONS = {
-    Trigger.RELEASE: "vehicle disarmed or on the ground",
-    Trigger.REARM: "authority given anew",
-    Trigger.HEALTHY: "own state fit again",
-    Trigger.WATCH: "guarding the mission that the vehicle flies",
-    Trigger.LEFT: "which vehicle is ours is not known",
-    Trigger.CLEAR: "no conflict",
-    Trigger.AWAY: "off the timed path",
-    Trigger.REGAINED: "back on the timed path",
-}
-"""Reason texts of the triggers that have only one."""
 _LATE_S = 0.25
 """A step commands nothing if the gap since the last one exceeds this, or 2.5 setpoint periods if those are
 longer: the loop was late."""
@@ -98,11 +88,8 @@ class Control:
         self._conflict_s = self._commanded_s = -math.inf
         self._conflicts = 0
         """Consecutive decisions that saw a conflict while the autopilot flew its mission."""
-        self._refused: str | None = None
-        self._gate_fault: str | None = None
-        self._gate_lost: str | None = None
-        """Texts of commands that the gate refused: `_gate_fault` as a fault of ours, `_gate_lost` because
-        authority was lost."""
+        self._refused = Refused()
+        self._reasons = Reasons(own, self._handback)
         self._healthy_s = -math.inf
         """Earliest time at which a fault may end."""
         self._left = False
@@ -129,7 +116,7 @@ class Control:
         mode for stick control (PX4 without a calibrated radio), we ask for a hold before its failsafe acts.
         """
         if event.mode is FlightMode.EXTERNAL:
-            self._refused = event.reason
+            self._refused.mode = event.reason
             return []
         told: list[Command] = [Say(severity=Severity.WARNING, text=f"DMUCA: {event.reason}")]
         if event.mode is FlightMode.STICKS and self._own.mode is FlightMode.EXTERNAL:
@@ -139,9 +126,9 @@ class Control:
     def note_gate_refusal(self, event: GateRefused) -> None:
         """Handle a command that the gate did not let pass."""
         if event.ends == "fault":
-            self._gate_fault = event.text
+            self._refused.fault = event.text
         elif event.ends == "authority":
-            self._gate_lost = event.text
+            self._refused.lost = event.text
 
     def step(
         self, now_s: float, gap_s: float, shown: Sequence[Heartbeat], cycle: Cycle, *, mode_known: bool = True
@@ -174,8 +161,8 @@ class Control:
         """Reason, in words, why nothing may be commanded; None if there is none."""
         if gap_s > _HUNG_S:
             return f"the loop is late: nothing commanded for {_HUNG_S:g} s"
-        if self._gate_fault is not None:
-            return self._gate_fault
+        if self._refused.fault is not None:
+            return self._refused.fault
         unfit = self._own.unfit(now_s, self._config.vehicle.stale_after_s)
         if unfit is None and self.state in HOLDING and now_s - self._commanded_s > _HUNG_S:
             why = "the loop is late, or the vehicle's mode is not known"
@@ -189,12 +176,12 @@ class Control:
         ended = unfit if self._readiness.enabled else SWITCHED_OFF
         if ended is not None:
             self._healthy_s = now_s + _HEALTHY_AFTER_S
-        elif self._refused is not None:
+        elif self._refused.mode is not None:
             self._healthy_s = now_s + _REFUSED_PAUSE_S
         for heartbeat in shown:
             self._standstill.see(heartbeat.mode)
         commands = self._move(now_s, self._triggers(now_s, shown, ended, in_time), unfit=ended)
-        self._refused = self._gate_fault = self._gate_lost = None
+        self._refused = Refused()
         return commands
 
     def _watch(self, now_s: float, cycle: Cycle, commands: list[Command]) -> None:
@@ -257,9 +244,9 @@ class Control:
         own = self._own
         found: Found = {}
         foreign = self._modes.judge(shown, now_s, self.state in HOLDING)
-        if foreign is not None or self._sticks.moved or self._gate_lost is not None:
+        if foreign is not None or self._sticks.moved or self._refused.lost is not None:
             found[Trigger.PILOT] = foreign
-        if unfit is not None or self._refused is not None:
+        if unfit is not None or self._refused.mode is not None:
             found[Trigger.UNFIT] = None
         if self._readiness.down(now_s, shown):
             found[Trigger.RELEASE] = None
@@ -335,7 +322,7 @@ class Control:
             return []
         previous, (self.state, trigger) = self.state, moved
         seen = found[trigger]
-        reason = self._reason(now_s, trigger, seen, unfit, result)
+        reason = self._reasons.of(now_s, trigger, seen, unfit, result, self._refused)
         commands: list[Command] = [
             AuthorityChanged(
                 previous=previous.value, state=self.state.value, trigger=trigger.value, reason=reason
@@ -401,8 +388,7 @@ class Control:
     def _let_go(self, trigger: Trigger) -> list[Command]:
         """Release the vehicle.
 
-        PX4 notices at once that setpoints have ended. ArduPilot would fly the last setpoint for some seconds,
-        so we ask it to hold.
+        A vehicle that would fly the last setpoint for some seconds is asked to hold.
         """
         heartbeat = self._own.heartbeat
         self._modes.left_in = frozenset()
@@ -410,43 +396,5 @@ class Control:
             return [SetMode(mode=FlightMode.HOLD)]
         if trigger is not Trigger.UNFIT:
             return []
-        ardupilot = heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
-        return self._modes.let_go(asks_hold=ardupilot or not self._readiness.enabled)
-
-    # ------------------------------------------------------------ reasons in words
-
-    def _reason(
-        self,
-        now_s: float,
-        trigger: Trigger,
-        seen: Heartbeat | None,
-        unfit: str | None,
-        result: LawResult | None,
-    ) -> str:
-        handback = self._handback
-        match trigger:
-            case Trigger.PILOT:
-                return self._what_the_pilot_did(now_s, seen)
-            case Trigger.UNFIT:
-                return unfit or f"mode not entered: {self._refused}"
-            case Trigger.READY:
-                return f"taking the vehicle from mode {mode_name(self._own.heartbeat)}"
-            case Trigger.LEFT if seen is not None:
-                return f"the mission was left for mode {mode_name(seen)}"
-            case Trigger.RESUMED if handback is not None:
-                return handback.how(now_s)
-            case Trigger.ENDED:
-                return f"the mission came to its end as it was given back, in mode {mode_name(seen)}"
-            case Trigger.CHANGED if handback is not None:
-                return handback.why_not
-            case Trigger.CONFLICT if result is not None:
-                return "conflict with " + ", ".join(t.track_id for t in result.tracks if t.conflict)
-        return _REASONS[trigger]
-
-    def _what_the_pilot_did(self, now_s: float, seen: Heartbeat | None) -> str:
-        if seen is None:
-            return self._gate_lost or "the pilot moves the sticks"
-        changed = f"mode changed to {mode_name(seen)}"
-        if self._handback is not None and self._handback.ends_in_hold(seen, now_s):
-            return f"{changed} as the mission was given back: by its end, or by the pilot"
-        return f"{changed}, not by us"
+        flies_on = heartbeat is not None and DIALECTS[heartbeat.firmware].flies_last_setpoint
+        return self._modes.let_go(asks_hold=flies_on or not self._readiness.enabled)

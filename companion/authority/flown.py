@@ -13,7 +13,7 @@ from companion.authority.course import Course
 from companion.authority.downloads import RETRY_S, Downloads
 from companion.authority.terms import Terms
 from companion.autopilot.lists.mission import path_from_mission
-from companion.avoidance.law import Law
+from companion.avoidance.law import new_law
 from companion.avoidance.path import local_path
 from companion.avoidance.trajectory import Trajectory, check_speeds
 from companion.avoidance.walls import walls_of
@@ -172,7 +172,7 @@ class FlownPlan:
             start_s = flight.start_utc_s - own.utc_offset_s
         walls = walls_of(self.downloads.areas(), own.frame, trajectory, own.sigma_m)
         self._flown = self.downloads.items
-        law = Law(self.terms.config.avoidance, self.terms.limits, trajectory, walls)
+        law = new_law(self.terms.config.avoidance, self.terms.limits, trajectory, walls)
         self.course.begin(law, home, start_s)
         self.course.lowest_height_m = min(w.alt_m + above_msl - home for w in path.waypoint)
         self.terms.accept()

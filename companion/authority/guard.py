@@ -15,7 +15,7 @@ from companion.authority.downloads import RETRY_S, Downloads
 from companion.authority.terms import Terms
 from companion.autopilot.advice import restarting, too_fast
 from companion.autopilot.lists.mission import NAV_RETURN_TO_LAUNCH, place_of, speeds_at
-from companion.avoidance.law import Law
+from companion.avoidance.law import new_law
 from companion.avoidance.trajectory import Trajectory
 from companion.avoidance.walls import walls_of
 from companion.config import Config, LimitsConfig
@@ -28,7 +28,7 @@ _AHEAD_S = 60.0
 """Length in time of a path that extends the vehicle's current velocity."""
 _BEFORE_S = 10.0
 """How long before now a path begins, extended backwards along the vehicle's velocity. The law averages a
-path's velocity over a window (`kernels.S_TURN`), and a path has no velocity before its beginning."""
+path's velocity over a window (`kernels.Settings.turn_s`), and a path has no velocity before its beginning."""
 _LEAST_SPEED_MPS = 1.0
 """Lowest speed on the way to the item's position, for a vehicle that stood or had only begun to move."""
 _HERE_M = 0.5
@@ -117,7 +117,7 @@ class GuardPlan:
         if home is None:
             return []
         here = own.position_ned_m(now_s)
-        law = Law(self.terms.config.avoidance, self.terms.limits, _standing(here), walls)
+        law = new_law(self.terms.config.avoidance, self.terms.limits, _standing(here), walls)
         self.course.begin(law, home, now_s)
         self.terms.accept()
         return []

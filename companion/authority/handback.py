@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from companion.authority.guard import GuardPlan
 from companion.authority.table import Found, Trigger
 from companion.autopilot.dialect import DIALECTS
-from companion.events import Command, Firmware, FlightMode, Heartbeat, Say, SetMode, SetSpeed, Severity
+from companion.events import Command, FlightMode, Heartbeat, Say, SetMode, SetSpeed, Severity
 from companion.ownship import Ownship
 
 _OBEYS_S = 8.0
@@ -137,12 +137,13 @@ class HandBack:
         return self.ends_in_hold(heartbeat, now_s) and self._own.mission_complete
 
     def ends_in_hold(self, heartbeat: Heartbeat, now_s: float) -> bool:
-        """Whether PX4 reports a hold just after the mission was handed back.
+        """Whether a vehicle that holds after the last item of a mission reports a hold just after the mission
+        was handed back.
 
-        PX4 holds after the last item of a mission. MISSION_CURRENT, which may arrive later, tells whether the
-        mission is complete.
+        MISSION_CURRENT, which may arrive later, tells whether the mission is complete.
         """
-        holds = heartbeat.firmware is Firmware.PX4 and heartbeat.mode is FlightMode.HOLD
+        ends_so = DIALECTS[heartbeat.firmware].mission_ends_in_hold
+        holds = ends_so and heartbeat.mode is FlightMode.HOLD
         return holds and self.asked(now_s)
 
     def resumed(self, now_s: float) -> list[Command]:
@@ -168,9 +169,9 @@ class HandBack:
 
     @property
     def _forgets_speed(self) -> bool:
-        """Whether the vehicle forgets the mission's speed: ArduPilot does when it enters AUTO."""
+        """Whether the vehicle forgets the mission's speed when it enters the mission's mode."""
         heartbeat = self._own.heartbeat
-        return heartbeat is not None and heartbeat.firmware is Firmware.ARDUPILOT
+        return heartbeat is not None and DIALECTS[heartbeat.firmware].forgets_mission_speed
 
     def how(self, now_s: float) -> str:
         """Report, in words, that the mission was resumed: after how long and how far off its path."""

@@ -11,7 +11,6 @@ from companion.broadcast.broadcaster import Broadcaster
 from companion.config import Config
 from companion.events import (
     Command,
-    Firmware,
     FlightMode,
     GateAuthority,
     Heartbeat,
@@ -22,12 +21,6 @@ from companion.events import (
 )
 from companion.ownship import Ownship
 
-_TAKE_FROM = {
-    # LOITER is flown with the sticks and BRAKE is a pilot's emergency stop. We must not end either.
-    Firmware.ARDUPILOT: frozenset({FlightMode.EXTERNAL, FlightMode.MISSION}),
-    Firmware.PX4: frozenset({FlightMode.EXTERNAL, FlightMode.MISSION, FlightMode.HOLD}),
-}
-"""Modes from which the companion may take the vehicle if it flies the path itself."""
 _GUARDED = frozenset({FlightMode.MISSION})
 _LISTEN_S = 3.0
 """How long after its first heartbeat a vehicle is not taken if `vehicle.system_id` is not configured. In
@@ -94,7 +87,7 @@ class Readiness:
         Args:
             ours: modes that the vehicle may be in because of our own commands.
         """
-        return heartbeat.mode in ours | (_GUARDED if self._guards else _TAKE_FROM[heartbeat.firmware])
+        return heartbeat.mode in ours | (_GUARDED if self._guards else DIALECTS[heartbeat.firmware].take_from)
 
     def waits_for(self, now_s: float, ours: frozenset[FlightMode]) -> str | None:
         """Why the vehicle cannot be taken now, in words; None if it can.
@@ -108,24 +101,23 @@ class Readiness:
         if self.unclear is not None:
             return self.unclear
         if self.lost is not None:
-            return f"authority to be given back: {self.lost}"
+            return f"authority was lost: {self.lost}"
         if config.flight.use == "watch":
             return 'flight.use is "watch"'
         if not self.enabled:
             return SWITCHED_OFF
         if own.heartbeat is None or not own.heartbeat.armed:
-            return "vehicle to be armed"
+            return "vehicle is not armed"
         if config.vehicle.system_id == 0 and (self._found_s is None or now_s - self._found_s < _LISTEN_S):
-            return "other autopilots on the link to show (vehicle.system_id is not set)"
+            return "listening for other autopilots on the link (vehicle.system_id is not set)"
         if not self._seen_down:
-            return "a landing: the vehicle was flying when this started (flight.take_in_flight)"
+            return "vehicle was flying at the start and must land first (flight.take_in_flight)"
         if own.landed(now_s) is not Landed.IN_AIR:
-            return f"vehicle to be in the air (landed state: {own.landed(now_s).value})"
+            return f"vehicle is not in the air (landed state: {own.landed(now_s).value})"
         if not self.mode_is_ours_to_end(own.heartbeat, ours):
-            modes = "GUIDED or AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "HOLD or MISSION"
-            if self._guards:
-                modes = "AUTO" if own.heartbeat.firmware is Firmware.ARDUPILOT else "MISSION"
-            return f"mode {modes} (now {mode_name(own.heartbeat)})"
+            dialect = DIALECTS[own.heartbeat.firmware]
+            modes = dialect.guard_in_name if self._guards else dialect.take_from_names
+            return f"vehicle is in mode {mode_name(own.heartbeat)}; the companion takes it from {modes}"
         if config.region.transport_sets and self._broadcaster.trouble is not None:
             return self._broadcaster.trouble
         return own.unfit(now_s, config.vehicle.stale_after_s)

@@ -45,6 +45,8 @@ class State(enum.Enum):
     FAULT = "fault"
     """Not in control, because the own state is not usable or the loop was late."""
 
+    __hash__ = object.__hash__  # That of Enum is in Python, and the states are looked up at every step.
+
 
 class Trigger(enum.Enum):
     """Causes of transitions, in the order in which they are judged."""
@@ -64,6 +66,8 @@ class Trigger(enum.Enum):
     CLEAR = "clear"
     AWAY = "away"
     REGAINED = "regained"
+
+    __hash__ = object.__hash__  # As for `State`.
 
 
 HOLDING = frozenset({State.GUARDING, State.AVOIDING, State.RECOVERING})

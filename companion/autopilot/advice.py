@@ -9,7 +9,7 @@ from companion.autopilot.lists.mission import speed_changes
 from companion.avoidance.law import horizon_s
 from companion.avoidance.limits import effective, lower_ones
 from companion.config import Config, LimitsConfig
-from companion.events import Firmware, MissionItem, VehicleParameters
+from companion.events import MissionItem, VehicleParameters
 
 LEAST_TIMEOUT_S = 0.5
 LEAST_SETPOINTS = 5
@@ -91,8 +91,7 @@ def too_fast(limits: LimitsConfig, vehicle: VehicleParameters, items: Sequence[M
     if own and cruise is not None:
         asked.append((cruise.value, f"{cruise.name} {cruise.value:g}"))
     most_mps, who = max(asked, default=(0.0, ""))
-    if vehicle.firmware is Firmware.PX4 and vehicle.speed_mps is not None:
-        # ArduPilot flies the speed that a mission asks for, even above its own speed parameter.
+    if DIALECTS[vehicle.firmware].own_speed_limits_missions and vehicle.speed_mps is not None:
         most_mps = min(most_mps, vehicle.speed_mps.value)
     limit_mps = effective(limits, vehicle).max_speed_mps
     if most_mps <= limit_mps * _SINGLE:

@@ -9,9 +9,9 @@ from companion.autopilot.wire import Frame
 _ALL_REFUSED = {
     Refusal.UNSIGNED: "unsigned: signing is not set up on the autopilot",
     Refusal.WRONG: "wrongly signed: the autopilot has another key",
-    Refusal.REPLAYED: "a replay: somebody sends old frames again, or the autopilot's timestamp went back",
-    Refusal.STALE: "dated more than a minute before ours: the autopilot does not hear us, or it is a replay",
-    Refusal.CROWDED: "of one sender too many on this link",
+    Refusal.REPLAYED: "a replay: old frames are sent again, or the autopilot's timestamp went back",
+    Refusal.STALE: "more than a minute old: the autopilot does not receive our frames, or it is a replay",
+    Refusal.CROWDED: "rejected: too many signing senders on this link",
 }
 """Explanations for the case that every frame of the vehicle is rejected."""
 

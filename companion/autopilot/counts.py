@@ -24,8 +24,6 @@ class LinkCounts(RemoteIdCounts):
     """Messages with values that no correct vehicle sends."""
     no_position: int = 0
     """GLOBAL_POSITION_INT before the vehicle knew its position, and ADSB_VEHICLE without a position."""
-    acks_accepted: int = 0
-    acks_refused: int = 0
     reboots: int = 0
     drops: int = 0
     """Gaps between heartbeats of more than `heard_vehicle.LOST_AFTER_S`."""

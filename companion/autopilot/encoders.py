@@ -26,7 +26,7 @@ from companion.geometry import Vec3
 Outgoing = tuple[int, bytes]
 """Message id and payload."""
 
-AUTOPILOT_COMPONENT = 1
+AUTOPILOT_COMPONENT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 MAX_SETPOINT_MPS = 100.0
 """Largest speed of a setpoint. No supported vehicle is ever asked for more, so a larger number is a bug of
 ours."""
@@ -34,9 +34,7 @@ TEXT_BYTES = 50
 """Length of STATUSTEXT's text field."""
 _MAX_CHUNKS = 10
 
-TYPE_ONBOARD_CONTROLLER = 18
-"""MAV_TYPE of a companion computer."""
-_STATE_ACTIVE = 4
+TYPE_ONBOARD_CONTROLLER: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
 _MAVLINK_VERSION = 3
 _HEARTBEAT = struct.Struct("<IBBBBB")
 _SETPOINT = struct.Struct("<I11fHBBB")
@@ -47,11 +45,11 @@ _LIST = struct.Struct("<BBB")
 _REQUEST = struct.Struct("<HBBB")
 _ACK = struct.Struct("<BBBB")
 _COLLISION = struct.Struct("<IfffBBB")
-_COLLISION_SRC_ADSB = 0
-_COLLISION_SRC_MAVLINK = 1
-_COLLISION_REPORT = 1
-_COLLISION_MOVE_PERPENDICULAR = 4
-_THREAT_LEVELS = (0, 1, 2)
+_THREAT_LEVELS = (
+    mavlink.MAV_COLLISION_THREAT_LEVEL_NONE,
+    mavlink.MAV_COLLISION_THREAT_LEVEL_LOW,
+    mavlink.MAV_COLLISION_THREAT_LEVEL_HIGH,
+)
 MAX_TOLD = 1e6
 """Largest time (s) or distance (m) in COLLISION. Larger values are reported as this one, so that encoding
 never fails."""
@@ -60,7 +58,7 @@ never fails."""
 def heartbeat(mav_type: int = TYPE_ONBOARD_CONTROLLER) -> Outgoing:
     """HEARTBEAT of a component that is not an autopilot."""
     return mavlink.MAVLINK_MSG_ID_HEARTBEAT, _HEARTBEAT.pack(
-        0, mav_type, AUTOPILOT_INVALID, 0, _STATE_ACTIVE, _MAVLINK_VERSION
+        0, mav_type, AUTOPILOT_INVALID, 0, mavlink.MAV_STATE_ACTIVE, _MAVLINK_VERSION
     )
 
 
@@ -165,19 +163,21 @@ def collision(threat: Threat) -> Outgoing:
     if threat.level not in _THREAT_LEVELS:
         raise ValueError(f"MAV_COLLISION_THREAT_LEVEL {threat.level} is not defined")
     if threat.adsb:
-        source, number = _COLLISION_SRC_ADSB, int(threat.track_id, 16)
+        source, number = mavlink.MAV_COLLISION_SRC_ADSB, int(threat.track_id, 16)
         if not 0 <= number <= MAX_ICAO:
             raise ValueError(f"{threat.track_id} is not an ICAO address")
     else:
         digest = hashlib.sha256(threat.track_id.encode("utf-8", "replace")).digest()
-        source, number = _COLLISION_SRC_MAVLINK, int.from_bytes(digest[:4], "big")
+        source, number = mavlink.MAV_COLLISION_SRC_MAVLINK_GPS_GLOBAL_INT, int.from_bytes(digest[:4], "big")
     return mavlink.MAVLINK_MSG_ID_COLLISION, _COLLISION.pack(
         number,
         _told(threat.time_to_closest_s),
         _told(threat.vertical_m),
         _told(threat.horizontal_m),
         source,
-        _COLLISION_MOVE_PERPENDICULAR if threat.acting else _COLLISION_REPORT,
+        mavlink.MAV_COLLISION_ACTION_MOVE_PERPENDICULAR
+        if threat.acting
+        else mavlink.MAV_COLLISION_ACTION_REPORT,
         threat.level,
     )
 

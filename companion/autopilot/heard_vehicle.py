@@ -26,7 +26,7 @@ LOST_AFTER_S = 3.0
 REBOOT_STEP_S = 1.0
 """The vehicle has rebooted when its clock goes back by more than this. A smaller step means messages out of
 order."""
-_GROUND_STATION = 6
+_GROUND_STATION = mavlink.MAV_TYPE_GCS
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
 

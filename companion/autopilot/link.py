@@ -78,8 +78,9 @@ from companion.remote_id.messages import BasicId
 
 HEARTBEAT_PERIOD_S = remote_id.HEARTBEAT_PERIOD_S
 _EPSILON_S = 1e-6
-_GOOD_RESULTS = (0, 5)
 _HEARTBEAT_ID = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+_STAMPED = (GlobalPosition, LocalPosition, VehicleTime)
+"""Events with the vehicle's time since boot."""
 
 
 class AutopilotLink:
@@ -242,7 +243,7 @@ class AutopilotLink:
             return
         if isinstance(event, GlobalPosition):
             self._nose.heard(fields[8])
-        if isinstance(event, GlobalPosition | LocalPosition | VehicleTime):
+        if isinstance(event, _STAMPED):
             self._on_boot_time(event.time_boot_s, now_s)
         self._events.append(event)
         if isinstance(event, CurrentMode):
@@ -274,10 +275,6 @@ class AutopilotLink:
         command, result, _progress, _param2, target_system, target_component = fields
         if not self._heard.is_for_us(target_system, target_component):
             return
-        if result in _GOOD_RESULTS:
-            self.counts.acks_accepted += 1
-        else:
-            self.counts.acks_refused += 1
         self._mode_and_speed.on_ack(command, result)
 
     # ------------------------------------------------------------ time

@@ -14,7 +14,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.dialect import ARMED, FIRMWARES, flight_mode
+from companion.autopilot.dialect import ARMED, DIALECTS, FIRMWARES, flight_mode
 from companion.autopilot.wire import CURRENT_MODE
 from companion.errors import PeerDataError
 from companion.events import (
@@ -47,23 +47,16 @@ UTC_RANGE_S = (1_420_070_400.0, 4_102_444_800.0)
 MAX_ICAO = 0xFF_FFFF
 """ICAO addresses have 24 bits."""
 
-_ESTIMATES = 2 | 16
-"""ESTIMATOR_VELOCITY_HORIZ and ESTIMATOR_POS_HORIZ_ABS. EKF_STATUS_FLAGS has the same bits."""
-_CONSTANT_POSITION = 128
-"""ESTIMATOR_CONST_POS_MODE: the estimator assumes that the vehicle stands still."""
+_ESTIMATES: int = mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_ABS
+"""EKF_STATUS_FLAGS has the same bits."""
+_CONSTANT_POSITION: int = mavlink.ESTIMATOR_CONST_POS_MODE
+"""The estimator assumes that the vehicle stands still."""
 _RC_RANGE_US = (800, 2200)
 """Valid pulse widths. A channel outside this range is not present (0 or 65535)."""
-_MAX_FIX_TYPE = 8
+_MAX_FIX_TYPE = mavlink.GPS_FIX_TYPE_PPP
 _UINT32_MAX = 0xFFFF_FFFF
 _LANDED = dict(enumerate(Landed))
-# Bits of ADSB_FLAGS.
-_VALID_COORDS = 1
-_VALID_ALTITUDE = 2
-_VALID_HEADING = 4
-_VALID_VELOCITY = 8
-_VALID_CALLSIGN = 16
-_ALTITUDE_TYPES = (0, 1)
-"""ADSB_ALTITUDE_TYPE: from a barometer, or from GNSS."""
+_BAROMETRIC, _GEOMETRIC = mavlink.ADSB_ALTITUDE_TYPE_PRESSURE_QNH, mavlink.ADSB_ALTITUDE_TYPE_GEOMETRIC
 _UNPACKERS: dict[int, struct.Struct] = {i: m.unpacker for i, m in mavlink.mavlink_map.items()}
 # Includes the extension field mission_id, which pymavlink's dialect lacks.
 _UNPACKERS[mavlink.MAVLINK_MSG_ID_MISSION_CURRENT] = struct.Struct("<HHBBI")
@@ -98,12 +91,14 @@ def heartbeat(system_id: int, fields: Fields) -> Heartbeat:
     """HEARTBEAT of a supported autopilot.
 
     Raises:
-        PeerDataError: the autopilot is neither ArduPilot nor PX4.
+        PeerDataError: the autopilot is of no known firmware.
     """
     custom_mode, vehicle_type, autopilot, base_mode, _status, _version = fields
     firmware = FIRMWARES.get(autopilot)
     if firmware is None:
-        raise PeerDataError(f"MAV_AUTOPILOT {autopilot} is neither ArduPilot (3) nor PX4 (12)")
+        known = [f"{dialect.title} ({dialect.autopilot})" for dialect in DIALECTS.values()]
+        listed = f"{', '.join(known[:-1])} nor {known[-1]}"
+        raise PeerDataError(f"MAV_AUTOPILOT {autopilot} is neither {listed}")
     return Heartbeat(
         system_id=system_id,
         firmware=firmware,
@@ -236,18 +231,18 @@ def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
             altitude, a course beyond 360 deg, a saturated speed.
     """
     icao, lat_e7, lon_e7, alt_mm, course, speed, climb, flags, _squawk, alt_type, name, emitter, tslc = fields
-    if not flags & _VALID_COORDS or (lat_e7 == 0 and lon_e7 == 0):
+    if not flags & mavlink.ADSB_FLAGS_VALID_COORDS or (lat_e7 == 0 and lon_e7 == 0):
         return None
     if icao > MAX_ICAO:
         raise PeerDataError(f"ICAO address {icao:#x} has more than 24 bits")
     lat_deg, lon_deg = _position(lat_e7, lon_e7)
     alt_m = None
-    if flags & _VALID_ALTITUDE:
-        if alt_type not in _ALTITUDE_TYPES:
+    if flags & mavlink.ADSB_FLAGS_VALID_ALTITUDE:
+        if alt_type not in (_BAROMETRIC, _GEOMETRIC):
             raise PeerDataError(f"ADSB_ALTITUDE_TYPE {alt_type} is not defined")
         alt_m = _altitude("altitude", alt_mm)
     velocity = None
-    if flags & _VALID_VELOCITY and flags & _VALID_HEADING:
+    if flags & mavlink.ADSB_FLAGS_VALID_VELOCITY and flags & mavlink.ADSB_FLAGS_VALID_HEADING:
         # PX4's range of course includes 36000.
         if course > 36_000:
             raise PeerDataError(f"course {course / 100} deg is beyond 360")
@@ -260,10 +255,10 @@ def adsb_vehicle(fields: Fields) -> AdsbVehicle | None:
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_m=alt_m,
-        alt_geometric=alt_m is not None and alt_type == 1,
+        alt_geometric=alt_m is not None and alt_type == _GEOMETRIC,
         velocity_ned_mps=velocity,
         age_s=float(tslc),
-        callsign=_callsign(name) if flags & _VALID_CALLSIGN else "",
+        callsign=_callsign(name) if flags & mavlink.ADSB_FLAGS_VALID_CALLSIGN else "",
         emitter=emitter,
     )
 

@@ -31,6 +31,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from companion.autopilot import encoders
 from companion.autopilot.wire import Frame, MavlinkWriter, without_signature
 from companion.errors import PeerDataError
@@ -72,7 +74,7 @@ _ECHOES = 32
 _EPSILON_S = 1e-6
 _STATION_FROM_ID = 240
 _STATION_SPEAKS_S = 5.0
-_TYPE_STATION = 6
+_TYPE_STATION = mavlink.MAV_TYPE_GCS
 _UNKNOWN = System(operator_location_type=OperatorLocationType.LIVE_GNSS)
 
 

@@ -42,7 +42,7 @@ class Refusal(enum.Enum):
     WRONG = "wrongly signed"
     REPLAYED = "replayed"
     STALE = "too old"
-    CROWDED = "of too many senders"
+    CROWDED = "from too many senders"
 
 
 @dataclass(slots=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from companion.autopilot.readers import Fields
 from companion.errors import PeerDataError
 from companion.events import VehicleText
@@ -10,7 +12,7 @@ MAX_CHUNKS = 10
 """Largest number of parts of one text. A vehicle that never ends its text is cut off here."""
 CHUNK_WAIT_S = 2.0
 _GAP = "[...]"
-_MAX_SEVERITY = 7
+_MAX_SEVERITY: int = mavlink.MAV_SEVERITY_DEBUG
 
 
 def _readable(data: bytes) -> str:

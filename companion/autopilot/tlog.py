@@ -264,5 +264,5 @@ class _Reader:
         found = f"begins with {self._head.hex(' ')}" if self._head else "is empty"
         return PeerDataError(
             f"{self._name}: not a telemetry log: it {found}; "
-            "expected records of 8 bytes of time and one MAVLink frame"
+            "expected records of an 8-byte time and a MAVLink frame"
         )

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import re
 import struct
-from binascii import crc_hqx
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 MavlinkMessage = Any
@@ -30,26 +30,28 @@ _MAGIC = re.compile(rb"[\xfd\xfe]")
 SIGNATURE_BYTES = 13
 """Length of the link id, timestamp and signature at the end of a signed frame."""
 _SIGNED = 0x01
+_FLAG_BYTE = bytes((_SIGNED,))
 _HEAD_V2 = struct.Struct("<BBBBBBBHB")
 
-# The standard library computes the bit-reversed form of MAVLink's checksum. Reversing the bits of each input
-# byte and of the result converts one into the other, at C speed.
-_REVERSED = bytes(int(f"{value:08b}"[::-1], 2) for value in range(256))
-_FLIPPED = bytes((_REVERSED[_SIGNED],))
 CURRENT_MODE = 436
 """Message of standard.xml, missing in pymavlink's ardupilotmega dialect."""
 _CRC_EXTRA = {
-    **{i: bytes([_REVERSED[m.crc_extra]]) for i, m in mavlink.mavlink_map.items()},
-    CURRENT_MODE: bytes([_REVERSED[193]]),
+    **{i: bytes([m.crc_extra]) for i, m in mavlink.mavlink_map.items()},
+    CURRENT_MODE: bytes([193]),
 }
 COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA = 396, 397
 # Messages of common.xml that neither pymavlink's dialects nor ArduPilot's contain. We send them; received
 # ones count as unknown.
 _SENT_EXTRA = {
-    COMPONENT_INFORMATION_BASIC: bytes([_REVERSED[50]]),
-    COMPONENT_METADATA: bytes([_REVERSED[182]]),
+    COMPONENT_INFORMATION_BASIC: bytes([50]),
+    COMPONENT_METADATA: bytes([182]),
     **_CRC_EXTRA,
 }
+
+
+def names_of(enum: str, prefix: str) -> dict[int, str]:
+    """Names of the entries of a MAVLink enum, without their prefix, by number."""
+    return {number: entry.name.removeprefix(prefix) for number, entry in mavlink.enums[enum].items()}
 
 
 @dataclass(slots=True)
@@ -80,8 +82,7 @@ class Frame(NamedTuple):
 def checksum(body: bytes, message_id: int) -> int:
     """Checksum of a frame's bytes between the magic byte and the checksum. The message must be known, or be
     one that we only send."""
-    crc = crc_hqx(_SENT_EXTRA[message_id], crc_hqx(body.translate(_REVERSED), 0xFFFF))
-    return _REVERSED[crc & 0xFF] << 8 | _REVERSED[crc >> 8]
+    return mcrf4xx(_SENT_EXTRA[message_id], mcrf4xx(body))
 
 
 def frame_length(buffer: bytes, at: int) -> int:
@@ -118,11 +119,11 @@ def _toggled(frame: bytes) -> bytes:
     The checksum is linear: it changes by the checksum of the changed bits alone, so no message layout is
     needed.
     """
-    change = crc_hqx(_FLIPPED + bytes(len(frame) - 4), 0)
+    change = mcrf4xx(_FLAG_BYTE + bytes(len(frame) - 4), 0)
     toggled = bytearray(frame)
     toggled[2] ^= _SIGNED
-    toggled[-2] ^= _REVERSED[change >> 8]
-    toggled[-1] ^= _REVERSED[change & 0xFF]
+    toggled[-2] ^= change & 0xFF
+    toggled[-1] ^= change >> 8
     return bytes(toggled)
 
 
@@ -138,11 +139,6 @@ def is_known(message_id: int) -> bool:
     return message_id in _CRC_EXTRA
 
 
-def checked_frame(raw: bytes) -> Frame | None:
-    """One whole frame of a known message; None when its checksum is wrong."""
-    return cut(raw) if is_whole(raw) else None
-
-
 def is_whole(raw: bytes) -> bool:
     """Whether a frame of the length that its header announces is of a known message and has a correct
     checksum."""
@@ -154,8 +150,8 @@ def is_whole(raw: bytes) -> bool:
     extra = _CRC_EXTRA.get(message_id)
     if extra is None:
         return False
-    crc = crc_hqx(extra, crc_hqx(raw[1:stop].translate(_REVERSED), 0xFFFF))
-    return raw[stop] == _REVERSED[crc >> 8] and raw[stop + 1] == _REVERSED[crc & 0xFF]
+    crc = mcrf4xx(extra, mcrf4xx(raw[1:stop]))
+    return raw[stop] == crc & 0xFF and raw[stop + 1] == crc >> 8
 
 
 def cut(raw: bytes) -> Frame:
@@ -201,6 +197,12 @@ class FrameScanner:
             length = frame_length(buffer, at)
             if length == 0 or at + length > end:
                 break
+            raw = buffer[at : at + length]
+            if length > 0 and is_whole(raw):
+                counts.messages += 1
+                found.append(cut(raw))
+                at += length
+                continue
             taken = self._take(buffer, at, length, found)
             if taken == 0:
                 break
@@ -214,18 +216,13 @@ class FrameScanner:
         return found
 
     def _take(self, buffer: bytes, at: int, length: int, found: list[Frame]) -> int:
-        """Number of bytes used by the frame at `at`; 0: more bytes are needed to decide; -1: it is not a
-        frame."""
+        """Number of bytes used by what is no whole frame of a known message; 0: more bytes are needed to
+        decide; -1: it is not a frame."""
         if length < 0:
             return -1
         raw = buffer[at : at + length]
         if is_known(message_id_of(raw)):
-            frame = checked_frame(raw)
-            if frame is None:
-                return -1
-            self.counts.messages += 1
-            found.append(frame)
-            return length
+            return -1
         # Its checksum cannot be verified, so it must at least end where another frame begins. Otherwise
         # damaged bytes that only look like a frame would swallow a good one.
         if at + length == len(buffer):

@@ -21,6 +21,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from companion.avoidance.law import LawResult, Neighbour, horizon_s, separation_m
 from companion.config import AvoidanceConfig
@@ -48,8 +49,7 @@ class Level(enum.IntEnum):
     WARNING = 3
 
 
-@dataclass(frozen=True, slots=True)
-class Approach:
+class Approach(NamedTuple):
     """How two aircraft approach each other if both keep their velocities."""
 
     time_s: float
@@ -71,8 +71,8 @@ def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> A
         radius_m: horizontal radius of the volume to keep clear of.
         scale: factor on vertical distances that makes the volume a ball.
     """
-    px, py, pz = position[0], position[1], scale * position[2]
-    vx, vy, vz = velocity[0], velocity[1], scale * velocity[2]
+    (px, py, down), (vx, vy, sinking) = position, velocity
+    pz, vz = scale * down, scale * sinking
     v2, pv = vx * vx + vy * vy + vz * vz, px * vx + py * vy + pz * vz
     t = max(pv / v2, 0.0) if v2 > 0.0 else 0.0
     gap2 = px * px + py * py + pz * pz - radius_m * radius_m
@@ -81,12 +81,7 @@ def approach(position: Vec3, velocity: Vec3, radius_m: float, scale: float) -> A
         loss = 0.0
     elif pv > 0.0 and (root := pv * pv - v2 * gap2) >= 0.0:
         loss = gap2 / (pv + math.sqrt(root))
-    return Approach(
-        time_s=t,
-        horizontal_m=math.hypot(position[0] - t * velocity[0], position[1] - t * velocity[1]),
-        vertical_m=abs(position[2] - t * velocity[2]),
-        loss_s=loss,
-    )
+    return Approach(t, math.hypot(px - t * vx, py - t * vy), abs(down - t * sinking), loss)
 
 
 @dataclass(slots=True)
@@ -128,7 +123,7 @@ class Alerts:
     """The alert levels of all tracks of a flight."""
 
     def __init__(self, config: AvoidanceConfig) -> None:
-        self._config = config
+        self.configure(config)
         self._watched: dict[_Key, _Watched] = {}
         self._said_s = -math.inf
         self._spoken = False
@@ -136,7 +131,9 @@ class Alerts:
 
     def configure(self, config: AvoidanceConfig) -> None:
         """Use other separations and horizons from now on."""
-        self._config = config
+        self._separations = separation_m(config, False), separation_m(config, True)
+        """Those from uncrewed and from crewed traffic."""
+        self._horizons_s = horizon_s(config, False), horizon_s(config, True)
 
     @property
     def levels(self) -> dict[_Key, Level]:
@@ -168,7 +165,9 @@ class Alerts:
             view = views.get(key)
             conflict, active = (False, False) if view is None else (view.conflict, view.active)
             way = self._approach(position, velocity, other)
-            watched = self._watched.setdefault(key, _Watched(other, way))
+            watched = self._watched.get(key)
+            if watched is None:
+                watched = self._watched[key] = _Watched(other, way)
             watched.other, watched.way, watched.acting = other, way, conflict and active
             if watched.look(self._level(other, way, conflict, active), now_s):
                 commands.append(_changed(watched, limits))
@@ -182,16 +181,16 @@ class Alerts:
         return commands + self._tell(now_s, ended) + self._say(now_s, limits)
 
     def _approach(self, position: Vec3, velocity: Vec3, other: Neighbour) -> Approach:
-        p, v, age = other.position_ned_m, other.velocity_ned_mps, other.age_s
-        away = [p[i] + age * v[i] - position[i] for i in range(3)]
-        closing = [velocity[i] - v[i] for i in range(3)]
+        (north, east, down), (vn, ve, vd) = other.position_ned_m, other.velocity_ned_mps
+        age, (n, e, d) = other.age_s, position
+        away = north + age * vn - n, east + age * ve - e, down + age * vd - d
+        closing = velocity[0] - vn, velocity[1] - ve, velocity[2] - vd
         if not other.vertical_known:
-            away[2] = closing[2] = 0.0
-        radius, scale = separation_m(self._config, other.crewed)
-        return approach((away[0], away[1], away[2]), (closing[0], closing[1], closing[2]), radius, scale)
+            away, closing = (away[0], away[1], 0.0), (closing[0], closing[1], 0.0)
+        return approach(away, closing, *self._separations[other.crewed])
 
     def _level(self, other: Neighbour, way: Approach, conflict: bool, active: bool) -> Level:
-        horizon = horizon_s(self._config, other.crewed)
+        horizon = self._horizons_s[other.crewed]
         if way.loss_s <= 0.5 * horizon:
             return Level.WARNING
         if way.loss_s <= horizon or (conflict and active):

@@ -1,6 +1,7 @@
 """The avoidance law: own state, timed path and neighbours in, one velocity out (paper section II, "Decide").
 
-Three laws share one interface, the same limits and the same kernel:
+Three laws share one interface, the same limits and the same kernel (`companion.laws` lists them, and those
+that have a file of their own):
 
 - "dmuca" is the default. The preferred velocity always leads back to the timed path and always passes through
   ORCA. Planes are built from the own velocity at the time of each neighbour's sample, so that both aircraft
@@ -17,18 +18,23 @@ Nothing here reads a clock, a socket or a file, or draws a random number.
 from __future__ import annotations
 
 import math
+import pkgutil
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from operator import attrgetter
 
 import msgspec
 import numpy as np
 
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.events import TrackView
 from companion.geometry import Vec3
+from companion.laws import LAWS
 
 OLDEST_S = 15.0
 """Neighbours whose message is older than this are ignored."""
@@ -56,7 +62,6 @@ LIMITS = ("climb or ceiling", "descent or floor", "fence", "outside the fence", 
 """Names of the limits, other than other aircraft, that can bound a decision's velocity."""
 
 _LEAST_TURN_S = 0.01
-_ON_PLANE_MPS = 1e-6
 
 _by_id = attrgetter("track_id")
 
@@ -75,7 +80,7 @@ class Neighbour(msgspec.Struct, frozen=True, gc=False):
     sigma_mps: float = 0.3
     """Error of the velocity, one standard deviation for each axis."""
     growth_mps: float = 0.0
-    """How fast it deviates from its predictions (`kernels.note_track`)."""
+    """How fast it deviates from its predictions (`kernels.Past`)."""
     silent: bool = False
     """True: not received for so long that it may have stopped (`kernels.silent_after`)."""
     share: float = 0.5
@@ -107,8 +112,7 @@ class Situation:
     """NED down of the ceiling; None: no ceiling."""
 
 
-@dataclass(frozen=True, slots=True)
-class LawResult:
+class LawResult(msgspec.Struct, frozen=True):
     """Result of one decision; NED."""
 
     wanted_ned_mps: Vec3
@@ -129,7 +133,8 @@ class LawResult:
 class Law:
     """The law of one aircraft, with the history of own velocities, the last command and the path's delay.
 
-    It checks the input, fills the tables of `kernels.decide`, which makes the decision, and reads its result.
+    It checks the input, fills the table of neighbours for `kernels.decide`, which makes the decision, and
+    reads its result.
     """
 
     def __init__(
@@ -137,28 +142,25 @@ class Law:
         avoidance: AvoidanceConfig,
         limits: LimitsConfig,
         trajectory: Trajectory,
-        fence: k.Array | None = None,
+        fence: Floats | None = None,
     ) -> None:
         """A law at the start of a flight.
 
         Args:
             fence: walls from `walls.walls_of`; None: no fence.
         """
-        self._fence = np.zeros((0, k.WALL_COLUMNS)) if fence is None else fence
+        self._fence = k.NO_WALLS if fence is None else fence
         self._configured = avoidance, limits
         self._planned = self._trajectory = trajectory
-        self._path = trajectory.arrays
         self._settings = settings_of(avoidance, limits, trajectory)
-        self._state = np.zeros(k.STATE_ENTRIES)
-        k.begin(self._state, self._settings)
-        self._times, self._velocities = np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3))
-        self._own, self._out = np.zeros(k.OWN_ENTRIES), np.zeros(k.OUT_ENTRIES)
+        self._state = k.first_state(self._settings, 0)
+        self._history = np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3))
         self._room(32)
 
     @property
     def late_s(self) -> float:
         """Delay of the path so far, s."""
-        return float(self._state[k.L_DELAY])
+        return self._state.delay_s
 
     @property
     def trajectory(self) -> Trajectory:
@@ -180,16 +182,14 @@ class Law:
         of a flight does.
         """
         self._planned = self._trajectory = trajectory
-        self._path = trajectory.arrays
         self._settings = settings_of(*self._configured, trajectory)
-        history = self._state[k.L_HISTORY]
-        k.begin(self._state, self._settings)
-        self._state[k.L_HISTORY] = history
+        self._state = k.first_state(self._settings, self._state.samples)
 
     def note_velocity(self, now_s: float, velocity_ned_mps: Vec3) -> None:
         """Add an own velocity between decisions; ignored if it is not newer than the last, or not finite."""
         n, e, d = map(float, velocity_ned_mps)
-        k.note_velocity(self._state, self._times, self._velocities, float(now_s), n, e, d)
+        samples = k.note_velocity(*self._history, self._state.samples, float(now_s), (n, e, d))
+        self._state = self._state._replace(samples=samples)
 
     def decide(self, situation: Situation) -> LawResult:
         """Make one decision.
@@ -197,107 +197,66 @@ class Law:
         Raises:
             ValueError: the own state is not finite, or the ceiling lies below the floor.
         """
-        self._own[:] = _own_row(situation)
+        own = _own(situation)
         usable = self._take(situation.neighbours)
-        k.decide(
-            self._neighbours,
-            len(usable),
-            self._own,
-            *self._path,
-            self._fence,
-            self._settings,
-            self._state,
-            self._times,
-            self._velocities,
-            self._planes,
-            self._scratch,
-            self._view,
-            self._out,
-        )
-        view, out = self._view[: len(usable)].tolist(), self._out.tolist()
-        hard, outside = int(out[k.R_HARD]), out[k.R_NEIGHBOURS] > out[k.R_HARD]
-        active = [
-            moving or standing
-            for moving, standing in zip(
-                self._binding(self._view[: len(usable), k.V_PLANE : k.V_STANDING]),
-                self._binding(self._view[: len(usable), k.V_STANDING :]),
-                strict=True,
-            )
-        ]
+        chosen, wanted, solved, flags, (hard, first), state = k.decide_plain(
+            self._table, len(usable), own, self._planned.arrays, self._fence, (*self._settings,),
+            ((*self._state.command,), *self._state[1:]), self._history, (*self._work,),
+        )  # fmt: skip
+        self._state, self._solved, self._hard = k.State(k.Vector(*state[0]), *state[1:]), solved, hard
+        feasible, conflict, recovering, climbs, descends, at_fence = flags
+        fast = math.hypot(*solved) >= self._settings.speed_mps - k.ON_PLANE_MPS
+        reached = (climbs, descends, at_fence, first > hard, fast)
         return LawResult(
-            wanted_ned_mps=(out[3], out[4], out[5]),
-            chosen_ned_mps=(out[0], out[1], out[2]),
-            feasible=out[k.R_FEASIBLE] != 0.0,
-            conflict=out[k.R_CONFLICT] != 0.0,
-            recovering=out[k.R_RECOVERING] != 0.0,
-            limits=self._limits(hard, outside),
-            tracks=tuple(map(_track, usable, view, active)),
+            wanted_ned_mps=wanted,
+            chosen_ned_mps=chosen,
+            feasible=feasible,
+            conflict=conflict,
+            recovering=recovering,
+            limits=tuple(compress(LIMITS, reached)),
+            tracks=_views(usable, self._work.seen[: len(usable)]),
         )
-
-    def _limits(self, hard: int, outside: bool) -> tuple[str, ...]:
-        """Names from `LIMITS` of the limits that the velocity found by the law reaches.
-
-        Args:
-            hard: number of hard planes.
-            outside: whether the aircraft is outside an inclusion area or inside an exclusion area.
-        """
-        least_down, most_down, *fence = self._binding(self._planes[:hard])
-        speed = math.hypot(*self._out[k.R_SOLVED : k.R_SOLVED + 3])
-        fast = speed >= self._settings[k.S_SPEED] - _ON_PLANE_MPS
-        reached = (least_down, most_down, any(fence), outside, fast)
-        return tuple(name for name, on in zip(LIMITS, reached, strict=True) if on)
-
-    def _binding(self, planes: k.Array) -> list[bool]:
-        found = self._out[k.R_SOLVED : k.R_SOLVED + 3].tolist()
-        return [on_plane(plane, found) for plane in planes.tolist()]
 
     def _room(self, count: int) -> None:
-        self._neighbours = np.zeros((count, k.NEIGHBOUR_COLUMNS))
-        self._view = np.zeros((count, k.VIEW_COLUMNS))
-        rows = k.plane_rows(len(self._fence), count)
-        self._planes, self._scratch = np.zeros((rows, 4)), np.zeros((rows, 4))
+        self._table = np.zeros((count, k.OTHER_COLUMNS))
+        self._work = k.workspace(len(self._fence), count)
 
     def _take(self, neighbours: Sequence[Neighbour]) -> list[Neighbour]:
         """Fill the table with the usable neighbours, sorted by track id, so that the input's order is
         irrelevant."""
         usable = [n for n in sorted(neighbours, key=_by_id) if -OLDEST_S <= n.age_s <= OLDEST_S]
-        if not usable:
-            return usable
-        rows = np.array(
-            [
-                (
-                    *n.position_ned_m,
-                    *n.velocity_ned_mps,
-                    max(n.age_s, 0.0),
-                    n.sigma_m,
-                    n.sigma_mps,
-                    n.growth_mps,
-                    n.silent,
-                    n.share,
-                    n.vertical_known,
-                    n.crewed,
-                )
-                for n in usable
-            ],
-            dtype=np.float64,
-        )
-        good = np.abs(rows) <= _BELIEVABLE  # False for NaN too
-        if not good.all():
-            kept = good.all(axis=1)
-            rows = rows[kept]
-            usable = [usable[i] for i in np.flatnonzero(kept)]
-        if len(usable) > len(self._neighbours):
+        if len(usable) > len(self._table):
             self._room(2 * len(usable))
-        self._neighbours[: len(usable)] = rows
+        self._fill(usable)
+        if not k.all_within(self._table, len(usable), _BELIEVABLE):
+            good = (np.abs(self._table[: len(usable)]) <= _BELIEVABLE).all(axis=1)  # False for NaN too
+            usable = [usable[i] for i in np.flatnonzero(good)]
+            self._fill(usable)
         return usable
 
+    def _fill(self, neighbours: Sequence[Neighbour]) -> None:
+        """Fill the table with neighbours, in the order of the fields of `kernels.Other`."""
+        entries: list[float] = []
+        for n in neighbours:
+            entries += n.position_ned_m
+            entries += n.velocity_ned_mps
+            entries += (
+                n.age_s if n.age_s > 0.0 else 0.0, n.sigma_m, n.sigma_mps, n.growth_mps, n.silent, n.share,
+                n.vertical_known, n.crewed,
+            )  # fmt: skip
+        # Twice as fast as an assignment to the array.
+        struct.pack_into(f"={len(entries)}d", self._table.data, 0, *entries)
 
-def on_plane(plane: Sequence[float], velocity: Sequence[float]) -> bool:
-    """Whether a plane (n, d) bounds a velocity: the velocity lies on it, or violates it. False if n = 0."""
-    n, e, d, most = plane
-    if n == e == d == 0.0:
-        return False
-    return n * velocity[0] + e * velocity[1] + d * velocity[2] <= most + _ON_PLANE_MPS
+
+def new_law(
+    avoidance: AvoidanceConfig,
+    limits: LimitsConfig,
+    trajectory: Trajectory,
+    fence: Floats | None = None,
+) -> Law:
+    """The configured law at the start of a flight. Arguments are those of `Law`."""
+    law: Law = pkgutil.resolve_name(LAWS[avoidance.law].made_by)(avoidance, limits, trajectory, fence)
+    return law
 
 
 def separation_m(avoidance: AvoidanceConfig, crewed: bool) -> tuple[float, float]:
@@ -317,67 +276,78 @@ def horizon_s(avoidance: AvoidanceConfig, crewed: bool) -> float:
     return max(CREWED_HORIZON_S, avoidance.horizon_s) if crewed else avoidance.horizon_s
 
 
-def settings_of(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> k.Array:
-    """Settings of `kernels.decide` for one aircraft and its path, shape (SETTINGS_ENTRIES,)."""
-    settings = np.zeros(k.SETTINGS_ENTRIES)
-    settings[k.S_LAW] = {"dmuca": k.DMUCA, "paper": k.PAPER, "none": k.NONE}[avoidance.law]
-    settings[k.S_RADIUS], settings[k.S_VERTICAL] = separation_m(avoidance, False)
-    settings[k.S_CREWED], settings[k.S_CREWED_VERTICAL] = separation_m(avoidance, True)
-    settings[k.S_HORIZON], settings[k.S_CREWED_HORIZON] = (
-        horizon_s(avoidance, False),
-        horizon_s(avoidance, True),
+def settings_of(avoidance: AvoidanceConfig, limits: LimitsConfig, trajectory: Trajectory) -> k.Settings:
+    """Settings of `kernels.decide` for one aircraft and its path."""
+    paper = avoidance.law == "paper"  # no margin, no turn to the right
+    radius, vertical = separation_m(avoidance, False)
+    crewed, crewed_vertical = separation_m(avoidance, True)
+    turn = 0.5 * trajectory.largest_turn_mps() / limits.max_acceleration_mps2
+    settings = k.Settings(
+        # A law of a file of its own begins with what the kernel decides without avoiding anybody.
+        law={"dmuca": k.DMUCA, "paper": k.PAPER}.get(avoidance.law, k.NONE),
+        radius_m=radius,
+        least_margin_m=0.0 if paper else LEAST_MARGIN_M,
+        sigmas=0.0 if paper else SIGMAS,
+        quantum_mps=0.0 if paper else QUANTUM_MPS,
+        growth=0.0 if paper else 1.0,
+        crewed_m=crewed,
+        crewed_vertical=crewed_vertical,
+        crewed_horizon_s=horizon_s(avoidance, True),
+        vertical=1.0 if paper else vertical,
+        horizon_s=horizon_s(avoidance, False),
+        overlap_s=avoidance.period_s if paper else OVERLAP_S,
+        look_s=avoidance.horizon_s if paper else LOOK_S,
+        right_rad=0.0 if paper else KEEP_RIGHT_RAD,
+        speed_mps=limits.max_speed_mps,
+        climb_mps=min(limits.max_climb_mps, limits.max_speed_mps),
+        descent_mps=min(limits.max_descent_mps, limits.max_speed_mps),
+        acceleration_mps2=limits.max_acceleration_mps2,
+        period_s=avoidance.period_s,
+        recovery_s=avoidance.recovery_time_s,
+        turn_s=max(turn, _LEAST_TURN_S),
+        quiet=avoidance.n_noncollide,
+        regained_m=avoidance.regained_m,
+        catch_up_s=CATCH_UP_S if LAWS[avoidance.law].avoids and not paper else 0.0,
     )
-    if avoidance.law == "paper":  # no margin, no turn to the right
-        settings[k.S_VERTICAL] = 1.0
-        settings[k.S_LOOK] = avoidance.horizon_s
-        settings[k.S_OVERLAP] = avoidance.period_s
-    else:
-        settings[k.S_LEAST_MARGIN] = LEAST_MARGIN_M
-        settings[k.S_SIGMAS] = SIGMAS
-        settings[k.S_QUANTUM] = QUANTUM_MPS
-        settings[k.S_GROWTH] = 1.0
-        settings[k.S_OVERLAP] = OVERLAP_S
-        settings[k.S_LOOK] = LOOK_S
-        settings[k.S_RIGHT] = KEEP_RIGHT_RAD
-        settings[k.S_CATCH_UP] = CATCH_UP_S if avoidance.law == "dmuca" else 0.0
-    settings[k.S_SPEED] = limits.max_speed_mps
-    settings[k.S_CLIMB] = min(limits.max_climb_mps, limits.max_speed_mps)
-    settings[k.S_DESCENT] = min(limits.max_descent_mps, limits.max_speed_mps)
-    settings[k.S_ACCELERATION] = limits.max_acceleration_mps2
-    settings[k.S_PERIOD] = avoidance.period_s
-    settings[k.S_RECOVERY] = avoidance.recovery_time_s
-    settings[k.S_TURN] = max(
-        0.5 * trajectory.largest_turn_mps() / limits.max_acceleration_mps2, _LEAST_TURN_S
-    )
-    settings[k.S_QUIET] = avoidance.n_noncollide
-    settings[k.S_REGAINED] = avoidance.regained_m
-    return settings
+    return k.Settings._make(map(float, settings))  # with an int, numba would compile anew in flight
 
 
-def _own_row(s: Situation) -> tuple[float, ...]:
-    """The own state as input of the kernels. Raises ValueError if `Law.decide` has to."""
-    state = (*s.position_ned_m, *s.velocity_ned_mps, s.sigma_m)
-    floor = math.inf if s.floor_down_m is None else s.floor_down_m
-    ceiling = -math.inf if s.ceiling_down_m is None else s.ceiling_down_m
+def _own(s: Situation) -> tuple[Vec3, Vec3, float, float, float, float, float]:
+    """The own state as plain fields of `kernels.Own`. Raises ValueError if `Law.decide` has to."""
+    n, e, d = map(float, s.position_ned_m)
+    vn, ve, vd = map(float, s.velocity_ned_mps)
+    sigma = float(s.sigma_m)
+    state = (n, e, d, vn, ve, vd, sigma)
+    floor = math.inf if s.floor_down_m is None else float(s.floor_down_m)
+    ceiling = -math.inf if s.ceiling_down_m is None else float(s.ceiling_down_m)
     if not (math.isfinite(s.now_s) and math.isfinite(s.path_time_s)):
         raise ValueError(f"time is not finite: now {s.now_s} s, path {s.path_time_s} s")
-    if not all(-_BELIEVABLE < x < _BELIEVABLE for x in state):  # NaN fails too
+    # The order of NaN among numbers is undefined, but their sum is NaN.
+    if not (max(map(abs, state)) < _BELIEVABLE and math.isfinite(sum(state))):
         raise ValueError(f"own state is not a finite place and velocity: {state}")
     if not ceiling < floor:
         raise ValueError(f"floor (down {floor} m) must be a number below the ceiling (down {ceiling} m)")
-    return (*state, s.now_s, s.path_time_s, floor, ceiling)
+    return (n, e, d), (vn, ve, vd), sigma, float(s.now_s), float(s.path_time_s), floor, ceiling
 
 
-def _track(neighbour: Neighbour, view: list[float], active: bool) -> TrackView:
-    return TrackView(
-        track_id=neighbour.track_id,
-        position_ned_m=(view[0], view[1], view[2]),
-        velocity_ned_mps=neighbour.velocity_ned_mps,
-        age_s=neighbour.age_s,
-        radius_m=view[k.V_RADIUS],
-        conflict=view[k.V_CONFLICT] != 0.0,
-        time_to_closest_s=view[k.V_TIME],
-        closest_m=view[k.V_DISTANCE],
-        active=active,
-        adsb=neighbour.adsb,
+def _views(neighbours: Sequence[Neighbour], seen: Floats) -> tuple[TrackView, ...]:
+    """The reports on neighbours, from their rows in the table of reports."""
+    return tuple(
+        [
+            TrackView(
+                track_id=neighbour.track_id,
+                position_ned_m=(n, e, d),
+                velocity_ned_mps=neighbour.velocity_ned_mps,
+                age_s=neighbour.age_s,
+                radius_m=radius_m,
+                conflict=conflict != 0.0,
+                time_to_closest_s=time_s,
+                closest_m=distance_m,
+                active=active != 0.0,
+                adsb=neighbour.adsb,
+            )
+            for neighbour, (n, e, d, radius_m, conflict, time_s, distance_m, active) in zip(
+                neighbours, seen.tolist(), strict=True
+            )
+        ]
     )

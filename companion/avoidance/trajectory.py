@@ -12,8 +12,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.avoidance import kernels
 from companion.avoidance.limits import effective, lower_ones
 from companion.config import LimitsConfig
@@ -68,7 +68,7 @@ class Trajectory:
         )
 
     @classmethod
-    def from_rows(cls, rows: NDArray[np.float64]) -> Trajectory:
+    def from_rows(cls, rows: Floats) -> Trajectory:
         """A path from an array of shape (K, 4): rows of time (s), north, east, down (m)."""
         return cls(rows[:, 0].tolist(), [(r[1], r[2], r[3]) for r in rows.tolist()])
 
@@ -98,14 +98,13 @@ class Trajectory:
         return self._times[-1]
 
     @property
-    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times, shape (K,), and waypoints, shape (K, 3), for the kernels."""
+    def arrays(self) -> tuple[Floats, Floats]:
+        """Times, shape (K,), and waypoints, shape (K, 3): the fields of `kernels.Path`."""
         return self._times_array, self._points_array
 
     def position(self, t_s: float) -> Vec3:
         """Point of the path (NED, m) at a time; the first or last point before the start or after the end."""
-        point: Vec3 = kernels.path_position(self._times_array, self._points_array, float(t_s))
-        return point
+        return kernels.path_position(self._times_array, self._points_array, float(t_s))
 
     def velocity(self, t_s: float) -> Vec3:
         """Velocity of the path (NED, m/s) at a time; zero before the start and from the end on.
@@ -125,8 +124,7 @@ class Trajectory:
         """Time and place of the path's point nearest to a position; the earliest if several are equally
         near."""
         n, e, d = map(float, position_ned_m)
-        t_s, *point = kernels.path_nearest(self._times_array, self._points_array, n, e, d)
-        return t_s, (point[0], point[1], point[2])
+        return kernels.path_nearest(self._times_array, self._points_array, n, e, d)
 
     def max_speed(self) -> float:
         """Speed of the fastest leg (m/s)."""

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from companion.avoidance.trajectory import Trajectory
 from companion.errors import ConfigError
@@ -23,8 +24,8 @@ Point = tuple[float, float]
 
 def walls_of(
     areas: Sequence[FenceArea], frame: LocalFrame, trajectory: Trajectory | None, sigma_m: float
-) -> k.Array:
-    """The walls (edges and circles) of a fence, shape (F, WALL_COLUMNS).
+) -> Floats:
+    """The walls (edges and circles) of a fence, a table with the columns of `kernels.Wall`.
 
     Args:
         areas: areas of the fence, already checked (`geofence.check_areas`).
@@ -36,7 +37,7 @@ def walls_of(
         ConfigError: the path leaves an inclusion area, enters an exclusion area, or comes too near to a
             border.
     """
-    rows: list[tuple[float, ...]] = []
+    rows: list[k.Wall] = []
     points = None if trajectory is None else np.array(trajectory.points_ned_m)[:, :2]
     margin = k.FENCE_MARGIN_M + 2.0 * sigma_m
     for number, area in enumerate(areas):
@@ -46,26 +47,30 @@ def walls_of(
             kind = "in" if area.inclusion else "out of"
             raise ConfigError(f"fence: area[{number}] (to be stayed {kind}): the path {trouble}")
         rows += walls
-    return np.array(rows) if rows else np.zeros((0, k.WALL_COLUMNS))
+    return np.array(rows) if rows else k.NO_WALLS
 
 
-def _walls(number: int, area: FenceArea, frame: LocalFrame) -> list[tuple[float, ...]]:
+def _walls(number: int, area: FenceArea, frame: LocalFrame) -> list[k.Wall]:
     corners = [frame.to_ned(lat, lon, frame.alt_m)[:2] for lat, lon in area.points]
     if area.radius_m is not None:
         kind = k.IN_CIRCLE if area.inclusion else k.OUT_OF_CIRCLE
-        return [(number, kind, *corners[0], area.radius_m, 0.0)]
+        return [k.Wall(number, kind, *corners[0], *corners[0], area.radius_m)]
     kind = k.IN_POLYGON if area.inclusion else k.OUT_OF_POLYGON
     corners = [c for c, after in zip(corners, (*corners[1:], corners[0]), strict=True) if c != after]
     edges = zip(corners, (*corners[1:], corners[0]), strict=True)
-    return [(number, kind, *a, *b) for a, b in edges]
+    return [k.Wall(number, kind, *a, *b, 0.0) for a, b in edges]
 
 
-def _trouble(area: FenceArea, walls: k.Array, points: k.Array, margin: float) -> str | None:
+def _trouble(area: FenceArea, walls: Floats, points: Floats, margin: float) -> str | None:
     """How the path, shape (K, 2), violates the area, in words; None if it does not."""
-    if k.inside(walls, 0, len(walls), points[0, 0], points[0, 1]) != area.inclusion:
+    if k.inside(walls, 0, len(walls), k.Point(*points[0].tolist())) != area.inclusion:
         return "begins outside of it" if area.inclusion else "begins in it"
     for number, (a, b) in enumerate(itertools.pairwise(points)):
-        room = _from_circle(walls[0], a, b) if area.radius_m is not None else _from_edges(walls, a, b)
+        room = (
+            _from_circle(k.Wall(*walls[0].tolist()), a, b)
+            if area.radius_m is not None
+            else _from_edges(walls, a, b)
+        )
         if room < margin:
             how = "crosses its border" if room <= 0.0 else f"comes within {room:.1f} m of its border"
             return (
@@ -75,17 +80,18 @@ def _trouble(area: FenceArea, walls: k.Array, points: k.Array, margin: float) ->
     return None
 
 
-def _from_circle(wall: k.Array, a: k.Array, b: k.Array) -> float:
+def _from_circle(circle: k.Wall, a: Floats, b: Floats) -> float:
     """Least distance of a leg from a circle, m; 0 if it crosses it."""
-    middle, radius = wall[k.W_FROM : k.W_FROM + 2], float(wall[k.W_TO])
+    middle, radius = np.array([circle.n, circle.e]), circle.radius_m
     near = float(_from_leg(middle[None], a[None], b[None])[0])
     far = float(max(np.linalg.norm(a - middle), np.linalg.norm(b - middle)))
     return 0.0 if near <= radius <= far else min(abs(near - radius), abs(far - radius))
 
 
-def _from_edges(walls: k.Array, a: k.Array, b: k.Array) -> float:
+def _from_edges(walls: Floats, a: Floats, b: Floats) -> float:
     """Least distance of a leg from edges, m; 0 if it crosses one."""
-    start, end = walls[:, k.W_FROM : k.W_FROM + 2], walls[:, k.W_TO : k.W_TO + 2]
+    columns = k.Wall(*walls.T)
+    start, end = np.stack([columns.n, columns.e], axis=1), np.stack([columns.end_n, columns.end_e], axis=1)
     one, other = np.broadcast_to(a, start.shape), np.broadcast_to(b, start.shape)
     crosses = (_side(start, end, one) * _side(start, end, other) < 0.0) & (
         _side(one, other, start) * _side(one, other, end) < 0.0
@@ -101,17 +107,17 @@ def _from_edges(walls: k.Array, a: k.Array, b: k.Array) -> float:
     return float(np.min(rooms))
 
 
-def _from_leg(point: k.Array, a: k.Array, b: k.Array) -> k.Array:
+def _from_leg(point: Floats, a: Floats, b: Floats) -> Floats:
     """Distances of points from the straight lines between two others, all of shape (F, 2)."""
     along = b - a
     length2 = np.einsum("ij,ij->i", along, along)
     share = np.einsum("ij,ij->i", point - a, along) / np.where(length2 > 0.0, length2, 1.0)
-    away: k.Array = np.linalg.norm(point - a - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
+    away: Floats = np.linalg.norm(point - a - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
     return away
 
 
-def _side(a: k.Array, b: k.Array, c: k.Array) -> k.Array:
+def _side(a: Floats, b: Floats, c: Floats) -> Floats:
     """Positive if c lies on one side of the line from a to b, negative on the other; arguments of shape (F,
     2)."""
-    side: k.Array = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    side: Floats = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     return side

@@ -57,6 +57,8 @@ class Broadcaster:
         self._schedule = Schedule(config.region, config.identity.uas_id)
         self._monitor = SelfMonitor(config.remote_id.monitor_s)
         self._decided = _NOTHING
+        self._floor: tuple[Mapping[str, int], frozenset[str], Decided] | None = None
+        """The last decision with what it was made of."""
         self._started = False
         """Whether the broadcast has begun. It begins once a legal set of transports can be sent."""
         self._silent: frozenset[str] = frozenset()
@@ -135,7 +137,9 @@ class Broadcaster:
         for transport in radio.confirmed:
             self._monitor.heard(transport, now_s)
         self._watch_module(own, now_s)
-        self._decided = keep_floor(self._asked, self._config.region, can_send)
+        if self._floor is None or self._floor[0] is not self._asked or self._floor[1] != can_send:
+            self._floor = self._asked, can_send, keep_floor(self._asked, self._config.region, can_send)
+        self._decided = self._floor[2]
         on_air = frozenset(self._schedule.on_air) if self._module is None else frozenset()
         self._silent = self._monitor.silent(on_air, frozenset(radio.monitored), now_s)
         commands: list[Command] = []

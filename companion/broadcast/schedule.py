@@ -53,6 +53,10 @@ class Schedule:
         self._lanes: dict[str, _Lane] = {}
         self._last_s: float | None = None
         self._step_s = 0.0
+        self._limits: dict[
+            tuple[str, int | None, frozenset[type[Message]]], dict[type[Message], float | None]
+        ] = {}
+        """Results of `_limits_s`, which are the same at most steps."""
 
     @property
     def on_air(self) -> dict[str, int]:
@@ -83,12 +87,15 @@ class Schedule:
         self._last_s = now_s
         self._change(rates, can_send, now_s)
         broadcasts = []
-        present = {type(message) for message in messages}
+        present = frozenset(map(type, messages))
         for transport, lane in self._lanes.items():
-            limits_s = self._limits_s(transport, wifi_channel, present)
+            key = transport, wifi_channel, present
+            if key not in self._limits:
+                self._limits[key] = self._limits_s(*key)
+            limits_s = self._limits[key]
             kinds = self._due_kinds(transport, lane, limits_s, now_s)
             if kinds and transport != BLE4:
-                kinds = present
+                kinds = set(present)
             if kinds:
                 lane.sent_s.update(dict.fromkeys(kinds, now_s))
                 part = tuple(message for message in messages if type(message) in kinds)
@@ -140,7 +147,7 @@ class Schedule:
         return kinds
 
     def _limits_s(
-        self, transport: str, wifi_channel: int | None, kinds: set[type[Message]]
+        self, transport: str, wifi_channel: int | None, kinds: frozenset[type[Message]]
     ) -> dict[type[Message], float | None]:
         """Time after which each kind of message must be sent again; None for no limit."""
         region = self._region

@@ -23,7 +23,7 @@ from companion.autopilot.link import AutopilotLink
 from companion.autopilot.polled.streams import ENOUGH, STREAM_RATES_HZ
 from companion.avoidance.path import check_path
 from companion.commands.preflight import Preflight
-from companion.config import ArduRemoteIdRadio, Config, check_identity
+from companion.config import Config, check_identity
 from companion.errors import ConfigError
 from companion.events import (
     DownloadMission,
@@ -103,19 +103,19 @@ def check(config: Config, say: Callable[[str], None], *, as_json: bool = False) 
 def _configuration(config: Config, found: Preflight) -> None:
     found.green("configuration", "valid")
     for note in check_identity(config.identity, config.remote_id, config.region):
-        found.yellow("configuration", note, "compare it with the paper that you were given")
+        found.yellow("configuration", note, "compare it with your registration document")
     if config.region.transport_sets:
         found.green("region", config.region.name)
     else:
         found.yellow(
             "region",
-            f"{config.region.name}: no law is kept",
+            f"{config.region.name}: no Remote ID law applies",
             'set remote_id.region to a profile, such as "regions/us.toml"',
         )
     try:
         check_path(config, "configuration")
     except ConfigError as error:
-        found.red("path", str(error), "change the trajectory, or [limits]")
+        found.red("path", str(error), "change the trajectory or [limits]")
 
 
 def _settings(config: Config, found: Preflight) -> None:
@@ -123,11 +123,15 @@ def _settings(config: Config, found: Preflight) -> None:
     try:
         settings = read_settings(config)
     except ConfigError as error:
-        found.red("settings", f"{error}: not used", "delete the file, or put it or the configuration right")
+        found.red(
+            "settings",
+            f"{error}; the file is not used",
+            "delete the file, or correct it or the configuration",
+        )
         return
     told = differences(config, Settings(), settings)
     for text in told:
-        found.yellow("settings", text, "nothing, if a ground station is to have set it")
+        found.yellow("settings", text, "nothing, if a ground station set it on purpose")
     if not told:
         found.green("settings", "as configured")
 
@@ -137,8 +141,8 @@ def _kernels(_config: Config, found: Preflight) -> None:
     if was_compiled():
         found.yellow(
             "kernels",
-            f"were not in the cache; compiled in {took_s:.0f} s",
-            "nothing, if the next check is green; if not, let NUMBA_CACHE_DIR name a folder of this user's",
+            f"not in the cache, so they were compiled in {took_s:.0f} s",
+            "nothing, if the next check is green; otherwise set NUMBA_CACHE_DIR to a writable folder",
         )
     else:
         found.green("kernels", f"loaded from the cache in {took_s:.1f} s")
@@ -149,26 +153,26 @@ def _disk(config: Config, found: Preflight) -> None:
     folder = Path(record.folder).absolute()
     there = next(parent for parent in (folder, *folder.parents) if parent.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
-        found.red("disk", f"{folder}: cannot be written", "give the user the right to, or set record.folder")
+        found.red(
+            "disk", f"{folder}: cannot be written", "give this user write permission, or set record.folder"
+        )
         return
     try:
         free = free_mb(folder)
     except OSError as error:
-        found.red("disk", f"{folder}: {error.strerror}", "look after the disk, or set record.folder")
+        found.red("disk", f"{folder}: {error.strerror}", "repair the disk, or set record.folder")
         return
-    text = f"{free:.0f} MB free in {folder}; the floor is {record.keep_free_mb:g} MB"
+    text = f"{free:.0f} MB free in {folder}; record.keep_free_mb is {record.keep_free_mb:g} MB"
     runs = len(finished_runs(folder))
-    room = f"move away or delete some of the {runs} runs in it, or use a larger disk"
+    room = f"move or delete some of the {runs} runs in it, or use a larger disk"
     if free >= record.keep_free_mb + _TIGHT_MB:
         found.green("disk", text)
     elif record.delete_oldest and runs:
-        found.yellow(
-            "disk", text, f"nothing: the oldest of {runs} runs are deleted when the floor is reached"
-        )
+        found.yellow("disk", text, f"nothing: below that, the oldest of the {runs} runs are deleted")
     elif free >= record.keep_free_mb:
         found.yellow("disk", text, room)
     else:
-        found.red("disk", f"{text}: nothing would be recorded", room)
+        found.red("disk", f"{text}: no flight would be recorded", room)
 
 
 def _policy(config: Config, found: Preflight) -> None:
@@ -176,9 +180,9 @@ def _policy(config: Config, found: Preflight) -> None:
     try:
         lines = judge_policy(config)
     except ConfigError as error:
-        found.red("policy", str(error), "put the file right, or set atmc.policy")
+        found.red("policy", str(error), "correct the file, or set atmc.policy")
     else:
-        for line in lines or ["nobody chooses transports in flight: they stay as [remote_id] says"]:
+        for line in lines or ["none: in flight the transports stay as set in [remote_id]"]:
             found.green("policy", line)
 
 
@@ -208,9 +212,9 @@ def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: 
         if line in failed:
             found.red(what, text, "docs/radios.md says what this backend needs")
         elif any(line.endswith(missing) for missing in health.missing):
-            found.yellow(what, text, "change it where you need what is missing")
+            found.yellow(what, text, "use another radio if you need what is missing")
         elif chosen:
-            found.yellow(what, text, "configure a [[radio]] to be seen and to see")
+            found.yellow(what, text, "configure a [[radio]] to broadcast and to receive Remote ID")
         elif health.ok:
             found.green(what, text)
         else:
@@ -232,7 +236,7 @@ def _judge_radios(config: Config, radios: Radios, failed: Sequence[str], found: 
     if config.flight.use == "fly" and not config.has_radio:
         found.red(
             "radio",
-            "flies without one (avoidance.law is none): nobody is heard, nobody is kept apart",
+            "none configured, and avoidance.law is none: no aircraft is heard or avoided",
             "configure a [[radio]]",
         )
 
@@ -244,18 +248,18 @@ def _vehicle(config: Config, found: Preflight) -> None:
     try:
         kept = KeptSigning(config)
     except ConfigError as error:
-        found.red("signing", str(error), "see to the key file, or to vehicle.signing_key")
+        found.red("signing", str(error), "correct the key file or vehicle.signing_key")
         return
     for trouble in (kept.unread, kept.error):
         if trouble is not None:
-            found.red("signing", trouble, "look after the disk, or set record.folder")
+            found.red("signing", trouble, "repair the disk, or set record.folder")
     try:
         link = KeptLink(
             config.vehicle.link,
-            lambda text: found.red("link", text, "see to the cable, or to the program at the other end"),
+            lambda text: found.red("link", text, "check the cable, or the program at the other end"),
         )
     except ConfigError as error:
-        found.red("link", str(error), "see to the device or address, and to vehicle.link")
+        found.red("link", str(error), "check the device or address, and vehicle.link")
         kept.close()
         return
     probe = _Probe(link, AutopilotLink(config.vehicle, signing=kept.signing))
@@ -315,20 +319,24 @@ def _judge_vehicle(config: Config, probe: _Probe, found: Preflight) -> None:
     bad = probe.protocol.counts.wire.corrupt
     if bad:
         found.yellow(
-            "link", f"{where}: {bad} damaged frames", "see to the wires, their ground, the baud rate"
+            "link", f"{where}: {bad} damaged frames", "check the wires, their ground and the baud rate"
         )
     else:
-        found.green("link", f"{where}: up, no damaged frame")
+        found.green("link", f"{where}: up, no damaged frames")
     if probe.link.trouble.left_out:
-        text = f"{where}: another one sends there too: {probe.link.trouble.left_out} datagrams were left out"
-        found.yellow("link", text, "have one sender for this port: the first one that speaks is believed")
+        text = f"{where}: another sender uses this port; {probe.link.trouble.left_out} datagrams were ignored"
+        found.yellow(
+            "link", text, "let only one program send to this port: only the first sender heard is accepted"
+        )
     if vehicle.refusal is None:
         found.green("vehicle", str(vehicle))
     else:
-        found.red("vehicle", str(vehicle), "use another vehicle; this one is never commanded")
+        found.red("vehicle", str(vehicle), "use a supported vehicle; this one is never commanded")
     if probe.protocol.unclear is not None:
-        found.red("vehicle", probe.protocol.unclear, "whichever is ours, or end what forwards the other")
-    for text in _module_of_another(config, vehicle.system_id):
+        found.red(
+            "vehicle", probe.protocol.unclear, "set it to the right one, or stop what forwards the other"
+        )
+    for text in _radio_remarks(config, vehicle.system_id):
         what, _, text = text.partition(": ")
         found.yellow(what, text, f"set system_id = {vehicle.system_id} and power-cycle the module")
     rearm = impossible_rearm(vehicle.firmware, config.flight)
@@ -352,15 +360,16 @@ def _judge_parameters(config: Config, told: VehicleParameters | None, found: Pre
     if deaf is not None:
         found.green("vehicle", deaf)
     for text in remarks(config, told):
-        found.yellow("vehicle", text, "change the parameter, or the configuration")
+        found.yellow("vehicle", text, "change the parameter or the configuration")
     if watching:
         return
     if told.speed_mps is None:
-        found.yellow("vehicle", "it does not tell how fast it flies: [limits] alone count", "see to [limits]")
+        text = "it does not report its speed limits, so only [limits] apply"
+        found.yellow("vehicle", text, "make sure that [limits] suits this vehicle")
     try:
         check_path(config, "configuration", told)
     except ConfigError as error:
-        found.red("path", str(error), "change the trajectory, or the vehicle's limits")
+        found.red("path", str(error), "change the trajectory or the vehicle's limits")
 
 
 def _judge_mission(
@@ -374,13 +383,15 @@ def _judge_mission(
     if items:
         found.green("mission", f"{len(items)} items, read from the vehicle")
     elif isinstance(mission, MissionDownloaded):
-        found.yellow("mission", "the vehicle has none", "upload the one that is to be guarded, check again")
+        found.yellow("mission", "the vehicle has none", "upload the mission to be guarded, then check again")
     else:
-        why = "the vehicle did not finish to send it" if mission is None else mission.reason
-        found.yellow("mission", f"not read: {why}", "see to the link: what cannot be read is not guarded")
+        why = "the vehicle did not finish sending it" if mission is None else mission.reason
+        found.yellow(
+            "mission", f"not read: {why}", "check the link: a mission that cannot be read is not guarded"
+        )
     fast = too_fast(config.limits, told, items)
     if fast is not None:
-        do = "have the mission flown slower, or raise limits.max_speed_mps (and the vehicle's own limit)"
+        do = "lower the mission's speed, or raise limits.max_speed_mps (and the vehicle's own limit)"
         found.yellow("mission", fast, do)
 
 
@@ -391,10 +402,10 @@ def _judge_rates(probe: _Probe, found: Preflight) -> None:
     if well:
         found.green("rates", f"{', '.join(well)} a second")
     for name, want in short.items():
-        text = f"{name} {rates[name]:.1f} a second, {want:g} are asked for"
-        do = "see whether the port is too slow for all that it carries, or another program sets its rates"
+        text = f"{name} {rates[name]:.1f} a second; {want:g} were requested"
+        do = "check whether the port is too slow for its traffic, or another program sets the rates"
         if name == "GLOBAL_POSITION_INT" and probe.protocol.counts.no_position:
-            do = "wait until the autopilot knows where it is (it says 0, 0 until then)"
+            do = "wait until the autopilot knows its position (it sends 0, 0 until then)"
         (found.yellow if name in _USEFUL else found.red)("rates", text, do)
 
 
@@ -402,38 +413,37 @@ def _judge_own(config: Config, probe: _Probe, found: Preflight) -> None:
     own, now_s = probe.own, probe.now_s
     fix = own.gnss_now(now_s)
     if fix is None or fix.fix_type < 3:
-        kind = "no report" if fix is None else f"no 3D fix (fix type {fix.fix_type})"
-        found.red("GNSS", kind, "go where the sky is open, and wait; see to the antenna")
+        kind = "no GPS_RAW_INT received" if fix is None else f"no 3D fix (fix type {fix.fix_type})"
+        found.red("GNSS", kind, "move to open sky and wait; check the antenna")
     else:
         satellites = "unknown" if fix.satellites is None else fix.satellites
-        found.green("GNSS", f"fix type {fix.fix_type}, satellites {satellites}, {own.sigma_m:.1f} m")
+        found.green("GNSS", f"fix type {fix.fix_type}, satellites {satellites}, accuracy {own.sigma_m:.1f} m")
     if own.position is not None and own.age_s(now_s) > config.vehicle.stale_after_s:
         found.red(
             "link",
-            f"own position {own.age_s(now_s):.1f} s old; {config.vehicle.stale_after_s:g} s are allowed",
-            "the link is choked: raise its baud rate, or have less sent on it",
+            f"own position is {own.age_s(now_s):.1f} s old; allowed: {config.vehicle.stale_after_s:g} s",
+            "the link is overloaded: raise its baud rate, or reduce what is sent on it",
         )
     if own.utc_offset_s is None:
-        found.red("clock", "the vehicle does not know UTC", "wait for its GNSS receiver; a minute, mostly")
+        found.red(
+            "clock",
+            "the vehicle does not know UTC",
+            "wait for its GNSS receiver; this usually takes a minute",
+        )
         return
     off_s = time.time() - (clock.now_s() + own.utc_offset_s)
-    text = f"UTC known; this computer's clock is {off_s:+.1f} s off the vehicle's"
+    text = f"UTC known; this computer's clock differs from the vehicle's by {off_s:+.1f} s"
     if abs(off_s) <= _CLOCK_OFF_S:
         found.green("clock", text)
     else:
         found.yellow(
             "clock",
             text,
-            "Remote ID goes by the vehicle's, names of run folders by this one: give it a network or an RTC",
+            "give this computer a network or an RTC: run folders are named by its clock",
         )
 
 
-def _module_of_another(config: Config, system_id: int) -> list[str]:
-    """Texts for the Remote ID modules that are configured with the system id of another vehicle."""
-    return [
-        f"radio[{number}].system_id: {entry.system_id}, but the vehicle is system {system_id}: the module "
-        f"takes the first system id that it hears for its own, and its ARM_STATUS then goes to vehicle "
-        f"{entry.system_id}"
-        for number, entry in enumerate(config.radio)
-        if isinstance(entry, ArduRemoteIdRadio) and entry.system_id != system_id
-    ]
+def _radio_remarks(config: Config, system_id: int) -> list[str]:
+    """What the sections of radios remark on the vehicle."""
+    found = [entry.remark(system_id) for entry in config.radio]
+    return [f"radio[{number}]{text}" for number, text in enumerate(found) if text is not None]

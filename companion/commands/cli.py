@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = parser_of(
         "companion",
-        "Flight software for a companion computer: hear Remote ID, keep apart, fly timed paths.",
+        "Flight software for a companion computer: receive Remote ID, avoid other aircraft, fly timed paths.",
         _EXAMPLES,
     )
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
@@ -57,30 +57,32 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(run=_run)
 
     status = commands.add_parser(
-        "status", help="show the live state of a companion that runs here", epilog="companion status --once"
+        "status", help="show the live state of a companion on this computer", epilog="companion status --once"
     )
-    status.add_argument("--socket", type=Path, help="its status socket, where several run")
-    status.add_argument("--once", action="store_true", help="print it once, do not refresh")
-    status.add_argument("--json", action="store_true", help="print it once, as one JSON object")
+    status.add_argument("--socket", type=Path, help="status socket; needed if several companions run")
+    status.add_argument("--once", action="store_true", help="print the state once and exit")
+    status.add_argument("--json", action="store_true", help="print the state once, as one JSON object")
     status.set_defaults(run=_status)
 
     checked = commands.add_parser(
         "check",
-        help="the preflight list: what is missing, and what to do about it",
+        help="check that everything is ready for a flight; say what is missing and what to do",
         epilog="companion check --config my.toml",
     )
     checked.add_argument("--config", type=Path, required=True, help="configuration file (TOML)")
-    checked.add_argument("--json", action="store_true", help="one JSON object")
+    checked.add_argument("--json", action="store_true", help="print one JSON object")
     checked.set_defaults(run=_check)
 
     again = commands.add_parser(
-        "replay", help="feed a run or a tlog to the heart again", epilog="companion replay runs/NAME"
+        "replay",
+        help="run the core again on a recorded flight or a tlog",
+        epilog="companion replay runs/NAME",
     )
     again.add_argument("path", type=Path, help="run folder, .events file or .tlog file")
-    again.add_argument("--json", action="store_true", help="one JSON object a line")
+    again.add_argument("--json", action="store_true", help="print one JSON object per line")
     again.set_defaults(run=_replay)
 
-    remote_id = commands.add_parser("remote-id", help="listen; encode, decode, check Remote ID messages")
+    remote_id = commands.add_parser("remote-id", help="receive, encode, decode or check Remote ID messages")
     of_remote_id = remote_id.add_subparsers(title="commands", required=True, metavar="COMMAND")
     remote_id_command.add_arguments(of_remote_id)
     listen.add_arguments(of_remote_id)
@@ -120,7 +122,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     if path.is_dir():
         files = sorted(path.glob("*.events"))
         if not files:
-            raise ConfigError(f"{path}: no run folder: no .events file in it")
+            raise ConfigError(f"{path}: not a run folder: it holds no .events file")
         return max([_replay_events(file, path, as_json=arguments.json) for file in files])
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
@@ -138,14 +140,14 @@ def _replay_events(path: Path, folder: Path, *, as_json: bool) -> int:
     if as_json:
         print(msgspec.json.encode(result).decode(), flush=True)
     else:
-        how = "bit for bit" if tolerance == 0.0 else f"to {tolerance:g} (other machine or versions)"
+        how = "bit for bit" if tolerance == 0.0 else f"to within {tolerance:g} (other machine or versions)"
         print(
             f"{result.aircraft}: {result.steps} steps, {result.commands} commands, "
             f"{result.differences} steps differ ({how})"
         )
         if result.refused:
             rules = ", ".join(f"{name} {count}" for name, count in sorted(result.refused.items()))
-            print(f"the gate would not let leave now, by its rules: {rules}")
+            print(f"commands that the gate would now refuse, by rule: {rules}")
     if result.first is not None:
         print(result.first, file=sys.stderr)
     return 1 if result.differences else 0

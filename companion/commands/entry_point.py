@@ -25,6 +25,24 @@ def parser_of(name: str, description: str, examples: str) -> argparse.ArgumentPa
     return parser
 
 
+def add_commands(
+    parser: argparse.ArgumentParser, commands: Sequence[tuple[str, str, str]], argv: Sequence[str] | None
+) -> None:
+    """Add subcommands to a parser: name, module and words of help of each.
+
+    Only the module that the command line names is imported, because all of them take a second or more. It has
+    `add_arguments`, and `run` unless it adds subcommands of its own that set `run`.
+    """
+    given = sys.argv[1:] if argv is None else argv
+    added = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, module, words in commands:
+        command = added.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
+        if given and given[0] == name:
+            chosen = importlib.import_module(module)
+            command.set_defaults(run=getattr(chosen, "run", None))
+            chosen.add_arguments(command)
+
+
 def run_command(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> int:
     """Run the subcommand. Returns the exit code: 0 for success, 1 for a negative result, 2 for bad input."""
     _open_streams()

@@ -25,10 +25,14 @@ from rich.text import Text
 
 from companion import config as configuration
 from companion.commands.heard_table import COLUMNS, HeardTable, cells, health_words, json_line
-from companion.config import Config, EtherRadio, HciRadio, IdentityConfig, RadioConfig, WifiRadio
+from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
+from companion.radio.ether.section import EtherRadio
+from companion.radio.hci.section import HciRadio
 from companion.radio.radio import Health
+from companion.radio.registry import RadioConfig
+from companion.radio.wifi.section import WifiRadio
 from companion.runtime import clock
 from companion.runtime.radios import Radios
 
@@ -52,21 +56,22 @@ def add_arguments(subparsers: Subparsers) -> None:
     """Add `listen` to the subparsers of `remote-id`; it calls `run`."""
     parser = subparsers.add_parser(
         "listen",
-        help="show who is heard",
-        description="A live table of heard aircraft; plain lines where the output is no terminal.",
+        help="show the aircraft that are received",
+        description="Show a live table of received aircraft, or plain lines if the output is not a terminal.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--config", type=Path, help="configuration file (TOML): its radios are listened to")
+    source.add_argument("--config", type=Path, help="configuration file (TOML) whose radios are used")
     source.add_argument(
         "--radio",
         action="append",
         metavar="KIND=WHERE",
-        help="without a configuration: hci=CHANNEL, wifi=MONITOR_INTERFACE or ether=HOST:PORT; repeatable",
+        help="radio to use without a configuration: hci=CHANNEL, wifi=MONITOR_INTERFACE or ether=HOST:PORT; "
+        "may be given several times",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object for each heard frame")
-    parser.add_argument("--seconds", type=_seconds, help="stop after this long; otherwise with Ctrl-C")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per received frame")
+    parser.add_argument("--seconds", type=_seconds, help="stop after this time (default: until Ctrl-C)")
     parser.set_defaults(run=run)
 
 
@@ -82,10 +87,10 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         config, name = configuration.load(arguments.config), str(arguments.config)
     if not config.has_radio:
-        raise ConfigError(f"{name}: radio: none configured, so nobody can be heard; add a [[radio]]")
-    listeners = tuple(only for radio in config.radio for only in _listening(radio))
+        raise ConfigError(f"{name}: radio: none configured, so nothing can be received; add a [[radio]]")
+    listeners = tuple(part for radio in config.radio if (part := radio.listening()) is not None)
     if not listeners:
-        raise ConfigError(f"{name}: radio: none of the configured ones can listen")
+        raise ConfigError(f"{name}: radio: none of the configured radios can listen")
     radios = Radios(msgspec.structs.replace(config, radio=listeners), sending=False)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(
@@ -130,18 +135,6 @@ def _seconds(text: str) -> float:
     if not 0.0 <= seconds < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r}; allowed: a number of seconds, 0 or more")
     return seconds
-
-
-def _listening(radio: RadioConfig) -> list[RadioConfig]:
-    """The listening part of a radio, if it has one; another program may be using its sending part."""
-    match radio:
-        case EtherRadio():
-            return [radio]
-        case HciRadio(listen=True):
-            return [msgspec.structs.replace(radio, send=False)]
-        case WifiRadio() if radio.monitor is not None:
-            return [msgspec.structs.replace(radio, hostapd=None, inject=None)]
-    return []
 
 
 def _shortcuts(texts: Sequence[str]) -> tuple[RadioConfig, ...]:

@@ -56,11 +56,11 @@ EXAMPLES: Final = (
 )
 """An example JSON message of each type."""
 
-_ENCODE_HELP: Final = f"""the six types of message, one line each:
+_ENCODE_HELP: Final = f"""the six types of messages, one line each:
 {chr(10).join(f"  {line}" for line in EXAMPLES)}
 
-What is left out is unknown. Data of an Authentication is base64. An ID that is no text (UTM UUID, session ID)
-is written one character for each byte, "\\u0000" to "\\u00ff".
+A key that is left out means "unknown". The data of an Authentication message is base64. An ID that is not
+text (UTM UUID, session ID) is written as one character per byte, "\\u0000" to "\\u00ff".
 
 examples:
   echo '{EXAMPLES[5]}' \\
@@ -68,8 +68,8 @@ examples:
   companion remote-id encode --frame wifi --counter 7 --address 02:00:5e:10:20:30 < messages.json
 """
 _DECODE_HELP: Final = """\
-A FILE, or stdin, is a capture (pcap or pcapng of Bluetooth LE or Wi-Fi) or hexadecimal text. Of a damaged
-pack the messages that can be read are printed; what cannot is said on stderr, or under "faults" of a captured
+FILE or stdin is a capture (pcap or pcapng of Bluetooth LE or Wi-Fi) or hexadecimal text. The readable
+messages of a damaged pack are printed; its faults are reported on stderr, or under "faults" of a captured
 frame.
 
 examples:
@@ -95,28 +95,39 @@ def add_arguments(subparsers: Subparsers) -> None:
         parser.set_defaults(run=run, action=name)
         return parser
 
-    into = action("encode", "JSON messages on stdin, one a line, to hexadecimal bytes.", _ENCODE_HELP)
+    into = action(
+        "encode", "Convert JSON messages on stdin, one per line, to hexadecimal bytes.", _ENCODE_HELP
+    )
     form = into.add_mutually_exclusive_group()
     form.add_argument("--pack", action="store_true", help="put all messages into one message pack")
     form.add_argument(
         "--frame",
         choices=_TRANSPORTS,
-        help="whole frames: advertising data (ble4: one a message; ble5: a pack), 802.11 frame (a pack)",
+        help="build frames: advertising data (ble4: one per message; ble5: a pack) or 802.11 (a pack)",
     )
-    into.add_argument("--counter", type=_counter, metavar="N", help="message counter of the frame; 0")
     into.add_argument(
-        "--address", type=_address, metavar="MAC", help=f"transmitter of a Wi-Fi frame; {_OWN_ADDRESS}"
+        "--counter", type=_counter, metavar="N", help="message counter of the frame (default: 0)"
+    )
+    into.add_argument(
+        "--address",
+        type=_address,
+        metavar="MAC",
+        help=f"transmitter of a Wi-Fi frame (default: {_OWN_ADDRESS})",
     )
 
-    back = action("decode", "Hexadecimal messages or packs, one a line, or captures, to JSON.", _DECODE_HELP)
-    back.add_argument("files", nargs="*", type=Path, metavar="FILE", help="instead of stdin")
+    back = action(
+        "decode", "Convert hexadecimal messages or packs, one per line, or captures to JSON.", _DECODE_HELP
+    )
+    back.add_argument("files", nargs="*", type=Path, metavar="FILE", help="files to read instead of stdin")
     back.add_argument(
-        "--frame", choices=_TRANSPORTS, help="a line is advertising data or an 802.11 frame of this transport"
+        "--frame",
+        choices=_TRANSPORTS,
+        help="each line is advertising data or an 802.11 frame of this transport",
     )
 
-    check = action("check", "Compare codec and frames with a file of reference vectors.", _CHECK_HELP)
+    check = action("check", "Compare the codec and the frames with a file of reference vectors.", _CHECK_HELP)
     check.add_argument(
-        "vectors", type=Path, metavar="VECTORS.json", help="plain, or gzip with the suffix .gz"
+        "vectors", type=Path, metavar="VECTORS.json", help="JSON file, or gzip with the suffix .gz"
     )
 
 
@@ -201,9 +212,9 @@ def _shown(content: object) -> str:
 def _encode(args: argparse.Namespace) -> int:
     transport: str | None = args.frame
     if transport is None and (args.counter is not None or args.address is not None):
-        raise ConfigError("--counter and --address belong to --frame")
+        raise ConfigError("--counter and --address need --frame")
     if args.address is not None and transport in (BLE4, BLE5):
-        raise ConfigError(f"--address: advertising data ({transport}) does not hold it")
+        raise ConfigError(f"--address: advertising data ({transport}) holds no address")
     counter, address = args.counter or 0, args.address or _OWN_ADDRESS
 
     if transport == BLE4:
@@ -259,7 +270,7 @@ def _check_position(prefix: str, lat_deg: float | None, lon_deg: float | None) -
     position_to_wire(prefix, lat_deg or 0.0, lon_deg or 0.0)
     if (lat_deg is None) != (lon_deg is None):
         missing, given = ("lat_deg", "lon_deg") if lat_deg is None else ("lon_deg", "lat_deg")
-        raise ValueError(f"{prefix}{missing}: missing; allowed: with {prefix}{given}, or neither")
+        raise ValueError(f"{prefix}{missing}: missing; give it together with {prefix}{given}, or neither")
 
 
 def _explain(line: str, words: str) -> str:
@@ -272,7 +283,7 @@ def _explain(line: str, words: str) -> str:
         _, _, what = str(error).partition("JSON is malformed: ")
         return f"not JSON: {what or 'incomplete'}"
     if not isinstance(held, dict):
-        return f"{_shown(held)} is no message; allowed: an object such as {EXAMPLES[3]}"
+        return f"{_shown(held)} is not a message; allowed: an object such as {EXAMPLES[3]}"
     name = held.get("type")
     kind = _TYPES.get(name) if isinstance(name, str) else None
     if kind is None:
@@ -280,7 +291,7 @@ def _explain(line: str, words: str) -> str:
     fields = {field.name: field for field in msgspec.structs.fields(kind)}
     for key in held:
         if key not in fields and key != "type":
-            return f"{name}: {_shown(key)} is no key of it; allowed: {', '.join(fields)}"
+            return f"{name}: unknown key {_shown(key)}; allowed: {', '.join(fields)}"
     for key, field in fields.items():
         if key not in held:
             if field.required:
@@ -373,7 +384,7 @@ def _is_hexadecimal(line: str) -> bool:
 def _payload(data: bytes) -> _Printed:
     messages, faults = read_payload(data)
     if not messages and not faults:
-        faults = ("a pack of no messages",)
+        faults = ("pack without messages",)
     return _Printed([_as_json(message) for message in messages], faults)
 
 
@@ -394,7 +405,7 @@ def _frame(transport: str, data: bytes) -> _Printed:
 def _decode_capture(stream: BinaryIO, name: str, transport: str | None) -> int:
     """Print each Remote ID frame of a capture. Counts of all kinds of frames go to stderr."""
     if transport is not None:
-        raise ConfigError(f"{name}: --frame is for hexadecimal; a capture tells by itself")
+        raise ConfigError(f"{name}: --frame is for hexadecimal text; a capture names its transports itself")
     kinds: Counter[Kind] = Counter()
     numbers = set()
     status = 0

@@ -22,11 +22,11 @@ PERIOD_S = 0.5
 _PATIENCE_S = 2.0
 _CHUNK = 65536
 _MOST = 4_000_000
-_NOBODY = "no companion answers there; without --socket the one that runs here is asked"
+_NOBODY = "no companion answers there; leave out --socket to ask the one on this computer"
 _NOT_ASKED = {
     errno.ENOENT: _NOBODY,
     errno.ECONNREFUSED: _NOBODY,
-    errno.EACCES: "you may not ask it; root and the group of its folder may",
+    errno.EACCES: "permission denied; only root and the group of its folder may ask it",
 }
 _STYLES = {"advisory": "cyan", "caution": "yellow", "warning": "bold red"}
 
@@ -43,11 +43,13 @@ def find_socket(given: Path | None, environ: Mapping[str, str]) -> Path:
     found = [path for folder in where for path in sorted(folder.glob(f"*{SUFFIX}")) if is_served(path)]
     if not found:
         raise ConfigError(
-            f"no companion runs here, or none that you may ask: looked in {', '.join(map(str, where))}; "
-            "another socket is named by --socket PATH"
+            "no companion runs on this computer, or you may not ask it; "
+            f"searched: {', '.join(map(str, where))}; name another socket with --socket PATH"
         )
     if len(found) > 1:
-        raise ConfigError(f"several companions run here: choose by --socket {' or '.join(map(str, found))}")
+        raise ConfigError(
+            f"several companions run here; choose one with --socket {' or '.join(map(str, found))}"
+        )
     return found[0]
 
 
@@ -65,14 +67,14 @@ def ask(path: Path) -> Status:
             while (chunk := client.recv(_CHUNK)) and len(data) < _MOST:
                 data += chunk
         except TimeoutError as error:
-            raise ConfigError(f"{path}: no answer within {_PATIENCE_S:g} s: its loop hangs") from error
+            raise ConfigError(f"{path}: no answer within {_PATIENCE_S:g} s: the companion hangs") from error
         except OSError as error:
             words = _NOT_ASKED.get(error.errno or 0, error.strerror or error)
             raise ConfigError(f"{path}: {words}") from error
     try:
         return msgspec.json.decode(data, type=Status)
     except msgspec.DecodeError as error:
-        raise ConfigError(f"{path}: not the state of a companion of this version: {error}") from error
+        raise ConfigError(f"{path}: the answer is not the status of this version: {error}") from error
 
 
 def watch(given: Path | None, *, once: bool, as_json: bool) -> int:
@@ -122,7 +124,7 @@ def render(status: Status) -> Group:
         )
         tracks.add_row(*(Text(_shown(cell), _STYLES.get(t.alert, "")) for cell in cells))
     more = status.track_count - len(status.tracks)
-    heading = f"tracks: {status.track_count}{f', {more} farther ones not shown' if more else ''}"
+    heading = f"tracks: {status.track_count}{f', {more} more distant ones not shown' if more else ''}"
     said = [Text(_shown(line), "dim") for line in status.said]
     return Group(facts, Text(heading, "bold"), *([tracks] if status.tracks else []), *said)
 
@@ -137,26 +139,30 @@ def _facts(s: Status) -> list[tuple[str, str, str]]:
     north, east, down = s.velocity_ned_mps
     record = s.folder or "not yet"
     if s.recorder_error is not None:
-        record = f"NONE until the companion is started again: {s.recorder_error}; "
+        record = f"NONE until the companion is restarted: {s.recorder_error}; "
         record += f"{s.records_dropped} records are missing"
     link = f"{s.link}: {'up' if s.link_up else 'DOWN'}"
     link += f"; lost {s.link_losses} times, {s.link_dropped} sends dropped, {s.link_errors} errors"
-    on_air = f"{s.radio}; on the air: {rates}; sent {s.frames_sent}, heard {s.frames_heard}, "
+    on_air = f"{s.radio}; on the air: {rates}; frames sent {s.frames_sent}, heard {s.frames_heard}, "
     on_air += f"bad {s.bad_frames}, refused {s.broadcasts_refused}"
     trouble = s.remote_id_trouble
     return [
         ("aircraft", f"{s.aircraft}{' (DRY RUN)' if s.dry_run else ''}, up {s.up_s:.0f} s", "bold"),
-        ("authority", s.state + (f", waiting for: {s.waits_for}" if s.waits_for else ""), "bold"),
+        ("authority", s.state + (f": {s.waits_for}" if s.waits_for else ""), "bold"),
         ("path", f"{s.path_late_s:.0f} s late" if s.path_late_s >= 1.0 else "on time", ""),
         ("vehicle", s.vehicle or "none yet", "" if s.vehicle else "red"),
         ("mode", f"{s.mode or 'unknown'}, {'armed' if s.armed else 'disarmed'}, {s.landed}", ""),
-        ("own state", s.unfit or "fit", "red" if s.unfit else "green"),
+        ("own state", s.unfit or "valid", "red" if s.unfit else "green"),
         ("ages", f"heartbeat {_age(s.heartbeat_age_s)}, position {_age(s.position_age_s)}", ""),
-        ("GNSS", f"fix type {s.gnss_fix_type or 'unknown'}, {s.sigma_m:.1f} m; {utc}", ""),
+        ("GNSS", f"fix type {s.gnss_fix_type or 'unknown'}, accuracy {s.sigma_m:.1f} m; {utc}", ""),
         ("position", f"{place}; velocity {north:.1f} {east:.1f} {down:.1f} m/s NED", ""),
         ("link", link, "" if s.link_up else "red"),
         ("radio", on_air, "" if s.radio_ok else "red"),
-        ("Remote ID", trouble or "as the region and the configuration ask", "red" if trouble else "green"),
+        (
+            "Remote ID",
+            trouble or "as the region and the configuration require",
+            "red" if trouble else "green",
+        ),
         ("loop", f"{s.ticks} ticks, {s.late_ticks} missed, worst {s.worst_tick_ms:.1f} ms late", ""),
         ("record", record, "red" if s.recorder_error else ""),
         *(("trouble", t, "red") for t in s.troubles if s.recorder_error is None or s.recorder_error not in t),
@@ -164,7 +170,7 @@ def _facts(s: Status) -> list[tuple[str, str, str]]:
 
 
 def _age(age_s: float | None) -> str:
-    return "never came" if age_s is None else f"{age_s:.2f} s"
+    return "never received" if age_s is None else f"{age_s:.2f} s"
 
 
 def _shown(text: str) -> str:

@@ -1,7 +1,8 @@
 """Configuration of one companion from one TOML file. Every key is checked before flight.
 
 `load` reads the files that the configuration names (trajectory, fence, region) into it, so that the resolved
-configuration in a run folder is complete. Start reading with `sections.py`, which defines all keys.
+configuration in a run folder is complete. Start reading with `sections.py`, which defines all keys but those
+of radios (`companion.radio.registry`).
 """
 
 from companion.config.checks import check
@@ -9,46 +10,34 @@ from companion.config.identity_checks import check_identity
 from companion.config.loading import dump, load, load_trajectory, public
 from companion.config.sections import (
     CHOOSER_WORDS,
-    ArduRemoteIdRadio,
     AtmcConfig,
     AvoidanceConfig,
     Config,
-    EtherRadio,
     FlightConfig,
-    HciRadio,
     IdentityConfig,
     LimitsConfig,
-    NullRadio,
-    RadioConfig,
     RecordConfig,
     RemoteIdConfig,
     TrafficConfig,
     TrajectoryFile,
     VehicleConfig,
     Waypoint,
-    WifiRadio,
 )
 
 __all__ = [
     "CHOOSER_WORDS",
-    "ArduRemoteIdRadio",
     "AtmcConfig",
     "AvoidanceConfig",
     "Config",
-    "EtherRadio",
     "FlightConfig",
-    "HciRadio",
     "IdentityConfig",
     "LimitsConfig",
-    "NullRadio",
-    "RadioConfig",
     "RecordConfig",
     "RemoteIdConfig",
     "TrafficConfig",
     "TrajectoryFile",
     "VehicleConfig",
     "Waypoint",
-    "WifiRadio",
     "check",
     "check_identity",
     "dump",

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from companion.address_forms import LINK_FORMS, check_form
 from companion.config.identity_checks import check_identity
-from companion.config.sections import ArduRemoteIdRadio, Config, EtherRadio, HciRadio, RadioConfig, WifiRadio
+from companion.config.sections import Config
 from companion.errors import ConfigError
 from companion.geofence import check_areas
+from companion.laws import LAWS
 from companion.remote_id.authentication import Verifier
-
-_LINK_FORMS = ("udpin:HOST:PORT", "udpout:HOST:PORT", "tcp:HOST:PORT", "serial:DEVICE:BAUD")
-_CHANNEL_FORMS = ("user:NUMBER", "uart:DEVICE:BAUD", "tcp:HOST:PORT")
-_NUMBERS = {"PORT": range(1, 1 << 16), "BAUD": range(1, 10**9), "NUMBER": range(0xFFFF)}
 
 
 def check(config: Config, name: str) -> None:
@@ -33,10 +31,14 @@ def check(config: Config, name: str) -> None:
         raise ConfigError(f"{name}: {error}") from error
     if flight.use == "guard" and (flight.trajectory is not None or config.path is not None):
         raise ConfigError(
-            f'{name}: flight.trajectory: use = "guard" guards what the vehicle itself flies; leave it out'
+            f'{name}: flight.trajectory: remove it; use = "guard" guards the mission that the vehicle flies'
         )
-    if flight.use == "guard" and config.avoidance.law == "none":
-        raise ConfigError(f'{name}: avoidance.law: "none" avoids nobody; use = "guard" needs another')
+    law = LAWS[config.avoidance.law]
+    if flight.use == "guard" and not law.avoids:
+        raise ConfigError(
+            f'{name}: avoidance.law: "{config.avoidance.law}" avoids no aircraft; use = "guard" needs a law '
+            "that does"
+        )
     if flight.use == "fly" and flight.trajectory is None and config.path is None:
         raise ConfigError(f'{name}: flight.trajectory: missing; use = "fly" needs a file or "mission"')
     if flight.trajectory == "mission" and flight.mission_speed_mps is None:
@@ -49,9 +51,10 @@ def check(config: Config, name: str) -> None:
             f"{name}: flight.mission_speed_mps: {speed:g} is above limits.max_speed_mps "
             f"{limits.max_speed_mps:g}"
         )
-    if limits.fence is not None and config.avoidance.law != "dmuca":
+    if limits.fence is not None and not law.keeps_fence:
+        keeping = " or ".join(f'"{key}"' for key, kind in LAWS.items() if kind.keeps_fence)
         raise ConfigError(
-            f'{name}: limits.fence: goes with avoidance.law = "dmuca"; {config.avoidance.law!r} keeps none'
+            f"{name}: limits.fence: needs avoidance.law = {keeping}; {config.avoidance.law!r} keeps no fence"
         )
     try:
         check_areas(config.fence)
@@ -62,53 +65,14 @@ def check(config: Config, name: str) -> None:
         raise ConfigError(
             f"{name}: limits.ceiling_height_m: {ceiling:g} must be 5 m or more above floor_height_m {floor:g}"
         )
-    if flight.use != "watch" and not config.has_radio and config.avoidance.law != "none":
+    if flight.use != "watch" and not config.has_radio and law.avoids:
         otherwise = ', or avoidance.law = "none"' if flight.use == "fly" else ""
         raise ConfigError(
-            f'{name}: radio: none configured, so nobody is heard; use = "{flight.use}" needs a [[radio]]'
+            f'{name}: radio: none configured, so no aircraft is heard; use = "{flight.use}" needs a [[radio]]'
             f"{otherwise}"
         )
     if config.remote_id.component and config.vehicle.component_id == 236:
-        raise ConfigError(f"{name}: vehicle.component_id: 236 is taken by remote_id.component")
-    _check_form(config.vehicle.link, _LINK_FORMS, f"{name}: vehicle.link")
+        raise ConfigError(f"{name}: vehicle.component_id: 236 is used by remote_id.component; choose another")
+    check_form(config.vehicle.link, LINK_FORMS, f"{name}: vehicle.link")
     for number, entry in enumerate(config.radio):
-        _check_radio(entry, f"{name}: radio[{number}]")
-
-
-def _check_radio(entry: RadioConfig, name: str) -> None:
-    match entry:
-        case EtherRadio():
-            _check_form(entry.address, ("HOST:PORT",), f"{name}.address")
-        case HciRadio():
-            _check_form(entry.channel, _CHANNEL_FORMS, f"{name}.channel")
-            if not (entry.send or entry.listen):
-                raise ConfigError(f"{name}: send and listen are both false: it would do nothing")
-        case WifiRadio():
-            if entry.hostapd is entry.inject is entry.monitor is None:
-                raise ConfigError(f"{name}: needs hostapd, inject or monitor")
-            interface = (entry.hostapd or "").rpartition("/")[2]
-            if entry.hostapd is not None and not 1 <= len(interface) <= 15:
-                raise ConfigError(
-                    f"{name}.hostapd: {entry.hostapd!r}: the path must end with the name of a network "
-                    f"interface, 1 to 15 characters; {interface!r} has {len(interface)}"
-                )
-        case ArduRemoteIdRadio():
-            _check_form(entry.link, _LINK_FORMS, f"{name}.link")
-
-
-def _check_form(text: str, forms: tuple[str, ...], name: str) -> None:
-    if not any(_has_form(text, form) for form in forms):
-        allowed = " or ".join((", ".join(forms[:-1]), forms[-1])) if len(forms) > 1 else forms[0]
-        raise ConfigError(f"{name}: {text!r}: allowed: {allowed}; PORT is 1 to 65535")
-
-
-def _has_form(text: str, form: str) -> bool:
-    """Whether a text has a form such as "tcp:HOST:PORT"."""
-    start, _, number = text.rpartition(":")
-    head, _, word = form.rpartition(":")
-    kind = head.removesuffix("HOST").removesuffix("DEVICE")
-    fits = start == head if kind == head else start.startswith(kind) and len(start) > len(kind)
-    if not (fits and number.isascii() and number.isdigit() and len(number) < 10):
-        return False
-    # Listening on port 0 uses any free port.
-    return int(number) in _NUMBERS[word] or (kind == "udpin:" and int(number) == 0)
+        entry.check(f"{name}: radio[{number}]")

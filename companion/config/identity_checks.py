@@ -31,7 +31,7 @@ def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: 
     if identity.id_type > IdType.SPECIFIC_SESSION:
         raise ValueError(f"identity.id_type: {int(identity.id_type)}: allowed are 0 to 4")
     if identity.id_type is IdType.NONE and region.basic_id_period_s is not None:
-        raise ValueError(f"identity.id_type: 0 says nothing; region {region.name!r} asks for an identity")
+        raise ValueError(f"identity.id_type: 0 means no identity; region {region.name!r} requires one")
     try:
         notes += _check_uas_id(identity, region)
     except ValueError as error:
@@ -46,14 +46,14 @@ def check_identity(identity: IdentityConfig, remote_id: RemoteIdConfig, region: 
     except ValueError as error:
         raise ValueError(f"remote_id.operator_id: {error}") from None
     if remote_id.self_id is not None and not is_printable_ascii(remote_id.self_id):
-        raise ValueError(f"remote_id.self_id: {remote_id.self_id!r}: printable ASCII is allowed")
+        raise ValueError(f"remote_id.self_id: {remote_id.self_id!r}: allowed: printable ASCII")
     return notes
 
 
 def _check_uas_id(identity: IdentityConfig, region: Region) -> list[str]:
     text = identity.uas_id
     if len(text) > ON_AIR_MAX:
-        raise ValueError(f"{text!r}: {len(text)} characters; {ON_AIR_MAX} go on the air")
+        raise ValueError(f"{text!r}: {len(text)} characters; allowed: up to {ON_AIR_MAX}")
     match identity.id_type:
         case IdType.UTM_ASSIGNED_UUID:
             check_uuid(raw_bytes(text))
@@ -64,7 +64,7 @@ def _check_uas_id(identity: IdentityConfig, region: Region) -> list[str]:
         case IdType.CAA_REGISTRATION:
             check_registration(text)
         case _ if not is_printable_ascii(text):
-            raise ValueError(f"{text!r}: printable ASCII, up to {ON_AIR_MAX}")
+            raise ValueError(f"{text!r}: allowed: printable ASCII, up to {ON_AIR_MAX} characters")
     return []
 
 
@@ -72,7 +72,7 @@ def _check_operator_id(text: str | None, region: Region) -> list[str]:
     if text is None:
         if region.operator_id_required:
             return [
-                f"remote_id.operator_id: not set; region {region.name!r} asks for it, so the ground station "
+                f"remote_id.operator_id: not set; region {region.name!r} requires it, so the ground station "
                 "must send it"
             ]
         return []
@@ -80,12 +80,12 @@ def _check_operator_id(text: str | None, region: Region) -> list[str]:
         if check_operator_id_eu(text) == "valid":
             return []
         return [
-            f"remote_id.operator_id: {text!r} cannot be verified without its three secret characters: write "
-            f"{text}-xyz with yours for xyz (they are never sent)"
+            f"remote_id.operator_id: {text!r} cannot be verified without its three secret characters: "
+            f"append them as in {text}-xyz (they are never sent)"
         ]
     public = public_operator_id(text)
     if not is_printable_ascii(public):
-        raise ValueError(f"{public!r}: printable ASCII is allowed")
+        raise ValueError(f"{public!r}: allowed: printable ASCII")
     if len(public) > ON_AIR_MAX:
-        raise ValueError(f"{len(public)} characters; {ON_AIR_MAX} go on the air")
+        raise ValueError(f"{len(public)} characters; allowed: up to {ON_AIR_MAX}")
     return []

@@ -52,9 +52,9 @@ def load(path: Path) -> Config:
         except ConfigError as error:
             if isinstance(error.__cause__, FileNotFoundError | IsADirectoryError):
                 raise ConfigError(
-                    f"{path}: remote_id.region: {config.remote_id.region!r}: no such file beside "
-                    f'{path.name}; give the path of a profile from there, such as "regions/us.toml"; the '
-                    "project's profiles stand in config/regions"
+                    f"{path}: remote_id.region: {config.remote_id.region!r}: no such file; give "
+                    f'the path of a profile relative to {path.name}, such as "regions/us.toml"; the '
+                    "project's profiles are in config/regions"
                 ) from error
             raise ConfigError(f"{path}: remote_id.region: {error}") from error
         remote_id = msgspec.structs.replace(config.remote_id, region=None)
@@ -67,8 +67,8 @@ def load(path: Path) -> Config:
     if config.vehicle.signing_key is not None:
         if _KEY_DIGITS.fullmatch(config.vehicle.signing_key):
             raise ConfigError(
-                f"{path}: vehicle.signing_key: holds a key; put the key into a file that only you can read, "
-                "and the path of that file here"
+                f"{path}: vehicle.signing_key: this is a key; write it to a file that only you can read, "
+                "and give the path of that file here"
             )
         # Not read here: only the link may hold the key, and no record may contain it.
         where = str((path.parent / config.vehicle.signing_key).absolute())
@@ -88,8 +88,8 @@ def _raw_identity(identity: IdentityConfig, path: Path) -> IdentityConfig:
         raw = bytes.fromhex(identity.uas_id.replace("-", "")).decode("latin-1")
     except ValueError as error:
         raise ConfigError(
-            f"{path}: identity.uas_id: {identity.uas_id!r}: with id_type {int(identity.id_type)} it is "
-            "written in hexadecimal digits, two for each byte, such as 123e4567-e89b-42d3-a456-426614174000"
+            f"{path}: identity.uas_id: {identity.uas_id!r}: with id_type {int(identity.id_type)} it must "
+            "be hexadecimal digits, two for each byte, such as 123e4567-e89b-42d3-a456-426614174000"
         ) from error
     return msgspec.structs.replace(identity, uas_id=raw)
 

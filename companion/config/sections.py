@@ -1,6 +1,7 @@
 """The sections of a configuration file and of the trajectory file that it names.
 
-Each key's name ends with its unit. Unknown keys are refused.
+Each key's name ends with its unit. Unknown keys are refused. The sections of radios are in
+`companion.radio.registry` and the folders that it names.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ import msgspec
 from msgspec import Meta
 
 from companion.events import FenceArea
+from companion.laws import LawName
+from companion.radio.null.section import NullRadio
+from companion.radio.registry import RadioConfig
 from companion.remote_id.messages import IdType, UaType
 from companion.remote_id.region import Region, TransportName
 from companion.toml_reader import SECRET
 
 Ratio = Annotated[float, Meta(ge=0, le=1)]
-Interface = Annotated[str, Meta(min_length=1, max_length=15)]
-"""Name of a network interface; Linux allows at most 15 characters."""
 
 CHOOSER_WORDS = ("rule", "fixed")
 """Values of `atmc.policy` other than a path: "rule" is the one-line rule, "fixed" the best fixed legal
@@ -116,7 +118,7 @@ class AvoidanceConfig(_Section, frozen=True):
     """The avoidance law. The defaults are those of the reference flight tests; "paper" is exactly the
     published law."""
 
-    law: Literal["dmuca", "paper", "none"] = "dmuca"
+    law: LawName = "dmuca"
     conflict_radius_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     """Radius of one aircraft. The separation of two aircraft must be at least twice this radius."""
     crewed_horizontal_m: Annotated[float, Meta(gt=0, le=5000)] = 150.0
@@ -180,51 +182,6 @@ class AtmcConfig(_Section, frozen=True):
     """Path of a policy file (relative to this file; absolute once loaded), or one of `CHOOSER_WORDS`."""
     period_s: Annotated[float, Meta(ge=0.5, le=60)] = 2.0
     """Mean time between two decisions, which fall at random phases."""
-
-
-class NullRadio(_Section, frozen=True, tag_field="backend", tag="null"):
-    """No radio."""
-
-
-class EtherRadio(_Section, frozen=True, tag_field="backend", tag="ether"):
-    """Connection to the simulated radio channel (ether)."""
-
-    address: str
-    """HOST:PORT."""
-
-
-class HciRadio(_Section, frozen=True, tag_field="backend", tag="hci"):
-    """A Bluetooth controller; no other software may use it."""
-
-    channel: str
-    """user:NUMBER (Linux hciN), uart:DEVICE:BAUD or tcp:HOST:PORT."""
-    send: bool = True
-    listen: bool = True
-
-
-class WifiRadio(_Section, frozen=True, tag_field="backend", tag="wifi"):
-    """A Wi-Fi card."""
-
-    hostapd: str | None = None
-    """Control socket of a running hostapd, such as /var/run/hostapd/wlan0, through which beacons are sent."""
-    inject: Interface | None = None
-    """Monitor interface to inject beacons and NAN frames on."""
-    monitor: Interface | None = None
-    """Monitor interface to listen on."""
-    channel: Annotated[int, Meta(ge=1, le=177)] = 6
-    """Wi-Fi channel of the card; if hostapd reports a channel, that one is used."""
-
-
-class ArduRemoteIdRadio(_Section, frozen=True, tag_field="backend", tag="arduremoteid"):
-    """A module with ArduRemoteID firmware on its own MAVLink link."""
-
-    link: str
-    """Link to the module, in the form of vehicle.link, such as serial:/dev/ttyACM0:57600."""
-    system_id: Annotated[int, Meta(ge=1, le=255)] = 1
-    """MAVLink system ID of the vehicle. The module adopts the first one that it hears."""
-
-
-RadioConfig = NullRadio | EtherRadio | HciRadio | WifiRadio | ArduRemoteIdRadio
 
 
 class RecordConfig(_Section, frozen=True):

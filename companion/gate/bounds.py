@@ -59,6 +59,8 @@ class Bounds:
         """Our clock minus the vehicle's clock, from its least delayed message."""
         self._boot_s = self._stamp_s = -math.inf
         """Newest times of the vehicle's clock: `_boot_s` of a position, `_stamp_s` of any message."""
+        self._clock_s = -math.inf
+        """Time at which a message last carried the vehicle's clock."""
         self._frame: LocalFrame | None = None
         self._here = 0.0, 0.0
         self._walls: list[tuple[FenceArea, list[Edge]]] | None = None
@@ -76,10 +78,11 @@ class Bounds:
     def hear_clock(self, time_boot_s: float, now_s: float) -> None:
         """Take in the vehicle's own clock from any message that carries it."""
         if time_boot_s < self._stamp_s - 1.0:
-            self._offset_s = self._stamp_s = math.inf  # The clock has restarted.
-        passed_s = max(time_boot_s - self._stamp_s, 0.0) if self._stamp_s < math.inf else 0.0
+            # The clock has restarted, and the age of the last position cannot be told by it.
+            self._offset_s, self._stamp_s, self._position = math.inf, time_boot_s, None
+        passed_s = max(time_boot_s - self._stamp_s, 0.0)
         self._offset_s = min(now_s - time_boot_s, self._offset_s + _DRIFT * passed_s)
-        self._stamp_s = time_boot_s if self._stamp_s == math.inf else max(time_boot_s, self._stamp_s)
+        self._stamp_s, self._clock_s = max(time_boot_s, self._stamp_s), now_s
 
     def hear_position(self, event: GlobalPosition, now_s: float) -> None:
         """Take in GLOBAL_POSITION_INT, dated by the vehicle's own clock."""
@@ -114,9 +117,9 @@ class Bounds:
 
         If no message has carried that clock for long, there is no evidence of delay and the result is False.
         """
-        if math.isinf(self._stamp_s):
+        if now_s - self._clock_s > _CLOCKLESS_S:
             return False
-        return self._late_s < now_s - self._stamp_s - self._offset_s <= _CLOCKLESS_S
+        return now_s - self._stamp_s - self._offset_s > self._late_s
 
     @property
     def flies_fast(self) -> bool:
@@ -133,17 +136,15 @@ class Bounds:
         """
         position = self._position
         if position is None or self._age_s(position, now_s) > self._stale_s:
-            raise Broken(Rule.AGE, "the own position is not known or too old")
+            raise Broken(Rule.AGE, "the own position is unknown or too old")
         north, east, down = velocity
         if north == east == down == 0.0:
             return
         speed = math.hypot(north, east, down)
         if speed > self._speed + _SLACK_MPS:
-            raise Broken(Rule.SPEED, f"{speed:.2f} m/s, at most {self._speed:g}")
+            raise Broken(Rule.SPEED, f"speed {speed:.2f} m/s; allowed: up to {self._speed:g}")
         if not -self._climb - _SLACK_MPS <= down <= self._descent + _SLACK_MPS:
-            raise Broken(
-                Rule.SPEED, f"{down:.2f} m/s down, {-self._climb:g} to {self._descent:g} are allowed"
-            )
+            raise Broken(Rule.SPEED, f"{down:.2f} m/s down; allowed: {-self._climb:g} to {self._descent:g}")
         self._check_change(velocity, now_s)
         self._check_height(position, down, now_s)
         if self._areas:
@@ -171,12 +172,11 @@ class Bounds:
         if now_s - self._last_s <= _LONGEST_S and change <= self._allowed_mps(now_s) + _SLACK_MPS:
             return
         # A law that starts or restarts begins at the flown velocity, reduced to its limits.
-        speed = math.hypot(*flown)
-        factor = min(1.0, self._speed / speed) if speed > 0.0 else 1.0
+        factor = self._speed / max(self._speed, math.hypot(*flown))
         change = math.hypot(velocity[0] - factor * flown[0], velocity[1] - factor * flown[1])
         most = self._acceleration * _LONGEST_S + _NOISE_MPS
         if change > most:
-            raise Broken(Rule.CHANGE, f"{change:.2f} m/s from what is flown, at most {most:.2f}")
+            raise Broken(Rule.CHANGE, f"{change:.2f} m/s from the flown velocity; allowed: up to {most:.2f}")
 
     def _check_height(self, position: GlobalPosition, down: float, now_s: float) -> None:
         flown = self._velocity[2]
@@ -238,7 +238,7 @@ class Bounds:
                 outward = -(north * un + east * ue)
                 flown = -(self._velocity[0] * un + self._velocity[1] * ue)
                 if self._too_fast(bound, 0.0, outward, flown, now_s):
-                    raise Broken(Rule.FENCE, f"{outward:.2f} m/s further out, {room_m:.1f} m outside")
+                    raise Broken(Rule.FENCE, f"{outward:.2f} m/s outward, {room_m:.1f} m outside the fence")
                 bound += len(edges)
                 continue
             nearest_m = min(nearest_m, room_m)
@@ -246,7 +246,7 @@ class Bounds:
                 towards = north * un + east * ue
                 flown = self._velocity[0] * un + self._velocity[1] * ue
                 if room < reach and self._too_fast(number, room, towards, flown, now_s):
-                    raise Broken(Rule.FENCE, f"{towards:.2f} m/s towards a wall {room:.1f} m away")
+                    raise Broken(Rule.FENCE, f"{towards:.2f} m/s towards a fence wall {room:.1f} m away")
             bound += len(edges)
         self._clear_m, self._clear_at = nearest_m, here
 

@@ -69,7 +69,7 @@ _DEAF_S = 1.0
 _SHUT_S = 3.0
 _AGAIN_S = 5.0
 """Least time between two reports of the same rule. A fault that shuts the gate again is always reported."""
-_AUTOPILOT = 1
+_AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 _COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 _FREE = frozenset(
@@ -96,10 +96,12 @@ _FREE = frozenset(
 _OF_THE_VEHICLE = (GlobalPosition, LocalPosition, VehicleTime, Heartbeat, CurrentMode, LandedState)
 _FILES = mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
 _FILES_OPCODE_AT = 6
-_FILES_ANSWERS = (128, 129)
-"""ACK and NAK. All other opcodes are requests, and may ask the vehicle to write."""
+_FILES_ANSWERS = (mavlink.MAV_FTP_OPCODE_ACK, mavlink.MAV_FTP_OPCODE_NAK)
+"""All other opcodes are requests, and may ask the vehicle to write."""
 _FREE_COMMANDS = frozenset({CMD_SET_MESSAGE_INTERVAL, CMD_REQUEST_MESSAGE})
 _MASKS = (VELOCITY_YAW_MASK, VELOCITY_YAW_RATE_MASK)
+_GROUND_SPEED, _SAME_THROTTLE = 1.0, -1.0
+"""Parameters of DO_CHANGE_SPEED that set the ground speed and nothing else."""
 _SETPOINT_LAYOUT = struct.Struct("<I11fHBBB")
 _COMMAND_LAYOUT = struct.Struct("<7fHBBB")
 
@@ -197,8 +199,8 @@ class Gate:
 
     def answered(self, asked_s: float, now_s: float) -> None:
         """Note that the vehicle has answered a question (TIMESYNC) that was asked at `asked_s`."""
-        self._note_heard(now_s)
         if self._asked_s is None or asked_s > self._asked_s:
+            self._note_heard(now_s)
             self._asked_s = asked_s
             if now_s - asked_s <= _FRESH_S:
                 self._answer_s = now_s
@@ -218,7 +220,7 @@ class Gate:
             self._waits_s = now_s
         elif now_s - self._waits_s > _DEAF_S:
             self._waits_s = now_s
-            self._refuse(Broken(Rule.ANSWER, f"no answer for {_DEAF_S:g} s"), now_s)
+            self._refuse(Broken(Rule.ANSWER, f"no answer from the vehicle for {_DEAF_S:g} s"), now_s)
         return False
 
     def in_time(self, now_s: float) -> bool:
@@ -244,7 +246,7 @@ class Gate:
         while at < len(data):
             length = frame_length(data, at) if data[at] == MAGIC_V2 else -1
             if length <= 0 or at + length > len(data):
-                self._refuse(Broken(Rule.WHOLE, f"byte {at} of {len(data)} begins no whole frame"), now_s)
+                self._refuse(Broken(Rule.WHOLE, f"no whole frame begins at byte {at} of {len(data)}"), now_s)
                 break
             frame = data[at : at + length]
             at += length
@@ -268,7 +270,7 @@ class Gate:
         if message_id == _FILES:
             _check_files(payload)
         elif message_id not in _FREE:
-            raise Broken(Rule.KIND, f"message {message_id}")
+            raise Broken(Rule.KIND, f"message {message_id} is not allowed")
         return False
 
     def _setpoint(self, payload: bytes, now_s: float) -> None:
@@ -283,9 +285,7 @@ class Gate:
         if frame != FRAME_LOCAL_NED or mask not in _MASKS or turning or not all(map(math.isfinite, numbers)):
             raise Broken(Rule.FORM, f"frame {frame}, mask {mask:#x}, velocity {velocity}")
         self._check_bounds(velocity, now_s)
-        if now_s < self._shut_s:
-            raise Broken(Rule.AGE, "after a fault")
-        self._check_answer(now_s)
+        self._check_moment(now_s)
         self._mandate.setpoint_left(now_s)
         self._bounds.left(velocity, now_s)
 
@@ -296,7 +296,7 @@ class Gate:
             if self._decided_s < self._bounds_s and broken.rule.ends == "fault":
                 # The decision was made before the new limit was known, so it is no fault.
                 raise Broken(
-                    Rule.AGE, f"decided before a limit or the fence was told; {broken.why}"
+                    Rule.AGE, f"decided before a new limit or fence was known; {broken.why}"
                 ) from None
             raise
 
@@ -305,24 +305,22 @@ class Gate:
         if command in _FREE_COMMANDS:
             return False
         if command not in (CMD_DO_SET_MODE, CMD_DO_CHANGE_SPEED):
-            raise Broken(Rule.KIND, f"command {command}")
+            raise Broken(Rule.KIND, f"command {command} is not allowed")
         self._commands(system, component, now_s)
         if command == CMD_DO_CHANGE_SPEED:
             self._mandate.check_speed()
-            if not 0.0 < params[1] <= 100.0:
-                raise Broken(Rule.SPEED, f"a mission's speed of {params[1]:g} m/s")
-            if now_s < self._shut_s:
-                raise Broken(Rule.AGE, "after a fault")
-            self._check_answer(now_s)
+            if params[0] != _GROUND_SPEED or params[2] != _SAME_THROTTLE or not 0.0 < params[1] <= 100.0:
+                raise Broken(
+                    Rule.SPEED, f"DO_CHANGE_SPEED {params[:3]}; allowed: ground speed above 0, up to 100 m/s"
+                )
+            self._check_moment(now_s)
             return True
         asked = self._mandate.custom_of(params[1], params[2])
         if asked is None or params[0] != 1.0:
-            raise Broken(Rule.MODE, f"mode {params[:3]} is not to be asked for")
+            raise Broken(Rule.MODE, f"mode {params[:3]} must not be requested")
         custom, mode = asked
         self._mandate.check_request(mode, now_s)
-        if now_s < self._shut_s and mode is not FlightMode.HOLD:
-            raise Broken(Rule.AGE, "after a fault")
-        self._check_answer(now_s)
+        self._check_moment(now_s, holds=mode is FlightMode.HOLD)
         self._mandate.request_left(custom, now_s)
         return True
 
@@ -332,12 +330,15 @@ class Gate:
         if heartbeat is None or (system, component) != (heartbeat.system_id, _AUTOPILOT):
             raise Broken(Rule.TARGET, f"system {system}, component {component} is not the vehicle")
         if not self.current(now_s):
-            raise Broken(Rule.CURRENT, "the input was not read to its end, or the mode not seen since")
+            raise Broken(Rule.CURRENT, "the input was not read to its end, or no mode was seen since")
         self._mandate.check(now_s)
 
-    def _check_answer(self, now_s: float) -> None:
+    def _check_moment(self, now_s: float, *, holds: bool = False) -> None:
+        """Check that no fault keeps the gate shut, except for a hold, and that an answer just arrived."""
+        if now_s < self._shut_s and not holds:
+            raise Broken(Rule.AGE, "after a fault")
         if self._asked_s is not None and now_s - self._answer_s > _ANSWER_S:
-            raise Broken(Rule.ANSWER, "no answer since the last command")
+            raise Broken(Rule.ANSWER, "no answer from the vehicle since the last command")
 
     def _refuse(self, broken: Broken, now_s: float) -> None:
         rule = broken.rule
@@ -354,7 +355,7 @@ class Gate:
 def _unpacked(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
     """Unpack a payload. Refuse one that is longer than its message: receivers would truncate it."""
     if len(payload) > layout.size:
-        raise Broken(Rule.WHOLE, f"a payload of {len(payload)} bytes for a message of {layout.size}")
+        raise Broken(Rule.WHOLE, f"payload of {len(payload)} bytes; allowed: up to {layout.size}")
     return layout.unpack(payload.ljust(layout.size, b"\0"))
 
 
@@ -362,4 +363,4 @@ def _check_files(payload: bytes) -> None:
     """Allow only answers of FILE_TRANSFER_PROTOCOL: we serve our own files and request none."""
     opcode = payload[_FILES_OPCODE_AT] if len(payload) > _FILES_OPCODE_AT else 0
     if opcode not in _FILES_ANSWERS:
-        raise Broken(Rule.KIND, f"file transfer, opcode {opcode}")
+        raise Broken(Rule.KIND, f"file transfer opcode {opcode} is not allowed")

@@ -9,7 +9,7 @@ import math
 
 from companion.autopilot.dialect import DIALECTS, flight_mode
 from companion.config import Config
-from companion.events import Firmware, FlightMode, Heartbeat, Landed
+from companion.events import FlightMode, Heartbeat, Landed
 from companion.gate.rules import Broken, Rule
 
 MODE_OLD_S = 3.0
@@ -114,7 +114,7 @@ class Mandate:
             self._free()
 
     def mission_ended(self) -> None:
-        """Note that the mission is complete. PX4 then holds by itself, so that hold is not the pilot's."""
+        """Note that the mission is complete. A hold that then begins by itself is not the pilot's."""
         if self.lost and self._held_instead:
             self._free()
 
@@ -126,13 +126,16 @@ class Mandate:
         if self._flight.use == "watch":
             raise Broken(Rule.USE, 'flight.use is "watch"')
         if heartbeat is None or now_s - self._mode_s > MODE_OLD_S:
-            raise Broken(Rule.CURRENT, "the vehicle's mode is not known")
+            raise Broken(Rule.CURRENT, "the vehicle's mode is unknown")
         if not heartbeat.armed or self._grounded(now_s):
             raise Broken(Rule.USE, "the vehicle is disarmed or on the ground")
         if self.lost:
             raise Broken(Rule.AUTHORITY, self.lost)
         if not self._seen_down:
-            raise Broken(Rule.AUTHORITY, "the vehicle was flying when this started")
+            raise Broken(
+                Rule.AUTHORITY,
+                "the vehicle was flying when the companion started, and has not been down since",
+            )
         if self.two_autopilots and self._any_vehicle and not self.engaged:
             raise Broken(Rule.TARGET, "two autopilots are heard")
 
@@ -146,20 +149,20 @@ class Mandate:
     def check_request(self, mode: FlightMode, now_s: float) -> None:
         """Check that a mode may be requested. Raises Broken otherwise."""
         if mode not in _ASKABLE or (mode is FlightMode.MISSION and not self._guards):
-            raise Broken(Rule.MODE, f"{mode.value} is not to be asked for")
+            raise Broken(Rule.MODE, f"{mode.value} must not be requested")
         if not self.enabled and mode is FlightMode.EXTERNAL:
             raise Broken(Rule.USE, "DMUCA_ENABLE is 0")
         if not (self._is_ours or (mode is FlightMode.EXTERNAL and self._may_take)):
-            raise Broken(Rule.MODE, f"{mode.value} is not to be asked for in {self.name(self._custom)}")
+            raise Broken(Rule.MODE, f"{mode.value} must not be requested in {self.name(self._custom)}")
         self._requests = [at_s for at_s in self._requests if now_s - at_s < _STORM_S]
         if len(self._requests) >= _STORM:
-            raise Broken(Rule.MODE, f"{_STORM} requests within {_STORM_S:g} s")
+            raise Broken(Rule.MODE, f"more than {_STORM} mode requests within {_STORM_S:g} s")
 
     def check_speed(self) -> None:
         """Check that a mission's speed is requested only with the mission. Raises Broken otherwise."""
         asked = any(self._kind(custom) is FlightMode.MISSION for custom in self._ours)
         if not self._guards or not (asked or self._mode is FlightMode.MISSION):
-            raise Broken(Rule.MODE, f"a mission's speed is not to be asked for in {self.name(self._custom)}")
+            raise Broken(Rule.MODE, f"a mission speed must not be requested in {self.name(self._custom)}")
 
     # ------------------------------------------------------------ commands that were sent
 
@@ -181,8 +184,8 @@ class Mandate:
 
     def name(self, custom: int) -> str:
         """Name that the autopilot gives to a mode."""
-        firmware = Firmware.ARDUPILOT if self.heartbeat is None else self.heartbeat.firmware
-        return DIALECTS[firmware].name(custom)
+        assert self.heartbeat is not None
+        return DIALECTS[self.heartbeat.firmware].name(custom)
 
     def custom_of(self, param2: float, param3: float) -> tuple[int, FlightMode] | None:
         """Mode that the parameters of DO_SET_MODE request; None if they match no mode that we may request."""
@@ -216,7 +219,7 @@ class Mandate:
         """Whether the vehicle may be taken from its present mode."""
         assert self.heartbeat is not None
         if self._mode is FlightMode.HOLD and not self._guards:
-            return self.heartbeat.firmware is Firmware.PX4
+            return FlightMode.HOLD in DIALECTS[self.heartbeat.firmware].take_from
         return self._mode is FlightMode.MISSION
 
     def _grounded(self, now_s: float) -> bool:

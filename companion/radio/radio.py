@@ -2,12 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 from companion.events import RemoteIdHeard
+from companion.radio.frames_io import radio_address
 from companion.remote_id.messages import Message
+
+
+class ByteLink(Protocol):
+    """A link over which a radio is driven. Only `wait` takes time."""
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until bytes arrive, at most this long."""
+        ...
+
+    def receive(self, now_s: float) -> bytes:
+        """Return the bytes that have arrived."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Send now. Bytes that cannot be sent now are lost."""
+        ...
+
+    def close(self) -> None:
+        """Release the link."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RadioContext:
+    """What a driver is given beside its section of the configuration."""
+
+    name: str
+    """Name of the aircraft."""
+    now_s: Callable[[], float]
+    """The monotonic clock (s)."""
+    open_link: Callable[[str], ByteLink]
+    """Opens a link of a form in `LINK_FORMS` and reopens it when it is lost. Raises ConfigError."""
+
+    @property
+    def address(self) -> str:
+        """Radio address of the aircraft, derived from its name."""
+        return radio_address(self.name)
 
 
 @dataclass(frozen=True, slots=True)

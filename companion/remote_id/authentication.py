@@ -197,7 +197,7 @@ def signed_bytes(
     if auth_type == UAS_ID_SIGNATURE:
         return _id_field(identity) + stamp
     if auth_type != MESSAGE_SET_SIGNATURE:
-        raise ValueError(f"auth_type is {auth_type!r}; signed are 1 (UAS ID) and 3 (message set)")
+        raise ValueError(f"auth_type is {auth_type!r}; allowed: 1 (UAS ID) and 3 (message set)")
     signed = [encode(message) for message in messages if not isinstance(message, Authentication)]
     if not signed:
         raise ValueError("a message set signature needs messages")

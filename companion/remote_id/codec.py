@@ -136,7 +136,7 @@ def _read_pack(data: bytes) -> Payload:
     faults: list[str] = []
     announced = data[2]
     if announced > PACK_MAX_MESSAGES:
-        faults.append(f"pack announces {announced} messages at offset 2, at most {PACK_MAX_MESSAGES}")
+        faults.append(f"pack announces {announced} messages at offset 2, allowed: up to {PACK_MAX_MESSAGES}")
     whole = (len(data) - PACK_HEADER_SIZE) // MESSAGE_SIZE
     if announced > whole:
         faults.append(f"pack of {announced} messages cut short: {len(data)} bytes hold {whole}")

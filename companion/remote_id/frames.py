@@ -175,7 +175,7 @@ def parse_wifi_frames(data: bytes) -> tuple[Frame, ...]:
         raise PeerDataError(f"Wi-Fi frame of {len(data)} bytes")
     kind, flags = data[0], data[1]  # the other flags are irrelevant here
     if kind not in (_BEACON, _PROBE_RESPONSE, _ACTION):
-        raise NotRemoteIdError(f"frame control 0x{kind:02x} is of no kind that carries Remote ID")
+        raise NotRemoteIdError(f"frame control 0x{kind:02x} is not of a kind that carries Remote ID")
     body_at = _MAC_HEADER.size + (_HT_CONTROL_SIZE if flags & _ORDER else 0)
     if len(data) < body_at:
         raise PeerDataError(f"Wi-Fi frame of {len(data)} bytes, shorter than its header of {body_at}")
@@ -316,7 +316,7 @@ def _announces_remote_id(vendor: bytes) -> bool:
 
 def _parse_action(data: bytes, offset: int, address: str) -> tuple[Frame, ...]:
     if data[offset : offset + len(_NAN_ACTION_HEAD)] != _NAN_ACTION_HEAD:
-        raise NotRemoteIdError("an action frame, but not of NAN")
+        raise NotRemoteIdError("an action frame, but not a NAN frame")
     attributes, fault = _type_length_content(data, offset + len(_NAN_ACTION_HEAD), 2, "attribute")
     infos = [_service_info(content) for kind, content in attributes if kind == _SERVICE_DESCRIPTOR]
     return _frames(WIFI_NAN, address, [info for info in infos if info is not None], fault)

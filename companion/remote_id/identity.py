@@ -54,24 +54,24 @@ def check_serial(text: str) -> None:
     for at, character in enumerate(text, start=1):
         if at != _SERIAL_HEAD and character not in _SERIAL_ALPHABET:
             raise ValueError(
-                f"{text!r}: character {at} is {character!r}; CTA-2063-A takes digits and capital letters, "
-                "not O and I"
+                f"{text!r}: character {at} is {character!r}; CTA-2063-A allows digits and capital "
+                "letters except O and I"
             )
     if len(text) <= _SERIAL_HEAD:
         raise ValueError(
-            f"{text!r}: {len(text)} characters; CTA-2063-A asks for 6 to {SERIAL_MAX}: four of manufacturer "
+            f"{text!r}: {len(text)} characters; CTA-2063-A requires 6 to {SERIAL_MAX}: four of manufacturer "
             "code, one of length, then the number"
         )
     length = _LENGTHS.get(text[_SERIAL_HEAD - 1])
     if length is None:
         raise ValueError(
-            f"{text!r}: character 5 is {text[_SERIAL_HEAD - 1]!r}; by CTA-2063-A it tells how many follow: "
-            "1 to 9, or A to F for 10 to 15"
+            f"{text!r}: character 5 is {text[_SERIAL_HEAD - 1]!r}; by CTA-2063-A it "
+            "is the number of characters that follow: 1 to 9, or A to F for 10 to 15"
         )
     if len(text) - _SERIAL_HEAD != length:
         raise ValueError(
-            f"{text!r}: character 5, {text[_SERIAL_HEAD - 1]!r}, tells by CTA-2063-A how many follow it: "
-            f"{length}, not {len(text) - _SERIAL_HEAD}"
+            f"{text!r}: character 5, {text[_SERIAL_HEAD - 1]!r}, means by CTA-2063-A that "
+            f"{length} characters follow, not {len(text) - _SERIAL_HEAD}"
         )
 
 
@@ -89,7 +89,7 @@ def check_operator_id_eu(text: str) -> Verdict:
     secret = text[len(public) :].removeprefix("-")
     if text[:_COUNTRY] not in _EU_STATES:
         raise ValueError(
-            f"{public!r}: characters 1 to 3 are {text[:_COUNTRY]!r}; needed is the country's three capital "
+            f"{public!r}: characters 1 to 3 are {text[:_COUNTRY]!r}; allowed: the country's three capital "
             "letters (ISO 3166-1), such as FIN, of an EU or EASA state"
         )
     for at, character in enumerate(public[_COUNTRY:], start=_COUNTRY + 1):
@@ -99,15 +99,15 @@ def check_operator_id_eu(text: str) -> Verdict:
             )
     if len(public) < PUBLIC_LENGTH:
         raise ValueError(
-            f"{public!r}: {len(text.partition('-')[0])} characters; needed are {PUBLIC_LENGTH} and, behind "
-            "a hyphen, the secret three"
+            f"{public!r}: {len(text.partition('-')[0])} characters; allowed: {PUBLIC_LENGTH}, then "
+            "a hyphen and the three secret ones"
         )
     if text == public:
         return "cannot be verified"
     if len(secret) != _SECRET:
-        raise ValueError(f"{public!r}: {len(secret)} secret characters behind it; there are {_SECRET}")
+        raise ValueError(f"{public!r}: {len(secret)} secret characters follow; allowed: {_SECRET}")
     if any(character not in _BASE_36 for character in secret):
-        raise ValueError(f"{public!r}: the secret characters behind it must be digits and lower-case letters")
+        raise ValueError(f"{public!r}: the secret characters after it must be digits and lower-case letters")
     if _luhn_36(public[_COUNTRY:-1] + secret) != public[-1]:
         raise ValueError(
             f"{public!r}: the checksum (character {PUBLIC_LENGTH}) does not fit the number and its secret "
@@ -146,7 +146,7 @@ def check_uuid(data: bytes) -> None:
     if len(data) != _UUID_BYTES:
         raise ValueError(f"{len(data)} bytes; a UUID has {_UUID_BYTES}")
     if data[8] & 0b1100_0000 != 0b1000_0000:
-        raise ValueError(f"byte 9 of the UUID is 0x{data[8]:02x}; RFC 9562 asks for 0x80 to 0xbf there")
+        raise ValueError(f"byte 9 of the UUID is 0x{data[8]:02x}; RFC 9562 requires 0x80 to 0xbf there")
 
 
 def check_session(data: bytes) -> list[str]:
@@ -163,9 +163,7 @@ def check_session(data: bytes) -> list[str]:
         raise ValueError("byte 1, the type of session id, is missing or 0, which is reserved")
     length = _SESSION_BYTES.get(kind)
     if length is None:
-        return [
-            f"identity.uas_id: session id of type {kind}: its form is not known here and was not verified"
-        ]
+        return [f"identity.uas_id: session id of type {kind}: its form is unknown and was not verified"]
     if len(data) != length:
         raise ValueError(f"{len(data)} bytes; a session id of type {kind} has {length}")
     if kind == 1 and (data[1:4] != b"\x20\x01\x00" or data[4] & 0xF0 != 0x30):
@@ -180,7 +178,9 @@ def raw_bytes(text: str) -> bytes:
     try:
         return text.encode("latin-1")
     except UnicodeEncodeError as error:
-        raise ValueError(f"character {error.start + 1} is beyond U+00FF: one character is one byte") from None
+        raise ValueError(
+            f"character {error.start + 1} is beyond U+00FF; each character must be one byte"
+        ) from None
 
 
 def is_printable_ascii(text: str) -> bool:

@@ -9,6 +9,6 @@ def now_s() -> float:
     """Seconds since the computer booted, including the time for which it was suspended.
 
     Reads CLOCK_BOOTTIME. Unlike the wall clock it cannot be set. Unlike CLOCK_MONOTONIC it does not stop
-    while the computer sleeps, so that after a suspend the heart (`companion.core`) sees how old its data is.
+    while the computer sleeps, so that after a suspend the core (`companion.core`) sees how old its data is.
     """
     return time.clock_gettime(time.CLOCK_BOOTTIME)

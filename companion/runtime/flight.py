@@ -1,13 +1,13 @@
 """The flight loop of `companion run`: one thread, a fixed rate, sockets in and out, and a watchdog.
 
-The loop does nothing late: it skips and counts a missed deadline, and the heart (`companion.core`), which
+The loop does nothing late: it skips and counts a missed deadline, and the core (`companion.core`), which
 sees the gap, commands nothing until its data is fit again. Troubles outside the flight itself do not end the
 flight, but are reported. A lost link is reopened; without a working disk or terminal the flight continues.
 """
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import gc
 import math
 import os
@@ -18,9 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
-from companion import __version__
-from companion.adjustable_parameters import SWITCHED_OFF, differences
-from companion.authority.table import HOLDING, State
+from companion.adjustable_parameters import differences
 from companion.autopilot.dialect import impossible_rearm
 from companion.autopilot.tlog import TlogWriter
 from companion.avoidance.path import check_path
@@ -38,7 +36,6 @@ from companion.events import (
     Severity,
 )
 from companion.gate.gate import STALL_S
-from companion.radio.radio import Health
 from companion.runtime import clock
 from companion.runtime.lateness import Lateness, scheduling
 from companion.runtime.links.kept_link import KeptLink
@@ -50,7 +47,7 @@ from companion.runtime.record.run_record import RunRecord
 from companion.runtime.refusals import Refusals
 from companion.runtime.signing_key import KeptSigning
 from companion.runtime.status.console import Voice
-from companion.runtime.status.live_state import heart_status
+from companion.runtime.status.flight_report import FlightReport, LoopCounts
 from companion.runtime.status.service_manager import Notifier
 from companion.runtime.status.status_socket import Status, StatusServer
 from companion.runtime.status.troubles import Trouble, Troubles
@@ -68,8 +65,6 @@ _LOOK_S = 0.1
 _LET_GO_S = 2.0
 _COLLECT_S = 1.0
 """Period of the garbage collection, which runs right after a tick."""
-_DECIDED_S = 2.0
-"""How long the law's last decision is shown in the live status."""
 _LINES_KEPT = 8
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end the flight in an orderly way. SIGHUP is sent by a terminal that closes."""
@@ -88,10 +83,7 @@ class Flight:
         """Start time of the last read that emptied the autopilot's input; None if it was not emptied."""
         self._refused = Refusals()
         self._lateness = Lateness()
-        self._began_s = clock.now_s()
-        self._dry_run = dry_run
-        self._decision: Decision | None = None
-        self._decided_s = 0.0
+        began_s = clock.now_s()
         self._lines: deque[str] = deque(maxlen=_LINES_KEPT)
         self._server: StatusServer | None = None
         check_path(config, "configuration")
@@ -103,54 +95,65 @@ class Flight:
         self._say(f"scheduling: {scheduling()}")
         if dry_run:
             self._say(
-                "dry run: nothing goes on the air and nothing is commanded; the autopilot is only asked for "
+                "dry run: nothing is broadcast and nothing is commanded; the autopilot is only asked for "
                 "telemetry, its mission and its fence"
             )
-        try:
+        with contextlib.ExitStack() as undo:
+            # What is open is closed again if a later step fails.
+            undo.callback(self._voice.close)
             self._signing = KeptSigning(config)
             self.link = KeptLink(config.vehicle.link, self._say)
-            try:
-                self.radio = Radios(config, sending=not dry_run)
-            except ConfigError:
-                self.link.close()
-                raise
-        except ConfigError:
-            self._voice.close()
-            raise
-        try:
+            undo.callback(self.link.close)
+            self.radio = Radios(config, sending=not dry_run)
+            undo.callback(self.radio.close)
             self._arm_broadcast(config)
-        except ConfigError:
-            self.radio.close()
-            self.link.close()
-            self._voice.close()
-            raise
+            undo.pop_all()
         self._policy = self._read_policy(config)
         settings = self._read_settings(config)
         self._kept_settings = KeptSettings(config, settings)
-        guess = time.time() - clock.now_s()
         self._run = RunRecord(self._say)
-        self.onboard = CompanionSystem(
+        self.onboard = self._system(config, settings, dry_run=dry_run)
+        self._status_s = clock.now_s()
+        try:
+            self._server = StatusServer(f"companion-{config.identity.file_name}", os.environ)
+        except ConfigError as error:
+            self._say(f"status: {error}; the flight continues without it")
+        self._report = FlightReport(
+            config=config,
+            dry_run=dry_run,
+            began_s=began_s,
+            onboard=self.onboard,
+            link=self.link,
+            radio=self.radio,
+            signing=self._signing.signing,
+            record=self._run,
+            voice=self._voice,
+            troubles=self._troubles,
+            refused=self._refused,
+            lateness=self._lateness,
+            lines=self._lines,
+        )
+        # Objects made at start-up, above all the compiler's, live as long as the process. Freezing them keeps
+        # later collections short.
+        gc.collect()
+        gc.freeze()
+
+    def _system(self, config: Config, settings: Settings, *, dry_run: bool) -> CompanionSystem:
+        """Make the core with link and gate."""
+        system = CompanionSystem(
             config,
             self._record,
             policy=self._policy,
             commanding=not dry_run,
             tlog=TlogWriter(self._run.tape),
-            utc_guess_s=guess,
+            utc_guess_s=time.time() - clock.now_s(),
             signing=self._signing.signing,
             settings=settings,
         )
-        chooser = self.onboard.heart.chooser
+        chooser = system.core.chooser
         if chooser is not None and chooser.trouble is not None:
             self._say(f"atmc: {chooser.trouble}: a fixed legal set of transports is used instead")
-        self._status_s = clock.now_s()
-        try:
-            self._server = StatusServer(f"companion-{config.identity.file_name}", os.environ)
-        except ConfigError as error:
-            self._say(f"status: {error}; the flight goes on without it")
-        # Objects made at start-up, above all the compiler's, live as long as the process. Freezing them keeps
-        # later collections short.
-        gc.collect()
-        gc.freeze()
+        return system
 
     def _say(self, line: str) -> None:
         self._voice.say(line)
@@ -203,7 +206,7 @@ class Flight:
         try:
             settings = read_settings(config)
         except ConfigError as error:
-            text = f"settings: {error}; not used, the configuration's values count"
+            text = f"settings: {error}; the stored settings are not used, the configuration applies"
             self._troubles.note(Trouble.SETTINGS_UNREAD, text)
             return Settings()
         for text in differences(config, Settings(), settings):
@@ -267,7 +270,7 @@ class Flight:
         self._read_s = None
         self.link.discard()
         self._stalls += 1
-        self._say(f"stood still for {lasted_s:.1f} s: what waited to be sent is thrown away")
+        self._say(f"the program stood still for {lasted_s:.1f} s; what waited to be sent is discarded")
 
     def _send(self) -> None:
         now_s = clock.now_s()
@@ -284,7 +287,7 @@ class Flight:
         deadline = clock.now_s() + period
         self._watchdog.start()
         self._notifier.ready()
-        self._notifier.status(self.status(clock.now_s()))
+        self._notifier.status(self._report.line(clock.now_s(), self._late))
         # Automatic garbage collection may run just before a setpoint is due; one right after a tick has time.
         gc.disable()
         collected_s = deadline
@@ -321,7 +324,7 @@ class Flight:
         self._serve_status(now_s)
         if now_s - self._status_s > _STATUS_S:
             self._status_s = now_s
-            line = self.status(now_s)
+            line = self._report.line(now_s, self._late)
             self._voice.say(line)
             self._notifier.status(line)
         return now_s
@@ -332,11 +335,11 @@ class Flight:
         try:
             self._server.serve(lambda: self.live(now_s))
         except Exception as error:
-            # This is a bug, but only in the live status. Unlike a bug in the heart it must not end the
+            # This is a bug, but only in the live status. Unlike a bug in the core it must not end the
             # flight.
             self._server.close()
             self._server = None
-            self._say(f"status: not served any more: {type(error).__name__}: {error}")
+            self._say(f"status: no longer served: {type(error).__name__}: {error}")
 
     def _broadcast(self, broadcast: Broadcast, now_s: float) -> None:
         try:
@@ -348,12 +351,12 @@ class Flight:
 
     def _let_go(self) -> None:
         """Ask the vehicle to hold, so that it does not run into its setpoint-loss failsafe."""
-        if not (self.onboard.heart.in_control and self.onboard.commanding):
+        if not (self.onboard.core.in_control and self.onboard.commanding):
             return
         self._say("stopping: asking the vehicle to hold")
         end = clock.now_s() + _LET_GO_S
         self.onboard.let_go(clock.now_s())
-        while (now := clock.now_s()) < end and self.onboard.heart.own.mode is not FlightMode.HOLD:
+        while (now := clock.now_s()) < end and self.onboard.core.own.mode is not FlightMode.HOLD:
             self._wait(now + 0.05)
             self.onboard.idle(clock.now_s(), read_s=-math.inf if self._read_s is None else self._read_s)
             self._send()
@@ -369,102 +372,18 @@ class Flight:
         self._kept_settings.keep(self.onboard.settings)
         self._kept_settings.close()
         self._signing.close()
-        self._run.close(lambda: self.summary(health))
+        self._run.close(lambda: self._report.summary(health, self._counts()))
         self._voice.close()
         self._notifier.close()
 
-    # ------------------------------------------------------------ words
-
-    def status(self, now_s: float) -> str:
-        """Status line: state of authority, what is heard, what is wrong."""
-        heart, health = self.onboard.heart, self.radio.health(now_s)
-        mode = heart.own.mode.value if heart.own.mode is not None else "unknown"
-        unfit = heart.own.unfit(now_s, self.config.vehicle.stale_after_s)
-        doing = heart.state.value
-        if heart.state is State.STANDBY and (waits_for := heart.waits_for(now_s)) is not None:
-            doing = f"standby, waiting for: {waits_for}"
-        return (
-            f"{doing}; vehicle mode {mode}, {'armed' if heart.own.armed else 'disarmed'}; "
-            f"{unfit or 'own state fit'}; {len(heart.traffic.tracks)} tracks; radio: {health.text}; "
-            f"sent {health.frames_sent}, heard {health.frames_heard}; late {self._late}{self._wrong(now_s)}"
-        )
-
-    def _wrong(self, now_s: float) -> str:
-        """Part of the status line: what is wrong outside the heart and the radios."""
-        text = "" if self.link.up else "; link down"
-        disbelief = self.onboard.link.disbelief(now_s)
-        text += "" if disbelief is None else f"; {disbelief}"
-        broadcaster = self.onboard.heart.broadcaster
-        if self.config.has_radio or self.config.region.transport_sets:
-            text += "".join(f"; {words}" for words in (broadcaster.trouble, broadcaster.lacking) if words)
-        if self._refused.count:
-            text += f"; {self._refused.count} broadcasts refused"
-        text += "" if self.onboard.settings.enable else f"; {SWITCHED_OFF}"
-        return text + "".join(f"; {trouble}" for trouble in self._troubles.texts)
-
-    def summary(self, health: Health) -> dict[str, object]:
-        """Content of `summary.json`."""
-        trouble, signing = self.link.trouble, self._signing.signing
-        return {
-            "ticks": self._ticks,
-            "late_ticks": self._late,
-            "stalls": self._stalls,
-            "tick_lateness_ms": {
-                "median": self._lateness.percentile_s(50.0) * 1e3,
-                "p99": self._lateness.percentile_s(99.0) * 1e3,
-                "worst": self._lateness.worst_s * 1e3,
-            },
-            "state": self.onboard.heart.state.value,
-            "frames_sent": health.frames_sent,
-            "frames_heard": health.frames_heard,
-            "bad_frames": health.bad_frames,
-            "broadcasts_refused": self._refused.count,
-            "broadcast_errors": sorted(self._refused.texts),
-            "link_losses": trouble.losses,
-            "link_errors": trouble.errors,
-            "link_sends_dropped": trouble.dropped,
-            "link_discarded": trouble.discarded,
-            "gate_refused": dict(self.onboard.gate.counts),
-            "signing": None if signing is None else dataclasses.asdict(signing.counts),
-            "lines_dropped": self._voice.dropped,
-            "records_dropped": self._run.dropped,
-            "recorder_error": self._run.error,
-            "runs_deleted": self._run.deleted,
-        }
+    # ------------------------------------------------------------ status, record and troubles
 
     def live(self, now_s: float) -> Status:
         """Live state, as `companion status` shows it."""
-        heart, health, trouble = self.onboard.heart, self.radio.health(now_s), self.link.trouble
-        flies = heart.state in HOLDING and now_s - self._decided_s <= _DECIDED_S
-        vehicle = self.onboard.link.vehicle
-        return Status(
-            aircraft=self.config.identity.name,
-            software=__version__,
-            dry_run=self._dry_run,
-            up_s=now_s - self._began_s,
-            vehicle=None if vehicle is None else str(vehicle),
-            link=self.config.vehicle.link,
-            link_up=self.link.up,
-            link_losses=trouble.losses,
-            link_dropped=trouble.dropped,
-            link_errors=trouble.errors,
-            radio=health.text,
-            radio_ok=health.ok,
-            rates={} if self._dry_run else dict(heart.broadcaster.rates),
-            frames_sent=health.frames_sent,
-            frames_heard=health.frames_heard,
-            bad_frames=health.bad_frames,
-            broadcasts_refused=self._refused.count,
-            ticks=self._ticks,
-            late_ticks=self._late,
-            worst_tick_ms=self._lateness.worst_s * 1e3,
-            folder=None if self.folder is None else str(self.folder),
-            recorder_error=self._run.error,
-            records_dropped=self._run.dropped,
-            troubles=self._troubles.texts,
-            said=tuple(self._lines),
-            **heart_status(heart, now_s, self._decision if flies else None),
-        )
+        return self._report.live(now_s, self._counts())
+
+    def _counts(self) -> LoopCounts:
+        return LoopCounts(self._ticks, self._late, self._stalls)
 
     def _record(self, step: Step) -> None:
         for command in step.commands:
@@ -473,7 +392,7 @@ class Flight:
             elif isinstance(command, Say) and command.severity <= Severity.ERROR:
                 self._say(command.text)
             elif isinstance(command, Decision):
-                self._decision, self._decided_s = command, step.now_s
+                self._report.decision, self._report.decided_s = command, step.now_s
         self._run.step(step)
         self._look_after(step.now_s)
 
@@ -481,13 +400,13 @@ class Flight:
         """Report troubles that do not end the flight. In a dry run the pilot receives no reports."""
         troubles = self._troubles
         if self._signing.unread is not None:
-            text = f"signing: {self._signing.unread}; begun at this computer's clock"
+            text = f"signing: {self._signing.unread}; signing starts at this computer's time"
             troubles.note(Trouble.SIGNING_UNREAD, text)
         kept = {
             Trouble.NOT_RECORDED: ("not recording", self._run.error),
             Trouble.SLOW_DISK: ("recording", None if self._run.error else self._run.slow(now_s)),
-            Trouble.SETTINGS_NOT_KEPT: ("settings not kept", self._kept_settings.error),
-            Trouble.SIGNING_NOT_KEPT: ("signing time not kept", self._signing.error),
+            Trouble.SETTINGS_NOT_KEPT: ("settings not saved", self._kept_settings.error),
+            Trouble.SIGNING_NOT_KEPT: ("signing time not saved", self._signing.error),
         }
         for kind, (what, why) in kept.items():
             troubles.note(kind, None if why is None else f"{what}: {why}")

@@ -40,4 +40,4 @@ def scheduling() -> str:
     names = {os.SCHED_FIFO: "FIFO", os.SCHED_RR: "round robin"}
     if policy in names:
         return f"real-time, {names[policy]} {priority}"
-    return f"not real-time (nice {os.getpriority(os.PRIO_PROCESS, 0)}): a busy computer makes ticks late"
+    return f"not real-time (nice {os.getpriority(os.PRIO_PROCESS, 0)}): ticks may be late on a busy computer"

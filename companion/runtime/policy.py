@@ -1,4 +1,4 @@
-"""The policy file: read for the heart (`companion.core`), and checked before flight."""
+"""The policy file: read for the core (`companion.core`), and checked before flight."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from companion.atmc.actions import legal
 from companion.atmc.policy import MAX_BYTES, check_flyable, load
-from companion.config import CHOOSER_WORDS, ArduRemoteIdRadio, Config
+from companion.config import CHOOSER_WORDS, Config
 from companion.errors import ConfigError
 
 RUN_FILE = "policy.safetensors"
@@ -26,10 +26,10 @@ def read_policy(config: Config) -> bytes | None:
         with Path(where).open("rb") as file:
             return file.read(MAX_BYTES + 1)  # one byte more than allowed: enough to refuse a larger file
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not the name of a file"
+        reason = error.strerror if isinstance(error, OSError) else "not a file name"
         raise ConfigError(
-            f"atmc.policy: {where}: cannot be read: {reason}; allowed: the path of a policy file, beside "
-            f"the configuration, or {' or '.join(CHOOSER_WORDS)}"
+            f"atmc.policy: {where}: cannot be read: {reason}; allowed: the path of a policy file, relative "
+            f"to the configuration, or {' or '.join(CHOOSER_WORDS)}"
         ) from error
 
 
@@ -43,12 +43,14 @@ def judge_policy(config: Config) -> list[str]:
     where = config.atmc.policy
     if where is None:
         return []
-    lines = []
-    if any(isinstance(radio, ArduRemoteIdRadio) for radio in config.radio):
-        lines.append("atmc: a module with ArduRemoteID repeats at its own rates; only other radios follow")
+    own = dict.fromkeys(radio.at_own_rates for radio in config.radio if radio.at_own_rates)
+    lines = [
+        f"atmc: {name} repeats messages at its own rates; the choice affects other radios only"
+        for name in own
+    ]
     data = read_policy(config)
     if data is None:
-        return [f"atmc: transports are chosen by the words of atmc.policy: {where}", *lines]
+        return [f'atmc: transports are chosen by the built-in policy "{where}"', *lines]
     policy = load(data, f"atmc.policy: {where}")
     check_flyable(policy)
     m = policy.metadata

@@ -26,7 +26,7 @@ def prepare(config: Config, radios: Radios) -> Prepared:
     """Decide what goes on the air and prepare the radios for it.
 
     Radios that were opened without `sending` are only probed. If the radios only listen, nothing is raised
-    for the law: the vehicle then needs a Remote ID module of its own, and the heart (`companion.core`) waits
+    for the law: the vehicle then needs a Remote ID module of its own, and the core (`companion.core`) waits
     for it.
 
     Raises:

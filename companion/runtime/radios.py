@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from companion.config import (
-    ArduRemoteIdRadio,
-    Config,
-    EtherRadio,
-    HciRadio,
-    NullRadio,
-    RadioConfig,
-    WifiRadio,
-)
+from companion.config import Config
 from companion.errors import ConfigError
 from companion.events import RadioState, RemoteIdHeard
-from companion.radio.arduremoteid.module_radio import ArduRemoteIdTransport
-from companion.radio.ether.ether_radio import EtherTransport
-from companion.radio.frames_io import radio_address
-from companion.radio.hci.hci_radio import HciTransport
-from companion.radio.null import NullTransport
-from companion.radio.radio import Health, Radio
-from companion.radio.wifi.wifi_radio import WifiTransport
+from companion.radio.null.null_radio import NullTransport
+from companion.radio.radio import Health, Radio, RadioContext
+from companion.radio.registry import RadioConfig
 from companion.remote_id.messages import Message
 from companion.remote_id.transports import WIFI_BEACON
 from companion.runtime import clock
@@ -30,8 +19,8 @@ from companion.runtime.links.kept_link import KeptLink
 from companion.runtime.links.open_link import open_link
 
 
-class _ModuleLink:
-    """Adapts a `KeptLink` to the module driver, which reads plain bytes."""
+class _RadioLink:
+    """Adapts a `KeptLink` to drivers of radios, which read plain bytes."""
 
     def __init__(self, link: KeptLink) -> None:
         self.wait, self.send, self.close = link.wait, link.send, link.close
@@ -51,21 +40,13 @@ def open_radio(entry: RadioConfig, name: str) -> Radio:
     Raises:
         ConfigError: the radio cannot be opened. The text says what is missing.
     """
-    address = radio_address(name)
-    match entry:
-        case NullRadio():
-            return NullTransport()
-        case EtherRadio():
-            return EtherTransport(entry.address, name, address)
-        case WifiRadio():
-            return WifiTransport(entry, address)
-        case HciRadio():
-            return HciTransport(entry.channel, address, send=entry.send, listen=entry.listen)
-        case ArduRemoteIdRadio():
-            # Losses of this link need no text of their own: the radio's state shows that the module is
-            # silent.
-            link = KeptLink(entry.link, lambda text: None, partial(open_link, key="link"))
-            return ArduRemoteIdTransport(_ModuleLink(link), entry.system_id, clock.now_s, entry.link)
+    opened: Radio = pkgutil.resolve_name(entry.driver)(entry, RadioContext(name, clock.now_s, _radio_link))
+    return opened
+
+
+def _radio_link(text: str) -> _RadioLink:
+    # Losses of this link need no text of their own: the radio's state shows that it is silent.
+    return _RadioLink(KeptLink(text, lambda text: None, partial(open_link, key="link")))
 
 
 class Radios:
@@ -170,7 +151,7 @@ class Radios:
         """
         able = [radio for radio in self.radios if transport in radio.capabilities]
         if not able:
-            raise ValueError(f"no radio sends on {transport!r}")
+            raise ValueError(f"no radio can send on {transport!r}")
         if self._sending:
             ready = [radio for radio in able if transport in radio.health(now_s).can_send]
             (ready or able)[0].broadcast(transport, messages, now_s)

@@ -47,7 +47,7 @@ def read_key(path: Path) -> bytes:
     if not printable and len(data) == KEY_BYTES:
         return data
     if not printable:
-        raise ConfigError(f"{name}: {len(data)} bytes that are not one line of ASCII; allowed: {_FORMS}")
+        raise ConfigError(f"{name}: {len(data)} bytes that are not one line of ASCII text; allowed: {_FORMS}")
     if all(chr(byte) in _HEX for byte in text) and len(text) >= KEY_BYTES:
         if len(text) != 2 * KEY_BYTES:
             raise ConfigError(f"{name}: {len(text)} hexadecimal digits; a key has {2 * KEY_BYTES}")
@@ -61,11 +61,11 @@ def _private_bytes(path: Path) -> bytes:
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
-                raise ConfigError(f"vehicle.signing_key: {path}: not a file")
+                raise ConfigError(f"vehicle.signing_key: {path}: not a regular file")
             if status.st_mode & 0o077:
                 raise ConfigError(
-                    f"vehicle.signing_key: {path}: mode {stat.S_IMODE(status.st_mode):04o} lets others than "
-                    f"its owner at the key: chmod 600 {path}"
+                    f"vehicle.signing_key: {path}: mode {stat.S_IMODE(status.st_mode):04o} gives other users "
+                    f"access to the key; run chmod 600 {path}"
                 )
             return file.read(_MOST_BYTES)
     except FileNotFoundError as error:

@@ -13,16 +13,13 @@ from typing import Any
 
 from numba.core.caching import NullCache
 
-from companion.avoidance import fence_planes, hard_planes, kernels, programs
-
-_MODULES = (programs, fence_planes, hard_planes, kernels)
+from companion.avoidance import kernels
 
 
 def warm_up() -> float:
     """Compile the kernels, or load them from the cache. Returns the seconds that this took."""
     began = time.perf_counter()
-    pieces = (value for module in _MODULES for value in vars(module).values())
-    past_the_cache(kernels.warm_up, list(pieces))
+    past_the_cache(kernels.warm_up, kernels.FUNCTIONS)
     return time.perf_counter() - began
 
 
@@ -53,7 +50,7 @@ def past_the_cache(compile_all: Callable[[], None], functions: Iterable[object])
 
 def was_compiled() -> bool:
     """Whether the kernels were compiled in this process: the cache is missing or did not hold them."""
-    stats: Any = getattr(kernels.decide, "stats", None)
+    stats: Any = getattr(kernels.decide_plain, "stats", None)
     return not sum(stats.cache_hits.values())
 
 

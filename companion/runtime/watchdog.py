@@ -3,7 +3,7 @@
 A loop that hangs sends no setpoints, so the aircraft no longer avoids anything. The watchdog measures how
 long the process has run without a report from its loop: a thread counts its own wake-ups. A process that is
 stopped, swapped out, suspended with its computer or starved of processor time has no wake-ups either. Such a
-stall, however long, does not end the process: the heart (`companion.core`) sees the gap, faults and
+stall, however long, does not end the process: the core (`companion.core`) sees the gap, faults and
 continues.
 
 Limits of this watchdog: C code that never releases the interpreter lock stops this thread, too; systemd's

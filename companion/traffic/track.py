@@ -6,9 +6,6 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from companion.avoidance import kernels
 from companion.geometry import Vec3
 from companion.remote_id.messages import Location
@@ -19,12 +16,6 @@ from companion.traffic.sender_details import About
 _CLOCKLESS_S = 0.5
 ESTABLISHED = 3
 """Number of messages from which a track is established. A full table removes established tracks last."""
-
-
-def _no_past() -> NDArray[np.float64]:
-    past = np.zeros(kernels.TRACK_ENTRIES)
-    past[kernels.T_TIME] = -math.inf
-    return past
 
 
 @dataclass(slots=True, eq=False)
@@ -62,8 +53,8 @@ class Track:
     vouched_s: float = -math.inf
     """When a signature of its key was last valid (our monotonic time)."""
     messages: int = 1
-    past: NDArray[np.float64] = field(default_factory=_no_past)
-    """State of `kernels.note_track`, of TRACK_ENTRIES values."""
+    past: kernels.Past = kernels.NO_PAST
+    """Memory of `kernels.note_track`."""
     past_vertical: bool = False
     """Whether `past` includes heights."""
     past_clocked: bool = False
@@ -91,15 +82,16 @@ class Track:
         past, p, v = self.past, self.position_ned_m, self.velocity_ned_mps
         clocked = fix.stamp_s is not None
         if clocked != self.past_clocked:
-            past[kernels.T_TIME], self.past_clocked = -math.inf, clocked
+            past, self.past_clocked = past._replace(time_s=-math.inf), clocked
         down, sinking = (p[2], v[2]) if self.vertical_known else (0.0, 0.0)
         if self.vertical_known != self.past_vertical:
             # A height that becomes known or unknown is no manoeuvre.
-            past[kernels.T_POSITION + 2], past[kernels.T_VELOCITY + 2] = down, 0.0
+            past = past._replace(d=down, vd=0.0)
             self.past_vertical = self.vertical_known
         at_s = self.sample_s if fix.stamp_s is None else fix.stamp_s
         sigma = self.sigma_m if clocked else math.hypot(self.sigma_m, _CLOCKLESS_S * math.hypot(*v))
-        kernels.note_track(past, at_s, p[0], p[1], down, v[0], v[1], sinking, sigma)
+        noted = kernels.note_track(tuple(past), at_s, (p[0], p[1], down), (v[0], v[1], sinking), sigma)
+        self.past = kernels.Past._make(noted)
 
     @property
     def flags(self) -> frozenset[Flag]:
@@ -150,10 +142,9 @@ def from_positions(track: Track, fix: Fix, sample_s: float) -> tuple[Vec3, bool]
     rate.
     """
     past = track.past
-    elapsed = (sample_s if fix.stamp_s is None else fix.stamp_s) - past[kernels.T_TIME]
+    elapsed = (sample_s if fix.stamp_s is None else fix.stamp_s) - past.time_s
     if not 0.5 <= elapsed < math.inf or track.past_clocked != (fix.stamp_s is not None):
         return track.velocity_ned_mps, track.velocity_known
-    north, east, down = (float(c) for c in past[kernels.T_POSITION : kernels.T_VELOCITY])
     p = fix.position
-    sinking = (p[2] - down) / elapsed if track.past_vertical and fix.vertical_known else 0.0
-    return ((p[0] - north) / elapsed, (p[1] - east) / elapsed, sinking), True
+    sinking = (p[2] - past.d) / elapsed if track.past_vertical and fix.vertical_known else 0.0
+    return ((p[0] - past.n) / elapsed, (p[1] - past.e) / elapsed, sinking), True

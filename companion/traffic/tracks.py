@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from companion.avoidance.kernels import T_GROWTH, silent_after
+from companion.avoidance.kernels import silent_after
 from companion.avoidance.law import Neighbour
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard, TrackFlagged
@@ -29,6 +29,7 @@ from companion.remote_id.messages import Authentication, BasicId, IdType, Locati
 from companion.traffic.doubts import Judge
 from companion.traffic.eviction import Ranking
 from companion.traffic.fix import Fix, make_fix
+from companion.traffic.own_flight import OwnFlight
 from companion.traffic.plausibility import Flag, MotionWindow, status_doubts
 from companion.traffic.reception import Reception
 from companion.traffic.right_of_way import rank_of, share_of
@@ -43,17 +44,6 @@ _TRACKS_PER_IDENTITY = 16
 """Most tracks of one identity. Among this many forged copies a second, the owner of the identity still
 becomes established with one message a second."""
 _LEADS = 5
-_ECHO_M = 5.0
-_ECHO_S = 0.5
-_ECHO_HIGH_M = 10.0
-_ECHO_MPS = 3.0
-"""Tolerances within which a message with our identity counts as our own, compared with our own flight.
-`_ECHO_M` allows for two receivers on one aircraft, `_ECHO_S` (times the own speed) for two clocks; the others
-are for height and velocity. Beyond them the message is from another aircraft, which is avoided."""
-_ECHO_DELAY_S = 3.0
-"""Greatest delay of an own frame without a timestamp: some radios repeat the last frame."""
-_OWN_SPACING_S = 0.25
-_OWN_SAMPLES = 100
 _JOINED_WITHIN_M = 15.0
 """Two tracks are merged only if they are this near to each other. An aircraft's positions on two transports
 come from one GNSS receiver. With a larger distance, a sender with a copied identity could remove another's
@@ -106,13 +96,11 @@ class Traffic:
         self._judge = Judge(own_uas_id, self.tracks, Verifier(config.keys) if config.keys else None)
         self._split_number = 1
         """Number of the last split track. It only increases, so that no track id is tried twice."""
-        self._own: deque[tuple[float, Vec3, Vec3]] = deque(maxlen=_OWN_SAMPLES)
-        """Own state: time (our monotonic time), position and velocity (local NED)."""
+        self._own = OwnFlight()
 
     def note_own(self, now_s: float, position: Vec3, velocity: Vec3) -> None:
         """Store the own state (local NED), to recognise echoes of own messages and to rank tracks."""
-        if not self._own or now_s - self._own[-1][0] >= _OWN_SPACING_S:
-            self._own.append((now_s, position, velocity))
+        self._own.note(now_s, position, velocity)
 
     def hear(
         self,
@@ -187,8 +175,8 @@ class Traffic:
                 max(0.0, now_s - t.sample_s),
                 t.sigma_m,
                 t.sigma_mps,
-                float(t.past[T_GROWTH]),
-                now_s - t.received_s > silent_after(t.past),
+                t.past.growth_mps,
+                now_s - t.received_s > silent_after(t.past.gap_s),
                 share_of(self._own_rank, _rank(t)),
                 t.vertical_known,
             )
@@ -218,15 +206,12 @@ class Traffic:
 
     def _rank(self, track: Track) -> None:
         fresh = track.messages < ESTABLISHED
-        self._ranking.place(track.track_id, fresh, math.dist(track.position_ned_m, self._own_position()))
+        self._ranking.place(track.track_id, fresh, math.dist(track.position_ned_m, self._own.position))
 
     def _of(self, source: Source) -> list[Track]:
         """Tracks that this address feeds."""
         twins = self._by_identity.get(source.identity or source.key, ())
         return [t for t in twins if source.key in t.sources]
-
-    def _own_position(self) -> Vec3:
-        return self._own[-1][1] if self._own else (0.0, 0.0, 0.0)
 
     # ------------------------------------------------------------ names
 
@@ -282,7 +267,7 @@ class Traffic:
     # ------------------------------------------------------------ one Location
 
     def _is_implausible(self, fix: Fix) -> bool:
-        (north, east, _), (own_north, own_east, _) = fix.position, self._own_position()
+        (north, east, _), (own_north, own_east, _) = fix.position, self._own.position
         if math.hypot(north - own_north, east - own_east) > _MAX_RANGE_M:
             return True
         return fix.velocity is not None and math.hypot(*fix.velocity) > self.config.max_speed_mps
@@ -304,7 +289,7 @@ class Traffic:
         known = self._by_identity.get(identity, [])
         track, away = self._match(known, source, fix, now_s)
         ours = identity == self.own_uas_id or source.about.address in self.own_addresses
-        if ours and self._from_us(fix, now_s) < away:
+        if ours and self._own.distance_m(fix, now_s) < away:
             self.counts.own_echo += 1
             return None
         if track is None:
@@ -340,32 +325,6 @@ class Traffic:
             self._rank(track)
         self.counts.updates += 1
         return track
-
-    def _from_us(self, fix: Fix, now_s: float) -> float:
-        """Horizontal distance (m) of a fix from our own position then; infinite if it does not match our
-        flight.
-
-        A fix that matches is an echo of our own broadcast or from a second own transmitter. An aircraft with
-        our identity that flies next to us, above us or towards us is another aircraft and must be tracked.
-        """
-        least = math.inf
-        stamp_s = fix.stamp_s
-        samples = [own for own in self._own if now_s - own[0] <= _ECHO_DELAY_S]
-        if stamp_s is not None and self._own:
-            samples = [min(self._own, key=lambda own: abs(own[0] - stamp_s))]
-        for at_s, place, velocity in samples:
-            along = 0.0 if stamp_s is None else stamp_s - at_s
-            north = place[0] + along * velocity[0] - fix.position[0]
-            east = place[1] + along * velocity[1] - fix.position[1]
-            away = math.hypot(north, east)
-            if away > _ECHO_M + _ECHO_S * math.hypot(*velocity):
-                continue
-            if fix.vertical_known and abs(place[2] - fix.position[2]) > _ECHO_HIGH_M:
-                continue
-            if fix.velocity is not None and math.dist(velocity, fix.velocity) > _ECHO_MPS:
-                continue
-            least = min(least, away)
-        return least
 
     def _match(
         self, known: list[Track], source: Source, fix: Fix, now_s: float
@@ -451,12 +410,12 @@ class Traffic:
         """
         if track.messages < ESTABLISHED:
             return True, -track.received_s
-        return False, math.dist(track.position_ned_m, self._own_position())
+        return False, math.dist(track.position_ned_m, self._own.position)
 
     def _make_room(self, fix: Fix) -> bool:
         """Remove one track for a new one: fresh tracks before established ones, the farthest first. False if
         the new one is farther away than that track."""
-        own = self._own_position()
+        own = self._own.position
         victim = self.tracks[self._ranking.first()]
         if math.dist(victim.position_ned_m, own) < math.dist(fix.position, own):
             return False

@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from companion import config, geometry
+from companion.arrays import Bools, Floats
 from companion.avoidance import kernels, law, trajectory
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
@@ -30,8 +30,6 @@ from ground_tools.campaign.world import W_PERIOD, World
 from ground_tools.common.kept_lines import Kept
 from sitl_mocks.encounters import scenario
 
-Table = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Law = Literal["dmuca", "paper", "none"]
 LAWS: dict[Law, AvoidanceConfig] = {
     "dmuca": AvoidanceConfig(),
@@ -158,21 +156,18 @@ class Look:
     avoidance: AvoidanceConfig
     limits: tuple[LimitsConfig, ...]
     """Limits of each aircraft."""
-    fence: NDArray[np.float64]
+    fence: Floats
     """The argument `fence` of `kernels.decide`."""
-    times: NDArray[np.float64]
+    times: Floats
     """(A, K): times of the paths, s."""
-    points: NDArray[np.float64]
+    points: Floats
     """(A, K, 3): waypoints of the paths, NED, m."""
-    kinds: NDArray[np.float64]
+    kinds: Floats
     """(A,): `vehicles.AVOIDS`, or another kind of aircraft."""
-    trace: NDArray[np.float64]
+    trace: Floats
     """(steps, A, 3): true positions at the end of each step."""
-    decided: NDArray[np.float64]
-    """(decisions, A, flight.DECIDED_COLUMNS): own state and result of each decision."""
-    seen: NDArray[np.float64]
-    """(decisions, A, A, flight.SEEN_COLUMNS): the other aircraft at each decision; NaN where no message was
-    received."""
+    log: flight.Log
+    """Every decision of every aircraft."""
 
 
 def fly(cell: Cell, seeds: Sequence[int]) -> list[Row]:
@@ -206,9 +201,15 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         points[crewed] = _crewed_ways(times, points, crewed, seed)
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
     limits = [_limits(cell, path, kind) for path, kind in zip(paths, kinds.tolist(), strict=True)]
-    settings = np.array([settings_of(avoidance, *own) for own in zip(limits, paths, strict=True)])
-    fence = _fence_beside(points) if cell.world == "fence" else np.zeros((0, kernels.WALL_COLUMNS))
-    settings[kinds != vehicles.AVOIDS, kernels.S_LAW] = kernels.NONE
+    settings = np.array(
+        [
+            own if kind == vehicles.AVOIDS else own._replace(law=kernels.NONE)
+            for own, kind in zip(
+                map(settings_of, [avoidance] * len(paths), limits, paths), kinds, strict=True
+            )
+        ]
+    )
+    fence = _fence_beside(points) if cell.world == "fence" else kernels.NO_WALLS
     world = msgspec.structs.replace(
         WORLDS[cell.world],
         start_s=float(times.min()),
@@ -219,8 +220,7 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
     n, row = cell.aircraft, world.row(avoidance.period_s)
     steps = round((world.end_s - world.start_s) / world.step_s) if looked else 0
     decisions = math.ceil(steps / row[W_PERIOD])
-    trace, decided = np.zeros((steps, n, 3)), np.zeros((decisions, n, flight.DECIDED_COLUMNS))
-    seen = np.full((decisions, n, n, flight.SEEN_COLUMNS), math.nan)
+    trace, log = np.zeros((steps, n, 3)), flight.new_log(n, decisions)
     pairs, result = np.zeros((n, n, outcome.PAIR_ENTRIES)), np.zeros(outcome.FLIGHT_ENTRIES)
     rng = np.random.default_rng([seed, 7])
     if cell.twins:
@@ -230,12 +230,12 @@ def _fly(cell: Cell, seed: int, *, looked: bool) -> Look:
         ]
         twin_flight.fly(rng, row, times, points, fence, settings, kinds, laws, pairs, result)
     else:
-        flight.fly(rng, row, times, points, fence, settings, kinds, trace, decided, seen, pairs, result)
+        flight.fly(rng, row, times, points, fence, settings, kinds, trace, log, pairs, result)
     found = _row(seed, result, pairs[np.tril_indices(n, -1)])
-    return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, decided, seen)
+    return Look(found, world, avoidance, tuple(limits), fence, times, points, kinds, trace, log)
 
 
-def _row(seed: int, result: NDArray[np.float64], pairs: NDArray[np.float64]) -> Row:
+def _row(seed: int, result: Floats, pairs: Floats) -> Row:
     values: list[Any] = [round(value, 4) for value in result.tolist()]
     for entry in (outcome.F_FIRST, outcome.F_SECOND):
         values[entry] = int(result[entry])
@@ -257,7 +257,7 @@ def _limits(cell: Cell, path: Trajectory, kind: float) -> LimitsConfig:
     return LimitsConfig(max_speed_mps=speed)
 
 
-def _crewed_ways(times: Table, points: Table, crewed: Flags, seed: int) -> Table:
+def _crewed_ways(times: Floats, points: Floats, crewed: Bools, seed: int) -> Floats:
     """Waypoints of the crewed aircraft: level and straight at `CREWED_MPS` through the mean position of the
     others at the middle of the flight, with random headings.
 
@@ -273,11 +273,11 @@ def _crewed_ways(times: Table, points: Table, crewed: Flags, seed: int) -> Table
     ]
     heading = rng.uniform(0.0, 2.0 * math.pi, crewed.sum())
     way = CREWED_MPS * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
-    ways: Table = np.mean(others, axis=0) + (times[crewed] - middle)[:, :, None] * way[:, None]
+    ways: Floats = np.mean(others, axis=0) + (times[crewed] - middle)[:, :, None] * way[:, None]
     return ways
 
 
-def _fence_beside(points: Table) -> Table:
+def _fence_beside(points: Floats) -> Floats:
     """One inclusion area with a border beside all paths and parallel to them, to the right of the first one.
 
     Raises:
@@ -288,14 +288,16 @@ def _fence_beside(points: Table) -> Table:
     right = np.array([-along[1], along[0]])
     aside = points[:, :, :2] @ right
     if np.ptp(aside) > 2.0 * FENCE_ASIDE_M:
-        raise ConfigError('world "fence": the paths must go along one line: head-on or overtaking')
+        raise ConfigError(
+            "--world: fence: the paths must be along one line; allowed: head-on or overtaking encounters"
+        )
     edge = aside.max() + FENCE_ASIDE_M
     corners = [
         sign * _FAR_M * along + offset * right
         for sign, offset in ((1.0, edge), (-1.0, edge), (-1.0, -_FAR_M), (1.0, -_FAR_M))
     ]
     around = zip(corners, (*corners[1:], corners[0]), strict=True)
-    return np.array([(0.0, kernels.IN_POLYGON, *a, *b) for a, b in around])
+    return np.array([kernels.Wall(0.0, kernels.IN_POLYGON, a[0], a[1], b[0], b[1], 0.0) for a, b in around])
 
 
 def kept(folder: Path, cell: Cell) -> Kept[Row]:

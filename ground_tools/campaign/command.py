@@ -50,73 +50,116 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     command = commands.add_parser(
         "run",
-        help="one kind of encounter, beside the same without avoidance",
-        description="Fly encounters with the companion's law and, for the risk ratio, the same ones without.",
+        help="fly one kind of encounter, with and without avoidance",
+        description="Fly random encounters with avoidance and, for the risk ratio, the same ones without it.",
         epilog="example: ground-tools campaign run --generator S2 --aircraft 5 --delay 1 2 --seeds 1-1000",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    command.add_argument("--generator", required=True, choices=NAMES, metavar="NAME", help=", ".join(NAMES))
-    command.add_argument("--aircraft", type=int, default=5, metavar="N", help="default: 5")
-    command.add_argument("--delay", type=float, nargs=2, default=(0.0, 1.0), metavar=("A", "B"),
-                         help="of each message, drawn from A to B seconds (default: 0 1)")  # fmt: skip
-    command.add_argument(
-        "--law", choices=("dmuca", "paper"), default="dmuca", help="who avoids (default: dmuca)"
-    )
-    command.add_argument("--speed", type=float, default=5.0, metavar="M/S", help="greatest (default: 5)")
-    command.add_argument("--loss", type=float, default=0.0, metavar="SHARE", help="of messages (default: 0)")
-    command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
-                         help="of aircraft that do not avoid (default: 0)")  # fmt: skip
-    command.add_argument("--intruder", choices=_INTRUDERS, default="blind", metavar="KIND",
-                         help=f"what those do: {', '.join(_INTRUDERS)} (default: blind)")  # fmt: skip
-    command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
-                         help=f"{', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
-    command.add_argument("--no-reserve", action="store_true", help="nobody can fly faster than planned")
-    _add_common(command, "1-100")
-    command.add_argument("--worst", type=int, default=0, metavar="N",
-                         help="fly the N of least separation again, into run folders")  # fmt: skip
-    command.add_argument(
-        "--runs", type=Path, default=Path("runs"), metavar="FOLDER", help="of those (default: runs)"
-    )
-    command.add_argument("--json", action="store_true", help="one JSON object")
-    command.set_defaults(run=run)
+    _add_run(command)
     command = commands.add_parser(
         "table",
-        help="many kinds of encounters, a line for each, as Markdown",
-        description="Fly every cell of a table, and each unavoided. A table's numbers are kept in FILE.",
+        help="fly the encounters of a table and print it as Markdown",
+        description="Fly all encounters of a table with and without avoidance; print a line for each kind.",
         epilog="example: ground-tools campaign table generators --seeds 1-1000 --out runs/campaign",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    command.add_argument("table", choices=tables.TABLES, metavar="TABLE", help=", ".join(tables.TABLES))
-    _add_common(command, "1-1000")
-    command.add_argument("--file", type=Path, metavar="FILE", help="for the table's numbers, as JSON")
-    command.set_defaults(run=run_table)
+    _add_table(command)
     command = commands.add_parser(
         "fences",
-        help="attacks on fences: random areas and neighbours that press out of them",
-        description="Fly single aircraft in random fences, with neighbours honest, turning and made up.",
+        help="attack fences: random areas, and neighbours that push the aircraft out",
+        description="Fly single aircraft in random fences, with no, honest, turning or invented neighbours.",
         epilog="example: ground-tools campaign fences --seeds 1-2000 --noisy",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    command.add_argument("--seeds", default="1-2000", metavar="FROM-TO", help="default: 1-2000")
-    command.add_argument("--noisy", action="store_true", help="with the error of GNSS")
-    command.add_argument("--outside", action="store_true", help="they begin beyond a border")
-    command.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
+    _add_fences(command)
+
+
+def _add_run(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--generator", required=True, choices=NAMES, metavar="NAME",
+                         help=f"kind of encounter: {', '.join(NAMES)}")  # fmt: skip
+    command.add_argument(
+        "--aircraft", type=int, default=5, metavar="N", help="number of aircraft (default: 5)"
+    )
+    command.add_argument("--delay", type=float, nargs=2, default=(0.0, 1.0), metavar=("A", "B"),
+                         help="delay of each message, drawn from A to B seconds (default: 0 1)")  # fmt: skip
+    command.add_argument(
+        "--law",
+        choices=("dmuca", "paper"),
+        default="dmuca",
+        help="avoidance law: ours (dmuca) or the paper's (default: dmuca)",
+    )
+    command.add_argument(
+        "--speed", type=float, default=5.0, metavar="M/S", help="greatest speed (default: 5)"
+    )
+    command.add_argument(
+        "--loss",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="share of messages that are lost, 0 to 1 (default: 0)",
+    )
+    command.add_argument("--intruders", type=float, default=0.0, metavar="SHARE",
+                         help="share of aircraft that are intruders, 0 to 1 (default: 0)")  # fmt: skip
+    command.add_argument("--intruder", choices=_INTRUDERS, default="blind", metavar="KIND",
+                         help=f"kind of intruder: {', '.join(_INTRUDERS)} (default: blind)")  # fmt: skip
+    command.add_argument("--world", choices=campaign.WORLDS, default="calm", metavar="NAME",
+                         help=f"conditions: {', '.join(campaign.WORLDS)} (default: calm)")  # fmt: skip
+    command.add_argument(
+        "--no-reserve", action="store_true", help="limit every aircraft to its planned speed"
+    )
+    _add_common(command, "1-100")
+    command.add_argument("--worst", type=int, default=0, metavar="N",
+                         help="write run folders of the N encounters of least separation")  # fmt: skip
+    command.add_argument(
+        "--runs",
+        type=Path,
+        default=Path("runs"),
+        metavar="FOLDER",
+        help="parent of the run folders of --worst (default: runs)",
+    )
+    command.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    command.set_defaults(run=run)
+
+
+def _add_table(command: argparse.ArgumentParser) -> None:
+    command.add_argument("table", choices=tables.TABLES, metavar="TABLE",
+                         help=f"one of {', '.join(tables.TABLES)}")  # fmt: skip
+    _add_common(command, "1-1000")
+    command.add_argument("--file", type=Path, metavar="FILE", help="also write the table's numbers as JSON")
+    command.set_defaults(run=run_table)
+
+
+def _add_fences(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--seeds", default="1-2000", metavar="FROM-TO",
+                         help="range of seeds, one flight each (default: 1-2000)")  # fmt: skip
+    command.add_argument("--noisy", action="store_true", help="simulate the position error of GNSS")
+    command.add_argument("--outside", action="store_true", help="let the aircraft begin outside")
+    command.add_argument(
+        "--processes", type=int, metavar="N", help="worker processes (default: one per core)"
+    )
     command.set_defaults(run=run_fences)
 
 
 def _add_common(command: argparse.ArgumentParser, seeds: str) -> None:
-    command.add_argument("--seeds", default=seeds, metavar="FROM-TO", help=f"default: {seeds}")
+    command.add_argument(
+        "--seeds",
+        default=seeds,
+        metavar="FROM-TO",
+        help=f"range of seeds, one encounter each (default: {seeds})",
+    )
     command.add_argument(
         "--out",
         type=Path,
         metavar="FOLDER",
-        help="keep what is flown there, and do not fly again what is (default: nowhere)",
+        help="keep results in this folder, and do not repeat flights whose results are there",
     )
-    command.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
+    command.add_argument(
+        "--processes", type=int, metavar="N", help="worker processes (default: one per core)"
+    )
     command.add_argument(
         "--ray",
         metavar="ADDRESS",
-        help="fly on a Ray cluster: HOST:PORT from a machine of it, ray://HOST:PORT from elsewhere",
+        help="fly on a Ray cluster: HOST:PORT on a machine of the cluster, ray://HOST:PORT elsewhere",
     )
 
 
@@ -240,7 +283,7 @@ def _work(args: argparse.Namespace, words: Console) -> Work:
 
         return here
     if args.processes is not None:
-        raise ConfigError("--processes: goes without --ray: a cluster has the CPUs that it has")
+        raise ConfigError("--processes cannot be combined with --ray, which uses all CPUs of the cluster")
     return lambda parts: on_ray(_fly, parts, args.ray, _state, words)
 
 
@@ -311,9 +354,11 @@ def _cell(args: argparse.Namespace) -> Cell:
         ("intruders", args.intruders, 0.0, 1.0),
     ):
         if not least <= value <= most:
-            raise ConfigError(f"--{key}: {value:g}: allowed {least:g} to {most:g}")
+            raise ConfigError(f"--{key}: {value:g} is out of range; allowed: {least:g} to {most:g}")
     if not 0.0 <= low <= high <= 60.0:
-        raise ConfigError(f"--delay: {low:g} {high:g}: allowed are two rising numbers from 0 to 60")
+        raise ConfigError(
+            f"--delay: {low:g} {high:g} is not allowed; allowed: two rising numbers from 0 to 60"
+        )
     return Cell(
         generator=args.generator,
         aircraft=args.aircraft,
@@ -330,11 +375,11 @@ def _cell(args: argparse.Namespace) -> Cell:
 
 def _check_worst(args: argparse.Namespace) -> None:
     if not 0 <= args.worst <= _MOST_WORST:
-        raise ConfigError(f"--worst: {args.worst}: allowed 0 to {_MOST_WORST}")
+        raise ConfigError(f"--worst: {args.worst} is out of range; allowed: 0 to {_MOST_WORST}")
     if args.worst and args.aircraft > run_folder.MOST_AIRCRAFT:
         raise ConfigError(
-            f"--worst: goes with up to {run_folder.MOST_AIRCRAFT} aircraft; a run folder of "
-            f"{args.aircraft} is too large"
+            f"--worst: a run folder of {args.aircraft} aircraft is too large; "
+            f"allowed: up to {run_folder.MOST_AIRCRAFT} aircraft"
         )
 
 
@@ -343,24 +388,26 @@ def _check_twins(args: argparse.Namespace, cell: Cell) -> None:
         return
     if args.worst:
         raise ConfigError(
-            f"--worst: goes without --intruder {cell.intruder}: whose track is whose is not known"
+            f"--worst cannot be combined with --intruder {cell.intruder}: a run folder cannot tell "
+            "the tracks of such intruders apart"
         )
     if campaign.WORLDS[cell.world].blackout_s > 0.0:
-        raise ConfigError(f"--world: {cell.world}: goes without --intruder {cell.intruder}")
+        raise ConfigError(f"--world {cell.world} cannot be combined with --intruder {cell.intruder}")
 
 
 def _seeds(text: str) -> range:
     match = re.fullmatch(r"(\d+)-(\d+)", text)
     if match is None or not int(match[1]) <= int(match[2]) < int(match[1]) + _MOST_SEEDS:
         raise ConfigError(
-            f"--seeds: {text}: allowed is FROM-TO, rising, {_MOST_SEEDS:,} at most, such as 1-100"
+            f"--seeds: {text} is not allowed; "
+            f"allowed: a rising range of at most {_MOST_SEEDS:,} seeds, such as 1-100"
         )
     return range(int(match[1]), int(match[2]) + 1)
 
 
 def _processes(asked: int | None) -> int:
     if asked is not None and not 1 <= asked <= 1024:
-        raise ConfigError(f"--processes: {asked}: allowed 1 to 1024")
+        raise ConfigError(f"--processes: {asked} is out of range; allowed: 1 to 1024")
     return asked or os.cpu_count() or 1
 
 
@@ -371,25 +418,27 @@ def _show(cell: Cell, report: dict[str, Any], words: Console) -> None:
     lines = [
         f"{cell.generator}, {cell.aircraft} aircraft, law {cell.law}, delays {low:g} to {high:g} s: "
         f"{r['runs']} runs",
-        f"lost separation ({campaign.SEPARATION_M:g} m): {r['losses_of_separation']}, collisions: "
-        f"{r['collisions']}; unavoided {r['unavoided_losses_of_separation']}, {r['unavoided_collisions']}",
+        f"runs that lost separation ({campaign.SEPARATION_M:g} m): {r['losses_of_separation']}, with a "
+        f"collision: {r['collisions']}; without avoidance: {r['unavoided_losses_of_separation']} and "
+        f"{r['unavoided_collisions']}",
     ]
     if r["risk_ratio"] is not None:
         at_least, at_most = r["risk_ratio_interval"]
-        lines.append(f"risk ratio {r['risk_ratio']:.4f} (95 %: {at_least:.4f} to {at_most:.4f})")
+        lines.append(f"risk ratio: {r['risk_ratio']:.4f} (95 % interval: {at_least:.4f} to {at_most:.4f})")
     if r["mean_severity"] is not None:
         lines.append(f"severity of the losses: mean {r['mean_severity']:.2f}, worst {r['max_severity']:.2f}")
     lines += [
         f"least separation: {r['min_separation_m']:.2f} m (seed {r['worst_seed']}), "
-        f"median {r['median_min_separation_m']:.2f} m; unavoided median "
+        f"median {r['median_min_separation_m']:.2f} m; median without avoidance "
         f"{r['unavoided_median_min_separation_m']:.2f} m",
         f"medians: largest deviation {r['median_max_deviation_m']:.1f} m, "
-        f"away for {r['median_away_s']:.1f} s, "
-        f"path delayed by {r['median_lost_s']:.1f} s, way flown {r['median_path_ratio']:.3f} of the planned",
-        f"back at the timed point {_seconds(r['median_recovery_s'])} after the last conflict (median), "
-        f"not at all in {r['not_recovered']}",
-        f"pairs in conflict: {r['alerts']:,}, of them false (apart unavoided, too): {r['false_alerts']:,}",
-        f"{r['flight_s']:,.0f} s flown in {r['wall_s']:.1f} s",
+        f"away from the path for {r['median_away_s']:.1f} s, path delayed by {r['median_lost_s']:.1f} s, "
+        f"distance flown {r['median_path_ratio']:.3f} of the planned distance",
+        f"return to the timed point: {_seconds(r['median_recovery_s'])} after the last conflict (median); "
+        f"no return in {r['not_recovered']} runs",
+        f"pairs in conflict: {r['alerts']:,}; of these false (also apart without avoidance): "
+        f"{r['false_alerts']:,}",
+        f"{r['flight_s']:,.0f} s of flight computed in {r['wall_s']:.1f} s",
     ]
     lines += [f"seed {w['seed']}: {w['separation_m']:.2f} m: {w['folder']}" for w in r["worst"]]
     for line in lines:

@@ -9,22 +9,25 @@ from typing import Any, TypeVar, cast
 
 from numba import config, njit
 
-from companion.avoidance import compiled as avoidance
-from companion.avoidance import law
+from companion.avoidance import kernels, law
 from companion.traffic import adsb, right_of_way
 
 Function = TypeVar("Function")
 SOURCES = (
-    *avoidance.SOURCES,
+    *kernels.SOURCES,
     *(Path(str(module.__file__)) for module in (law, adsb, right_of_way)),
     *(Path(__file__).with_name(f"{name}.py") for name in ("world", "vehicles", "outcome")),
 )
 """Source files whose functions and constants are compiled into functions of other files."""
 _STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 
 def compiled(**options: Any) -> Callable[[Function], Function]:
     """numba's `njit` with a separate cache folder for each state of the law and the world.
+
+    As in the kernels, numba's memory runtime is off, unless `_nrt` says otherwise: functions that allocate do
+    not compile, and no time is spent on counting references to arrays.
 
     numba's own cache checks only the file of the function that is called, but the code compiled here also
     contains functions and constants of other files.
@@ -34,7 +37,7 @@ def compiled(**options: Any) -> Callable[[Function], Function]:
         held = vars(config)["CACHE_DIR"]
         vars(config)["CACHE_DIR"] = str(Path(__file__).parent / "__pycache__" / _STATE)
         try:
-            return cast(Function, njit(cache=True, error_model="numpy", **options)(function))
+            return cast(Function, njit(cache=True, **(_OPTIONS | options))(function))
         finally:
             vars(config)["CACHE_DIR"] = held
 

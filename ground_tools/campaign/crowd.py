@@ -15,14 +15,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
 from ground_tools.campaign.compiled import compiled
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
-_compiled = compiled(_nrt=False)
+_compiled = compiled()
 
 FARTHEST = 1e6
 """Largest accepted coordinate, in multiples of the reach."""
@@ -40,19 +38,17 @@ def _cube(x: float, width: float, side: int) -> int:
 
 
 @_compiled
-def _urgency(
-    px: float, py: float, pz: float, vx: float, vy: float, vz: float, radius: float, tau: float
-) -> float:
+def _urgency(p: k.Vector, v: k.Vector, radius: float, tau: float) -> float:
     """Key by which neighbours are ranked, lowest first; computed without a branch.
 
     Overlapping neighbours come first, by depth (at most 0). Next come those whose volume would be entered
     within tau at the current velocities, by the time until then, and then all others, by distance. Ranking by
     distance alone would drop a fast, distant neighbour.
     """
-    p2 = px * px + py * py + pz * pz
+    p2 = k.dot(p, p)
     gap2 = p2 - radius * radius
-    closing = px * vx + py * vy + pz * vz
-    root2 = closing * closing - (vx * vx + vy * vy + vz * vz) * gap2
+    closing = k.dot(p, v)
+    root2 = closing * closing - k.dot(v, v) * gap2
     t = gap2 / (closing + math.sqrt(max(root2, 0.0)))
     meets = (closing > 0.0) & (root2 >= 0.0) & (t <= tau)
     later = t if meets else tau + p2
@@ -60,7 +56,7 @@ def _urgency(
 
 
 @_compiled
-def _first(place: Array, key: Array, near: Integers, slot: int, urgency: float, j: int) -> bool:
+def _first(place: Floats, key: Floats, near: Integers, slot: int, urgency: float, j: int) -> bool:
     """Whether row j ranks before the row in a slot. Equally urgent rows are ordered by position and velocity,
     never by their number."""
     if urgency != key[slot]:
@@ -72,7 +68,7 @@ def _first(place: Array, key: Array, near: Integers, slot: int, urgency: float, 
 
 
 @_compiled
-def _within(row: int, begin: int, end: int, place: Array, reach2: float, near: Integers, count: int) -> int:
+def _within(row: int, begin: int, end: int, place: Floats, reach2: float, near: Integers, count: int) -> int:
     """Append those of the rows from `begin` to `end` that are within reach of `row`, which may include `row`
     itself, to the first `count` entries of `near`. Returns the new count."""
     x, y, z = place[row, 0], place[row, 1], place[row, 2]
@@ -84,8 +80,23 @@ def _within(row: int, begin: int, end: int, place: Array, reach2: float, near: I
 
 
 @_compiled
+def _between(place: Floats, row: int, j: int) -> tuple[k.Vector, k.Vector]:
+    """Position of row j minus that of `row`, and velocity of `row` minus that of row j."""
+    p = k.Vector(place[j, 0] - place[row, 0], place[j, 1] - place[row, 1], place[j, 2] - place[row, 2])
+    v = k.Vector(place[row, 3] - place[j, 3], place[row, 4] - place[j, 4], place[row, 5] - place[j, 5])
+    return p, v
+
+
+@_compiled
 def _neighbours(
-    row: int, start: Integers, place: Array, limits: Array, side: int, most: int, key: Array, near: Integers
+    row: int,
+    start: Integers,
+    place: Floats,
+    limits: Floats,
+    side: int,
+    most: int,
+    key: Floats,
+    near: Integers,
 ) -> int:
     """Write the most urgent rows within reach of `row` to `near`, most urgent first. Returns their number."""
     reach2, width = limits[C_REACH] * limits[C_REACH], limits[C_REACH] * _WIDER
@@ -105,12 +116,8 @@ def _neighbours(
             elif cz == side - 1:
                 count = _within(row, start[base], start[base + 1], place, reach2, near, count)
     for m in range(count):
-        j = near[m]
-        key[m] = _urgency(
-            place[j, 0] - x, place[j, 1] - y, place[j, 2] - z,
-            place[row, 3] - place[j, 3], place[row, 4] - place[j, 4], place[row, 5] - place[j, 5],
-            limits[C_RADIUS], limits[C_HORIZON],
-        )  # fmt: skip
+        p, v = _between(place, row, near[m])
+        key[m] = _urgency(p, v, limits[C_RADIUS], limits[C_HORIZON])
     found = 0
     for m in range(count):
         urgency, j = key[m], near[m]
@@ -130,8 +137,8 @@ def _neighbours(
 
 @_compiled
 def _sort(
-    position: Array, velocity: Array, width: float, side: int, cell: Integers, start: Integers, place: Array,
-    who: Integers,
+    position: Floats, velocity: Floats, width: float, side: int, cell: Integers, start: Integers,
+    place: Floats, who: Integers,
 ) -> None:  # fmt: skip
     """Counting sort of the aircraft into the cubes of the torus.
 
@@ -157,8 +164,9 @@ def _sort(
 
 @_compiled
 def _step(
-    position: Array, velocity: Array, wish: Array, limits: Array, side: int, cell: Integers, start: Integers,
-    place: Array, who: Integers, key: Array, near: Integers, planes: Array, scratch: Array, new: Array,
+    position: Floats, velocity: Floats, wish: Floats, limits: Floats, side: int, cell: Integers,
+    start: Integers, place: Floats, who: Integers, key: Floats, near: Integers, planes: Floats,
+    scratch: Floats, new: Floats,
 ) -> int:  # fmt: skip
     """Compute the new velocities of all aircraft.
 
@@ -173,18 +181,15 @@ def _step(
     _sort(position, velocity, limits[C_REACH] * _WIDER, side, cell, start, place, who)
     for row in range(len(position)):
         found = _neighbours(row, start, place, limits, side, len(planes), key, near)
-        x, y, z = place[row, 0], place[row, 1], place[row, 2]
-        vx, vy, vz = place[row, 3], place[row, 4], place[row, 5]
+        own = k.Vector(place[row, 3], place[row, 4], place[row, 5])
         for slot in range(found):
-            j = near[slot]
-            nx, ny, nz, s = k.half_space(
-                place[j, 0] - x, place[j, 1] - y, place[j, 2] - z,
-                vx - place[j, 3], vy - place[j, 4], vz - place[j, 5],
-                limits[C_RADIUS], limits[C_HORIZON], limits[C_OVERLAP],
-            )  # fmt: skip
-            planes[slot, 0], planes[slot, 1], planes[slot, 2] = nx, ny, nz
-            planes[slot, 3] = nx * vx + ny * vy + nz * vz + 0.5 * s
-        k.solve(planes, 0, found, limits[C_SPEED], 0.0, wish[who[row]], scratch, new[who[row]])
+            p, v = _between(place, row, near[slot])
+            n, s = k.half_space(p, v, limits[C_RADIUS], limits[C_HORIZON], limits[C_OVERLAP])
+            k.put_plane(planes, slot, n, k.dot(n, own) + 0.5 * s)
+        one = who[row]
+        wanted = k.Vector(wish[one, 0], wish[one, 1], wish[one, 2])
+        _, solved = k.solve(planes, 0, found, limits[C_SPEED], 0.0, wanted, scratch)
+        new[one, 0], new[one, 1], new[one, 2] = solved.n, solved.e, solved.d
     return -1
 
 
@@ -224,7 +229,7 @@ class Crowd:
         }  # fmt: skip
         for name, value in named.items():
             if not 0 < value < math.inf:
-                raise ValueError(f"{name} is {value}; above 0 and finite is allowed")
+                raise ValueError(f"{name} is {value}; allowed: finite and more than 0")
         self._limits = np.array([radius_m, speed_mps, horizon_s, overlap_s, reach_m], dtype=float)
         self._side = max(3, round(aircraft ** (1 / 3)))
         self._cell, self._who = np.zeros(aircraft, np.int64), np.zeros(aircraft, np.int64)
@@ -233,7 +238,7 @@ class Crowd:
         self._key, self._near = np.zeros(aircraft + 1), np.zeros(aircraft + 1, np.int64)
         self._planes, self._scratch = np.zeros((neighbours, 4)), np.zeros((neighbours, 4))
 
-    def step(self, position: Array, velocity: Array, wish: Array, new: Array) -> None:
+    def step(self, position: Floats, velocity: Floats, wish: Floats, new: Floats) -> None:
         """Compute the ORCA velocity of every aircraft, all from the same state.
 
         Args:
@@ -247,7 +252,7 @@ class Crowd:
         """
         for name, array in (("position", position), ("velocity", velocity), ("wish", wish), ("new", new)):
             if array.shape != (len(self._who), 3):
-                raise ValueError(f"{name} has shape {array.shape}; ({len(self._who)}, 3) is allowed")
+                raise ValueError(f"{name} has shape {array.shape}; allowed: ({len(self._who)}, 3)")
         bad = _step(
             position, velocity, wish, self._limits, self._side, self._cell, self._start, self._place,
             self._who, self._key, self._near, self._planes, self._scratch, new,
@@ -256,5 +261,5 @@ class Crowd:
             most = FARTHEST * self._limits[C_REACH]
             raise ValueError(
                 f"aircraft {bad}: position {position[bad]}, velocity {velocity[bad]}, wish {wish[bad]}; "
-                f"finite ones and coordinates up to {most:g} m are allowed"
+                f"allowed: finite numbers, and coordinates up to {most:g} m"
             )

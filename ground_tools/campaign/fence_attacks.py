@@ -9,8 +9,8 @@ from typing import Literal, get_args
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from companion.avoidance import walls
 from companion.avoidance.law import Neighbour
@@ -21,7 +21,6 @@ from companion.geometry import LocalFrame, Vec3
 from ground_tools.campaign.outcome import beyond
 from ground_tools.campaign.world import World
 
-Array = NDArray[np.float64]
 Others = Literal["none", "honest", "turning", "ghosts"]
 OTHERS: tuple[Others, ...] = get_args(Others)
 LEAST_CORNER_RAD = math.radians(15.0)
@@ -151,10 +150,10 @@ def _path(
     None if none was found."""
     rows = [(area, np.array(walls._walls(0, area, FRAME))) for area in areas]
 
-    def kept(a: Array, b: Array) -> bool:
+    def kept(a: Floats, b: Floats) -> bool:
         return all(walls._trouble(area, w, np.array([a, b]), margin + 0.05) is None for area, w in rows)
 
-    points: list[Array] = []
+    points: list[Floats] = []
     for _ in range(_TRIES):
         if not points:
             here = rng.uniform(-1.3, 1.3, 2) * size
@@ -205,7 +204,7 @@ def _start(
 class Traffic:
     """The neighbours that the aircraft receives, updated every second."""
 
-    def __init__(self, rng: np.random.Generator, one: Encounter, fence: Array) -> None:
+    def __init__(self, rng: np.random.Generator, one: Encounter, fence: Floats) -> None:
         self._rng, self._one, self._fence = rng, one, fence
         self._count = 0 if one.others == "none" else int(rng.integers(1, 5))
         self._next_s = -math.inf
@@ -213,7 +212,7 @@ class Traffic:
         self._heard: list[tuple[Vec3, Vec3]] = []
         self._places, self._ways = np.zeros((self._count, 3)), np.zeros((self._count, 3))
 
-    def heard(self, now_s: float, position: Array, velocity: Array) -> list[Neighbour]:
+    def heard(self, now_s: float, position: Floats, velocity: Floats) -> list[Neighbour]:
         """The neighbours for a decision at a time, constructed from the aircraft's true state, NED."""
         if now_s >= self._next_s and self._count:
             first = self._next_s == -math.inf
@@ -231,7 +230,7 @@ class Traffic:
         age, sigma = now_s - self._at_s, max(self._one.sigma_m, 0.5)
         return [Neighbour(f"n{i}", place, way, age, sigma) for i, (place, way) in enumerate(self._heard)]
 
-    def _meet(self, position: Array, velocity: Array) -> None:
+    def _meet(self, position: Floats, velocity: Floats) -> None:
         """Place neighbours that fly straight and level through the aircraft's predicted position, each with a
         random heading and meeting time."""
         speed = self._one.limits.max_speed_mps
@@ -241,7 +240,7 @@ class Traffic:
             self._ways[i] = way * math.cos(bearing), way * math.sin(bearing), 0.0
             self._places[i] = position + ahead * (velocity - self._ways[i])
 
-    def _turn(self, position: Array) -> None:
+    def _turn(self, position: Floats) -> None:
         """Turn each neighbour by up to 1 rad, towards the aircraft or in a random direction."""
         for i in range(self._count):
             way, to = self._ways[i], position - self._places[i]
@@ -252,19 +251,20 @@ class Traffic:
             c, s = math.cos(turn), math.sin(turn)
             way[0], way[1] = c * way[0] - s * way[1], s * way[0] + c * way[1]
 
-    def _push(self, position: Array, velocity: Array) -> None:
+    def _push(self, position: Floats, velocity: Floats) -> None:
         """Place ghosts between the aircraft and the inside of the area, so that they push it towards the
         nearest border or into the nearest corner."""
         n, e = float(position[0]), float(position[1])
         best, out = math.inf, (1.0, 0.0)
-        for row in self._fence:
-            room, dn, de = k.nearest_of_wall(row, n, e)
-            if room < best and dn * dn + de * de > 0.0:
-                best, out = room, (-dn, -de)
+        for row in self._fence.tolist():
+            room, d = k.nearest_of_wall(k.Wall(*row), k.Point(n, e))
+            if room < best and d.n * d.n + d.e * d.e > 0.0:
+                best, out = room, (-d.n, -d.e)
         if beyond(self._fence, n, e) > 0.0:
             out = -out[0], -out[1]
         elif self._rng.random() < 0.5 and len(self._fence) > 1:
-            to = self._fence[:, k.W_FROM : k.W_FROM + 2] - position[:2]
+            walls = k.Wall(*self._fence.T)
+            to = np.stack([walls.n, walls.e], axis=1) - position[:2]
             nearest = to[np.argmin(np.linalg.norm(to, axis=1))]
             out = tuple((nearest / max(np.linalg.norm(nearest), 1e-9)).tolist())
         speed = self._one.limits.max_speed_mps
@@ -276,7 +276,7 @@ class Traffic:
             self._ways[i] = self._rng.uniform(0.0, 1.0) * speed * away + 0.5 * velocity * [1, 1, 0]
 
 
-def vec(v: Array) -> Vec3:
+def vec(v: Floats) -> Vec3:
     """A vector as a tuple of three numbers."""
     n, e, d = v.tolist()
     return n, e, d

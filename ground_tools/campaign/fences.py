@@ -14,22 +14,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from companion.avoidance import walls
 from companion.avoidance.law import Law, Situation
 from companion.config import AvoidanceConfig
 from companion.events import FenceArea
-from ground_tools.campaign.fence_attacks import (
-    FRAME,
-    OTHERS,
-    WORLD,
-    Array,
-    Encounter,
-    Others,
-    Traffic,
-    draw,
-    vec,
-)
+from ground_tools.campaign.fence_attacks import FRAME, OTHERS, WORLD, Encounter, Others, Traffic, draw, vec
 from ground_tools.campaign.outcome import beyond
 
 _PERIOD_STEPS = 2
@@ -124,8 +115,8 @@ def _fly(seed: int, one: Encounter, rng: np.random.Generator) -> Row:
 
 
 def _moved(
-    position: Array, velocity: Array, command: Array, lag: float, acceleration: float, step: float
-) -> tuple[Array, Array]:
+    position: Floats, velocity: Floats, command: Floats, lag: float, acceleration: float, step: float
+) -> tuple[Floats, Floats]:
     """Position and velocity after one step of the campaign's vehicle (`vehicles.move`); arrays of shape
     (..., 3)."""
     answer = (command - velocity) / lag
@@ -134,17 +125,17 @@ def _moved(
     return position + (velocity + 0.5 * step * answer) * step, velocity + step * answer
 
 
-def _displaced(rng: np.random.Generator, fence: Array, position: Array, out_m: float) -> Array:
+def _displaced(rng: np.random.Generator, fence: Floats, position: Floats, out_m: float) -> Floats:
     """A random point beyond some border by at most `out_m`; the given position if none was found."""
     for _ in range(_TRIES):
-        row = fence[int(rng.integers(0, len(fence)))]
-        if row[k.W_KIND] >= k.IN_CIRCLE:
+        wall = k.Wall(*fence[int(rng.integers(0, len(fence)))].tolist())
+        a, b = np.array([wall.n, wall.e]), np.array([wall.end_n, wall.end_e])
+        if wall.kind >= k.IN_CIRCLE:
             bearing = rng.uniform(0.0, 2.0 * math.pi)
-            sign = 1.0 if row[k.W_KIND] == k.IN_CIRCLE else -1.0
-            far = row[k.W_TO] + sign * out_m
-            place = row[k.W_FROM : k.W_FROM + 2] + far * np.array([math.cos(bearing), math.sin(bearing)])
+            sign = 1.0 if wall.kind == k.IN_CIRCLE else -1.0
+            far = wall.radius_m + sign * out_m
+            place = a + far * np.array([math.cos(bearing), math.sin(bearing)])
         else:
-            a, b = row[k.W_FROM : k.W_FROM + 2], row[k.W_TO : k.W_TO + 2]
             normal = np.array([-(b - a)[1], (b - a)[0]]) / np.linalg.norm(b - a)
             place = a + rng.uniform(0.0, 1.0) * (b - a) + rng.choice([-1.0, 1.0]) * out_m * normal
         if 0.0 < beyond(fence, place[0], place[1]) <= out_m + 1e-6:
@@ -152,7 +143,7 @@ def _displaced(rng: np.random.Generator, fence: Array, position: Array, out_m: f
     return position
 
 
-def _avoidable(one: Encounter, fence: Array, position: Array, velocity: Array, *, turns: int) -> bool:
+def _avoidable(one: Encounter, fence: Floats, position: Floats, velocity: Floats, *, turns: int) -> bool:
     """Whether accelerating in some direction at the limit for a time, and then stopping, stays inside.
 
     Args:

@@ -6,26 +6,27 @@ The decision function is `companion.avoidance.kernels.decide`, the same that the
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
 from companion.avoidance.law import OLDEST_S
 from companion.traffic import adsb
 from companion.traffic.right_of_way import CREWED as CREWED_RANK
 from companion.traffic.right_of_way import FREE, share_of
 from ground_tools.campaign.compiled import compiled
-from ground_tools.campaign.outcome import P_ALERT, count_decision, land, measure, nothing_yet
+from ground_tools.campaign.outcome import P_ALERT, Tally, count_decision, land, measure, nothing_yet
 from ground_tools.campaign.vehicles import (
     AVOIDS,
     BAROMETRIC,
     CREWED,
     FROZEN,
-    M_POSITION,
     M_TIME,
     MESSAGE_COLUMNS,
     TURNING,
+    Fleet,
     begin,
     move,
     on_the_ground,
@@ -44,8 +45,6 @@ from ground_tools.campaign.world import (
     W_STEP,
 )
 
-Array = NDArray[np.float64]
-
 CREWED_SHARE = share_of(FREE, CREWED_RANK)
 _TURN_S = 4.0
 """Time between two random changes of course of a turning aircraft."""
@@ -56,33 +55,119 @@ _BLACKOUT_BEFORE_S, _BLACKOUT_AFTER_S = 15.0, 5.0
 _FIT_AGAIN_S = 4.0
 """Time from the return of GNSS to the next command: the companion waits for a steady state and then takes
 control of the vehicle again."""
-# Columns of what a decision saw of another aircraft: the time at which its message was sent (s), then its row
-# of `neighbours` and its row of `view`. The aircraft's own place holds time, position and velocity of its own
-# latest message.
-SEEN_MESSAGE, SEEN_NEIGHBOUR = 0, 1
-SEEN_VIEW = SEEN_NEIGHBOUR + k.NEIGHBOUR_COLUMNS
-SEEN_COLUMNS = SEEN_VIEW + k.VIEW_COLUMNS
-DECIDED_COLUMNS = k.OWN_ENTRIES + k.OUT_ENTRIES
+
+
+class Log(NamedTuple):
+    """Record of D decisions of each of A aircraft; NED, m and m/s. It may be shorter than the flight."""
+
+    time_s: Floats
+    """(D, A)."""
+    position: Floats
+    """(D, A, 3): own position, as the aircraft knows it; likewise the velocity."""
+    velocity: Floats
+    """(D, A, 3)."""
+    wanted: Floats
+    """(D, A, 3)."""
+    flown: Floats
+    """(D, A, 3): velocity flown, which for an aircraft that avoids is the command."""
+    feasible: Floats
+    """(D, A): 0 or 1; likewise the next two."""
+    conflict: Floats
+    """(D, A)."""
+    recovering: Floats
+    """(D, A)."""
+    late_s: Floats
+    """(D, A): delay of the path."""
+    message_s: Floats
+    """(D, A, A): when the message was sent that the decision knew of each other aircraft; NaN: none. On the
+    diagonal: that of the aircraft's own latest message."""
+    others: Floats
+    """(D, A, A, columns of `kernels.Other`): that message; on the diagonal only position and velocity."""
+    views: Floats
+    """(D, A, A, columns of `kernels.Seen`): what the decision said of each other aircraft."""
+
+
+class Mind(NamedTuple):
+    """What the companions of A aircraft remember, and the tables for one decision."""
+
+    heard: Floats
+    """(receiver, sender, MESSAGE_COLUMNS): the latest message."""
+    got: Floats
+    """(receiver, sender): when it was received."""
+    pasts: Floats
+    """(receiver, sender, columns of `kernels.Past`)."""
+    command: Floats
+    """(A, 3): last command of the law; this and the following are the fields of `kernels.State`."""
+    decided_s: Floats
+    """(A,)."""
+    quiet: Floats
+    """(A,)."""
+    late_s: Floats
+    """(A,)."""
+    samples: Integers
+    """(A,)."""
+    times_s: Floats
+    """(A, HISTORY_SAMPLES)."""
+    velocities: Floats
+    """(A, HISTORY_SAMPLES, 3)."""
+    neighbours: Floats
+    """(A, columns of `kernels.Other`)."""
+    senders: Integers
+    """(A,): which aircraft the rows of `neighbours` are."""
+    turn: Floats
+    """(A,): turn of a turning aircraft, rad; likewise its climb, m/s."""
+    climb: Floats
+    """(A,)."""
+
+
+def new_log(fleet: int, decisions: int = 0) -> Log:
+    """A log for so many decisions of each aircraft."""
+    pairs = decisions, fleet, fleet
+    return Log(
+        *(np.zeros((decisions, fleet, *more)) for more in ((), (3,), (3,), (3,), (3,), (), (), (), ())),
+        *(np.full((*pairs, *more), math.nan) for more in ((), (k.OTHER_COLUMNS,), (k.SEEN_COLUMNS,))),
+    )
+
+
+def _new_mind(fleet: int, settings: Floats) -> Mind:
+    pasts = np.tile(np.array(k.NO_PAST), (fleet, fleet, 1))
+    heard = np.zeros((fleet, fleet, MESSAGE_COLUMNS))
+    heard[:, :, M_TIME] = -math.inf
+    first = [k.first_state(k.Settings(*row), 0) for row in settings.tolist()]
+    return Mind(
+        heard=heard,
+        got=np.zeros((fleet, fleet)),
+        pasts=pasts,
+        command=np.array([state.command for state in first]),
+        decided_s=np.array([state.time_s for state in first]),
+        quiet=np.array([state.quiet for state in first]),
+        late_s=np.array([state.delay_s for state in first]),
+        samples=np.zeros(fleet, np.int64),
+        times_s=np.zeros((fleet, k.HISTORY_SAMPLES)),
+        velocities=np.zeros((fleet, k.HISTORY_SAMPLES, 3)),
+        neighbours=np.zeros((fleet, k.OTHER_COLUMNS)),
+        senders=np.zeros(fleet, np.int64),
+        turn=np.zeros(fleet),
+        climb=np.zeros(fleet),
+    )
 
 
 _compiled = compiled()
 _inlined = compiled(inline="always")
 
 
-@_compiled
 def fly(
     rng: np.random.Generator,
-    world: Array,
-    path_times: Array,
-    path_points: Array,
-    fence: Array,
-    settings: Array,
-    kinds: Array,
-    trace: Array,
-    decided: Array,
-    seen: Array,
-    pairs: Array,
-    result: Array,
+    world: Floats,
+    path_times: Floats,
+    path_points: Floats,
+    fence: Floats,
+    settings: Floats,
+    kinds: Floats,
+    trace: Floats,
+    log: Log,
+    pairs: Floats,
+    result: Floats,
 ) -> None:
     """Fly a fleet along its paths.
 
@@ -91,105 +176,92 @@ def fly(
         world: WORLD_ENTRIES values.
         path_times, path_points: shapes (A, K) and (A, K, 3): each aircraft's timed path, NED.
         fence: as in `kernels.decide`, the same for all aircraft.
-        settings: shape (A, SETTINGS_ENTRIES): settings of each aircraft's law.
+        settings: shape (A, fields of `kernels.Settings`): settings of each aircraft's law.
         kinds: shape (A,): AVOIDS, or another kind of aircraft.
         trace: shape (steps, A, 3): true positions. Written for as many steps as it has; may be empty.
-        decided: shape (decisions, A, DECIDED_COLUMNS): own state and result of each decision, with the
-            velocity flown in place of its command. Written for as many decisions as it has; may be empty.
-        seen: shape (decisions, A, A, SEEN_COLUMNS), as long as `decided`: what each decision saw of each
-            other aircraft. Rows of aircraft from which no message was received are not written.
+        log: written for as many decisions as it has.
         pairs: shape (A, A, PAIR_ENTRIES), of each aircraft and each one with a lower index; written.
         result: FLIGHT_ENTRIES values; written.
     """
-    fleet, step = len(kinds), world[W_STEP]
+    fleet = len(kinds)
     craft, tally = on_the_ground(fleet, world), nothing_yet(fleet, pairs, result)
-    every, message_every, mind_every = int(world[W_PERIOD]), int(world[W_MESSAGE]), round(_TURN_S / step)
-    position, velocity, command, error = craft.position, craft.velocity, craft.command, craft.error
-    own_error, clock, phase, sent, arrival = (
-        craft.own_error, craft.clock, craft.phase, craft.sent, craft.arrival,
-    )  # fmt: skip
-    # By receiver and sender: the latest message, when it was received, and the state of the sender's track.
-    heard, got = np.zeros((fleet, fleet, MESSAGE_COLUMNS)), np.zeros((fleet, fleet))
-    tracks = np.zeros((fleet, fleet, k.TRACK_ENTRIES))
-    heard[:, :, M_TIME] = -math.inf
-    tracks[:, :, k.T_TIME] = -math.inf
-    # The state that each law keeps, and the inputs and outputs of one decision.
-    state, late = _first_state(settings)
-    times, velocities = np.zeros((fleet, k.HISTORY_SAMPLES)), np.zeros((fleet, k.HISTORY_SAMPLES, 3))
-    own, neighbours = np.zeros(k.OWN_ENTRIES), np.zeros((fleet, k.NEIGHBOUR_COLUMNS))
-    senders = np.zeros(fleet, np.int64)
-    rows = k.plane_rows(len(fence), fleet)
-    planes, scratch = np.zeros((rows, 4)), np.zeros((rows, 4))
-    view, out = np.zeros((fleet, k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
-    turn, climb = np.zeros(fleet), np.zeros(fleet)
-    steps = round((world[W_END] - world[W_START]) / step)
+    mind, work = _new_mind(fleet, settings), k.workspace(len(fence), fleet)
     dark, dark_from = _blackout(rng, world, kinds)
     begin(rng, world, path_times, path_points, kinds, craft)
+    _fly(
+        rng, world, path_times, path_points, fence, settings, kinds, trace, log, pairs, result, craft, tally,
+        mind, work, dark, float(dark_from),
+    )  # fmt: skip
+    land(kinds, mind.late_s, tally, pairs, result)
 
+
+@_compiled
+def _fly(
+    rng: np.random.Generator,
+    world: Floats,
+    path_times: Floats,
+    path_points: Floats,
+    fence: Floats,
+    settings: Floats,
+    kinds: Floats,
+    trace: Floats,
+    log: Log,
+    pairs: Floats,
+    result: Floats,
+    craft: Fleet,
+    tally: Tally,
+    mind: Mind,
+    work: k.Workspace,
+    dark: int,
+    dark_from: float,
+) -> None:
+    """The loop of `fly`."""
+    step = world[W_STEP]
+    every, message_every = int(world[W_PERIOD]), int(world[W_MESSAGE])
+    steps = round((world[W_END] - world[W_START]) / step)
     for tick in range(steps):
         now = world[W_START] + tick * step
         blacked = now >= dark_from and now < dark_from + world[W_BLACKOUT]
         unfit = now >= dark_from and now < dark_from + world[W_BLACKOUT] + _FIT_AGAIN_S
-        for i in range(fleet):
-            if (tick + phase[i]) % message_every == 0 and not (i == dark and blacked):
-                heard[i, i] = sent[i, send(rng, world, tick, i, kinds, craft)]
+        for i in range(len(kinds)):
+            if (tick + craft.phase[i]) % message_every == 0 and not (i == dark and blacked):
+                slot = send(rng, world, tick, i, kinds, craft)
+                for c in range(MESSAGE_COLUMNS):
+                    mind.heard[i, i, c] = craft.sent[i, slot, c]
         if tick % every == 0:
-            for i in range(fleet):
+            for i in range(len(kinds)):
                 if i == dark and unfit:
-                    command[i] = 0.0
+                    craft.command[i, 0] = craft.command[i, 1] = craft.command[i, 2] = 0.0
                     continue
-                _receive(now, world[W_DECLARED], arrival[i], sent, heard[i], got[i], tracks[i])
-                count = _look(
-                    world, now, clock[i], i, kinds, heard[i], got[i], tracks[i], neighbours, senders
-                )
-                for c in range(3):
-                    own[k.O_POSITION + c] = position[i, c] + error[i, c]
-                    own[k.O_VELOCITY + c] = velocity[i, c] + own_error[i, c]
-                own[k.O_SIGMA], own[k.O_NOW], own[k.O_PATH_TIME] = world[W_DECLARED], now, now
-                own[k.O_FLOOR], own[k.O_CEILING] = world[W_FLOOR], world[W_CEILING]
-                k.decide(
-                    neighbours, count, own, path_times[i], path_points[i], fence, settings[i], state[i],
-                    times[i], velocities[i], planes, scratch, view, out,
+                _receive(now, world[W_DECLARED], i, craft, mind)
+                count = _look(world, now, i, kinds, craft, mind)
+                own, law = _own(world, now, i, craft), k.settings_at(settings, i)
+                decision = k.decide(
+                    mind.neighbours, count, own, k.Path(path_times[i], path_points[i]), fence, law,
+                    _state(mind, i), k.History(mind.times_s[i], mind.velocities[i]), work,
                 )  # fmt: skip
-                command[i, 0], command[i, 1], command[i, 2] = out[0], out[1], out[2]
-                if kinds[i] == TURNING or kinds[i] == FROZEN:
-                    if tick % mind_every == 0:
-                        turn[i] = rng.uniform(-_TURN_RAD, _TURN_RAD)
-                        climb[i] = rng.uniform(-settings[i, k.S_DESCENT], settings[i, k.S_CLIMB])
-                    cosine, sine = math.cos(turn[i]), math.sin(turn[i])
-                    command[i, 0] = cosine * out[0] - sine * out[1]
-                    command[i, 1] = sine * out[0] + cosine * out[1]
-                    command[i, 2] = 0.5 * out[2] - climb[i]
-                if tick // every < len(decided):
-                    _write_down(
-                        decided[tick // every], seen[tick // every], i, own, command[i], out,
-                        senders, count, heard[i], neighbours, view,
-                    )  # fmt: skip
+                _remember(mind, i, decision.state)
+                _command(rng, round(_TURN_S / step), tick, i, kinds, law, decision.chosen, craft, mind)
+                if tick // every < len(log.time_s):
+                    _write_down(log, tick // every, i, own, decision, count, craft, mind, work.seen)
                 if kinds[i] == AVOIDS:
-                    count_decision(tally, now, i, out[k.R_FEASIBLE], out[k.R_CONFLICT])
-                    if out[k.R_CONFLICT] != 0.0:
+                    count_decision(tally, now, i, decision.feasible, decision.conflict)
+                    if decision.conflict:
                         for n in range(count):
-                            if view[n, k.V_CONFLICT] != 0.0:
-                                pairs[max(i, senders[n]), min(i, senders[n]), P_ALERT] = 1.0
+                            if k.seen_at(work.seen, n).conflict != 0.0:
+                                j = mind.senders[n]
+                                pairs[max(i, j), min(i, j), P_ALERT] = 1.0
         move(rng, world, craft)
-        measure(world, tick, path_times, path_points, late, fence, settings, kinds, craft, tally, result)
+        measure(
+            world, tick, path_times, path_points, mind.late_s, fence, settings, kinds, craft, tally, result
+        )
         if tick < len(trace):
-            trace[tick] = position
-
-    land(kinds, late, tally, pairs, result)
-
-
-@_compiled
-def _first_state(settings: Array) -> tuple[Array, Array]:
-    """Initial state of each law, shape (A, STATE_ENTRIES), and the view of its path delays, shape (A,)."""
-    state = np.zeros((len(settings), k.STATE_ENTRIES))
-    for i in range(len(settings)):
-        k.begin(state[i], settings[i])
-    return state, state[:, k.L_DELAY]
+            for i in range(len(kinds)):
+                for c in range(3):
+                    trace[tick, i, c] = craft.position[i, c]
 
 
-@_compiled
-def _blackout(rng: np.random.Generator, world: Array, kinds: Array) -> tuple[int, float]:
+def _blackout(rng: np.random.Generator, world: Floats, kinds: Floats) -> tuple[int, float]:
     """Index of the aircraft that loses GNSS (-1: none), and the time at which it does."""
     dark, dark_from = -1, math.inf
     if world[W_BLACKOUT] > 0.0:
@@ -202,82 +274,130 @@ def _blackout(rng: np.random.Generator, world: Array, kinds: Array) -> tuple[int
 
 
 @_inlined
-def _receive(
-    now: float, declared: float, arrival: Array, sent: Array, heard: Array, got: Array, tracks: Array
-) -> None:
-    """Write the messages that one aircraft has received to its rows of `heard`, `got` and `tracks`."""
-    for j in range(len(got)):
-        for slot in range(sent.shape[1]):
-            if arrival[j, slot] <= now:
-                arrival[j, slot] = math.inf
-                if sent[j, slot, M_TIME] > heard[j, M_TIME]:
-                    heard[j], got[j] = sent[j, slot], now
-                    m = heard[j]
-                    k.note_track(tracks[j], m[0], m[1], m[2], m[3], m[4], m[5], m[6], declared)
+def _own(world: Floats, now: float, i: int, craft: Fleet) -> k.Own:
+    """The state of aircraft i as it knows it."""
+    p, e, v, f = craft.position, craft.error, craft.velocity, craft.own_error
+    return k.Own(
+        k.Vector(p[i, 0] + e[i, 0], p[i, 1] + e[i, 1], p[i, 2] + e[i, 2]),
+        k.Vector(v[i, 0] + f[i, 0], v[i, 1] + f[i, 1], v[i, 2] + f[i, 2]),
+        world[W_DECLARED], now, now, world[W_FLOOR], world[W_CEILING],
+    )  # fmt: skip
 
 
 @_inlined
-def _look(
-    world: Array,
-    now: float,
-    clock: float,
-    i: int,
-    kinds: Array,
-    heard: Array,
-    got: Array,
-    tracks: Array,
-    neighbours: Array,
-    senders: NDArray[np.int64],
-) -> int:
-    """Write the aircraft that aircraft i knows to `neighbours` and `senders`. Returns their number.
+def _state(mind: Mind, i: int) -> k.State:
+    """The state of aircraft i's law."""
+    command = k.Vector(mind.command[i, 0], mind.command[i, 1], mind.command[i, 2])
+    return k.State(command, mind.decided_s[i], mind.quiet[i], mind.late_s[i], mind.samples[i])
 
-    `heard`, `got` and `tracks` are the rows of aircraft i.
-    """
+
+@_inlined
+def _remember(mind: Mind, i: int, state: k.State) -> None:
+    mind.command[i, 0], mind.command[i, 1], mind.command[i, 2] = state.command
+    mind.decided_s[i], mind.quiet[i] = state.time_s, state.quiet
+    mind.late_s[i], mind.samples[i] = state.delay_s, state.samples
+
+
+@_inlined
+def _command(
+    rng: np.random.Generator,
+    mind_every: int,
+    tick: int,
+    i: int,
+    kinds: Floats,
+    law: k.Settings,
+    chosen: k.Vector,
+    craft: Fleet,
+    mind: Mind,
+) -> None:
+    """Command the chosen velocity; an aircraft that turns at random flies another one."""
+    command, turn, climb = craft.command, mind.turn, mind.climb
+    command[i, 0], command[i, 1], command[i, 2] = chosen
+    if kinds[i] == TURNING or kinds[i] == FROZEN:
+        if tick % mind_every == 0:
+            turn[i] = rng.uniform(-_TURN_RAD, _TURN_RAD)
+            climb[i] = rng.uniform(-law.descent_mps, law.climb_mps)
+        cosine, sine = math.cos(turn[i]), math.sin(turn[i])
+        command[i, 0] = cosine * chosen.n - sine * chosen.e
+        command[i, 1] = sine * chosen.n + cosine * chosen.e
+        command[i, 2] = 0.5 * chosen.d - climb[i]
+
+
+@_inlined
+def _receive(now: float, declared: float, i: int, craft: Fleet, mind: Mind) -> None:
+    """Take the messages that aircraft i has received into its memory."""
+    arrival, sent, heard = craft.arrival, craft.sent, mind.heard
+    for j in range(arrival.shape[1]):
+        for slot in range(arrival.shape[2]):
+            if arrival[i, j, slot] <= now:
+                arrival[i, j, slot] = math.inf
+                if sent[j, slot, M_TIME] > heard[i, j, M_TIME]:
+                    for c in range(MESSAGE_COLUMNS):
+                        heard[i, j, c] = sent[j, slot, c]
+                    mind.got[i, j] = now
+                    m = heard[i, j]
+                    past = k.note_track(
+                        k.past_at(mind.pasts[i], j), m[0], (m[1], m[2], m[3]), (m[4], m[5], m[6]), declared
+                    )
+                    k.put_past(mind.pasts[i], j, past)
+
+
+@_inlined
+def _look(world: Floats, now: float, i: int, kinds: Floats, craft: Fleet, mind: Mind) -> int:
+    """Write the aircraft that aircraft i knows to `neighbours` and `senders`. Returns their number."""
     count = 0
     for j in range(len(kinds)):
-        age = max(now + clock - heard[j, M_TIME], 0.0)
+        m = mind.heard[i, j]
+        age = max(now + craft.clock[i] - m[M_TIME], 0.0)
         if j == i or age > OLDEST_S:
             continue
-        row = neighbours[count]
-        for c in range(6):
-            row[c] = heard[j, M_POSITION + c]
-        row[k.N_AGE], row[k.N_SIGMA], row[k.N_VERTICAL] = age, world[W_DECLARED], 1.0
-        row[k.N_SIGMA_VELOCITY], row[k.N_SHARE] = world[W_SIGMA_VELOCITY], 0.5
-        row[k.N_GROWTH], row[k.N_CREWED] = tracks[j, k.T_GROWTH], 0.0
-        row[k.N_SILENT] = 0.0
-        if now - got[j] > k.silent_after(tracks[j]):
-            row[k.N_SILENT] = 1.0
-        if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
-            row[k.N_VERTICAL] = 1.0 if kinds[j] == CREWED else 0.0
-            row[k.N_SIGMA], row[k.N_SIGMA_VELOCITY] = adsb.SIGMA_M, adsb.SIGMA_MPS
-            row[k.N_GROWTH], row[k.N_SHARE], row[k.N_CREWED] = 0.0, CREWED_SHARE, 1.0
-            row[k.N_SILENT] = 0.0
-        senders[count] = j
+        past = k.past_at(mind.pasts[i], j)
+        crewed = kinds[j] == CREWED or kinds[j] == BAROMETRIC
+        silent = not crewed and now - mind.got[i, j] > k.silent_after(past.gap_s)
+        known = k.Other(
+            m[1], m[2], m[3], m[4], m[5], m[6], age,
+            adsb.SIGMA_M if crewed else world[W_DECLARED],
+            adsb.SIGMA_MPS if crewed else world[W_SIGMA_VELOCITY],
+            0.0 if crewed else past.growth_mps,
+            1.0 if silent else 0.0,
+            CREWED_SHARE if crewed else 0.5,
+            0.0 if kinds[j] == BAROMETRIC else 1.0,
+            1.0 if crewed else 0.0,
+        )  # fmt: skip
+        k.put_other(mind.neighbours, count, known)
+        mind.senders[count] = j
         count += 1
     return count
 
 
 @_compiled
 def _write_down(
-    decided: Array,
-    seen: Array,
+    log: Log,
+    d: int,
     i: int,
-    own: Array,
-    command: Array,
-    out: Array,
-    senders: NDArray[np.int64],
+    own: k.Own,
+    decision: k.Decision,
     count: int,
-    heard: Array,
-    neighbours: Array,
-    view: Array,
+    craft: Fleet,
+    mind: Mind,
+    seen: Floats,
 ) -> None:
-    """Record one decision of aircraft i, as it was flown, in the rows of `decided` and `seen` of `fly`."""
-    decided[i, : k.OWN_ENTRIES] = own
-    decided[i, k.OWN_ENTRIES :] = out
-    decided[i, k.OWN_ENTRIES : k.OWN_ENTRIES + 3] = command
-    seen[i, i, :MESSAGE_COLUMNS] = heard[i]
+    """Record decision d of aircraft i, as it was flown."""
+    log.time_s[d, i], log.late_s[d, i] = own.now_s, decision.state.delay_s
+    log.position[d, i, 0], log.position[d, i, 1], log.position[d, i, 2] = own.position
+    log.velocity[d, i, 0], log.velocity[d, i, 1], log.velocity[d, i, 2] = own.velocity
+    log.wanted[d, i, 0], log.wanted[d, i, 1], log.wanted[d, i, 2] = decision.wanted
+    log.feasible[d, i], log.conflict[d, i] = decision.feasible, decision.conflict
+    log.recovering[d, i] = decision.recovering
+    for c in range(3):
+        log.flown[d, i, c] = craft.command[i, c]
+    log.message_s[d, i, i] = mind.heard[i, i, M_TIME]
+    for c in range(MESSAGE_COLUMNS - 1):
+        log.others[d, i, i, c] = mind.heard[i, i, 1 + c]
     for n in range(count):
-        j = senders[n]
-        seen[i, j, SEEN_MESSAGE] = heard[j, M_TIME]
-        seen[i, j, SEEN_NEIGHBOUR:SEEN_VIEW] = neighbours[n]
-        seen[i, j, SEEN_VIEW:] = view[n]
+        j = mind.senders[n]
+        log.message_s[d, i, j] = mind.heard[i, j, M_TIME]
+        for c in range(k.OTHER_COLUMNS):
+            log.others[d, i, j, c] = mind.neighbours[n, c]
+        for c in range(k.SEEN_COLUMNS):
+            log.views[d, i, j, c] = seen[n, c]

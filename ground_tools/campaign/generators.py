@@ -16,10 +16,10 @@ from typing import Any, Final, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from sitl_mocks.encounters.scenario import Kind, encounter
 
 Rows = NDArray[np.floating[Any]]
-Paths = NDArray[np.float64]
 
 MEETING_S: Final = 120.0
 END_S: Final = 240.0
@@ -39,7 +39,7 @@ Generator = Callable[[int, float, np.random.Generator], tuple[Rows, Rows, Rows]]
 meeting time (A, 3), the headings (A,) and the speeds (A,)."""
 
 
-def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Paths, Paths]:
+def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Floats, Floats]:
     """Draw one encounter. The same arguments give the same paths.
 
     Args:
@@ -59,9 +59,9 @@ def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Paths, 
         rows[:, :, 0] *= 5.0 / speed_mps
         return np.array(rows[:, :, 0], np.float64), np.array(rows[:, :, 1:], np.float64)
     if name not in _GENERATORS:
-        raise ValueError(f"generator {name!r}: allowed are {', '.join(NAMES)}")
+        raise ValueError(f"generator {name!r} is unknown; allowed: {', '.join(NAMES)}")
     if aircraft < 2:
-        raise ValueError(f"{aircraft} aircraft: an encounter takes at least 2")
+        raise ValueError(f"{aircraft} aircraft: an encounter needs at least 2")
     number = list(_GENERATORS).index(name) + 10
     rng = np.random.default_rng([number, aircraft, seed])
     for _ in range(_MOST_DRAWS):
@@ -74,7 +74,7 @@ def draw(name: str, aircraft: int, speed_mps: float, seed: int) -> tuple[Paths, 
         if min(_least_distance(begin), _least_distance(end)) > APART_M:
             times = np.tile([0.0, END_S], (aircraft, 1))
             return times, np.array(np.stack([begin, end], axis=1), np.float64)
-    raise ValueError(f"generator {name}: {aircraft} aircraft do not fit {APART_M:g} m apart")
+    raise ValueError(f"generator {name}: it cannot place {aircraft} aircraft at least {APART_M:g} m apart")
 
 
 def _offsets(aircraft: int, rng: np.random.Generator) -> Rows:

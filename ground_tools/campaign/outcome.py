@@ -6,14 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from ground_tools.campaign.compiled import compiled
 from ground_tools.campaign.vehicles import AVOIDS, BAROMETRIC, CREWED, Fleet
 from ground_tools.campaign.world import W_START, W_STEP
-
-Array = NDArray[np.float64]
 
 COLLISION_M = 2.0
 AWAY_M = 15.0
@@ -45,21 +43,21 @@ P_SEPARATION, P_ALERT, PAIR_ENTRIES = range(3)
 class Tally(NamedTuple):
     """Values accumulated during a flight of A aircraft; m and s."""
 
-    conflict: Array
+    conflict: Floats
     """(A,): 1 if the last decision saw a conflict."""
-    conflict_at: Array
+    conflict_at: Floats
     """(A,): time of the last decision in conflict."""
-    recovery: Array
+    recovery: Floats
     """(A,): time from the last conflict to the return to the path; infinite: not back yet."""
-    gap: Array
+    gap: Floats
     """(A,): distance of an avoiding aircraft from its timed point."""
-    away_since: Array
+    away_since: Floats
     """(A,): since when the aircraft is farther than `AWAY_M` from its timed point; infinite if it is not."""
-    way: Array
+    way: Floats
     """(2,): distance flown and distance planned, summed over all aircraft."""
-    least2: Array
+    least2: Floats
     """(A, A): squares of the least distances."""
-    decisions: Array
+    decisions: Floats
     """(DECISION_ENTRIES,): counts over all avoiding aircraft."""
 
 
@@ -67,8 +65,7 @@ _compiled = compiled()
 _inlined = compiled(inline="always")
 
 
-@_inlined
-def nothing_yet(fleet: int, pairs: Array, result: Array) -> Tally:
+def nothing_yet(fleet: int, pairs: Floats, result: Floats) -> Tally:
     """The tally at the start of a flight. Also resets `result` and the alerts in `pairs` of `flight.fly`."""
     pairs[:, :, P_ALERT] = 0.0
     result[:] = 0.0
@@ -86,36 +83,36 @@ def nothing_yet(fleet: int, pairs: Array, result: Array) -> Tally:
 
 
 @_inlined
-def count_decision(tally: Tally, now: float, i: int, feasible: float, conflict: float) -> None:
+def count_decision(tally: Tally, now: float, i: int, feasible: bool, conflict: bool) -> None:
     """Count one decision of the avoiding aircraft i."""
     tally.decisions[D_ALL] += 1.0
-    tally.decisions[D_INFEASIBLE] += 1.0 - feasible
-    if conflict > tally.conflict[i]:
+    if not feasible:
+        tally.decisions[D_INFEASIBLE] += 1.0
+    if conflict and tally.conflict[i] == 0.0:
         tally.decisions[D_MANOEUVRES] += 1.0
-    tally.conflict[i] = conflict
-    if conflict != 0.0:
+    tally.conflict[i] = 1.0 if conflict else 0.0
+    if conflict:
         tally.conflict_at[i], tally.recovery[i] = now, math.inf
 
 
 @_compiled
-def beyond(fence: Array, n: float, e: float) -> float:
+def beyond(fence: Floats, n: float, e: float) -> float:
     """Largest distance (m) of a point beyond the border of an area that it violates; 0 if there is none."""
-    worst, first = 0.0, 0
+    worst, first, p = 0.0, 0, k.Point(n, e)
     while first < len(fence):
-        after, near = first, math.inf
-        while after < len(fence) and fence[after, k.W_AREA] == fence[first, k.W_AREA]:
-            room, _, _ = k.nearest_of_wall(fence[after], n, e)
+        after, near = k.after_area(fence, first), math.inf
+        for row in range(first, after):
+            room, _ = k.nearest_of_wall(k.wall_at(fence, row), p)
             near = min(near, room)
-            after += 1
-        kind = fence[first, k.W_KIND]
-        if k.inside(fence, first, after, n, e) != (kind in (k.IN_POLYGON, k.IN_CIRCLE)):
+        kind = k.wall_at(fence, first).kind
+        if k.inside(fence, first, after, p) != (kind in (k.IN_POLYGON, k.IN_CIRCLE)):
             worst = max(worst, near)
         first = after
     return worst
 
 
 @_compiled
-def _least_distance2(position: Array, before: Array, i: int, j: int) -> float:
+def _least_distance2(position: Floats, before: Floats, i: int, j: int) -> float:
     """Square of the least distance of two aircraft during one step, on straight lines between its ends."""
     px, py, pz = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1], before[j, 2] - before[i, 2]
     dx, dy, dz = (
@@ -132,17 +129,17 @@ def _least_distance2(position: Array, before: Array, i: int, j: int) -> float:
 
 @_inlined
 def measure(
-    world: Array,
+    world: Floats,
     tick: int,
-    path_times: Array,
-    path_points: Array,
-    late: Array,
-    fence: Array,
-    settings: Array,
-    kinds: Array,
+    path_times: Floats,
+    path_points: Floats,
+    late: Floats,
+    fence: Floats,
+    settings: Floats,
+    kinds: Floats,
     craft: Fleet,
     tally: Tally,
-    result: Array,
+    result: Floats,
 ) -> None:
     """Measure one step, after all aircraft have moved. Arguments not listed here are those of `flight.fly`.
 
@@ -168,7 +165,7 @@ def measure(
         result[F_DEVIATION] = max(result[F_DEVIATION], gap)
         away_since[i] = min(away_since[i], now) if gap > AWAY_M else math.inf
         result[F_AWAY] = max(result[F_AWAY], now - away_since[i])
-        if recovery[i] == math.inf and gap <= settings[i, k.S_REGAINED]:
+        if recovery[i] == math.inf and gap <= k.settings_at(settings, i).regained_m:
             recovery[i] = now - conflict_at[i]
         result[F_FENCE] = max(result[F_FENCE], beyond(fence, position[i, 0], position[i, 1]))
     _measure_crewed(settings, kinds, position, result)
@@ -176,21 +173,22 @@ def measure(
 
 
 @_inlined
-def _measure_crewed(settings: Array, kinds: Array, position: Array, result: Array) -> None:
+def _measure_crewed(settings: Floats, kinds: Floats, position: Floats, result: Floats) -> None:
     """Update the least distance of the avoiding aircraft from crewed traffic."""
     for j in range(len(kinds)):
         if kinds[j] == CREWED or kinds[j] == BAROMETRIC:
             for i in range(len(kinds)):
                 if kinds[i] == AVOIDS:
-                    level = settings[i, k.S_CREWED] / math.sqrt(2.0)
+                    own = k.settings_at(settings, i)
+                    level = own.crewed_m / math.sqrt(2.0)
                     n, e = position[i, 0] - position[j, 0], position[i, 1] - position[j, 1]
                     aside = math.hypot(n, e) / level
-                    above = abs(position[i, 2] - position[j, 2]) * settings[i, k.S_CREWED_VERTICAL] / level
+                    above = abs(position[i, 2] - position[j, 2]) * own.crewed_vertical / level
                     result[F_CREWED] = min(result[F_CREWED], max(aside, above))
 
 
 @_inlined
-def _measure_pairs(now: float, position: Array, before: Array, least2: Array, result: Array) -> None:
+def _measure_pairs(now: float, position: Floats, before: Floats, least2: Floats, result: Floats) -> None:
     for i in range(len(position)):
         for j in range(i):
             near2 = _least_distance2(position, before, i, j)
@@ -201,8 +199,7 @@ def _measure_pairs(now: float, position: Array, before: Array, least2: Array, re
                     result[F_FIRST], result[F_SECOND] = j, i
 
 
-@_compiled
-def land(kinds: Array, late: Array, tally: Tally, pairs: Array, result: Array) -> None:
+def land(kinds: Floats, late: Floats, tally: Tally, pairs: Floats, result: Floats) -> None:
     """Write the final tally to `pairs` and `result` of `flight.fly`; `late` as in `measure`."""
     for i in range(len(kinds)):
         if kinds[i] == AVOIDS:

@@ -16,11 +16,10 @@ import msgspec
 import numpy as np
 import pymap3d
 import tomli_w
-from numpy.typing import NDArray
 
 from companion import __version__
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
-from companion.avoidance.law import on_plane
 from companion.config import (
     Config,
     FlightConfig,
@@ -52,8 +51,6 @@ from ground_tools.campaign import flight, vehicles
 from ground_tools.campaign.cells import Cell, Look
 from ground_tools.inspect.read.truth import HEADER, ORIGIN
 from sitl_mocks.encounters.lockstep import UTC_AT_START_S
-
-Array = NDArray[np.float64]
 
 MOST_AIRCRAFT = 50
 """Largest number of aircraft. The record of what each decision saw of each other aircraft grows with its
@@ -98,7 +95,7 @@ def write(root: Path, cell: Cell, seed: int, utc_s: float) -> Path:
     return folder
 
 
-def names(kinds: Array) -> list[str]:
+def names(kinds: Floats) -> list[str]:
     """Names of the aircraft, in order. The name of an aircraft that does not avoid contains its kind."""
     words = {float(kind): f"-{word}" for word, kind in vehicles.INTRUDERS.items()}
     return [f"uas-{number:03d}{words.get(kind, '')}" for number, kind in enumerate(kinds.tolist(), start=1)]
@@ -163,23 +160,24 @@ def _config(look: Look, i: int, name: str) -> Config:
     )
 
 
-def _areas(fence: Array) -> tuple[FenceArea, ...]:
+def _areas(fence: Floats) -> tuple[FenceArea, ...]:
     """The polygon of the campaign's fence; empty without a fence."""
     if not len(fence):
         return ()
     corners = np.zeros((len(fence), 3))
-    corners[:, :2] = fence[:, k.W_FROM : k.W_TO]
+    walls = k.Wall(*fence.T)
+    corners[:, 0], corners[:, 1] = walls.n, walls.e
     return (FenceArea(inclusion=True, points=tuple((lat, lon) for lat, lon, _ in _geodetic(corners))),)
 
 
 def _steps(look: Look, i: int, called: list[str]) -> Iterator[Step]:
     """Each decision of one aircraft as a recorded step of a companion."""
-    decided, seen = look.decided[:, i], look.seen[:, i]
-    places, messages = _geodetic(decided[:, :3]), _messages(seen)
+    log = flight.Log(*(array[:, i] for array in look.log))
+    places, messages = _geodetic(log.position), _messages(log)
     logged_s = -math.inf
-    for d, row in enumerate(decided.tolist()):
-        own, out = row[: k.OWN_ENTRIES], row[k.OWN_ENTRIES :]
-        now, (lat, lon, alt) = own[k.O_NOW], places[d]
+    for d, (lat, lon, alt) in enumerate(places):
+        own = flight.Log(*(array[d] for array in log))
+        now, velocity = float(own.time_s), _vec(own.velocity)
         events: list[AnyEvent] = [] if d else [VehicleTime(time_boot_s=now, utc_s=UTC_AT_START_S + now)]
         events.append(
             GlobalPosition(
@@ -187,8 +185,8 @@ def _steps(look: Look, i: int, called: list[str]) -> Iterator[Step]:
                 lat_deg=lat,
                 lon_deg=lon,
                 alt_msl_m=alt,
-                height_above_home_m=-own[2],
-                velocity_ned_mps=(own[3], own[4], own[5]),
+                height_above_home_m=-float(own.position[2]),
+                velocity_ned_mps=velocity,
             )
         )
         commands: list[AnyCommand] = []
@@ -198,63 +196,71 @@ def _steps(look: Look, i: int, called: list[str]) -> Iterator[Step]:
             else:
                 address = radio_address(called[j])
                 events.append(RemoteIdHeard(transport=_TRANSPORT, address=address, messages=(location,)))
-        busy = out[k.R_CONFLICT] or out[k.R_RECOVERING]
+        busy = own.conflict or own.recovering
         if busy or now - logged_s >= _QUIET_LOG_S - 1e-6:
             logged_s = now
-            point = k.path_position(look.times[i], look.points[i], now - out[k.R_LATE])
-            commands.append(_decision(own, out, point, seen[d], called))
-        commands.append(VelocitySetpoint(velocity_ned_mps=(out[0], out[1], out[2])))
+            point = k.path_position(look.times[i], look.points[i], now - float(own.late_s))
+            commands.append(_decision(own, point, called))
+        commands.append(VelocitySetpoint(velocity_ned_mps=_vec(own.flown)))
         yield Step(now_s=now, events=tuple(events), commands=tuple(commands))
 
 
-def _decision(own: list[float], out: list[float], point: Vec3, seen: Array, called: list[str]) -> Decision:
+def _decision(own: flight.Log, point: Vec3, called: list[str]) -> Decision:
+    """The entry for one decision.
+
+    Args:
+        own: the decision's entries of the log, without their first two axes.
+        point: where the path was.
+    """
     tracks = []
-    for j in np.flatnonzero(np.isfinite(seen[:, flight.SEEN_VIEW])).tolist():
-        heard = seen[j, flight.SEEN_NEIGHBOUR : flight.SEEN_VIEW].tolist()
-        view = seen[j, flight.SEEN_VIEW :].tolist()
+    for j in np.flatnonzero(np.isfinite(own.views[:, 0])).tolist():
+        other, view = k.Other(*own.others[j].tolist()), k.Seen(*own.views[j].tolist())
         tracks.append(
             TrackView(
                 track_id=called[j],
-                position_ned_m=(view[0], view[1], view[2]),
-                velocity_ned_mps=(heard[3], heard[4], heard[5]),
-                age_s=heard[k.N_AGE],
-                radius_m=view[k.V_RADIUS],
-                conflict=view[k.V_CONFLICT] != 0.0,
-                time_to_closest_s=view[k.V_TIME],
-                closest_m=view[k.V_DISTANCE],
-                active=any(
-                    on_plane(view[at : at + 4], out[k.R_SOLVED : k.R_SOLVED + 3])
-                    for at in (k.V_PLANE, k.V_STANDING)
-                ),
+                position_ned_m=(view.n, view.e, view.d),
+                velocity_ned_mps=(other.vn, other.ve, other.vd),
+                age_s=other.age_s,
+                radius_m=view.radius_m,
+                conflict=view.conflict != 0.0,
+                time_to_closest_s=view.time_s,
+                closest_m=view.distance_m,
+                active=view.active != 0.0,
             )
         )
     return Decision(
         origin=ORIGIN,
-        position_ned_m=(own[0], own[1], own[2]),
-        velocity_ned_mps=(own[3], own[4], own[5]),
-        wanted_ned_mps=(out[3], out[4], out[5]),
-        chosen_ned_mps=(out[0], out[1], out[2]),
-        feasible=out[k.R_FEASIBLE] != 0.0,
+        position_ned_m=_vec(own.position),
+        velocity_ned_mps=_vec(own.velocity),
+        wanted_ned_mps=_vec(own.wanted),
+        chosen_ned_mps=_vec(own.flown),
+        feasible=bool(own.feasible),
         path_ned_m=point,
         tracks=tuple(tracks),
     )
 
 
-def _messages(seen: Array) -> dict[int, list[tuple[int, Location]]]:
+def _vec(v: Floats) -> Vec3:
+    n, e, d = v.tolist()
+    return n, e, d
+
+
+def _messages(log: flight.Log) -> dict[int, list[tuple[int, Location]]]:
     """The messages that are new at each decision, by the number of the decision: sender and Location.
 
     Args:
-        seen: shape (decisions, A, flight.SEEN_COLUMNS), what one aircraft saw.
+        log: the log of one aircraft, without the axis of the aircraft.
     """
-    sent = seen[:, :, flight.SEEN_MESSAGE]
+    sent = log.message_s
     before = np.vstack([np.full((1, sent.shape[1]), math.nan), sent[:-1]])
     new = np.isfinite(sent) & (sent != before)
     found: dict[int, list[tuple[int, Location]]] = {}
-    rows = seen[new]
-    for (d, j), place, row in zip(
-        np.argwhere(new).tolist(), _geodetic(rows[:, 1:4]), rows.tolist(), strict=True
+    heard = k.Other(*log.others[new].T)
+    places = _geodetic(np.stack([heard.n, heard.e, heard.d], axis=1))
+    velocities = np.stack([heard.vn, heard.ve, heard.vd], axis=1).tolist()
+    for (d, j), (lat, lon, alt), (north, east, down), sent_s in zip(
+        np.argwhere(new).tolist(), places, velocities, sent[new].tolist(), strict=True
     ):
-        (lat, lon, alt), (north, east, down) = place, row[4:7]
         location = Location(
             lat_deg=lat,
             lon_deg=lon,
@@ -262,13 +268,13 @@ def _messages(seen: Array) -> dict[int, list[tuple[int, Location]]]:
             direction_deg=math.degrees(math.atan2(east, north)) % 360.0,
             speed_mps=math.hypot(north, east),
             vertical_speed_mps=-down,
-            timestamp_s=(UTC_AT_START_S + row[flight.SEEN_MESSAGE]) % 3600.0,
+            timestamp_s=(UTC_AT_START_S + sent_s) % 3600.0,
         )
         found.setdefault(d, []).append((j, location))
     return found
 
 
-def _geodetic(points: Array) -> list[Vec3]:
+def _geodetic(points: Floats) -> list[Vec3]:
     """Latitude, longitude (deg) and height (m) of NED points (n, 3)."""
     if not len(points):
         return []

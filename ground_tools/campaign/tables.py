@@ -133,7 +133,7 @@ def write(path: Path, table: Kept) -> None:
     try:
         path.write_bytes(msgspec.json.format(msgspec.json.encode(table)) + b"\n")
     except OSError as error:
-        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
+        raise ConfigError(f"--file: {path}: cannot be written: {error.strerror}") from error
 
 
 def read(path: Path) -> Kept:
@@ -147,7 +147,7 @@ def read(path: Path) -> Kept:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except msgspec.DecodeError as error:
-        raise ConfigError(f"{path}: no table of a campaign: {error}") from error
+        raise ConfigError(f"{path}: this is not a table of a campaign: {error}") from error
 
 
 def markdown(lines: Sequence[Line]) -> str:
@@ -167,18 +167,21 @@ def markdown(lines: Sequence[Line]) -> str:
     columns = [
         ("runs", lambda line: f"{line.found['runs']:,}"),
         ("below 10 m", lambda line: f"{line.found['losses_of_separation']:,}"),
-        ("hit", lambda line: f"{line.found['collisions']:,}"),
+        ("collisions", lambda line: f"{line.found['collisions']:,}"),
         (
-            "unavoided: below 10 m, hit",
+            "unavoided: below 10 m, collisions",
             lambda line: "{unavoided_losses_of_separation:,}, {unavoided_collisions:,}".format(**line.found),
         ),
         ("risk ratio (95 %)", _risk),
-        ("least (m)", lambda line: f"{line.found['min_separation_m']:.2f}"),
+        ("least separation (m)", lambda line: f"{line.found['min_separation_m']:.2f}"),
         ("mean severity", _severity),
         ("deviation (m)", lambda line: f"{line.found['median_max_deviation_m']:.0f}"),
         ("return (s)", _return),
-        ("late (s)", lambda line: "{median_lost_s:.0f}, {max_lost_s:.0f}".format(**line.found)),
-        ("crewed lost: ours, unavoided", _crewed),
+        (
+            "late, median and worst (s)",
+            lambda line: "{median_lost_s:.0f}, {max_lost_s:.0f}".format(**line.found),
+        ),
+        ("crewed traffic lost: ours, unavoided", _crewed),
     ]
     # A column without any value is omitted, such as the severity if no flight lost separation.
     shown += [c for c in columns if any(c[1](line) != _NOTHING for line in lines)]

@@ -12,8 +12,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.avoidance.law import Law, LawResult, Situation
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
@@ -35,8 +35,6 @@ from ground_tools.campaign.world import (
 )
 from ground_tools.inspect.read.truth import ORIGIN
 
-Array = NDArray[np.float64]
-
 FRAME = LocalFrame(*ORIGIN)
 VICTIM = 1
 """Index of the aircraft whose identity a twin and a clone send."""
@@ -44,15 +42,15 @@ VICTIM = 1
 
 def fly(
     rng: np.random.Generator,
-    world: Array,
-    path_times: Array,
-    path_points: Array,
-    fence: Array,
-    settings: Array,
-    kinds: Array,
+    world: Floats,
+    path_times: Floats,
+    path_points: Floats,
+    fence: Floats,
+    settings: Floats,
+    kinds: Floats,
     laws: Sequence[Law],
-    pairs: Array,
-    result: Array,
+    pairs: Floats,
+    result: Floats,
 ) -> None:
     """Fly a fleet along its paths. Arguments that are not listed here are those of `flight.fly`.
 
@@ -63,7 +61,7 @@ def fly(
     """
     fleet = len(kinds)
     craft, tally = vehicles.on_the_ground(fleet, world), outcome.nothing_yet(fleet, pairs, result)
-    hearts = [Heart(i, law) for i, law in enumerate(laws)]
+    cores = [Core(i, law) for i, law in enumerate(laws)]
     air, late = Air(kinds, world), np.zeros(fleet)
     step = world[W_STEP]
     every, message_every = int(world[W_PERIOD]), int(world[W_MESSAGE])
@@ -78,20 +76,20 @@ def fly(
                 air.hear(i, slot, craft.sent[i, slot].tolist(), now)
         places = list(map(tuple, (craft.position + craft.error).tolist()))
         velocities = list(map(tuple, (craft.velocity + craft.own_error).tolist()))
-        for heart, place, velocity in zip(hearts, places, velocities, strict=True):
-            heart.traffic.note_own(now, place, velocity)
+        for core, place, velocity in zip(cores, places, velocities, strict=True):
+            core.traffic.note_own(now, place, velocity)
         if tick % every == 0:
-            for i, heart in enumerate(hearts):
+            for i, core in enumerate(cores):
                 if kinds[i] == vehicles.AVOIDS:
-                    heart.hear(air.heard(i, now, craft.arrival[i]), now, clocks[i])
-                decided = heart.decide(world, now, places[i], velocities[i])
+                    core.hear(air.heard(i, now, craft.arrival[i]), now, clocks[i])
+                decided = core.decide(world, now, places[i], velocities[i])
                 craft.command[i] = decided.chosen_ned_mps
-                late[i] = heart.law.late_s
+                late[i] = core.law.late_s
                 if kinds[i] == vehicles.AVOIDS:
                     outcome.count_decision(tally, now, i, decided.feasible, decided.conflict)
                     for track in decided.tracks if decided.conflict else ():
                         if track.conflict:
-                            j = air.sender(heart.traffic.tracks[track.track_id].content)
+                            j = air.sender(core.traffic.tracks[track.track_id].content)
                             pairs[max(i, j), min(i, j), outcome.P_ALERT] = 1.0
         vehicles.move(rng, world, craft)
         outcome.measure(
@@ -101,7 +99,7 @@ def fly(
     outcome.land(kinds, late, tally, pairs, result)
 
 
-class Heart:
+class Core:
     """The receiving and deciding part of one aircraft: its tracks and its law."""
 
     def __init__(self, number: int, law: Law) -> None:
@@ -119,7 +117,7 @@ class Heart:
             self.traffic.hear(frame, now, clock_s, FRAME, 0.0)
         self.traffic.expire(now)
 
-    def decide(self, world: Array, now: float, place_ned_m: Vec3, velocity_ned_mps: Vec3) -> LawResult:
+    def decide(self, world: Floats, now: float, place_ned_m: Vec3, velocity_ned_mps: Vec3) -> LawResult:
         """Decide, given the position and velocity that the aircraft measures for itself."""
         floor, ceiling = (
             limit if math.isfinite(limit) else None for limit in world[[W_FLOOR, W_CEILING]].tolist()
@@ -135,7 +133,7 @@ class Heart:
 class Air:
     """Frames that have been sent and not yet received."""
 
-    def __init__(self, kinds: Array, world: Array) -> None:
+    def __init__(self, kinds: Floats, world: Floats) -> None:
         self._kinds = kinds.tolist()
         self._declared, self._sigma_mps = (float(world[entry]) for entry in (W_DECLARED, W_SIGMA_VELOCITY))
         self._echo_s = float(world[W_DELAY_LOW])
@@ -163,7 +161,7 @@ class Air:
         self._echoes[sender].append((now + self._echo_s, location))
         self._senders[lat, lon] = sender
 
-    def heard(self, receiver: int, now: float, arrival: Array) -> list[RemoteIdHeard]:
+    def heard(self, receiver: int, now: float, arrival: Floats) -> list[RemoteIdHeard]:
         """The frames that one aircraft has received by now, including its own.
 
         Args:

@@ -13,8 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats, Integers
 from companion.avoidance import kernels as k
 from ground_tools.campaign.compiled import compiled
 from ground_tools.campaign.world import (
@@ -38,8 +38,6 @@ from ground_tools.campaign.world import (
     W_STEP,
 )
 
-Array = NDArray[np.float64]
-
 # Kinds of aircraft. AVOIDS flies the avoidance law; no other kind avoids. BLIND sends and flies its path;
 # TURNING also turns and climbs at random; FROZEN turns likewise, but always sends its first velocity. SILENT
 # is received only at short range. LIAR sends a wrong position. CREWED is crewed traffic that is received by
@@ -60,44 +58,42 @@ M_TIME, M_POSITION, M_VELOCITY, MESSAGE_COLUMNS = 0, 1, 4, 7
 
 _compiled = compiled()
 _inlined = compiled(inline="always")
-"""For functions that every step calls: passing a fleet to a function that is not inlined costs as much time
-as the step itself."""
+"""For functions that every step calls with a whole fleet."""
 
 
 class Fleet(NamedTuple):
     """State of a fleet of A aircraft in flight. NED, m and s; the first axis is the aircraft unless stated
     otherwise."""
 
-    position: Array
+    position: Floats
     """(A, 3)."""
-    before: Array
+    before: Floats
     """(A, 3): position one step ago."""
-    velocity: Array
+    velocity: Floats
     """(A, 3)."""
-    command: Array
+    command: Floats
     """(A, 3)."""
-    error: Array
+    error: Floats
     """(A, 3): error of the GNSS position."""
-    own_error: Array
+    own_error: Floats
     """(A, 3): error of the own velocity."""
-    gust: Array
+    gust: Floats
     """(A, 3), m/s^2."""
-    clock: Array
+    clock: Floats
     """(A,): how far the aircraft's clock is ahead."""
-    phase: NDArray[np.int64]
+    phase: Integers
     """(A,): offset of the message schedule: steps between a message and the flight's first step."""
-    frozen: Array
+    frozen: Floats
     """(A, 3): velocity at the start of the flight."""
-    lie: Array
+    lie: Floats
     """(A, 2): north and east offset added to a sent position."""
-    sent: Array
+    sent: Floats
     """(A, slots, MESSAGE_COLUMNS): the latest messages."""
-    arrival: Array
+    arrival: Floats
     """(receiver, sender, slots): arrival time of each message; infinite if it is lost or already received."""
 
 
-@_inlined
-def on_the_ground(fleet: int, world: Array) -> Fleet:
+def on_the_ground(fleet: int, world: Floats) -> Fleet:
     """A fleet whose arrays are still zero and that has no message under way."""
     slots = int(world[W_DELAY_HIGH] / (world[W_MESSAGE] * world[W_STEP])) + 2
     return Fleet(
@@ -117,9 +113,14 @@ def on_the_ground(fleet: int, world: Array) -> Fleet:
     )
 
 
-@_compiled
+@compiled(_nrt=True)  # as random integers need it
 def begin(
-    rng: np.random.Generator, world: Array, path_times: Array, path_points: Array, kinds: Array, craft: Fleet
+    rng: np.random.Generator,
+    world: Floats,
+    path_times: Floats,
+    path_points: Floats,
+    kinds: Floats,
+    craft: Fleet,
 ) -> None:
     """Place every aircraft on its path and draw its errors. The arguments are those of `flight.fly`."""
     step, message_every = world[W_STEP], int(world[W_MESSAGE])
@@ -143,7 +144,7 @@ def begin(
 
 
 @_compiled
-def _quantise(message: Array) -> None:
+def _quantise(message: Floats) -> None:
     """Quantise a message in place: speed to 0.25 m/s, direction to whole degrees, vertical speed to 0.5 m/s,
     horizontal position to 1e-7 degrees, height to 0.5 m."""
     speed = round(math.hypot(message[4], message[5]) / 0.25) * 0.25
@@ -155,7 +156,7 @@ def _quantise(message: Array) -> None:
 
 
 @_compiled
-def _distance(position: Array, i: int, j: int) -> float:
+def _distance(position: Floats, i: int, j: int) -> float:
     return math.sqrt(
         (position[i, 0] - position[j, 0]) ** 2
         + (position[i, 1] - position[j, 1]) ** 2
@@ -164,7 +165,7 @@ def _distance(position: Array, i: int, j: int) -> float:
 
 
 @_inlined
-def send(rng: np.random.Generator, world: Array, tick: int, i: int, kinds: Array, craft: Fleet) -> int:
+def send(rng: np.random.Generator, world: Floats, tick: int, i: int, kinds: Floats, craft: Fleet) -> int:
     """Send the message of aircraft i that is due at this step. Writes `sent` and `arrival`.
 
     Returns:
@@ -195,7 +196,7 @@ def send(rng: np.random.Generator, world: Array, tick: int, i: int, kinds: Array
 
 
 @_inlined
-def move(rng: np.random.Generator, world: Array, craft: Fleet) -> None:
+def move(rng: np.random.Generator, world: Floats, craft: Fleet) -> None:
     """Move all vehicles by one step according to their commands."""
     step, lag, most = world[W_STEP], world[W_LAG], world[W_ACCELERATION]
     keep = math.exp(-step / world[W_SIGMA_MEMORY])

@@ -8,9 +8,8 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from companion.arrays import Floats
 
 # Indices of the array `world`, as `World.row` fills it.
 (
@@ -76,7 +75,7 @@ class World(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """How long one avoiding aircraft has no GNSS, around the middle of the flight. Meanwhile it sends
     nothing, decides nothing and stands still."""
 
-    def row(self, period_s: float) -> Array:
+    def row(self, period_s: float) -> Floats:
         """The same as an array for the compiled code, shape (WORLD_ENTRIES,).
 
         Args:

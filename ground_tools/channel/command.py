@@ -11,9 +11,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommands of `ground-tools channel`; each sets `run`."""
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
-        ("table", table, "delay and loss of fixed modes over sizes and rates"),
-        ("plot", plot, "the same delays as a picture"),
-        ("compare", compare, "the equations beside a packet-by-packet simulation"),
+        ("table", table, "print delay and loss of the fixed modes by size and rate"),
+        ("plot", plot, "draw the same delays"),
+        ("compare", compare, "compare the equations with a packet-by-packet simulation"),
     ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
         module.add_arguments(command)

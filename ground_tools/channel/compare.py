@@ -21,10 +21,10 @@ from typing import Literal
 
 import numpy as np
 from msgspec import structs
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from companion.arrays import Floats
 from companion.errors import ConfigError
 from ground_tools.channel import compare_plot, options
 from ground_tools.channel.comparison import VARIANTS, Case, Row
@@ -38,8 +38,6 @@ from sitl_mocks.channel.link_budget import Links, all_links, draw_positions
 from sitl_mocks.channel.packets import metrics as packet_metrics
 from sitl_mocks.channel.packets.simulation import Result, simulate
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
-
-Floats = NDArray[np.float64]
 
 BEST_RATES = {"ble4": 9, "ble5": 10, "wifi": 10}
 DENSE_M = 100.0
@@ -61,8 +59,8 @@ class Effort:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools channel compare`."""
     parser.description = (
-        "The channel model's equations beside a packet-by-packet simulation: of one link, of packets that\n"
-        "meet, and of fleets. Takes minutes, on all cores."
+        "Compare the channel model's equations with a packet-by-packet simulation: one link, colliding\n"
+        "packets, and whole fleets. This takes minutes on all cores."
     )
     parser.epilog = "example: ground-tools channel compare --seconds 60 --environments 20 --out runs/channel"
     parser.add_argument(
@@ -70,22 +68,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=60.0,
         metavar="S",
-        help="simulated seconds of a fleet, at least 30; one link takes twice as long, at least 120; packets "
-        "that meet S / aircraft, at least 5 (default: 60)",
+        help="simulated time of a fleet, at least 30 s. One link is simulated for twice as long, at least "
+        "120 s; colliding packets for S divided by the number of aircraft, at least 5 s (default: 60)",
     )
     parser.add_argument(
         "--environments",
         type=int,
         default=20,
         metavar="N",
-        help="positions drawn for each case, but for one link (default: 20)",
+        help="sets of positions for each case, except for one link (default: 20)",
     )
     options.add_seed(parser)
     options.add_parameters(parser)
     parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="for compare.png and compare.jsonl (default: neither)"
+        "--out", type=Path, metavar="FOLDER", help="folder in which to write compare.png and compare.jsonl"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object a line instead of tables")
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object per line instead of tables"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -95,17 +95,17 @@ def run(arguments: argparse.Namespace) -> int:
         ConfigError: an option is wrong, or matplotlib is missing for --out.
     """
     if not 10.0 <= arguments.seconds <= 86_400.0:
-        raise ConfigError(f"--seconds: {arguments.seconds:g}: allowed 10 to 86400")
+        raise ConfigError(f"--seconds: {arguments.seconds:g} is out of range; allowed: 10 to 86400")
     # With fewer environments, 95 % intervals from the normal distribution would be far too narrow.
     if not 10 <= arguments.environments <= 10_000:
-        raise ConfigError(f"--environments: {arguments.environments}: allowed 10 to 10000")
+        raise ConfigError(f"--environments: {arguments.environments} is out of range; allowed: 10 to 10000")
     options.check_seed(arguments.seed)
     p = with_schedule(options.parameters_of(arguments), "coprime")
     for (mode, rate), largest in zip(BEST_RATES.items(), parameters.max_rates(p), strict=True):
         if rate > largest:
             raise ConfigError(
-                f"--parameters: {arguments.parameters}: {mode}.max_rate: {largest}: "
-                f"this comparison needs {rate} and above"
+                f"--parameters: {arguments.parameters}: {mode}.max_rate: {largest} is too low; "
+                f"allowed in this comparison: {rate} or more"
             )
     effort = Effort(arguments.seconds, arguments.environments, arguments.seed)
     console = Console(stderr=arguments.json)
@@ -125,13 +125,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 _LEGEND = """\
-assumptions: of the packet-by-packet simulation; the equations always make the paper's.
-random phases: the equations with every Bluetooth event at a phase of its own. Ratio: packets over equations.
-One link: mean over the receivers of one sender; nobody else sends. Packets that meet: share lost to others.
+assumptions: those of the packet-by-packet simulation. The equations always use the paper's assumptions.
+random phases: the equations with every Bluetooth event at a random phase.
+packets: the packet-by-packet simulation. ratio: packets divided by equations.
+One link: mean delay from one sender to all receivers; nobody else sends.
+Colliding packets: share of packets lost because others sent at the same time.
 Fixed modes: system delay, the sum over the aircraft of each one's mean delay to those it reaches.
 never heard: pairs in range of which one heard nothing of the other in the whole run; not in the mean delay.
-waiting: messages still waited for at the end; where it is above 0, the delay is a lower bound.
--: no pair in range."""
+waiting: share of messages that had not arrived at the end. Where it is above 0, the delay is a lower bound.
+-: no pair is in range."""
 
 
 def _print(rows: list[Row], console: Console, *, as_json: bool) -> None:
@@ -322,7 +324,7 @@ def _mean_and_error(values: Floats) -> tuple[float, float]:
 
 
 def _table(study: str, rows: list[Row]) -> Table:
-    table = Table(title={"link": "One link", "collision": "Packets that meet", "fleet": "Fixed modes"}[study])
+    table = Table(title={"link": "One link", "collision": "Colliding packets", "fleet": "Fixed modes"}[study])
     for name in ("assumptions", "mode", "rate", "UAVs", "side"):
         table.add_column(name)
     table.add_column("equations", justify="right")

@@ -51,7 +51,7 @@ def _link(axes: Any, rows: list[Row]) -> None:
     axes.set_yscale("log")
     axes.set_xlabel("message rate (1/s)")
     axes.set_ylabel("mean delay (ms)")
-    axes.legend(fontsize=10.5, title="line: equations; point: packets", title_fontsize=10.5)
+    axes.legend(fontsize=10.5, title="lines: equations; points: packet simulation", title_fontsize=10.5)
 
 
 def _collision(axes: Any, rows: list[Row]) -> None:
@@ -73,8 +73,8 @@ def _collision(axes: Any, rows: list[Row]) -> None:
     axes.set_xticks(
         sorted({r.case.uavs for r in rows}), [str(n) for n in sorted({r.case.uavs for r in rows})]
     )
-    axes.set_xlabel("aircraft, each at its mode's best rate")
-    axes.set_ylabel("packets lost to others (%)")
+    axes.set_xlabel("number of aircraft, at each mode's best rate")
+    axes.set_ylabel("packets lost in collisions (%)")
     axes.set_ylim(bottom=0.0)
 
 

@@ -15,14 +15,13 @@ from typing import Final, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from sitl_mocks.channel.equations.analytic import Analytic, Fleet, fixed_rates, system_delay_s, wifi_channels
 from sitl_mocks.channel.link_budget import Links, all_links, draw_positions
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
 
-Floats = NDArray[np.float64]
 Reading = Literal["shared", "random"]
 READINGS: Final[tuple[Reading, ...]] = ("shared", "random")
 

@@ -25,29 +25,36 @@ _MAX_SIGMA_DB: Final = 30.0
 _MAX_SAMPLES: Final = 100_000
 _MAX_UAVS: Final = 1000
 
-LISTS = "Lists are separated by spaces or commas: --sides 100 500, --rates 1,5,9, --rates 1-10."
+LISTS = "Separate the items of a list by spaces or commas: --sides 100 500, --rates 1,5,9, --rates 1-10."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that select what is evaluated."""
     parser.add_argument(
-        "--sides", nargs="+", metavar="M", help="sides of the squares (default: 100 500 1000 3000 5000 10000)"
+        "--sides",
+        nargs="+",
+        metavar="M",
+        help="sides of the squares in m (default: 100 500 1000 3000 5000 10000)",
     )
     parser.add_argument(
         "--rates",
         nargs="+",
         metavar="N",
-        help="messages in a GNSS period (default: 1-10, or up to a mode's max_rate where that is less)",
+        help="messages per GNSS period (default: 1-10, or up to a mode's max_rate if that is less)",
     )
-    parser.add_argument("--modes", nargs="+", metavar="MODE", help=f"of {', '.join(MODES)} (default: all)")
+    parser.add_argument(
+        "--modes", nargs="+", metavar="MODE", help=f"modes out of {', '.join(MODES)} (default: all)"
+    )
     parser.add_argument(
         "--sigma",
         nargs="+",
         metavar="DB",
-        help="shadowing, standard deviation; the paper's variance of 6 dB is 2.449 "
-        "(default: that of the parameters, 0 in the paper's)",
+        help="standard deviation of the shadowing; the paper's variance of 6 dB is 2.449 dB "
+        "(default: that of the parameters; 0 in the paper's)",
     )
-    parser.add_argument("--uavs", type=int, default=UAVS, metavar="N", help="aircraft (default: 10)")
+    parser.add_argument(
+        "--uavs", type=int, default=UAVS, metavar="N", help="number of aircraft (default: 10)"
+    )
     add_parameters(parser)
     add_sampling(parser)
 
@@ -55,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_parameters(parser: argparse.ArgumentParser) -> None:
     """Add the option that names a parameter file."""
     parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="channel parameters, TOML (default: the paper's)"
+        "--parameters", type=Path, metavar="FILE", help="channel parameters as TOML (default: the paper's)"
     )
 
 
@@ -75,14 +82,16 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=SAMPLES,
         metavar="N",
-        help="environments with positions drawn anew, of each side (default: 1000)",
+        help="random sets of positions for each side (default: 1000)",
     )
     add_seed(parser)
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
     """Add the option for the seed of the random draw."""
-    parser.add_argument("--seed", type=int, default=SEED, metavar="N", help="of the draw (default: 1)")
+    parser.add_argument(
+        "--seed", type=int, default=SEED, metavar="N", help="seed of the random draws (default: 1)"
+    )
 
 
 def settings_of(args: argparse.Namespace) -> Settings:
@@ -94,7 +103,7 @@ def settings_of(args: argparse.Namespace) -> Settings:
     parameters = parameters_of(args)
     check_sampling(args.samples, args.seed)
     if not 2 <= args.uavs <= _MAX_UAVS:
-        raise ConfigError(f"--uavs: {args.uavs}: allowed 2 to {_MAX_UAVS}")
+        raise ConfigError(f"--uavs: {args.uavs} is out of range; allowed: 2 to {_MAX_UAVS}")
     modes = _modes(args.modes)
     sides = _numbers("--sides", args.sides, _MAX_SIDE_M, above=True) if args.sides else SIDES_M
     sigmas: tuple[float, ...] = (parameters.propagation.shadowing_sigma_db,)
@@ -118,7 +127,7 @@ def check_sampling(samples: int, seed: int) -> None:
         ConfigError: one of them is out of range; the message names the option, its value and what is allowed.
     """
     if not 2 <= samples <= _MAX_SAMPLES:
-        raise ConfigError(f"--samples: {samples}: allowed 2 to {_MAX_SAMPLES}")
+        raise ConfigError(f"--samples: {samples} is out of range; allowed: 2 to {_MAX_SAMPLES}")
     check_seed(seed)
 
 
@@ -129,7 +138,7 @@ def check_seed(seed: int) -> None:
         ConfigError: the seed is out of range; the message names the option, its value and what is allowed.
     """
     if not 0 <= seed <= MAX_SEED:
-        raise ConfigError(f"--seed: {seed}: allowed 0 to {MAX_SEED}")
+        raise ConfigError(f"--seed: {seed} is out of range; allowed: 0 to {MAX_SEED}")
 
 
 def make_folder(path: Path) -> None:
@@ -141,20 +150,20 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"--out: {path}: cannot be made: {error.strerror}") from error
+        raise ConfigError(f"--out: {path}: the folder cannot be created: {error.strerror}") from error
 
 
 def _words(option: str, given: Iterable[str]) -> list[str]:
     """Split the arguments of a list option into its items."""
     words = [word.strip() for part in given for word in part.strip().strip(",").split(",")]
     if "" in words:
-        raise ConfigError(f"{option}: {' '.join(given)!r}: an item is empty; {LISTS}")
+        raise ConfigError(f"{option}: {' '.join(given)!r}: an item of the list is empty. {LISTS}")
     return words
 
 
 def _numbers(option: str, given: list[str], largest: float, *, above: bool = False) -> tuple[float, ...]:
     """Parse numbers from 0 (`above`: more than 0) to `largest`, and drop duplicates."""
-    allowed = f"{'more than 0 and up' if above else '0'} to {largest:,.0f}"
+    allowed = f"more than 0 and at most {largest:,.0f}" if above else f"0 to {largest:,.0f}"
     found = []
     for word in _words(option, given):
         try:
@@ -162,7 +171,7 @@ def _numbers(option: str, given: list[str], largest: float, *, above: bool = Fal
         except ValueError:
             value = math.nan
         if not (0.0 < value <= largest if above else 0.0 <= value <= largest):
-            raise ConfigError(f"{option}: {word}: allowed: numbers {allowed}")
+            raise ConfigError(f"{option}: {word} is not allowed; allowed: numbers, {allowed}")
         found.append(abs(value))  # -0 is 0
     return tuple(dict.fromkeys(found))
 
@@ -173,7 +182,7 @@ def _modes(given: list[str] | None) -> tuple[str, ...]:
     words = _words("--modes", given)
     for word in words:
         if word not in MODES:
-            raise ConfigError(f"--modes: {word}: allowed: {', '.join(MODES)}")
+            raise ConfigError(f"--modes: {word} is unknown; allowed: {', '.join(MODES)}")
     return tuple(mode for mode in MODES if mode in words)
 
 
@@ -188,10 +197,12 @@ def _rates(
     for word in _words("--rates", given):
         span = re.fullmatch(r"([0-9]{1,9})(?:-([0-9]{1,9}))?", word)
         if span is None:
-            raise ConfigError(f"--rates: {word}: expected whole numbers or ranges such as 1-10")
+            raise ConfigError(
+                f"--rates: {word} is not allowed; allowed: whole numbers, and ranges such as 1-10"
+            )
         low, high = int(span[1]), int(span[2] or span[1])
         if low > high:
-            raise ConfigError(f"--rates: {word}: the range ends before it begins")
+            raise ConfigError(f"--rates: {word}: the range must rise, such as 1-10")
         for mode in modes:
             for rate in (low, high):
                 try:

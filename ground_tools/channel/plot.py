@@ -26,12 +26,12 @@ _COLUMNS = 3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools channel plot`."""
     parser.description = (
-        "Draw the system delay of the fixed modes against the rate, one panel for each side.\n"
+        "Draw the system delay of the fixed modes against the rate, with one panel for each side.\n"
         + options.LISTS
     )
     parser.epilog = "example: ground-tools channel plot --sides 100,1000,10000 --out delay.png"
     options.add_arguments(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="picture to write")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="the picture to write")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,9 +43,11 @@ def run(args: argparse.Namespace) -> int:
     """
     settings = options.settings_of(args)
     if len(settings.sigmas_db) > 1:
-        raise ConfigError(f"--sigma: {len(settings.sigmas_db)} values: a picture shows one")
+        raise ConfigError(f"--sigma: {len(settings.sigmas_db)} values are too many; allowed in a picture: 1")
     if len(settings.sides_m) > _MAX_PANELS:
-        raise ConfigError(f"--sides: {len(settings.sides_m)} values: a picture shows up to {_MAX_PANELS}")
+        raise ConfigError(
+            f"--sides: {len(settings.sides_m)} values are too many; allowed in a picture: up to {_MAX_PANELS}"
+        )
     steps = len(settings.sides_m) * len(batches_of(settings))
     # The figure is opened first, so that a missing requirement is reported before the computation.
     with drawn(args.out, size_of(len(settings.sides_m))) as figure, progress("fixed modes", steps) as advance:
@@ -83,7 +85,7 @@ def draw(figure: Any, rows: Sequence[Row], quantity: Quantity) -> None:
 
 def _title(row: Row, quantity: Quantity) -> str:
     what = "System delay" if quantity == "delay" else "Packet loss"
-    return f"{what} of {row.uavs} aircraft on one mode (shadowing {row.sigma_db:g} dB)"
+    return f"{what} of {row.uavs} aircraft in the same mode (shadowing {row.sigma_db:g} dB)"
 
 
 def _panel(axes: Any, rows: Sequence[Row], quantity: Quantity) -> None:
@@ -108,7 +110,7 @@ def _panel(axes: Any, rows: Sequence[Row], quantity: Quantity) -> None:
             capsize=2,
             label=name_of(mode, reading),
         )
-    axes.set_xlabel("messages in a GNSS period")
+    axes.set_xlabel("messages per GNSS period")
     axes.xaxis.get_major_locator().set_params(integer=True, nbins=10)
     if quantity == "loss":
         axes.set_ylim(bottom=0.0)

@@ -17,25 +17,25 @@ from ground_tools.common.progress import progress
 
 _LEGEND = (
     "System delay (ms): the sum over the aircraft of each one's mean delay to those\n"
-    "it reaches, 0 where it reaches nobody; ±: Monte Carlo standard error.\n"
-    "Loss (%): mean over the links in range; - where nobody is in range."
+    "it reaches, 0 if it reaches nobody. ±: Monte Carlo standard error.\n"
+    "Loss (%): mean over the links in range; -: nobody is in range."
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools channel table`."""
     parser.description = (
-        "System delay and loss where every aircraft is on one mode at one rate, by the channel model's "
-        "equations.\n"
-        'Wi-Fi comes in two readings: beacons of all on one channel ("shared"), or each aircraft\'s on one\n'
-        'drawn from 1, 6 and 11 ("random"). For BLE the reading plays no part: one row, "shared".\n'
-        + options.LISTS
+        "Compute system delay and loss with the channel model's equations. All aircraft use the same mode\n"
+        "and rate. Wi-Fi has two variants: all aircraft send on one channel (shared), or each one sends on\n"
+        "1, 6 or 11 at random (random). BLE has no such variants.\n" + options.LISTS
     )
     parser.epilog = (
         "example: ground-tools channel table --sides 500,1000 --rates 9-10 --modes ble4,wifi --json"
     )
     options.add_arguments(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object a line instead of tables")
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object per line instead of tables"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,7 +69,7 @@ def table_of(rows: Sequence[Row]) -> Table:
     first = rows[0]
     title = (
         f"Side {first.side_m:,g} m, sigma {first.sigma_db:g} dB, {first.uavs} aircraft, "
-        f"{first.samples:,} environments; ms and %"
+        f"{first.samples:,} environments; delays in ms, losses in %"
     )
     table = Table(
         title=title,

@@ -58,7 +58,7 @@ def on_ray(
         _check_nodes(ray, state)
         yield from _work(ray, ray.remote(max_retries=0)(function), items, words)
     except KeyboardInterrupt:
-        words.print("interrupted; what was flown is kept, and the same command goes on from there")
+        words.print("Interrupted. With --out, finished flights are kept and the same command continues.")
         raise
     finally:
         ray.shutdown()  # Ends the remaining tasks of this run.
@@ -68,17 +68,21 @@ def _connect(address: str) -> Any:
     """Connect to the cluster. Returns the module `ray`."""
     match = re.fullmatch(r"(?:ray://)?(\[[0-9a-fA-F:.]+\]|[^:/\s]+):([0-9]{1,5})", address)
     if match is None or not 0 < int(match[2]) < 1 << 16:
-        raise ConfigError(f"--ray: {address}: allowed is HOST:PORT or ray://HOST:PORT, such as 10.0.0.5:6379")
+        raise ConfigError(
+            f"--ray: {address} is not allowed; allowed: HOST:PORT or ray://HOST:PORT, such as 10.0.0.5:6379"
+        )
     try:
         import ray
     except ImportError as error:
-        raise ConfigError("ray is not installed; in the checkout: pip install -e '.[cluster]'") from error
+        raise ConfigError(
+            "ray is not installed; to install it, run in the checkout: pip install -e '.[cluster]'"
+        ) from error
     # By default, ray tries to connect for 15 minutes.
     os.environ.setdefault("RAY_gcs_server_port_wait_time_s", "1")
     try:
         socket.create_connection((match[1].strip("[]"), int(match[2])), _ANSWER_S).close()
     except OSError as error:
-        raise ConfigError(f"--ray: {address}: no answer: {error.strerror or error}") from error
+        raise ConfigError(f"--ray: {address} does not answer: {error.strerror or error}") from error
     try:
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
@@ -92,7 +96,7 @@ def _check_nodes(ray: Any, state: Callable[[], str]) -> None:
 
     nodes = {node["NodeID"]: node["NodeManagerAddress"] for node in ray.nodes() if _cpus(node)}
     if not nodes:
-        raise ConfigError("--ray: the cluster has no CPU")
+        raise ConfigError("--ray: the cluster has no node with a CPU")
     ask = ray.remote(max_retries=_MOST_LOST)(state)
     asked = [ask.options(scheduling_strategy=On(node, soft=False)).remote() for node in nodes]
     here = state()
@@ -104,7 +108,8 @@ def _check_nodes(ray: Any, state: Callable[[], str]) -> None:
             raise ConfigError(f"--ray: node {name}: {_line(cause)}") from error
         if there != here:
             raise ConfigError(
-                f"--ray: node {name}: other software ({there}; here {here}): install the same there"
+                f"--ray: node {name} has other software ({there}) than this machine ({here}); "
+                "install the same version on all nodes"
             )
 
 
@@ -128,9 +133,10 @@ def _work(ray: Any, remote: Any, items: Sequence[Item], words: Console) -> Itera
                 if lost + 1 == _MOST_LOST:
                     raise ConfigError(
                         f"--ray: {_MOST_LOST} workers were lost at the same work ({type(error).__name__}; "
-                        "out of memory?); what was flown is kept, and the same command goes on from there"
+                        "out of memory?); with --out, finished flights are kept and the same command "
+                        "continues from them"
                     ) from error
-                words.print(f"a worker was lost ({type(error).__name__}); what it had is flown again")
+                words.print(f"A worker was lost ({type(error).__name__}). Its flights are repeated.")
                 waiting.append((item, lost + 1))
             except errors.RayTaskError as error:
                 raise error.cause from None

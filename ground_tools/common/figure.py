@@ -40,9 +40,9 @@ def drawn(path: Path, size_in: tuple[float, float], dpi: int = 130) -> Iterator[
     """
     # Without this check matplotlib would write FILE.png for FILE, even if FILE is a folder.
     if path.suffix.lower() != ".png":
-        raise ConfigError(f"--out: {path}: cannot be written: expected a file name that ends in .png")
+        raise ConfigError(f"--out: {path}: cannot be written: the file name must end in .png")
     if path.is_dir() or not path.parent.is_dir():
-        why = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
+        why = "it is a folder" if path.is_dir() else f"the folder {path.parent} does not exist"
         raise ConfigError(f"--out: {path}: cannot be written: {why}")
     with styled(size_in) as figure:
         yield figure
@@ -67,7 +67,7 @@ def styled(size_in: tuple[float, float], **style: Any) -> Iterator[Any]:
         import matplotlib
     except ImportError as error:
         raise ConfigError(
-            "matplotlib is not installed; in the checkout: pip install -e '.[inspect]'"
+            "matplotlib is not installed; to install it, run in the checkout: pip install -e '.[inspect]'"
         ) from error
     with matplotlib.rc_context(_STYLE | style):
         from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from companion.arrays import Floats
 
 Z: Final = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""

@@ -63,11 +63,13 @@ class Kept(Generic[Row]):
             first, *lines = text.splitlines()
             header = json.loads(first)
         except (OSError, ValueError) as error:
-            raise ConfigError(f"--out: {self.path}: cannot be read; remove it to fly it anew") from error
+            raise ConfigError(
+                f"--out: {self.path}: cannot be read; remove the file to repeat its flights"
+            ) from error
         if header != self._made_with:
             raise ConfigError(
-                f"--out: {self.path}: made with other settings ({_difference(header, self._made_with)}); "
-                "remove it, or choose another folder"
+                f"--out: {self.path} was made with other settings ({_difference(header, self._made_with)}); "
+                "remove the file or choose another folder"
             )
         for line in lines:
             try:
@@ -82,6 +84,6 @@ class Kept(Generic[Row]):
 
 def _difference(found: Any, wanted: dict[str, Any]) -> str:
     if not isinstance(found, dict):
-        return "no header"
+        return "the file has no header"
     keys = [key for key in {**wanted, **found} if found.get(key) != wanted.get(key)]
     return ", ".join(f"{key}: {found.get(key)}, now {wanted.get(key)}" for key in keys)

@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from rich.console import Console
 
@@ -15,6 +15,7 @@ from companion.errors import ConfigError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+_INTERRUPTED: Final = "Interrupted. With --out, finished flights are kept and the same command continues."
 
 
 def in_parallel(
@@ -23,7 +24,8 @@ def in_parallel(
     """Yield each item with its result, in the order in which they finish.
 
     Args:
-        function: The work for one item, a top-level function of a module. It runs in worker processes.
+        function: The work for one item, a top-level function of a module. It runs in worker processes, or in
+            this one where a single worker would do all the work.
         items: The items.
         processes: Greatest number of worker processes.
         words: Console for the message about Ctrl-C.
@@ -31,7 +33,13 @@ def in_parallel(
     Raises:
         ConfigError: A worker was killed from outside.
     """
-    if not items:
+    if min(processes, len(items)) <= 1:
+        try:
+            for item in items:
+                yield item, function(item)
+        except KeyboardInterrupt:
+            words.print(_INTERRUPTED)
+            raise
         return
     context = multiprocessing.get_context("spawn")
     ignored = (signal.SIGINT, signal.SIG_IGN)
@@ -42,8 +50,8 @@ def in_parallel(
                 yield futures.pop(future), future.result()
         except BrokenProcessPool as error:
             raise ConfigError(
-                "a worker process was killed (out of memory?); what was flown is kept, and the same command "
-                "goes on from there, with fewer --processes if need be"
+                "a worker process was killed (out of memory?); with --out, finished flights are kept and the "
+                "same command continues from them; fewer --processes need less memory"
             ) from error
         except BaseException as error:
             # The workers ignore Ctrl-C, and the pool would wait for the remaining items.
@@ -51,5 +59,5 @@ def in_parallel(
             for child in multiprocessing.active_children():
                 child.terminate()
             if isinstance(error, KeyboardInterrupt):
-                words.print("interrupted; what was flown is kept, and the same command goes on from there")
+                words.print(_INTERRUPTED)
             raise

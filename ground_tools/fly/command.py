@@ -31,30 +31,33 @@ _EXAMPLES = """examples:
       --scenario config/scenarios/head_on.toml --start --land
   ground-tools fly tcpout://127.0.0.1:5760 --land
 
-A failure, Ctrl-C or a terminal that closes leaves vehicles in the air holding (BRAKE on ArduPilot, HOLD on
-PX4) and says so; nothing is disarmed in the air. Exit code: 0 done, 1 a vehicle refused or was lost, 2 wrong
-input, 130 Ctrl-C.
+After a failure, Ctrl-C or a closed terminal, vehicles in the air hold their position (BRAKE on ArduPilot,
+HOLD on PX4), and the command says so. It disarms no vehicle in the air. Exit codes: 0 done, 1 a vehicle
+refused or was lost, 2 wrong input, 130 Ctrl-C.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools fly`."""
+    parser.description = (
+        "Upload missions to one or more vehicles, take off, start the missions and land, in this order."
+    )
     parser.epilog = _EXAMPLES
     add = parser.add_argument
-    add("address", nargs="+", metavar="ADDRESS", help="where a vehicle is: udpin://HOST:PORT, "
-        "udpout://HOST:PORT, tcpout://HOST:PORT, serial://DEVICE:BAUD")  # fmt: skip
+    add("address", nargs="+", metavar="ADDRESS", help="address of a vehicle: udpin://HOST:PORT, "
+        "udpout://HOST:PORT, tcpout://HOST:PORT or serial://DEVICE:BAUD")  # fmt: skip
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--mission", type=Path, action="append", metavar="FILE",
-                      help=".plan or QGC WPL 110 file to upload; once for each ADDRESS")  # fmt: skip
+                      help="mission to upload (.plan or QGC WPL 110); once for each ADDRESS")  # fmt: skip
     what.add_argument("--scenario", type=Path, metavar="FILE",
-                      help="upload a scenario's paths as missions, aircraft k to ADDRESS k, around the "
-                      "first vehicle's home; with --start they begin together")  # fmt: skip
-    add("--seed", type=int, default=1, help="of a scenario's drawn paths (default 1)")
-    add("--takeoff", type=float, metavar="HEIGHT", help="arm and take off to this height above home (m)")
+                      help="upload the scenario's paths as missions, around the first vehicle's home; "
+                      "ADDRESS k gets the path of aircraft k, and --start starts all together")  # fmt: skip
+    add("--seed", type=int, default=1, help="seed of the scenario's random paths (default: 1)")
+    add("--takeoff", type=float, metavar="HEIGHT", help="arm, and take off to this height above home in m")
     add("--start", action="store_true", help="start the missions")
-    add("--wait", action="store_true", help="wait until the missions that --start started are flown")
-    add("--land", action="store_true", help="land at once, or after --start when the missions are flown")
-    add("--json", action="store_true", help="print the result as one JSON object; progress to stderr")
+    add("--wait", action="store_true", help="with --start: wait until the missions are finished")
+    add("--land", action="store_true", help="land; with --start, land when the missions are finished")
+    add("--json", action="store_true", help="print the result as one JSON object, and the progress to stderr")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -129,7 +132,7 @@ def _fly(
 
 def _tell(trouble: BaseException) -> str:
     """Print why the command ends. A closed terminal must not prevent the steps that follow."""
-    error = str(trouble) or "broken off"
+    error = str(trouble) or "interrupted"
     with contextlib.suppress(OSError):
         print(f"ground-tools fly: {error}", file=sys.stderr, flush=True)
     return error
@@ -138,15 +141,15 @@ def _tell(trouble: BaseException) -> str:
 def _check(args: argparse.Namespace) -> None:
     """Check the options. Raises ConfigError if one is invalid or options do not fit together."""
     if not (args.mission or args.scenario or args.takeoff is not None or args.start or args.land):
-        raise ConfigError("nothing to do: give --mission, --scenario, --takeoff, --start or --land")
+        raise ConfigError("there is nothing to do; give --mission, --scenario, --takeoff, --start or --land")
     if len(set(args.address)) < len(args.address):
-        raise ConfigError("ADDRESS: one is given twice; allowed is one vehicle at each")
+        raise ConfigError("ADDRESS: an address is given twice; allowed: each address once")
     if args.takeoff is not None and not 1.0 <= args.takeoff <= 500.0:
-        raise ConfigError(f"--takeoff: {args.takeoff:g}: allowed 1 to 500 (m)")
+        raise ConfigError(f"--takeoff: {args.takeoff:g} is out of range; allowed: 1 to 500 (m)")
     if args.wait and not args.start:
-        raise ConfigError("--wait: waits for missions that --start starts; give both")
+        raise ConfigError("--wait is allowed only with --start")
     if args.seed < 0:
-        raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
+        raise ConfigError(f"--seed: {args.seed} is out of range; allowed: 0 or more")
 
 
 def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[MissionItem, ...]]] | None:
@@ -155,19 +158,20 @@ def _missions(args: argparse.Namespace) -> Callable[[Vec3], Sequence[tuple[Missi
     if args.mission is not None:
         if len(args.mission) != count:
             raise ConfigError(
-                f"--mission: {len(args.mission)} files for {count} vehicles; allowed is one for each"
+                f"--mission: {len(args.mission)} files for {count} vehicles; allowed: one for each vehicle"
             )
         read = [missions.load(path) for path in args.mission]
         return lambda _: read
     if args.scenario is None:
         return None
     if not args.scenario.exists():
-        raise ConfigError(f"--scenario: {args.scenario}: no such file; some are in config/scenarios")
+        raise ConfigError(f"--scenario: {args.scenario}: no such file; see config/scenarios for examples")
     scenario = scenario_file.load(args.scenario)
     paths = len(paths_of(scenario, args.seed))
     if paths != count:
         raise ConfigError(
-            f"--scenario: {args.scenario}: {paths} aircraft for {count} vehicles; allowed is one for each"
+            f"--scenario: {args.scenario}: {paths} aircraft for {count} vehicles; "
+            "allowed: one aircraft for each vehicle"
         )
     missions.scenario_missions(scenario, args.seed, (0.0, 0.0, 0.0))  # Errors show at any origin.
     return lambda home: missions.scenario_missions(scenario, args.seed, home)

@@ -61,7 +61,7 @@ class Fleet:
         def known(vehicle: Vehicle) -> bool:
             return bool(vehicle.last("HOME_POSITION"))
 
-        self._until(known, READY_S, "home", lambda v: "not known yet", quiet=True)
+        self._until(known, READY_S, "home", lambda v: "it is not known yet", quiet=True)
 
     def upload(self, missions: Sequence[tuple[MissionItem, ...]]) -> None:
         """Upload one mission to each vehicle. Raises VehicleError."""
@@ -69,13 +69,15 @@ class Fleet:
         for vehicle, items in zip(self.vehicles, missions, strict=True):
             self._check_interrupt()
             vehicle.upload(items)
-            self._say(f"{vehicle.name}: holds the mission, {len(items)} items, read back and compared")
+            self._say(f"{vehicle.name}: the mission is aboard ({len(items)} items), read back and compared")
 
     def take_off(self, height_m: float) -> None:
         """Take off from the ground to a height above home. Raises VehicleError."""
         for vehicle in self.vehicles:
             if not vehicle.on_ground:
-                raise VehicleError(f"{vehicle.name}: cannot take off: in the air at {vehicle.height_m:.1f} m")
+                raise VehicleError(
+                    f"{vehicle.name}: cannot take off: it is in the air already, at {vehicle.height_m:.1f} m"
+                )
         self._wait_ready()
         for vehicle in self.vehicles:
             self._arm(vehicle)
@@ -86,7 +88,7 @@ class Fleet:
                 vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, None, None, None, vehicle.home[2] + height_m)
             else:
                 vehicle.command(NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
-            self._say(f"{vehicle.name}: armed, takes off to {height_m:g} m")
+            self._say(f"{vehicle.name}: it is armed and takes off to {height_m:g} m")
         enough_m = height_m - max(0.5, 0.05 * height_m)
 
         def up(vehicle: Vehicle) -> bool:
@@ -105,7 +107,7 @@ class Fleet:
         for vehicle, items in zip(self.vehicles, self._missions, strict=True):
             if vehicle in standing and not begins_with_takeoff(items):
                 raise VehicleError(
-                    f"{vehicle.name}: on the ground, and its mission does not begin with a take-off; "
+                    f"{vehicle.name}: it is on the ground, and its mission does not begin with a take-off; "
                     "add --takeoff"
                 )
         if standing:
@@ -115,7 +117,7 @@ class Fleet:
         for vehicle in self.vehicles:
             self._check_interrupt()
             self._start(vehicle)
-            self._say(f"{vehicle.name}: flies its mission")
+            self._say(f"{vehicle.name}: it flies its mission")
 
     def gather(self) -> None:
         """Wait until all vehicles are at their first waypoint, then let all continue. Raises VehicleError."""
@@ -131,8 +133,8 @@ class Fleet:
             far[vehicle.name] = math.hypot(*start.to_ned(*vehicle.place))
             return far[vehicle.name] <= _AT_START_M
 
-        self._until(there, math.inf, "way to the start", lambda v: f"{far[v.name]:.0f} m away")
-        self._say("all at their starts: go")
+        self._until(there, math.inf, "flight to the start", lambda v: f"{far[v.name]:.0f} m away")
+        self._say("all vehicles are at their starts and continue")
         for _ in range(_TRIES):
             waiting = [vehicle for vehicle in self.vehicles if vehicle.item < 2]
             if not waiting:
@@ -140,7 +142,7 @@ class Fleet:
             for vehicle in waiting:
                 vehicle.go_on_with(2)
             self._sleep(_GO_S)
-        raise VehicleError(f"{waiting[0].name}: does not go on with item 2 of its mission")
+        raise VehicleError(f"{waiting[0].name}: it does not continue with item 2 of its mission")
 
     def wait(self) -> None:
         """Wait until all missions are complete. Raises VehicleError."""
@@ -178,14 +180,14 @@ class Fleet:
             try:
                 done[vehicle.name] = self._leave(vehicle)
             except Exception as error:  # A failure of one vehicle must not affect the others.
-                done[vehicle.name] = f"could not be told anything ({error}); its own failsafe decides"
+                done[vehicle.name] = f"could not be commanded ({error}); its own failsafe decides"
         return done
 
     # ------------------------------------------------------------ internals
 
     def _leave(self, vehicle: Vehicle) -> str:
         if not vehicle.ours and not vehicle.armed_by_us:
-            return "was not commanded anything"
+            return "got no command"
         vehicle.hear_again()
         if not vehicle.armed:
             return "is disarmed"
@@ -195,14 +197,14 @@ class Fleet:
             except VehicleError:
                 pass  # It is taking off after all.
             else:
-                return "is on the ground: disarmed"
+                return "is on the ground and was disarmed"
         if vehicle.mode in COMING_DOWN:
-            return f"comes down, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
+            return f"descends at {vehicle.height_m:.1f} m and was left in {vehicle.mode}"
         if vehicle.mode not in (*vehicle.ours, vehicle.modes.holding):
-            return f"is in somebody else's hands, at {vehicle.height_m:.1f} m: left in {vehicle.mode}"
+            return f"is flown by somebody else at {vehicle.height_m:.1f} m and was left in {vehicle.mode}"
         if vehicle.mode != vehicle.modes.holding:
             vehicle.set_mode(FlightMode.HOLD)
-        return f"holds at {vehicle.height_m:.1f} m, in {vehicle.mode}: armed; land it"
+        return f"holds at {vehicle.height_m:.1f} m in {vehicle.mode} and is armed; land it"
 
     def _wait_ready(self) -> None:
         missing: dict[str, str | None] = {}
@@ -252,7 +254,7 @@ class Fleet:
             if time.monotonic() > end_s:
                 said = vehicle.said(end_s - _START_S)
                 raise VehicleError(
-                    f"{vehicle.name}: acknowledged the start of its mission and stays in {vehicle.mode}"
+                    f"{vehicle.name}: it acknowledged the start of its mission but stays in {vehicle.mode}"
                     + (f": {said}" if said else "")
                 )
 
@@ -290,11 +292,12 @@ class Fleet:
         said = vehicle.said(since_s - _ELSEWHERE_S)
         why = f": {said}" if said else ""
         if not vehicle.armed:
-            raise VehicleError(f"{vehicle.name}: disarmed by itself{why}")
+            raise VehicleError(f"{vehicle.name}: it disarmed by itself{why}")
         if now_s - since_s > _ELSEWHERE_S:
             wanted = " or ".join(sorted(modes))
             raise VehicleError(
-                f"{vehicle.name}: is in {vehicle.mode}, not {wanted}, by a pilot or a failsafe{why}"
+                f"{vehicle.name}: it is in {vehicle.mode}, not {wanted}; a pilot or a failsafe changed "
+                f"the mode{why}"
             )
 
     def _until(
@@ -324,7 +327,7 @@ class Fleet:
             if left and time.monotonic() > end_s:
                 vehicle = left[0]
                 raise VehicleError(
-                    f"{vehicle.name}: {what} not done after {patience_s:.0f} s: {where(vehicle)}"
+                    f"{vehicle.name}: {what} did not finish within {patience_s:.0f} s: {where(vehicle)}"
                 )
             if time.monotonic() - told_s > 5.0:
                 told_s = time.monotonic()

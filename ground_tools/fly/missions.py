@@ -16,8 +16,16 @@ from pathlib import Path
 from typing import Literal
 
 import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.lists.mission import DO_CHANGE_SPEED, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF, NAV_WAYPOINT
+from companion.autopilot.lists.list_download import GLOBAL_FRAMES
+from companion.autopilot.lists.mission import (
+    DO_CHANGE_SPEED,
+    NAV_DELAY,
+    NAV_RETURN_TO_LAUNCH,
+    NAV_TAKEOFF,
+    NAV_WAYPOINT,
+)
 from companion.errors import ConfigError
 from companion.events import MissionItem
 from companion.geometry import LocalFrame, Vec3
@@ -26,13 +34,15 @@ from sitl_mocks.encounters.scenario_file import Scenario
 
 GATE_S = 3600.0
 """Hold time at the beginning of a path, where a vehicle waits for the others (s)."""
-_DO_JUMP = 177
-_NAV_DELAY = 93
-_NAV_LAST = 95
-"""MAV_CMD_NAV_LAST: commands with greater numbers do not move the vehicle."""
-_GLOBAL, _MISSION = 0, 2
-_GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
-_SAME_FRAME = {5: 0, 6: 3, 11: 10}
+_DO_JUMP = mavlink.MAV_CMD_DO_JUMP
+_NAV_LAST = mavlink.MAV_CMD_NAV_LAST
+"""Commands with greater numbers do not move the vehicle."""
+_GLOBAL, _MISSION = mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_MISSION
+_SAME_FRAME = {
+    mavlink.MAV_FRAME_GLOBAL_INT: mavlink.MAV_FRAME_GLOBAL,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT: mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT,
+}
 """Maps a MAV_FRAME with integer coordinates to the same frame with float coordinates."""
 _ACCEPTANCE_M = 1.0
 _SAME_PLACE_M = 0.01
@@ -83,10 +93,10 @@ def load(path: Path) -> tuple[MissionItem, ...]:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not a mission file: byte {error.start} is no UTF-8") from error
+        raise ConfigError(f"{path}: this is not a mission file: byte {error.start} is not UTF-8") from error
     items = _read_wpl(text, path) if text.startswith("QGC WPL") else _read_plan(text, path)
     if not items:
-        raise ConfigError(f"{path}: no item in it")
+        raise ConfigError(f"{path}: the mission has no item")
     for item in items:
         why = _fault(item)
         if why is not None:
@@ -127,11 +137,11 @@ def difference(sent: Sequence[MissionItem], back: Sequence[MissionItem]) -> str 
     (ArduPilot stores no fractions) and speeds. A vehicle may store all other fields differently.
     """
     if len(sent) != len(back):
-        return f"{len(sent)} items were sent, {len(back)} came back"
+        return f"{len(sent)} items were sent, but {len(back)} came back"
     for ours, theirs in zip(sent, back, strict=True):
         if _essence(ours, theirs):
             continue
-        return f"item {ours.seq}: {_words(ours)} was sent, {_words(theirs)} came back"
+        return f"item {ours.seq}: {_words(ours)} was sent, but {_words(theirs)} came back"
     return None
 
 
@@ -140,18 +150,20 @@ def _read_plan(text: str, path: Path) -> tuple[MissionItem, ...]:
         plan = msgspec.json.decode(text, type=_Plan)
     except msgspec.DecodeError as error:
         raise ConfigError(
-            f"{path}: neither a QGroundControl plan nor a {_WPL!r} file: {error}".replace("\n", " ")
+            f"{path}: this is neither a QGroundControl plan nor a {_WPL!r} file: {error}".replace("\n", " ")
         ) from error
     if plan.geo_fence.polygons or plan.geo_fence.circles:
-        raise ConfigError(f"{path}: geoFence: a fence is not uploaded; allowed is a plan without one")
+        raise ConfigError(f"{path}: geoFence: this command uploads no fence; allowed: a plan without one")
     if plan.rally_points.points:
-        raise ConfigError(f"{path}: rallyPoints: are not uploaded; allowed is a plan without any")
+        raise ConfigError(
+            f"{path}: rallyPoints: this command uploads no rally points; allowed: a plan without any"
+        )
     items = []
     for number, raw in enumerate(plan.mission.items, start=1):
         kind = raw.get("type")
         if kind != "SimpleItem":
             what = raw.get("complexItemType", kind)
-            raise ConfigError(f"{path}: item {number}: {what!r} is not understood; allowed is SimpleItem")
+            raise ConfigError(f"{path}: item {number}: {what!r} is not supported; allowed: SimpleItem")
         try:
             simple = msgspec.convert(raw, _Simple)
         except msgspec.ValidationError as error:
@@ -164,21 +176,21 @@ def _read_wpl(text: str, path: Path) -> tuple[MissionItem, ...]:
     """Read rows of INDEX, CURRENT, FRAME, COMMAND, PARAM1-4, X, Y, Z, AUTOCONTINUE; row 0 is home."""
     first, *rows = text.splitlines()
     if first.split() != _WPL.split():
-        raise ConfigError(f"{path}: line 1: {first.strip()!r}: allowed is {_WPL!r}")
+        raise ConfigError(f"{path}: line 1: {first.strip()!r} is not allowed; allowed: {_WPL!r}")
     items: list[MissionItem] = []
     for line, row in enumerate(rows, start=2):
         fields = row.split()
         if not fields:
             continue
         if len(fields) != _WPL_FIELDS:
-            raise ConfigError(f"{path}: line {line}: {len(fields)} fields; allowed is {_WPL_FIELDS}")
+            raise ConfigError(f"{path}: line {line}: it has {len(fields)} fields; allowed: {_WPL_FIELDS}")
         try:
             index, _, frame, command = map(int, fields[:4])
             numbers = [float(field) for field in fields[4:11]]
         except ValueError as error:
-            raise ConfigError(f"{path}: line {line}: not a number in it: {error}") from error
+            raise ConfigError(f"{path}: line {line}: a field is not a number: {error}") from error
         if index != len(items):
-            raise ConfigError(f"{path}: line {line}: index {index}; allowed is {len(items)}")
+            raise ConfigError(f"{path}: line {line}: index {index} is not allowed; allowed: {len(items)}")
         params = [None if math.isnan(number) else number for number in numbers]
         items.append(_item(index, frame, command, params))
     return tuple(items[1:])
@@ -195,21 +207,25 @@ def _fault(item: MissionItem) -> str | None:
     """Reason why an item of a file cannot be uploaded as intended; None if it can."""
     values = (*item.params, item.lat_deg, item.lon_deg, item.alt_m)
     if not all(value is None or math.isfinite(value) for value in values):
-        return "a parameter that is not finite"
+        return "a parameter is not finite; allowed: finite numbers"
     if item.command == _DO_JUMP:
-        return "DO_JUMP: a mission that repeats itself is not followed to its end"
+        return "DO_JUMP is not supported: the end of a mission that repeats itself is not recognised"
     if item.frame == _MISSION:
-        return "a place in MAV_FRAME 2" if item.command == NAV_WAYPOINT else None
-    if item.frame not in _GLOBAL_FRAMES:
-        return f"MAV_FRAME {item.frame}; allowed are 2 and {', '.join(map(str, sorted(_GLOBAL_FRAMES)))}"
-    if item.command >= _NAV_LAST or item.command in (NAV_RETURN_TO_LAUNCH, _NAV_DELAY):
+        return (
+            "MAV_FRAME 2 has no position; allowed for a waypoint: a global frame"
+            if item.command == NAV_WAYPOINT
+            else None
+        )
+    if item.frame not in GLOBAL_FRAMES:
+        return f"MAV_FRAME {item.frame}; allowed: {', '.join(map(str, (2, *sorted(GLOBAL_FRAMES))))}"
+    if item.command >= _NAV_LAST or item.command in (NAV_RETURN_TO_LAUNCH, NAV_DELAY):
         return None
     if item.lat_deg is None or item.lon_deg is None or item.alt_m is None:
-        return "latitude, longitude or altitude left open; all three are needed"
+        return "latitude, longitude or altitude is missing; all three are needed"
     if abs(item.lat_deg) > 90.0 or abs(item.lon_deg) > 180.0:
-        return f"latitude {item.lat_deg:g}, longitude {item.lon_deg:g}: allowed are -90 to 90 and -180 to 180"
+        return f"latitude {item.lat_deg:g}, longitude {item.lon_deg:g}; allowed: -90 to 90 and -180 to 180"
     if item.command == NAV_WAYPOINT and item.lat_deg == item.lon_deg == 0.0:
-        return "0, 0 stands for the current position; a latitude and a longitude are needed"
+        return "latitude 0, longitude 0 means the current position; allowed: a position"
     return None
 
 
@@ -222,7 +238,7 @@ def _path_mission(
         _, north, east, down = row
         if down >= 0.0:
             raise ConfigError(
-                f"path[{number}]: a point {down:g} m down; allowed is above the ground, below 0"
+                f"path[{number}]: a point is {down:g} m down; allowed: less than 0, above the ground"
             )
         lat, lon, alt = frame.to_geodetic(north, east, down)
         items.append(_item(len(items) + 1, _GLOBAL, NAV_WAYPOINT,
@@ -245,8 +261,8 @@ def _path_mission(
 
 def _placed(item: MissionItem) -> bool:
     """Whether the item's latitude, longitude and altitude are a position."""
-    moves = item.command < _NAV_LAST and item.command not in (NAV_RETURN_TO_LAUNCH, _NAV_DELAY)
-    return moves and item.frame in _GLOBAL_FRAMES
+    moves = item.command < _NAV_LAST and item.command not in (NAV_RETURN_TO_LAUNCH, NAV_DELAY)
+    return moves and item.frame in GLOBAL_FRAMES
 
 
 def _essence(ours: MissionItem, theirs: MissionItem) -> bool:

@@ -22,29 +22,29 @@ from companion.autopilot.dialect import (
     ARMED,
     CMD_DO_SET_MODE,
     CMD_SET_MESSAGE_INTERVAL,
-    CUSTOM_MODE_ENABLED,
     DIALECTS,
     FIRMWARES,
     refusal,
 )
+from companion.autopilot.dialects.definition import CUSTOM_MODE_ENABLED
+from companion.autopilot.wire import names_of
 from companion.errors import ConfigError
 from companion.events import Firmware, FlightMode, MissionItem
 from companion.geometry import Vec3
 from ground_tools.fly.missions import difference
 
-ARM_DISARM = 400
+ARM_DISARM = int(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
 LANDED_ON_GROUND = int(mavlink.MAV_LANDED_STATE_ON_GROUND)
 SILENT_S = 10.0
 """Age of the last heartbeat beyond which a vehicle counts as lost."""
-_AUTOPILOT = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
+_AUTOPILOT = int(mavlink.MAV_COMP_ID_AUTOPILOT1)
 _CONFIRM_S = 5.0
 """Time for a new mode to appear in the heartbeat, which may be sent only once a second."""
 _NOT_OPENED = {
-    "CONNECTION_URL_INVALID": "no address; allowed is one like udpout://127.0.0.1:14550, "
+    "CONNECTION_URL_INVALID": "this is not an address; allowed: for example udpout://127.0.0.1:14550, "
     "udpin://0.0.0.0:14550, tcpout://127.0.0.1:5760 or serial:///dev/ttyACM0:57600",
-    "BIND_ERROR": "cannot be listened on: another program has the port, or this computer has no such address",
-    "CONNECTION_ERROR": "cannot be opened: see that it is there, is free, and that this user may",
+    "BIND_ERROR": "cannot listen here: another program uses the port, or this computer has no such address",
+    "CONNECTION_ERROR": "cannot be opened: check that it exists, is free, and that you may use it",
 }
 """Messages for MAVSDK's ConnectionResult."""
 _TEXT_S = 0.5
@@ -68,12 +68,8 @@ _HEARD = (
     "HOME_POSITION", "SYS_STATUS",
 )  # fmt: skip
 _PREARM = int(mavlink.MAV_SYS_STATUS_PREARM_CHECK)
-_COMMANDS = {
-    number: entry.name.removeprefix("MAV_CMD_") for number, entry in mavlink.enums["MAV_CMD"].items()
-}
-_RESULTS = {
-    number: entry.name.removeprefix("MAV_RESULT_") for number, entry in mavlink.enums["MAV_RESULT"].items()
-}
+_COMMANDS = names_of("MAV_CMD", "MAV_CMD_")
+_RESULTS = names_of("MAV_RESULT", "MAV_RESULT_")
 
 
 class VehicleError(Exception):
@@ -111,7 +107,9 @@ def load_mavsdk() -> ModuleType:
         import mavsdk.plugins.mission_raw
         import mavsdk.plugins.telemetry
     except ImportError as error:
-        raise ConfigError("mavsdk 4 is not installed; in the checkout: pip install -e '.[fly]'") from error
+        raise ConfigError(
+            "mavsdk 4 is not installed; to install it, run in the checkout: pip install -e '.[fly]'"
+        ) from error
     mavsdk.logging.log_subscribe(lambda *_: True)
     return mavsdk  # type: ignore[no-any-return]
 
@@ -173,8 +171,8 @@ class Vehicle:
                 system = client.first_autopilot(1.0)
             if system is None:
                 raise VehicleError(
-                    f"{name}: {address}: no autopilot heard within {patience_s:g} s: see to its power, "
-                    "to the address, and to who else listens there"
+                    f"{name}: {address}: no autopilot was heard within {patience_s:g} s; check its power, "
+                    "the address, and whether another program listens there"
                 )
             return cls(name, client, system, patience_s)
         except BaseException:
@@ -238,13 +236,13 @@ class Vehicle:
         """Reason why the vehicle cannot be armed yet, by its telemetry; None if there is none."""
         place = self.last("GLOBAL_POSITION_INT")
         if not place.get("lat") and not place.get("lon"):
-            return "no position yet"
+            return "it has no position yet"
         if not self.last("HOME_POSITION"):
-            return "no home yet"
+            return "it has no home position yet"
         status = self.last("SYS_STATUS")
         checked = status.get("onboard_control_sensors_present", 0) & _PREARM
         if checked and not status.get("onboard_control_sensors_health", 0) & _PREARM:
-            return "pre-arm checks not passed yet"
+            return "its pre-arm checks have not passed yet"
         return None
 
     def said(self, since_s: float) -> str:
@@ -274,7 +272,7 @@ class Vehicle:
         ):
             name = self._dialect.name(wanted.custom_mode)
             raise VehicleError(
-                f"{self.name}: acknowledged {name} and stays in {self.mode}{_because(self.said(sent_s))}"
+                f"{self.name}: it acknowledged {name} but stays in {self.mode}{_because(self.said(sent_s))}"
             )
 
     def arm(self) -> None:
@@ -288,7 +286,7 @@ class Vehicle:
             raise VehicleError(f"{self.name}: {self._refused(ARM_DISARM, result, sent_s)}")
         if not self._within(_CONFIRM_S, lambda: self.armed):
             raise VehicleError(
-                f"{self.name}: acknowledged arming and is disarmed{_because(self.said(sent_s))}"
+                f"{self.name}: it acknowledged arming but is disarmed{_because(self.said(sent_s))}"
             )
 
     def hear_again(self) -> None:
@@ -319,7 +317,7 @@ class Vehicle:
             ) from error
         wrong = difference(items, [_cooked(item) for item in back[self.first_seq :]])
         if wrong is not None:
-            raise VehicleError(f"{self.name}: does not hold the mission that was sent: {wrong}")
+            raise VehicleError(f"{self.name}: the mission aboard differs from the one that was sent: {wrong}")
 
     def go_on_with(self, number: int) -> None:
         """Send MISSION_SET_CURRENT with an item's number; `item` shows the effect. Raises VehicleError."""
@@ -354,7 +352,7 @@ class Vehicle:
         if firmware is None:
             raise ConfigError(
                 f"{self.name}: MAV_AUTOPILOT {heartbeat['autopilot']} is not supported; "
-                "supported are ArduPilot and PX4"
+                "allowed: ArduPilot and PX4"
             )
         why = refusal(firmware, heartbeat["type"])
         if why is not None:
@@ -364,8 +362,8 @@ class Vehicle:
         )
         if len(ids) > 1:
             raise ConfigError(
-                f"{self.name}: several vehicles (systems {', '.join(map(str, ids))}); "
-                "allowed is one on each address"
+                f"{self.name}: several vehicles use the address (systems {', '.join(map(str, ids))}); "
+                "allowed: one vehicle on each address"
             )
         return firmware
 
@@ -376,7 +374,7 @@ class Vehicle:
         needed = ("GLOBAL_POSITION_INT", "EXTENDED_SYS_STATE")
         if not self._within(patience_s, lambda: all(self.last(name) for name in needed)):
             missing = ", ".join(name for name in needed if not self.last(name))
-            raise VehicleError(f"{self.name}: no {missing} within {patience_s:g} s of asking for it")
+            raise VehicleError(f"{self.name}: no {missing} arrived within {patience_s:g} s of the request")
 
     def _acknowledged(self, number: int, params: Sequence[float | None]) -> int:
         """Send a command. Returns its MAV_RESULT. Raises VehicleError if there is no ACK."""
@@ -405,7 +403,7 @@ class Vehicle:
 
     def _refused(self, number: int, result: int, sent_s: float) -> str:
         name = _RESULTS.get(result, f"MAV_RESULT {result}")
-        return f"{_COMMANDS[number]} refused ({name}){_because(self._reason(sent_s))}"
+        return f"{_COMMANDS[number]} was refused ({name}){_because(self._reason(sent_s))}"
 
     def _reason(self, sent_s: float) -> str:
         """Status texts since a command that was refused."""

@@ -23,41 +23,48 @@ COMPARISON = "compare.rrd"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools inspect` to `parser`."""
-    parser.description = "Show what was flown, heard, predicted and decided in a run."
+    parser.description = (
+        "Show what a run contains: paths, received traffic, predictions, decisions and Remote ID."
+    )
     parser.epilog = EXAMPLE
-    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog")
+    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder or .tlog file")
     several = parser.add_mutually_exclusive_group()
     several.add_argument(
-        "--together", action="store_true", help="all RUNs as one, every aircraft on one UTC time line"
+        "--together",
+        action="store_true",
+        help="merge all RUNs into one, with every aircraft on one UTC time line",
     )
     several.add_argument(
-        "--compare", action="store_true", help="how two or more RUNs differ, aligned at take-off"
+        "--compare", action="store_true", help="compare two or more RUNs, aligned at take-off"
     )
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--summary", action="store_true", help="print the figures and write no recording")
+    what.add_argument("--summary", action="store_true", help="print the results only; write no recording")
     what.add_argument(
         "--json",
         action="store_true",
-        help="the same as JSON, one object per run and line",
+        help="print the results only, as JSON with one object per line and run",
     )
     what.add_argument(
-        "--report", type=Path, metavar="FILE.html", help="write a page that prints, and no recording"
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help="write an HTML report for reading and printing; write no recording",
     )
     what.add_argument(
         "--web",
         action="store_true",
-        help="then serve it to a browser on this machine, until Ctrl-C",
+        help="write the recording and show it in a browser on this machine, until Ctrl-C",
     )
     what.add_argument(
         "--live",
         action="store_true",
-        help="show a run while it is flown, in a browser on this machine, until Ctrl-C",
+        help="show a run during the flight in a browser on this machine, until Ctrl-C",
     )
     parser.add_argument(
         "--save",
         type=Path,
         metavar="FILE.rrd",
-        help=f"the recording (default: inspect.rrd, of a comparison {COMPARISON}, beside the first RUN)",
+        help=f"the recording to write (default: inspect.rrd, or {COMPARISON}, beside the first RUN)",
     )
 
 
@@ -90,15 +97,15 @@ def _check(args: argparse.Namespace, several: bool) -> None:
     """Raise ConfigError if the options contradict each other."""
     if args.save is not None and (args.summary or args.json or args.report or args.live):
         raise ConfigError(
-            "--save: goes not with --summary, --json, --report or --live, which write no recording"
+            "--save cannot be combined with --summary, --json, --report or --live, which write no recording"
         )
     for name in ("save", "report", "web", "live"):
         if several and getattr(args, name):
-            raise ConfigError(f"--{name}: goes with one run; of several, add --together or --compare")
+            raise ConfigError(f"--{name} needs one run; for several runs add --together or --compare")
     if args.live and (args.together or args.compare):
-        raise ConfigError("--live: goes with neither --together nor --compare")
+        raise ConfigError("--live cannot be combined with --together or --compare")
     if args.compare and args.report:
-        raise ConfigError("--report: is of one run, and goes not with --compare")
+        raise ConfigError("--report cannot be combined with --compare, because a report is about one run")
 
 
 def _show(one: Run, args: argparse.Namespace) -> None:
@@ -148,7 +155,7 @@ def read_all(paths: Sequence[Path]) -> list[Run]:
         except ConfigError as error:
             if len(paths) == 1:
                 raise
-            print(f"left out: {error}", file=sys.stderr)
+            print(f"skipped: {error}", file=sys.stderr)
     if not runs:
-        raise ConfigError("none of these can be read")
+        raise ConfigError("none of the RUNs can be read")
     return runs

@@ -61,7 +61,7 @@ FIGURES: Final = (
     ),
     Figure(
         "convergence",
-        "learning of MADQN-ATMC and its baselines, from runs that are kept",
+        "learning curves of MADQN-ATMC and its baselines, from stored runs",
         lambda _: convergence.report(),
         lambda _, path: convergence.draw(path),
         0,
@@ -75,21 +75,22 @@ FIGURES: Final = (
     ),
     Figure(
         "uav-delay",
-        "delay of each aircraft, dynamic density",
+        "delay of each aircraft at dynamic density",
         lambda study: uav_delay.report(study.samples, study.seed),
         lambda study, path: uav_delay.draw(study.samples, study.seed, path),
         0,
     ),
     Figure(
         "decision-time",
-        "time of one decision aboard, of the policies that ship; --samples: decisions",
+        "time of one decision of the supplied policies; --samples: number of decisions",
         lambda study: decision_time.report(study.samples, study.seed),
         lambda study, path: decision_time.draw(study.samples, study.seed, path),
         0,
     ),
     Figure(
         "dmuca",
-        f"flights and separations of five aircraft; --samples: flights, {dmuca_flights.MOST_FLIGHTS} at most",
+        "paths and separations of five aircraft; --samples: number of flights, "
+        f"at most {dmuca_flights.MOST_FLIGHTS}",
         lambda study: dmuca.report(study.samples, study.seed),
         lambda study, path: dmuca_picture.draw(study.samples, study.seed, path, study.advance),
         0,
@@ -102,13 +103,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools paper`."""
     lines = [f"  {figure.name:13s} {figure.words}" for figure in FIGURES]
     parser.description = (
-        "Compute the paper's figures by the channel model's equations, and by flights, and set them beside\n"
-        "what the paper says of them. A statement that does not hold is a finding, not an error: the exit\n"
-        "code stays 0.\n\n"
+        "Compute the paper's figures with the channel model's equations and with simulated flights, and\n"
+        "compare them with the paper's statements. A statement that does not hold is a result, not an\n"
+        "error: the exit code is 0.\n\n"
         "figures:\n" + "\n".join(lines) + "\n\n"
-        f"{closed_loop.NAME} is the experiment that the paper leaves open: transports chosen in flight,\n"
-        "packets on the air, avoidance by what is heard. It has options of its own, takes hours, and\n"
-        "is not one of all. What was flown is kept in its folder and not flown again."
+        f"{closed_loop.NAME} is an experiment beyond the paper: aircraft choose transports in flight,\n"
+        "packets are simulated, and avoidance uses the received messages. It has its own options and\n"
+        "takes hours, so that all does not include it. Finished flights are kept in its folder and not\n"
+        "repeated."
     )
     parser.epilog = (
         "examples: ground-tools paper fixed-modes --samples 10000; "
@@ -119,7 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "figure",
         choices=[*names, "all", closed_loop.NAME],
         metavar="FIGURE",
-        help=f"one of them, all, or {closed_loop.NAME}",
+        help=f"one of the figures above, all, or {closed_loop.NAME}",
     )
     options.add_sampling(parser)
     parser.add_argument(
@@ -127,9 +129,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("runs/paper"),
         metavar="FOLDER",
-        help="for FIGURE.png (default: runs/paper)",
+        help="folder in which to write FIGURE.png (default: runs/paper)",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object a line instead of tables")
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object per line instead of tables"
+    )
     closed_loop.add_arguments(parser)
 
 

@@ -103,7 +103,7 @@ def _frozen(path: Path) -> Frozen:
     m = frozen.metadata
     if (m.kind, m.objective, m.actions) != ("set", "paper", PAPER_ACTIONS) or m.neighbours < UAVS - 1:
         raise ConfigError(
-            f"{path}: not a set policy for {UAVS} aircraft and the paper's objective and actions"
+            f"{path}: this is not a set policy for {UAVS} aircraft and the paper's objective and actions"
         )
     return frozen
 

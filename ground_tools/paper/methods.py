@@ -49,9 +49,9 @@ class Learner:
     def words(self) -> str:
         """Text about the uncertainty of the results."""
         if not self.interval:
-            return f"{self.name}: one seed, {self.system['dynamic']:.0f} ms dynamic; no interval"
+            return f"{self.name}: one seed, {self.system['dynamic']:.0f} ms at dynamic density, no interval"
         low, high = self.interval["dynamic"]
-        mean = f"interquartile mean {self.system['dynamic']:.0f} ms dynamic"
+        mean = f"interquartile mean {self.system['dynamic']:.0f} ms at dynamic density"
         return f"{self.name}: {self.seeds} seeds, {mean}, 95 % interval {low:.0f} to {high:.0f} ms"
 
 
@@ -78,7 +78,7 @@ def best_run(runs: Sequence[Run]) -> Run:
 
 def absent(results: Results) -> list[str]:
     """A text for each learner without a stored run."""
-    return [f"{NAMES[key]}: no run is kept; it is absent here" for key in LEARNERS if not results.of(key)]
+    return [f"{NAMES[key]}: no run is stored, so it is not shown" for key in LEARNERS if not results.of(key)]
 
 
 def has_torch() -> bool:
@@ -110,7 +110,7 @@ def measured(samples: int, seed: int, policy: Path = SET_POLICY) -> tuple[Delays
 def not_measured(found: Sequence[Delays], policy: Path = SET_POLICY) -> list[str]:
     """Texts about the methods that are missing among the measured ones."""
     if not found:
-        return ["torch is not installed (pip install -e '.[train]'): only kept runs stand here"]
+        return ["torch is not installed (pip install -e '.[train]'), so only stored runs are shown"]
     if all(method.key != SET for method in found):
-        return [f"set network: there is no {policy.name}; it is absent here"]
+        return [f"set network: {policy.name} does not exist, so it is not shown"]
     return []

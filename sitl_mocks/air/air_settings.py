@@ -56,14 +56,14 @@ class AirSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def __post_init__(self) -> None:
         if self.model == "interval":
             if self.parameters is not None:
-                raise ValueError('parameters: goes with model "analytic" or "packets"')
+                raise ValueError('parameters: allowed only with model "analytic" or "packets"')
         else:
             for key in _INTERVAL_KEYS:
                 if getattr(self, key) is not None:
-                    raise ValueError(f'{key}: goes with model "interval"; here it is "{self.model}"')
+                    raise ValueError(f'{key}: allowed only with model "interval"; here it is "{self.model}"')
         low, high = self.interval_s
         if low > high:
-            raise ValueError(f"delay_s: {low:g}, {high:g}: expected the lower bound first")
+            raise ValueError(f"delay_s: {low:g}, {high:g}: the lower bound must come first")
 
     @property
     def interval_s(self) -> tuple[float, float]:
@@ -117,7 +117,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that select the radio channel."""
     parser.add_argument("--channel", choices=get_args(Model), help="radio channel model (default: interval)")
     parser.add_argument(
-        "--parameters", type=Path, metavar="FILE", help="channel parameters (TOML); default: the paper's"
+        "--parameters",
+        type=Path,
+        metavar="FILE",
+        help="channel parameters (TOML); default: those of the paper",
     )
 
 
@@ -135,13 +138,17 @@ def with_options(
             parameters = None
     if arguments.parameters is not None:
         if air.model == "interval":
-            raise ConfigError("--parameters: goes with --channel analytic or --channel packets")
+            raise ConfigError("--parameters: allowed only with --channel analytic or --channel packets")
         parameters = load_parameters(arguments.parameters, air)
     if arguments.delay is not None:
         if air.model != "interval":
-            raise ConfigError(f'--delay: goes with --channel interval; this air is "{air.model}"')
+            raise ConfigError(
+                f'--delay: allowed only with --channel interval; the channel model is "{air.model}"'
+            )
         low, high = arguments.delay
         if not 0.0 <= low <= high <= MAX_DELAY_S:
-            raise ConfigError(f"--delay: {low:g} {high:g}: allowed 0 <= LOW <= HIGH <= {MAX_DELAY_S:g}")
+            raise ConfigError(
+                f"--delay: {low:g} {high:g} is out of range; allowed: 0 <= LOW <= HIGH <= {MAX_DELAY_S:g}"
+            )
         air = msgspec.structs.replace(air, delay_s=(low, high))
     return air, parameters

@@ -163,7 +163,7 @@ class Ether:
                 frame arrive before it was sent.
         """
         if not math.isfinite(now_s):
-            raise ValueError(f"time of sending: {now_s}")
+            raise ValueError(f"time of sending is {now_s}; expected a finite number")
         self._tell_time(now_s)
         if position_ned_m is not None:
             self.place(sender, position_ned_m)
@@ -269,7 +269,9 @@ class Ether:
             pair.lost += 1
             return
         if not on_air.sent_s <= outcome.arrival_s < math.inf:
-            raise ValueError(f"the channel gave arrival at {outcome.arrival_s} s, sent at {on_air.sent_s} s")
+            raise ValueError(
+                f"the channel returned arrival at {outcome.arrival_s} s, but sending was at {on_air.sent_s} s"
+            )
         if len(self._queue) >= self._max_pending:
             pair.overflowed += 1
             return

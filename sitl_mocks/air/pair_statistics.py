@@ -12,11 +12,11 @@ def information_age(rows: Sequence[Mapping[str, Any]]) -> str:
     """Describe the ages of information in rows of `PairStats.to_dict` as text."""
     means = [row["information_age_mean_s"] for row in rows if row["information_age_mean_s"] is not None]
     if not means:
-        return "nobody heard anybody"
+        return "no aircraft received another"
     largest = max(row["information_age_max_s"] for row in rows if row["information_age_max_s"] is not None)
     mute = sum(row["first_heard_s"] is None for row in rows)
-    words = f"age of information {sum(means) / len(means):.2f} s on average, {largest:.1f} s at most"
-    return words + (f"; {mute} of {len(rows)} pairs heard nothing" if mute else "")
+    words = f"age of information: mean {sum(means) / len(means):.2f} s, maximum {largest:.1f} s"
+    return words + (f"; {mute} of {len(rows)} pairs received nothing" if mute else "")
 
 
 @dataclass(slots=True)

@@ -131,7 +131,7 @@ class EtherServer:
 
     def _take(self, now_s: float, datagram: ether_wire.Datagram, endpoint: Endpoint) -> None:
         if isinstance(datagram, Heard | Welcome):
-            raise PeerDataError("ether datagram: only the air sends this kind")
+            raise PeerDataError("ether datagram: clients may not send this kind")
         if isinstance(datagram, Leave):
             self._drop(endpoint)
             return
@@ -154,7 +154,7 @@ class EtherServer:
         if name in self._by_name:
             name = f"{name}@{endpoint[1]}"
         if name in self._by_name:
-            raise PeerDataError(f"ether client {name!r} is already here")
+            raise PeerDataError(f"ether client {name!r} is already connected")
         client = self._clients[endpoint] = _Client(name, now_s)
         self._by_name[name] = endpoint
         self.ether.join(name)
@@ -176,7 +176,9 @@ class EtherServer:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `sitl-mocks ether`."""
-    parser.description = "The air between simulated aircraft, over UDP on loopback. Ends on Ctrl-C."
+    parser.description = (
+        "Simulates the radio channel between aircraft, over UDP on loopback. Stop it with Ctrl-C."
+    )
     parser.epilog = (
         "example: sitl-mocks ether --listen 127.0.0.1:14640 --delay 0.2 0.8 --loss 0.1; "
         "sitl-mocks ether --channel packets --parameters config/channel/standard.toml"
@@ -185,14 +187,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--listen",
         default="127.0.0.1:14640",
         metavar="HOST:PORT",
-        help="loopback endpoint; port 0 takes a free one",
+        help="loopback endpoint (port 0: any free port; default: %(default)s)",
     )
     air_settings.add_arguments(parser)
-    interval = parser.add_argument_group("of --channel interval")
-    interval.add_argument("--delay", type=float, nargs=2, metavar=("LOW", "HIGH"), help="delay, uniform (s)")
+    interval = parser.add_argument_group("options for --channel interval")
+    interval.add_argument(
+        "--delay",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="bounds of the uniform message delay (s)",
+    )
     interval.add_argument("--loss", type=float, metavar="P", help="probability of loss, 0 to 1")
-    interval.add_argument("--range", type=float, metavar="M", help="nothing is heard farther (m)")
-    parser.add_argument("--seed", type=int, default=0, help="what the channel draws from")
+    interval.add_argument(
+        "--range", type=float, metavar="M", help="radio range (m); no message is received beyond it"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="random seed of the channel (default: %(default)s)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -202,7 +214,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: a channel parameter is out of range, or the endpoint cannot be bound.
     """
     if args.seed < 0:
-        raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
+        raise ConfigError(f"--seed: {args.seed} is out of range; allowed: 0 or more")
     channel = _channel(args)
     host, port = ether_wire.parse_endpoint(args.listen, "--listen")
     server = EtherServer(host, port, channel, np.random.default_rng(args.seed))
@@ -223,7 +235,9 @@ def _channel(args: argparse.Namespace) -> Channel:
         if value is None:
             continue
         if air.model != "interval":
-            raise ConfigError(f'--{option}: goes with --channel interval; this air is "{air.model}"')
+            raise ConfigError(
+                f'--{option}: allowed only with --channel interval; the channel model is "{air.model}"'
+            )
         air = msgspec.structs.replace(air, **{key: value})
     return channel_of(air, parameters)
 
@@ -236,7 +250,7 @@ def _bind(host: str, port: int) -> socket.socket:
         raise ConfigError(f"ether endpoint {host}:{port}: {host!r} is not an IPv4 address") from error
     if not loopback:
         # Anyone who can reach the air can inject any aircraft.
-        raise ConfigError(f"ether endpoint {host}:{port}: allowed on loopback (127.0.0.1) only")
+        raise ConfigError(f"ether endpoint {host}:{port}: only loopback addresses (127.0.0.1) are allowed")
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         sock.setblocking(False)

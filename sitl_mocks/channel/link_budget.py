@@ -9,13 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices
 from sitl_mocks.channel.parameters import ChannelParameters, PropagationParameters
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 
 _MIN_DISTANCE_M = 0.1
 _SHADOW_MARGIN = 4.0

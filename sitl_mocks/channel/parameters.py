@@ -39,8 +39,8 @@ class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         value = getattr(self, key)
         # The negated comparison also refuses NaN.
         if not (low < value <= high if above else low <= value <= high):
-            wanted = f"more than {low:g} and up to {high:g}" if above else f"{low:g} to {high:g}"
-            raise ValueError(f"{key}: {value:g}: expected {wanted}")
+            wanted = f"more than {low:g}, up to {high:g}" if above else f"{low:g} to {high:g}"
+            raise ValueError(f"{key}: {value:g} is out of range; allowed: {wanted}")
 
 
 class BleParameters(_Section, frozen=True, kw_only=True):
@@ -197,7 +197,7 @@ class ChannelParameters(_Section, frozen=True, kw_only=True):
         }
         for key, value in shortest.items():
             if value < self.slot_ms:
-                raise ValueError(f"{key}: {value:g}: expected at least one slot (slot_ms {self.slot_ms:g})")
+                raise ValueError(f"{key}: {value:g} is less than one slot (slot_ms is {self.slot_ms:g})")
         cycles = {
             "ble4.scan_interval_ms": self.ble4.scan_interval_ms,
             "ble5.scan_interval_ms": self.ble5.scan_interval_ms,
@@ -207,8 +207,8 @@ class ChannelParameters(_Section, frozen=True, kw_only=True):
         for key, value in cycles.items():
             if value > longest_ms:
                 raise ValueError(
-                    f"{key}: {value:g}: expected up to {longest_ms:g}, three times which is "
-                    f"{_MAX_CYCLE_SLOTS:,} slots (slot_ms {self.slot_ms:g})"
+                    f"{key}: {value:g} is too long; allowed: up to {longest_ms:g}, so that three times it is "
+                    f"at most {_MAX_CYCLE_SLOTS:,} slots (slot_ms is {self.slot_ms:g})"
                 )
         self._need_room()
 
@@ -226,8 +226,9 @@ class ChannelParameters(_Section, frozen=True, kw_only=True):
         ):
             if rate * longest >= self.gnss_period_ms:
                 raise ValueError(
-                    f"{mode}.max_rate: {rate}: expected less than {self.gnss_period_ms / longest:.4g}, "
-                    f"for one event and its chance of collision fill {longest:g} ms of gnss_period_ms"
+                    f"{mode}.max_rate: {rate} is too high; allowed: less than "
+                    f"{self.gnss_period_ms / longest:.4g}, because "
+                    f"each event occupies up to {longest:g} ms of gnss_period_ms"
                 )
 
 
@@ -274,4 +275,4 @@ def check_rate(mode: str, rate: int, parameters: ChannelParameters) -> None:
     """
     largest = max_rates(parameters)[MODES.index(mode)]
     if not 1 <= rate <= largest:
-        raise ConfigError(f"{mode}: rate {rate}: allowed 1 to {largest}")
+        raise ConfigError(f"{mode}: rate {rate} is out of range; allowed: 1 to {largest}")

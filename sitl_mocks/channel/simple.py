@@ -37,12 +37,15 @@ class SimpleChannel:
         # The negated comparison also refuses NaN.
         if not 0.0 <= low <= high <= MAX_DELAY_S:
             raise ConfigError(
-                f"channel.delay_s: {low:g}, {high:g}: allowed 0 <= low <= high <= {MAX_DELAY_S:g}"
+                f"channel.delay_s: {low:g}, {high:g} is out of range; "
+                f"allowed: 0 <= low <= high <= {MAX_DELAY_S:g}"
             )
         if not 0.0 <= self.loss <= 1.0:
-            raise ConfigError(f"channel.loss: {self.loss:g}: allowed 0 to 1")
+            raise ConfigError(f"channel.loss: {self.loss:g} is out of range; allowed: 0 to 1")
         if self.range_m is not None and not 0.0 < self.range_m < math.inf:
-            raise ConfigError(f"channel.range_m: {self.range_m:g}: allowed a finite value > 0")
+            raise ConfigError(
+                f"channel.range_m: {self.range_m:g} is out of range; allowed: finite values above 0"
+            )
 
     def transmit(self, transmission: Transmission, rng: np.random.Generator) -> None:
         """See `Channel.transmit`."""

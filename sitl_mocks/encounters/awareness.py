@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.atmc.observation import conflict_weight
 from sitl_mocks.air.ether import Ether
 from sitl_mocks.encounters.lockstep import TICK_S, Run
 
-Floats = NDArray[np.float64]
 NEAR_WEIGHT = 0.5
 """The largest age is evaluated where the weight is at least this, that is, for an aircraft that could be in
 conflict within `companion.atmc.observation.LOOK_AHEAD_S`.

@@ -14,7 +14,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from companion.atmc.actions import SET_ACTIONS, Action, Bools, legal
+from companion.arrays import Bools
+from companion.atmc.actions import SET_ACTIONS, Action, legal
 from companion.atmc.choice import Choice, Floats, Refused, Why
 from companion.atmc.policy import check_flyable, load
 from companion.config import Config, IdentityConfig
@@ -35,9 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy",
         metavar=f"FILE|{'|'.join(POLICY_WORDS)}",
-        help="who chooses each aircraft's transports in flight (default: nobody)",
+        help="what chooses each aircraft's transports in flight (default: they stay fixed)",
     )
-    parser.add_argument("--region", type=Path, metavar="FILE", help="region profile (default: no law)")
+    parser.add_argument(
+        "--region", type=Path, metavar="FILE", help="region profile (default: no legal rules)"
+    )
 
 
 def with_options(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
@@ -106,7 +109,7 @@ class RandomMind:
         """See `Mind`. Only `allowed` is used."""
         can = np.flatnonzero(allowed)
         if not len(can):
-            return Refused(Why.NOTHING_ALLOWED, "no set of transports is legal and can be sent")
+            return Refused(Why.NOTHING_ALLOWED, "no set of transports is both legal and available")
         index = int(self.rng.choice(can))
         return Choice(index, SET_ACTIONS[index])
 
@@ -195,14 +198,14 @@ def choices_in_words(chosen: Sequence[Chosen], most: int = 5) -> str:
     """Text with the sets by share of time and the number of switches per aircraft."""
     shares = list(shares_of(chosen).items())
     if not shares:
-        return "transports: nothing was sent"
+        return "transports: no Locations were sent"
     words = [f"{name} {100.0 * share:.0f} %" for name, share in shares[:most]]
     if len(shares) > most:
         words.append(f"{len(shares) - most} other sets {100.0 * sum(s for _, s in shares[most:]):.0f} %")
-    words.append(f"{mean_switches(chosen):.1f} switches a minute an aircraft")
+    words.append(f"{mean_switches(chosen):.1f} switches per minute and aircraft")
     if fallback_share(chosen) > 0.0:
-        words.append(f"{100.0 * fallback_share(chosen):.1f} % of the time on the fall-back")
-    return f"transports (Locations a second): {', '.join(words)}"
+        words.append(f"{100.0 * fallback_share(chosen):.1f} % of the time on the fallback")
+    return f"transports (Locations per second): {', '.join(words)}"
 
 
 def fallback_share(chosen: Sequence[Chosen]) -> float:

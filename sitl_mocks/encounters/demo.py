@@ -43,15 +43,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EXAMPLE
     add_scenario_arguments(parser)
     seeds = parser.add_mutually_exclusive_group()
-    seeds.add_argument("--seed", type=int, default=1, help="what chance draws from (default 1)")
-    seeds.add_argument("--seeds", metavar="A-B", help="several seeds, on all cores, without a run folder")
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder goes")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line for each seed")
+    seeds.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
+    seeds.add_argument(
+        "--seeds", metavar="A-B", help="range of seeds; runs on all cores and writes no run folder"
+    )
+    parser.add_argument(
+        "--runs",
+        type=Path,
+        default=Path("runs"),
+        help="folder in which the run folder is created (default: %(default)s)",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object per seed, one per line")
 
 
 def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose and change a scenario."""
-    parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: five aircraft, S2")
+    parser.add_argument("--scenario", type=Path, help="scenario file (TOML); default: S2 with five aircraft")
     parser.add_argument("--aircraft", type=int, metavar="N", help="number of aircraft (2-100)")
     air_settings.add_arguments(parser)
     parser.add_argument(
@@ -59,9 +66,11 @@ def add_scenario_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs=2,
         metavar=("LOW", "HIGH"),
-        help="message delay, channel interval (s)",
+        help="bounds of the message delay (s); only for channel model interval",
     )
-    parser.add_argument("--law", choices=("dmuca", "paper", "none"), help="avoidance law")
+    parser.add_argument(
+        "--law", choices=("dmuca", "paper", "none"), help="avoidance law (default: the one in the scenario)"
+    )
     choosing.add_arguments(parser)
 
 
@@ -76,12 +85,12 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     seconds = warm_up()
     if seconds > 1.0:
-        console.print(f"compiled the avoidance kernels in {seconds:.1f} s (kept for the next time)")
+        console.print(f"Compiled the avoidance kernels in {seconds:.1f} s (cached for later runs).")
     if arguments.seeds is not None:
         return _many(scenario, policy, _parse_seeds(arguments.seeds), console, as_json=arguments.json)
     folder = create_run_folder(arguments.runs, "demo", time.time())
     if scenario.atmc.policy == RANDOM:
-        console.print("no event records: a heart does not choose at random, so that a replay would differ")
+        console.print("No event records are written: random choices cannot be replayed.")
     kept = choosing.keep(folder, scenario, policy)
     (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(kept))))
     verdict = next(_fly_all(scenario, policy, [arguments.seed], console, folder))
@@ -115,13 +124,13 @@ def scenario_of(arguments: argparse.Namespace) -> Scenario:
         ConfigError: an option or the scenario file is wrong.
     """
     if arguments.seed < 0:
-        raise ConfigError(f"--seed: {arguments.seed}: allowed 0 and above")
+        raise ConfigError(f"--seed: {arguments.seed} is out of range; allowed: 0 or more")
     scenario = scenario_file.DEFAULT if arguments.scenario is None else scenario_file.load(arguments.scenario)
     if arguments.aircraft is not None:
         if scenario.geometry is None:
-            raise ConfigError("--aircraft: the scenario file gives the paths, and with them the number")
+            raise ConfigError("--aircraft cannot be combined with a scenario file that lists the paths")
         if not 2 <= arguments.aircraft <= 100:
-            raise ConfigError(f"--aircraft: {arguments.aircraft}: allowed 2 to 100")
+            raise ConfigError(f"--aircraft: {arguments.aircraft} is out of range; allowed: 2 to 100")
         scenario = msgspec.structs.replace(scenario, aircraft=arguments.aircraft)
     air, channel = air_settings.with_options(scenario.air, scenario.channel, arguments)
     scenario = msgspec.structs.replace(scenario, air=air, channel=channel)
@@ -134,7 +143,7 @@ def scenario_of(arguments: argparse.Namespace) -> Scenario:
 def _parse_seeds(text: str) -> list[int]:
     first, _, last = text.partition("-")
     if not first.isdigit() or (last and not last.isdigit()) or (last and int(last) < int(first)):
-        raise ConfigError(f"--seeds: {text!r}: expected A-B, for instance 1-20")
+        raise ConfigError(f"--seeds: {text!r} is not a range of seeds; allowed: A-B, for example 1-20")
     return list(range(int(first), int(last or first) + 1))
 
 
@@ -153,7 +162,7 @@ def _many(
     simulated = sum(v.avoided.simulated_s + v.unavoided.simulated_s for v in verdicts)
     wall = time.monotonic() - started
     console.print(
-        f"{good} of {len(verdicts)} ok; {simulated:.0f} simulated seconds in {wall:.1f} s "
+        f"{good} of {len(verdicts)} seeds ok; {simulated:.0f} simulated seconds in {wall:.1f} s "
         f"({simulated / wall:.0f} times real time on {_workers(seeds)} processes)"
     )
     return 0 if good == len(verdicts) else 1
@@ -253,7 +262,7 @@ def _fly_all(
         tasks: dict[Future[Outcome], int] = {}
         for seed in seeds:
             for avoided in (True, False):
-                what = "with avoidance" if avoided else "without"
+                what = "with avoidance" if avoided else "without avoidance"
                 task = bar.add_task(f"seed {seed}, {what}", total=1.0, visible=len(seeds) <= 4)
                 where = folder if folder is None or avoided else folder / "unavoided"
                 if where is not None:
@@ -276,7 +285,7 @@ def _fly_all(
             pool.shutdown(wait=False, cancel_futures=True)
             for child in multiprocessing.active_children():
                 child.terminate()
-            console.print("interrupted; what was flown so far stands above")
+            console.print("Interrupted. The results so far are above.")
             raise
 
 

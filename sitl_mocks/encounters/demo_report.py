@@ -62,12 +62,14 @@ class Verdict:
         found = []
         near = [p for p in self.avoided.pairs if p.min_separation_m <= self.limit_m]
         if near:
-            found.append(f"{len(near)} of {len(self.avoided.pairs)} pairs came within {self.limit_m:g} m")
+            found.append(
+                f"{len(near)} of {len(self.avoided.pairs)} pairs came within {self.limit_m:g} m of each other"
+            )
         deviations, on_path = self.avoided.deviations, on_path_limit_m(self.scenario)
         away = [d.final_m for d in deviations if d.final_m > on_path]
         if away:
             found.append(
-                f"{len(away)} of {len(deviations)} aircraft not back on the path at the end "
+                f"{len(away)} of {len(deviations)} aircraft were not back on their paths at the end "
                 f"(worst {max(away):.1f} m, limit {on_path:g} m)"
             )
         return found
@@ -113,10 +115,9 @@ def pair_rows(verdict: Verdict) -> list[dict[str, object]]:
     ]
 
 
-def show(verdict: Verdict, folder: Path, console: Console) -> None:
-    """Print the verdict on one seed as tables and text."""
+def _pairs_table(verdict: Verdict, *, avoids: bool) -> Table:
+    """Least separation of each pair."""
     limit = verdict.limit_m
-    avoids = verdict.scenario.avoidance.law != "none"
     table = Table(title=f"Least separation of each pair (must stay above {limit:g} m)")
     table.add_column("pair")
     for name in ("without avoidance", *(["with avoidance"] if avoids else []), "at"):
@@ -130,17 +131,28 @@ def show(verdict: Verdict, folder: Path, console: Console) -> None:
             *([f"[{mark}]{after:.2f} m[/]"] if avoids else []),
             f"{row['at_s']} s",
         )
-    console.print(table)
+    return table
+
+
+def _paths_table(verdict: Verdict) -> Table:
+    """Deviations from the timed paths."""
     paths = Table(
-        title=f"Return to the timed path (on the path: within {on_path_limit_m(verdict.scenario):g} m)"
+        title=f"Return to the timed path (on the path means within {on_path_limit_m(verdict.scenario):g} m)"
     )
     paths.add_column("aircraft")
-    for name in ("largest deviation", "back after", "at the end"):
+    for name in ("largest deviation", "returned after", "at the end"):
         paths.add_column(name, justify="right")
     for d in verdict.avoided.deviations:
         back = "-" if d.back_s is None else f"{d.back_s:.1f} s"
         paths.add_row(d.name, f"{d.largest_m:.1f} m", back, f"{d.final_m:.1f} m")
-    console.print(paths)
+    return paths
+
+
+def show(verdict: Verdict, folder: Path, console: Console) -> None:
+    """Print the verdict on one seed as tables and text."""
+    avoids = verdict.scenario.avoidance.law != "none"
+    console.print(_pairs_table(verdict, avoids=avoids))
+    console.print(_paths_table(verdict))
     a = verdict.avoided
     console.print(
         f"{a.simulated_s:.0f} simulated seconds in {a.wall_s:.1f} s ({a.simulated_s / a.wall_s:.0f} times "
@@ -154,11 +166,11 @@ def show(verdict: Verdict, folder: Path, console: Console) -> None:
     least += f"{verdict.unavoided.min_separation_m:.2f} m without"
     if not avoids:
         least = f'least separation {a.min_separation_m:.2f} m without avoidance (law "none")'
-    console.print(f"{word}: {least}; limit {limit:g} m", soft_wrap=True)
+    console.print(f"{word}: {least}; limit {verdict.limit_m:g} m", soft_wrap=True)
     for reason in verdict.reasons():
         console.print(f"  {reason}", soft_wrap=True)
     console.print(f"run folder: {folder}", soft_wrap=True)
-    console.print(f"look at it: {command('ground-tools')} inspect {folder} --summary", soft_wrap=True)
+    console.print(f"to inspect it: {command('ground-tools')} inspect {folder} --summary", soft_wrap=True)
 
 
 def command(name: str) -> str:
@@ -170,7 +182,7 @@ def command(name: str) -> str:
 def seed_table(verdicts: list[Verdict]) -> Table:
     """Table with a line for each seed."""
     table = Table()
-    for name in ("seed", "without", "with", "largest deviation", "at the end", "ok"):
+    for name in ("seed", "without avoidance", "with avoidance", "largest deviation", "at the end", "ok"):
         table.add_column(name, justify="right")
     for v in verdicts:
         row = v.as_dict()

@@ -14,9 +14,8 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Rows = NDArray[np.float64]
+from companion.arrays import Floats
 
 CROSSING_S: Final = 15.0
 END_S: Final = 26.0
@@ -37,7 +36,7 @@ MAX_SIDE_BY_SIDE: Final = 32
 _MOST_DRAWS: Final = 1_000
 
 
-def converging(seed: int) -> tuple[Rows, ...]:
+def converging(seed: int) -> tuple[Floats, ...]:
     """One encounter around (0, 0), 60 m above the ground. The same seed gives the same paths.
 
     Returns:
@@ -50,10 +49,12 @@ def converging(seed: int) -> tuple[Rows, ...]:
         rows = tuple(_path(rng) for _ in range(count))
         if all(_least_distance(np.stack([row[at, 1:] for row in rows])) > APART_M for at in (0, -1)):
             return rows
-    raise AssertionError(f"{count} aircraft do not begin {APART_M:g} m apart")  # practically impossible
+    raise AssertionError(
+        f"found no start positions {APART_M:g} m apart for {count} aircraft"
+    )  # practically impossible
 
 
-def side_by_side(seeds: tuple[int, ...]) -> tuple[tuple[Rows, ...], ...]:
+def side_by_side(seeds: tuple[int, ...]) -> tuple[tuple[Floats, ...], ...]:
     """Encounters of several seeds in one air: four to a layer of 500 m by 500 m, layers 40 m apart.
 
     Returns:
@@ -63,7 +64,7 @@ def side_by_side(seeds: tuple[int, ...]) -> tuple[tuple[Rows, ...], ...]:
         ValueError: no seed, or more than `MAX_SIDE_BY_SIDE`.
     """
     if not 1 <= len(seeds) <= MAX_SIDE_BY_SIDE:
-        raise ValueError(f"{len(seeds)} encounters side by side: allowed 1 to {MAX_SIDE_BY_SIDE}")
+        raise ValueError(f"{len(seeds)} encounters side by side; allowed: 1 to {MAX_SIDE_BY_SIDE}")
     found = []
     for number, seed in enumerate(seeds):
         layer, cell = divmod(number, CELLS_A_LAYER)
@@ -72,7 +73,7 @@ def side_by_side(seeds: tuple[int, ...]) -> tuple[tuple[Rows, ...], ...]:
     return tuple(found)
 
 
-def _path(rng: np.random.Generator) -> Rows:
+def _path(rng: np.random.Generator) -> Floats:
     """One aircraft's path, computed backwards and forwards from its crossing point."""
     direction = rng.normal(size=3)
     direction *= BALL_M * rng.uniform() ** (1.0 / 3.0) / np.linalg.norm(direction)
@@ -89,6 +90,6 @@ def _path(rng: np.random.Generator) -> Rows:
     return np.column_stack([np.array([0.0, turn_s, CROSSING_S, END_S]), points])
 
 
-def _least_distance(points: Rows) -> float:
+def _least_distance(points: Floats) -> float:
     gaps = np.linalg.norm(points[:, None] - points[None], axis=2)
     return float(gaps[np.triu_indices(len(points), 1)].min())

@@ -14,8 +14,8 @@ from functools import lru_cache
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.atmc.chooser import Chooser
 from companion.autopilot.tlog import ByteSink, TlogWriter
 from companion.config import (
@@ -57,15 +57,13 @@ _DECODED = 4096
 SETTLE_S = 3.0
 """Time for the companions to find and take their vehicles before the paths' clock starts."""
 
-Points = NDArray[np.float64]
-
 
 @dataclass(slots=True)
 class Flown:
     """True positions of one aircraft at every tick."""
 
     name: str
-    position_ned_m: Points
+    position_ned_m: Floats
     """Shape (ticks, 3), local NED at home."""
 
 
@@ -75,7 +73,7 @@ class Run:
 
     aircraft: list[Flown]
     air: dict[tuple[str, str], PairStats]
-    time_s: NDArray[np.float64]
+    time_s: Floats
     """Path time of every tick."""
     chosen: dict[str, Chosen]
     """Transports that each aircraft used, by name."""
@@ -108,7 +106,7 @@ class Aircraft:
             utc_guess_s=UTC_AT_START_S,
         )
         if random_choice is not None:
-            self.onboard.heart.chooser = Chooser(config, RandomMind(random_choice), "policy")
+            self.onboard.core.chooser = Chooser(config, RandomMind(random_choice), "policy")
         address = radio_address(name)
         self.onboard.hear(RadioState(can_send=tuple(sorted(TRANSPORTS)), own_addresses=(address,)))
         self.sender = FrameSender(address)
@@ -120,7 +118,7 @@ class Aircraft:
             self._record(step)
 
 
-def paths_of(scenario: Scenario, seed: int) -> list[Points]:
+def paths_of(scenario: Scenario, seed: int) -> list[Floats]:
     """Timed paths of all aircraft, each of shape (points, 4): time (s), north, east, down (m)."""
     if scenario.geometry is not None:
         return [np.asarray(p, float) for p in encounter(scenario.geometry, scenario.aircraft, seed)]
@@ -132,7 +130,7 @@ def names_of(scenario: Scenario, seed: int) -> list[str]:
     return [f"DMUCA{number:03d}" for number in range(1, len(paths_of(scenario, seed)) + 1)]
 
 
-def vehicle_options(scenario: Scenario, number: int, path: Points) -> VehicleOptions:
+def vehicle_options(scenario: Scenario, number: int, path: Floats) -> VehicleOptions:
     """Options of the mock vehicle, which begins airborne at the path's start."""
     v, limits = scenario.vehicle, scenario.limits
     firmware = Firmware.PX4 if number % 2 else Firmware.ARDUPILOT
@@ -181,7 +179,7 @@ def uas_id_of(scenario: Scenario, name: str) -> str:
     return f"{_PREFIX}{len(name):X}{name}"
 
 
-def companion_config(scenario: Scenario, name: str, path: Points, law: str | None) -> Config:
+def companion_config(scenario: Scenario, name: str, path: Floats, law: str | None) -> Config:
     """The companion's configuration for one aircraft. `law` replaces the scenario's law."""
     waypoints = []
     for t, north, east, down in path:
@@ -272,7 +270,7 @@ def _aircraft(
     scenario: Scenario,
     number: int,
     name: str,
-    path: Points,
+    path: Floats,
     luck: np.random.SeedSequence,
     law: str | None,
     policy: bytes | None,

@@ -22,10 +22,10 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from companion.arrays import Floats
 
 Kind = Literal["S1", "S2", "S3"]
-Rows = NDArray[np.float64]
 
 DURATION_S = 500.0
 CROSSING_S = 250.0
@@ -38,7 +38,7 @@ _MOST_DRAWS = 100_000
 """Twenty aircraft on S1 or S2 occasionally need some thousand draws."""
 
 
-def encounter(kind: Kind, aircraft: int, seed: int) -> tuple[Rows, ...]:
+def encounter(kind: Kind, aircraft: int, seed: int) -> tuple[Floats, ...]:
     """One encounter. The same arguments give the same paths.
 
     Args:
@@ -54,18 +54,18 @@ def encounter(kind: Kind, aircraft: int, seed: int) -> tuple[Rows, ...]:
         ValueError: an unknown kind, fewer than 2 aircraft, or more than fit 60 m apart.
     """
     if kind not in ("S1", "S2", "S3"):
-        raise ValueError(f"kind {kind!r}: allowed are 'S1', 'S2', 'S3'")
+        raise ValueError(f"kind {kind!r}; allowed: 'S1', 'S2', 'S3'")
     if aircraft < 2:
-        raise ValueError(f"{aircraft} aircraft: an encounter takes at least 2")
+        raise ValueError(f"{aircraft} aircraft; allowed: 2 or more")
     rng = np.random.default_rng([int(kind[1]), aircraft, seed])
     for _ in range(_MOST_DRAWS):
         rows = _circle(aircraft, rng) if kind == "S3" else _ball(CROSSING_BALL_M[kind], aircraft, rng)
         if min(_least_distance(rows[:, 0, 1:]), _least_distance(rows[:, 2, 1:])) > APART_M:
             return tuple(rows)
-    raise ValueError(f"{aircraft} aircraft do not fit {APART_M:g} m apart")
+    raise ValueError(f"{aircraft} aircraft cannot be placed {APART_M:g} m apart")
 
 
-def _ball(radius_m: float, aircraft: int, rng: np.random.Generator) -> Rows:
+def _ball(radius_m: float, aircraft: int, rng: np.random.Generator) -> Floats:
     """Paths with crossings uniform in a ball, shape (aircraft, 3, 4)."""
     direction = rng.normal(size=(aircraft, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -78,7 +78,7 @@ def _ball(radius_m: float, aircraft: int, rng: np.random.Generator) -> Rows:
     return _straight(crossing, np.column_stack([level * reach[:, None], -climb]))
 
 
-def _circle(aircraft: int, rng: np.random.Generator) -> Rows:
+def _circle(aircraft: int, rng: np.random.Generator) -> Floats:
     """Paths of the symmetric circle, shape (aircraft, 3, 4)."""
     turn, radius = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(400.0, 490.0)
     heading = turn + 2.0 * math.pi * np.arange(aircraft) / aircraft
@@ -86,7 +86,7 @@ def _circle(aircraft: int, rng: np.random.Generator) -> Rows:
     return _straight(np.zeros((aircraft, 3)), half)
 
 
-def _straight(crossing: Rows, half: Rows) -> Rows:
+def _straight(crossing: Floats, half: Floats) -> Floats:
     """Paths from crossing - half to crossing + half, with the centre raised to its height."""
     centre = crossing + np.array([0.0, 0.0, -HEIGHT_M])
     points = np.stack([centre - half, centre, centre + half], axis=1)
@@ -94,6 +94,6 @@ def _straight(crossing: Rows, half: Rows) -> Rows:
     return np.concatenate([times, points], axis=2)
 
 
-def _least_distance(points: Rows) -> float:
+def _least_distance(points: Floats) -> float:
     gaps = np.linalg.norm(points[:, None] - points[None], axis=2)
     return float(gaps[np.triu_indices(len(points), 1)].min())

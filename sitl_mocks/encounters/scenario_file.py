@@ -71,7 +71,7 @@ class Scenario(_Section, frozen=True):
 
     def __post_init__(self) -> None:
         if self.channel is not None and self.air.model == "interval":
-            raise ValueError('channel: goes with air.model "analytic" or "packets"')
+            raise ValueError('channel: allowed only with air.model "analytic" or "packets"')
 
 
 RANDOM = "random"
@@ -89,15 +89,15 @@ def load(path: Path) -> Scenario:
     """
     scenario = decode_toml(path, Scenario)
     if (scenario.geometry is None) == (not scenario.path):
-        raise ConfigError(f"{path}: give either geometry or path tables, and one of them")
+        raise ConfigError(f"{path}: give either geometry or path tables, not both and not neither")
     if scenario.path and len(scenario.path) < 2:
-        raise ConfigError(f"{path}: path: one path; an encounter needs at least 2")
+        raise ConfigError(f"{path}: path: there is only one path; allowed: 2 or more")
     for number, given in enumerate(scenario.path):
         for a, b in itertools.pairwise(given.points):
             if b[0] <= a[0]:
                 raise ConfigError(f"{path}: path[{number}].points: time {b[0]:g} s is not after {a[0]:g} s")
             if not all(math.isfinite(v) for v in b):
-                raise ConfigError(f"{path}: path[{number}].points: not a finite number in {b}")
+                raise ConfigError(f"{path}: path[{number}].points: {b} contains a value that is not finite")
     return _with_policy(_with_region(_with_parameters(scenario, path), path), path)
 
 
@@ -116,7 +116,7 @@ def _with_region(scenario: Scenario, path: Path) -> Scenario:
     if name is None:
         return scenario
     if scenario.region != Region():
-        raise ConfigError(f"{path}: region: give either it or air.region")
+        raise ConfigError(f"{path}: region: give either region or air.region, not both")
     try:
         region = load_region(path.parent / name)
     except ConfigError as error:
@@ -145,7 +145,7 @@ def _with_parameters(scenario: Scenario, path: Path) -> Scenario:
                 raise ConfigError(f"{path}: channel: {error}") from error
         return scenario
     if scenario.channel is not None:
-        raise ConfigError(f"{path}: channel: give either it or air.parameters")
+        raise ConfigError(f"{path}: channel: give either channel or air.parameters, not both")
     try:
         channel = load_parameters(path.parent / name, scenario.air)
     except ConfigError as error:

@@ -1,23 +1,18 @@
 """`sitl-mocks swarm`: an encounter in real time. Every vehicle, every companion and the air is a process.
 
-MAVLink and the air's datagrams use UDP on loopback. Positions come from the vehicles' own truth files, so
-that the verdict does not depend on the companions' estimates. With `--faults` each companion is examined
-while faults are injected (`swarm_faults`).
+MAVLink and the air's datagrams use loopback. Positions come from the vehicles' own truth files, so that the
+verdict does not depend on the companions' estimates. With `--faults` each companion is examined while faults
+are injected (`swarm_faults`).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-import re
-import signal
-import subprocess
-import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,145 +20,97 @@ import tomli_w
 from rich.console import Console
 
 from companion import config as configuration
-from companion.config import EtherRadio, RecordConfig
+from companion.arrays import Floats
+from companion.config import RecordConfig
 from companion.errors import ConfigError
+from companion.radio.ether.section import EtherRadio
 from companion.runtime.record.recorder import create_run_folder, write_json, write_manifest
 from companion.toml_reader import without_none
 from sitl_mocks.encounters import choosing, demo
 from sitl_mocks.encounters.demo_report import command as command_here
-from sitl_mocks.encounters.lockstep import HOME, Points, companion_config, names_of, paths_of, vehicle_options
+from sitl_mocks.encounters.lockstep import HOME, companion_config, names_of, paths_of, vehicle_options
+from sitl_mocks.encounters.processes import Process, Swarm
 from sitl_mocks.encounters.scenario_file import RANDOM, Scenario
 from sitl_mocks.encounters.swarm_report import limit_m, report_of, show
-from sitl_mocks.examinations import swarm_faults
-from sitl_mocks.examinations.swarm_faults import Examination, schedule_of
+from sitl_mocks.examinations import swarm_faults, swarm_schedule, swarm_verdict
+from sitl_mocks.examinations.faults import Fault
+from sitl_mocks.examinations.modelled_link import KINDS
+from sitl_mocks.examinations.shrink import moved, shortest
+from sitl_mocks.examinations.soak_flights import BrokenRuleError
+from sitl_mocks.examinations.swarm_faults import Examination, ServedVehicle
+from sitl_mocks.examinations.swarm_schedule import AircraftSchedule
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 
-_EXAMPLE = (
-    "example: sitl-mocks swarm --duration 120 --delay 0 1; sitl-mocks swarm --aircraft 3 --faults --seed 7"
-)
+_EXAMPLES = """examples:
+  sitl-mocks swarm --duration 120 --delay 0 1
+  sitl-mocks swarm --aircraft 3 --duration 60 --faults --seed 7
+  sitl-mocks swarm --schedule runs/20260101-120000-swarm/DMUCA002.shortest.json
+"""
 START_S = 15.0
 """Time from starting the processes to the paths' time 0, in which interpreters and kernels load on few
 cores.
 """
-_END_S = 15.0
 _ANYWHERE_M = 10_000.0
 """In an examination pilots may have flown the vehicle far away before the companion takes it again."""
+_GIVING_BACK_S = 60.0
+"""Longest time for which the clock of one schedule may stand still."""
 
 
-@dataclass(slots=True)
-class Process:
-    """One child process and its output."""
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What one run flies."""
 
-    name: str
-    child: subprocess.Popen[str]
-    log: Path
-    lines: list[str] = field(default_factory=list)
-
-    def expect(self, pattern: str) -> str:
-        """Read until a line matches, and return its first group.
-
-        Raises:
-            ConfigError: the process ended before a line matched.
-        """
-        assert self.child.stdout is not None
-        for line in self.child.stdout:
-            self.lines.append(line.rstrip())
-            found = re.search(pattern, line)
-            if found:
-                return found.group(1) if found.groups() else found.group(0)
-        self.child.wait()
-        raise ConfigError(f"{self.name} ended with code {self.child.returncode}; see {self.log}")
-
-    def last_json(self) -> dict[str, object]:
-        """The JSON object on the last line; empty if there is none."""
-        assert self.child.stdout is not None
-        self.lines += [line.rstrip() for line in self.child.stdout]
-        try:
-            value = json.loads(self.lines[-1])
-        except (IndexError, ValueError):
-            return {}
-        return value if isinstance(value, dict) else {}
-
-
-class Swarm:
-    """The processes of one run, and the examinations between them. `close` kills all that still run."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.processes: list[Process] = []
-        self.examinations: list[Examination] = []
-        self._logs: list[IO[str]] = []
-
-    def start(self, name: str, *arguments: str, piped: bool) -> Process:
-        """Start one of our commands. Its errors (and its output, unless piped) go to NAME.log."""
-        path = self.folder / f"{name}.log"
-        log = path.open("w")
-        self._logs.append(log)
-        child = subprocess.Popen(
-            [sys.executable, "-m", *arguments],
-            stdout=subprocess.PIPE if piped else log,
-            stderr=log,
-            stdin=subprocess.DEVNULL,
-            text=True,
-            # Ctrl-C must reach only this process, which then ends the children in order, companions first.
-            start_new_session=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        )
-        process = Process(name, child, path)
-        self.processes.append(process)
-        return process
-
-    def end(self, processes: list[Process]) -> list[str]:
-        """Ask processes to end and wait for them. Returns the names of those that did not end well."""
-        for process in processes:
-            if process.child.poll() is None:
-                process.child.send_signal(signal.SIGINT)
-        bad = []
-        deadline = time.monotonic() + _END_S
-        for process in processes:
-            try:
-                code = process.child.wait(max(0.1, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                process.child.kill()
-                code = process.child.wait()
-            if code != 0:
-                bad.append(f"{process.name} (exit code {code})")
-        return bad
-
-    def close(self) -> None:
-        """Kill the remaining processes and close the logs."""
-        for process in self.processes:
-            if process.child.poll() is None:
-                process.child.kill()
-                process.child.wait()
-            if process.child.stdout is not None:
-                process.child.stdout.close()
-        for log in self._logs:
-            log.close()
+    scenario: Scenario
+    seed: int
+    duration_s: float
+    numbers: tuple[int, ...]
+    """Numbers of the aircraft that fly."""
+    schedules: dict[int, AircraftSchedule]
+    """By number, what the aircraft go through; empty without faults."""
+    until_over: bool = False
+    """Whether the run ends as soon as all schedules have ended."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `sitl-mocks swarm`."""
-    parser.epilog = _EXAMPLE
+    parser.epilog = _EXAMPLES
     demo.add_scenario_arguments(parser)
-    parser.add_argument("--seed", type=int, default=1, help="what chance draws from (default 1)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
     parser.add_argument(
         "--duration",
         type=float,
         default=120.0,
-        help="seconds flown around the middle of the paths (default 120)",
+        help="length of the flown section in the middle of the paths (s; default: %(default)g)",
     )
     parser.add_argument(
         "--faults",
         action="store_true",
-        help="an examination: stalled companions, bad links and pilots who take over, drawn from the seed; "
-        "ends with 1 when a rule is broken, not when aircraft come close",
+        help="inject random faults: stalled companions, bad links, disobedient vehicles and pilots who take "
+        "over; the exit code is 1 if a rule is broken, and does not depend on the separation",
     )
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="where the run folder goes")
+    parser.add_argument(
+        "--link", choices=KINDS, help="link of every companion (with --faults; default: each kind in turn)"
+    )
+    parser.add_argument(
+        "--tries",
+        type=int,
+        default=10,
+        metavar="N",
+        help="most flights to search for a shorter schedule that breaks the same rule (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--schedule", type=Path, metavar="FILE", help="fly only the aircraft in this file, with its faults"
+    )
+    parser.add_argument(
+        "--runs",
+        type=Path,
+        default=Path("runs"),
+        help="folder in which the run folder is created (default: %(default)s)",
+    )
     parser.add_argument("--json", action="store_true", help="print the verdict as one JSON object")
 
 
-def window(path: Points, duration_s: float) -> Points:
+def window(path: Floats, duration_s: float) -> Floats:
     """The middle `duration_s` of a timed path, with its clock from 0; rows of time, north, east, down."""
     start = max(0.0, 0.5 * (float(path[-1, 0]) - duration_s))
     end = min(start + duration_s, float(path[-1, 0]))
@@ -179,122 +126,218 @@ def run(arguments: argparse.Namespace) -> int:
     Raises:
         ConfigError: an option or the scenario is wrong, or a process could not start.
     """
-    if not 10.0 <= arguments.duration <= 3600.0:
-        raise ConfigError(f"--duration: {arguments.duration:g}: allowed 10 to 3600")
-    scenario = demo.scenario_of(arguments)
-    if scenario.atmc.policy == RANDOM:
-        raise ConfigError(f"--policy: {RANDOM}: goes with sitl-mocks demo; no companion chooses at random")
-    policy = choosing.read_policy(scenario)
+    plan = _plan_of(arguments)
+    policy = choosing.read_policy(plan.scenario)
     console = Console(stderr=arguments.json)
     folder = create_run_folder(arguments.runs, "swarm", time.time())
-    scenario = choosing.keep(folder, scenario, policy)
-    (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(scenario))))
-    names = names_of(scenario, arguments.seed)
-    write_manifest(
-        folder, "sitl-mocks swarm", seed=arguments.seed, aircraft=names, conflict_limit_m=limit_m(scenario)
-    )
-    swarm = Swarm(folder)
-    try:
-        report = _fly(swarm, scenario, arguments, console)
-    finally:
-        for examination in swarm.examinations:
-            examination.close()
-        swarm.close()
-    write_json(folder / "summary.json", report)
+    plan = replace(plan, scenario=choosing.keep(folder, plan.scenario, policy))
+    report = _fly_in(folder, plan, console)
     if arguments.json:
         print(json.dumps(report))
     else:
         show(report, console)
-        if arguments.faults:
-            swarm_faults.show(report["faults"], console)  # type: ignore[arg-type]
+        if plan.schedules:
+            swarm_verdict.show(report["faults"], console)  # type: ignore[arg-type]
+    if plan.schedules and arguments.schedule is None:
+        _shorten(folder, plan, report["faults"], arguments.tries, console)  # type: ignore[arg-type]
     console.print(f"run folder: {folder}", soft_wrap=True)
-    console.print(f"look at it: {command_here('ground-tools')} inspect {folder} --summary", soft_wrap=True)
+    console.print(f"to inspect it: {command_here('ground-tools')} inspect {folder} --summary", soft_wrap=True)
     return 0 if report["ok"] else 1
 
 
-def _fly(
-    swarm: Swarm, scenario: Scenario, arguments: argparse.Namespace, console: Console
-) -> dict[str, object]:
-    paths = [window(p, arguments.duration) for p in paths_of(scenario, arguments.seed)]
-    names = names_of(scenario, arguments.seed)
+def _plan_of(arguments: argparse.Namespace) -> Plan:
+    if not 10.0 <= arguments.duration <= 3600.0:
+        raise ConfigError(f"--duration: {arguments.duration:g} is out of range; allowed: 10 to 3600")
+    if not 0 <= arguments.tries <= 1000:
+        raise ConfigError(f"--tries: {arguments.tries} is out of range; allowed: 0 to 1000")
+    if arguments.link is not None and not arguments.faults:
+        raise ConfigError("--link is allowed only with --faults")
+    if arguments.schedule is not None:
+        return _alone(demo.scenario_of(arguments), read_schedule(arguments.schedule))
+    scenario, seed, duration_s = demo.scenario_of(arguments), arguments.seed, arguments.duration
+    if scenario.atmc.policy == RANDOM:
+        raise ConfigError(
+            f"--policy: {RANDOM} is allowed only with sitl-mocks demo; the companion has no random policy"
+        )
+    numbers = tuple(range(len(paths_of(scenario, seed))))
+    schedules = {
+        number: swarm_schedule.draw(seed, len(numbers), number, duration_s, arguments.link)
+        for number in numbers
+        if arguments.faults
+    }
+    return Plan(scenario, seed, duration_s, numbers, schedules)
+
+
+def read_schedule(path: Path) -> AircraftSchedule:
+    """Read a schedule that an earlier run has written: a shortest one, or a NAME.faults.json.
+
+    Raises:
+        ConfigError: the file cannot be read or is no schedule.
+    """
+    try:
+        value = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"--schedule: {path}: {error}") from error
+    if not isinstance(value, dict):
+        raise ConfigError(f"--schedule: {path}: the file is not a JSON object")
+    return swarm_schedule.from_file(value.get("schedule", value))
+
+
+def _alone(scenario: Scenario, schedule: AircraftSchedule) -> Plan:
+    """Plan of one aircraft of a swarm without the others."""
+    if scenario.geometry is not None:
+        scenario = msgspec.structs.replace(scenario, aircraft=schedule.aircraft)
+    number = schedule.number
+    if number >= len(paths_of(scenario, schedule.seed)):
+        raise ConfigError(
+            f"--schedule: the scenario has no aircraft {number}; give the --scenario of the original run"
+        )
+    duration_s = schedule.until_s + _GIVING_BACK_S
+    return Plan(scenario, schedule.seed, duration_s, (number,), {number: schedule}, until_over=True)
+
+
+def _shorten(folder: Path, plan: Plan, faults: dict[str, Any], tries: int, console: Console) -> None:
+    """Search for the shortest schedule with which the first failing aircraft still breaks the same rule.
+
+    Every try is a flight of this aircraft alone, in real time. Processes do not run twice in the same way, so
+    a schedule may be left that would have failed another time; what is printed has failed.
+    """
+    names = names_of(plan.scenario, plan.seed)
+    failed = [number for number in plan.numbers if faults[names[number]]["breaches"]]
+    if not failed or not tries:
+        return
+    schedule, first = plan.schedules[failed[0]], faults[names[failed[0]]]["breaches"][0]
+    error = BrokenRuleError(first["rule"], first["schedule_s"], first["words"])
+    tried = 0
+
+    def breaks(some: tuple[Fault, ...], until_s: float) -> BrokenRuleError | None:
+        nonlocal tried
+        tried += 1
+        # Nothing needs to happen before the first fault but that the companion flies the vehicle.
+        early_s = max(0.0, min(fault.at_s for fault in some) - swarm_schedule.FIRST_S[0])
+        candidate = replace(schedule, faults=moved(some, -early_s), until_s=round(until_s - early_s, 3))
+        console.print(f"shortening, try {tried} of {tries}: {len(some)} faults in {candidate.until_s:.1f} s")
+        (report,) = fly_alone(folder / f"try-{tried}", plan.scenario, candidate).values()
+        broken = [row for row in report["breaches"] if row["rule"] == first["rule"]]
+        if not broken:
+            return None
+        return BrokenRuleError(first["rule"], broken[0]["schedule_s"] + early_s, broken[0]["words"])
+
+    some, until_s = shortest(schedule.faults, error, breaks, tries=tries, earliest_s=())
+    early_s = max(0.0, min((fault.at_s for fault in some), default=0.0) - swarm_schedule.FIRST_S[0])
+    short = replace(schedule, faults=moved(some, -early_s), until_s=round(until_s - early_s, 3))
+    path = folder / f"{names[failed[0]]}.shortest.json"
+    write_json(path, swarm_schedule.to_file(short))
+    console.print(
+        f"shortest schedule found in {tried} flights that breaks the rule {first['rule']}: {short}",
+        highlight=False,
+    )
+    console.print(f"sitl-mocks swarm --schedule {path}", soft_wrap=True, highlight=False)
+
+
+def fly_alone(folder: Path, scenario: Scenario, schedule: AircraftSchedule) -> dict[str, Any]:
+    """Fly one aircraft alone under a schedule. Returns the report of its faults, by its name."""
+    folder.mkdir()
+    report = _fly_in(folder, _alone(scenario, schedule), Console(quiet=True))
+    found: dict[str, Any] = report["faults"]  # type: ignore[assignment]
+    return found
+
+
+def _fly_in(folder: Path, plan: Plan, console: Console) -> dict[str, object]:
+    """Fly a plan, and write its report into the folder."""
+    scenario = plan.scenario
+    (folder / "config.toml").write_text(tomli_w.dumps(without_none(msgspec.to_builtins(scenario))))
+    names = [names_of(scenario, plan.seed)[number] for number in plan.numbers]
+    write_manifest(
+        folder, "sitl-mocks swarm", seed=plan.seed, aircraft=names, conflict_limit_m=limit_m(scenario)
+    )
+    swarm = Swarm(folder)
+    try:
+        report = _fly(swarm, plan, names, console)
+    finally:
+        swarm.close()
+    write_json(folder / "summary.json", report)
+    return report
+
+
+def _fly(swarm: Swarm, plan: Plan, names: list[str], console: Console) -> dict[str, object]:
+    scenario, faults = plan.scenario, bool(plan.schedules)
+    paths = [window(paths_of(scenario, plan.seed)[number], plan.duration_s) for number in plan.numbers]
     ether = swarm.start(
-        "ether", "sitl_mocks.cli", "ether", "--listen", "127.0.0.1:0", "--seed", str(arguments.seed),
+        "ether", "sitl_mocks.cli", "ether", "--listen", "127.0.0.1:0", "--seed", str(plan.seed),
         *_ether_options(scenario, swarm.folder), piped=True,
     )  # fmt: skip
     radio = "127.0.0.1:" + ether.expect(r"ether on .*:(\d+)")
-    links = 1 + arguments.faults
-    vehicles = [_start_vehicle(swarm, scenario, n, name, paths[n], links) for n, name in enumerate(names)]
-    ports = [[vehicle.expect(r"link udpin:.*:(\d+)") for _ in range(links)] for vehicle in vehicles]
+    links = 1 + faults
+    starts = zip(plan.numbers, names, paths, strict=True)
+    vehicles = [_start_vehicle(swarm, scenario, *start, links) for start in starts]
+    ports = [[int(vehicle.expect(r"link udpin:.*:(\d+)")) for _ in range(links)] for vehicle in vehicles]
     start_utc_s = time.time() + START_S
-    if arguments.faults:
-        _examine(swarm, scenario, arguments, paths, ports, start_utc_s)
-        near_m = _ANYWHERE_M
+    to_vehicles = [f"udpout:127.0.0.1:{first}" for first, *_ in ports]
+    if faults:
+        _examine(swarm, plan, names, vehicles, ports, start_utc_s)
         to_vehicles = [one.link_name for one in swarm.examinations]
-    else:
-        near_m = None
-        to_vehicles = [f"udpout:127.0.0.1:{port}" for (port,) in ports]
-    companions = []
-    for name, path, link in zip(names, paths, to_vehicles, strict=True):
-        config = companion_config(scenario, name, path, None)
-        config = msgspec.structs.replace(
-            config,
-            vehicle=msgspec.structs.replace(config.vehicle, link=link),
-            flight=msgspec.structs.replace(
-                config.flight, start_utc_s=start_utc_s, start_within_m=near_m or config.flight.start_within_m
-            ),
-            radio=(EtherRadio(address=radio),),
-            record=RecordConfig(folder=str(swarm.folder), name=name),
-        )
-        file = swarm.folder / f"{name}.toml"
-        file.write_bytes(configuration.dump(config))
-        companions.append(
-            swarm.start(name, "companion.commands.cli", "run", "--config", str(file), piped=False)
-        )
-    for examination, companion in zip(swarm.examinations, companions, strict=bool(swarm.examinations)):
+    companions = [
+        _start_companion(swarm, plan, name, path, link, radio, start_utc_s)
+        for name, path, link in zip(names, paths, to_vehicles, strict=True)
+    ]
+    for examination, companion in zip(swarm.examinations, companions, strict=faults):
         examination.watch(companion.child)
     bad: list[str] = []
     try:
-        interrupted = _watch(swarm, start_utc_s, arguments.duration, console)
+        interrupted = _watch(swarm, plan, start_utc_s, console)
     except ConfigError as error:
-        if not arguments.faults:
+        if not faults:
             raise
-        # In an examination this is a finding, not an error.
+        # In an examination this is a finding.
         interrupted, bad = False, [str(error)]
     for examination in swarm.examinations:
         examination.rest()
     bad += swarm.end(companions)
-    faults = swarm_faults.end_all(swarm.examinations, swarm.folder)
+    results = swarm_faults.end_all(swarm.examinations, swarm.folder)
     bad += swarm.end(vehicles) + swarm.end([ether])
     left = {name: vehicle.last_json() for name, vehicle in zip(names, vehicles, strict=True)}
     report = report_of(
         swarm.folder, scenario, left, ether.last_json(), bad, start_utc_s, interrupted=interrupted
     )
-    return swarm_faults.judged(report, faults) if arguments.faults else report
+    return swarm_verdict.judged(report, results) if faults else report
+
+
+def _start_companion(
+    swarm: Swarm, plan: Plan, name: str, path: Floats, link: str, radio: str, start_utc_s: float
+) -> Process:
+    config = companion_config(plan.scenario, name, path, None)
+    near_m = _ANYWHERE_M if plan.schedules else config.flight.start_within_m
+    config = msgspec.structs.replace(
+        config,
+        vehicle=msgspec.structs.replace(config.vehicle, link=link),
+        flight=msgspec.structs.replace(config.flight, start_utc_s=start_utc_s, start_within_m=near_m),
+        radio=(EtherRadio(address=radio),),
+        record=RecordConfig(folder=str(swarm.folder), name=name),
+    )
+    file = swarm.folder / f"{name}.toml"
+    file.write_bytes(configuration.dump(config))
+    return swarm.start(name, "companion.commands.cli", "run", "--config", str(file), piped=False)
 
 
 def _examine(
     swarm: Swarm,
-    scenario: Scenario,
-    arguments: argparse.Namespace,
-    paths: list[Points],
-    ports: list[list[str]],
+    plan: Plan,
+    names: list[str],
+    vehicles: list[Process],
+    ports: list[list[int]],
     start_utc_s: float,
 ) -> None:
     """Start an examination between each vehicle and its companion."""
     begins_s = time.monotonic() + start_utc_s - time.time()
-    for number, name in enumerate(names_of(scenario, arguments.seed)):
-        options = vehicle_options(scenario, number, paths[number])
-        first, second = map(int, ports[number])
+    paths = paths_of(plan.scenario, plan.seed)
+    for number, name, process, (first, second) in zip(plan.numbers, names, vehicles, ports, strict=True):
+        options = vehicle_options(plan.scenario, number, paths[number])
+        troubles = process.child.stdin
+        assert troubles is not None
+        vehicle = ServedVehicle(name, options.firmware, options.system_id, (first, second), troubles)
         examination = Examination(
-            name,
-            options.firmware,
-            options.system_id,
-            (first, second),
-            scenario.limits,
-            begins_s,
-            schedule_of(arguments.seed, number, arguments.duration),
-            arguments.seed,
-            swarm.folder,
+            vehicle, plan.scenario.limits, begins_s, plan.schedules[number], swarm.folder
         )
         swarm.examinations.append(examination)
         examination.start()
@@ -316,24 +359,24 @@ def _ether_options(scenario: Scenario, folder: Path) -> list[str]:
 
 
 def _start_vehicle(
-    swarm: Swarm, scenario: Scenario, number: int, name: str, path: Points, links: int
+    swarm: Swarm, scenario: Scenario, number: int, name: str, path: Floats, links: int
 ) -> Process:
     options = vehicle_options(scenario, number, path)
     north, east, down = options.start_position_ned_m
     return swarm.start(
         f"vehicle-{name}", "sitl_mocks.cli", "serve",
         "--firmware", options.firmware.value, "--system-id", str(options.system_id),
-        *(["--link", "udpin:127.0.0.1:0"] * links),
+        *(["--link", "udpin:127.0.0.1:0"] * links), *(["--troubles"] if links > 1 else []),
         "--home", str(HOME.lat_deg), str(HOME.lon_deg), str(HOME.alt_m),
         "--mode", (options.start_mode or VehicleMode.HOLD).value, "--airborne", str(-down),
         "--start", str(north), str(east), "--seed", str(number),
         "--gnss-sigma", str(options.gnss_horizontal_sigma_m), str(options.gnss_vertical_sigma_m),
         str(options.gnss_velocity_sigma_mps), "--truth", str(swarm.folder / f"{name}.truth.csv"),
-        piped=True,
+        piped=True, told=links > 1,
     )  # fmt: skip
 
 
-def _watch(swarm: Swarm, start_utc_s: float, duration_s: float, console: Console) -> bool:
+def _watch(swarm: Swarm, plan: Plan, start_utc_s: float, console: Console) -> bool:
     """Wait for the end. Returns True if interrupted by Ctrl-C.
 
     Raises:
@@ -341,17 +384,18 @@ def _watch(swarm: Swarm, start_utc_s: float, duration_s: float, console: Console
     """
     told_s = -1e9
     try:
-        while (now_s := time.time() - start_utc_s) < duration_s:
+        while (now_s := time.time() - start_utc_s) < plan.duration_s:
+            if plan.until_over and all(one.over for one in swarm.examinations):
+                break
             for process in swarm.processes:
                 if process.child.poll() is not None:
                     raise ConfigError(
-                        f"{process.name} ended with code {process.child.returncode}; see {process.log}"
+                        f"{process.name} ended with exit code {process.child.returncode}; see {process.log}"
                     )
             if now_s - told_s >= 10.0:
                 told_s = now_s
-                word = (
-                    f"starts in {-now_s:.0f} s" if now_s < 0 else f"{now_s:.0f} of {duration_s:.0f} s flown"
-                )
+                flown = f"{now_s:.0f} of {plan.duration_s:.0f} s flown"
+                word = f"starts in {-now_s:.0f} s" if now_s < 0 else flown
                 console.print(f"{len(swarm.processes)} processes; {word}")
             time.sleep(0.2)
     except KeyboardInterrupt:

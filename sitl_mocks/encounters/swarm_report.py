@@ -183,17 +183,17 @@ def show(report: dict[str, object], console: Console) -> None:
     lost = [row["lost_share"] for row in report["air"]]  # type: ignore[attr-defined]
     if lost:
         console.print(
-            f"Remote ID: {len(lost)} pairs, largest share lost {100 * max(lost):.1f} %; "
+            f"Remote ID: {len(lost)} pairs; largest share of lost messages {100 * max(lost):.1f} %; "
             f"{information_age(report['air'])}"  # type: ignore[arg-type]
         )
     if report["policy"] is not None:
         console.print(report["transports_in_words"], highlight=False)
     for name in report["ended_badly"]:  # type: ignore[attr-defined]
-        console.print(f"[red]did not end well:[/] {name}")
+        console.print(f"[red]ended with an error:[/] {name}")
     if "faults" in report:
         console.print(
-            f"least separation {report['min_separation_m']} m: reported, not judged, as a companion that is "
-            "stopped or has lost its vehicle to a pilot does not avoid"
+            f"Least separation {report['min_separation_m']} m. It does not count, because a companion "
+            "that is stopped or whose pilot has taken over does not avoid."
         )
         return
     word = "[bold green]OK[/]" if report["ok"] else "[bold red]FAILED[/]"

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sitl_mocks.encounters.lockstep import Points, Run
+from companion.arrays import Floats
+from sitl_mocks.encounters.lockstep import Run
 from sitl_mocks.encounters.scenario_file import Scenario
 
 ON_PATH_M = 2.0
@@ -47,7 +47,7 @@ def pairs_of(run: Run) -> list[Pair]:
     return found
 
 
-def _least(relative: Points) -> tuple[float, int]:
+def _least(relative: Floats) -> tuple[float, int]:
     start, step = relative[:-1], np.diff(relative, axis=0)
     length2 = np.einsum("ij,ij->i", step, step)
     share = np.clip(-np.einsum("ij,ij->i", start, step) / np.maximum(length2, 1e-12), 0.0, 1.0)
@@ -61,14 +61,14 @@ def on_path_limit_m(scenario: Scenario) -> float:
     return ON_PATH_M + NOISE_SIGMAS * scenario.vehicle.gnss_horizontal_sigma_m
 
 
-def deviations_of(run: Run, paths: list[Points], limit_m: float) -> list[Deviation]:
+def deviations_of(run: Run, paths: list[Floats], limit_m: float) -> list[Deviation]:
     """Deviation of every aircraft from the point of its path at the same time."""
     found = []
     flown = run.time_s >= 0.0
     time_s = run.time_s[flown]
     for aircraft, path in zip(run.aircraft, paths, strict=True):
         planned = np.column_stack([np.interp(time_s, path[:, 0], path[:, k]) for k in (1, 2, 3)])
-        away: NDArray[np.float64] = np.linalg.norm(aircraft.position_ned_m[flown] - planned, axis=1)
+        away: Floats = np.linalg.norm(aircraft.position_ned_m[flown] - planned, axis=1)
         worst = int(np.argmax(away))
         outside = np.flatnonzero(away > limit_m)
         back = None

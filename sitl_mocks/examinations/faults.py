@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.wire import FrameScanner, MavlinkWriter
+from companion.autopilot.wire import MavlinkWriter
 from companion.errors import ConfigError
 from companion.system import CompanionSystem
 from sitl_mocks.examinations.modelled_link import ModelledLink
@@ -22,10 +22,6 @@ from sitl_mocks.examinations.rule_judge import Judge
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import MockVehicle
 
-_ACK = int(mavlink.MAVLINK_MSG_ID_COMMAND_ACK)
-_COMMAND_LONG = int(mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
-_DO_SET_MODE = 176
-_FAILED = 4
 _PILOTS: Final = (VehicleMode.RTL, VehicleMode.LAND, VehicleMode.HOLD, VehicleMode.MANUAL)
 """Modes that a pilot selects against a companion: RTL, LAND, LOITER or HOLD, STABILIZE or POSCTL."""
 
@@ -60,7 +56,7 @@ def from_json(value: dict[str, Any]) -> Fault:
     except (TypeError, ValueError) as error:
         raise ConfigError(f"schedule: {value}: {error}") from error
     if fault.kind not in _BEGIN:
-        raise ConfigError(f"schedule: {fault.kind}: no such fault; there are {', '.join(sorted(_BEGIN))}")
+        raise ConfigError(f"schedule: fault kind {fault.kind!r}; allowed: {', '.join(sorted(_BEGIN))}")
     return fault
 
 
@@ -82,15 +78,17 @@ class Place(Protocol):
     def judge(self) -> Judge:
         """Judge of this vehicle and companion."""
 
-    @property
-    def interposer(self) -> Interposer:
-        """Interposer between the link and the vehicle."""
+    def set_trouble(self, name: str, value: Any) -> None:
+        """Set a trouble inside the vehicle (`sitl_mocks.vehicle.troubles.Troubles.set`)."""
 
     def stop(self, for_s: float, *, in_step: bool) -> None:
         """Stall the companion."""
 
-    def pilot_selects(self, mode: VehicleMode) -> bool:
-        """Select a mode as the pilot. Returns whether the vehicle accepted it."""
+    def pilot_selects(self, *modes: VehicleMode) -> bool:
+        """Select modes as the pilot, one after the other within one step of the vehicle.
+
+        Returns whether the vehicle accepted the last one.
+        """
 
 
 class World(Place, Protocol):
@@ -173,13 +171,16 @@ def _fast(world: Place, fault: Fault) -> None:
     world.link.hurry(world.now_s)
 
 
-def _answers(world: Place, fault: Fault) -> None:
-    """The kind of the fault is the name of the answer behaviour."""
-    world.interposer.manner = fault.kind
+def _trouble(name: str, value: Any, before: Any) -> tuple[_Act, _Act]:
+    """Begin and end of a trouble inside the vehicle, from its value and the normal value."""
 
+    def begins(world: Place, fault: Fault) -> None:
+        world.set_trouble(name, value)
 
-def _answers_right(world: Place, fault: Fault) -> None:
-    world.interposer.manner = ""
+    def ends(world: Place, fault: Fault) -> None:
+        world.set_trouble(name, before)
+
+    return begins, ends
 
 
 def _burst(world: Place, fault: Fault) -> None:
@@ -202,9 +203,7 @@ def _stall(world: Place, fault: Fault) -> None:
 
 
 def _modes(world: Place, fault: Fault) -> None:
-    """Select the modes one after the other, at the same moment."""
-    for mode in fault.modes:
-        world.pilot_selects(VehicleMode(mode))
+    world.pilot_selects(*(VehicleMode(mode) for mode in fault.modes))
 
 
 def _mission(world: World, fault: Fault) -> None:
@@ -217,13 +216,9 @@ def _garbage(world: World, fault: Fault) -> None:
     world.onboard.receive(np.random.default_rng(int(seed)).bytes(int(size)), world.now_s)
 
 
-def _sticks(world: World, fault: Fault) -> None:
+def _sticks(world: Place, fault: Fault) -> None:
     roll, pitch, yaw = fault.numbers
-    world.vehicle.troubles.sticks = (roll, pitch, 0.0, yaw)
-
-
-def _no_sticks(world: World, fault: Fault) -> None:
-    world.vehicle.troubles.sticks = (0.0, 0.0, 0.0, 0.0)
+    world.set_trouble("sticks", (roll, pitch, 0.0, yaw))
 
 
 _BEGIN_OUTSIDE: Final[dict[str, _Act]] = {
@@ -238,9 +233,9 @@ _BEGIN_OUTSIDE: Final[dict[str, _Act]] = {
     "slow": _set("rate_bps", math.inf)[0],
     "down": _set("down_stands", False)[0],
     "up": _set("up_stands", False)[0],
-    "disobeyed": _answers,
-    "unanswered": _answers,
-    "denied": _answers,
+    "disobeyed": _trouble("answers", "disobeyed", "right")[0],
+    "unanswered": _trouble("answers", "unanswered", "right")[0],
+    "denied": _trouble("answers", "denied", "right")[0],
 }
 _END_OUTSIDE: Final[dict[str, _Act]] = {
     "link": lambda w, f: _cut(w, stands=False),
@@ -251,17 +246,17 @@ _END_OUTSIDE: Final[dict[str, _Act]] = {
     "slow": _fast,
     "down": _set("down_stands", False)[1],
     "up": _set("up_stands", False)[1],
-    "disobeyed": _answers_right,
-    "unanswered": _answers_right,
-    "denied": _answers_right,
+    "disobeyed": _trouble("answers", "disobeyed", "right")[1],
+    "unanswered": _trouble("answers", "unanswered", "right")[1],
+    "denied": _trouble("answers", "denied", "right")[1],
 }
 OUTSIDE: Final = tuple(_BEGIN_OUTSIDE)
 """Kinds that need only external access to vehicle and companion."""
 _BEGIN: Final[dict[str, Callable[[World, Fault], None]]] = {
     **_BEGIN_OUTSIDE,
     "reboot": lambda w, f: w.vehicle.reboot(flies_on=True),
-    "gnss": lambda w, f: setattr(w.vehicle.troubles, "gnss_lost", True),
-    "estimator": lambda w, f: setattr(w.vehicle.troubles, "estimator_bad", True),
+    "gnss": _trouble("gnss_lost", True, False)[0],
+    "estimator": _trouble("estimator_bad", True, False)[0],
     "sticks": _sticks,
     "garbage": _garbage,
     "mission": _mission,
@@ -269,56 +264,11 @@ _BEGIN: Final[dict[str, Callable[[World, Fault], None]]] = {
 }
 _END: Final[dict[str, Callable[[World, Fault], None]]] = {
     **_END_OUTSIDE,
-    "gnss": lambda w, f: setattr(w.vehicle.troubles, "gnss_lost", False),
-    "estimator": lambda w, f: setattr(w.vehicle.troubles, "estimator_bad", False),
-    "sticks": _no_sticks,
+    "gnss": _trouble("gnss_lost", True, False)[1],
+    "estimator": _trouble("estimator_bad", True, False)[1],
+    "sticks": _trouble("sticks", None, (0.0, 0.0, 0.0, 0.0))[1],
 }
 KINDS: Final = tuple(_BEGIN)
-
-
-class Interposer:
-    """Makes the vehicle's answers to the companion's mode requests differ from its actions."""
-
-    def __init__(self, system_id: int = 1) -> None:
-        self.manner = ""
-        """Current behaviour. "disobeyed": acknowledged but not carried out. "unanswered": carried out but not
-        acknowledged. "denied": carried out but answered with a refusal.
-        """
-        self._answers: list[bytes] = []
-        self._writer = MavlinkWriter(system_id, 1)
-
-    def up(self, data: bytes) -> bytes:
-        """Filter the companion's bytes. Returns those that the vehicle receives."""
-        if self.manner != "disobeyed":
-            return data
-        kept = []
-        for frame in FrameScanner(keep_unknown=True).frames(data):
-            if _is_mode_request(frame.message_id, frame.payload):
-                self._answers.append(self._ack(0, (frame.system_id, frame.component_id)))
-            else:
-                kept.append(frame.raw)
-        return b"".join(kept)
-
-    def down(self, frames: list[bytes]) -> list[bytes]:
-        """Filter the vehicle's frames. Returns those that the companion receives."""
-        answers, self._answers = self._answers, []
-        if self.manner not in ("unanswered", "denied"):
-            return frames + answers
-        kept = []
-        for raw in frames:
-            if raw[7] == _ACK and raw[8] == raw[9] == 0 and raw[10] == _DO_SET_MODE and raw[11] == 0:
-                if self.manner == "denied" and raw[1] >= 10:
-                    answers.append(self._ack(_FAILED, (raw[18], raw[19])))
-            else:
-                kept.append(raw)
-        return kept + answers
-
-    def _ack(self, result: int, to: tuple[int, int]) -> bytes:
-        return self._writer.pack(mavlink.MAVLink_command_ack_message(_DO_SET_MODE, result, 0, 0, *to))
-
-
-def _is_mode_request(message_id: int, payload: bytes) -> bool:
-    return message_id == _COMMAND_LONG and int.from_bytes(payload[28:30], "little") == _DO_SET_MODE
 
 
 def others_frames() -> list[bytes]:

@@ -15,9 +15,9 @@ from companion.events import Firmware
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
 from sitl_mocks.vehicle.flight import FORCE
 
-SET_MODE: Final = 176
-ARM: Final = 400
-_SET_INTERVAL = 511
+SET_MODE: Final[int] = mavlink.MAV_CMD_DO_SET_MODE
+ARM: Final[int] = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+_SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 _MODE_INTERVAL_US = 5e4
 _READ_BYTES = 65536
 
@@ -40,28 +40,39 @@ class PilotLink:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect(("127.0.0.1", port))
         self._socket.setblocking(False)
-        self._command(_SET_INTERVAL, float(CURRENT_MODE), _MODE_INTERVAL_US)
+        self._send(self._command(_SET_INTERVAL, float(CURRENT_MODE), _MODE_INTERVAL_US))
 
     def close(self) -> None:
         """Release the socket."""
         self._socket.close()
 
-    def ask_mode(self, mode: VehicleMode) -> None:
-        """Request a mode once."""
-        number = self.modes[mode]
-        params = (number >> 16 & 0xFF, number >> 24) if self._px4 else (number, 0)
-        self._command(SET_MODE, 1.0, *map(float, params))
+    def ask_modes(self, *modes: VehicleMode) -> None:
+        """Request modes once, in one datagram, so that the vehicle takes all of them within one step."""
+        commands = []
+        for mode in modes:
+            number = self.modes[mode]
+            params = (number >> 16 & 0xFF, number >> 24) if self._px4 else (number, 0)
+            commands.append(self._command(SET_MODE, 1.0, *map(float, params)))
+        self._send(b"".join(commands))
+
+    @property
+    def mode_results(self) -> list[int]:
+        """Results of the mode requests so far. PX4 acknowledges twice, and the second one is the result."""
+        results = [result for number, result in self.answers if number == SET_MODE]
+        return results[1::2] if self._px4 else results
 
     def arm(self, *, armed: bool) -> None:
         """Arm or disarm the vehicle, also in the air."""
-        self._command(ARM, float(armed), FORCE)
+        self._send(self._command(ARM, float(armed), FORCE))
 
-    def _command(self, number: int, *params: float) -> None:
+    def _command(self, number: int, *params: float) -> bytes:
         filled = (*params, *([0.0] * (7 - len(params))))
-        message = mavlink.MAVLink_command_long_message(self._system_id, 1, number, 0, *filled)
+        return self._writer.pack(mavlink.MAVLink_command_long_message(self._system_id, 1, number, 0, *filled))
+
+    def _send(self, commands: bytes) -> None:
         self.answers.clear()
         with contextlib.suppress(OSError):
-            self._socket.send(self._writer.pack(message))
+            self._socket.send(commands)
 
     def hear(self, shown: Callable[[int, bool | None], None] | None = None) -> None:
         """Read all messages that have arrived.

@@ -28,19 +28,45 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from companion.autopilot.wire import FrameScanner
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-_HEARTBEAT, _POSITION, _CURRENT_MODE = 0, 33, 436
-_SET_MODE, _COMMAND_INT, _COMMAND_LONG, _SETPOINT = 11, 75, 76, 84
-_DO_SET_MODE, _CHANGE_SPEED = 176, 178
-_MODE_COMMANDS: Final = frozenset({_DO_SET_MODE, _CHANGE_SPEED, 20, 21, 22, 192, 300, 400})
-"""Commands that change the flight: modes, speed, take-off, landing, reposition, mission start, arming."""
+from companion.autopilot.wire import CURRENT_MODE, FrameScanner
+
+_HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+_POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+_SET_MODE = mavlink.MAVLINK_MSG_ID_SET_MODE
+_COMMAND_INT = mavlink.MAVLINK_MSG_ID_COMMAND_INT
+_COMMAND_LONG = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
+_SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+_DO_SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
+_CHANGE_SPEED = mavlink.MAV_CMD_DO_CHANGE_SPEED
+_MODE_COMMANDS: Final = frozenset(
+    {
+        _DO_SET_MODE,
+        _CHANGE_SPEED,
+        mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+        mavlink.MAV_CMD_NAV_LAND,
+        mavlink.MAV_CMD_NAV_TAKEOFF,
+        mavlink.MAV_CMD_DO_REPOSITION,
+        mavlink.MAV_CMD_MISSION_START,
+        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    }
+)
+"""Commands that change the flight."""
 _LONG = struct.Struct("<7fHBBB")
 _LOCAL_NED = struct.Struct("<I11fHBBB")
-_MASKS: Final = frozenset({0x9C7, 0x5C7})
+_VELOCITY_ALONE = sum(
+    getattr(mavlink, f"POSITION_TARGET_TYPEMASK_{axis}_IGNORE") for axis in ("X", "Y", "Z", "AX", "AY", "AZ")
+)
+_MASKS: Final = frozenset(
+    {
+        _VELOCITY_ALONE | mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE,
+        _VELOCITY_ALONE | mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE,
+    }
+)
 """Type masks of a velocity vector with a yaw, and with a yaw rate."""
-_FRAME_LOCAL_NED = 1
-_AUTOPILOT = 1
+_FRAME_LOCAL_NED = mavlink.MAV_FRAME_LOCAL_NED
+_AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
 REACTION_S: Final = 0.1
 """Longest time from when the pilot's mode can be read to the last setpoint."""
@@ -166,7 +192,7 @@ class Judge:
     def accepted(self, now_s: float) -> None:
         """The vehicle has shown its mode after an accepted choice. Checks whether the mode was entered."""
         if self._selected is not None and self._mode != self._selected[1]:
-            self._breach(now_s, "refused", f"mode {self._selected[1]} was accepted and not entered")
+            self._breach(now_s, "refused", f"mode {self._selected[1]} was accepted but not entered")
         self._selected = None
 
     def declined(self) -> None:
@@ -224,8 +250,8 @@ class Judge:
         request = next((r for r in reversed(self._asked) if r.custom_mode == custom_mode), None)
         asked_s = now_s if request is None else request.left_s
         words = (
-            f"{choice.whose} mode {choice.custom_mode}, entered {now_s - choice.at_s:.3f} s before, was left "
-            f"for {custom_mode}, asked for {asked_s - choice.at_s:.3f} s after it"
+            f"{choice.whose} mode {choice.custom_mode} was left after {now_s - choice.at_s:.3f} s for mode "
+            f"{custom_mode}, which was requested {asked_s - choice.at_s:.3f} s after it was entered"
         )
         if asked_s >= choice.readable_s:
             self._breach(now_s, "left", words)
@@ -254,7 +280,7 @@ class Judge:
             message_id = raw[7] | raw[8] << 8 | raw[9] << 16
             if message_id == _POSITION:
                 self._sampled_s = max(self._sampled_s, sent_s)
-            elif self._choices and message_id in (_HEARTBEAT, _CURRENT_MODE):
+            elif self._choices and message_id in (_HEARTBEAT, CURRENT_MODE):
                 payload = raw[10 : 10 + min(raw[1], 4)].ljust(4, b"\0")
                 self._note_shown(now_s, sent_s, int.from_bytes(payload, "little"))
 
@@ -294,17 +320,21 @@ class Judge:
         fields = _LOCAL_NED.unpack(payload.ljust(_LOCAL_NED.size, b"\0"))
         velocity, (mask, system, component, frame) = fields[4:7], fields[12:16]
         if mask not in _MASKS or frame != _FRAME_LOCAL_NED or component != _AUTOPILOT or system == 0:
-            self._breach(now_s, "form", f"mask {mask:#x}, frame {frame}, target {system}/{component}")
+            self._breach(
+                now_s,
+                "form",
+                f"a setpoint with type mask {mask:#x}, frame {frame}, target {system}/{component}",
+            )
         speed, down, bounds = math.hypot(*velocity), velocity[2], self._bounds
         if not speed <= bounds.max_speed_mps + _SLACK:
             self._breach(now_s, "bounds", f"a setpoint of {speed:.3f} m/s")
         if not -bounds.max_climb_mps - _SLACK <= down <= bounds.max_descent_mps + _SLACK:
-            self._breach(now_s, "bounds", f"a setpoint that sinks by {down:.3f} m/s")
+            self._breach(now_s, "bounds", f"a setpoint of {down:.3f} m/s down")
         age_s = now_s - self._sampled_s
         if age_s > STALE_S + self._grace_s:
-            self._breach(now_s, "stale", f"a setpoint on a position {age_s:.2f} s old")
+            self._breach(now_s, "stale", f"a setpoint based on a position {age_s:.2f} s old")
         if now_s > self._gone_s + REACTION_S:
-            words = f"a setpoint {now_s - self._gone_s:.3f} s after {self._end} could be read"
+            words = f"a setpoint was sent {now_s - self._gone_s:.3f} s after {self._end} could be read"
             self._breach(now_s, "setpoint", words)
 
     @property
@@ -315,8 +345,8 @@ class Judge:
     def _judge_request(self, now_s: float, custom_mode: int) -> None:
         self._asked.append(_Request(now_s, custom_mode))
         if now_s >= self._gone_s:
-            what = "a speed" if custom_mode < 0 else f"mode {custom_mode}"
-            words = f"{what} asked for {now_s - self._gone_s:.3f} s after {self._end} could be read"
+            what = "a change of the flight" if custom_mode < 0 else f"mode {custom_mode}"
+            words = f"{what} was requested {now_s - self._gone_s:.3f} s after {self._end} could be read"
             self._breach(now_s, "request", words)
         last = self._choices[-1] if self._choices else None
         if last is not None and last.custom_mode == custom_mode and last.readable_s == math.inf:
@@ -335,7 +365,7 @@ class Judge:
                 self._reached.append((now_s, custom_mode))
             if age_s > OLD_S + self._grace_s and (message_id == _SETPOINT or custom_mode is not None):
                 what = "a setpoint" if custom_mode is None else f"a request for mode {custom_mode}"
-                self._breach(now_s, "old", f"{what} reached the vehicle after {age_s:.2f} s")
+                self._breach(now_s, "old", f"{what} reached the vehicle {age_s:.2f} s after the decision")
 
     def _frames(self, data: bytes) -> list[tuple[int, bytes]]:
         """Parse frames. Bytes mostly arrive as they left, so the last result is cached."""

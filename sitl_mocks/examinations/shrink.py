@@ -21,11 +21,19 @@ _SHARES: Final = (0.1, 0.5, 0.8)
 class _Search:
     """Shortest schedule so far. The search stops after a number of flights."""
 
-    def __init__(self, faults: tuple[Fault, ...], error: BrokenRuleError, breaks: Breaks) -> None:
+    def __init__(
+        self,
+        faults: tuple[Fault, ...],
+        error: BrokenRuleError,
+        breaks: Breaks,
+        tries: int,
+        earliest_s: tuple[float, ...],
+    ) -> None:
         self.faults = tuple(fault for fault in faults if fault.at_s <= error.at_s)
         self.error = error
         self._breaks = breaks
-        self._left = _TRIES
+        self._left = tries
+        self._earliest_s = earliest_s
 
     @property
     def until_s(self) -> float:
@@ -45,7 +53,7 @@ class _Search:
     def earlier(self) -> None:
         """Shorten the time before the first trouble."""
         first_s = min(fault.at_s for fault in self.faults)
-        for start_s in (*_EARLIEST_S, first_s - self.error.flight_s):
+        for start_s in (*self._earliest_s, first_s - self.error.flight_s):
             if 0.0 < start_s < first_s and self.keeps(moved(self.faults, start_s - first_s)):
                 return
 
@@ -83,10 +91,20 @@ def moved(faults: tuple[Fault, ...], by_s: float) -> tuple[Fault, ...]:
 
 
 def shortest(
-    faults: tuple[Fault, ...], error: BrokenRuleError, breaks: Breaks
+    faults: tuple[Fault, ...],
+    error: BrokenRuleError,
+    breaks: Breaks,
+    *,
+    tries: int = _TRIES,
+    earliest_s: tuple[float, ...] = _EARLIEST_S,
 ) -> tuple[tuple[Fault, ...], float]:
-    """The fewest and shortest entries found, and the time until which they must be flown (s)."""
-    search = _Search(faults, error, breaks)
+    """The fewest and shortest entries found, and the time until which they must be flown (s).
+
+    Args:
+        tries: largest number of flights.
+        earliest_s: times tried for the first trouble of a short schedule.
+    """
+    search = _Search(faults, error, breaks, tries, earliest_s)
     if search.faults:
         search.last_few()
         search.earlier()

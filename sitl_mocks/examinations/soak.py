@@ -27,6 +27,7 @@ from companion.events import Firmware
 from sitl_mocks.examinations.faults import Fault, drawn, from_json, to_json
 from sitl_mocks.examinations.modelled_link import KINDS as LINKS
 from sitl_mocks.examinations.modelled_link import Kind, ModelledLink
+from sitl_mocks.examinations.schedule_file import read_schedule, write_schedule
 from sitl_mocks.examinations.shrink import shortest
 from sitl_mocks.examinations.soak_flights import BrokenRuleError, Flights, Told
 from sitl_mocks.examinations.world import Use
@@ -103,9 +104,12 @@ def from_file(value: dict[str, Any]) -> tuple[Schedule, int | None]:
         given["faults"] = tuple(from_json(fault) for fault in given["faults"])
         schedule = Schedule(**given)
     except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"schedule: not one of sitl-mocks soak: {error!r}") from error
+        raise ConfigError(f"schedule: not a schedule of sitl-mocks soak: {error!r}") from error
     if schedule.use not in ("guard", "fly") or schedule.link not in LINKS:
-        raise ConfigError(f"schedule: {schedule.use!r} or {schedule.link!r}: no such use or link")
+        raise ConfigError(
+            f"schedule: use {schedule.use!r}, link {schedule.link!r}; allowed: use "
+            f"guard or fly, link {', '.join(LINKS)}"
+        )
     return schedule, portions
 
 
@@ -186,23 +190,32 @@ def _pair(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `sitl-mocks soak`."""
     parser.description = (
-        "Hours of flights with random troubles, in virtual time: both firmwares' manners, guarded and flown. "
-        "Ends with 1 when a rule is broken, and says with which seed, when, and with which troubles at least."
+        "Flies for hours with random faults, in virtual time, with both firmwares, guarding missions and "
+        "flying paths. If a rule is broken, the exit code is 1 and the shortest schedule of faults found "
+        "that breaks it is printed and written to a file."
     )
     parser.epilog = "example: sitl-mocks soak --hours 24 --seed 1"
     parser.add_argument(
-        "--hours", type=float, default=1.0, metavar="H", help="simulated, in all (default: 1)"
+        "--hours",
+        type=float,
+        default=1.0,
+        metavar="H",
+        help="simulated hours in total (default: %(default)g)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="default: 1")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
     parser.add_argument(
         "--portions",
         type=int,
         metavar="N",
-        help="portions that the companion reads after a stall before it decides (default: all that waits)",
+        help="portions of input read after a stall before the companion decides (default: all waiting input)",
     )
-    parser.add_argument("--schedule", type=Path, metavar="FILE", help="fly what this file says, alone")
+    parser.add_argument("--schedule", type=Path, metavar="FILE", help="fly only the schedule in this file")
     parser.add_argument(
-        "--out", type=Path, default=Path(), metavar="FOLDER", help="where schedules go that break a rule"
+        "--out",
+        type=Path,
+        default=Path(),
+        metavar="FOLDER",
+        help="folder for schedules that break a rule (default: the current one)",
     )
 
 
@@ -215,9 +228,9 @@ def run(args: argparse.Namespace) -> int:
     if args.schedule is not None:
         return _replay(args.schedule)
     if not 0.0 < args.hours <= 1000.0:
-        raise ConfigError(f"--hours: {args.hours:g}: allowed above 0 to 1000")
+        raise ConfigError(f"--hours: {args.hours:g} is out of range; allowed: above 0, up to 1000")
     if args.seed < 0:
-        raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
+        raise ConfigError(f"--seed: {args.seed} is out of range; allowed: 0 or more")
     pairs: list[tuple[Firmware, Use]] = list(product(Firmware, ("guard", "fly")))
     hours, broken = args.hours / len(pairs), False
     spawn = multiprocessing.get_context("spawn")
@@ -235,32 +248,23 @@ def run(args: argparse.Namespace) -> int:
                 broken = True
                 _tell_broken(f"{args.seed}-{firmware.value}-{use}", *result, args.out)
     if not broken:
-        print(f"{args.hours:g} simulated hours, seed {args.seed}: no rule broken", flush=True)
+        print(f"{args.hours:g} simulated hours, seed {args.seed}: no rule was broken", flush=True)
     return int(broken)
 
 
 def _tell_broken(name: str, words: str, schedule: dict[str, Any], folder: Path) -> None:
     path = folder / f"soak-{name}.json"
-    try:
-        path.write_text(json.dumps(schedule, indent=1) + "\n")
-    except OSError as error:
-        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
-    print(f"broken: {name}, {words}")
-    print(f"  as short as it gets: {json.dumps(schedule)}")
+    write_schedule(path, schedule)
+    print(f"rule broken: {name}, {words}")
+    print(f"  shortest schedule found: {json.dumps(schedule)}")
     print(f"  sitl-mocks soak --schedule {path}", flush=True)
 
 
 def _replay(path: Path) -> int:
     try:
-        value = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--schedule: {path}: {error}") from error
-    if not isinstance(value, dict):
-        raise ConfigError(f"--schedule: {path}: not a JSON object")
-    try:
-        fly(*from_file(value))
+        fly(*from_file(read_schedule(path)))
     except BrokenRuleError as error:
-        print(f"broken: {error}")
+        print(f"rule broken: {error}")
         return 1
-    print("no rule broken")
+    print("no rule was broken")
     return 0

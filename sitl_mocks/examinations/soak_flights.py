@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from companion.authority.table import HOLDING, State
 from companion.events import Firmware, Landed
 from sitl_mocks.examinations.faults import Fault
@@ -100,7 +102,7 @@ class Flights(World):
         """Update the report and the state that the pilot knows, as from a ground station. The judge uses
         neither.
         """
-        state = self.onboard.heart.state
+        state = self.onboard.core.state
         if not self.vehicle.armed:
             self._authority = True
         elif self.onboard.gate.lost is not None:
@@ -138,7 +140,9 @@ class Flights(World):
             return
         self._armed_s = now_s
         if now_s - self.flight_s > PATIENCE_S:
-            raise BrokenRuleError("stuck", now_s, f"a flight of {PATIENCE_S:g} s: {self._words()}")
+            raise BrokenRuleError(
+                "stuck", now_s, f"the flight has lasted more than {PATIENCE_S:g} s: {self._words()}"
+            )
         if vehicle.mode is not VehicleMode.MISSION or vehicle.landed is not Landed.IN_AIR:
             self._on_mission_s = now_s
         quiet_s = now_s - self.quiet_from_s
@@ -153,7 +157,7 @@ class Flights(World):
         elif self.vehicle.mode is not VehicleMode.MISSION:
             self.pilot_selects(VehicleMode.MISSION)
         elif self.now_s - self._on_mission_s > SETTLED_S:
-            words = f"nothing wrong for {quiet_s:.0f} s, and: {self._words()}"
+            words = f"no fault for {quiet_s:.0f} s, but the companion is idle: {self._words()}"
             raise BrokenRuleError("idle", self.now_s, words)
 
     def _go_home(self) -> None:
@@ -165,15 +169,18 @@ class Flights(World):
         self.flight_s = self.now_s
         self._pilot_s = self.now_s + 5.0
         self.pilot_selects(VehicleMode.HOLD)
-        self.station_says("command_long", 1, 1, 400, 0, 1.0, 0, 0, 0, 0, 0, 0)
+        self.station_says(
+            "command_long", 1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1.0, 0, 0, 0, 0, 0, 0
+        )
         if self.vehicle.armed:
             self.station_says("mission_set_current", 1, 1, 0)
             self.pilot_selects(VehicleMode.MISSION)
-            self.station_says("command_long", 1, 1, 300, 0, 0, 0, 0, 0, 0, 0, 0)
+            self.station_says("command_long", 1, 1, mavlink.MAV_CMD_MISSION_START, 0, 0, 0, 0, 0, 0, 0, 0)
 
     def _words(self) -> str:
-        heart = self.onboard.heart
+        core = self.onboard.core
         return (
-            f"{heart.state.value}, vehicle {self.vehicle.mode.value}, armed {self.vehicle.armed}, waits for "
-            f"{heart.waits_for(self.now_s)}, at {[round(x) for x in self.vehicle.position_ned_m]}"
+            f"state {core.state.value}, vehicle mode {self.vehicle.mode.value}, armed "
+            f"{self.vehicle.armed}, waiting for: {core.waits_for(self.now_s)}, position "
+            f"{[round(x) for x in self.vehicle.position_ned_m]}"
         )

@@ -20,6 +20,7 @@ from typing import Final
 
 from companion.errors import ConfigError
 from sitl_mocks.examinations.rule_judge import Breach
+from sitl_mocks.examinations.schedule_file import read_schedule, write_schedule
 from sitl_mocks.examinations.takeover_cases import (
     TROUBLES,
     Case,
@@ -95,7 +96,7 @@ class Result:
                     broken[f"{rules} ({firmware}, {link})"] += count
             words = "; ".join(f"{what} {count}" for what, count in sorted(broken.items())) or "none"
             failed = sum(broken.values())
-            yield f"{trouble}: {sum(rows.values())} cases, {failed} broken: {words}"
+            yield f"{trouble}: {sum(rows.values())} cases, {failed} broke a rule: {words}"
 
 
 def some(seed: int, first: int, count: int, troubles: tuple[str, ...], portions: int | None) -> Result:
@@ -134,7 +135,7 @@ def shortest(case: Case, rule: str, portions: int | None) -> tuple[Case, Breach]
 
     found = breach_of(case)
     if found is None:
-        raise ValueError("the case does not break this rule")
+        raise ValueError(f"the case does not break the rule {rule!r}")
     going = True
     while going:
         going = False
@@ -149,23 +150,35 @@ def shortest(case: Case, rule: str, portions: int | None) -> tuple[Case, Breach]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `sitl-mocks takeover`."""
     parser.description = (
-        "Short cases in which something goes wrong around the moment at which the pilot selects a mode, with "
-        "both firmwares' manners, guarded and flown, over UDP, TCP and a serial line. Ends with 1 when a "
-        "rule is broken."
+        "Flies short cases with a fault around the moment when the pilot selects a mode, with both "
+        "firmwares, guarding missions and flying paths, over UDP, TCP and a serial line. The exit code is 1 "
+        "if a rule is broken."
     )
     parser.epilog = _EXAMPLES
     add = parser.add_argument
-    add("--cases", type=int, default=2000, metavar="N", help="in virtual time (default: 2000)")
-    add("--seed", type=int, default=1, help="default: 1")
-    add("--jobs", type=int, default=1, help="processes (default: 1)")
+    add(
+        "--cases",
+        type=int,
+        default=2000,
+        metavar="N",
+        help="number of cases in virtual time (default: %(default)s)",
+    )
+    add("--seed", type=int, default=1, help="random seed (default: %(default)s)")
+    add("--jobs", type=int, default=1, help="number of processes (default: %(default)s)")
     add("--trouble", nargs="+", default=["stall"], choices=[*TROUBLES, "all"], metavar="KIND",
-        help=f"what goes wrong: {', '.join(TROUBLES)}, or all (default: stall)")  # fmt: skip
-    add("--portions", type=int, metavar="N", help="portions that the companion reads after a stall before "
-        "it decides (default: all that waits)")  # fmt: skip
-    add("--only", type=int, metavar="CASE", help="fly this case of the seed alone")
-    add("--schedule", type=Path, metavar="FILE", help="fly the case in this file alone")
-    add("--real", type=int, metavar="N", help="instead fly N cases with real processes, in real time")
-    add("--out", type=Path, default=Path(), metavar="FOLDER", help="where failing cases go (default: here)")
+        help=f"kinds of faults: {', '.join(TROUBLES)}, or all (default: stall)")  # fmt: skip
+    add("--portions", type=int, metavar="N", help="portions of input read after a stall before "
+        "the companion decides (default: all waiting input)")  # fmt: skip
+    add("--only", type=int, metavar="CASE", help="fly only this case of the seed")
+    add("--schedule", type=Path, metavar="FILE", help="fly only the case in this file")
+    add("--real", type=int, metavar="N", help="fly N cases with real processes in real time instead")
+    add(
+        "--out",
+        type=Path,
+        default=Path(),
+        metavar="FOLDER",
+        help="folder for failing cases (default: the current one)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -177,13 +190,13 @@ def run(args: argparse.Namespace) -> int:
     troubles = TROUBLES if "all" in args.trouble else tuple(args.trouble)
     for name, low, high in (("cases", 1, _MOST_CASES), ("jobs", 1, 64), ("seed", 0, 1 << 62)):
         if not low <= getattr(args, name) <= high:
-            raise ConfigError(f"--{name}: {getattr(args, name)}: allowed {low} to {high}")
+            raise ConfigError(f"--{name}: {getattr(args, name)} is out of range; allowed: {low} to {high}")
     if args.portions is not None and args.portions < 1:
-        raise ConfigError(f"--portions: {args.portions}: allowed 1 and above")
+        raise ConfigError(f"--portions: {args.portions} is out of range; allowed: 1 or more")
     if args.real is not None:
         return _real(args)
     if args.schedule is not None:
-        return _one(_read(args.schedule), args)
+        return _one(from_schedule(read_schedule(args.schedule)), args)
     if args.only is not None:
         return _one(case_of(args.seed, args.only, troubles), args, f"takeover-{args.seed}-{args.only}.json")
     began_s = time.monotonic()
@@ -193,12 +206,13 @@ def run(args: argparse.Namespace) -> int:
         print(line)
     for rule, number in sorted(result.first.items(), key=lambda item: item[1]):
         case = case_of(args.seed, number, troubles)
-        print(f"first broken {rule!r}: case {number} of seed {args.seed}; as short as it gets:")
+        print(f"rule {rule!r} is first broken by case {number} of seed {args.seed}; the shortest case found:")
         _shorten(case, rule, args, f"takeover-{args.seed}-{number}.json")
     print(
-        f"{result.cases} cases, seed {args.seed}: {result.failed} broken ({result.held} with the vehicle in "
-        f"the companion's hands, {result.crossed} choices crossed a request, {result.alike} not judged); "
-        f"{took_s:.0f} s, {1e3 * took_s * args.jobs / result.cases:.1f} ms of a process each"
+        f"{result.cases} cases, seed {args.seed}: {result.failed} broke a rule (the companion was in "
+        f"control in {result.held}; {result.crossed} mode selections crossed a request, {result.alike} were "
+        f"not judged); "
+        f"{took_s:.0f} s, {1e3 * took_s * args.jobs / result.cases:.1f} ms of process time per case"
     )
     return int(result.failed > 0)
 
@@ -211,16 +225,16 @@ def _real(args: argparse.Namespace) -> int:
         failed += bool(verdict.breaches)
         where = f"{verdict.firmware.value}, {verdict.link}, case {verdict.case.number}"
         if verdict.trouble is not None:
-            print(f"nothing known: {where}: {verdict.trouble}")
+            print(f"no result: {where}: {verdict.trouble}")
         for breach in verdict.breaches:
-            print(f"broken: {where}: {verdict.case}")
+            print(f"rule broken: {where}: {verdict.case}")
             print(f"  at {breach.at_s:.3f} s: {breach.rule}: {breach.words}")
     unknown = sum(verdict.trouble is not None for verdict in verdicts)
     for firmware, link in PLACES:
         here = [v for v in verdicts if (v.firmware, v.link) == (firmware, link)]
         broken = sum(bool(v.breaches) for v in here)
-        print(f"{firmware.value}, {link}: {broken} of {len(here)} broken")
-    print(f"{len(verdicts)} cases, seed {args.seed}: {failed} broken, of {unknown} nothing is known")
+        print(f"{firmware.value}, {link}: {broken} of {len(here)} cases broke a rule")
+    print(f"{len(verdicts)} cases, seed {args.seed}: {failed} broke a rule, {unknown} have no result")
     return int(failed > 0 or unknown > 0)
 
 
@@ -229,7 +243,7 @@ def _one(case: Case, args: argparse.Namespace, file: str | None = None) -> int:
     for breach in verdict.breaches:
         print(f"at {breach.at_s:.3f} s: {breach.rule}: {breach.words}")
     if not verdict.breaches:
-        print("no rule broken")
+        print("no rule was broken")
         return 0
     if file is not None:
         _shorten(case, verdict.breaches[0].rule, args, file)
@@ -239,21 +253,8 @@ def _one(case: Case, args: argparse.Namespace, file: str | None = None) -> int:
 def _shorten(case: Case, rule: str, args: argparse.Namespace, name: str) -> None:
     case, breach = shortest(case, rule, args.portions)
     path = args.out / name
-    try:
-        path.write_text(json.dumps(to_schedule(case), indent=1) + "\n")
-    except OSError as error:
-        raise ConfigError(f"--out: {path}: cannot be written: {error.strerror}") from error
+    write_schedule(path, to_schedule(case))
     print(f"  {json.dumps(to_schedule(case))}")
     print(f"  at {breach.at_s:.3f} s: {breach.rule}: {breach.words}")
     portions = "" if args.portions is None else f" --portions {args.portions}"
     print(f"  sitl-mocks takeover --schedule {path}{portions}")
-
-
-def _read(path: Path) -> Case:
-    try:
-        value = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--schedule: {path}: {error}") from error
-    if not isinstance(value, dict):
-        raise ConfigError(f"--schedule: {path}: not a JSON object")
-    return from_schedule(value)

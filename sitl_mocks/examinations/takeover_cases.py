@@ -162,9 +162,15 @@ def from_schedule(value: dict[str, Any]) -> Case:
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"schedule: not a case of sitl-mocks takeover: {error!r}") from error
     if (case.firmware, case.use) not in PAIRS or case.link not in LINKS:
-        raise ConfigError(f"schedule: {case.use!r} or {case.link!r}: no such use or link")
+        raise ConfigError(
+            f"schedule: use {case.use!r}, link {case.link!r}; "
+            f"allowed: use guard or fly, link {', '.join(LINKS)}"
+        )
     if not 0 <= case.snapshot < _SNAPSHOTS or not 0.0 < case.watch_s <= 120.0:
-        raise ConfigError("schedule: snapshot or watch_s out of range")
+        raise ConfigError(
+            f"schedule: snapshot or watch_s is out of range; allowed: snapshot 0 to {_SNAPSHOTS - 1}, "
+            f"watch_s above 0, up to 120"
+        )
     return case
 
 

@@ -217,7 +217,7 @@ class RealFlight:
     def _select(self, mode: VehicleMode) -> None:
         """Select a mode and wait until the vehicle has accepted it."""
         self.judge.selects(time.monotonic(), self._modes[mode])
-        self._pilot.ask_mode(mode)
+        self._pilot.ask_modes(mode)
         self._acknowledged(SET_MODE)
         self._show(self._modes[mode])
         self.judge.accepted(time.monotonic())
@@ -226,7 +226,9 @@ class RealFlight:
         give_up_s = time.monotonic() + 1.0
         while (command, 0) not in self._pilot.answers:
             if time.monotonic() > give_up_s:
-                raise NoFlightError(f"the vehicle does not accept command {command}: {self._pilot.answers}")
+                raise NoFlightError(
+                    f"the vehicle did not accept command {command}; its answers: {self._pilot.answers}"
+                )
             self._pump(0.002)
 
     def give_back(self) -> None:
@@ -237,7 +239,7 @@ class RealFlight:
         """
         self._pilot.arm(armed=False)
         self._acknowledged(ARM)
-        self._pilot.ask_mode(self._start_mode)
+        self._pilot.ask_modes(self._start_mode)
         self._pump(_DISARMED_S)
         self._pilot.arm(armed=True)
         self._until_held(_RETAKEN_S)
@@ -253,7 +255,9 @@ class RealFlight:
             since_s = min(since_s, now_s) if streams else math.inf
             if self._companion.poll() is not None or now_s > give_up_s:
                 words = (self._folder / "companion.log").read_text()[-600:]
-                raise NoFlightError(f"the vehicle is not taken (mode {self._mode}): {words}")
+                raise NoFlightError(
+                    f"the companion did not take the vehicle (mode {self._mode}); end of its log: {words}"
+                )
 
     # ------------------------------------------------------------ the second link
 

@@ -15,14 +15,15 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from companion.autopilot.dialect import Dialect
+from companion.autopilot.dialects.definition import Dialect
 from companion.autopilot.wire import FrameScanner, MavlinkWriter
-from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig, NullRadio
+from companion.config import Config, FlightConfig, IdentityConfig, LimitsConfig
 from companion.events import Firmware, MissionItem, RadioState
 from companion.geometry import LocalFrame
+from companion.radio.null.section import NullRadio
 from companion.system import CompanionSystem
 from sitl_mocks.encounters.crossing import Crossing
-from sitl_mocks.examinations.faults import Fault, Interposer, begin, end, others_frames
+from sitl_mocks.examinations.faults import Fault, begin, end, others_frames
 from sitl_mocks.examinations.modelled_link import ModelledLink
 from sitl_mocks.examinations.rule_judge import Bounds, Judge
 from sitl_mocks.vehicle.firmware.behaviour import MANNERS, VehicleMode
@@ -70,7 +71,6 @@ class World:
         self.judge = Judge(bounds_of(firmware, use))
         self.others = Crossing(HOME, HEIGHT_M, UTC_AT_ZERO_S, others)
         self.onboard = new_companion(use)
-        self.interposer = Interposer()
         self.now_s = 0.0
         self.traffic_hz = 0.0
         """Rate of foreign frames that a router sends to the companion."""
@@ -114,16 +114,22 @@ class World:
         self.onboard = new_companion(self.use)
         self.link.clear()
 
-    def pilot_selects(self, mode: VehicleMode) -> bool:
-        """Select a mode with the pilot's switch. Returns whether the vehicle accepted the mode."""
+    def pilot_selects(self, *modes: VehicleMode) -> bool:
+        """See `Place.pilot_selects`. The pilot uses a switch."""
         self.show()
-        taken = self.vehicle.pilot_selects(mode)
-        if taken:
-            self.judge.selects(self.now_s, MANNERS[self.firmware].custom_modes[mode])
-        self.show()
-        if taken:
-            self.judge.accepted(self.now_s)
+        taken = False
+        for mode in modes:
+            taken = self.vehicle.pilot_selects(mode)
+            if taken:
+                self.judge.selects(self.now_s, MANNERS[self.firmware].custom_modes[mode])
+            self.show()
+            if taken:
+                self.judge.accepted(self.now_s)
         return taken
+
+    def set_trouble(self, name: str, value: Any) -> None:
+        """See `Place.set_trouble`."""
+        self.vehicle.troubles.set(name, value)
 
     def station_says(self, kind: str, *fields: Any) -> None:
         """Send a ground station's message on a separate link. It is closed again to save telemetry time."""
@@ -173,7 +179,6 @@ class World:
         """Send the frames of the vehicle and of others to the companion, in the order of sending."""
         vehicle, now_s = self.vehicle, self.now_s
         frames = [frame.raw for frame in self._scanner.frames(vehicle.drain())]
-        frames = self.interposer.down(frames)
         if self.traffic_hz > 0.0:
             first, last = (math.floor(at_s * self.traffic_hz) for at_s in (before_s, now_s))
             foreign = [self._traffic[n % len(self._traffic)] for n in range(first, last)]
@@ -184,8 +189,7 @@ class World:
 
     def _take(self) -> None:
         """Deliver the bytes that have reached the vehicle."""
-        for decided_s, sent in self.link.arrived(self.now_s):
-            data = self.interposer.up(sent)
+        for decided_s, data in self.link.arrived(self.now_s):
             self.judge.reaches(self.now_s, data, decided_s)
             self.vehicle.receive(data, self.now_s)
             self.show()

@@ -22,8 +22,7 @@ from companion.remote_id.messages import Message
 from sitl_mocks.remote_id_module.air import Air, OnAir
 from sitl_mocks.remote_id_module.data import READERS
 
-COMPONENT = 236
-MAV_TYPE_ODID = 34
+COMPONENT: int = mavlink.MAV_COMP_ID_ODID_TXRX_1
 FORCE_ARM_OK = 1
 DONT_SAVE_BASIC_ID = 2
 PRINT_MESSAGES = 4
@@ -32,7 +31,7 @@ LOCATION_AGE_S = 3.0
 OTHER_AGE_S = 22.0
 """Largest age of Self ID and Operator ID with which arming is allowed."""
 BANNER = b"ArduRemoteID version 1.14 84d8bbf6\n"
-_REAL32 = 9
+_REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 _STEP_S = 0.01
 _HEARTBEAT_S = 1.0
 _LIST_S = 0.05
@@ -187,7 +186,7 @@ class RemoteIdModule:
                 self._put_text(b"Waiting for heartbeat\n")
         elif now_s - self._heartbeat_s >= _HEARTBEAT_S:
             self._heartbeat_s = now_s
-            self._send(mavlink.MAVLink_heartbeat_message(MAV_TYPE_ODID, 8, 0, 0, 0, 3))
+            self._send(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_ODID, 8, 0, 0, 0, 3))
             self._send(self._arm_status(now_s))
         if self.options.noise and now_s - self._noise_s >= _NOISE_S:
             self._noise_s = now_s

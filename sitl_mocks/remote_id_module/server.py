@@ -140,24 +140,38 @@ def open_port(spec: str) -> Port:
     kind, _, rest = spec.partition(":")
     host, _, port = rest.rpartition(":")
     if kind != "udpin" or not host or not (port.isascii() and port.isdigit()) or int(port) > 65535:
-        raise ConfigError(f"--link: {spec!r}: allowed are serial and udpin:HOST:PORT")
+        raise ConfigError(f"--link: {spec!r}; allowed: serial, udpin:HOST:PORT")
     return UdpPort(host, int(port))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `sitl-mocks module`."""
-    parser.description = "A Remote ID module with ArduRemoteID firmware, in real time. Ends on Ctrl-C."
+    parser.description = (
+        "Simulates a Remote ID module with ArduRemoteID firmware, in real time. Stop it with Ctrl-C."
+    )
     parser.epilog = "example: sitl-mocks module --link serial --param WIFI_BCN_RATE=1 --noise"
     add = parser.add_argument
     add(
         "--link",
         default="udpin:127.0.0.1:0",
         metavar="KIND",
-        help="serial (a pseudo terminal) or udpin:HOST:PORT; port 0 takes a free one",
+        help="serial (a pseudo-terminal) or udpin:HOST:PORT (port 0: any free port; default: %(default)s)",
     )
-    add("--param", action="append", default=[], metavar="NAME=VALUE", help="stored in its flash")
-    add("--boot", type=float, default=1.0, metavar="S", help="silence after its start (s)")
-    add("--noise", action="store_true", help="log lines between the frames")
+    add(
+        "--param",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="value of a parameter in its flash memory; may be repeated",
+    )
+    add(
+        "--boot",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="silence after the start (s; default: %(default)g)",
+    )
+    add("--noise", action="store_true", help="send log lines between the frames, as the firmware does")
 
 
 def options_of(args: argparse.Namespace) -> ModuleOptions:
@@ -166,7 +180,7 @@ def options_of(args: argparse.Namespace) -> ModuleOptions:
     for text in args.param:
         name, _, value = text.partition("=")
         if name not in PARAMETERS:
-            raise ConfigError(f"--param: {name!r}: allowed are {', '.join(PARAMETERS)}")
+            raise ConfigError(f"--param: {name!r}; allowed: {', '.join(PARAMETERS)}")
         try:
             params[name] = float(value)
         except ValueError as error:

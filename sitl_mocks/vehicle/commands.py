@@ -16,18 +16,25 @@ from sitl_mocks.vehicle.firmware.behaviour import Manners, VehicleMode
 from sitl_mocks.vehicle.flight import FORCE, Flight
 from sitl_mocks.vehicle.links import Link
 from sitl_mocks.vehicle.telemetry import Telemetry
+from sitl_mocks.vehicle.troubles import Answers
 
 ACCEPTED = int(mavlink.MAV_RESULT_ACCEPTED)
 DENIED = int(mavlink.MAV_RESULT_DENIED)
 FAILED = int(mavlink.MAV_RESULT_FAILED)
 UNSUPPORTED = int(mavlink.MAV_RESULT_UNSUPPORTED)
-REJECTED = int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
 _WARNING = int(mavlink.MAV_SEVERITY_WARNING)
 _CRITICAL = int(mavlink.MAV_SEVERITY_CRITICAL)
 _CUSTOM = int(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _REBOOT_AUTOPILOT = 1
 LATE_S = 0.012
 """Time from PX4's first ACK (result 0) of a mode command to the refusal that follows."""
+
+
+def told(result: int, answers: Answers) -> int | None:
+    """The result with which the vehicle answers a command that had this result; None: it does not answer."""
+    if result != ACCEPTED or answers in ("right", "disobeyed"):
+        return result
+    return None if answers == "unanswered" else FAILED
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +96,7 @@ class CommandDesk:
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
         }
 
-    def execute(self, command: Command) -> list[int | None]:
+    def execute(self, command: Command, answers: Answers = "right") -> list[int | None]:
         """Carry out a command. Return the results to acknowledge, in order.
 
         None stands for a result that `set_mode_late` gives LATE_S later. PX4 refuses a mode only then, so a
@@ -98,6 +105,8 @@ class CommandDesk:
         handler = self._table.get(command.number)
         if handler is None:
             return [UNSUPPORTED]
+        if answers == "disobeyed":
+            return [ACCEPTED]
         result = handler(command)
         if command.number == mavlink.MAV_CMD_DO_SET_MODE and self._manners.mode_ack_first:
             return [ACCEPTED, None if result == self._manners.failure_result else result]

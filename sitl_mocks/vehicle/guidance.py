@@ -6,6 +6,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.lists.list_download import GLOBAL_FRAMES
 from companion.geometry import LocalFrame, Vec3
 from sitl_mocks.vehicle.dynamics import Body
 from sitl_mocks.vehicle.firmware.behaviour import Manners
@@ -15,7 +16,8 @@ HOVER: Vec3 = (0.0, 0.0, 0.0)
 _DESCENT_MPS = 1.5
 _SLOW_LANDING_BELOW_M = 10.0
 _LANDING_CRUISE_MPS = 1.0
-_RELATIVE_FRAMES = frozenset({3, 6, 10, 11})
+_RELATIVE_FRAMES = GLOBAL_FRAMES - {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
+"""Frames whose altitude is above home or above the terrain."""
 _WAYPOINT = int(mavlink.MAV_CMD_NAV_WAYPOINT)
 _LOITER_UNLIM = int(mavlink.MAV_CMD_NAV_LOITER_UNLIM)
 _LOITER_TIME = int(mavlink.MAV_CMD_NAV_LOITER_TIME)

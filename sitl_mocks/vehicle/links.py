@@ -23,6 +23,26 @@ _EPSILON_S = 1e-9
 
 _SETPOINT_ID = int(mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
 _SETPOINT = struct.Struct("<I11fHBBB")
+_TIMESYNC_ID = int(mavlink.MAVLINK_MSG_ID_TIMESYNC)
+_TIMESYNC = struct.Struct("<qq")
+_DATA_STREAMS = {
+    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
+        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
+    ),
+    mavlink.MAV_DATA_STREAM_POSITION: (
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    ),
+    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
+    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
+    mavlink.MAV_DATA_STREAM_EXTRA3: (
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    ),
+}
+"""Message ids of each stream of REQUEST_DATA_STREAM."""
 
 
 class Payload(NamedTuple):
@@ -53,6 +73,17 @@ class SetpointMessage(NamedTuple):
     coordinate_frame: int
 
 
+class TimesyncMessage(NamedTuple):
+    """TIMESYNC, fields in wire order (ns)."""
+
+    tc1: int
+    ts1: int
+
+    def get_type(self) -> str:
+        """Name of the message, as of pymavlink's."""
+        return "TIMESYNC"
+
+
 class Link:
     """One link with its own message streams, as on the real autopilots.
 
@@ -71,7 +102,6 @@ class Link:
         self._link_id = link_id
         self._scanner = FrameScanner()
         self._decoder = mavlink.MAVLink(None)
-        self.bytes_dropped = 0
         self.cut = False
         """The link is interrupted in both directions."""
         self.mode_is_news = False
@@ -101,6 +131,13 @@ class Link:
         if interval_s is not None:
             self._streams[message_id] = [interval_s, now_s]
             self._earliest_s = min(self._earliest_s, now_s)
+
+    def set_data_stream(self, wanted: int, interval_s: float | None, now_s: float) -> None:
+        """Set the interval of all messages of a stream of REQUEST_DATA_STREAM; None turns them off."""
+        for stream, message_ids in _DATA_STREAMS.items():
+            if wanted in (mavlink.MAV_DATA_STREAM_ALL, stream):
+                for message_id in message_ids:
+                    self.set_interval(message_id, interval_s, now_s)
 
     def due(self, now_s: float) -> list[int]:
         """Ids of the messages that are due.
@@ -139,9 +176,9 @@ class Link:
         stream[1] = now_s + stream[0]
         return True
 
-    def feed(self, data: bytes) -> list[tuple[Frame, MavlinkMessage | SetpointMessage]]:
+    def feed(self, data: bytes) -> list[tuple[Frame, MavlinkMessage | SetpointMessage | TimesyncMessage]]:
         """Return the messages that these bytes complete, with their frames. Unreadable frames are skipped."""
-        found: list[tuple[Frame, MavlinkMessage | SetpointMessage]] = []
+        found: list[tuple[Frame, MavlinkMessage | SetpointMessage | TimesyncMessage]] = []
         if self.cut:
             return found
         for frame in self._scanner.frames(data):
@@ -150,6 +187,10 @@ class Link:
             if frame.message_id == _SETPOINT_ID:
                 body = frame.payload.ljust(_SETPOINT.size, b"\0")
                 found.append((frame, SetpointMessage._make(_SETPOINT.unpack_from(body))))
+                continue
+            if frame.message_id == _TIMESYNC_ID:
+                body = frame.payload.ljust(_TIMESYNC.size, b"\0")
+                found.append((frame, TimesyncMessage._make(_TIMESYNC.unpack_from(body))))
                 continue
             try:
                 found.append((frame, self._decoder.decode(bytearray(frame.raw))))
@@ -166,14 +207,16 @@ class Link:
             frame = self._writer.pack(message)
         self.pass_on(frame if self._signing is None else self._signing.sign(frame, self._link_id))
 
+    def answer_timesync(self, tc1: int, ts1: int) -> None:
+        """Send TIMESYNC (ns)."""
+        self.send(Payload(_TIMESYNC_ID, _TIMESYNC.pack(tc1, ts1)))
+
     def pass_on(self, frame: bytes) -> None:
         """Queue a frame unchanged."""
         if self.cut:
             return
-        if len(self._out) + len(frame) > _MAX_WAITING_BYTES:
-            self.bytes_dropped += len(frame)
-            return
-        self._out += frame
+        if len(self._out) + len(frame) <= _MAX_WAITING_BYTES:
+            self._out += frame
 
     def drain(self) -> bytes:
         """Return and remove the bytes that wait to be sent."""

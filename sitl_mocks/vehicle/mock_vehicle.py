@@ -20,21 +20,24 @@ import numpy
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.signing import Signing, timestamp_at
-from companion.autopilot.wire import Frame, MavlinkMessage
+from companion.autopilot.wire import MavlinkMessage
 from companion.errors import ConfigError
 from companion.events import Landed
 from companion.geometry import LocalFrame, Vec3
-from sitl_mocks.vehicle.commands import LATE_S, Command, CommandDesk, read_command
+from sitl_mocks.vehicle.announcements import Announcer
+from sitl_mocks.vehicle.commands import LATE_S, Command, CommandDesk, read_command, told
 from sitl_mocks.vehicle.dynamics import STEP_S
 from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.flight import Flight
-from sitl_mocks.vehicle.links import Link, Payload, SetpointMessage
+from sitl_mocks.vehicle.link_set import LinkSet
+from sitl_mocks.vehicle.links import Link, SetpointMessage
 from sitl_mocks.vehicle.navigation import NOISE_STEPS, NavigationError
 from sitl_mocks.vehicle.options import VehicleOptions
 from sitl_mocks.vehicle.served.mission import (
     MissionBook,
     StoredItem,
     fault_of,
+    home_item,
     stored,
     stored_fence,
 )
@@ -44,7 +47,7 @@ from sitl_mocks.vehicle.served.remote_id import ODID_MESSAGES, RemoteIdRelay
 from sitl_mocks.vehicle.setpoints import interpret
 from sitl_mocks.vehicle.telemetry import Telemetry
 from sitl_mocks.vehicle.traffic import Traffic
-from sitl_mocks.vehicle.troubles import Troubles
+from sitl_mocks.vehicle.troubles import Answers, Troubles
 
 __all__ = ["STEP_S", "MockVehicle", "VehicleMode", "VehicleOptions"]
 
@@ -52,29 +55,10 @@ COMPONENT = 1
 REBOOT_S = 2.4
 _LINKS_OWN = frozenset({mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE})
 """Commands that the link handles by itself. They do not make the vehicle publish its status."""
-STATUS_S = 0.5
-"""Period at which PX4 publishes its status; it also publishes at each change. CURRENT_MODE follows."""
 KEPT_COLLISIONS = 100
+_DO_SET_MODE = int(mavlink.MAV_CMD_DO_SET_MODE)
 _ADSB = int(mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE)
 _EPSILON_S = 1e-9
-# REQUEST_DATA_STREAM: stream -> message ids.
-_DATA_STREAMS = {
-    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
-        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
-        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
-    ),
-    mavlink.MAV_DATA_STREAM_POSITION: (
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-    ),
-    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
-    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
-    mavlink.MAV_DATA_STREAM_EXTRA3: (
-        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
-        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-    ),
-}
 
 
 class MockVehicle:
@@ -105,36 +89,20 @@ class MockVehicle:
         if options.signing_key is not None:
             utc_s = 0.0 if options.utc_at_zero_s is None else options.utc_at_zero_s + start_s
             self.signing = Signing(options.signing_key, timestamp_at(utc_s), start_s)
-        self._links: dict[int, Link] = {}
-        self._routes: dict[tuple[int, int], int] = {}
-        self._handlers: dict[str, Callable[[MavlinkMessage, Link, float], None]] = {
-            "COMMAND_LONG": self._take_command,
-            "COMMAND_INT": self._take_command,
-            "SET_MODE": self._take_set_mode,
-            "TIMESYNC": self._answer_timesync,
-            "PARAM_REQUEST_LIST": self._list_params,
-            "PARAM_REQUEST_READ": self._read_param,
-            "PARAM_SET": self._set_param,
-            "REQUEST_DATA_STREAM": self._take_data_stream,
-            "COLLISION": self._note_collision,
-            "HEARTBEAT": self._note_heartbeat,
-        }
+        self._links = LinkSet((options.system_id, COMPONENT), self._manners, self.signing)
+        self._handlers = self._make_handlers()
         self._params = ParamBook(
             self._manners,
             options.parameters,
             system_id=options.system_id,
             legacy_names=options.legacy_parameter_names,
         )
-        items = tuple(stored(item) for item in options.mission)
-        for seq, item in enumerate(items):
-            if (fault := fault_of(item)) is not None:
-                raise ConfigError(f"mission item {seq} cannot be flown (MAV_MISSION_RESULT {fault})")
-        self._book = MissionBook(self._manners, home_item(options), items)
+        home = LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
+        self._book = MissionBook(self._manners, home_item(home), _items(options))
         fence = MissionBook(self._manners, None, stored_fence(options.fence, self._manners))
         self._missions = MissionDesk(self._manners, (self._book, fence))
-        home = LocalFrame(options.home_lat_deg, options.home_lon_deg, options.home_alt_msl_m)
         self.troubles = Troubles(self._manners, self._params, fence, home, rc_connected=options.rc_connected)
-        """Battery, estimator, GNSS and sticks. The caller sets them."""
+        """Battery, estimator, GNSS, sticks and wrong answers. The caller sets them."""
         self._traffic = Traffic(
             options.traffic,
             home,
@@ -143,6 +111,20 @@ class MockVehicle:
         )
         self._boot(options, start_s, boot_s=-options.boot_time_offset_s)
         self.open_link(0)
+
+    def _make_handlers(self) -> dict[str, Callable[[MavlinkMessage, Link, float], None]]:
+        return {
+            "COMMAND_LONG": self._take_command,
+            "COMMAND_INT": self._take_command,
+            "SET_MODE": self._take_set_mode,
+            "TIMESYNC": self._answer_timesync,
+            "PARAM_REQUEST_LIST": self._answer_param,
+            "PARAM_REQUEST_READ": self._answer_param,
+            "PARAM_SET": self._answer_param,
+            "REQUEST_DATA_STREAM": self._take_data_stream,
+            "COLLISION": self._note_collision,
+            "HEARTBEAT": self._note_heartbeat,
+        }
 
     def _boot(self, options: VehicleOptions, now_s: float, boot_s: float) -> None:
         manners = self._manners
@@ -153,17 +135,17 @@ class MockVehicle:
         self._remote_id = None
         if options.did_enable:
             self._remote_id = RemoteIdRelay(self._telemetry.remote_id_location, now_s)
+        self._announcer = Announcer(
+            manners, self._links, self._flight, self._telemetry, self._missions.books, self._remote_id
+        )
         self._desk = CommandDesk(
             manners,
             self._flight,
             self._telemetry,
             options.home_alt_msl_m,
-            self._send_text,
+            self._announcer.say,
             self._remote_id_refusal,
         )
-        self._shown_mode = self._flight.mode
-        self._shown_armed = self._flight.armed
-        self._status_s = -math.inf
 
     # ------------------------------------------------------------ truth
 
@@ -234,14 +216,11 @@ class MockVehicle:
 
     def open_link(self, link: int) -> None:
         """Open or reopen a link with only the message streams that every fresh link carries."""
-        self._links[link] = Link(
-            self.options.system_id, self._manners.fresh_streams, self.now_s, self.signing, link % 256
-        )
+        self._links.open(link, self.now_s)
 
     def close_link(self, link: int) -> None:
         """Forget a link with its message rates and its unsent bytes."""
-        self._links.pop(link, None)
-        self._routes = {route: via for route, via in self._routes.items() if via != link}
+        self._links.forget(link)
 
     def cut_link(self, link: int = 0) -> None:
         """Interrupt a link in both directions. Everything sent meanwhile is lost."""
@@ -284,7 +263,7 @@ class MockVehicle:
             return
         for frame, message in messages:
             if len(self._links) > 1 and self._manners.forwards:
-                self._forward(frame, message, link)
+                self._links.forward(frame, message, link)
             system = getattr(message, "target_system", 0)
             component = getattr(message, "target_component", 0)
             if system in (0, self.options.system_id) and component in (0, COMPONENT):
@@ -320,11 +299,9 @@ class MockVehicle:
             self._wake(at_s)
         while self._late_acks and self._late_acks[0][0].now_s + LATE_S <= at_s:
             command, to = self._late_acks.pop(0)
-            result = self._desk.set_mode_late(command)
-            command.link.send(mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *to))
+            self._acknowledge(command, self._desk.set_mode_late(command), to)
         self._after_change()
-        if at_s - self._status_s >= STATUS_S - _EPSILON_S:
-            self._publish_status(at_s)
+        self._announcer.tell_status(at_s)
         builders = self._telemetry.builders
         for number, link in self._links.items():
             for message_id in link.due(at_s):
@@ -341,82 +318,19 @@ class MockVehicle:
                 link.send(self._params.message(self._params.names[index], index))
         if self._remote_id is not None:
             for message in self._remote_id.due(at_s):
-                self._broadcast(message)
+                self._links.send(message)
         for asked, request in self._missions.tick(at_s):
             if asked in self._links:
                 self._links[asked].send(request)
 
     def _after_change(self) -> None:
-        """Report everything that a step or a message has changed."""
-        flight, runner = self._flight, self._flight.runner
-        if flight.mode is not self._shown_mode:
-            self._tell_mode_left(self._shown_mode)
-            self._shown_mode = flight.mode
-            if self._manners.heartbeat_on_mode_change:
-                self._broadcast(self._telemetry.heartbeat(self.now_s))
-        if flight.armed is not self._shown_armed:
-            self._shown_armed = flight.armed
-            self._publish_status(self.now_s)
-            if flight.armed:
-                self._broadcast(self._telemetry.home_position(self.now_s))
-        relay = [] if self._remote_id is None else [self._remote_id.texts]
-        for texts in (flight.texts, *relay, *(book.texts for book in self._missions.books)):
-            for severity, text in texts:
-                self._send_text(severity, text)
-            texts.clear()
-        if runner.reached or runner.texts:
-            for seq in runner.reached:
-                self._broadcast(mavlink.MAVLink_mission_item_reached_message(seq))
-            for text in runner.texts:
-                self._send_text(int(mavlink.MAV_SEVERITY_INFO), text)
-            runner.reached.clear()
-            runner.texts.clear()
-
-    def _publish_status(self, now_s: float) -> None:
-        self._status_s = now_s
-        for link in self._links.values():
-            link.mode_is_news = self._manners.tells_current_mode
-
-    def _tell_mode_left(self, mode: VehicleMode) -> None:
-        """Report the old mode once more, on links whose CURRENT_MODE interval allows it.
-
-        PX4 publishes its status when it takes a command, and again when it has changed the mode. The new mode
-        therefore follows one interval later.
-        """
-        if not self._manners.tells_current_mode:
-            return
-        for link in self._links.values():
-            if link.tells_mode(self.now_s):
-                link.send(self._telemetry.mode_told(mode, mode))
-        self._publish_status(self.now_s)
+        """Tell everything that a step or a message has changed."""
+        self._announcer.tell_changes(self.now_s)
 
     def _remote_id_refusal(self, now_s: float) -> str | None:
         if self._remote_id is None or not self.options.did_require:
             return None
         return self._remote_id.refusal(now_s)
-
-    def _broadcast(self, message: MavlinkMessage | Payload) -> None:
-        for link in self._links.values():
-            link.send(message)
-
-    def _send_text(self, severity: int, text: str) -> None:
-        if not self._manners.speaks:
-            return
-        self._broadcast(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
-
-    def _forward(self, frame: Frame, message: MavlinkMessage | SetpointMessage, link: int) -> None:
-        """Forward a frame: without a target to all other links, else to links where its target was heard."""
-        self._routes[frame.system_id, frame.component_id] = link
-        target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
-        if target == (self.options.system_id, COMPONENT):
-            return
-        for other, endpoint in self._links.items():
-            known = any(
-                via == other and target[0] in (0, system) and target[1] in (0, component)
-                for (system, component), via in self._routes.items()
-            )
-            if other != link and (target[0] == 0 or known):
-                endpoint.pass_on(frame.raw)
 
     def _wake(self, at_s: float) -> None:
         """Boot again at the same place. Missions and parameters are kept, requested message rates are not."""
@@ -469,16 +383,25 @@ class MockVehicle:
         command = read_command(message, endpoint, now_s)
         if command.number not in _LINKS_OWN:
             # PX4's Commander publishes its status with every command, accepted or not.
-            self._publish_status(now_s)
-        for result in self._desk.execute(command):
+            self._announcer.publish_status(now_s)
+        for result in self._desk.execute(command, self._answers(command, to)):
             if result is None:
                 self._late_acks.append((command, to))
             else:
-                endpoint.send(mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *to))
+                self._acknowledge(command, result, to)
         if self._desk.reboot_asked:
             self._desk.reboot_asked = False
             self.reboots += 1
             self._down_until_s = now_s + REBOOT_S
+
+    def _answers(self, command: Command, sender: tuple[int, int]) -> Answers:
+        aboard = sender[0] == self.options.system_id
+        return self.troubles.answers if aboard and command.number == _DO_SET_MODE else "right"
+
+    def _acknowledge(self, command: Command, result: int, to: tuple[int, int]) -> None:
+        shown = told(result, self._answers(command, to))
+        if shown is not None:
+            command.link.send(mavlink.MAVLink_command_ack_message(command.number, shown, 0, 0, *to))
 
     def _take_set_mode(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         if message.target_system != self.options.system_id:
@@ -492,7 +415,7 @@ class MockVehicle:
 
     def _answer_timesync(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         if message.tc1 == 0:
-            endpoint.send(mavlink.MAVLink_timesync_message(self._telemetry.boot_ns(now_s), message.ts1))
+            endpoint.answer_timesync(self._telemetry.boot_ns(now_s), message.ts1)
 
     def _note_heartbeat(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         self.troubles.hear(message, now_s)
@@ -500,39 +423,21 @@ class MockVehicle:
     def _note_collision(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
         self.collisions.append((now_s, message))
 
-    def _list_params(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
-        endpoint.params_due.clear()
-        endpoint.params_due.extend(range(len(self._params.names)))
-
-    def _read_param(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
-        answer = self._params.read(message.param_id, message.param_index)
-        if answer is not None:
-            endpoint.send(answer)
-
-    def _set_param(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
-        answer = self._params.set(message.param_id, message.param_value)
+    def _answer_param(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
+        answer = self._params.answer(message, endpoint.params_due)
         if answer is not None:
             endpoint.send(answer)
 
     def _take_data_stream(self, message: MavlinkMessage, endpoint: Link, now_s: float) -> None:
-        if not self._manners.data_streams:
-            return
-        wanted = message.req_stream_id
-        on = message.start_stop and message.req_message_rate
-        interval = 1.0 / message.req_message_rate if on else None
-        for stream, message_ids in _DATA_STREAMS.items():
-            if wanted in (mavlink.MAV_DATA_STREAM_ALL, stream):
-                for message_id in message_ids:
-                    endpoint.set_interval(message_id, interval, now_s)
+        if self._manners.data_streams:
+            on = message.start_stop and message.req_message_rate
+            interval_s = 1.0 / message.req_message_rate if on else None
+            endpoint.set_data_stream(message.req_stream_id, interval_s, now_s)
 
 
-def home_item(options: VehicleOptions) -> StoredItem:
-    """Home as ArduPilot reports it: mission item 0."""
-    return StoredItem(
-        mavlink.MAV_CMD_NAV_WAYPOINT,
-        mavlink.MAV_FRAME_GLOBAL,
-        (0.0, 0.0, 0.0, 0.0),
-        round(options.home_lat_deg * 1e7),
-        round(options.home_lon_deg * 1e7),
-        options.home_alt_msl_m,
-    )
+def _items(options: VehicleOptions) -> tuple[StoredItem, ...]:
+    items = tuple(stored(item) for item in options.mission)
+    for seq, item in enumerate(items):
+        if (fault := fault_of(item)) is not None:
+            raise ConfigError(f"mission item {seq} cannot be flown (MAV_MISSION_RESULT {fault})")
+    return items

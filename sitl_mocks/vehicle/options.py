@@ -125,18 +125,19 @@ class VehicleOptions:
         manners = self.manners
         for name, value in self.parameters.items():
             if name not in manners.params:
-                raise ConfigError(f"parameter {name}: the mock has none of that name")
+                raise ConfigError(f"parameter {name}: the simulated vehicle has no such parameter")
             if not math.isfinite(value):
-                raise ConfigError(f"parameter {name} is {value}; allowed are finite numbers")
+                raise ConfigError(f"parameter {name} is {value}; allowed: finite numbers")
         if self.did_enable and not MANNERS[self.firmware].has_did_params:
-            raise ConfigError(f"did_enable is no option of {self.firmware.value}; it is ArduPilot's")
+            raise ConfigError(f"did_enable is allowed only for ardupilot, not for {self.firmware.value}")
         if self.did_require and not self.did_enable:
-            raise ConfigError("did_require needs did_enable")
+            raise ConfigError("did_require is allowed only with did_enable")
         modes = MANNERS[self.firmware].custom_modes
         if self.start_mode is not None and self.start_mode not in modes:
             allowed = ", ".join(sorted(mode.value for mode in modes))
             raise ConfigError(
-                f"start_mode {self.start_mode.value} is none of {self.firmware.value}'s: {allowed}"
+                f"start_mode {self.start_mode.value} does not exist on {self.firmware.value}; "
+                f"allowed: {allowed}"
             )
         if self.airborne and self.start_position_ned_m[2] >= 0.0:
             raise ConfigError(

@@ -241,10 +241,12 @@ def open_port(spec: str, airframe: Airframe) -> Port:
     kind, _, rest = spec.partition(":")
     host, _, port_text = rest.rpartition(":")
     if kind not in ("udpout", "udpin", "tcpin") or not port_text.isascii() or not port_text.isdigit():
-        raise ConfigError(f"link {spec!r}: allowed udpout:HOST:PORT, udpin:HOST:PORT, tcpin:HOST:PORT")
+        raise ConfigError(f"link {spec!r}; allowed: udpout:HOST:PORT, udpin:HOST:PORT, tcpin:HOST:PORT")
     port = int(port_text)
     if port > 65535 or (kind == "udpout" and port == 0):
-        raise ConfigError(f"link {spec!r}: port {port} is not a port to use")
+        raise ConfigError(
+            f"link {spec!r}: port {port} is out of range; allowed: 0 to 65535 (udpout: 1 to 65535)"
+        )
     address = (_resolve(host or _LOOPBACK, spec), port)
     if kind == "udpout":
         return UdpOut(airframe, address)
@@ -255,7 +257,7 @@ def _resolve(host: str, spec: str) -> str:
     try:
         return socket.gethostbyname(host)
     except (OSError, UnicodeError) as error:
-        raise ConfigError(f"link {spec!r}: host {host!r} is not known ({error})") from error
+        raise ConfigError(f"link {spec!r}: host {host!r} is unknown ({error})") from error
 
 
 def _datagram_socket() -> socket.socket:

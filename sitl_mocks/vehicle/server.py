@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import json
 import selectors
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,6 +25,7 @@ from sitl_mocks.vehicle.firmware.behaviour import VehicleMode
 from sitl_mocks.vehicle.mock_vehicle import STEP_S, MockVehicle
 from sitl_mocks.vehicle.options import VehicleOptions
 from sitl_mocks.vehicle.ports import Airframe, Port, open_port
+from sitl_mocks.vehicle.trouble_input import TroubleInput
 
 _TRUTH_PERIOD_S = 0.1
 _EXAMPLE = """examples:
@@ -96,39 +98,67 @@ class VehicleServer:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `sitl-mocks serve`."""
     parser.description = (
-        "One MAVLink vehicle in real time, with the manners of ArduPilot Copter or PX4. Ends on Ctrl-C."
+        "Simulates one MAVLink vehicle in real time that behaves like ArduPilot Copter or PX4. "
+        "Stop it with Ctrl-C."
     )
     parser.epilog = _EXAMPLE
     add = parser.add_argument
-    add("--firmware", choices=[f.value for f in Firmware], default="ardupilot", help="whose manners")
+    add(
+        "--firmware",
+        choices=[f.value for f in Firmware],
+        default="ardupilot",
+        help="autopilot to simulate (default: %(default)s)",
+    )
     add(
         "--link",
         action="append",
         metavar="KIND:HOST:PORT",
-        help="udpout, udpin or tcpin; may be given several times; port 0 takes a free one "
-        "(default udpout:127.0.0.1:14550)",
+        help="udpout, udpin or tcpin; may be repeated (udpin and tcpin: port 0 for any free port; "
+        "default: udpout:127.0.0.1:14550)",
     )
-    add("--system-id", type=int, default=1, help="MAVLink system id (1-255)")
+    add("--system-id", type=int, default=1, help="MAVLink system id, 1 to 255 (default: %(default)s)")
     add("--home", type=float, nargs=3, default=(47.397, 8.545, 400.0), metavar=("LAT", "LON", "ALT"),
-        help="home in deg, deg and m above mean sea level")  # fmt: skip
-    add("--airborne", type=float, metavar="HEIGHT", help="start armed in the air at this height (m)")
-    add("--start", type=float, nargs=2, default=(0.0, 0.0), metavar=("NORTH", "EAST"),
-        help="start this far from home (m)")  # fmt: skip
+        help="home position: latitude and longitude (deg), altitude above mean sea level (m)")  # fmt: skip
     add(
-        "--mode", choices=[m.value for m in VehicleMode], help="start in this mode (default: hold in the air)"
+        "--airborne",
+        type=float,
+        metavar="HEIGHT",
+        help="start armed and in the air, at this height above home (m)",
+    )
+    add("--start", type=float, nargs=2, default=(0.0, 0.0), metavar=("NORTH", "EAST"),
+        help="start position relative to home (m)")  # fmt: skip
+    add(
+        "--mode",
+        choices=[m.value for m in VehicleMode],
+        help="initial mode (default: hold if it starts in the air)",
     )
     add("--wind", type=float, nargs=2, default=(0.0, 0.0), metavar=("NORTH", "EAST"),
-        help="where the wind blows to (m/s)")  # fmt: skip
+        help="velocity of the air (m/s); a positive NORTH blows to the north")  # fmt: skip
     add("--gnss-sigma", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("H", "V", "SPEED"),
-        help="navigation errors: horizontal and vertical (m), speed (m/s)")  # fmt: skip
-    add("--no-rc", action="store_true", help="no pilot's radio: ArduPilot's LOITER descends")
+        help="sigmas of the navigation errors: horizontal, vertical (m), velocity (m/s)")  # fmt: skip
+    add(
+        "--no-rc", action="store_true", help="no radio control is connected; ArduPilot's LOITER then descends"
+    )
     add("--did", choices=["off", "enable", "require"], default="off", help="ArduPilot's Remote ID: "
-        "relay what it is told, or also require it to arm")  # fmt: skip
-    add("--param", action="append", default=[], metavar="NAME=VALUE", help="start with this parameter value")
-    add("--quirk", action="append", default=[], metavar="NAME=VALUE", help="replace one manner of the "
-        "firmware, as in nose_follows_velocity=false or loss_mode=hold")  # fmt: skip
-    add("--seed", type=int, default=0, help="seed of the navigation errors")
-    add("--truth", type=Path, metavar="FILE", help="write the true positions here (CSV, ten a second)")
+        "relay its messages (enable), or also require it for arming (require)")  # fmt: skip
+    add(
+        "--param",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="initial value of a parameter; may be repeated",
+    )
+    add("--quirk", action="append", default=[], metavar="NAME=VALUE", help="change one behaviour of the "
+        "firmware, for example nose_follows_velocity=false or loss_mode=hold; may be repeated")  # fmt: skip
+    add("--seed", type=int, default=0, help="random seed of the navigation errors (default: %(default)s)")
+    add("--troubles", action="store_true", help="read faults from standard input, one JSON object per line, "
+        'for example {"answers": "disobeyed"} or {"gnss_lost": true}')  # fmt: skip
+    add(
+        "--truth",
+        type=Path,
+        metavar="FILE",
+        help="write the true positions to this file (CSV, ten rows per second)",
+    )
 
 
 def options_of(args: argparse.Namespace) -> VehicleOptions:
@@ -164,7 +194,7 @@ def _parameters(given: list[str]) -> dict[str, float]:
         try:
             values[name] = float(value)
         except ValueError as error:
-            raise ConfigError(f"--param {text!r}: allowed is NAME=NUMBER") from error
+            raise ConfigError(f"--param: {text!r}; allowed: NAME=NUMBER") from error
     return values
 
 
@@ -187,7 +217,7 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: an option is out of range, or a link cannot be opened.
     """
     if args.seed < 0:
-        raise ConfigError(f"--seed: {args.seed}: allowed 0 and above")
+        raise ConfigError(f"--seed: {args.seed} is out of range; allowed: 0 or more")
     links = args.link or ["udpout:127.0.0.1:14550"]
     with end_signals() as ended:
         server = VehicleServer(options_of(args), links, numpy.random.default_rng(args.seed))
@@ -196,8 +226,11 @@ def run(args: argparse.Namespace) -> int:
                 print(f"link {name}", flush=True)
             print("ready", flush=True)
             start_s = time.monotonic()
+            troubles = TroubleInput(sys.stdin.fileno()) if args.troubles else None
             with _truth(args.truth) as truth:
                 while not ended:
+                    if troubles is not None:
+                        troubles.read(server.vehicle.troubles)
                     now_s = time.monotonic() - start_s
                     server.wait(server.vehicle.now_s + STEP_S - now_s)
                     server.turn(time.monotonic() - start_s)

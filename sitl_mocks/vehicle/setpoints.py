@@ -12,16 +12,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from companion.geometry import Vec3
 from sitl_mocks.vehicle.firmware.behaviour import Manners
 from sitl_mocks.vehicle.links import SetpointMessage
 
-_POSITION = (1, 2, 4)
-_VELOCITY = (8, 16, 32)
-_YAW = 1024
-_YAW_RATE = 2048
-_BODY_OFFSET = 9
-_LOCAL_OFFSET = 7
+_POSITION = (
+    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE,
+    mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE,
+    mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE,
+)
+_VELOCITY = (
+    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE,
+    mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE,
+    mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE,
+)
+_YAW = mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+_YAW_RATE = mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_BODY_OFFSET = mavlink.MAV_FRAME_BODY_OFFSET_NED
+_LOCAL_OFFSET = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,8 +40,17 @@ _LANDED = {
     Landed.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
     Landed.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
 }
-# Gyroscope, accelerometer, compass, barometer, GPS, rate and attitude control, motor outputs, AHRS.
-_SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x8000 | 0x200000
+_SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    | mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL
+    | mavlink.MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION
+    | mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
+    | mavlink.MAV_SYS_STATUS_AHRS
+)
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -49,10 +58,17 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
 )
-_ESTIMATOR_GOOD = 0x33F
-"""Estimator flags for attitude, velocities, positions (also predicted) and heights: bits 0 to 5, 8 and 9."""
-_ESTIMATOR_LOST = 0x025
-"""Estimator flags for attitude, vertical velocity and height."""
+_ESTIMATOR_LOST = (
+    mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_VELOCITY_VERT | mavlink.ESTIMATOR_POS_VERT_ABS
+)
+_ESTIMATOR_GOOD = (
+    _ESTIMATOR_LOST
+    | mavlink.ESTIMATOR_VELOCITY_HORIZ
+    | mavlink.ESTIMATOR_POS_HORIZ_REL
+    | mavlink.ESTIMATOR_POS_HORIZ_ABS
+    | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL
+    | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
+)
 _FIRST_FIX_S = 8.0
 """Time from boot to the first GNSS position; the estimator may take longer."""
 _MIN_ACCURACY_M = 0.3

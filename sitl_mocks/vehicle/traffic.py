@@ -47,13 +47,15 @@ class CrewedFlight:
 
     def __post_init__(self) -> None:
         if not 0 <= self.icao <= 0xFFFFFF:
-            raise ConfigError(f"icao {self.icao:#x}: allowed are 0 to 0xffffff")
+            raise ConfigError(f"icao {self.icao:#x} is out of range; allowed: 0 to 0xffffff")
         if not self.callsign.isascii() or len(self.callsign) > 8:
-            raise ConfigError(f"callsign {self.callsign!r}: allowed are 8 ASCII characters")
+            raise ConfigError(f"callsign {self.callsign!r}; allowed: up to 8 ASCII characters")
         if not all(map(math.isfinite, (*self.start_ned_m, *self.velocity_ned_mps))):
             raise ConfigError(f"flight {self.icao:#x} holds a value that is not a finite number")
         if math.hypot(*self.velocity_ned_mps[:2]) > 600.0 or abs(self.velocity_ned_mps[2]) > 300.0:
-            raise ConfigError(f"flight {self.icao:#x} is faster than 600 m/s, or 300 m/s up or down")
+            raise ConfigError(
+                f"flight {self.icao:#x} is too fast; allowed: 600 m/s horizontally, 300 m/s vertically"
+            )
 
     def reported_s(self, now_s: float) -> float | None:
         """Time of the receiver's last report up to `now_s`; None if there was none."""

@@ -9,11 +9,14 @@ ArduPilot's landing from more than 100 m outside a fence is not imitated.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any, Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.wire import MavlinkMessage
+from companion.errors import ConfigError
 from companion.geometry import LocalFrame
 from sitl_mocks.vehicle.firmware.behaviour import Failsafe, Manners, VehicleMode
 from sitl_mocks.vehicle.flight import MANUAL_CONTROL_OFF, Flight
@@ -21,7 +24,11 @@ from sitl_mocks.vehicle.served.mission import CIRCLES, VERTICES, MissionBook
 from sitl_mocks.vehicle.served.params import ParamBook
 
 PERIOD_S = 0.1
-_MAX_HEIGHT, _CIRCLE, _POLYGON = 1, 2, 4
+_MAX_HEIGHT, _CIRCLE, _POLYGON = (
+    mavlink.FENCE_TYPE_ALT_MAX,
+    mavlink.FENCE_TYPE_CIRCLE,
+    mavlink.FENCE_TYPE_POLYGON,
+)
 _NAMES = {_MAX_HEIGHT: "Max Alt", _CIRCLE: "Circle", _POLYGON: "Polygon"}
 _WARNING = int(mavlink.MAV_SEVERITY_WARNING)
 _NOTICE = int(mavlink.MAV_SEVERITY_NOTICE)
@@ -29,18 +36,25 @@ _NEEDS_NO_POSITION = frozenset({VehicleMode.MANUAL, VehicleMode.LAND})
 _OWN_MODES = frozenset(VehicleMode) - {VehicleMode.MANUAL, VehicleMode.EXTERNAL}
 _OVERRIDES_OWN, _OVERRIDES_EXTERNAL = 1, 2
 _ALL_FENCES = _MAX_HEIGHT | _CIRCLE | _POLYGON
+Answers = Literal["right", "disobeyed", "unanswered", "denied"]
+"""What the vehicle makes of the mode requests of a computer aboard, which has the vehicle's system id.
+"disobeyed": acknowledged but not carried out. "unanswered": carried out but not acknowledged. "denied":
+carried out but answered with a refusal.
+"""
+_ANSWERS: tuple[Answers, ...] = ("right", "disobeyed", "unanswered", "denied")
 
 
 class Troubles:
     """Troubles and failsafes of one vehicle.
 
-    The caller may set `battery_remaining`, `estimator_bad`, `gnss_lost`, `rc_connected` and `sticks` at any
-    time. They keep their values until they are set again, also across a reboot.
+    The caller may set `answers`, `battery_remaining`, `estimator_bad`, `gnss_lost`, `rc_connected` and
+    `sticks` at any time. They keep their values until they are set again, also across a reboot.
     """
 
     def __init__(
         self, manners: Manners, params: ParamBook, fence: MissionBook, home: LocalFrame, *, rc_connected: bool
     ) -> None:
+        self.answers: Answers = "right"
         self.battery_remaining = 1.0
         """Remaining share of the charge, 0 to 1."""
         self.estimator_bad = False
@@ -71,6 +85,28 @@ class Troubles:
         """Whether the firmware watches its fence."""
         name = self._manners.fence_enable_param
         return name is None or self._params.get(name) >= 1.0
+
+    def set(self, name: str, value: Any) -> None:
+        """Set a trouble by its name, with a value that JSON can hold.
+
+        Raises:
+            ConfigError: there is no such trouble, or it cannot have this value.
+        """
+        switches = ("estimator_bad", "gnss_lost", "rc_connected")
+        if name == "answers" and value in _ANSWERS:
+            self.answers = value
+        elif name in switches and isinstance(value, bool):
+            setattr(self, name, value)
+        elif name == "battery_remaining" and _is_number(value) and 0.0 <= value <= 1.0:
+            self.battery_remaining = float(value)
+        elif name == "sticks" and isinstance(value, list | tuple) and _are_sticks(value):
+            roll, pitch, throttle, yaw = map(float, value)
+            self.sticks = (roll, pitch, throttle, yaw)
+        else:
+            raise ConfigError(
+                f"trouble {name!r}: {value!r}; allowed: answers ({', '.join(_ANSWERS)}), "
+                f"{', '.join(switches)} (true, false), battery_remaining (0 to 1), sticks (four from -1 to 1)"
+            )
 
     def reboot(self) -> None:
         """Forget ground station heartbeats and active failsafes, as a restart does. The troubles stay."""
@@ -226,6 +262,14 @@ class Troubles:
         own = flight.mode in _OWN_MODES and allowed & _OVERRIDES_OWN
         if own or (flight.mode is VehicleMode.EXTERNAL and allowed & _OVERRIDES_EXTERNAL):
             flight.take_over()
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _are_sticks(values: Sequence[object]) -> bool:
+    return len(values) == 4 and all(_is_number(v) and -1.0 <= v <= 1.0 for v in values)  # type: ignore[operator]
 
 
 def _inside(north: float, east: float, corners: list[tuple[float, float]]) -> bool:

@@ -10,8 +10,8 @@ from typing import Any
 from PIL import Image
 
 from ground_tools.inspect.read.read_run import Run, read_run
-from ground_tools.inspect.report import page as report
 from ground_tools.inspect.report import summary
+from ground_tools.inspect.report.page import write
 from ground_tools.inspect.viewer import recording
 from ground_tools.inspect.viewer.palette import LIMIT, colour
 from ground_tools.inspect.viewer.web import WebViewer
@@ -58,7 +58,7 @@ def _arranged(page: Any) -> None:
 def _report(run: Run, picture: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         page = Path(name) / "report.html"
-        report.write(run, summary.describe(run), page)
+        write(run, summary.describe(run), page)
         with chromium.opened(*REPORT_SIZE, offline=True) as browser:
             browser.page.goto(page.as_uri())
             browser.page.screenshot(path=picture)

@@ -1,4 +1,4 @@
-"""A vehicle made of events, to drive the heart without bytes."""
+"""A simulated vehicle that consists of events and drives the core without bytes."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ from companion.events import (
     VehicleTime,
     VelocitySetpoint,
 )
+from tests.support.place import HOME
 
 UTC_AT_ZERO_S = 1_767_225_600.0
-LAT, LON, ALT_MSL = 47.397, 8.545, 450.0
+LAT, LON, ALT_MSL = HOME.lat_deg, HOME.lon_deg, 450.0
 STEP_S = 0.05
 
 
@@ -60,9 +61,9 @@ def config(**flight: object) -> Config:
 
 @dataclass
 class Bench:
-    """Drives one heart; every attribute may be changed between steps."""
+    """Drives one core; every attribute may be changed between steps."""
 
-    heart: Companion
+    core: Companion
     now_s: float = 0.0
     mode: FlightMode = FlightMode.HOLD
     custom_mode: int = 0
@@ -138,7 +139,7 @@ class Bench:
             self.now_s = round(self.now_s + gap_s, 6)
             events = self.events() + self.extra
             self.extra = []
-            self.commands = self.heart.step(self.now_s, events)
+            self.commands = self.core.step(self.now_s, events)
             all_commands += self.commands
             self.log += [(self.now_s, c) for c in self.commands]
             for command in self.commands:
@@ -154,7 +155,7 @@ class Bench:
             if done():
                 return
             self.step()
-        raise AssertionError(f"not reached in {limit} steps; state {self.heart.state}")
+        raise AssertionError(f"not reached in {limit} steps; state {self.core.state}")
 
     def setpoints(self, commands: Sequence[Command] | None = None) -> list[VelocitySetpoint]:
         """Setpoints among commands (of the last step by default)."""
@@ -199,7 +200,7 @@ def guarded() -> Callable[..., Bench]:
         bench = Bench(Companion(made), mission=items, mode=FlightMode.MISSION)
         bench.velocity_ned_mps = (3.0, 0.0, 0.0)
         bench.extra.append(MissionCurrent(seq=0))
-        bench.until(lambda: bench.heart.state is State.WATCHING)
+        bench.until(lambda: bench.core.state is State.WATCHING)
         return bench
 
     return build

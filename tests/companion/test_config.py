@@ -16,9 +16,11 @@ from companion.errors import ConfigError
 from companion.events import FenceArea
 from companion.radio.ether import datagrams
 from companion.radio.hci import channel
+from companion.radio.registry import RadioConfig
 from companion.runtime.links import open_link
 
 CONFIG = Path(__file__).parents[2] / "config"
+RADIOS = Path(__file__).parents[2] / "companion" / "radio"
 IDENTITY = '[identity]\nuas_id = "A1"\n'
 TRAJECTORY = """altitude = "home"
 waypoint = [
@@ -72,10 +74,10 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         (IDENTITY + '[[radio]]\nbackend = "wifi"\n', "radio[0]: needs hostapd, inject or monitor"),
         (
             IDENTITY + '[remote_id]\nregion = "us"\n',
-            "c.toml: remote_id.region: 'us': no such file beside c.toml; give the path of a profile from "
-            'there, such as "regions/us.toml"; the project\'s profiles stand in config/regions',
+            "c.toml: remote_id.region: 'us': no such file; give the path of a profile relative to "
+            'c.toml, such as "regions/us.toml"; the project\'s profiles are in config/regions',
         ),
-        (IDENTITY + '[remote_id]\nregion = "."\n', "c.toml: remote_id.region: '.': no such file beside"),
+        (IDENTITY + '[remote_id]\nregion = "."\n', "c.toml: remote_id.region: '.': no such file; give"),
         (IDENTITY + '[remote_id]\nregion = "c.toml"\n', "c.toml: identity: unknown key"),
         (
             IDENTITY + '[remote_id]\ntransports = "wifi"\n',
@@ -145,7 +147,7 @@ def write(folder: Path, text: str, name: str = "c.toml") -> Path:
         ),
         (IDENTITY + '[flight]\ntrajectory = "none.toml"\n', "none.toml: cannot be read: No such file"),
         ("= 3", "not valid TOML"),
-        ('[identity]\nuas_id = "Ünicode"\n', "identity.uas_id: 'Ünicode': printable ASCII"),
+        ('[identity]\nuas_id = "Ünicode"\n', "identity.uas_id: 'Ünicode': allowed: printable ASCII"),
     ],
 )
 def test_wrong_input(tmp_path, text, message):
@@ -218,7 +220,7 @@ def test_an_identity_of_raw_bytes_is_written_in_hexadecimal_digits(tmp_path, id_
 @pytest.mark.parametrize("id_type", [1, 2])
 def test_an_identity_of_text_has_20_characters_at_most(tmp_path, id_type):
     text = f'[identity]\nid_type = {id_type}\nuas_id = "{"A" * 21}"\n'
-    with pytest.raises(ConfigError, match=r"identity\.uas_id: .*: 21 characters; 20 go on the air"):
+    with pytest.raises(ConfigError, match=r"identity\.uas_id: .*: 21 characters; allowed: up to 20"):
         configuration.load(write(tmp_path, text))
     assert configuration.load(write(tmp_path, text.replace("A" * 21, "A" * 20))).identity.id_type == id_type
 
@@ -226,7 +228,7 @@ def test_an_identity_of_text_has_20_characters_at_most(tmp_path, id_type):
 def test_flying_deaf_is_refused(tmp_path):
     write(tmp_path, TRAJECTORY, "t.toml")
     path = write(tmp_path, IDENTITY + '[flight]\nuse = "fly"\ntrajectory = "t.toml"\n')
-    with pytest.raises(ConfigError, match="nobody is heard"):
+    with pytest.raises(ConfigError, match="no aircraft is heard"):
         configuration.load(path)
 
 
@@ -305,6 +307,8 @@ def test_a_serial_number_of_any_form_will_do_without_a_law(tmp_path, region):
 
 def test_the_example_shows_every_key_and_every_key_it_shows_is_right(tmp_path):
     example = re.sub(r"(?m)^# (?=\[\[|[a-z0-9_]+ = )", "", (CONFIG / "companion.toml").read_text())
+    for radio in sorted(RADIOS.glob("*/example.toml")):
+        example += radio.read_text()
     for name in ("regions", "trajectory.toml", "fence.toml"):
         (tmp_path / name).symlink_to(CONFIG / name)
     loaded = configuration.load(write(tmp_path, example))
@@ -312,7 +316,7 @@ def test_the_example_shows_every_key_and_every_key_it_shows_is_right(tmp_path):
     for section in set(configuration.Config.__struct_fields__) - {"radio", "path", "fence", "region"}:
         assert shown[section].keys() == set(getattr(loaded, section).__struct_fields__), section
     kinds = {type(radio) for radio in loaded.radio}
-    assert kinds == set(get_args(configuration.RadioConfig))
+    assert kinds == set(get_args(RadioConfig))
     for keys, radio in zip(shown["radio"], loaded.radio, strict=True):
         assert keys.keys() == {"backend", *radio.__struct_fields__}
 
@@ -362,7 +366,7 @@ def test_a_fence_file_is_taken_in_and_stands_in_the_run_folder(tmp_path):
 def test_a_fence_goes_with_a_law_that_keeps_it(tmp_path, fence, law):
     write(tmp_path, FENCE, "fence.toml")
     text = f'{IDENTITY}[limits]\nfence = "{fence}"\n[avoidance]\nlaw = "{law}"\n'
-    says = f'limits.fence: goes with avoidance.law = "dmuca"; {law!r} keeps none'
+    says = f'limits.fence: needs avoidance.law = "dmuca"; {law!r} keeps no fence'
     with pytest.raises(ConfigError, match=re.escape(says)):
         configuration.load(write(tmp_path, text))
     assert configuration.load(write(tmp_path, text.replace(f'"{law}"', '"dmuca"'))).limits.fence == fence
@@ -371,7 +375,7 @@ def test_a_fence_goes_with_a_law_that_keeps_it(tmp_path, fence, law):
 def test_a_fence_inside_the_configuration_is_checked_as_one_in_a_file(tmp_path):
     areas = (FenceArea(inclusion=True, points=((47.0, 8.0), (47.01, 8.0))),)
     loaded = configuration.load(write(tmp_path, IDENTITY + '[limits]\nfence = "vehicle"\n'))
-    with pytest.raises(ConfigError, match=re.escape("run: fence: area[0].points: 2 of them")):
+    with pytest.raises(ConfigError, match=re.escape("run: fence: area[0].points: 2 points")):
         configuration.check(msgspec.structs.replace(loaded, fence=areas), "run")
 
 
@@ -404,8 +408,8 @@ def test_the_vehicles_own_fence_needs_no_file(tmp_path):
         (FENCE + "radius = 3\n", "fence.toml: area[1].radius: unknown key; allowed here: inclusion, points"),
         (FENCE + "\n[[area]]\ninclusion = 1\n", "fence.toml: area[2].inclusion: "),
         (FENCE.replace("[47.01, 8.0]", "[97.0, 8.0]"), "fence.toml: area[0].points[1]: latitude 97.0"),
-        (FENCE.replace(", [47.01, 8.01]", ""), "fence.toml: area[0].points: 2 of them"),
-        (FENCE.replace("20.0", "-1.0"), "fence.toml: area[1].radius_m: -1.0: allowed are more than 0"),
+        (FENCE.replace(", [47.01, 8.01]", ""), "fence.toml: area[0].points: 2 points"),
+        (FENCE.replace("20.0", "-1.0"), "fence.toml: area[1].radius_m: -1.0: allowed: more than 0"),
         (FENCE.replace("radius_m = 20.0", ""), "fence.toml: area[1]"),
     ],
 )

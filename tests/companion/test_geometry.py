@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.geometry import LocalFrame
+from tests.support.place import HOME
 
 near = st.floats(-20_000.0, 20_000.0)
 
@@ -28,10 +29,9 @@ def test_there_and_back(lat, lon, alt, north, east, down):
 
 @given(d_lat=st.floats(-0.2, 0.2), d_lon=st.floats(-0.2, 0.2), alt=st.floats(-100.0, 4000.0))
 def test_against_the_library(d_lat, d_lon, alt):
-    frame = LocalFrame(47.397, 8.545, 400.0)
-    point = 47.397 + d_lat, 8.545 + d_lon, alt
-    expected = pymap3d.geodetic2ned(*point, 47.397, 8.545, 400.0)
-    assert frame.to_ned(*point) == pytest.approx(tuple(map(float, expected)), abs=1e-6)
+    point = HOME.lat_deg + d_lat, HOME.lon_deg + d_lon, alt
+    expected = pymap3d.geodetic2ned(*point, HOME.lat_deg, HOME.lon_deg, HOME.alt_m)
+    assert HOME.to_ned(*point) == pytest.approx(tuple(map(float, expected)), abs=1e-6)
 
 
 def test_signs():

@@ -1,4 +1,4 @@
-"""Replay: the same input gives the same commands; recorded flights of real vehicles go through the heart."""
+"""Replay: the same input gives the same commands; recorded flights of real vehicles go through the core."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_the_gate_judges_a_replay_too(run_folder, monkeypatch, capsys):
     monkeypatch.setattr(Companion, "step", too_fast)
     assert refused()["speed"] > 100
     assert cli.main(["replay", str(file)]) == 1
-    assert "the gate would not let leave now, by its rules: " in capsys.readouterr().out
+    assert "commands that the gate would now refuse, by rule: " in capsys.readouterr().out
 
 
 def test_replay_of_a_folder_by_command(run_folder, capsys):
@@ -127,7 +127,7 @@ def test_a_run_of_another_machine_or_version_is_not_compared_bit_for_bit(
     manifest = tmp_path / "manifest.json"
     manifest.write_text(json.dumps({**json.loads(manifest.read_text()), key: value}))
     assert cli.main(["replay", str(tmp_path)]) == 0
-    assert "(to 1e-09 (other machine or versions))" in capsys.readouterr().out
+    assert "(to within 1e-09 (other machine or versions))" in capsys.readouterr().out
 
 
 def fly_log(stream, name):

@@ -11,10 +11,11 @@ import pytest
 from companion import event_record, replay
 from companion.adjustable_parameters import NAMES, applied, changed, checked, value_of
 from companion.authority.table import State
-from companion.config import AvoidanceConfig, Config, EtherRadio, FlightConfig, IdentityConfig, LimitsConfig
+from companion.config import AvoidanceConfig, Config, FlightConfig, IdentityConfig, LimitsConfig
 from companion.core import Companion
 from companion.errors import ConfigError
 from companion.events import Firmware, FlightMode, Landed, MissionCurrent, Say, SetMode, Settings
+from companion.radio.ether.section import EtherRadio
 from tests.companion.conftest import Bench, config, mission
 
 CONFIG = Config(
@@ -88,7 +89,7 @@ def test_settings_of_another_configuration_are_held_against_this_one():
         checked(Settings(max_speed_mps=4.0), slower)
 
 
-# ------------------------------------------------------------ the heart
+# ------------------------------------------------------------ the core
 
 
 def said(commands):
@@ -99,7 +100,7 @@ def flying(make_bench, firmware=Firmware.PX4):
     bench = make_bench()
     bench.firmware = firmware
     bench.mode = FlightMode.MISSION
-    bench.until(lambda: bench.heart.in_control)
+    bench.until(lambda: bench.core.in_control)
     return bench
 
 
@@ -110,12 +111,12 @@ def test_off_gives_the_vehicle_back_at_once_and_on_takes_it_again(make_bench, fi
     commands = bench.step()
     assert SetMode(mode=FlightMode.HOLD) in commands
     assert [s.velocity_ned_mps for s in bench.setpoints(commands)] == [(0.0, 0.0, 0.0)]
-    assert bench.heart.state is State.FAULT
+    assert bench.core.state is State.FAULT
     assert "DMUCA: DMUCA_ENABLE 0, was 1" in said(commands)
     assert not bench.setpoints(bench.step(400))
-    assert "DMUCA_ENABLE" in bench.heart.waits_for(bench.now_s)
+    assert "DMUCA_ENABLE" in bench.core.waits_for(bench.now_s)
     bench.extra.append(Settings())
-    bench.until(lambda: bench.heart.in_control)
+    bench.until(lambda: bench.core.in_control)
 
 
 def test_a_vehicle_that_does_not_hold_is_commanded_to_stand_for_seconds_and_no_longer(make_bench):
@@ -134,7 +135,7 @@ def test_a_pilot_who_takes_over_meanwhile_is_commanded_nothing(make_bench):
     bench.step()
     bench.mode = FlightMode.STICKS
     assert not bench.setpoints(bench.step(20))
-    assert bench.heart.state is State.YIELDED
+    assert bench.core.state is State.YIELDED
     bench.extra.append(Settings())
     bench.mode = FlightMode.MISSION
     assert not bench.setpoints(bench.step(400))
@@ -144,50 +145,50 @@ def test_off_takes_nothing(make_bench):
     bench = make_bench()
     bench.extra.append(OFF)
     assert not [c for c in bench.step(400) if isinstance(c, SetMode)]
-    assert bench.heart.state is State.STANDBY
+    assert bench.core.state is State.STANDBY
 
 
 def test_off_watches_no_mission():
     made = msgspec.structs.replace(config(use="guard"), path=None)
     bench = Bench(Companion(made), mission=mission(300.0, 900.0), mode=FlightMode.MISSION)
     bench.extra.append(MissionCurrent(seq=0))
-    bench.until(lambda: bench.heart.state is State.WATCHING)
+    bench.until(lambda: bench.core.state is State.WATCHING)
     bench.extra.append(OFF)
     bench.step()
-    assert bench.heart.state is State.STANDBY
+    assert bench.core.state is State.STANDBY
     assert "switched off (DMUCA_ENABLE is 0)" in said(bench.commands)[-1]
     bench.extra.append(Settings())
-    bench.until(lambda: bench.heart.state is State.WATCHING)
+    bench.until(lambda: bench.core.state is State.WATCHING)
 
 
 def test_a_law_keeps_its_numbers_until_the_flight_is_over(make_bench):
     bench = flying(make_bench)
-    law = bench.heart.plan.course.law
+    law = bench.core.plan.course.law
     bench.extra.append(Settings(max_speed_mps=3.5, conflict_radius_m=9.0))
     commands = bench.step(100)
     assert "DMUCA: DMUCA_RADIUS 9, was 5; from the next path on" in said(commands)
-    assert bench.heart.in_control
-    assert bench.heart.plan.course.law is law
-    assert bench.heart.config.limits.max_speed_mps == 5.0
+    assert bench.core.in_control
+    assert bench.core.plan.course.law is law
+    assert bench.core.config.limits.max_speed_mps == 5.0
     bench.landed, bench.armed = Landed.ON_GROUND, False
     bench.step(2)
-    assert bench.heart.config.limits.max_speed_mps == 3.5
-    assert bench.heart.plan.terms.limits.max_speed_mps == 3.5
-    assert bench.heart.config.avoidance.conflict_radius_m == 9.0
+    assert bench.core.config.limits.max_speed_mps == 3.5
+    assert bench.core.plan.terms.limits.max_speed_mps == 3.5
+    assert bench.core.config.avoidance.conflict_radius_m == 9.0
 
 
 def test_a_replay_meets_the_same_settings(make_bench):
     bench = make_bench()
-    header = event_record.Header(aircraft="OWN", software="", config=bench.heart.config)
+    header = event_record.Header(aircraft="OWN", software="", config=bench.core.config)
     steps = []
-    plain = bench.heart.step
+    plain = bench.core.step
 
     def step(now_s, events):
         commands = plain(now_s, events)
         steps.append(event_record.Step(now_s=now_s, events=tuple(events), commands=tuple(commands)))
         return commands
 
-    bench.heart.step = step
+    bench.core.step = step
     bench.extra.append(Settings(max_speed_mps=3.5))
     bench.step(200)
     bench.extra.append(OFF)
@@ -203,6 +204,6 @@ def test_a_replay_meets_the_same_settings(make_bench):
 
 
 def test_settings_count_from_the_first_step(make_config):
-    heart = Companion(make_config())
-    heart.step(0.0, [Settings(horizon_s=33.0)])
-    assert heart.config.avoidance.horizon_s == 33.0
+    core = Companion(make_config())
+    core.step(0.0, [Settings(horizon_s=33.0)])
+    assert core.config.avoidance.horizon_s == 33.0

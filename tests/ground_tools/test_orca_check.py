@@ -18,7 +18,7 @@ ORACLE = Path(__file__).parents[1] / "data" / "orca_cases.json.gz"
 def check(*arguments: object) -> int:
     parser = argparse.ArgumentParser()
     orca_check.add_arguments(parser)
-    return orca_check.run(parser.parse_args([str(a) for a in arguments]))
+    return orca_check.run(parser.parse_args(["check", *map(str, arguments)]))
 
 
 @pytest.fixture(scope="module")

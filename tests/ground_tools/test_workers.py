@@ -26,6 +26,7 @@ def killed(number: int) -> int:
 
 def test_every_item_comes_with_its_result():
     assert sorted(in_parallel(square, range(5), 2, Console())) == [(n, n * n) for n in range(5)]
+    assert list(in_parallel(square, range(3), 1, Console())) == [(n, n * n) for n in range(3)]
     assert list(in_parallel(square, (), 2, Console())) == []
 
 

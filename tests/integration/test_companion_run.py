@@ -249,7 +249,7 @@ def test_check_says_what_is_missing(start, tmp_path):
     assert "vehicle: " in checked.output
     assert "vehicle: without setpoints for 3 s (GUID_TIMEOUT) it brakes and stays in GUIDED" in checked.output
     assert "vehicle: WPNAV_SPEED_DN 1.5 is below limits.max_descent_mps 2" in checked.output
-    assert "radio: flies without one" in checked.output
+    assert "radio: none configured, and avoidance.law is none" in checked.output
 
 
 def test_the_pilot_takes_over(start, tmp_path):

@@ -19,5 +19,5 @@ def test_ctrl_c_ends_all_flights(start):
     # Let them begin to fly.
     time.sleep(3.0)
     assert demo.end() == 130
-    assert "interrupted" in demo.output
+    assert "Interrupted" in demo.output
     assert "Traceback" not in demo.output

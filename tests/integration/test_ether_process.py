@@ -15,21 +15,20 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
-from companion.radio.ether import datagrams as ether_wire
+from companion.radio.ether import datagrams
 from companion.radio.ether.datagrams import SILENCE_S, Heard, Join, Leave, Send, Welcome
 from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import FrameSender, radio_address
 from companion.remote_id.messages import Location, SelfId
-from sitl_mocks.air import server as ether_server
-from sitl_mocks.air.server import MAX_CLIENTS, EtherServer
+from sitl_mocks.air.server import MAX_CLIENTS, EtherServer, add_arguments, run
 from sitl_mocks.channel.simple import SimpleChannel
 
 PROGRAM = """
 import argparse, sys
-from sitl_mocks.air import server as ether_server
+from sitl_mocks.air.server import add_arguments, run
 parser = argparse.ArgumentParser()
-ether_server.add_arguments(parser)
-sys.exit(ether_server.run(parser.parse_args()))
+add_arguments(parser)
+sys.exit(run(parser.parse_args()))
 """
 GENEROUS_S = 30.0
 MESSAGES = (SelfId(description_type=0, text="survey"), Location(lat_deg=47.5, lon_deg=8.5))
@@ -140,18 +139,21 @@ def test_the_air_of_packets_lets_through_what_its_channel_does(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--channel", "packets", "--delay", "0", "1"], "--delay: goes with --channel interval"),
-        (["--channel", "analytic", "--loss", "0.1"], "--loss: goes with --channel interval"),
-        (["--channel", "packets", "--range", "100"], "--range: goes with --channel interval"),
-        (["--parameters", "x.toml"], "--parameters: goes with --channel analytic or --channel packets"),
-        (["--loss", "2"], "channel.loss: 2: allowed 0 to 1"),
+        (["--channel", "packets", "--delay", "0", "1"], "--delay: allowed only with --channel interval"),
+        (["--channel", "analytic", "--loss", "0.1"], "--loss: allowed only with --channel interval"),
+        (["--channel", "packets", "--range", "100"], "--range: allowed only with --channel interval"),
+        (
+            ["--parameters", "x.toml"],
+            "--parameters: allowed only with --channel analytic or --channel packets",
+        ),
+        (["--loss", "2"], "channel.loss: 2 is out of range; allowed: 0 to 1"),
     ],
 )
 def test_options_of_another_channel_are_refused(arguments: list[str], words: str) -> None:
     parser = argparse.ArgumentParser()
-    ether_server.add_arguments(parser)
+    add_arguments(parser)
     with pytest.raises(ConfigError) as refused:
-        ether_server.run(parser.parse_args(arguments))
+        run(parser.parse_args(arguments))
     assert words in str(refused.value)
 
 
@@ -178,15 +180,15 @@ def clients(server: EtherServer) -> Iterator[list[socket.socket]]:
         sock.close()
 
 
-def send(server: EtherServer, now_s: float, client: socket.socket, *datagrams: ether_wire.Datagram) -> None:
-    for datagram in datagrams:
-        client.send(ether_wire.encode(datagram))
+def send(server: EtherServer, now_s: float, client: socket.socket, *sent: datagrams.Datagram) -> None:
+    for datagram in sent:
+        client.send(datagrams.encode(datagram))
     # Loopback has delivered by the time send returns.
     server.step(now_s)
 
 
-def receive(client: socket.socket) -> ether_wire.Datagram:
-    return ether_wire.decode(client.recv(2000))
+def receive(client: socket.socket) -> datagrams.Datagram:
+    return datagrams.decode(client.recv(2000))
 
 
 def test_a_client_joins_by_any_datagram_and_is_named(

@@ -69,7 +69,7 @@ def test_two_vehicles_meet_as_a_scenario_says_and_land(tmp_path, start):
     b = Vehicle(start, tmp_path / "b.csv", "--firmware", "px4", "--system-id", "2", "--start", "0", "8")
     fly = start("ground_tools.cli", "fly", a.address, b.address, "--scenario", scenario, "--takeoff", "3",
                 "--start", "--land", "--json")  # fmt: skip
-    fly.wait_for("all at their starts: go")
+    fly.wait_for("all vehicles are at their starts and continue")
     assert fly.process.wait(PATIENCE_S) == 0, fly.output
     report = json.loads(fly.output.splitlines()[-1])
     assert report["ok"] is True
@@ -94,10 +94,10 @@ def test_ctrl_c_in_flight_leaves_it_holding(tmp_path, start, plan):
     """From the ground by the mission's own take-off; on ArduPilot to BRAKE, armed, in the air."""
     vehicle = Vehicle(start, tmp_path / "a.csv", "--firmware", "ardupilot")
     fly = start("ground_tools.cli", "fly", vehicle.address, "--mission", plan, "--start", "--wait")
-    fly.wait_for("holds the mission, 3 items, read back and compared")
+    fly.wait_for(r"the mission is aboard \(3 items\), read back and compared")
     fly.wait_for("mission: item 3, AUTO")
     assert fly.end() == 130
-    assert fly.output.endswith("in BRAKE: armed; land it\n")
+    assert fly.output.endswith("in BRAKE and is armed; land it\n")
     left = vehicle.left()
     assert (left["mode"], left["armed"]) == ("brake", True)
     assert left["position_ned_m"][2] < -3.0
@@ -107,9 +107,11 @@ def test_what_the_vehicle_says_when_it_refuses(tmp_path, start):
     """Arming is tried again; Ctrl-C ends it."""
     vehicle = Vehicle(start, tmp_path / "a.csv", "--firmware", "ardupilot", "--did", "require")
     fly = start("ground_tools.cli", "fly", vehicle.address, "--takeoff", "5")
-    fly.wait_for(r"vehicle 1: COMPONENT_ARM_DISARM refused \(FAILED\): Arm: OpenDroneID: .*; trying again")
+    fly.wait_for(
+        r"vehicle 1: COMPONENT_ARM_DISARM was refused \(FAILED\): Arm: OpenDroneID: .*; trying again"
+    )
     assert fly.end() == 130
-    assert fly.output.endswith("vehicle 1 was not commanded anything\n")
+    assert fly.output.endswith("vehicle 1 got no command\n")
     assert vehicle.left()["armed"] is False
 
 
@@ -121,18 +123,18 @@ def test_nobody_there(monkeypatch, capsys):
         assert cli.main(["fly", address, "--land", "--json"]) == 1
     out, err = capsys.readouterr()
     assert json.loads(out)["error"] == (
-        f"vehicle 1: {address}: no autopilot heard within 0.5 s: see to its power, to the address, and to "
-        "who else listens there"
+        f"vehicle 1: {address}: no autopilot was heard within 0.5 s; check its power, the address, and "
+        "whether another program listens there"
     )
-    assert "no autopilot heard" in err
+    assert "no autopilot was heard" in err
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ([], "nothing to do"),
-        (["--takeoff", "0.5"], "--takeoff: 0.5: allowed 1 to 500"),
-        (["--land", "--wait"], "--wait: waits for missions that --start starts"),
+        (["--takeoff", "0.5"], "--takeoff: 0.5 is out of range; allowed: 1 to 500"),
+        (["--land", "--wait"], "--wait is allowed only with --start"),
         (["--mission", "PLAN", "--mission", "PLAN"], "--mission: 2 files for 1 vehicles"),
         (["--scenario", "config/scenarios/s2.toml"], "5 aircraft for 1 vehicles"),
         (["--land", "--seed", "-1"], "--seed: -1"),
@@ -146,27 +148,30 @@ def test_options_that_do_not_go_together(arguments, words, plan, capsys):
 
 def test_one_address_for_two(capsys):
     assert cli.main(["fly", "udpout://127.0.0.1:9", "udpout://127.0.0.1:9", "--land"]) == 2
-    assert "ADDRESS: one is given twice" in capsys.readouterr().err
+    assert "ADDRESS: an address is given twice" in capsys.readouterr().err
 
 
 def test_no_address(capsys):
     assert cli.main(["fly", "127.0.0.1:9", "--land"]) == 2
-    assert "no address; allowed is one like udpout://" in capsys.readouterr().err
+    assert "this is not an address; allowed: for example udpout://" in capsys.readouterr().err
 
 
 def test_a_port_that_another_program_has(capsys):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         assert cli.main(["fly", f"udpin://127.0.0.1:{other.getsockname()[1]}", "--land"]) == 2
-    assert "another program has the port" in capsys.readouterr().err
+    assert "another program uses the port" in capsys.readouterr().err
 
 
 def test_a_scenario_that_is_not_there(capsys):
     assert cli.main(["fly", "udpout://127.0.0.1:9", "--scenario", "head_on"]) == 2
-    assert "--scenario: head_on: no such file; some are in config/scenarios" in capsys.readouterr().err
+    assert "--scenario: head_on: no such file; see config/scenarios for examples" in capsys.readouterr().err
 
 
 def test_without_mavsdk(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "mavsdk", None)
     assert cli.main(["fly", "udpout://127.0.0.1:9", "--land"]) == 2
-    assert "mavsdk 4 is not installed; in the checkout: pip install -e '.[fly]'" in capsys.readouterr().err
+    assert (
+        "mavsdk 4 is not installed; to install it, run in the checkout: pip install -e '.[fly]'"
+        in capsys.readouterr().err
+    )

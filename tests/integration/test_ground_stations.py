@@ -21,8 +21,9 @@ from companion.autopilot.served.component_information import ComponentInformatio
 from companion.autopilot.served.metadata import metadata_files
 from companion.autopilot.served.own_parameters import OwnParameters
 from companion.autopilot.wire import MavlinkWriter
-from companion.config import Config, EtherRadio, IdentityConfig, VehicleConfig
+from companion.config import Config, IdentityConfig, VehicleConfig
 from companion.events import Settings
+from companion.radio.ether.section import EtherRadio
 
 CONFIG = Config(identity=IdentityConfig(uas_id="OWN"), radio=(EtherRadio(address="127.0.0.1:1"),))
 FILES = {path: content.decode() for path, content in metadata_files(CONFIG).items()}

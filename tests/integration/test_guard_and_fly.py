@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter
-from companion.geometry import LocalFrame
 from companion.radio.ether.ether_radio import EtherTransport
 from companion.radio.frames_io import radio_address
 from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+from tests.support.place import HOME
 
-HOME = LocalFrame(47.397, 8.545, 400.0)
 GEOID_M = 47.0
 CONFIG = """
 [identity]

@@ -12,16 +12,18 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from tests.support.place import HOME
+
 mavsdk = pytest.importorskip("mavsdk", reason="mavsdk is not installed")
 
 SERVE = """
 import argparse, sys
-from sitl_mocks.vehicle import server as vehicle_server
+from sitl_mocks.vehicle import server
 parser = argparse.ArgumentParser()
-vehicle_server.add_arguments(parser)
-sys.exit(vehicle_server.run(parser.parse_args()))
+server.add_arguments(parser)
+sys.exit(server.run(parser.parse_args()))
 """
-LAT, LON = 47.397, 8.545
+LAT, LON = HOME.lat_deg, HOME.lon_deg
 PATIENCE_S = 40.0
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from companion.config import ArduRemoteIdRadio
 from companion.errors import ConfigError
+from companion.radio.arduremoteid.section import ArduRemoteIdRadio
 from companion.remote_id.messages import BasicId, IdType, Location, Status, System, UaType
 from companion.remote_id.transports import BLE4, BLE5, WIFI_BEACON
 from companion.runtime.radios import open_radio
@@ -74,9 +74,9 @@ def test_a_port_that_is_not_there_is_named(link: str, words: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--param", "NOPE=1"], "'NOPE': allowed are LOCK_LEVEL"),
+        (["--param", "NOPE=1"], "'NOPE'; allowed: LOCK_LEVEL"),
         (["--param", "BT4_RATE=x"], "'x' is not a number"),
-        (["--link", "tcp:127.0.0.1:1"], "allowed are serial and udpin:HOST:PORT"),
+        (["--link", "tcp:127.0.0.1:1"], "allowed: serial, udpin:HOST:PORT"),
     ],
 )
 def test_wrong_options_are_named(start: Callable[..., Any], arguments: list[str], words: str) -> None:

@@ -156,11 +156,11 @@ def test_flies_through_noise_and_a_cable_that_is_pulled_and_plugged_again(start,
     companion.wait_for("standby -> guarding")
     cable.wait_for_setpoints(20)
     cable.pull()
-    companion.wait_for("autopilot:921600: lost: .*; opening it again")
+    companion.wait_for("autopilot:921600: lost: .*; reopening it")
     # Which of both comes first is a matter of milliseconds.
     companion.wait_for("guarding -> fault: (own position older than|nothing commanded for)")
     cable.plug()
-    companion.wait_for("autopilot:921600: back")
+    companion.wait_for("autopilot:921600: restored")
     companion.wait_for("fault -> standby: own state fit again")
     cable.wait_for_setpoints(20)
     assert companion.end() == 0
@@ -208,12 +208,12 @@ def test_check_of_a_serial_port_that_is_well_noisy_of_another_rate_and_in_use(st
     brief = {"[vehicle]": "[vehicle]\nwait_s = 2.0"}
     (found,) = checked(**brief)["vehicle"]
     assert found["light"] == "red"
-    assert re.search(r"no vehicle within 2 s; [1-9]\d+ bytes came, and no MAVLink in them", found["text"])
+    assert re.search(r"no vehicle within 2 s; [1-9]\d+ bytes were received, but no MAVLink", found["text"])
     assert "baud rate" in found["do"]
 
     cable.spoil = bytes
     (found,) = checked(**{"[vehicle]": "[vehicle]\nwait_s = 2.0\nsystem_id = 7"})["vehicle"]
-    assert re.search(r"MAVLink came \([1-9]\d* frames\), but no autopilot's HEARTBEAT", found["text"])
+    assert re.search(r"[1-9]\d* MAVLink frames were received, but no autopilot HEARTBEAT", found["text"])
     assert "vehicle.system_id" in found["do"]
 
     with serial.Serial(str(cable.device), exclusive=True):

@@ -53,6 +53,6 @@ def test_a_swarm_in_which_companions_stop_and_pilots_take_over_breaks_no_rule(st
     assert sum(one["choices_while_held"] for one in found) > 0
     assert report["ok"] == all(one["unknown"] is None for one in found)
     assert code == (0 if report["ok"] else 1)
-    for name in report["faults"]:
-        assert f"{name}: what was done" in swarm.output
+    for name, one in report["faults"].items():
+        assert f"{name}, link {one['link']}: injected faults" in swarm.output
         assert (folder / "wire" / f"{name}.tlog").stat().st_size > 0

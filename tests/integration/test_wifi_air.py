@@ -23,10 +23,10 @@ from pathlib import Path
 
 import pytest
 
-from companion.config import WifiRadio
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
 from companion.radio.wifi.packet_socket import PacketSocket
+from companion.radio.wifi.section import WifiRadio
 from companion.radio.wifi.wifi_radio import SYNC_PERIOD_S, WifiTransport, stamp
 from companion.remote_id.captures.radiotap import build_radiotap, parse_radiotap
 from companion.remote_id.codec import encode_pack
@@ -267,7 +267,7 @@ def test_a_flood_is_taken_in_portions_and_losses_are_told(tap: Tap, radio: WifiT
         assert portion <= 256
         total += portion
     assert total < sent
-    assert f"{sent - total} heard frames lost" in radio.health(0.0).text
+    assert f"{sent - total} received frames lost" in radio.health(0.0).text
 
 
 @needs_tap
@@ -367,7 +367,7 @@ def test_five_ghz_goes_out_at_its_lowest_rate(tap: Tap) -> None:
     [
         (RADIOTAP_LINK, False, "is down: `ip link set"),
         (801, True, "link type 801; radiotap"),
-        (1, True, "is no Wi-Fi interface"),
+        (1, True, "is not a Wi-Fi interface"),
     ],
 )
 def test_an_interface_that_is_none_for_us_says_why(link: int, up: bool, words: str) -> None:

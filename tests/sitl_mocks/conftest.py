@@ -17,7 +17,7 @@ VELOCITY = 0xDC7
 
 
 class Bench:
-    """Speaks to one mock as component 1/191 and remembers all that it says."""
+    """Talks to one mock vehicle as component 1/191 and records all that it sends."""
 
     def __init__(self, options: VehicleOptions, seed: int = 1) -> None:
         self.vehicle = MockVehicle(options, numpy.random.default_rng(seed))
@@ -28,19 +28,19 @@ class Bench:
         self._readers: dict[int, MavlinkReader] = {}
 
     def send(self, message: Any, link: int = 0) -> list[Any]:
-        """Send one message; return what is answered at once on the link."""
+        """Send one message; return the immediate answers on the link."""
         self.vehicle.receive(self._writer.pack(message), self.now_s, link)
         return self.collect(link)
 
     def collect(self, link: int = 0) -> list[Any]:
-        """Read what waits on a link."""
+        """Read all waiting messages of a link."""
         reader = self._readers.setdefault(link, MavlinkReader())
         messages = reader.feed(self.vehicle.drain(link))
         self.seen += [(self.now_s, message) for message in messages]
         return messages
 
     def run(self, seconds: float, *setpoint: float, rate_hz: float = 20.0, **fields: Any) -> list[Any]:
-        """Let time pass, streaming a velocity if one is given; return what came on link 0."""
+        """Let time pass, streaming a velocity if one is given; return the messages received on link 0."""
         found: list[Any] = []
         ticks = round(seconds / 0.02)
         sent = 0

@@ -3,6 +3,7 @@ time."""
 
 from __future__ import annotations
 
+from companion.autopilot.dialect import DIALECTS
 from companion.autopilot.heard_vehicle import HeardVehicle
 from companion.autopilot.lists.fence import areas_from_items
 from companion.autopilot.lists.list_download import FENCE, MISSION, MissionDownload
@@ -14,7 +15,6 @@ from companion.events import (
     Event,
     FenceDownloaded,
     FenceRefused,
-    Firmware,
     MissionDownloaded,
     MissionRefused,
 )
@@ -41,8 +41,7 @@ class Downloads:
         elif self._download is not None and self._download.mission_type != mission_type:
             self._next = mission_type
         else:
-            # ArduPilot's item 0 is its home, not a part of the mission.
-            skip_home = mission_type == MISSION and vehicle.firmware is Firmware.ARDUPILOT
+            skip_home = mission_type == MISSION and DIALECTS[vehicle.firmware].home_is_item_zero
             self._download = MissionDownload(
                 vehicle.system_id, now_s, mission_type=mission_type, skip_home=skip_home
             )

@@ -59,7 +59,7 @@ def _areas(items: Sequence[MissionItem]) -> Iterator[FenceArea]:
                 inclusion=_CIRCLES[item.command], points=(_place(item),), radius_m=item.params[0]
             )
         else:
-            raise _refused(item, "not an item of a fence")
+            raise _refused(item, "not a fence item")
         fault = fault_of(area)
         if fault is not None:
             raise _refused(item, fault)
@@ -79,7 +79,7 @@ def _check_polygon(first: MissionItem, members: Sequence[MissionItem]) -> None:
     for number, item in enumerate(members):
         if (item.command, item.params[0]) != (first.command, count):
             raise _refused(
-                item, f"vertex {number} of item {first.seq}'s polygon has another command or vertex count"
+                item, f"vertex {number} of item {first.seq}'s polygon has a different command or vertex count"
             )
     if len(members) != count:
         raise _refused(first, f"{len(members)} of {count:g} vertices; the fence ends before the polygon does")
@@ -88,9 +88,9 @@ def _check_polygon(first: MissionItem, members: Sequence[MissionItem]) -> None:
 def _place(item: MissionItem) -> tuple[float, float]:
     """Latitude and longitude of an item."""
     if item.frame not in GLOBAL_FRAMES:
-        raise _refused(item, f"MAV_FRAME {item.frame} is not a global one")
+        raise _refused(item, f"MAV_FRAME {item.frame} is not a global frame")
     if item.lat_deg is None or item.lon_deg is None:
-        raise _refused(item, "latitude or longitude left open")
+        raise _refused(item, "latitude or longitude is missing")
     return item.lat_deg, item.lon_deg
 
 

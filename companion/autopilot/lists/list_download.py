@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.encoders import Outgoing, mission_ack, mission_request, mission_request_list
 from companion.autopilot.readers import Fields, finite_or_none
+from companion.autopilot.wire import names_of
 from companion.errors import PeerDataError
 from companion.events import MissionItem
 
@@ -27,15 +28,21 @@ INT_TRIES = 3
 TOTAL_S = 60.0
 MAX_ITEMS = 2000
 
-GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
+GLOBAL_FRAMES = frozenset(
+    {
+        mavlink.MAV_FRAME_GLOBAL,
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        mavlink.MAV_FRAME_GLOBAL_INT,
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+        mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT,
+        mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
+    }
+)
 """MAV_FRAMEs whose x and y are latitude and longitude."""
 _INT32_MAX = 0x7FFF_FFFF
 MISSION = mavlink.MAV_MISSION_TYPE_MISSION
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE
-_RESULTS: dict[int, str] = {
-    number: entry.name.removeprefix("MAV_MISSION_").lower().replace("_", " ")
-    for number, entry in mavlink.enums["MAV_MISSION_RESULT"].items()
-}
+_RESULTS = names_of("MAV_MISSION_RESULT", "MAV_MISSION_")
 
 
 def item_from_int(fields: Fields) -> MissionItem:
@@ -98,7 +105,7 @@ class MissionDownload:
             return None
         what = "MISSION_COUNT" if self._count is None else f"item {len(self._got)} of {self._count}"
         if self._tries == MAX_TRIES or now_s - self._started_s > TOTAL_S:
-            self.failed = f"{what} did not come after {self._tries} tries"
+            self.failed = f"{what} was not received after {self._tries} tries"
             return self._cancel()
         self._tries += 1
         self._next_s = now_s + RETRY_S
@@ -144,14 +151,13 @@ class MissionDownload:
         """Take MISSION_ACK in wire order. Any result but "accepted" ends the download."""
         result, mission_type = fields[2], fields[3]
         if mission_type == self.mission_type and result != 0:
-            self.failed = f"the vehicle answered: {_RESULTS.get(result, f'result {result}')}"
+            words = _RESULTS.get(result, f"result {result}").lower().replace("_", " ")
+            self.failed = f"the vehicle answered: {words}"
 
     def on_mavlink1(self) -> None:
         """An answer came in MAVLink 1; its content does not matter."""
         if self.mission_type != MISSION:
-            self.failed = (
-                "the vehicle speaks MAVLink 1, which carries missions only; set the port to MAVLink 2"
-            )
+            self.failed = "the vehicle uses MAVLink 1, which carries missions only; set the port to MAVLink 2"
 
     def _progress(self, now_s: float) -> None:
         self._tries = 0

@@ -16,23 +16,23 @@ from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.wire import names_of
 from companion.config import TrajectoryFile, Waypoint
 from companion.errors import ConfigError
 from companion.events import MissionItem
 from companion.geometry import LocalFrame, Vec3
 
-NAV_WAYPOINT = 16
-NAV_LOITER_UNLIM = 17
-NAV_LOITER_TURNS = 18
-NAV_LOITER_TIME = 19
-NAV_RETURN_TO_LAUNCH = 20
-NAV_LAND = 21
-NAV_TAKEOFF = 22
-NAV_SPLINE_WAYPOINT = 82
-NAV_DELAY = 93
-DO_CHANGE_SPEED = 178
-_JUMPS = frozenset({177, 601})
-"""DO_JUMP, DO_JUMP_TAG."""
+NAV_WAYPOINT: int = mavlink.MAV_CMD_NAV_WAYPOINT
+NAV_LOITER_UNLIM: int = mavlink.MAV_CMD_NAV_LOITER_UNLIM
+NAV_LOITER_TURNS: int = mavlink.MAV_CMD_NAV_LOITER_TURNS
+NAV_LOITER_TIME: int = mavlink.MAV_CMD_NAV_LOITER_TIME
+NAV_RETURN_TO_LAUNCH: int = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
+NAV_LAND: int = mavlink.MAV_CMD_NAV_LAND
+NAV_TAKEOFF: int = mavlink.MAV_CMD_NAV_TAKEOFF
+NAV_SPLINE_WAYPOINT: int = mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT
+NAV_DELAY: int = mavlink.MAV_CMD_NAV_DELAY
+DO_CHANGE_SPEED: int = mavlink.MAV_CMD_DO_CHANGE_SPEED
+_JUMPS = frozenset({mavlink.MAV_CMD_DO_JUMP, mavlink.MAV_CMD_DO_JUMP_TAG})
 
 MAX_SPEED_MPS = 100.0
 MAX_HOLD_S = 3600.0
@@ -45,17 +45,15 @@ SAME_PLACE_M = 0.01
 
 _PLACES = frozenset({NAV_WAYPOINT, NAV_LOITER_UNLIM, NAV_LOITER_TURNS, NAV_LOITER_TIME, NAV_SPLINE_WAYPOINT})
 """Commands that lead to a place and stay in the air."""
-_MSL_FRAMES = frozenset({0, 5})
-_HOME_FRAMES = frozenset({3, 6})
-_SPEED_KINDS = (0.0, 1.0)
+_MSL_FRAMES = frozenset({mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT})
+_HOME_FRAMES = frozenset({mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
+_SPEED_KINDS = (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED)
 """DO_CHANGE_SPEED param 1: airspeed and ground speed. For a multirotor both are the same."""
 _ALLOWED = (
     "NAV_WAYPOINT, NAV_LOITER_TIME, NAV_DELAY, DO_CHANGE_SPEED, NAV_TAKEOFF before the first waypoint, "
     "and NAV_LAND or NAV_RETURN_TO_LAUNCH as the end"
 )
-_NAMES: dict[int, str] = {
-    number: entry.name.removeprefix("MAV_CMD_") for number, entry in mavlink.enums["MAV_CMD"].items()
-}
+_NAMES = names_of("MAV_CMD", "MAV_CMD_")
 
 
 def path_from_mission(

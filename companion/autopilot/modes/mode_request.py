@@ -14,10 +14,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
-from companion.autopilot.dialect import CMD_DO_SET_MODE, CUSTOM_MODE_ENABLED, Dialect
+from companion.autopilot.dialect import CMD_DO_SET_MODE
+from companion.autopilot.dialects.definition import CUSTOM_MODE_ENABLED, Dialect
 from companion.autopilot.encoders import Outgoing, command_long
+from companion.autopilot.wire import names_of
 from companion.events import FlightMode
 
 RETRY_S = 1.0
@@ -33,15 +33,12 @@ _LONGEST_S = 2 * _SETTLED_S
 """Longest time that a try is held back. PX4 reports its mode with every command that it takes, so a vehicle
 whose gimbal is commanded all the time would otherwise hold it back forever."""
 
-_RESULTS: dict[int, str] = {
-    number: entry.name.removeprefix("MAV_RESULT_").lower().replace("_", " ")
-    for number, entry in mavlink.enums["MAV_RESULT"].items()
-}
+_RESULTS = names_of("MAV_RESULT", "MAV_RESULT_")
 
 
 def result_words(result: int) -> str:
     """MAV_RESULT in words."""
-    return _RESULTS.get(result, f"result {result}")
+    return _RESULTS.get(result, f"result {result}").lower().replace("_", " ")
 
 
 @dataclass(slots=True)
@@ -149,7 +146,7 @@ class ModeRequest:
             name = self._dialect.name
             self.refused = (
                 f"the vehicle went from {name(self._from_mode)} to {name(custom_mode)} while "
-                f"{name(self._command.custom_mode)} was asked for"
+                f"{name(self._command.custom_mode)} was requested"
             )
 
     def forget(self) -> None:
@@ -169,8 +166,8 @@ class ModeRequest:
         text = f'; it said: "{self._text}"' if self._text else ""
         name = self._dialect.name(self._command.custom_mode)
         heard = (
-            f"still in {self._dialect.name(self._from_mode)}"
+            f"the vehicle is still in {self._dialect.name(self._from_mode)}"
             if self._heard
-            else "no heartbeat since the last"
+            else "no heartbeat since the last try"
         )
-        return f"{name} not entered, tries: {self._tries} ({answer}{text}); {heard}"
+        return f"{name} not entered (tries: {self._tries}; {answer}{text}); {heard}"

@@ -15,17 +15,25 @@ import math
 import struct
 
 import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.autopilot.dialect import Dialect
+from companion.autopilot.dialects.definition import Dialect
 from companion.errors import PeerDataError
 from companion.events import Parameter, VehicleParameters
 
 RETRY_S = 1.0
 MAX_TRIES = 5
 
-_REAL32 = 9
-_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}
-"""MAV_PARAM_TYPE -> layout of the first bytes."""
+_REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+_INTEGERS = {
+    mavlink.MAV_PARAM_TYPE_UINT8: "<B",
+    mavlink.MAV_PARAM_TYPE_INT8: "<b",
+    mavlink.MAV_PARAM_TYPE_UINT16: "<H",
+    mavlink.MAV_PARAM_TYPE_INT16: "<h",
+    mavlink.MAV_PARAM_TYPE_UINT32: "<I",
+    mavlink.MAV_PARAM_TYPE_INT32: "<i",
+}
+"""Layout of the first bytes by type."""
 _VALUE_BYTES = 4
 
 
@@ -100,6 +108,6 @@ class ParameterReader:
         value = float(struct.unpack_from(layout, data)[0])
         if kind != _REAL32 and not value.is_integer():
             raise PeerDataError(
-                f"parameter {name}: {value:g} is no integer, as its MAV_PARAM_TYPE {kind} says"
+                f"parameter {name}: {value:g} is not an integer, but its MAV_PARAM_TYPE is {kind}"
             )
         return value

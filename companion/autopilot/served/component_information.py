@@ -37,8 +37,6 @@ _COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND
 _VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 _OF_ALL = (COMPONENT_INFORMATION_BASIC, COMPONENT_METADATA)
 """Messages that may be requested from all components at once."""
-_ACCEPTED, _DENIED, _UNSUPPORTED = 0, 2, 3
-"""MAV_RESULT values."""
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_FTP
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
@@ -136,9 +134,9 @@ class ComponentInformation:
             reply = self._files.reply(*to, payload)
             return Answer([(_FTP, _FTP_TARGET.pack(0, *to) + reply.payload)], reply.refused)
         content = self._content(asker.message_id, now_s)
-        result = _ACCEPTED
+        result = mavlink.MAV_RESULT_ACCEPTED
         if content is None:
-            result = _DENIED if asker.message_id < 0 else _UNSUPPORTED
+            result = mavlink.MAV_RESULT_DENIED if asker.message_id < 0 else mavlink.MAV_RESULT_UNSUPPORTED
         ack = _ACK_LAYOUT.pack(asker.command, result, 0, 0, *to)
         messages = [(mavlink.MAVLINK_MSG_ID_COMMAND_ACK, ack)]
         if content is not None:

@@ -11,6 +11,8 @@ import zlib
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 PAYLOAD_BYTES = 251
 """Length of FILE_TRANSFER_PROTOCOL's payload."""
 DATA_BYTES = 239
@@ -19,10 +21,9 @@ MOST_SESSIONS = 8
 """Largest number of open files of all clients together. Beyond it, the file opened first is closed."""
 _HEAD = struct.Struct("<HBBBBBxI")
 _U32 = struct.Struct("<I")
-# Values of MAV_FTP_OPCODE.
-_NONE, _TERMINATE, _RESET, _OPEN, _READ, _CRC, _BURST, _ACK, _NAK = 0, 1, 2, 4, 5, 14, 15, 128, 129
-# Values of MAV_FTP_ERR.
-_DATA_SIZE, _SESSION, _EOF, _UNKNOWN, _NOT_FOUND = 3, 4, 6, 7, 10
+_ACK: int = mavlink.MAV_FTP_OPCODE_ACK
+_NAK: int = mavlink.MAV_FTP_OPCODE_NAK
+_BURST: int = mavlink.MAV_FTP_OPCODE_BURSTREADFILE
 
 
 class Reply(NamedTuple):
@@ -76,46 +77,46 @@ class FileServer:
         key, refused = (system_id, component_id, session), False
         try:
             if size > DATA_BYTES:
-                raise _NakError(_DATA_SIZE)
+                raise _NakError(mavlink.MAV_FTP_ERR_INVALIDDATASIZE)
             kind, data = _ACK, self._answer(key, opcode, size, offset, request[_HEAD.size :][:size])
         except _NakError as nak:
-            kind, data, refused = _NAK, bytes((nak.error,)), nak.error != _EOF
+            kind, data, refused = _NAK, bytes((nak.error,)), nak.error != mavlink.MAV_FTP_ERR_EOF
         head = _HEAD.pack((seq + 1) & 0xFFFF, session, kind, len(data), opcode, opcode == _BURST, offset)
         return Reply((head + data).ljust(PAYLOAD_BYTES, b"\0"), refused)
 
     def _answer(self, key: tuple[int, int, int], opcode: int, size: int, offset: int, data: bytes) -> bytes:
         """Data of the ACK."""
-        if opcode == _NONE:
+        if opcode == mavlink.MAV_FTP_OPCODE_NONE:
             return b""
-        if opcode == _TERMINATE:
+        if opcode == mavlink.MAV_FTP_OPCODE_TERMINATESESSION:
             self._open.pop(key, None)
             return b""
-        if opcode == _RESET:
+        if opcode == mavlink.MAV_FTP_OPCODE_RESETSESSION:
             # A reset closes the client's own files, not those of another client.
             self._open = {k: file for k, file in self._open.items() if k[:2] != key[:2]}
             return b""
-        if opcode == _OPEN:
+        if opcode == mavlink.MAV_FTP_OPCODE_OPENFILERO:
             file = self._file(data)
             self._open.pop(key, None)
             if len(self._open) >= MOST_SESSIONS:
                 del self._open[next(iter(self._open))]
             self._open[key] = file
             return _U32.pack(len(file))
-        if opcode == _CRC:
+        if opcode == mavlink.MAV_FTP_OPCODE_CALCFILECRC:
             return _U32.pack(crc32(self._file(data)))
-        if opcode not in (_READ, _BURST):
-            raise _NakError(_UNKNOWN)
+        if opcode not in (mavlink.MAV_FTP_OPCODE_READFILE, _BURST):
+            raise _NakError(mavlink.MAV_FTP_ERR_UNKNOWNCOMMAND)
         if key not in self._open:
-            raise _NakError(_SESSION)
+            raise _NakError(mavlink.MAV_FTP_ERR_INVALIDSESSION)
         if size == 0:
-            raise _NakError(_DATA_SIZE)
+            raise _NakError(mavlink.MAV_FTP_ERR_INVALIDDATASIZE)
         piece = self._open[key][offset : offset + size]
         if not piece:
-            raise _NakError(_EOF)
+            raise _NakError(mavlink.MAV_FTP_ERR_EOF)
         return piece
 
     def _file(self, path: bytes) -> bytes:
         file = self._files.get(path.split(b"\0", 1)[0].removeprefix(b"/"))
         if file is None:
-            raise _NakError(_NOT_FOUND)
+            raise _NakError(mavlink.MAV_FTP_ERR_FILENOTFOUND)
         return file

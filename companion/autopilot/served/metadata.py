@@ -20,21 +20,21 @@ MODEL = "companion"
 GENERAL = "general.json"
 _PARAMETER = "parameter.json"
 _TYPE_PARAMETER = 1
-"""COMP_METADATA_TYPE_PARAMETER."""
+"""COMP_METADATA_TYPE_PARAMETER, which pymavlink's dialect lacks."""
 _NEXT_PATH = (
-    "Counts from the next path on, not for the one that is flown. The default is the configuration's value."
+    "Applies from the next path on, not to the path being flown. The default is the configured value."
 )
 _TEXTS = {
     ENABLE: (
         "",
-        "Keep apart",
-        "0: it broadcasts, listens and warns, and leaves the vehicle alone. 1: it flies or guards the "
-        "vehicle as configured. Counts at once: 0 in flight has the vehicle hold.",
+        "Command the vehicle",
+        "0: the companion broadcasts, receives and warns, but does not command the vehicle. 1: it flies or "
+        "guards the vehicle as configured. Applies at once: 0 in flight makes the vehicle hold.",
     ),
     "DMUCA_RADIUS": (
         "m",
         "Conflict radius",
-        f"Least distance that is kept from other drones. {_NEXT_PATH}",
+        f"Minimum distance that is kept from other drones. {_NEXT_PATH}",
     ),
     "DMUCA_HORIZON": (
         "s",
@@ -43,8 +43,8 @@ _TEXTS = {
     ),
     "DMUCA_SPD_MAX": (
         "m/s",
-        "Greatest horizontal speed",
-        "The companion asks for no more; a value that the path to be flown does not allow is refused. "
+        "Maximum horizontal speed",
+        "The companion commands no higher speed. A value too low for the path to be flown is refused. "
         f"{_NEXT_PATH}",
     ),
 }

@@ -30,7 +30,7 @@ _LIST = mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST
 _READ = mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ
 _SET = mavlink.MAVLINK_MSG_ID_PARAM_SET
 MESSAGE_IDS = frozenset({_LIST, _READ, _SET})
-_REAL32 = 9
+_REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 _VALUE = struct.Struct("<fHH16sB")
 _INDEX = {name.encode("ascii"): index for index, name in enumerate(NAMES)}
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from companion.autopilot.wire import MAGIC_V2, Frame, FrameScanner, MavlinkWriter
+from companion.radio.radio import ByteLink
 from companion.remote_id.mavlink import ARM_STATUS, COMPONENT_ID, MAV_TYPE, decode_arm_status
 
 OWN_COMPONENT: Final = 191
@@ -55,26 +56,6 @@ _LOST_FRAMES: Final = 8
 """Frames that may be lost at once. A greater step of the sequence number counts as a restart."""
 _FRAMES_PER_S: Final = 4
 _REORDERED: Final = 248
-
-
-class ByteLink(Protocol):
-    """The part of `companion.runtime.links.kept_link.KeptLink` that is used here. Only `wait` takes time."""
-
-    def wait(self, timeout_s: float) -> None:
-        """Wait until bytes arrive, at most this long."""
-        ...
-
-    def receive(self, now_s: float) -> bytes:
-        """Return the bytes that have arrived."""
-        ...
-
-    def send(self, data: bytes) -> None:
-        """Send now. Bytes that cannot be sent now are lost."""
-        ...
-
-    def close(self) -> None:
-        """Release the link."""
-        ...
 
 
 class Module:
@@ -158,7 +139,7 @@ class Module:
                 last payload on the air for ever).
         """
         if name not in SETTABLE or not 0.0 < value < math.inf:
-            raise ValueError(f"parameter {name} = {value}: only rates are set, above 0")
+            raise ValueError(f"parameter {name} = {value}: allowed: only rates, above 0")
         payload = _PARAM_SET.pack(value, self._system_id, COMPONENT_ID, name.encode(), _REAL32)
         self._link.send(self._writer.pack_payload(_PARAM_SET_ID, payload))
 

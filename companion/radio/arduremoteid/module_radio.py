@@ -21,8 +21,9 @@ import msgspec
 
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
-from companion.radio.arduremoteid.module_messages import PARAMETERS, SILENT_AFTER_S, ByteLink, Module
-from companion.radio.radio import Health
+from companion.radio.arduremoteid.module_messages import PARAMETERS, SILENT_AFTER_S, Module
+from companion.radio.arduremoteid.section import ArduRemoteIdRadio
+from companion.radio.radio import ByteLink, Health, RadioContext
 from companion.remote_id.mavlink import COMPONENT_ID, encode_odid
 from companion.remote_id.messages import (
     Authentication,
@@ -166,7 +167,7 @@ class ArduRemoteIdTransport:
                 f"{self._name}: the module is locked (LOCK_LEVEL {params.get('LOCK_LEVEL', 1.0):g}) "
                 f"with {are}, wanted {_values(low)}: choose a transport and rate that it has "
                 f"({self._named(self._on) or 'none'}), "
-                "or have it set by whoever holds the module's key (a signed command)"
+                "or let the holder of the module's key set it (a signed command)"
             )
         words = tuple(self._outcome(RATES[t], rate, probe=probe) for t, rate in sorted(rates.items()))
         if not probe:
@@ -216,7 +217,7 @@ class ArduRemoteIdTransport:
         can_send = self._on - waiting if alive else frozenset()
         wrong = self._wrong(now_s)
         ready = self._good(now_s)
-        parts = wrong or ["module sends" if ready else "module answers; nothing confirmed yet"]
+        parts = wrong or ["module sends" if ready else "module answers but has not confirmed anything yet"]
         if extra := self._on - self._wanted if self._configured else frozenset():
             parts.append(f"also on the air, and cannot be switched off here: {self._named(extra)}")
         if self._module.said:
@@ -257,22 +258,20 @@ class ArduRemoteIdTransport:
         self._wait_for(lambda: not module.asking, OPEN_WAIT_S)
         if not any(name in module.params for name in RATES.values()):
             raise ConfigError(
-                f"{self._name}: the module sends heartbeats but answers for none of its rates (BT4_RATE, "
-                "...): is it ArduRemoteID, and does the wire to its receive pin work?"
+                f"{self._name}: the module sends heartbeats but does not report its rates (BT4_RATE, "
+                "...); check that it is ArduRemoteID, and the wire to its receive pin"
             )
 
     def _why_silent(self) -> str:
         module = self._module
         if b"Waiting for heartbeat" in module.raw:
-            return "it prints that it waits for a heartbeat: check the wire from here to its receive pin"
+            return "it reports that it waits for a heartbeat; check the wire from here to its receive pin"
         if module.others:
             heard = ", ".join(map(str, sorted(module.others)))
-            return (
-                f"MAVLink comes from other components ({heard}), none from {COMPONENT_ID}: is it the module?"
-            )
+            return f"MAVLink comes from components {heard}, not from {COMPONENT_ID}; is this the module?"
         if module.raw:
-            return "what comes is no MAVLink: check the baud rate (the module's is BAUDRATE, usually 57600)"
-        return "nothing comes at all: check power, wiring and the link's name"
+            return "the data is not MAVLink; check the baud rate (the module's is BAUDRATE, usually 57600)"
+        return "no data at all; check power, wiring and the link's name"
 
     def _wait_for(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         end_s = self._clock() + timeout_s
@@ -290,10 +289,10 @@ class ArduRemoteIdTransport:
         name = RATES.get(transport)
         if name is None or name not in self._module.params:
             able = ", ".join(sorted(t for t, n in RATES.items() if n in self._module.params))
-            raise ConfigError(f"{self._name}: the module cannot send on {transport!r}; it can on: {able}")
+            raise ConfigError(f"{self._name}: the module cannot send on {transport!r}; allowed: {able}")
         if not 1 <= rate <= MAX_RATE:
             raise ConfigError(
-                f"{self._name}: {transport}: {rate} messages a second; the module sends 1 to {MAX_RATE}"
+                f"{self._name}: {transport}: {rate} messages a second; allowed: 1 to {MAX_RATE}"
             )
 
     def _outcome(self, name: str, rate: int, *, probe: bool) -> str:
@@ -307,7 +306,7 @@ class ArduRemoteIdTransport:
             else f"set {name} to {rate} (was {before:g})"
         )
         if name in _BLUETOOTH and before == 0.0:
-            text += ": it comes on the air when the module is power-cycled"
+            text += "; it starts when the module is power-cycled"
         return text
 
     def _set(self, name: str, rate: float) -> None:
@@ -320,7 +319,7 @@ class ArduRemoteIdTransport:
             self._module.ask(name)
             if self._wait_for(lambda: params[name] == rate, _SET_WAIT_S):
                 return
-        said = f'; it says "{self._module.said}"' if self._module.said else ""
+        said = f'; it reports "{self._module.said}"' if self._module.said else ""
         raise ConfigError(f"{self._name}: the module keeps {name} at {params[name]:g}, wanted {rate:g}{said}")
 
     # ------------------------------------------------------------ feeding
@@ -385,23 +384,23 @@ class ArduRemoteIdTransport:
             wrong.append(f"power-cycle the module: {self._named(waiting)} was switched on and starts with it")
         if lost := self._wanted - self._on:
             what = (
-                "its lock does not let it be switched on again"
+                "the module is locked, so it cannot be switched on again"
                 if self._locked
                 else "restart the companion, on the ground, to switch it on again"
             )
-            wrong.append(f"no longer on: {self._named(lost)}: {what}")
+            wrong.append(f"no longer on the air: {self._named(lost)}; {what}")
         if self._first_s is None or now_s - self._first_s < _SETTLE_S:
             return wrong
         if not self._good(now_s):
             wrong.append(self._refusal(now_s))
         if self._undated:
-            wrong.append("the module leaves System out while the time is unknown")
+            wrong.append("the module does not send System messages while the time is unknown")
         return wrong
 
     def _refusal(self, now_s: float) -> str:
         arm = self._module.arm
         if arm is None or now_s - arm[0] > SILENT_AFTER_S:
-            return "module gives no ARM_STATUS"
+            return "module sends no ARM_STATUS"
         words = [_WORDS[token] for token in arm[2].split() if token in _WORDS]
         return f"module refuses: {arm[2]}" + (f" ({', '.join(dict.fromkeys(words))})" if words else "")
 
@@ -421,18 +420,18 @@ class ArduRemoteIdTransport:
                 "with a receiver that it is this aircraft's"
             )
         elif not self._option(_DONT_SAVE_BASIC_ID):
-            notes.append("the module held no Basic ID: it stores the first one it is sent, for good")
+            notes.append("the module held no Basic ID; it stores the first one that it receives permanently")
         if self._option(_DONT_SAVE_BASIC_ID):
-            notes.append("OPTIONS 2 is set: the module sends the Basic ID it is given, and stores none")
+            notes.append(
+                "OPTIONS 2 is set: the module sends the Basic ID that it is given, and does not store it"
+            )
         if self._option(_FORCE_ARM_OK):
             notes.append(
-                "OPTIONS 1 is set: the module always says that it is good to arm, so that counts for nothing"
+                "OPTIONS 1 is set: the module always reports that it is good to arm, so that proves nothing"
             )
         for name, before in self._raised.items():
             if before > 0.0:
-                notes.append(
-                    f"{name} was {before:g}: how often it is on the air follows when the module restarts"
-                )
+                notes.append(f"{name} was {before:g}; the new rate takes effect when the module restarts")
         return tuple(notes)
 
 
@@ -442,3 +441,13 @@ def _key(message: Message) -> object:
 
 def _values(rates: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {rate:g}" for name, rate in sorted(rates.items()))
+
+
+def open_radio(section: ArduRemoteIdRadio, context: RadioContext) -> ArduRemoteIdTransport:
+    """Open the link to the module that a configuration names.
+
+    Raises:
+        ConfigError: the link cannot be opened, or the module does not answer.
+    """
+    link = context.open_link(section.link)
+    return ArduRemoteIdTransport(link, section.system_id, context.now_s, section.link)

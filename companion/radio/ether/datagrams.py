@@ -93,7 +93,7 @@ def encode(datagram: Datagram) -> bytes:
         case Join(name=name):
             body = name.encode()
             if not 1 <= len(body) <= MAX_NAME_BYTES:
-                raise ValueError(f"name of {len(body)} bytes: 1 to {MAX_NAME_BYTES}")
+                raise ValueError(f"name of {len(body)} bytes; allowed: 1 to {MAX_NAME_BYTES}")
             return _head(1) + body
         case Leave():
             return _head(2)
@@ -112,7 +112,7 @@ def decode(data: bytes) -> Datagram:
         PeerDataError: the bytes are no valid datagram. The text names the field.
     """
     if len(data) < _HEAD.size:
-        raise PeerDataError(f"ether datagram of {len(data)} bytes")
+        raise PeerDataError(f"ether datagram of {len(data)} bytes, shorter than its header of {_HEAD.size}")
     magic, version, kind = _HEAD.unpack_from(data)
     if magic != _MAGIC:
         raise PeerDataError("ether datagram: wrong magic")
@@ -156,23 +156,25 @@ def _frame_body(datagram: Send | Heard) -> bytes:
     if len(address) != _ADDRESS_BYTES:
         raise ValueError(f"address {datagram.address!r} is not {_ADDRESS_BYTES} bytes")
     if not 1 <= len(datagram.frame) <= MAX_FRAME_BYTES:
-        raise ValueError(f"frame of {len(datagram.frame)} bytes: 1 to {MAX_FRAME_BYTES}")
+        raise ValueError(f"frame of {len(datagram.frame)} bytes; allowed: 1 to {MAX_FRAME_BYTES}")
     return bytes((code,)) + address + datagram.frame
 
 
 def _frame_fields(body: bytes) -> tuple[str, str, bytes]:
     start = 1 + _ADDRESS_BYTES
     if not start < len(body) <= start + MAX_FRAME_BYTES:
-        raise PeerDataError(f"ether datagram: frame of {len(body) - start} bytes")
+        raise PeerDataError(
+            f"ether datagram: frame of {len(body) - start} bytes; allowed: 1 to {MAX_FRAME_BYTES}"
+        )
     transport = _TRANSPORTS.get(body[0])
     if transport is None:
-        raise PeerDataError(f"ether datagram: transport {body[0]}")
+        raise PeerDataError(f"ether datagram: unknown transport {body[0]}")
     return transport, body[1:start].hex(":"), body[start:]
 
 
 def _name(body: bytes) -> str:
     if not 1 <= len(body) <= MAX_NAME_BYTES:
-        raise PeerDataError(f"ether datagram: name of {len(body)} bytes")
+        raise PeerDataError(f"ether datagram: name of {len(body)} bytes; allowed: 1 to {MAX_NAME_BYTES}")
     try:
         name = body.decode()
     except UnicodeDecodeError as error:

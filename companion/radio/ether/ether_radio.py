@@ -9,8 +9,9 @@ from companion.errors import ConfigError, PeerDataError
 from companion.events import RemoteIdHeard
 from companion.radio.ether import datagrams
 from companion.radio.ether.datagrams import Heard, Join, Leave, Send, Welcome
+from companion.radio.ether.section import EtherRadio
 from companion.radio.frames_io import TRANSPORTS, FrameReceiver, FrameSender
-from companion.radio.radio import Health
+from companion.radio.radio import Health, RadioContext
 from companion.remote_id.messages import Message
 
 _MAX_READS = 256
@@ -33,7 +34,7 @@ class EtherTransport:
     def __init__(self, endpoint: str, name: str, address: str) -> None:
         host, port = datagrams.parse_endpoint(endpoint, "radio.address")
         if port == 0:
-            raise ConfigError(f"radio.address: {endpoint!r}: port 0 is nobody's")
+            raise ConfigError(f"radio.address: {endpoint!r}: port 0; allowed: 1 to 65535")
         self._endpoint = endpoint
         self._address = address
         self._sender = FrameSender(address)
@@ -162,3 +163,12 @@ class EtherTransport:
             # The buffer is full or no process listens. A radio does not stop for that; the caller counts it.
             return False
         return True
+
+
+def open_radio(section: EtherRadio, context: RadioContext) -> EtherTransport:
+    """Join the simulated air that a configuration names.
+
+    Raises:
+        ConfigError: its address cannot be resolved.
+    """
+    return EtherTransport(section.address, context.name, context.address)

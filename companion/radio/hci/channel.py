@@ -132,7 +132,7 @@ class UserChannel(_SocketChannel):
 
 def user_channel_error(number: int, code: int) -> str:
     """Explain why a user channel cannot be opened, and what to do."""
-    down = f'"systemctl stop bluetooth" and "hciconfig hci{number} down" free it'
+    down = f'"systemctl stop bluetooth" and "hciconfig hci{number} down" release it'
     reasons = {
         errno.EPERM: "not allowed: the program needs the capability CAP_NET_ADMIN (or root)",
         errno.EACCES: "not allowed: the program needs the capability CAP_NET_ADMIN (or root)",
@@ -155,7 +155,7 @@ class TcpChannel(_SocketChannel):
         try:
             sock = socket.create_connection((host, port), timeout=_CONNECT_S)
         except ValueError as error:  # no valid name: a zero byte, a label of more than 63 bytes
-            raise ConfigError(f"radio.channel: {name}: {host!r} is no host name") from error
+            raise ConfigError(f"radio.channel: {name}: {host!r} is not a host name") from error
         except OSError as error:
             raise ConfigError(f"radio.channel: {name}: {error.strerror or error}") from error
         try:

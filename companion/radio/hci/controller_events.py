@@ -98,7 +98,7 @@ def parse_event(packet: bytes) -> HciEvent | None:
         PeerDataError: the event is cut short, or its lengths disagree.
     """
     if len(packet) < 2 or len(packet) != 2 + packet[1]:
-        raise PeerDataError(f"HCI event of {len(packet)} bytes does not have the length that it announces")
+        raise PeerDataError(f"HCI event of {len(packet)} bytes differs from the length that it announces")
     code, body = packet[0], packet[2:]
     try:
         if code == _LE_META:
@@ -170,13 +170,13 @@ def _parse_legacy_reports(body: bytes) -> tuple[Report, ...]:
 def _data(body: bytes, offset: int, length: int) -> bytes:
     data = body[offset : offset + length]
     if len(data) != length:
-        raise PeerDataError(f"report announces {length} bytes at offset {offset}, {len(data)} are there")
+        raise PeerDataError(f"report announces {length} bytes at offset {offset}, but holds {len(data)}")
     return data
 
 
 def _check_end(body: bytes, offset: int) -> None:
     if offset != len(body):
-        raise PeerDataError(f"{len(body) - offset} bytes behind the last report of the event")
+        raise PeerDataError(f"{len(body) - offset} bytes after the last report of the event")
 
 
 class H4Reader:

@@ -21,8 +21,9 @@ from companion.radio.frames_io import FrameReceiver, FrameSender
 from companion.radio.hci.advertising import NAMES, HciCounts
 from companion.radio.hci.channel import READ_SIZE, Channel, open_channel
 from companion.radio.hci.reports import HeardFrame
+from companion.radio.hci.section import HciRadio
 from companion.radio.hci.session import HciSession
-from companion.radio.radio import Health
+from companion.radio.radio import Health, RadioContext
 from companion.remote_id.messages import Message
 from companion.remote_id.transports import BLE5
 
@@ -203,7 +204,7 @@ class HciTransport:
             sent, lost, refused = counts.sent, counts.lost, counts.refused
             unconfirmed, malformed, overrun = counts.unconfirmed, counts.malformed, counts.overrun
         if not self._thread.is_alive() and not self._closed.is_set():
-            failure, can_send = "its thread has ended, a fault of this program", frozenset()
+            failure, can_send = "its thread has ended; this is a fault of this program", frozenset()
         ok = failure is None and trouble is None and not self._closed.is_set()
         parts = [self._state(failure, trouble)]
         if lost:
@@ -213,7 +214,7 @@ class HciTransport:
         if unconfirmed:
             parts.append(f"{unconfirmed} advertising events not confirmed")
         if overrun:
-            parts.append(f"{overrun} heard frames lost, as they came too fast")
+            parts.append(f"{overrun} received frames lost because they came too fast")
         return Health(
             ok=ok,
             text="; ".join(parts),
@@ -324,3 +325,12 @@ class HciTransport:
 
 def _fault(error: Exception) -> str:
     return f"a fault of this program: {error!r}"
+
+
+def open_radio(section: HciRadio, context: RadioContext) -> HciTransport:
+    """Open the controller that a configuration names.
+
+    Raises:
+        ConfigError: it cannot be opened. The text says what is missing.
+    """
+    return HciTransport(section.channel, context.address, send=section.send, listen=section.listen)

@@ -43,8 +43,8 @@ _IN_USE_S: Final = 5.0
 _MAX_HEARD: Final = 1024
 
 _WHAT_TO_CHECK: Final = (
-    "is it a Bluetooth controller that speaks HCI, does no other program use it, and on a UART, are the baud "
-    "rate and the RTS/CTS lines right?"
+    "check that it is a Bluetooth controller with HCI, that no other program uses it, and on a UART the baud "
+    "rate and the RTS/CTS lines"
 )
 
 
@@ -150,7 +150,7 @@ class HciSession:
                 case HardwareError(code):
                     self._fail(f"the controller reports a hardware error (0x{code:02x})")
         if self._reader.dropped_in_row > _MAX_GARBAGE:
-            self._fail(f"it sends, but not HCI events (H4): {_WHAT_TO_CHECK}")
+            self._fail(f"it sends data, but no HCI events (H4): {_WHAT_TO_CHECK}")
         self.tick(now_s)
 
     def tick(self, now_s: float) -> None:
@@ -220,7 +220,7 @@ class HciSession:
 
     def _no_answer(self, now_s: float) -> None:
         if self._outstanding is None:
-            self._fail("the controller takes no more commands")
+            self._fail("the controller accepts no more commands")
         elif self._reset_answered:
             self._fail(f"no answer to {self._outstanding.words}: {_WHAT_TO_CHECK}")
         elif self._resets_sent < _RESET_TRIES:
@@ -228,7 +228,7 @@ class HciSession:
             self._output.append(HciCommand(Opcode.RESET).packet())
             self._answer_by_s = now_s + _RESET_S
         elif self._reader.dropped:
-            self._fail(f"no answer to Reset, only bytes that are no HCI events (H4): {_WHAT_TO_CHECK}")
+            self._fail(f"no answer to Reset, only bytes that are not HCI events (H4): {_WHAT_TO_CHECK}")
         else:
             self._fail(f"no answer to Reset: {_WHAT_TO_CHECK}")
 

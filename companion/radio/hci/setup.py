@@ -86,7 +86,7 @@ def set_up(address: str, *, send: bool, listen: bool) -> Generator[HciCommand, b
     can.coded = can.extended and bool(features & _CODED_FEATURE)
     if not can.coded:
         lacks = "Coded PHY" if can.extended else "Extended Advertising"
-        can.missing.append(f"{_MISSING}: this controller has no LE {lacks}; another is needed")
+        can.missing.append(f"{_MISSING}: this controller has no LE {lacks}; use another controller")
     if send:
         yield from _set_up_extended(can, address) if can.extended else _set_up_legacy(can, commands)
     if listen:
@@ -102,12 +102,12 @@ def _set_up_extended(can: Abilities, address: str) -> Script:
         plan.insert(0, (BLE5, 1, Phy.CODED))
     if can.coded and can.messages_per_pack < PACK_MAX_MESSAGES:
         can.missing.append(
-            f"BLE 5 packs of {PACK_MAX_MESSAGES} messages are missing: this controller is built for "
+            f"BLE 5 packs of {PACK_MAX_MESSAGES} messages are missing: this controller supports "
             f"{can.max_data} bytes of advertising data, {can.messages_per_pack} messages"
         )
     if sets < len(plan):
         can.missing.append(
-            f"BLE 4 beside BLE 5 Long Range is missing: advertising sets here: {sets}, needed: 2"
+            f"BLE 4 together with BLE 5 Long Range is missing: it needs 2 advertising sets, here: {sets}"
         )
     for transport, handle, phy in plan[:sets]:
         try:
@@ -123,7 +123,7 @@ def _set_up_extended(can: Abilities, address: str) -> Script:
 
 def _set_up_legacy(can: Abilities, commands: bytes) -> Script:
     if not _has(commands, _LEGACY_SEND):
-        raise PeerDataError("this controller cannot advertise; another, or send = false, is needed")
+        raise PeerDataError("this controller cannot advertise; use another, or set send = false")
     yield packets.legacy_parameters()
     can.sets[BLE4] = LegacyCommands()
 
@@ -139,7 +139,7 @@ def _scan_extended(can: Abilities) -> Script:
 
 def _scan_legacy(can: Abilities, commands: bytes) -> Script:
     if not _has(commands, _LEGACY_SCAN):
-        raise PeerDataError("this controller cannot scan; another, or listen = false, is needed")
+        raise PeerDataError("this controller cannot scan; use another, or set listen = false")
     yield packets.legacy_scan_parameters(_SCAN_INTERVAL, _SCAN_INTERVAL)
     yield packets.legacy_scan_enable()
     can.hears = frozenset((BLE4,))
@@ -152,5 +152,5 @@ def _has(commands: bytes, bits: Sequence[tuple[int, int]]) -> bool:
 def _number(data: bytes, size: int) -> int:
     """Decode a return parameter. Raises PeerDataError if it is cut short."""
     if len(data) < size:
-        raise PeerDataError(f"an answer of {len(data)} bytes during set-up, {size} were expected")
+        raise PeerDataError(f"an answer of {len(data)} bytes during set-up; expected {size}")
     return int.from_bytes(data[:size], "little")

@@ -96,7 +96,7 @@ class HostapdControl:
             self._folder = Path(tempfile.mkdtemp(prefix="companion-hostapd-"))
         except OSError as error:
             raise ConfigError(
-                f"radio.hostapd: no folder for a socket of our own: {error.strerror}"
+                f"radio.hostapd: cannot make a folder for its socket: {error.strerror}"
             ) from error
         try:
             self._socket = self._bind()
@@ -158,10 +158,10 @@ class HostapdControl:
         try:
             pong = self._exchange("PING")
             if pong.strip() != "PONG":
-                raise ConfigError(f"{name}: answers {pong[:40]!r} to PING: is it hostapd's?")
+                raise ConfigError(f"{name}: answers {pong[:40]!r} to PING; check that it is hostapd's socket")
             status = parse_status(self._exchange("STATUS"), Path(self.path).name)
         except TimeoutError as error:
-            raise ConfigError(f"{name}: no answer for {_OPEN_TIMEOUT_S:g} s: it hangs") from error
+            raise ConfigError(f"{name}: no answer for {_OPEN_TIMEOUT_S:g} s: hostapd hangs") from error
         except (OSError, ValueError) as error:
             raise ConfigError(f"{name}: {_explain(error)}") from error
         self._socket.setblocking(False)
@@ -219,7 +219,7 @@ class HostapdControl:
             self.failures += 1
         self._silence = f"hostapd: {why}"
         if self._touched:
-            self._doubt = "hostapd is back, its beacon is being cleared"
+            self._doubt = "hostapd is back; its beacon is being cleared"
         self._set_ok = False
         self._pending.clear()
         try:
@@ -239,7 +239,7 @@ class HostapdControl:
             fresh.bind(str(path))
         except OSError as error:
             fresh.close()
-            raise ConfigError(f"radio.hostapd: no socket of our own at {path}: {_explain(error)}") from error
+            raise ConfigError(f"radio.hostapd: cannot make a socket at {path}: {_explain(error)}") from error
         (self._folder / str(self._number - 1)).unlink(missing_ok=True)
         return fresh
 
@@ -256,13 +256,13 @@ def _explain(error: Exception) -> str:
     """Describe a socket error in words that say what to do."""
     match error:
         case FileNotFoundError():
-            return "no such socket: is hostapd running, with ctrl_interface=FOLDER in its configuration?"
+            return "no such socket; check that hostapd runs with ctrl_interface=FOLDER in its configuration"
         case ConnectionRefusedError():
-            return "nobody listens there: name the interface's socket of a running hostapd"
+            return "no program listens there; give the socket of the interface of a running hostapd"
         case PermissionError():
-            return "no permission: run as root or in the group that hostapd's ctrl_interface_group names"
+            return "no permission; run as root or in the group that hostapd's ctrl_interface_group names"
         case BlockingIOError():
-            return "takes no commands: it hangs"
+            return "accepts no commands because it hangs"
         case OSError():
             return error.strerror or str(error)
         case _:

@@ -139,11 +139,13 @@ class PacketSocket:
             fresh = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
         except PermissionError as error:
             raise ConfigError(
-                f"{self._key}: {self.interface!r}: raw frames need the right CAP_NET_RAW: run as root, or "
-                "give it to the service (AmbientCapabilities=CAP_NET_RAW)"
+                f"{self._key}: {self.interface!r}: raw frames need the capability CAP_NET_RAW; run as root "
+                "or give it to the service (AmbientCapabilities=CAP_NET_RAW)"
             ) from error
         except OSError as error:
-            raise ConfigError(f"{self._key}: {self.interface!r}: no raw socket: {error.strerror}") from error
+            raise ConfigError(
+                f"{self._key}: {self.interface!r}: cannot open a raw socket: {error.strerror}"
+            ) from error
         try:
             fresh.setblocking(False)
             if self._listen:
@@ -166,16 +168,16 @@ def check_monitor(key: str, interface: str, channel: int) -> None:
         names = [name for _, name in socket.if_nameindex()]
         if interface not in names:
             raise ConfigError(
-                f"{key}: there is no network interface {interface!r}; there are: {', '.join(names)}"
+                f"{key}: there is no network interface {interface!r}; allowed: {', '.join(names)}"
             )
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
             hardware = _ask(control, _SIOCGIFHWADDR, interface)
             flags = _ask(control, _SIOCGIFFLAGS, interface)
             frequency = _ask(control, _SIOCGIWFREQ, interface)
     except OSError as error:  # no file descriptor or memory left
-        raise ConfigError(f"{key}: {interface!r}: cannot be looked at: {error.strerror}") from error
+        raise ConfigError(f"{key}: {interface!r}: cannot be examined: {error.strerror}") from error
     if hardware is None or flags is None:
-        raise ConfigError(f"{key}: {interface!r} vanished while it was looked at")
+        raise ConfigError(f"{key}: {interface!r} vanished while it was examined")
     kind = struct.unpack_from("H", hardware, 16)[0]
     if kind != _ARPHRD_RADIOTAP:
         raise ConfigError(f"{key}: {_why_no_monitor(interface, kind)}")
@@ -184,7 +186,7 @@ def check_monitor(key: str, interface: str, channel: int) -> None:
     tuned = None if frequency is None else tuned_channel(frequency)
     if tuned is not None and tuned != channel:
         raise ConfigError(
-            f"{key}: {interface!r} is tuned to channel {tuned}, radio.channel says {channel}: "
+            f"{key}: {interface!r} is tuned to channel {tuned}, but radio.channel is {channel}: "
             f"`iw dev {interface} set channel {channel}`"
         )
 
@@ -214,9 +216,9 @@ def channel_of(frequency_mhz: int) -> int | None:
 
 def _why_no_monitor(interface: str, kind: int) -> str:
     if kind != _ARPHRD_ETHER:
-        return f"{interface!r} hands out frames of link type {kind}; radiotap ({_ARPHRD_RADIOTAP}) is needed"
+        return f"{interface!r} has link type {kind}; radiotap ({_ARPHRD_RADIOTAP}) is needed"
     if not (_SYSFS / interface / "phy80211").exists():
-        return f"{interface!r} is no Wi-Fi interface"
+        return f"{interface!r} is not a Wi-Fi interface"
     return (
         f"{interface!r} is not in monitor mode: `ip link set {interface} down; "
         f"iw dev {interface} set type monitor; ip link set {interface} up`"

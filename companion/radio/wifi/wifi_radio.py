@@ -16,13 +16,13 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final, TypeVar
 
-from companion.config import WifiRadio
 from companion.errors import ConfigError, PeerDataError
 from companion.events import RemoteIdHeard
 from companion.radio.frames_io import FrameReceiver, FrameSender
-from companion.radio.radio import Health
+from companion.radio.radio import Health, RadioContext
 from companion.radio.wifi.hostapd import HostapdControl
 from companion.radio.wifi.packet_socket import PacketSocket, channel_of
+from companion.radio.wifi.section import WifiRadio
 from companion.remote_id.captures.radiotap import build_radiotap, parse_radiotap
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import Counters, build_nan_sync_beacon, build_vendor_element
@@ -183,7 +183,7 @@ class WifiTransport:
         if self._unsent:
             notes.append(f"{self._unsent} frames could not be sent")
         if self._monitor is not None and self._monitor.dropped:
-            notes.append(f"{self._monitor.dropped} heard frames lost, as they came too fast")
+            notes.append(f"{self._monitor.dropped} received frames lost because they came too fast")
         if self._receiver.last_error:
             notes.append(f"last bad frame: {self._receiver.last_error}")
         return Health(
@@ -227,7 +227,7 @@ class WifiTransport:
         if interval_tu is None or interval_tu <= _SLOW_BEACONS_TU:
             return ()
         return (
-            f"hostapd sends a beacon every {interval_tu} TU only: set beacon_int=100 in its configuration",
+            f"hostapd sends a beacon only every {interval_tu} TU; set beacon_int=100 in its configuration",
         )
 
     def _can_send(self) -> frozenset[str]:
@@ -296,3 +296,12 @@ def stamp(frame: bytes, sequence: int, tsf_us: int) -> bytes:
     if frame[0] != _BEACON:
         return head + frame[_TSF_AT:]
     return head + struct.pack("<Q", tsf_us % (1 << 64)) + frame[_TSF_AT + 8 :]
+
+
+def open_radio(section: WifiRadio, context: RadioContext) -> WifiTransport:
+    """Open the card that a configuration names.
+
+    Raises:
+        ConfigError: no part of it can be opened. The text says why for each.
+    """
+    return WifiTransport(section, context.address)

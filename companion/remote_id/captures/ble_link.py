@@ -73,7 +73,7 @@ def strip_nordic(data: bytes) -> Sniffed:
         raise PeerDataError(f"nRF sniffer header of {len(data)} bytes, at least {_NORDIC_HEAD + 1} expected")
     version, kind, head_size = data[3], data[6], data[7]
     if not 1 <= version <= 3:
-        raise PeerDataError(f"nRF sniffer protocol version {version}; 1 to 3 are known")
+        raise PeerDataError(f"nRF sniffer protocol version {version}; allowed: 1 to 3")
     if kind not in _NORDIC_PACKETS:
         raise NotRemoteIdError(f"message {kind} of the nRF sniffer")
     start = _NORDIC_HEAD + head_size
@@ -95,7 +95,7 @@ def strip_pseudo_header(data: bytes) -> Sniffed:
         raise PeerDataError(f"BLE pseudo-header of {len(data)} bytes, {_PHDR.size} expected")
     _, signal, _, _, _, flags = _PHDR.unpack_from(data)
     if not flags & 0x0001:
-        raise PeerDataError("BLE packet that the sniffer left whitened")
+        raise PeerDataError("BLE packet that is still whitened")
     return Sniffed(
         packet=data[_PHDR.size :],
         coded=flags >> 14 == _CODED,

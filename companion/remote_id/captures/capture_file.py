@@ -163,7 +163,7 @@ def _read_block(source: _Source, length_field: bytes, already: int = 0) -> bytes
         raise source.damaged(f"has a block of {length} bytes")
     body = source.read_exactly(length - 12 - already)
     if source.read_exactly(4) != length_field:
-        raise source.damaged("ends with another length than it began with")
+        raise source.damaged("ends with a length that differs from the one at its start")
     return body
 
 

@@ -97,7 +97,7 @@ def parse_radiotap(data: bytes) -> Radiotap:
         raise PeerDataError(f"radiotap header of {len(data)} bytes, shorter than its {_HEAD.size} fixed ones")
     version, _, length, _ = _HEAD.unpack_from(data)
     if version != 0:
-        raise PeerDataError(f"radiotap version is {version}; 0 is known")
+        raise PeerDataError(f"radiotap version is {version}; allowed: 0")
     if not _HEAD.size <= length <= len(data):
         raise PeerDataError(f"radiotap length is {length}, in {len(data)} bytes")
     fields: dict[int, int] = {}

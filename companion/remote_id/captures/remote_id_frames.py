@@ -142,7 +142,7 @@ def _ble(sniffed: Sniffed) -> _Link:
     def find() -> tuple[tuple[Frame, ...], str | None]:
         found = advertisement(sniffed)
         frames = parse_frames(found.transport, found.data)
-        short = "the advertisement goes on in a further PDU, which is not read" if found.continues else None
+        short = "the advertisement continues in another PDU, which is not read" if found.continues else None
         return tuple(frame._replace(address=found.address) for frame in frames), short
 
     return _Link(sniffed.rssi_dbm, crc_holds(sniffed), find)

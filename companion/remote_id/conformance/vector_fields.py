@@ -140,6 +140,39 @@ def as_received(fields: Fields) -> Fields:
     return result
 
 
+def fields_of(value: object) -> Fields:
+    """Return the JSON object. Raises ConfigError for anything else."""
+    if not isinstance(value, dict):
+        raise ConfigError(f"{str(value)[:40]!r} stands where an object was expected")
+    return value
+
+
+def list_of(vector: Fields, name: str) -> list[Fields]:
+    """Return the list of JSON objects in a field. Raises ConfigError for anything else."""
+    value = vector.get(name)
+    if not isinstance(value, list):
+        raise ConfigError(f"field {name!r} is not a list")
+    return [fields_of(item) for item in value]
+
+
+def accepted_of(vector: Fields) -> bool:
+    """Return whether the reference accepted the vector. Raises ConfigError unless the field says so."""
+    accepted = vector.get("accepted")
+    if not isinstance(accepted, bool):
+        raise ConfigError(f"field 'accepted' is {accepted!r}, expected true or false")
+    return accepted
+
+
+def contradiction(vector: Fields) -> str | None:
+    """Describe a vector in which `accepted` and `hex` contradict each other.
+
+    A vector that the reference encoded has bytes; one that it refused has none.
+    """
+    if "hex" in vector and accepted_of(vector) is (vector["hex"] is None):
+        return f"'accepted' is {accepted_of(vector)}, which 'hex' contradicts: {vector['hex']!r}"
+    return None
+
+
 # ---------------------------------------------------------------- fields -> message
 
 

@@ -1,6 +1,6 @@
 """The flight's link: when it is lost it is closed and reopened, for as long as the flight lasts.
 
-Only the user is informed of a loss. The heart (`companion.core`) sees the silence and faults by itself, and
+Only the user is informed of a loss. The core (`companion.core`) sees the silence and faults by itself, and
 the loop continues, with its Remote ID broadcast. A stream that does not deliver what was sent counts as lost,
 too, because only aborting it keeps old setpoints from leaving later.
 """
@@ -119,7 +119,7 @@ class KeptLink:
             self._link = self._opened.get_nowait()
         except queue.Empty:
             return False
-        self._say(f"link {self._name}: back")
+        self._say(f"link {self._name}: restored")
         return True
 
     def _tell_discarded(self) -> None:
@@ -129,7 +129,9 @@ class KeptLink:
         now = clock.now_s()
         if now - self._said_s > _SAY_AGAIN_S:
             self._said_s = now
-            self._say(f"link {self._name}: does not carry what is sent; what waited too long was thrown away")
+            self._say(
+                f"link {self._name}: nothing gets through; what waited too long to be sent was discarded"
+            )
 
     def _lose(self, error: OSError) -> None:
         assert self._link is not None
@@ -139,7 +141,7 @@ class KeptLink:
         self._link = None
         self._discarded = self.trouble.discarded
         self.trouble.losses += 1
-        self._say(f"link {self._name}: lost: {error.strerror or error}; opening it again")
+        self._say(f"link {self._name}: lost: {error.strerror or error}; reopening it")
         # In a thread: looking up a name, connecting or opening a device can take seconds.
         threading.Thread(target=self._reopen, name="reopen", daemon=True).start()
 

@@ -14,26 +14,26 @@ def no_vehicle(
     text = f"{config.link}: no vehicle within {config.wait_s:g} s"
     disbelief = protocol.disbelief(now_s)
     if disbelief is not None:
-        return "signing", f"{text}: {disbelief}", "docs/flying.md says how a key is set"
+        return "signing", f"{text}: {disbelief}", "docs/flying.md explains how to set a key"
     serial, others = config.link.startswith("serial:"), link.trouble.left_out
-    sender = "the wires (TX to RX)" if serial else "who sends to this address"
+    sender = "the wires (TX to RX)" if serial else "what sends to this address"
     if not link.received_bytes and not others:
-        return "vehicle", f"{text}, not a byte", f"see to the autopilot's power, and to {sender}"
+        return "vehicle", f"{text}; no data was received", f"check the autopilot's power and {sender}"
     if not link.received_bytes:
-        return "vehicle", f"{text}; {others} datagrams came, and no MAVLink in them", f"see to {sender}"
+        return "vehicle", f"{text}; {others} datagrams were received, but no MAVLink", f"check {sender}"
     wire = protocol.counts.wire
     # In noise an occasional frame has a correct checksum, but far more have a wrong one.
     if wire.messages > wire.corrupt:
-        text += f"; MAVLink came ({wire.messages} frames), but no autopilot's HEARTBEAT"
-        do = "see to what else speaks on this link"
+        text += f"; {wire.messages} MAVLink frames were received, but no autopilot HEARTBEAT"
+        do = "check what else sends on this link"
         if config.system_id:
-            text += f" of system {config.system_id}"
-            do = "set vehicle.system_id to the autopilot's own number, or " + do
+            text += f" from system {config.system_id}"
+            do = "set vehicle.system_id to the autopilot's system id, or " + do
         if others:
-            text += f"; {others} datagrams of another sender were left out"
-            do += "; have one sender for this port"
+            text += f"; {others} datagrams of another sender were ignored"
+            do += "; let only one program send to this port"
         return "vehicle", text, do
-    do = "see to what sends to this address"
+    do = "check what sends to this address"
     if serial:
-        do = "see to the baud rate on both sides, to MAVLink on the autopilot's port, and to ground and wires"
-    return "vehicle", f"{text}; {link.received_bytes} bytes came, and no MAVLink in them", do
+        do = "check both baud rates, that the autopilot's port is set to MAVLink, and the wires and ground"
+    return "vehicle", f"{text}; {link.received_bytes} bytes were received, but no MAVLink", do

@@ -12,9 +12,9 @@ from companion.runtime.links.udp_link import UdpLink
 
 _FORMS = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
 _NOT_REACHED = {
-    errno.ECONNREFUSED: "nobody accepts connections there; start the program at the other end first",
-    errno.EADDRNOTAVAIL: "this computer has no such address; 0.0.0.0 listens on all that it has",
-    errno.EACCES: "this user may not open it; ports from 1024 on are open to all",
+    errno.ECONNREFUSED: "no program accepts connections there; first start the program at the other end",
+    errno.EADDRNOTAVAIL: "this computer has no such address; use 0.0.0.0 to listen on all of its addresses",
+    errno.EACCES: "this user may not open this port; ports from 1024 on are open to all users",
 }
 
 
@@ -45,7 +45,7 @@ def open_link(name: str, trouble: LinkTrouble | None = None, key: str = "vehicle
             return TcpLink(address, trouble)
         return UdpLink(address, trouble, listen=kind == "udpin")
     except UnicodeError as error:
-        raise ConfigError(f"{key}: {name!r}: {host!r} is no host name") from error
+        raise ConfigError(f"{key}: {name!r}: {host!r} is not a host name") from error
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise ConfigError(

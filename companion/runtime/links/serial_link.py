@@ -31,10 +31,10 @@ _SETTLED_S = 0.02
 _PTY_MAJORS = range(136, 144)
 """Major device numbers of /dev/pts on Linux."""
 _NOT_OPENED = {
-    errno.ENOENT: "there is no such device; see to the cable, or to the udev rule that names it",
-    errno.EACCES: "this user may not open it; put the user into the device's group (dialout)",
-    errno.EAGAIN: "another program has it open; a serial port has one reader",
-    errno.ENOTTY: "this is no serial port",
+    errno.ENOENT: "there is no such device; check the cable, or the udev rule that names it",
+    errno.EACCES: "this user may not open it; add the user to the device's group (dialout)",
+    errno.EAGAIN: "another program has it open; only one program can use a serial port",
+    errno.ENOTTY: "this is not a serial port",
 }
 
 
@@ -79,7 +79,7 @@ class SerialLink(StreamLink):
         oldest = self._oldest_s()
         # A running transfer to a USB adapter is normal, but one that does not end is a fault.
         if oldest is not None and clock.now_s() - oldest > 2.0 * _OVERDUE_S:
-            raise OSError("the serial driver neither sends what it holds nor throws it away")
+            raise OSError("the serial driver neither sends its queued data nor discards it")
 
     def abort(self) -> None:
         """Throw away what waits, and close the port in a thread: the driver may take half a minute."""

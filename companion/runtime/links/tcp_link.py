@@ -59,7 +59,7 @@ class TcpLink(StreamLink):
             ConnectionAbortedError: some data was not acknowledged; the link has to be aborted.
         """
         if self._here():
-            raise ConnectionAbortedError("what was sent did not arrive in time")
+            raise ConnectionAbortedError("sent data was not acknowledged in time")
 
     def abort(self) -> None:
         """Reset the connection."""
@@ -75,7 +75,7 @@ class TcpLink(StreamLink):
     def _read(self, count: int) -> bytes:
         data = self._socket.recv(count)
         if not data:
-            raise ConnectionError("the autopilot's side closed the TCP link")
+            raise ConnectionError("the autopilot's side closed the TCP connection")
         return data
 
     def _write(self, data: bytes) -> int:

@@ -61,7 +61,7 @@ def create_run_folder(root: Path, name: str, utc_s: float, key: str = "record.fo
         except OSError as error:
             raise ConfigError(f"{key}: {root}: cannot be written: {error.strerror}") from error
         return folder
-    raise ConfigError(f"{key}: {root}: a thousand runs of the name {stamp}-{name} are there already")
+    raise ConfigError(f"{key}: {root}: there are already a thousand runs named {stamp}-{name}")
 
 
 def write_manifest(folder: Path, what: str, **facts: object) -> None:
@@ -156,7 +156,7 @@ class FlightRecorder:
         self._thread.start()
 
     def step(self, step: event_record.Step) -> None:
-        """Append one step of the heart."""
+        """Append one step of the core."""
         self._put(_EVENTS, event_record.encode(step))
 
     def write(self, data: bytes) -> int:
@@ -198,7 +198,7 @@ class FlightRecorder:
                 self._queue.put(None, timeout=timeout_s)
         self._thread.join(max(0.0, give_up_s - clock.now_s()))
         if self._thread.is_alive():
-            self._keep(f"the disk took nothing for {timeout_s:g} s at the end")
+            self._keep(f"the disk accepted no data for {timeout_s:g} s at the end")
             return False
         return True
 
@@ -306,7 +306,7 @@ class FlightRecorder:
         for path, file in self._files:
             there, ours = path.stat(), os.fstat(file)
             if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
-                raise _StoppedError(f"{path}: is another file now")
+                raise _StoppedError(f"{path}: was replaced by another file")
 
     def _sync(self) -> None:
         self._flush()

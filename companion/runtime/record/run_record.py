@@ -1,4 +1,4 @@
-"""The record of one flight: its run folder, from the heart's (`companion.core`) first step to the summary.
+"""The record of one flight: its run folder, from the core's (`companion.core`) first step to the summary.
 
 Steps and link bytes that arrive before the folder exists are kept in memory. A record folder that cannot be
 written neither ends a flight nor prevents one: after a restart in the air the aircraft must broadcast and
@@ -57,7 +57,7 @@ class _Tape:
 
 
 class RunRecord:
-    """Takes every step of the heart. Steps from before `open` are kept and written then."""
+    """Takes every step of the core. Steps from before `open` are kept and written then."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self.tape = _Tape()
@@ -112,14 +112,14 @@ class RunRecord:
             write_manifest(folder, RUN, aircraft=[header.aircraft], started_utc_s=utc_s, vehicle=vehicle)
             return folder
 
-        # The record must begin with the heart's first step; otherwise a replay would not reach the same
+        # The record must begin with the core's first step; otherwise a replay would not reach the same
         # state.
         early, self._early = self._early, []
         self._recorder = FlightRecorder(make, header, config.record, early, self.tape.early())
         self.tape.play(self._recorder)
 
     def step(self, step: Step) -> None:
-        """One step of the heart."""
+        """One step of the core."""
         recorder = self._recorder
         if recorder is None:
             self._early.append(step)

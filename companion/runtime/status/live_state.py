@@ -1,6 +1,6 @@
-"""State of the heart (`companion.core`), as `companion status` shows it.
+"""State of the core (`companion.core`), as `companion status` shows it.
 
-This module only reads the heart, so a replay, which runs without it, reaches the same state.
+This module only reads the core, so a replay, which runs without it, reaches the same state.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from companion.geometry import Vec3
 from companion.runtime.status.status_socket import MOST_TRACKS, TrackStatus
 
 
-def heart_status(heart: Companion, now_s: float, decision: Decision | None) -> dict[str, Any]:
-    """The fields of `status_socket.Status` that come from the heart.
+def core_status(core: Companion, now_s: float, decision: Decision | None) -> dict[str, Any]:
+    """The fields of `status_socket.Status` that come from the core.
 
     Args:
         decision: latest decision of the avoidance law while the companion controls the vehicle, otherwise
             None.
     """
-    own, config = heart.own, heart.config
+    own, config = core.own, core.config
     position = own.position
     utc_offset_s = own.utc_offset_s
-    tracks = [] if own.frame is None or position is None else _tracks(heart, now_s, decision)
-    waits = heart.waits_for(now_s) if heart.state is State.STANDBY else None
+    tracks = [] if own.frame is None or position is None else _tracks(core, now_s, decision)
+    waits = core.waits_for(now_s) if core.state is State.STANDBY else None
     fix = own.gnss_now(now_s)
     return {
         "utc_s": None if utc_offset_s is None else now_s + utc_offset_s,
-        "state": heart.state.value,
+        "state": core.state.value,
         "waits_for": waits,
         "unfit": own.unfit(now_s, config.vehicle.stale_after_s),
         "mode": None if own.mode is None else own.mode.value,
@@ -47,22 +47,22 @@ def heart_status(heart: Companion, now_s: float, decision: Decision | None) -> d
         "velocity_ned_mps": own.velocity_ned_mps,
         "gnss_fix_type": None if fix is None else fix.fix_type,
         "sigma_m": own.sigma_m,
-        "remote_id_trouble": heart.broadcaster.trouble or heart.broadcaster.lacking,
-        "path_late_s": 0.0 if heart.plan.course.law is None else heart.plan.course.late_s,
+        "remote_id_trouble": core.broadcaster.trouble or core.broadcaster.lacking,
+        "path_late_s": 0.0 if core.plan.course.law is None else core.plan.course.late_s,
         "track_count": len(tracks),
         "tracks": tuple(sorted(tracks, key=lambda t: t.distance_m)[:MOST_TRACKS]),
     }
 
 
-def _tracks(heart: Companion, now_s: float, decision: Decision | None) -> list[TrackStatus]:
-    own = heart.own.position_ned_m(now_s)
+def _tracks(core: Companion, now_s: float, decision: Decision | None) -> list[TrackStatus]:
+    own = core.own.position_ned_m(now_s)
     conflicts = set() if decision is None else {(t.adsb, t.track_id) for t in decision.tracks if t.conflict}
-    levels = heart.alerts.levels
+    levels = core.alerts.levels
     names = {
         track_id: (track.about.transport, tuple(sorted(flag.value for flag in track.flags)))
-        for track_id, track in heart.traffic.tracks.items()
+        for track_id, track in core.traffic.tracks.items()
     }
-    others = heart.traffic.neighbours(now_s) + heart.adsb.look(now_s, own[2])
+    others = core.traffic.neighbours(now_s) + core.adsb.look(now_s, own[2])
     return [_track(other, own, levels, conflicts, names) for other in others]
 
 

@@ -158,13 +158,15 @@ def _listen(name: str, where: list[Path]) -> tuple[Path, socket.socket]:
             return folder / name, _bind(folder / name)
         except OSError as failed:
             error = error or failed
-    raise ConfigError(f"{where[0]}: no status socket there: {error and (error.strerror or error)}")
+    raise ConfigError(
+        f"{where[0]}: a status socket cannot be made there: {error and (error.strerror or error)}"
+    )
 
 
 def _bind(path: Path) -> socket.socket:
     """Raises ConfigError if another process serves this path, OSError if the path cannot be served at all."""
     if is_served(path):
-        raise ConfigError(f"{path}: another companion of this name serves its status there")
+        raise ConfigError(f"{path}: another companion of this name already serves its status there")
     with contextlib.suppress(FileNotFoundError):
         # Remove a socket that a killed process left behind. Anything else is not ours to remove, and `bind`
         # then refuses.

@@ -17,9 +17,9 @@ class Trouble(enum.Enum):
     NOT_RECORDED = "DMUCA: this flight is not recorded"
     SLOW_DISK = "DMUCA: the disk is too slow for the record"
     SETTINGS_UNREAD = "DMUCA: stored settings are not used"
-    SETTINGS_NOT_KEPT = "DMUCA: settings are not kept on the disk"
-    SIGNING_UNREAD = "DMUCA: the last signing time is not known"
-    SIGNING_NOT_KEPT = "DMUCA: signing time is not kept on the disk"
+    SETTINGS_NOT_KEPT = "DMUCA: settings cannot be saved to disk"
+    SIGNING_UNREAD = "DMUCA: the last signing time is unknown"
+    SIGNING_NOT_KEPT = "DMUCA: signing time cannot be saved to disk"
 
 
 class Troubles:
@@ -52,7 +52,7 @@ class Troubles:
         self._lasting[kind] = text
         if kind not in self._told:
             self._told.add(kind)
-            self._say(f"{text}; the flight goes on")
+            self._say(f"{text}; the flight continues")
             self._for_pilot.append(Say(severity=Severity.WARNING, text=kind.value))
 
     def pop_messages(self) -> list[Say]:

@@ -38,23 +38,27 @@ _DIGITS = 4
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools atmc collect`."""
     parser.description = (
-        "Measure the policies of finished training runs as the paper does, print a table of all seeds, and\n"
-        "write what figures of the paper need into one file."
+        "Measure the policies of finished training runs as the paper does. Print a table of all seeds and\n"
+        "write the data for the paper's figures to one file."
     )
     parser.epilog = "example: ground-tools atmc collect runs/atmc/*-madqn-seed* --out results.json.gz"
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folders of training")
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a finished training run")
     parser.add_argument(
         "--configurations",
         type=int,
         default=10_000,
         metavar="N",
-        help="in each of the six squares (default: 10000)",
+        help="random sets of positions in each of the six squares (default: 10000)",
     )
     parser.add_argument(
-        "--out", type=Path, default=CONVERGENCE, metavar="FILE", help="default: the one in results/atmc"
+        "--out",
+        type=Path,
+        default=CONVERGENCE,
+        metavar="FILE",
+        help="results file to write (default: results/atmc/convergence.json.gz)",
     )
     parser.add_argument(
-        "--add", action="store_true", help="to the runs that FILE holds; the same seeds are replaced"
+        "--add", action="store_true", help="add to the runs in FILE; replace those of the same seed"
     )
 
 
@@ -65,7 +69,9 @@ def run(args: argparse.Namespace) -> int:
         ConfigError: A folder is not a finished run, the file cannot be written, or --add does not fit it.
     """
     if args.configurations < _FLEETS or args.configurations % _FLEETS:
-        raise ConfigError(f"--configurations: {args.configurations}: allowed are multiples of {_FLEETS}")
+        raise ConfigError(
+            f"--configurations: {args.configurations} is not allowed; allowed: multiples of {_FLEETS}"
+        )
     set_up_torch()
     held = _held(args) if args.add else {}
     # Read all runs first, so that errors show before the long measurement.
@@ -123,15 +129,18 @@ def _read(folder: Path) -> _Trained:
         with (folder / "metrics.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{folder}: not the folder of a training run") from error
+        raise ConfigError(f"{folder}: this is not the folder of a training run") from error
     if algorithm not in NAMES:
-        raise ConfigError(f"{folder}: a run of {algorithm}; allowed are those of {', '.join(NAMES)}")
+        raise ConfigError(f"{folder}: this is a run of {algorithm}; allowed: runs of {', '.join(NAMES)}")
     from ground_tools.atmc.learners.flat import thawed
     from ground_tools.atmc.learners.training import resumed_job
 
     job = resumed_job(folder, "cpu", None)
     if not rows or len(rows) < job.settings.episodes:
-        raise ConfigError(f"{folder}: {len(rows)} of {job.settings.episodes} episodes; --resume it first")
+        raise ConfigError(
+            f"{folder}: the run has finished {len(rows)} of {job.settings.episodes} episodes; "
+            "finish it first with: ground-tools atmc train --resume"
+        )
     missing = {"seconds", "reward", "delay_ms", "validation_score"} - rows[-1].keys()
     if missing:
         raise ConfigError(f"{folder}: metrics.csv: the column {min(missing)} is missing")
@@ -223,7 +232,7 @@ def _short(value: float, digits: int = _DIGITS) -> float:
 def _table(runs: Sequence[Run]) -> Table:
     """Table of all runs: delay of the best policy by density, delay of the last policy, and training time."""
     table = Table(
-        title="System delay (ms): best policy by validation, last one (dynamic)",
+        title="System delay (ms) of the policy with the best validation; last: of the last policy (dynamic)",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         pad_edge=False,

@@ -12,9 +12,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, module, words in (
         ("train", train, "train a policy"),
-        ("evaluate", evaluate_command, "what a policy is worth, beside the baselines"),
-        ("freeze", freeze_command, "the file that flies, from a training run"),
-        ("collect", collect, "the paper's runs, measured and in one file"),
+        ("evaluate", evaluate_command, "compare a policy with the baselines"),
+        ("freeze", freeze_command, "write the policy file for flight from a training run"),
+        ("collect", collect, "measure runs of the paper's algorithms and collect them in one file"),
     ):
         command = commands.add_parser(name, help=words, formatter_class=argparse.RawDescriptionHelpFormatter)
         module.add_arguments(command)

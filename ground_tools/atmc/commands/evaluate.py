@@ -106,10 +106,14 @@ def evaluate(data: bytes, name: str, question: Question) -> dict[str, float | in
     _check(fleet.metadata, question, name)
     objective, actions = objective_of(question.objective)
     if fleet.metadata.actions != tuple(actions):
-        raise ConfigError(f"{name}: its actions are not those of the objective {question.objective!r}")
+        raise ConfigError(
+            f"{name}: the policy's actions are not those of the objective {question.objective!r}"
+        )
     allowed = torch.from_numpy(legal(actions, REGIONS[question.region]))
     if not allowed.any():
-        raise ConfigError(f"--region: {question.region}: none of the actions is legal there")
+        raise ConfigError(
+            f"--region: {question.region}: none of the policy's actions is legal in this region"
+        )
     fleet = Frozen(data, name, allowed)
     found = _Sums(len(actions))
     for side in SIDES_M:
@@ -146,16 +150,18 @@ def rule_of(name: ObjectiveName, actions: Sequence[Action], allowed: Tensor) -> 
 def _check(metadata: Metadata, question: Question, name: str) -> None:
     if metadata.kind == "flat" and question.uavs != metadata.neighbours + 1:
         raise ConfigError(
-            f"--uavs: {question.uavs}: {name} was made for exactly {metadata.neighbours + 1} aircraft"
+            f"--uavs: {question.uavs} is not allowed; "
+            f"{name} works for exactly {metadata.neighbours + 1} aircraft"
         )
     if question.uavs > metadata.neighbours + 1:
         raise ConfigError(
-            f"--uavs: {question.uavs}: {name} was trained with up to {metadata.neighbours + 1} aircraft"
+            f"--uavs: {question.uavs} is too many; "
+            f"{name} was trained with up to {metadata.neighbours + 1} aircraft"
         )
     if metadata.objective != question.objective:
         raise ConfigError(
             f"--objective: {question.objective}: {name} was trained for {metadata.objective!r}; "
-            "their actions differ"
+            "the two objectives have different actions"
         )
 
 
@@ -313,4 +319,4 @@ def read_policy(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error

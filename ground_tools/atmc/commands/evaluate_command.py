@@ -31,41 +31,59 @@ _SHOWN = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools atmc evaluate`."""
     parser.description = (
-        "Measure a frozen policy beside the best fixed mode, the one-line rule and the search that knows\n"
-        "everything, all in the same places: squares with sides of 100 to 10,000 m.\n\n"
-        "paper: system delay, the sum over the aircraft of each one's mean delay (ms).\n"
-        "awareness: mean age of what aircraft know of those whom they could soon be in conflict with (ms)."
+        "Compare a frozen policy with the best fixed mode, the one-line rule and a search with full\n"
+        "knowledge, all at the same positions in squares with sides of 100 to 10,000 m.\n\n"
+        "objectives:\n"
+        "  paper      system delay: the sum over the aircraft of each one's mean delay (ms)\n"
+        "  awareness  mean age of an aircraft's information about those that could soon be in conflict\n"
+        "             with it (ms)"
     )
     parser.epilog = (
         "examples:\n  ground-tools atmc evaluate --policy config/policies/atmc.safetensors --region eu\n"
         "  ground-tools atmc evaluate --policy FILE --uavs 50 --samples 100 --load 0.5 --json"
     )
-    parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="a frozen policy")
+    parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="the frozen policy")
     parser.add_argument(
-        "--objective", choices=("paper", "awareness"), help="default: the one that it was trained for"
+        "--objective",
+        choices=("paper", "awareness"),
+        help="the measure (default: the one that the policy was trained for)",
     )
     parser.add_argument(
-        "--region", choices=("none", "us", "eu"), default="none", help="whose legal sets may be chosen"
+        "--region",
+        choices=("none", "us", "eu"),
+        default="none",
+        help="choose only sets of transports and rates that are legal there (default: none, no limit)",
     )
-    parser.add_argument("--uavs", type=int, default=10, metavar="N", help="aircraft in a fleet (default: 10)")
+    parser.add_argument("--uavs", type=int, default=10, metavar="N", help="number of aircraft (default: 10)")
     parser.add_argument(
         "--load",
         type=float,
         default=0.0,
         metavar="L",
-        help="share of time that others fill the Wi-Fi channel",
+        help="share of time that foreign transmissions occupy the Wi-Fi channel (default: 0)",
     )
     parser.add_argument(
-        "--samples", type=int, default=1000, metavar="K", help="places in each square (default: 1000)"
+        "--samples",
+        type=int,
+        default=1000,
+        metavar="K",
+        help="sets of positions in each square (default: 1000)",
     )
-    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the places (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, metavar="S", help="seed of the positions (default: 1)")
     parser.add_argument(
-        "--sigma", type=float, default=0.0, metavar="DB", help="standard deviation of shadowing (default: 0)"
+        "--sigma",
+        type=float,
+        default=0.0,
+        metavar="DB",
+        help="standard deviation of the shadowing (default: 0)",
     )
     parser.add_argument(
-        "--wifi-channels", choices=("shared", "random"), default="shared", help="one for all, or 1, 6 or 11"
+        "--wifi-channels",
+        choices=("shared", "random"),
+        default="shared",
+        help="all aircraft on one channel, or each on 1, 6 or 11 at random (default: shared)",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object instead of a table")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -112,25 +130,25 @@ def evaluation() -> Any:
 
 def _check(question: Question) -> None:
     if not 2 <= question.uavs <= _MAX_UAVS:
-        raise ConfigError(f"--uavs: {question.uavs}: allowed 2 to {_MAX_UAVS}")
+        raise ConfigError(f"--uavs: {question.uavs} is out of range; allowed: 2 to {_MAX_UAVS}")
     if not 0.0 <= question.load <= 0.95:
-        raise ConfigError(f"--load: {question.load:g}: allowed 0 to 0.95")
+        raise ConfigError(f"--load: {question.load:g} is out of range; allowed: 0 to 0.95")
     if question.load and question.objective == "paper":
-        raise ConfigError("--load: the paper's objective knows nobody else in the band")
+        raise ConfigError("--load: the paper's objective has no foreign transmissions; allowed with it: 0")
     if question.samples < 1:
-        raise ConfigError(f"--samples: {question.samples}: allowed 1 and above")
+        raise ConfigError(f"--samples: {question.samples} is out of range; allowed: 1 or more")
     check_seed(question.seed)
     if not 0.0 <= question.sigma_db <= 30.0:
-        raise ConfigError(f"--sigma: {question.sigma_db:g}: allowed 0 to 30")
+        raise ConfigError(f"--sigma: {question.sigma_db:g} is out of range; allowed: 0 to 30")
 
 
 def _show(found: dict[str, Any]) -> None:
     title = (
         f"{found['policy']}: {found['objective']}, {found['uavs']} aircraft, region {found['region']}, "
-        f"load {found['load']:g}, {found['samples']:,} places in each square; ms"
+        f"load {found['load']:g}, {found['samples']:,} sets of positions in each square; ms"
     )
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for head in ("", "high density", "low density", "dynamic", "against the search"):
+    for head in ("", "high density", "low density", "dynamic", "relative to the search"):
         table.add_column(head, justify="left" if not head else "right")
     floor = found["search_dynamic_ms"]
     for words, *keys in _SHOWN:
@@ -139,8 +157,9 @@ def _show(found: dict[str, Any]) -> None:
     console = Console()
     console.print(table)
     console.print(
-        f"best fixed: BLE 4 + BLE 5 + Wi-Fi at {found['best_fixed']} a second; "
-        f"{found['decision_us_median']:g} us a decision; {found['switches_per_min']:g} switches a minute",
+        f"Best fixed mode: BLE 4 + BLE 5 + Wi-Fi at {found['best_fixed']} messages per second. The policy "
+        f"takes {found['decision_us_median']:g} us for a decision (median) and switches "
+        f"{found['switches_per_min']:g} times per minute.",
         highlight=False,
         soft_wrap=True,
     )

@@ -21,22 +21,20 @@ _SAMPLES = {5: 200, 10: 100, 20: 30, 50: 5}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools atmc freeze`."""
     parser.description = (
-        "Take the best policy of a training run, measure it, and write the file that flies: its weights,\n"
-        "what it was trained from and is worth, and golden cases that are checked whenever it is loaded."
+        "Take the best policy of a training run, measure it, and write the policy file for flight: weights,\n"
+        "training settings, results, and golden cases that are checked whenever the file is loaded."
     )
     parser.epilog = (
         "example: ground-tools atmc freeze runs/atmc/20260101T000000Z-set-seed1 --out atmc.safetensors"
     )
     parser.add_argument("folder", type=Path, metavar="RUN", help="folder of a training run")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the policy file to write")
-    parser.add_argument(
-        "--name", metavar="NAME", help="what the policy calls itself (default: the file's name)"
-    )
+    parser.add_argument("--name", metavar="NAME", help="name of the policy (default: the file's name)")
     parser.add_argument(
         "--switch-price",
         type=float,
         metavar="S",
-        help="what a switch must gain, in seconds of age (default: as trained)",
+        help="gain in age (s) below which the policy does not switch (default: as trained)",
     )
 
 
@@ -52,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     name = args.name or args.out.name.removesuffix(".safetensors")
     price = metadata.switch_price if args.switch_price is None else args.switch_price
     if not 0.0 <= price <= 10.0:
-        raise ConfigError(f"--switch-price: {price:g}: allowed 0 to 10")
+        raise ConfigError(f"--switch-price: {price:g} is out of range; allowed: 0 to 10")
     config = evaluate.read_policy(args.folder / "config.toml")
     metadata = msgspec.structs.replace(
         metadata,
@@ -66,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         args.out.write_bytes(data)
     except OSError as error:
-        raise ConfigError(f"{args.out}: {error.strerror}") from error
+        raise ConfigError(f"{args.out}: cannot be written: {error.strerror}") from error
     print(f"wrote {args.out}: {len(data):,} bytes")
     for key, value in results.items():
         print(f"  {key}: {value:g}")

@@ -78,7 +78,7 @@ def read(path: Path = CONVERGENCE) -> Results:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (EOFError, ValueError, msgspec.MsgspecError) as error:
-        raise ConfigError(f"{path}: not a file of results: {error}") from error
+        raise ConfigError(f"{path}: this is not a results file: {error}") from error
 
 
 def write(path: Path, results: Results) -> None:

@@ -35,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools atmc train`."""
     lines = [f"  {name:14s} {algorithm.words}" for name, algorithm in ALGORITHMS.items()]
     parser.description = (
-        "Train a policy. Each seed leaves a run folder with metrics, a checkpoint for --resume, and\n"
-        "policy.safetensors, the policy that did best on a fixed validation set.\n\n"
+        "Train a policy. Each seed gets a run folder with metrics, a checkpoint for --resume, and\n"
+        "policy.safetensors, the policy with the best result on a fixed validation set.\n\n"
         "algorithms:\n" + "\n".join(lines)
     )
     parser.epilog = (
@@ -44,24 +44,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  ground-tools atmc train --resume runs/atmc/20260101T000000Z-madqn-seed1"
     )
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--algorithm", choices=list(ALGORITHMS), metavar="NAME", help="one of those above")
-    what.add_argument("--resume", type=Path, metavar="FOLDER", help="go on with an earlier run")
+    what.add_argument(
+        "--algorithm", choices=list(ALGORITHMS), metavar="NAME", help="one of the algorithms above"
+    )
+    what.add_argument("--resume", type=Path, metavar="FOLDER", help="continue an earlier run")
     parser.add_argument(
         "--config",
         type=Path,
         metavar="FILE",
-        help="settings, TOML; a run folder's config.toml names them all",
+        help="settings as TOML (default: the algorithm's own); config.toml of a run folder lists them all",
     )
-    parser.add_argument("--episodes", type=int, metavar="N", help="how many; in place of the settings'")
+    parser.add_argument(
+        "--episodes", type=int, metavar="N", help="number of episodes (default: that of the settings)"
+    )
     seeds = parser.add_mutually_exclusive_group()
-    seeds.add_argument("--seed", type=int, metavar="S", help="of all that is drawn (default: 1)")
-    seeds.add_argument("--seeds", metavar="A-B", help="a run for each of these")
+    seeds.add_argument("--seed", type=int, metavar="S", help="seed of all random draws (default: 1)")
+    seeds.add_argument("--seeds", metavar="A-B", help="one run for each seed from A to B")
     parser.add_argument(
-        "--jobs", type=int, metavar="N", help="runs at the same time (default: one for each processor)"
+        "--jobs", type=int, metavar="N", help="runs at the same time (default: one per processor)"
     )
-    parser.add_argument("--device", choices=("cpu", "cuda"), help="default: cpu, or that of the resumed run")
     parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="where run folders are made (default: runs/atmc)"
+        "--device",
+        choices=("cpu", "cuda"),
+        help="device for PyTorch (default: cpu, or that of the resumed run)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="parent of the run folders (default: runs/atmc)"
     )
 
 
@@ -95,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     for job in jobs:
         print(job.folder)
     if code == 130 and any((job.folder / "checkpoint.pt").exists() for job in jobs):
-        print("stopped; go on with --resume FOLDER", file=sys.stderr)
+        print("stopped; to continue a run: --resume FOLDER", file=sys.stderr)
     return code
 
 
@@ -112,7 +120,7 @@ def _settings(args: argparse.Namespace) -> msgspec.Struct:
 
 def _episodes(args: argparse.Namespace) -> int | None:
     if args.episodes is not None and args.episodes < 1:
-        raise ConfigError(f"--episodes: {args.episodes}: allowed 1 and above")
+        raise ConfigError(f"--episodes: {args.episodes} is out of range; allowed: 1 or more")
     episodes: int | None = args.episodes
     return episodes
 
@@ -120,7 +128,9 @@ def _episodes(args: argparse.Namespace) -> int | None:
 def _refuse_with_resume(args: argparse.Namespace) -> None:
     for option in ("config", "seed", "seeds", "jobs", "out"):
         if getattr(args, option) is not None:
-            raise ConfigError(f"--{option}: cannot go with --resume: the run folder has it already")
+            raise ConfigError(
+                f"--{option} cannot be combined with --resume, which takes it from the run folder"
+            )
 
 
 def _seeds(seed: int | None, seeds: str | None) -> Sequence[int]:
@@ -130,13 +140,16 @@ def _seeds(seed: int | None, seeds: str | None) -> Sequence[int]:
         return [seed]
     span = re.fullmatch(r"([0-9]{1,9})-([0-9]{1,9})", seeds)
     if span is None or not 0 <= int(span[2]) - int(span[1]) < _MAX_SEEDS:
-        raise ConfigError(f"--seeds: {seeds}: expected a range such as 1-5, of at most {_MAX_SEEDS:,} seeds")
+        raise ConfigError(
+            f"--seeds: {seeds} is not allowed; "
+            f"allowed: a rising range of at most {_MAX_SEEDS:,} seeds, such as 1-5"
+        )
     return range(int(span[1]), int(span[2]) + 1)
 
 
 def _jobs(given: int | None, runs: int) -> int:
     if given is not None and given < 1:
-        raise ConfigError(f"--jobs: {given}: allowed 1 and above")
+        raise ConfigError(f"--jobs: {given} is out of range; allowed: 1 or more")
     return min(given or os.cpu_count() or 1, runs)
 
 

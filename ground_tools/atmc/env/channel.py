@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from companion.arrays import Floats
 from companion.atmc.actions import Action
 from sitl_mocks.channel.equations import carrier_sense
 from sitl_mocks.channel.equations.collision import background_survival, shares_of
@@ -189,7 +189,7 @@ class TorchChannel:
         table = np.stack(columns, 1) if columns else np.zeros((len(first), 0))
         return torch.tensor(table, dtype=torch.float32, device=self.device)
 
-    def _second_axis(self, mode: int) -> NDArray[np.float64] | None:
+    def _second_axis(self, mode: int) -> Floats | None:
         """Grid of the second table variable; None if delay depends on the first packet's survival only.
 
         It is the log survival of the auxiliary packet for BLE 5, and the load around the sender for Wi-Fi.

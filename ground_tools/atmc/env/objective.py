@@ -97,7 +97,7 @@ class PaperObjective:
 
     def __init__(self, channel: TorchChannel) -> None:
         if ((channel.level_of > 0).sum(1) != 1).any():
-            raise ValueError("P0 takes exactly one protocol for each action")
+            raise ValueError("the paper's objective needs exactly one protocol in each action")
         self.channel = channel
         self._mode = (channel.level_of > 0).long().argmax(1)
 

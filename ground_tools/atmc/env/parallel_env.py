@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from gymnasium.spaces import Box, Discrete
-from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from companion.arrays import Float32s
 from companion.atmc.actions import PAPER_ACTIONS, Action
 from ground_tools.atmc.env.channel import TorchChannel
 from ground_tools.atmc.env.environment import Env, EnvSettings, paper_reward
@@ -21,11 +21,10 @@ from ground_tools.atmc.env.objective import PaperObjective
 from ground_tools.atmc.learners.flat import flat, inputs
 from sitl_mocks.channel.parameters import ChannelParameters
 
-Floats = NDArray[np.float32]
 Infos = dict[str, dict[str, float]]
 
 
-class AtmcParallelEnv(ParallelEnv[str, Floats, int]):  # type: ignore[misc]
+class AtmcParallelEnv(ParallelEnv[str, Float32s, int]):  # type: ignore[misc]
     """The paper's task, on the CPU.
 
     Agents are named "uav_0", "uav_1" and so on. An observation is a row of `flat.flat`, a reward is in s, and
@@ -71,7 +70,7 @@ class AtmcParallelEnv(ParallelEnv[str, Floats, int]):  # type: ignore[misc]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Floats], Infos]:
+    ) -> tuple[dict[str, Float32s], Infos]:
         """Begin an episode. A seed makes the following random draws reproducible."""
         if seed is not None:
             self._generator.manual_seed(seed)
@@ -82,7 +81,7 @@ class AtmcParallelEnv(ParallelEnv[str, Floats, int]):  # type: ignore[misc]
 
     def step(
         self, actions: dict[str, int]
-    ) -> tuple[dict[str, Floats], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+    ) -> tuple[dict[str, Float32s], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         """Apply the actions of all agents at the same time, then move all aircraft to new positions."""
         agents = self.agents
         if not agents:
@@ -105,6 +104,6 @@ class AtmcParallelEnv(ParallelEnv[str, Floats, int]):  # type: ignore[misc]
             infos,
         )
 
-    def _observations(self) -> dict[str, Floats]:
-        rows: Floats = flat(self._env.observe())[0].numpy()
+    def _observations(self) -> dict[str, Float32s]:
+        rows: Float32s = flat(self._env.observe())[0].numpy()
         return dict(zip(self.agents, rows, strict=True))

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools
 from companion.atmc.actions import Action, legal
 from companion.remote_id.region import Region
 from sitl_mocks.channel.parameters import (
@@ -40,6 +40,6 @@ REGIONS: Final = {
 """Regions with the transport sets of `config/regions`; their other settings are not needed here."""
 
 
-def legal_sets(actions: Sequence[Action]) -> NDArray[np.bool_]:
+def legal_sets(actions: Sequence[Action]) -> Bools:
     """Which actions are legal in each of `REGIONS`, (regions, actions)."""
     return np.stack([legal(actions, region) for region in REGIONS.values()])

@@ -19,7 +19,7 @@ def needs_torch() -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"{error.name} is not installed; in the checkout: pip install -e '.[train]'"
+            f"{error.name} is not installed; to install it, run in the checkout: pip install -e '.[train]'"
         ) from error
 
 

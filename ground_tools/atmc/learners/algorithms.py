@@ -79,10 +79,12 @@ def _set_paper() -> Parts:
 
 
 ALGORITHMS: Final[dict[str, Algorithm]] = {
-    "madqn": Algorithm("the paper's MADQN-ATMC: a network for each aircraft", _madqn),
-    "madqn-shared": Algorithm("the same with one network for all", _madqn_shared),
-    "maddpg": Algorithm("the paper's baseline with critics that see everything", _maddpg),
-    "iac": Algorithm("the paper's baseline of independent actors and critics", _iac),
-    "flying": Algorithm("the set network that flies: awareness, any number of neighbours", _flying, 2, 2),
-    "set-paper": Algorithm("the set network on the paper's objective", _set_paper, 2, 2),
+    "madqn": Algorithm("the paper's MADQN-ATMC, with one network per aircraft", _madqn),
+    "madqn-shared": Algorithm("MADQN-ATMC with one network for all aircraft", _madqn_shared),
+    "maddpg": Algorithm("the paper's MADDPG baseline, with critics that see all aircraft", _maddpg),
+    "iac": Algorithm("the paper's IAC baseline, with independent actors and critics", _iac),
+    "flying": Algorithm(
+        "the set network for flight, trained for awareness; any number of neighbours", _flying, 2, 2
+    ),
+    "set-paper": Algorithm("the set network trained for the paper's objective", _set_paper, 2, 2),
 }

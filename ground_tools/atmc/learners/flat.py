@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from companion.arrays import Float32s, Floats
 from companion.atmc import policy, policy_file
 from companion.atmc.actions import Action
 from companion.atmc.observation import NEIGHBOUR_COLUMNS, OWN_COLUMNS
@@ -170,7 +170,7 @@ def thawed(data: bytes, name: str) -> Stack:
     return stack
 
 
-def _whole_rows(row: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _whole_rows(row: Float32s) -> tuple[Floats, Floats]:
     """Convert a flat row back to an observation with all columns of the schema."""
     own = np.zeros(len(OWN_COLUMNS))
     own[_OWN] = row[: len(OWN)]
@@ -181,5 +181,5 @@ def _whole_rows(row: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[
     return own, rows
 
 
-def _array(tensor: Tensor) -> NDArray[np.float32]:
+def _array(tensor: Tensor) -> Float32s:
     return np.ascontiguousarray(tensor.detach().cpu().numpy(), np.float32)

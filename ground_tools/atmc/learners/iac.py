@@ -7,7 +7,7 @@ to fill first.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import torch
@@ -15,7 +15,8 @@ from msgspec import Meta
 from torch import Tensor
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
-from ground_tools.atmc.learners.flat import Stack, clipped, frozen
+from ground_tools.atmc.learners.flat import Stack, clipped
+from ground_tools.atmc.learners.paper_learner import PaperLearner
 
 
 class IacSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,7 +40,7 @@ class IacSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     hidden: tuple[Count, ...] = (256, 128)
 
 
-class Iac:
+class Iac(PaperLearner):
     """Trains independent actors and critics. A `Learner`."""
 
     def __init__(self, settings: IacSettings, seed: int, device: torch.device) -> None:
@@ -104,36 +105,12 @@ class Iac:
         found: Tensor = critic_loss.detach() / s.task.uavs
         return found
 
-    def _best(self, seen: Tensor) -> Tensor:
-        """Most probable choices: (E, N, inputs) to (E, N)."""
-        with torch.no_grad():
-            return self.actor.of_all(seen).argmax(-1)
+    @property
+    def _chooser(self) -> Stack:
+        return self.actor
 
-    def validate(self) -> dict[str, float]:
-        """Measure the delays (ms) of the most probable choices. See `Learner.validate`."""
-        return self._task.validate(self._best)
-
-    def state(self) -> dict[str, Any]:
-        """See `Learner.state`."""
-        return {
-            "done": self.done,
-            "actor": self.actor.state_dict(),
-            "critic": self.critic.state_dict(),
-            "adam": self._adam.state_dict(),
-            "generator": self._generator.get_state(),
-        }
-
-    def load(self, state: dict[str, Any]) -> None:
-        """See `Learner.load`."""
-        self.done = state["done"]
-        self.actor.load_state_dict(state["actor"])
-        self.critic.load_state_dict(state["critic"])
-        self._adam.load_state_dict(state["adam"])
-        self._generator.set_state(state["generator"])
-
-    def frozen(self, name: str, results: dict[str, float]) -> bytes:
-        """See `Learner.frozen`."""
-        return frozen(self.actor, self._task.actions, name, results, self._task.examples())
+    def _parts(self) -> dict[str, Stack | torch.optim.Optimizer]:
+        return {"actor": self.actor, "critic": self.critic, "adam": self._adam}
 
 
 def discounted(reward: Tensor, after: Tensor, discount: float) -> Tensor:

@@ -24,7 +24,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
-from ground_tools.atmc.learners.flat import Stack, clipped, frozen, soft_update
+from ground_tools.atmc.learners.flat import Stack, clipped, soft_update
+from ground_tools.atmc.learners.paper_learner import PaperLearner
 from ground_tools.atmc.learners.replay_buffer import Batch, Replay
 
 Rate = Annotated[float, Meta(gt=0)]
@@ -59,8 +60,10 @@ class MaddpgSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     hidden: tuple[Count, ...] = (256, 128)
 
 
-class Maddpg:
+class Maddpg(PaperLearner):
     """Trains actors with centralised critics. A `Learner`."""
+
+    replay: Replay
 
     def __init__(self, settings: MaddpgSettings, seed: int, device: torch.device) -> None:
         s = self.settings = settings
@@ -147,32 +150,9 @@ class Maddpg:
         loss = -value.mean(1).sum() + s.logit_cost * logits.square().mean((1, 2)).sum()
         _step(self._actor_adam, self.actor, loss, s.gradient_clip)
 
-    def _best(self, seen: Tensor) -> Tensor:
-        """Most probable choices: (E, N, inputs) to (E, N)."""
-        with torch.no_grad():
-            return self.actor.of_all(seen).argmax(-1)
-
-    def validate(self) -> dict[str, float]:
-        """Measure the delays (ms) of the most probable choices. See `Learner.validate`."""
-        return self._task.validate(self._best)
-
-    def state(self) -> dict[str, Any]:
-        """See `Learner.state`."""
-        return {
-            "done": self.done,
-            "scale": self._scale,
-            "replay": self.replay.state(),
-            "generator": self._generator.get_state(),
-            **{name: part.state_dict() for name, part in self._parts().items()},
-        }
-
-    def load(self, state: dict[str, Any]) -> None:
-        """See `Learner.load`."""
-        self.done, self._scale = state["done"], state["scale"].to(self._task.device)
-        self.replay.load(state["replay"])
-        self._generator.set_state(state["generator"])
-        for name, part in self._parts().items():
-            part.load_state_dict(state[name])
+    @property
+    def _chooser(self) -> Stack:
+        return self.actor
 
     def _parts(self) -> dict[str, Stack | torch.optim.Optimizer]:
         return {
@@ -184,9 +164,14 @@ class Maddpg:
             "critic_adam": self._critic_adam,
         }
 
-    def frozen(self, name: str, results: dict[str, float]) -> bytes:
-        """See `Learner.frozen`."""
-        return frozen(self.actor, self._task.actions, name, results, self._task.examples())
+    def state(self) -> dict[str, Any]:
+        """See `Learner.state`."""
+        return {**super().state(), "scale": self._scale}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """See `Learner.load`."""
+        super().load(state)
+        self._scale = state["scale"].to(self._task.device)
 
 
 def _step(adam: torch.optim.Optimizer, networks: Stack, loss: Tensor, clip: float) -> None:

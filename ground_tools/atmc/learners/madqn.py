@@ -10,7 +10,7 @@ does not end the task, so its target bootstraps like every other one. The initia
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import torch
@@ -18,7 +18,8 @@ from msgspec import Meta
 from torch import Tensor
 
 from ground_tools.atmc.env.paper_task import Count, PaperTask, Share, Tally, TaskSettings
-from ground_tools.atmc.learners.flat import Stack, frozen, soft_update
+from ground_tools.atmc.learners.flat import Stack, soft_update
+from ground_tools.atmc.learners.paper_learner import PaperLearner
 from ground_tools.atmc.learners.replay_buffer import Replay
 
 
@@ -48,8 +49,10 @@ class SharedMadqnSettings(MadqnSettings, frozen=True, kw_only=True):
     shared_network: bool = True
 
 
-class Madqn:
+class Madqn(PaperLearner):
     """Trains the Q networks. A `Learner`."""
+
+    replay: Replay
 
     def __init__(self, settings: MadqnSettings, seed: int, device: torch.device) -> None:
         s = self.settings = settings
@@ -89,11 +92,6 @@ class Madqn:
         some = torch.randint(len(self._task.actions), (uavs,), generator=self._generator, device=device)
         return torch.where(drawn < rate, some, self._best(seen[None])[0])
 
-    def _best(self, seen: Tensor) -> Tensor:
-        """Greedy choices: (E, N, inputs) to (E, N)."""
-        with torch.no_grad():
-            return self.network.of_all(seen).argmax(-1)
-
     def _learn(self) -> Tensor:
         """Update every network once. Returns the mean of their losses."""
         s = self.settings
@@ -110,33 +108,12 @@ class Madqn:
         found: Tensor = loss.detach() / self.network.networks
         return found
 
-    def validate(self) -> dict[str, float]:
-        """Measure the delays (ms) of the greedy policy. See `Learner.validate`."""
-        return self._task.validate(self._best)
+    @property
+    def _chooser(self) -> Stack:
+        return self.network
 
-    def state(self) -> dict[str, Any]:
-        """See `Learner.state`."""
-        return {
-            "done": self.done,
-            "network": self.network.state_dict(),
-            "target": self.target.state_dict(),
-            "adam": self._adam.state_dict(),
-            "replay": self.replay.state(),
-            "generator": self._generator.get_state(),
-        }
-
-    def load(self, state: dict[str, Any]) -> None:
-        """See `Learner.load`."""
-        self.done = state["done"]
-        self.network.load_state_dict(state["network"])
-        self.target.load_state_dict(state["target"])
-        self._adam.load_state_dict(state["adam"])
-        self.replay.load(state["replay"])
-        self._generator.set_state(state["generator"])
-
-    def frozen(self, name: str, results: dict[str, float]) -> bytes:
-        """See `Learner.frozen`."""
-        return frozen(self.network, self._task.actions, name, results, self._task.examples())
+    def _parts(self) -> dict[str, Stack | torch.optim.Optimizer]:
+        return {"network": self.network, "target": self.target, "adam": self._adam}
 
 
 def exploration_rate(settings: MadqnSettings, episode: int) -> float:

@@ -100,9 +100,9 @@ def resumed_job(folder: Path, device: str | None, episodes: int | None) -> Job:
         kind = type(ALGORITHMS[algorithm].parts().settings)
         device = device or str(manifest["device"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"--resume: {folder}: not the folder of a training run") from error
+        raise ConfigError(f"--resume: {folder}: this is not the folder of a training run") from error
     if not (folder / "checkpoint.pt").exists():
-        raise ConfigError(f"--resume: {folder}: checkpoint.pt is missing: the run ended before its first one")
+        raise ConfigError(f"--resume: {folder}: checkpoint.pt is missing; the run ended before it wrote one")
     settings: Any = decode_toml(folder / "config.toml", kind)
     if episodes is not None:
         settings = msgspec.structs.replace(settings, episodes=episodes)
@@ -117,7 +117,7 @@ def device_of(name: str) -> torch.device:
         ConfigError: This machine has no such device.
     """
     if name == "cuda" and not torch.cuda.is_available():
-        raise ConfigError("--device: cuda: PyTorch finds no GPU here; allowed: cpu")
+        raise ConfigError("--device: cuda: PyTorch finds no GPU on this machine; allowed: cpu")
     return torch.device(name)
 
 
@@ -223,7 +223,9 @@ class _Metrics:
                 with path.open(newline="") as file:
                     self._rows = [row for row in csv.DictReader(file) if int(row["episode"]) <= done]
             except (OSError, ValueError, KeyError) as error:
-                raise ConfigError(f"--resume: {path}: not the metrics of a run: {error}") from error
+                raise ConfigError(
+                    f"--resume: {path}: this is not the metrics file of a run: {error}"
+                ) from error
         self._columns: list[str] = list(self._rows[0]) if self._rows else []
         if self._rows:
             self._write_all()

@@ -9,7 +9,7 @@ acceleration limit is not a manoeuvre.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import msgspec
@@ -19,7 +19,14 @@ from companion.authority.table import HOLDING, State
 from companion.config import Config
 from companion.errors import ConfigError
 from companion.event_record import Step
-from companion.events import AuthorityChanged, Decision, FenceDownloaded, Settings, VehicleParameters
+from companion.events import (
+    AuthorityChanged,
+    Decision,
+    FenceDownloaded,
+    Settings,
+    TrackView,
+    VehicleParameters,
+)
 from companion.geometry import Vec3
 from companion.ownship import Ownship
 from ground_tools.inspect.explain.why import Alternative, Explainer, HalfSpace, Look
@@ -91,7 +98,7 @@ class Manoeuvre:
     @property
     def text(self) -> str:
         """The whole explanation in a few sentences."""
-        instead = f"Instead, at its start: {'; '.join(self.instead)}." if self.instead else ""
+        instead = f"Alternatives at the start: {'; '.join(self.instead)}." if self.instead else ""
         return " ".join(words for words in (self.why, self.done, self.came, instead) if words)
 
 
@@ -266,13 +273,9 @@ class Starts:
 
 
 def _finished(one: _Open) -> Manoeuvre:
-    track = min(
-        (t for t in one.decision.tracks if t.conflict),
-        key=lambda t: (t.closest_m, t.track_id),
-        default=None,
-    ) or min(
-        (t for t in one.decision.tracks if t.active), key=lambda t: (t.closest_m, t.track_id), default=None
-    )
+    tracks = one.decision.tracks
+    in_the_way = _by_distance(t for t in tracks if t.conflict) or _by_distance(t for t in tracks if t.active)
+    track = in_the_way[0] if in_the_way else None
     nearest_m, nearest_s, nearest_track = one.nearest or (None, None, None)
     done = _done(one)
     return Manoeuvre(
@@ -301,21 +304,24 @@ def _finished(one: _Open) -> Manoeuvre:
     )
 
 
+def _by_distance(tracks: Iterable[TrackView]) -> list[TrackView]:
+    """The tracks in the order of their closest points."""
+    return sorted(tracks, key=lambda track: (track.closest_m, track.track_id))
+
+
 def _why(one: _Open) -> str:
-    conflicts = sorted(
-        (t for t in one.decision.tracks if t.conflict), key=lambda t: (t.closest_m, t.track_id)
-    )
+    conflicts = _by_distance(t for t in one.decision.tracks if t.conflict)
     if conflicts:
         ways = [
-            f"within {t.closest_m:.1f} m of {t.track_id} in {t.time_to_closest_s:.1f} s (volume "
+            f"within {t.closest_m:.1f} m of {t.track_id} in {t.time_to_closest_s:.1f} s (conflict volume "
             f"{t.radius_m:.1f} m, information {t.age_s:.1f} s old)"
             for t in conflicts[:_MOST_NAMED]
         ]
         more = f" and {len(conflicts) - _MOST_NAMED} more" if len(conflicts) > _MOST_NAMED else ""
-        return f"The wanted velocity would have come {', '.join(ways)}{more}."
+        return f"The wanted velocity would have led {', '.join(ways)}{more}."
     bounds = [t.track_id for t in one.decision.tracks if t.active]
     bounds += [name for name in one.decision.limits if name != "speed"]
-    return f"The wanted velocity was bounded by {', '.join(bounds) or 'a conflict seen just before'}."
+    return f"The wanted velocity was excluded by {', '.join(bounds) or 'a conflict just before'}."
 
 
 def change(wanted: Vec3, chosen: Vec3) -> str:
@@ -341,14 +347,16 @@ def change(wanted: Vec3, chosen: Vec3) -> str:
 
 def _done(one: _Open) -> str:
     most = change(one.strongest.wanted_ned_mps, one.strongest.chosen_ned_mps)
-    taken = "Taken out of its mission for" if one.guarded else "Left the wanted velocity for"
+    taken = (
+        "The aircraft left its mission for" if one.guarded else "The aircraft left the wanted velocity for"
+    )
     flown, wanted = (math.hypot(*v[:2]) for v in (one.decision.velocity_ned_mps, one.decision.wanted_ned_mps))
     fast = one.guarded and flown - wanted >= _TOO_FAST_MPS
-    slowed = f", at {flown:.1f} m/s where {wanted:.1f} m/s were wanted" if fast else ""
-    words = f"{taken} {one.end_s - one.start_s:.1f} s{slowed}; at its most the command was {most}"
+    slowed = f", at {flown:.1f} m/s instead of the wanted {wanted:.1f} m/s" if fast else ""
+    words = f"{taken} {one.end_s - one.start_s:.1f} s{slowed}. The largest change of velocity was: {most}."
     bounds = [*one.tracks, *one.limits]
-    words += f"; bounded by {', '.join(bounds)}" if bounds else ""
-    return f"{words}." if one.feasible else f"{words}. Not every half-space could be kept."
+    words += f" The velocity was limited by {', '.join(bounds)}." if bounds else ""
+    return words if one.feasible else f"{words} No velocity kept every half-space."
 
 
 def _came(one: _Open) -> str:
@@ -357,21 +365,21 @@ def _came(one: _Open) -> str:
         distance, when_s, track = one.nearest
         after_s = when_s - one.start_s
         parts.append(
-            f"nearest was {track} at {distance:.1f} m, as predicted then, {after_s:.1f} s after its start"
+            f"The nearest aircraft was {track}, at {distance:.1f} m as predicted then, "
+            f"{after_s:.1f} s after the start."
         )
     if one.deviation_m is not None:
-        back = "was not regained before the next one or the end"
+        back = "did not return to it before the next manoeuvre or the end"
         if one.regained_s is not None:
-            back = f"was regained {one.regained_s - one.end_s:.1f} s after its end"
-        parts.append(f"at most {one.deviation_m:.1f} m from the timed path, which {back}")
-    words = "; ".join(parts)
-    return words[:1].upper() + words[1:] + "." if words else ""
+            back = f"was back on it {one.regained_s - one.end_s:.1f} s after the manoeuvre"
+        parts.append(f"The aircraft was at most {one.deviation_m:.1f} m from the timed path and {back}.")
+    return " ".join(parts)
 
 
 def outcome(one: Alternative) -> str:
     """Describe an alternative and what it would have led to."""
     if one.closest_track is None or one.closest_m is None:
-        led = "no traffic"
+        led = "no aircraft near"
     else:
         led = f"{one.closest_m:.1f} m from {one.closest_track} in {one.closest_in_s:.1f} s"
     return f"{one.name}: {led}, {verdict(one)}"
@@ -383,8 +391,8 @@ def verdict(one: Alternative) -> str:
         causes = ", ".join(f"{cause} (by {short:.1f} m/s)" for cause, short in one.excluded_by[:_MOST_NAMED])
         return f"excluded by {causes}"
     if one.from_wanted_mps == 0.0:
-        return "no half-space excludes it yet, but in a conflict the law keeps to the right"
-    enters = f", though in the volume of {', '.join(one.enters)} now or later" if one.enters else ""
+        return "not excluded yet, but in a conflict the law keeps to the right"
+    enters = f", although it enters the conflict volume of {', '.join(one.enters)}" if one.enters else ""
     return f"allowed{enters}, {one.from_wanted_mps:.1f} m/s from the wanted velocity"
 
 

@@ -35,7 +35,6 @@ from companion.avoidance.law import (
     QUANTUM_MPS,
     SIGMAS,
     horizon_s,
-    on_plane,
     separation_m,
     settings_of,
 )
@@ -121,8 +120,8 @@ class Explainer:
             config: Configuration from the record's header.
         """
         self.configure(config, None, config.fence)
-        self._state = np.zeros(k.STATE_ENTRIES)
-        self._times, self._velocities = np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3))
+        self._samples = 0
+        self._history = k.History(np.zeros(k.HISTORY_SAMPLES), np.zeros((k.HISTORY_SAMPLES, 3)))
 
     def configure(
         self, config: Config, vehicle: VehicleParameters | None, areas: Sequence[FenceArea]
@@ -141,7 +140,7 @@ class Explainer:
 
     def note(self, now_s: float, velocity_ned_mps: Vec3) -> None:
         """Record the own velocity before a decision, as the companion's core does at every step."""
-        k.note_velocity(self._state, self._times, self._velocities, now_s, *velocity_ned_mps)
+        self._samples = k.note_velocity(*self._history, self._samples, now_s, velocity_ned_mps)
 
     def look(
         self, now_s: float, decision: Decision, height_m: float | None = None, sigma_m: float = 0.0
@@ -156,8 +155,8 @@ class Explainer:
         """
         spaces, solved = self._half_spaces(now_s, decision, height_m, sigma_m)
         speed, climb = self._limits.max_speed_mps, self._limits.max_climb_mps
-        found = self._alternative("as the law found", solved, decision, spaces)
-        wanted = self._alternative("keep on as wanted", decision.wanted_ned_mps, decision, spaces)
+        found = self._alternative("the law's velocity", solved, decision, spaces)
+        wanted = self._alternative("keep the wanted velocity", decision.wanted_ned_mps, decision, spaces)
         others = [self._alternative("stop", (0.0, 0.0, 0.0), decision, spaces)]
         n, e, _ = decision.wanted_ned_mps
         if math.hypot(n, e) >= _LEAST_SPEED_MPS:
@@ -203,61 +202,55 @@ class Explainer:
         settings = settings_of(self._avoidance, self._limits, straight)
         fence = walls_of(self._areas, LocalFrame(*decision.origin), None, 0.0)
         tracks = decision.tracks
-        neighbours = np.zeros((len(tracks) + 1, k.NEIGHBOUR_COLUMNS))
-        for row, track in zip(neighbours, tracks, strict=False):
-            self._neighbour(row, track, decision, sigma_m)
-        own = np.zeros(k.OWN_ENTRIES)
-        own[:6] = *here, *decision.velocity_ned_mps
-        own[k.O_SIGMA], own[k.O_NOW], own[k.O_PATH_TIME] = sigma_m, now_s, 0.0
-        own[k.O_FLOOR], own[k.O_CEILING] = self._boundaries(here[2], height_m)
+        neighbours = np.zeros((len(tracks) + 1, k.OTHER_COLUMNS))
+        for row, track in enumerate(tracks):
+            neighbours[row] = self._neighbour(track, decision, sigma_m)
+        own = k.Own(
+            k.Vector(*here), k.Vector(*decision.velocity_ned_mps), sigma_m, now_s, 0.0,
+            *self._boundaries(here[2], height_m),
+        )  # fmt: skip
+        state = k.first_state(settings, self._samples)
         # Work on copies, so that this computation does not change the history.
-        state, times, velocities = self._state.copy(), self._times.copy(), self._velocities.copy()
-        history = state[k.L_HISTORY]
-        k.begin(state, settings)
-        state[k.L_HISTORY] = history
-        planes = np.zeros((k.plane_rows(len(fence), len(tracks)), 4))
-        view, out = np.zeros((len(neighbours), k.VIEW_COLUMNS)), np.zeros(k.OUT_ENTRIES)
-        k.decide(
-            neighbours,
-            len(tracks),
-            own,
-            *straight.arrays,
-            fence,
-            settings,
-            state,
-            times,
-            velocities,
-            planes,
-            np.zeros_like(planes),
-            view,
-            out,
+        history, work = (
+            k.History(*(array.copy() for array in self._history)),
+            k.workspace(len(fence), len(tracks)),
         )
-        solved = out[k.R_SOLVED : k.R_SOLVED + 3].tolist()
+        made = k.decide(
+            neighbours, len(tracks), own, k.Path(*straight.arrays), fence, settings, state, history, work
+        )
         found = []
-        for number, plane in enumerate(planes[: int(out[k.R_HARD])].tolist()):
+        for number in range(made.hard):
+            (n, e, d), least = plane = k.plane_at(work.planes, number)
             cause = LIMITS[min(number, k.DOWN_SPEEDS)]
-            active = cause in decision.limits and (number < k.DOWN_SPEEDS or on_plane(plane, solved))
-            found.append(HalfSpace(cause, False, (plane[0], plane[1], plane[2]), plane[3], active))
-        for track, seen in zip(tracks, view.tolist(), strict=False):
-            n, e, d, least = seen[k.V_PLANE : k.V_STANDING]
+            bounds = number < k.DOWN_SPEEDS or k.on_plane(plane, made.solved)
+            found.append(HalfSpace(cause, False, (n, e, d), least, cause in decision.limits and bounds))
+        for track, asked in zip(tracks, work.asked, strict=True):
+            (n, e, d), least = k.plane_at(asked, 0)
             found.append(HalfSpace(track.track_id, True, (n, e, d), least, track.active))
-        return tuple(found), (solved[0], solved[1], solved[2])
+        return tuple(found), made.solved
 
-    def _neighbour(self, row: k.Array, track: TrackView, decision: Decision, own_sigma_m: float) -> None:
-        """Fill one row with the track's position at its message and an accuracy that gives the logged
-        radius."""
+    def _neighbour(self, track: TrackView, decision: Decision, own_sigma_m: float) -> k.Other:
+        """The track with its position at its message and an accuracy that gives the logged radius."""
         crewed = self._crewed(track)
         age = max(track.age_s, 0.0)
         margin = track.radius_m - separation_m(self._avoidance, crewed)[0] - QUANTUM_MPS * age
-        row[:3] = [p - age * v for p, v in zip(track.position_ned_m, track.velocity_ned_mps, strict=True)]
-        row[3:6] = track.velocity_ned_mps
-        row[k.N_AGE] = age
+        n, e, d = (p - age * v for p, v in zip(track.position_ned_m, track.velocity_ned_mps, strict=True))
         sigma = max(margin, LEAST_MARGIN_M) / SIGMAS
-        row[k.N_SIGMA] = math.sqrt(max(sigma * sigma - own_sigma_m * own_sigma_m, 0.0))
-        row[k.N_SHARE] = share_of(FREE, CREWED if crewed else FREE)
-        # The kernel puts a track without a known height at exactly our own height.
-        row[k.N_VERTICAL] = track.position_ned_m[2] != decision.position_ned_m[2]
-        row[k.N_CREWED] = crewed
+        return k.Other(
+            n,
+            e,
+            d,
+            *track.velocity_ned_mps,
+            age_s=age,
+            sigma_m=math.sqrt(max(sigma * sigma - own_sigma_m * own_sigma_m, 0.0)),
+            sigma_mps=0.0,
+            growth_mps=0.0,
+            silent=0.0,
+            share=share_of(FREE, CREWED if crewed else FREE),
+            # The kernel puts a track without a known height at exactly our own height.
+            vertical_known=float(track.position_ned_m[2] != decision.position_ned_m[2]),
+            crewed=float(crewed),
+        )
 
     def _crewed(self, track: TrackView) -> bool:
         return track.adsb and track.radius_m >= separation_m(self._avoidance, True)[0]
@@ -285,15 +278,14 @@ class Explainer:
             if away[2] == 0.0:  # the track's height is unknown
                 closing[2] = 0.0
             look = max(LOOK_S, horizon_s(self._avoidance, crewed))
-            t, near2 = k.closest(away[0], away[1], away[2], closing[0], closing[1], closing[2], look)
+            t, near2 = k.closest(k.Vector(*away), k.Vector(*closing), look)
             if nearest is None or near2 < nearest[0]:
                 nearest = near2, t, track.track_id
             scale = separation_m(self._avoidance, crewed)[1]
             if self._avoidance.law == "paper":
                 scale = 1.0
-            _, near2 = k.closest(
-                away[0], away[1], scale * away[2], closing[0], closing[1], scale * closing[2], look
-            )
+            away[2], closing[2] = scale * away[2], scale * closing[2]
+            _, near2 = k.closest(k.Vector(*away), k.Vector(*closing), look)
             if near2 < track.radius_m * track.radius_m:
                 enters.append(track.track_id)
         short = [(space.cause, space.short_mps(velocity)) for space in spaces]

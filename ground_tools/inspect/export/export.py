@@ -23,22 +23,27 @@ Write = Callable[[Iterator[tables.Rows], tuple[str, ...], Path], int]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools export` to `parser`."""
-    parser.description = "Write what was flown for other software. Several RUNs are put on one UTC time line."
+    parser.description = "Export runs for other software. Several RUNs are put on one UTC time line."
     parser.epilog = EXAMPLE
-    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder, or .tlog")
+    parser.add_argument("run_folder", nargs="+", type=Path, metavar="RUN", help="run folder or .tlog file")
     parser.add_argument(
-        "--csv", type=Path, metavar="DIR", help="tracks, encounters, manoeuvres and alternatives as .csv"
+        "--csv",
+        type=Path,
+        metavar="DIR",
+        help="write tracks, encounters, manoeuvres and alternatives as .csv",
     )
-    parser.add_argument("--parquet", type=Path, metavar="DIR", help="the same as .parquet")
-    parser.add_argument("--kml", type=Path, metavar="FILE", help="for Google Earth")
+    parser.add_argument("--parquet", type=Path, metavar="DIR", help="write the same tables as .parquet")
+    parser.add_argument("--kml", type=Path, metavar="FILE", help="write the paths for Google Earth")
     parser.add_argument(
         "--scenario",
         type=Path,
         metavar="FILE.toml",
-        help="the closest approach as it was flown, for sitl-mocks demo --scenario",
+        help="write the closest approach as it was flown, as a scenario for sitl-mocks demo",
     )
     parser.add_argument(
-        "--planned", action="store_true", help="with --scenario: the timed paths that were to be flown"
+        "--planned",
+        action="store_true",
+        help="with --scenario: write the planned timed paths of all aircraft instead",
     )
 
 
@@ -50,9 +55,9 @@ def run(args: argparse.Namespace) -> int:
             be written.
     """
     if not (args.csv or args.parquet or args.kml or args.scenario):
-        raise ConfigError("say what to write: --csv, --parquet, --kml or --scenario")
+        raise ConfigError("there is nothing to write; give --csv, --parquet, --kml or --scenario")
     if args.planned and not args.scenario:
-        raise ConfigError("--planned: goes with --scenario")
+        raise ConfigError("--planned is allowed only with --scenario")
     runs = read_all(args.run_folder)
     whole = together(runs)
     ways = flown(whole)
@@ -95,4 +100,4 @@ def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be made: {error.strerror}") from error
+        raise ConfigError(f"{folder}: the folder cannot be created: {error.strerror}") from error

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
+from companion.arrays import Floats
 from companion.authority.table import State
 from companion.config import AvoidanceConfig, LimitsConfig, TrajectoryFile
 from companion.errors import ConfigError
@@ -26,7 +27,7 @@ from companion.events import AuthorityChanged, GlobalPosition, RemoteIdHeard
 from companion.geometry import LocalFrame
 from companion.remote_id.messages import Location
 from companion.toml_reader import without_none
-from ground_tools.inspect.read.flown import MAX_GAP_S, Array, Flown, Separation, at, separations
+from ground_tools.inspect.read.flown import MAX_GAP_S, Flown, Separation, at, separations
 from ground_tools.inspect.read.flown import Path as FlownPath
 from ground_tools.inspect.read.read_run import AircraftRecord, Run, is_regular, read_json
 from sitl_mocks.air.air_settings import AirSettings
@@ -94,7 +95,7 @@ def flown_again(run: Run, ways: Flown) -> Incident:
     pairs = [pair for pair in separations(ways.paths) if pair.minimum_m is not None]
     if not pairs:
         raise ConfigError(
-            f"{run.folder}: no two aircraft with known positions at one time: a scenario needs a pair"
+            f"{run.folder}: no two aircraft have positions at the same time; a scenario needs a pair"
         )
     closest = pairs[0]
     at_s = closest.minimum_time_s or 0.0
@@ -116,11 +117,12 @@ def flown_again(run: Run, ways: Flown) -> Incident:
     return Incident(
         scenario,
         (
-            f"{closest.first} and {closest.second} of {run.name}: closest {closest.minimum_m:.2f} m by "
-            f"{ways.positions}, at {at_s - start:.1f} s of these paths, as flown.",
+            f"The encounter of {closest.first} and {closest.second} in {run.name}, as flown.",
+            f"Closest approach: {closest.minimum_m:.2f} m from {ways.positions}, "
+            f"at {at_s - start:.1f} s of these paths.",
             f"Paths in order: {', '.join(names)}.",
-            "The vehicles follow what was flown: no lag, no wind, no navigation error, no avoidance.",
-            "To see what avoidance makes of it, add --law dmuca and put a real vehicle in for these: "
+            "The vehicles follow the flown paths without lag, wind, navigation error and avoidance.",
+            "To fly them with avoidance, add --law dmuca and replace these with a real vehicle's values: "
             f"recovery_time_s was {avoidance.recovery_time_s:g}, "
             f"max_acceleration_mps2 {limits.max_acceleration_mps2:g}.",
         ),
@@ -135,7 +137,7 @@ def planned_again(run: Run) -> Incident:
             time of it.
     """
     if len(run.aircraft) < 2:
-        raise ConfigError(f"{run.folder}: one aircraft: a scenario needs at least two")
+        raise ConfigError(f"{run.folder}: the run has one aircraft; a scenario needs at least two")
     given = _simulated(run)
     # A simulated run uses the local frame of the scenarios.
     frame = HOME if given is not None else _frame(run.aircraft[0], run)
@@ -158,11 +160,11 @@ def planned_again(run: Run) -> Incident:
     return Incident(
         scenario,
         (
-            f"{run.name}: the paths that were planned.",
+            f"The planned paths of {run.name}.",
             f"Paths in order: {', '.join(record.name for record in run.aircraft)}.",
-            "What wind and navigation did to real aircraft is not in it."
+            "They do not contain the effects of wind and navigation on the real aircraft."
             if seed is None
-            else f"The same run comes with: sitl-mocks demo --scenario THIS_FILE --seed {seed}",
+            else f"To repeat the run: sitl-mocks demo --scenario THIS_FILE --seed {seed}",
         ),
     )
 
@@ -175,7 +177,7 @@ def _window(first: FlownPath, second: FlownPath, at_s: float, run: Run) -> tuple
     end = min(at_s + AROUND_S, *(span[1] for span in spans))
     if end - start < _LEAST_S:
         raise ConfigError(
-            f"{run.folder}: {first.name} and {second.name} are known together for {end - start:.1f} s around "
+            f"{run.folder}: {first.name} and {second.name} have positions for {end - start:.1f} s around "
             f"their closest approach; a scenario needs {_LEAST_S:g} s"
         )
     return start, end
@@ -212,13 +214,13 @@ def _taking_part(
     return sorted(names)
 
 
-def _lifted(tracks: list[Array]) -> list[Array]:
+def _lifted(tracks: list[Floats]) -> list[Floats]:
     """Move all tracks, each (n, 3) NED, up by the same height."""
     lowest = min(float(-track[:, 2].max()) for track in tracks)
     return [track - np.array([0.0, 0.0, max(LOWEST_M - lowest, 0.0)]) for track in tracks]
 
 
-def _path(times_s: Array, position_ned_m: Array) -> PathSettings:
+def _path(times_s: Floats, position_ned_m: Floats) -> PathSettings:
     rows = np.column_stack([times_s, position_ned_m]).round(_DIGITS).tolist()
     return PathSettings(points=tuple((t, n, e, d) for t, n, e, d in rows))
 
@@ -231,7 +233,7 @@ def _configured(records: Sequence[AircraftRecord]) -> tuple[LimitsConfig, Avoida
     return LimitsConfig(), AvoidanceConfig()
 
 
-def _fast_enough(limits: LimitsConfig, tracks: list[Array], run: Run) -> LimitsConfig:
+def _fast_enough(limits: LimitsConfig, tracks: list[Floats], run: Run) -> LimitsConfig:
     """Return limits with which the tracks can be followed.
 
     Raises:
@@ -246,8 +248,8 @@ def _fast_enough(limits: LimitsConfig, tracks: list[Array], run: Run) -> LimitsC
     for what, (speed, most) in needed.items():
         if speed * _ROOM > most:
             raise ConfigError(
-                f"{run.folder}: flown at {speed:.1f} m/s: a scenario's limits.{what} is {most:g} at most, "
-                f"and {100 * _ROOM - 100:.0f} % of room are needed to follow"
+                f"{run.folder}: the flown {speed:.1f} m/s are too fast for a scenario; allowed: "
+                f"limits.{what} up to {most:g}, {100 * _ROOM - 100:.0f} % above the flown speed"
             )
     return msgspec.structs.replace(
         limits,
@@ -289,7 +291,7 @@ def _air(run: Run) -> AirSettings:
     return AirSettings(delay_s=(round(float(low), 2), round(float(high), 2)))
 
 
-def _delays(record: AircraftRecord) -> Array:
+def _delays(record: AircraftRecord) -> Floats:
     """Return the delays (n,) in seconds from the timestamp of a received Location to its reception."""
     offset = record.facts.utc_offset_s
     found = array("d")
@@ -309,7 +311,7 @@ def _delays(record: AircraftRecord) -> Array:
 def _path_of(record: AircraftRecord, run: Run) -> TrajectoryFile:
     path = None if record.header is None else record.header.config.path
     if path is None:
-        raise ConfigError(f"{run.folder}: {record.name}: no timed path in its record; leave out --planned")
+        raise ConfigError(f"{run.folder}: {record.name}: its record has no timed path; leave out --planned")
     return path
 
 
@@ -319,7 +321,7 @@ def _frame(record: AircraftRecord, run: Run) -> LocalFrame:
     return LocalFrame(first.lat_deg, first.lon_deg, 0.0)
 
 
-def _planned(record: AircraftRecord, frame: LocalFrame, run: Run) -> Array:
+def _planned(record: AircraftRecord, frame: LocalFrame, run: Run) -> Floats:
     """Return the timed path as (n, 4): time (s) on the path's own clock, north, east, down (m)."""
     path = _path_of(record, run)
     datum_m = 0.0
@@ -339,7 +341,7 @@ def _start_utc_s(record: AircraftRecord, run: Run) -> float:
     for now_s, what in record.facts.rare:
         if offset is not None and isinstance(what, AuthorityChanged) and what.state in _IN_CONTROL:
             return now_s + offset
-    raise ConfigError(f"{run.folder}: {record.name}: when its timed path began is not known")
+    raise ConfigError(f"{run.folder}: {record.name}: the start time of its timed path is not known")
 
 
 def _home_m(record: AircraftRecord) -> float:

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.arrays import Floats
 from companion.errors import ConfigError
 from ground_tools.inspect.export.tables import iso, to_geodetic
-from ground_tools.inspect.read.flown import Array, Flown, Separation, at
+from ground_tools.inspect.read.flown import Flown, Separation, at
 from ground_tools.inspect.read.flown import Path as FlownPath
 from ground_tools.inspect.read.read_run import Run
 from ground_tools.inspect.viewer.palette import colour
@@ -34,7 +35,9 @@ def write(run: Run, ways: Flown, pairs: list[Separation], path: Path) -> None:
         ConfigError: The run's UTC is unknown, or the file cannot be written.
     """
     if ways.utc_at_zero_s is None:
-        raise ConfigError(f"--kml: {run.folder}: no UTC in this run ({ways.clock}): KML places by UTC")
+        raise ConfigError(
+            f"--kml: {run.folder}: KML needs UTC, which this run does not have (time line: {ways.clock})"
+        )
     ET.register_namespace("", KML)
     ET.register_namespace("gx", GX)
     root = ET.Element(f"{{{KML}}}kml")
@@ -103,11 +106,11 @@ def _approach(folder: ET.Element, pair: Separation, ways: Flown) -> None:
     _add(line, "coordinates", _coordinates(places))
 
 
-def _coordinates(places: Array) -> str:
+def _coordinates(places: Floats) -> str:
     return " ".join(f"{lon:.7f},{lat:.7f},{alt:.2f}" for lat, lon, alt in places)
 
 
-def _thinned(time_s: Array) -> list[int]:
+def _thinned(time_s: Floats) -> list[int]:
     """Return the indexes to keep: the first, the last, and points that are at least PERIOD_S apart."""
     kept = [0]
     for index in range(1, len(time_s)):

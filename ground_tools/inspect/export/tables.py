@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import pymap3d
 
+from companion.arrays import Floats
 from companion.errors import ConfigError
 from companion.events import AdsbVehicle, AnyEvent, RemoteIdHeard
 from companion.geometry import Vec3
 from companion.remote_id.messages import Location
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
-from ground_tools.inspect.read.flown import TRUE, Array, Flown, Separation, fixes_of, to_ned
+from ground_tools.inspect.read.flown import TRUE, Flown, Separation, fixes_of, to_ned
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 
 BLOCK = 20_000
@@ -302,7 +303,7 @@ def iso(utc_s: float) -> str:
     return f"{time.strftime('%Y-%m-%dT%H:%M:%S', time.gmtime(whole))}.{thousandths:03d}Z"
 
 
-def to_geodetic(position_ned_m: Array, origin: Vec3) -> Array:
+def to_geodetic(position_ned_m: Floats, origin: Vec3) -> Floats:
     """Convert (n, 3) NED (m) relative to `origin` to (n, 3) lat_deg, lon_deg, alt_m."""
     return np.column_stack(pymap3d.ned2geodetic(*position_ned_m.T, *origin))
 
@@ -319,7 +320,7 @@ def _cell(column: str, value: Any) -> Any:
     return "" if np.isnan(value) else f"{value:.10g}"
 
 
-def _block(ways: Flown, names: list[str], source: str, by: str, numbers: Array) -> Rows:
+def _block(ways: Flown, names: list[str], source: str, by: str, numbers: Floats) -> Rows:
     """Return a block of the table of tracks. `numbers` has the columns _TRACK_NUMBERS; NaN means unknown."""
     zero = ways.utc_at_zero_s
     utc = [None] * len(numbers) if zero is None else (numbers[:, 0] + zero).tolist()

@@ -33,7 +33,7 @@ def zeros(runs: Sequence[Run], every: Sequence[Flown]) -> tuple[list[float], str
     words = "the first take-off"
     silent = [name for name, known in zip(names(runs), found, strict=True) if known is None]
     if silent:
-        words += f" (of {', '.join(silent)}, which tell of none: the beginning)"
+        words += f" (the beginning for {', '.join(silent)}, without a recorded take-off)"
     begun = [_beginning(run, ways) for run, ways in zip(runs, every, strict=True)]
     return [first if known is None else known for known, first in zip(found, begun, strict=True)], words
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pymap3d
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Float32s, Floats
 from companion.autopilot.dialect import in_mode
 from companion.event_record import Step
 from companion.events import (
@@ -54,8 +54,6 @@ from companion.remote_id.messages import BasicId, Location
 from companion.traffic.fix import make_fix
 from ground_tools.inspect.read.spill import BLOCK, Spill
 
-Array = NDArray[np.float64]
-
 _OWN_AGE_S = 2.0
 """Maximum age of the own position from which a distance is computed."""
 _CLOCK_OFF_S = 5.0
@@ -85,12 +83,12 @@ _RARE = (
 class Heard:
     """Frames received from one radio address."""
 
-    now_s: Array
+    now_s: Floats
     """(n,) reception time of every frame."""
     transports: tuple[str, ...]
     uas_ids: tuple[str, ...]
     """Identities (UAS ids) received from this address."""
-    near: Array
+    near: Floats
     """(m, 2) now_s and slant distance (m) to the aircraft's own position; one row a second with its minimum.
 
     The reported position is extrapolated to the time of reception. The distance is horizontal if a height is
@@ -102,13 +100,13 @@ class Heard:
 class TrackFacts:
     """How the avoidance law saw one track, with one row for the decisions of each second."""
 
-    now_s: Array
+    now_s: Floats
     """(n,) time of the decision with the smallest distance in each second."""
-    distance_m: Array
+    distance_m: Floats
     """(n,) smallest slant distance of each second, as the law predicted it; not the true distance."""
-    age_s: Array
+    age_s: Floats
     """(n,) largest age of the track's information in each second."""
-    conflict: NDArray[np.bool_]
+    conflict: Bools
     """(n,) True if the track was in conflict at any decision of the second."""
     adsb: bool
 
@@ -117,13 +115,13 @@ class TrackFacts:
 class Decisions:
     """Every decision of the avoidance law, as numbers."""
 
-    now_s: Array
+    now_s: Floats
     """(n,)"""
-    speeds_mps: NDArray[np.float32]
+    speeds_mps: Float32s
     """(n, 3) flown, wanted and chosen speed."""
-    feasible: NDArray[np.bool_]
+    feasible: Bools
     """(n,)"""
-    conflict: NDArray[np.bool_]
+    conflict: Bools
     """(n,) True if any track was in conflict."""
 
 
@@ -137,19 +135,19 @@ class Facts:
     """`now_s` of the first step; 0 if there are no steps."""
     end_s: float
     """`now_s` of the last step; 0 if there are no steps."""
-    fixes: Array
+    fixes: Floats
     """Own positions, (n, 7): now_s, lat_deg, lon_deg, alt_msl_m, north, east, down (m/s), with strictly
     rising now_s. A long table lies in a temporary file (`spill`)."""
     max_height_m: float | None
     """Maximum height above home; None without fixes."""
-    decided: Array
+    decided: Floats
     """As `fixes`, but taken from the decisions. Empty if there are any fixes."""
     decisions: Decisions
     utc_offset_s: float | None
     """Offset from `now_s` to UTC; None if the aircraft never knew UTC."""
     undulation_m: float
     """Height of mean sea level above the ellipsoid (m); 0 if the GNSS does not report it."""
-    sent: dict[str, Array]
+    sent: dict[str, Floats]
     """now_s of every broadcast, by transport."""
     heard: dict[str, Heard]
     """Received frames, by radio address."""
@@ -336,7 +334,7 @@ class Gatherer:
             rare=tuple(self.rare),
         )
 
-    def _all_fixes(self) -> Array:
+    def _all_fixes(self) -> Floats:
         if self._spill:
             self._spill.write(memoryview(self.fixes))
             return self._spill.rows()

@@ -30,7 +30,7 @@ from ground_tools.inspect.read.read_run import AircraftRecord
 from ground_tools.inspect.read.spill import BLOCK, release
 
 _ENDED = frozenset({"fault", "yielded"})
-_REBOOT = "its clock began anew: it restarted"
+_REBOOT = "its clock started again from 0, so it restarted"
 
 
 def flight(record: AircraftRecord, offset_s: float) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def _fault(what: object) -> tuple[str, str] | None:
         case RemoteIdModule(ready=False, text=text):
             return "Remote ID module not ready", text
         case EstimatorState(usable=False):
-            return "estimator", "does not know where it is"
+            return "estimator", "it does not know its position"
         case VehicleText(severity=severity, text=text) if severity <= Severity.WARNING:
             return "vehicle", text
         case Say(severity=severity, text=text) if severity <= Severity.WARNING:
@@ -151,20 +151,20 @@ def missing(record: AircraftRecord) -> list[str]:
     facts, found = record.facts, []
     if record.header is None:
         found.append(
-            "no companion in this log: its configuration, decisions, alerts and Remote ID are not known; "
+            "the log has no companion, so its configuration, decisions, alerts and Remote ID are not known; "
             "limits are the defaults"
         )
     elif not len(facts.decisions.now_s):
         use = record.header.config.flight.use
-        found.append(f'no decision of the law: flight.use was "{use}", or the vehicle was never taken')
+        found.append(f'the law made no decision: flight.use was "{use}", or the companion never took control')
     if not len(facts.fixes):
-        found.append("no own position")
+        found.append("the aircraft's own position is missing")
     if not any(isinstance(what, Heartbeat) for _, what in facts.rare):
-        found.append("no heartbeat: arming and modes are not known")
+        found.append("heartbeats are missing, so arming and modes are not known")
     if facts.utc_offset_s is None:
-        found.append("no UTC: latencies are not known")
+        found.append("UTC is missing, so latencies are not known")
     if record.header is not None and not facts.sent:
-        found.append("no Remote ID sent")
+        found.append("no Remote ID was sent")
     if record.header is not None and not facts.heard:
-        found.append("no Remote ID heard")
+        found.append("no Remote ID was heard")
     return found

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pymap3d
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.config import AvoidanceConfig
 from companion.errors import ConfigError
 from companion.events import Heartbeat, Landed, LandedState
@@ -26,8 +26,7 @@ from ground_tools.inspect.read.spill import BLOCK, release, spilled
 from ground_tools.inspect.read.timeline import TimeLine, time_line
 from ground_tools.inspect.read.truth import ORIGIN
 
-Array = NDArray[np.float64]
-Line = Callable[[Array, Array], tuple[Array, Array]]
+Line = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Reduces (n,) times and distances to those that are kept."""
 
 GRID_S = 0.05
@@ -50,13 +49,13 @@ class Path:
     """Positions of one aircraft over time."""
 
     name: str
-    time_s: Array
+    time_s: Floats
     """(n,) rising times on the common time line."""
-    position_ned_m: Array
+    position_ned_m: Floats
     """(n, 3) in the common frame."""
     radius_m: float
     """Configured conflict radius."""
-    on_ground_s: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    on_ground_s: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) start and end of each span in which the aircraft stood on the ground or was disarmed."""
 
 
@@ -66,9 +65,9 @@ class Separation:
 
     first: str
     second: str
-    time_s: Array
+    time_s: Floats
     """(n,)"""
-    distance_m: Array
+    distance_m: Floats
     """(n,), NaN if either position is unknown or either aircraft is on the ground."""
     minimum_m: float | None
     """None if the two were never known to be in the air at the same time."""
@@ -127,8 +126,10 @@ def flown(run: Run) -> Flown:
     )
     true, problem = _true_paths(run, line, own) if has_truth else ((), None)
     if not true and not own:
-        raise ConfigError(f"{run.folder}: no aircraft recorded a position: {problem}")
-    problems: tuple[str, ...] = () if problem is None else (f"true positions not used: {problem}",)
+        raise ConfigError(
+            f"{run.folder}: no aircraft recorded a position, and the true positions are not used: {problem}"
+        )
+    problems: tuple[str, ...] = () if problem is None else (f"the true positions are not used: {problem}",)
     problems += _twice(own) if run.others else ()
     kind = TRUE if true else OWN
     return Flown(
@@ -162,7 +163,7 @@ def placed(run: Run) -> Flown:
         offsets_s=line.offsets_s,
         clock=line.words,
         from_path=line.from_path,
-        problems=("No aircraft recorded a position: nothing is drawn in space.",),
+        problems=("No aircraft recorded a position, so nothing is drawn in space.",),
         utc_at_zero_s=line.utc_at_zero_s,
     )
 
@@ -170,26 +171,26 @@ def placed(run: Run) -> Flown:
 def _true_paths(run: Run, line: TimeLine, own: tuple[Path, ...]) -> tuple[tuple[Path, ...], str | None]:
     """Return the true paths of all aircraft; or no paths, and the reason."""
     if line.utc_at_zero_s is None:
-        return (), f"they are by UTC, and the time line is {line.words}"
+        return (), f"their times are UTC, but the time line is {line.words}"
     paths = []
     for record in run.aircraft:
         if record.truth is None:
-            return (), f"there are none of {record.name}"
+            return (), f"those of {record.name} are missing"
         time = record.truth[:, 0] - line.utc_at_zero_s
         ground = _on_ground(record) + line.offsets_s[record.name]
         paths.append(Path(record.name, time, record.truth[:, 1:], _radius_m(record), ground))
     by_name = {path.name: path for path in own}
     for path in paths:
         if path.name in by_name and (away := _median_distance_m(path, by_name[path.name])) > MAX_ERROR_M:
-            return (), f"those of {path.name} are {away:.0f} m from where it took itself to be"
+            return (), f"those of {path.name} are {away:.0f} m from its own positions"
     return tuple(paths), None
 
 
 def _twice(own: tuple[Path, ...]) -> tuple[str, ...]:
     """Report pairs of paths so close together that they are probably one aircraft recorded twice."""
     return tuple(
-        f"{one.name} and {other.name} were within {SAME_M:g} m of each other most of the time: if that is "
-        "one aircraft, recorded twice, their separation means nothing"
+        f"{one.name} and {other.name} were within {SAME_M:g} m of each other most of the time; if they are "
+        "one aircraft recorded twice, their separation means nothing"
         for one, other in itertools.combinations(own, 2)
         if _median_distance_m(one, other) < SAME_M
     )
@@ -207,7 +208,7 @@ def _radius_m(record: AircraftRecord) -> float:
     return (record.header.config.avoidance if record.header else AvoidanceConfig()).conflict_radius_m
 
 
-def _on_ground(record: AircraftRecord) -> Array:
+def _on_ground(record: AircraftRecord) -> Floats:
     """Return the spans (n, 2) of `now_s` on the ground or disarmed. An unknown state counts as flying."""
     spans: list[tuple[float, float]] = []
     landed, armed, since_s = False, True, None
@@ -247,7 +248,7 @@ def _of_pairs(paths: tuple[Path, ...], line: Line | None) -> list[Separation]:
     return sorted(found, key=lambda s: np.inf if s.minimum_m is None else s.minimum_m)
 
 
-def crossing(ways: Flown, pairs: Sequence[Separation]) -> Array:
+def crossing(ways: Flown, pairs: Sequence[Separation]) -> Floats:
     """Return the point (3,) where the pairs come closest, averaged over all pairs that come near each other.
 
     `pairs` must have a known minimum, and the closest pair comes first.
@@ -262,7 +263,7 @@ def crossing(ways: Flown, pairs: Sequence[Separation]) -> Array:
     return np.asarray(np.mean(middles, axis=0), dtype=np.float64)
 
 
-def least_of(pairs: Sequence[Separation]) -> tuple[Array, Array]:
+def least_of(pairs: Sequence[Separation]) -> tuple[Floats, Floats]:
     """Return (n,) times and the smallest separation (n,) of any pair at each, where one is known."""
     time = np.unique(np.concatenate([pair.time_s for pair in pairs]))
     rows = np.full((len(pairs), len(time)), np.inf)
@@ -275,7 +276,7 @@ def least_of(pairs: Sequence[Separation]) -> tuple[Array, Array]:
     return time[known], least[known]
 
 
-def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Array]:
+def least_in_bins(time_s: Floats, values: Floats, bin_s: float) -> tuple[Floats, Floats]:
     """Keep the row with the smallest value in each interval of `bin_s`, so that no minimum is lost."""
     if not len(time_s):
         return time_s, values
@@ -285,7 +286,7 @@ def least_in_bins(time_s: Array, values: Array, bin_s: float) -> tuple[Array, Ar
     return time_s[rows], values[rows]
 
 
-def to_ned(geodetic: Array, origin: Vec3) -> Array:
+def to_ned(geodetic: Floats, origin: Vec3) -> Floats:
     """Convert (n, 3) lat_deg, lon_deg, alt_m to (n, 3) north, east, down (m) from `origin`."""
     if not len(geodetic):
         return np.zeros((0, 3))
@@ -293,7 +294,7 @@ def to_ned(geodetic: Array, origin: Vec3) -> Array:
     return np.column_stack([n, e, d])
 
 
-def _positions(fixes: Array, origin: Vec3) -> Array:
+def _positions(fixes: Floats, origin: Vec3) -> Floats:
     """Return the NED positions (n, 3) of fixes; more than one block of them goes to a temporary file."""
     found = spilled(
         (to_ned(fixes[at : at + BLOCK, 1:4], origin) for at in range(0, len(fixes), BLOCK)), columns=3
@@ -302,7 +303,7 @@ def _positions(fixes: Array, origin: Vec3) -> Array:
     return found
 
 
-def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array:
+def from_frame(position_ned_m: Floats, frame_origin: Vec3, origin: Vec3) -> Floats:
     """Convert (n, 3) NED positions (m) from the frame at `frame_origin` to the frame at `origin`."""
     if frame_origin == origin or not len(position_ned_m):
         return position_ned_m
@@ -310,7 +311,7 @@ def from_frame(position_ned_m: Array, frame_origin: Vec3, origin: Vec3) -> Array
     return to_ned(np.column_stack(pymap3d.ned2geodetic(n, e, d, *frame_origin)), origin)
 
 
-def fixes_of(record: AircraftRecord) -> Array:
+def fixes_of(record: AircraftRecord) -> Floats:
     """Return (n, 7): now_s (strictly rising), lat_deg, lon_deg, alt_msl_m, north, east, down (m/s)."""
     facts = record.facts
     return facts.fixes if len(facts.fixes) else facts.decided
@@ -336,7 +337,7 @@ def _separation(first: Path, second: Path, line: Line | None) -> Separation:
     return Separation(first.name, second.name, time, distance, least_m, least_s, required)
 
 
-def _relative(first: Path, second: Path) -> Iterator[tuple[Array, Array]]:
+def _relative(first: Path, second: Path) -> Iterator[tuple[Floats, Floats]]:
     """Yield (n,) times and the (n, 3) position of the first relative to the second.
 
     The time in which both were recorded is covered part by part. The position is NaN if either is unknown or
@@ -364,13 +365,13 @@ def between(path: Path, start_s: float, end_s: float) -> Path:
     return replace(path, time_s=path.time_s[first:last], position_ned_m=path.position_ned_m[first:last])
 
 
-def place(path: Path, time_s: float) -> Array:
+def place(path: Path, time_s: float) -> Floats:
     """Return the position (3,) at a time; before or after the path, the position of its nearest end."""
     near = between(path, time_s, time_s)
     return np.array([np.interp(time_s, near.time_s, axis) for axis in near.position_ned_m.T])
 
 
-def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:
+def _closest(time_s: Floats, relative_m: Floats) -> tuple[float, float]:
     """Return the smallest distance and its time. Between two samples the relative motion is straight."""
     step = np.diff(relative_m, axis=0)
     length2 = np.maximum(np.einsum("ij,ij->i", step, step), 1e-12)
@@ -382,7 +383,7 @@ def _closest(time_s: Array, relative_m: Array) -> tuple[float, float]:
     return float(distance[closest]), float(times[closest])
 
 
-def at(path: Path, time_s: Array) -> Array:
+def at(path: Path, time_s: Floats) -> Floats:
     """Return the positions (n, 3) at times inside the path's time span; NaN inside gaps."""
     position = np.column_stack([np.interp(time_s, path.time_s, axis) for axis in path.position_ned_m.T])
     after = np.clip(np.searchsorted(path.time_s, time_s), 1, max(len(path.time_s) - 1, 1))

@@ -11,11 +11,9 @@ from array import array
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.autopilot.tlog import TlogCounts
-
-Array = NDArray[np.float64]
 
 GAP_S = 3.0
 """A component's silence longer than this is a gap: three heartbeats."""
@@ -32,9 +30,9 @@ class ComponentHealth:
     missing: int
     """Number of missing frames, from the gaps in the sequence numbers."""
     repeated: int
-    gaps_s: Array
+    gaps_s: Floats
     """(n, 2) start and duration of each silence longer than GAP_S, including one at the end of the log."""
-    seconds: Array
+    seconds: Floats
     """(n, 3) now_s, frames, missing frames; one row for every second with a frame."""
 
     @property
@@ -49,10 +47,10 @@ class LinkHealth:
 
     components: tuple[ComponentHealth, ...]
     """Components of all systems in the log, in order of their ids."""
-    radio: Array
+    radio: Floats
     """(n, 8) from RADIO_STATUS: now_s, rssi, remote rssi, noise, remote noise, receive errors, corrected
     packets, free transmit buffer (%). Signal and noise are in the radio's own units."""
-    reboots_s: Array
+    reboots_s: Floats
     """(n,) times at which this vehicle's boot clock restarted."""
     counts: TlogCounts
     """Numbers of records, damaged spans, and bytes that belong to no record."""

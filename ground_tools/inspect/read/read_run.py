@@ -20,10 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from companion import event_record
+from companion.arrays import Floats
 from companion.errors import ConfigError, PeerDataError
 from companion.event_record import Header, Step
 from ground_tools.inspect.read import read_tlog
@@ -35,17 +33,15 @@ _OTHER_KINDS = {
     b"\xa3\x95": "an ArduPilot dataflash log",
     b"ULog": "a PX4 log (ULog)",
     b"\x89PNG": "a picture",
-    b"\x1f\x8b": "compressed: unpack it first",
-    b"RRF2": "a Rerun recording: open it with rerun",
-    b"PK": "an archive: unpack it first",
+    b"\x1f\x8b": "a compressed file (unpack it first)",
+    b"RRF2": "a Rerun recording (open it with rerun)",
+    b"PK": "an archive (unpack it first)",
 }
 """First bytes of other file types that users often keep next to their logs, with the text for the error."""
 TELLING_S = 0.05
 """If the log's clock differs from the vehicle's UTC by more than this, a note says so."""
-STAMPED = (
-    "no vehicle told UTC (SYSTEM_TIME): it is that of the log's own stamps, by the clock of whoever wrote it"
-)
-NOT_REGULAR = "not a regular file (a folder, a FIFO or a device)"
+STAMPED = "no vehicle sent UTC (SYSTEM_TIME); times are the log's own time stamps, by the clock of its writer"
+NOT_REGULAR = "this is not a regular file but a folder, a FIFO or a device"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +55,7 @@ class AircraftRecord:
     steps: Callable[[], Iterator[Step]]
     """Yields every step in order. Each call reads the file again, because a long record does not fit into
     memory. The iteration ends at damage, as it did when `facts` were gathered."""
-    truth: NDArray[np.float64] | None = None
+    truth: Floats | None = None
     """True positions, (n, 4) of utc_s, north_m, east_m, down_m; None if they are not known."""
     tlog: bool = False
     """True if read from a telemetry log. Then `now_s` is the log's UTC."""
@@ -140,7 +136,7 @@ def read_run(path: Path) -> Run:
         # glob() would silently skip a folder without read permission.
         os.scandir(path).close()
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such run folder or file") from None
+        raise ConfigError(f"{path}: this run folder or file does not exist") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     problems: list[str] = []
@@ -153,7 +149,7 @@ def read_run(path: Path) -> Run:
         aircraft += _flight(events, tlog, path, problems, notes)
     if not aircraft:
         found = (
-            "; ".join(problems) or "no event record (*.events) and no telemetry log (*.tlog) in this folder"
+            "; ".join(problems) or "the folder has no event record (*.events) and no telemetry log (*.tlog)"
         )
         raise ConfigError(f"{path}: {found}")
     return Run(path, manifest, summary, tuple(aircraft), tuple(problems), tuple(notes))
@@ -170,14 +166,15 @@ def _file(path: Path) -> Run:
     for magic, kind in _OTHER_KINDS.items():
         if head.startswith(magic):
             raise ConfigError(
-                f"{path}: {kind}; expected a run folder, an event record (.events) or a telemetry log (.tlog)"
+                f"{path}: this is {kind}; "
+                "allowed: a run folder, an event record (.events) or a telemetry log (.tlog)"
             )
     if head.startswith(event_record.MAGIC[:-1]):
         aircraft = _flight(path, _beside(path), path.parent, problems, notes)
     else:
         aircraft = _flight(None, path, path.parent, problems, notes)
     if not aircraft:
-        raise ConfigError(f"{path.parent / problems[0]}" if problems else f"{path}: holds nothing")
+        raise ConfigError(f"{path.parent / problems[0]}" if problems else f"{path}: the file has no content")
     return Run(path, None, None, tuple(aircraft), tuple(problems), tuple(notes))
 
 
@@ -194,7 +191,8 @@ def _flights(
     tlogs = {path.stem: path for path in _regular(folder.glob("*.tlog"), problems)}
     if manifest is not None:
         problems += [
-            f"{name}: no event record: shown by its telemetry log" for name in sorted({*tlogs} - {*events})
+            f"{name}: the event record is missing; the telemetry log is shown instead"
+            for name in sorted({*tlogs} - {*events})
         ]
     if events or tlogs:
         return [(events.get(name), tlogs.get(name)) for name in sorted({*events, *tlogs})]
@@ -219,9 +217,9 @@ def _nested(
         events = _regular(folder.glob(f"{inside}.events"), problems)
         tlogs = _regular(folder.glob(f"{inside}.tlog"), problems)
         if not events:
-            problems.append(f"{name}: no event record")
+            problems.append(f"{name}: the event record is missing")
         elif len(events) > 1:
-            problems.append(f"{name}: {len(events)} event records; the last is taken")
+            problems.append(f"{name}: there are {len(events)} event records; the last one is shown")
         if events or tlogs:
             found.append((events[-1], _beside(events[-1])) if events else (None, tlogs[-1]))
     return found
@@ -240,7 +238,7 @@ def read_json(path: Path) -> tuple[dict[str, Any] | None, str | None]:
     except (ValueError, RecursionError) as error:
         return None, f"{path.name}: {error}"
     if not isinstance(value, dict):
-        return None, f"{path.name}: not a JSON object"
+        return None, f"{path.name}: this is not a JSON object"
     return value, None
 
 
@@ -267,16 +265,20 @@ def _flight(
         return []
     problems += log.problems
     if events is not None:
-        problems.append(f"{events.name}: no step of it can be read: shown by its telemetry log")
+        problems.append(f"{events.name}: no step can be read; the telemetry log is shown instead")
     if not log.vehicles:
-        problems.append(f"{tlog.name}: no vehicle: no autopilot's HEARTBEAT in {log.counts.records} records")
+        problems.append(
+            f"{tlog.name}: there is no vehicle; {log.counts.records} records have no autopilot's HEARTBEAT"
+        )
     found = []
     for vehicle in log.vehicles:
         name = tlog.stem if len(log.vehicles) == 1 else f"{tlog.stem} {vehicle.system_id}"
         notes.append(f"{name}: system {vehicle.system_id}: {vehicle.about}")
-        notes.append(f"{name}: not in the log: {', '.join(vehicle.missing)}")
+        notes.append(f"{name}: the log does not contain {', '.join(vehicle.missing)}")
         if abs(vehicle.facts.utc_offset_s or 0.0) > TELLING_S:
-            notes.append(f"{name}: the log's clock was {_off(vehicle.facts)} the vehicle's UTC, which counts")
+            notes.append(
+                f"{name}: the log's clock was {_off(vehicle.facts)} the vehicle's UTC; the latter is used"
+            )
         found.append(
             AircraftRecord(
                 name,
@@ -309,7 +311,7 @@ def _aircraft(path: Path, tlog: Path | None, folder: Path, problems: list[str]) 
     before = len(problems)
     facts = gather(_steps(path, headers, problems))
     if not headers and len(problems) == before:
-        problems.append(f"{path.name}: no header")
+        problems.append(f"{path.name}: the header is missing")
 
     def steps() -> Iterator[Step]:
         return _steps(path, [], [])
@@ -328,7 +330,7 @@ def _aircraft(path: Path, tlog: Path | None, folder: Path, problems: list[str]) 
     return AircraftRecord(name, header, facts, steps, _truth(folder, name, problems), link_of=link)
 
 
-def _truth(folder: Path, name: str, problems: list[str]) -> NDArray[np.float64] | None:
+def _truth(folder: Path, name: str, problems: list[str]) -> Floats | None:
     path = folder / f"{name}.truth.csv"
     if not is_regular(path):
         problems.append(f"{path.name}: {NOT_REGULAR}")
@@ -351,8 +353,10 @@ def _steps(path: Path, headers: list[Header], problems: list[str]) -> Iterator[S
                 else:
                     yield entry
             if headers and (torn := stream.seek(0, os.SEEK_END) - reader.offset):
-                problems.append(f"{path.name}: torn: the last {torn} bytes are no whole record")
+                problems.append(
+                    f"{path.name}: the file is cut off; its last {torn} bytes are not a whole record"
+                )
     except PeerDataError as error:
-        problems.append(f"{error}; read up to there" if headers else str(error))
+        problems.append(f"{error}; the file was read up to there" if headers else str(error))
     except OSError as error:
         problems.append(f"{path.name}: cannot be read: {error.strerror}")

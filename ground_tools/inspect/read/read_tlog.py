@@ -66,10 +66,13 @@ _SETPOINTS = {
         mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
     ),
 }
-_VELOCITY_IGNORED = 8 | 16 | 32
-"""Bits of POSITION_TARGET_TYPEMASK that mark the three velocity axes as ignored."""
+_VELOCITY_IGNORED = (
+    mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    | mavlink.POSITION_TARGET_TYPEMASK_VZ_IGNORE
+)
 _WANTED = frozenset({_HEARTBEAT, _TEXT, *READERS, *_SETPOINTS, *remote_id.MESSAGE_IDS})
-_FIX_3D = 3
+_FIX_3D = mavlink.GPS_FIX_TYPE_3D_FIX
 _STATION_FROM_ID = 240
 """System ids from here on are ground stations: QGroundControl and Mission Planner use 255."""
 
@@ -342,7 +345,7 @@ def _missing(facts: Facts, vehicle: _Vehicle) -> tuple[str, ...]:
     if not len(facts.fixes):
         words.append("position")
     if GlobalPosition not in vehicle.seen and LocalPosition in vehicle.seen:
-        words[-1] = "position on Earth (only one from its own origin)"
+        words[-1] = "position on Earth (only relative to its own origin)"
     if not vehicle.has_fix:
         words.append("GNSS fix")
     if VelocitySetpoint not in vehicle.seen:
@@ -361,10 +364,14 @@ def _damage(name: str, counts: TlogCounts, clock: _Clock) -> tuple[str, ...]:
     found = []
     if counts.corrupt_spans:
         found.append(
-            f"{name}: {counts.corrupt_spans} damaged spans ({counts.corrupt_bytes} bytes) stepped over"
+            f"{name}: {counts.corrupt_spans} damaged spans ({counts.corrupt_bytes} bytes) were skipped"
         )
     if counts.torn_bytes:
-        found.append(f"{name}: torn: the last {counts.torn_bytes} bytes are no whole record")
+        found.append(
+            f"{name}: the file is cut off; its last {counts.torn_bytes} bytes are not a whole record"
+        )
     if clock.set_back:
-        found.append(f"{name}: its clock was set back {clock.set_back} times; time goes on from there")
+        found.append(
+            f"{name}: its clock was set back {clock.set_back} times; times continue from the last one before"
+        )
     return tuple(found)

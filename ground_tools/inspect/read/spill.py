@@ -12,11 +12,9 @@ from collections.abc import Iterable
 from typing import IO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 BLOCK = 8192
 """Number of rows processed at once. Shorter tables stay in memory."""
@@ -45,11 +43,11 @@ class Spill:
             self._file.flush()
         except OSError as error:
             raise ConfigError(
-                f"{tempfile.gettempdir()}: no temporary file can be written: {error.strerror}; "
-                "TMPDIR may name another folder"
+                f"{tempfile.gettempdir()}: a temporary file cannot be written: {error.strerror}; "
+                "set TMPDIR to choose another folder"
             ) from error
 
-    def rows(self) -> Array:
+    def rows(self) -> Floats:
         """Return all written rows as (n, columns). Rows that are read stay in memory until `release`."""
         if self._file is None:
             return np.zeros((0, self._columns))
@@ -57,7 +55,7 @@ class Spill:
         return np.asarray(table).reshape(-1, self._columns)
 
 
-def spilled(blocks: Iterable[Array], columns: int) -> Array:
+def spilled(blocks: Iterable[Floats], columns: int) -> Floats:
     """Concatenate blocks to one array of shape (n, columns). More than one block goes to a temporary file.
 
     Raises:
@@ -74,7 +72,7 @@ def spilled(blocks: Iterable[Array], columns: int) -> Array:
     return spill.rows() if spill or first is None else first
 
 
-def release(rows: Array) -> None:
+def release(rows: Floats) -> None:
     """Free the memory of spilled rows. The next access reads them from the file again."""
     base: object = rows
     while base is not None and not isinstance(base, mmap.mmap):

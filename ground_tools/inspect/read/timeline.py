@@ -44,7 +44,7 @@ def time_line(run: Run) -> TimeLine:
         words = "the companion's own clock"
         if len(to_utc) > 1:
             silent = ", ".join(name for name in to_utc if name not in known)
-            words = f"one clock taken for granted: no UTC from {silent}"
+            words = f"one clock, assumed to be common because {silent} recorded no UTC"
         return TimeLine(dict.fromkeys(to_utc, 0.0), None, words)
     values = list(known.values())
     # The time line starts at the earliest step, because small numbers are easier to read in plots.
@@ -68,13 +68,13 @@ def time_line(run: Run) -> TimeLine:
 def _utc_of_logs(aircraft: Sequence[AircraftRecord]) -> str:
     """Describe the source of UTC if at least one aircraft is a telemetry log."""
     stamped = [record.name for record in aircraft if record.stamped]
-    told = "UTC that the vehicles told (SYSTEM_TIME)"
-    own = "the log's own stamps" if len(stamped) == 1 else "their logs' own stamps"
+    told = "UTC that the vehicles sent (SYSTEM_TIME)"
+    own = "the log's own time stamps" if len(stamped) == 1 else "their logs' own time stamps"
     if not stamped:
         return told
     if len(stamped) == len(aircraft):
-        return f"UTC of {own}: no vehicle told it"
-    return f"{told}; of {', '.join(stamped)} that of {own}"
+        return f"UTC of {own}, because no vehicle sent it"
+    return f"{told}; for {', '.join(stamped)}, that of {own}"
 
 
 def _first_start(aircraft: Sequence[AircraftRecord]) -> float:
@@ -115,7 +115,7 @@ def together(runs: Sequence[Run]) -> Run:
             common = float(np.median(offsets))
             placed.append((run, [_with_utc(one, common, run.name, problems) for one in run.aircraft]))
         else:
-            problems.append(f"{run.name}: nobody in it knows UTC: it cannot be laid beside the others")
+            problems.append(f"{run.name}: the run is left out because none of its aircraft knows UTC")
     if not placed:
         placed = [(runs[0], list(runs[0].aircraft))]
     spans = [(run.name, *_span(aircraft)) for run, aircraft in placed]
@@ -123,7 +123,7 @@ def together(runs: Sequence[Run]) -> Run:
         others = [one for one in spans if one[0] != name]
         if others and all(end < other[1] or other[2] < start for other in others):
             problems.append(
-                f"{name}: no time in common with the others ({utc_words(start)} to {utc_words(end)})"
+                f"{name}: the run ({utc_words(start)} to {utc_words(end)}) does not overlap with the others"
             )
     return Run(
         runs[0].folder,
@@ -137,13 +137,15 @@ def together(runs: Sequence[Run]) -> Run:
 
 
 def _twice(run: Run) -> str:
-    return f"{run.folder}: given more than once: shown once"
+    return f"{run.folder}: the run is given more than once and shown once"
 
 
 def _with_utc(record: AircraftRecord, common_s: float, run: str, problems: list[str]) -> AircraftRecord:
     if record.facts.utc_offset_s is not None:
         return record
-    problems.append(f"{run}: {record.name}: no UTC: its clock is taken for that of the others in this run")
+    problems.append(
+        f"{run}: {record.name}: it knows no UTC; its clock is assumed to be that of the others in this run"
+    )
     return replace(record, facts=replace(record.facts, utc_offset_s=common_s))
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.errors import PeerDataError
 from companion.geometry import Vec3
 from sitl_mocks.encounters.lockstep import HOME
@@ -20,7 +20,7 @@ ORIGIN: Vec3 = (HOME.lat_deg, HOME.lon_deg, HOME.alt_m)
 HEADER = "utc_s,north_m,east_m,down_m"
 
 
-def read_truth(path: Path) -> NDArray[np.float64] | None:
+def read_truth(path: Path) -> Floats | None:
     """Read true positions as an array (n, 4) of utc_s, north_m, east_m, down_m with rising time.
 
     A last line without a line end is skipped, because a killed vehicle process may leave one.
@@ -41,7 +41,7 @@ def read_truth(path: Path) -> NDArray[np.float64] | None:
         raise PeerDataError(f"{path.name}: {error}") from error
     lines = whole.splitlines()
     if lines and lines[0] != HEADER:
-        raise PeerDataError(f"{path.name}: does not begin with {HEADER}")
+        raise PeerDataError(f"{path.name}: line 1 must be {HEADER}")
     if len(lines) < 2:
         return None
     try:
@@ -49,7 +49,7 @@ def read_truth(path: Path) -> NDArray[np.float64] | None:
     except ValueError as error:
         raise PeerDataError(f"{path.name}: {error}") from error
     if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all():
-        raise PeerDataError(f"{path.name}: rows are not four finite numbers")
+        raise PeerDataError(f"{path.name}: a row is not four finite numbers")
     if (np.diff(rows[:, 0]) <= 0.0).any():
-        raise PeerDataError(f"{path.name}: time does not rise")
+        raise PeerDataError(f"{path.name}: the times must rise from row to row")
     return rows

@@ -24,7 +24,7 @@ from ground_tools.inspect.report.terminal import PIPED_WIDTH, Rows, line, number
 
 _WHOLE = frozenset({"path", "fence"})
 """Parts of the configuration whose values are not shown; only the fact that they differ is."""
-_OF_RECORDS = "configuration, manoeuvres, alerts, own Remote ID"
+_OF_RECORDS = "configuration, manoeuvres, alerts and own Remote ID"
 
 
 def compare(runs: Sequence[Run]) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def compare(runs: Sequence[Run]) -> dict[str, Any]:
         ConfigError: There are fewer than two runs.
     """
     if len(runs) < 2:
-        raise ConfigError("--compare: takes two runs or more, of which each can be read")
+        raise ConfigError("--compare needs at least two runs that can be read")
     described = [describe(run) for run in runs]
     ways = [placed(run) for run in runs]
     zeros, zero = align.zeros(runs, ways)
@@ -59,12 +59,14 @@ def _missing(figures: dict[str, Any]) -> list[str]:
     """Describe what cannot be compared for a run."""
     found = []
     if figures["positions"] is None:
-        found.append("not compared for want of positions: separations, distances, speeds")
+        found.append("separations, distances and speeds are not compared, because there are no positions")
     elif len(figures["aircraft"]) < 2:
-        found.append("not compared, with one aircraft alone: separations")
+        found.append("separations are not compared, because there is one aircraft")
     silent = [one["name"] for one in figures["aircraft"] if one["software"] is None]
     if silent:
-        found.append(f"not compared for want of a companion's record of {', '.join(silent)}: {_OF_RECORDS}")
+        found.append(
+            f"{_OF_RECORDS} are not compared, because {', '.join(silent)} has no record of a companion"
+        )
     return found
 
 
@@ -175,26 +177,29 @@ _FIGURES: tuple[tuple[str, Callable[[dict[str, Any]], float | None]], ...] = (
     ("least separation (m)", _least_separation),
     ("pairs that lost separation", lambda f: sum(row["kept"] is False for row in f["separations"])),
     ("longest record (s)", _most(lambda one: [one["duration_s"]])),
-    ("flown (m), sum", _total(lambda one: one["flight"]["distance_m"])),
+    ("flown, all aircraft (m)", _total(lambda one: one["flight"]["distance_m"])),
     ("fastest (m/s)", _most(lambda one: [one["flight"]["max_speed_mps"]])),
     ("manoeuvres", _total(lambda one: len(one["manoeuvres"]))),
     (
-        "in manoeuvres (s), sum",
+        "time in manoeuvres, all aircraft (s)",
         _total(lambda one: sum(row["end_s"] - row["start_s"] for row in one["manoeuvres"])),
     ),
     ("off the path in manoeuvres (m)", _most(lambda one: [row["deviation_m"] for row in one["manoeuvres"]])),
-    ("decisions that kept not every half-space", _total(lambda one: one["infeasible"])),
+    ("decisions without a feasible velocity", _total(lambda one: one["infeasible"])),
     ("cautions", _total(lambda one: one["cautions"])),
     ("warnings", _total(lambda one: one["warnings"])),
     ("broadcasts sent", _total(lambda one: one["broadcasts"])),
     ("longest gap between Locations (s)", _most(lambda one: _location_gaps(one))),
     ("Remote ID not legal (s)", _total(lambda one: one["remote_id"]["not_legal_s"])),
     ("frames heard", _total(lambda one: one["heard"])),
-    ("lost, by counters (%)", _lost_percent),
-    ("median age, median of the tracks (s)", _median_age),
-    ("95 % age, worst track (s)", _most(lambda one: [row["p95_s"] for row in one["remote_id"]["ages"]])),
-    ("worst age (s)", _most(lambda one: [row["worst_s"] for row in one["remote_id"]["ages"]])),
-    ("faults and warnings told", _total(lambda one: len(one["faults"]))),
+    ("frames lost, by their counters (%)", _lost_percent),
+    ("median age of information, median over the tracks (s)", _median_age),
+    (
+        "95 % age of information, worst track (s)",
+        _most(lambda one: [row["p95_s"] for row in one["remote_id"]["ages"]]),
+    ),
+    ("worst age of information (s)", _most(lambda one: [row["worst_s"] for row in one["remote_id"]["ages"]])),
+    ("faults and warnings", _total(lambda one: len(one["faults"]))),
 )
 
 
@@ -207,13 +212,13 @@ def _location_gaps(one: dict[str, Any]) -> list[float | None]:
 
 def show(figures: dict[str, Any], console: Console) -> None:
     """Print the result of `compare`."""
-    line(console, f"Times count from {figures['zero']}", "bold")
+    line(console, f"Time 0 is {figures['zero']}", "bold")
     for row in figures["problems"]:
         line(console, f"  problem: {row['run']}: {row['text']}", "yellow")
     head = list(figures["runs"])
     for title, rows in (
         ("Configuration that differs", _config_rows(figures, head)),
-        ("Figures", _figure_rows(figures, head)),
+        ("Results", _figure_rows(figures, head)),
         ("Least separation", _pair_rows(figures, head)),
     ):
         if len(rows) > 1:

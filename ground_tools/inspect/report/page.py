@@ -104,7 +104,7 @@ def _head(run: Run, figures: dict[str, Any]) -> str:
     facts = [
         f"{words} {manifest[key]}"
         for key, words in (
-            ("what", "made by"),
+            ("what", "written by"),
             ("dmuca", "version"),
             ("git_commit", "commit"),
             ("seed", "seed"),
@@ -112,7 +112,7 @@ def _head(run: Run, figures: dict[str, Any]) -> str:
         if manifest.get(key) is not None
     ]
     software = {one["software"] for one in figures["aircraft"] if one["software"] is not None}
-    facts += [f"flown by version {version}" for version in sorted(software)]
+    facts += [f"flown with version {version}" for version in sorted(software)]
     verdicts = "".join(
         f"<li{' class=bad' if 'LOST' in words or 'NOT' in words else ''}>{escaped(words)}</li>"
         for words in terminal.verdicts(figures)
@@ -136,17 +136,21 @@ def _drawings(run: Run, figures: dict[str, Any]) -> list[str]:
     every_s = max((max(ends) - min(ends)) / plots.MOST_POINTS, GRID_S)
     pairs = [pair for pair in thinned(ways.paths, every_s) if pair.minimum_m is not None]
     found: list[tuple[str, str, str | None]] = [
-        ("Paths from above", f"By {ways.positions}.", plots.paths(ways, pairs)),
+        ("Paths from above", f"The paths are {ways.positions}.", plots.paths(ways, pairs)),
         (
             "Separation",
-            f"The closest {min(len(pairs), plots.MOST_LINES)} of {len(pairs)} pairs, while any is near.",
+            f"The {min(len(pairs), plots.MOST_LINES)} closest of {len(pairs)} pairs, while any is near.",
             plots.separation(pairs) if pairs else None,
         ),
-        ("Who flew, modes, events and alerts", "", plots.lanes(run, ways, figures["aircraft"])),
+        ("Authority, modes, events and alerts", "", plots.lanes(run, ways, figures["aircraft"])),
         ("Height", "", plots.heights(ways)),
-        ("Speeds", "Of every decision of the law.", plots.speeds(run, ways)),
-        ("Age of information", "The oldest of every second, as the law decided.", plots.ages(run, ways)),
-        ("Broadcasts", "Each rate over the five before it.", plots.rates(run, ways)),
+        ("Speeds", "Speeds at every decision of the law.", plots.speeds(run, ways)),
+        (
+            "Age of information",
+            "The greatest age in every second, at the decisions of the law.",
+            plots.ages(run, ways),
+        ),
+        ("Broadcasts", "Each point is the mean rate over the last five broadcasts.", plots.rates(run, ways)),
     ]
     return [
         _section(title, f"<figure>{drawing}<figcaption>{escaped(words)}</figcaption></figure>")
@@ -167,16 +171,17 @@ def _manoeuvres(run: Run, figures: dict[str, Any]) -> list[str]:
     if not parts:
         return []
     note = (
-        "<p class=note>What else could have been flown, each by what it led to if every track kept its "
-        "velocity; the half-spaces are the law's own, at the start of the manoeuvre. In the drawings the "
-        "tinted side of a line is excluded at the vertical speed found; x: excluded, o: allowed.</p>"
+        "<p class=note>The tables list alternatives at the start of each manoeuvre and where they would have "
+        "led if every other aircraft had kept its velocity. The half-spaces are those of the law. In the "
+        "drawings the tinted side of a line is excluded at the vertical speed that the law chose; "
+        "x: excluded, o: allowed.</p>"
     )
-    return [_section("Every manoeuvre", note + "\n".join(parts), new_page=True)]
+    return [_section("All manoeuvres", note + "\n".join(parts), new_page=True)]
 
 
 def _manoeuvre(name: str, one: Manoeuvre, row: dict[str, Any], drawing: str | None) -> str:
     words = "".join(f"<p>{escaped(row[key])}</p>" for key in ("why", "done", "came") if row[key])
-    head = ["", "instead, at its start", "nearest", "(m)", "in (s)", "verdict"]
+    head = ["", "alternative at the start", "nearest aircraft", "distance (m)", "in (s)", "verdict"]
     rows = [head] + [
         [
             "" if index == 0 else str(index),

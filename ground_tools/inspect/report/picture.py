@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from companion.arrays import Floats
 from companion.errors import ConfigError
 from ground_tools.common.figure import drawn
 from ground_tools.inspect.read.flown import (
-    Array,
     Flown,
     Separation,
     crossing,
@@ -40,15 +40,15 @@ _LIMIT = hexadecimal(LIMIT)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `ground-tools picture` to `parser`."""
-    parser.description = "Draw a run: paths around the crossing, and the separation over time."
+    parser.description = "Draw the paths of a run around the crossing, and the separation over time."
     parser.epilog = "example: ground-tools picture runs/20260101T000000Z-demo --out encounter.png"
     parser.add_argument("run_folder", type=Path, metavar="RUN", help="run folder")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="picture to write")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.png", help="the picture to write")
     parser.add_argument(
         "--unavoided",
         type=Path,
         metavar="RUN",
-        help="the same encounter without avoidance (default: RUN/unavoided)",
+        help="run folder of the same encounter without avoidance (default: RUN/unavoided)",
     )
 
 
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     other = read_run(args.unavoided) if args.unavoided else read_unavoided(args.run_folder)
     avoided, unavoided = flown(run), None if other is None else flown(other)
     draw(avoided, unavoided, args.out, lateness(run))
-    print(f"wrote {args.out}; distances by {_positions(avoided, unavoided)}")
+    print(f"wrote {args.out}; distances from {_positions(avoided, unavoided)}")
     return 0
 
 
@@ -70,7 +70,7 @@ def lateness(run: Run) -> str:
     """Describe the message delay in a simulated run; empty if its summary does not contain it."""
     match (run.summary or {}).get("delay_s"):
         case [int() | float() as low, int() | float() as high]:
-            return f"Remote ID {low:g} to {high:g} s late"
+            return f"Remote ID delayed by {low:g} to {high:g} s"
         case _:
             return ""
 
@@ -85,7 +85,9 @@ def draw(avoided: Flown, unavoided: Flown | None, path: Path, words: str = "") -
     pairs = _known(avoided)
     before = [] if unavoided is None else _known(unavoided)
     if not pairs:
-        raise ConfigError("no two aircraft of this run were in the air at once: nothing to draw")
+        raise ConfigError(
+            "there is nothing to draw, because no two aircraft of this run were in the air at the same time"
+        )
     centre = crossing(avoided, pairs) if unavoided is None or not before else crossing(unavoided, before)
     if unavoided is not None and before:
         centre = from_frame(centre[None, :], unavoided.origin, avoided.origin)[0]
@@ -114,7 +116,7 @@ def _known(ways: Flown) -> list[Separation]:
     return [pair for pair in separations(ways.paths) if pair.minimum_m is not None]
 
 
-def _view_from_above(axes: Any, avoided: Flown, unavoided: Flown | None, centre: Array) -> None:
+def _view_from_above(axes: Any, avoided: Flown, unavoided: Flown | None, centre: Floats) -> None:
     axes.set_title("Paths seen from above")
     if unavoided is not None:
         for index, path in enumerate(unavoided.paths):
@@ -139,7 +141,7 @@ def _legend(axes: Any) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=13, frameon=False)
 
 
-def _ends(axes: Any, track: Array, shade: str, name: str | None) -> None:
+def _ends(axes: Any, track: Floats, shade: str, name: str | None) -> None:
     """Draw markers where the path enters and leaves the view, and the aircraft's name where it enters."""
     inside = np.flatnonzero(np.abs(track[:, :2]).max(axis=1) <= HALF_WIDTH_M - 3.0)
     if not len(inside):
@@ -151,7 +153,7 @@ def _ends(axes: Any, track: Array, shade: str, name: str | None) -> None:
         _name(axes, first, track[inside[min(len(inside) - 1, len(inside) // 6)]] - first, shade, name)
 
 
-def _name(axes: Any, at: Array, along: Array, shade: str, name: str) -> None:
+def _name(axes: Any, at: Floats, along: Floats, shade: str, name: str) -> None:
     """Write the aircraft's name next to where its path enters, on the side with more room."""
     heading = along[:2] / max(float(np.hypot(along[0], along[1])), 1e-6)
     north, east = at[:2] + 14.0 * heading
@@ -178,7 +180,7 @@ def _name(axes: Any, at: Array, along: Array, shade: str, name: str) -> None:
 
 
 def _over_time(axes: Any, pairs: list[Separation], before: list[Separation], positions: str) -> None:
-    axes.set_title("Distance between the closest two aircraft")
+    axes.set_title("Distance between the two closest aircraft")
     required = max(pair.required_m for pair in pairs)
     top = _TOP_OF_REQUIRED * required
     shown = []
@@ -190,10 +192,10 @@ def _over_time(axes: Any, pairs: list[Separation], before: list[Separation], pos
         _mark(axes, found[0], shade, words)
         near = time[least <= top]
         shown += list(near[[0, -1]]) if len(near) else [time[0], time[-1]]
-    axes.axhline(required, color=_LIMIT, lw=2, ls="--", label=f"must stay above {required:g} m")
+    axes.axhline(required, color=_LIMIT, lw=2, ls="--", label=f"required: {required:g} m")
     axes.axhspan(0.0, required, color=_LIMIT, alpha=0.08, lw=0)
     axes.set(xlim=(min(shown), max(shown)), ylim=(0.0, top))
-    axes.set(xlabel="time (s)", ylabel=f"distance by {positions} (m)")
+    axes.set(xlabel="time (s)", ylabel=f"distance from {positions} (m)")
     _legend(axes)
 
 

@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.avoidance.alerts import Level
 from companion.events import AlertChanged, BroadcastChanged, TransportsChosen
 from ground_tools.common.figure import styled
 from ground_tools.inspect.explain.manoeuvres import Manoeuvre
-from ground_tools.inspect.read.flown import Array, Flown, Separation, crossing, least_of
+from ground_tools.inspect.read.flown import Flown, Separation, crossing, least_of
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 from ground_tools.inspect.report.terminal import plain
 from ground_tools.inspect.viewer.palette import LIMIT, colour, hexadecimal
-from ground_tools.inspect.viewer.pieces import HELD_S
+from ground_tools.inspect.viewer.watch import HELD_S
 
 MOST_LINES = 12
 """Most pairs, aircraft or tracks drawn individually in one plot. If there are more pairs, the closest are
@@ -87,13 +88,13 @@ def shade(index: int) -> str:
     return hexadecimal(colour(index))
 
 
-def thin(time: Array, *rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+def thin(time: Floats, *rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """Keep every n-th sample of a line, so that about `MOST_POINTS` remain."""
     step = max(len(time) // MOST_POINTS, 1)
     return tuple(row[::step] for row in (time, *rows))
 
 
-def lowest(time: Array, values: Array) -> tuple[Array, Array]:
+def lowest(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Thin a line to the smallest value of every n samples, so that no minimum is lost."""
     step = max(len(time) // MOST_POINTS, 1)
     if step == 1:
@@ -118,7 +119,7 @@ def paths(ways: Flown, pairs: list[Separation]) -> str:
                 axes.plot(east, north, color=shade(index), label=plain(path.name))
                 axes.plot(east[0], north[0], "o", color=shade(index), mfc="white", ms=5)
                 axes.plot(east[-1], north[-1], "s", color=shade(index), ms=4)
-        whole.set(title="All of it (o start, ■ end)", aspect="equal", xlabel="east (m)", ylabel="north (m)")
+        whole.set(title="Whole run (o start, ■ end)", aspect="equal", xlabel="east (m)", ylabel="north (m)")
         whole.set_adjustable("datalim")
         for axes in near:
             _around(axes, ways, pairs)
@@ -166,7 +167,7 @@ def separation(pairs: list[Separation]) -> str:
                 time, distance, color=shade(index), lw=1.0, label=plain(f"{pair.first} - {pair.second}")
             )
         time, least = lowest(*least_of(pairs))
-        axes.plot(time, least, color="#222222", lw=1.8, label="least of all pairs")
+        axes.plot(time, least, color="#222222", lw=1.8, label="minimum of all pairs")
         required = max(pair.required_m for pair in pairs)
         axes.axhline(required, color=_LIMIT, lw=1.6, ls="--", label=f"limit {required:g} m")
         top = max(_TOP_OF_REQUIRED * required, 1.5 * float(np.nanmin(least)))
@@ -237,7 +238,7 @@ def ages(run: Run, ways: Flown) -> str | None:
                 time, age = thin(facts.now_s + ways.offsets_s[name], facts.age_s)
                 age = np.where(np.diff(time, prepend=time[0]) > _MAX_SILENCE_S, np.nan, age)
                 axes.plot(time, age, lw=0.8, color=shade(index), label=plain(track))
-            axes.set_title(plain(f"what {name} knew"), fontsize=_WORDS)
+            axes.set_title(plain(f"tracks of {name}"), fontsize=_WORDS)
             axes.set(ylim=(0.0, None), ylabel="age (s)")
             axes.legend(fontsize=6.5, ncols=6, frameon=False, loc="upper left")
         rows[-1].set_xlabel("time (s)")
@@ -263,7 +264,7 @@ def rates(run: Run, ways: Flown) -> str | None:
             time, rate = thin(times[_OVER:], _OVER / np.maximum(times[_OVER:] - times[:-_OVER], 1e-3))
             look = {"color": shade(index), "ls": styles.get(transport, "-")}
             axes.plot(time, rate, label=plain(f"{name} {transport}"), **look)
-        axes.set(ylim=(0.0, None), xlabel="time (s)", ylabel="broadcasts a second")
+        axes.set(ylim=(0.0, None), xlabel="time (s)", ylabel="broadcasts per second")
         _legend(figure, axes)
 
     return svg((9.4, 2.7), draw)
@@ -300,24 +301,40 @@ def lanes(run: Run, ways: Flown, aircraft: list[dict[str, Any]]) -> str | None:
         return None
 
     def draw(figure: Any) -> None:
-        axes = figure.subplots()
-        for index, (_, spans) in enumerate(rows):
-            axes.broken_barh(
-                [(a, max(b, 0.05)) for a, b, _ in spans],
-                (index - 0.4, 0.8),
-                facecolors=[c for _, _, c in spans],
-            )
-        for kind, (shape, tint, size) in _MARKS.items():
-            points = [(time, row) for row, told in marks.items() for time in told.get(kind, ())]
-            if points:
-                axes.plot(*zip(*points, strict=True), shape, color=tint, ms=size, label=kind)
-        axes.set_yticks(range(len(rows)), [plain(name) for name, _ in rows], fontsize=7.0)
-        axes.set(xlabel="time (s)", ylim=(len(rows) - 0.4, -0.6))
-        for name, tint in used.items():
-            axes.plot([], [], "s", color=tint, ms=7, label=plain(name))
-        _legend(figure, axes)
+        _lanes(figure, rows, marks, used)
 
     return svg((9.4, 1.1 + 0.24 * len(rows)), draw)
+
+
+def _lanes(
+    figure: Any,
+    rows: list[tuple[str, list[tuple[float, float, str]]]],
+    marks: dict[int, dict[str, list[float]]],
+    used: dict[str, str],
+) -> None:
+    """Draw the rows of `lanes`.
+
+    Args:
+        rows: name of each row, and its spans: start, length (s) and colour.
+        marks: times of the markers (s), by row and kind.
+        used: colour of each word in the legend.
+    """
+    axes = figure.subplots()
+    for index, (_, spans) in enumerate(rows):
+        axes.broken_barh(
+            [(a, max(b, 0.05)) for a, b, _ in spans],
+            (index - 0.4, 0.8),
+            facecolors=[c for _, _, c in spans],
+        )
+    for kind, (shape, tint, size) in _MARKS.items():
+        points = [(time, row) for row, told in marks.items() for time in told.get(kind, ())]
+        if points:
+            axes.plot(*zip(*points, strict=True), shape, color=tint, ms=size, label=kind)
+    axes.set_yticks(range(len(rows)), [plain(name) for name, _ in rows], fontsize=7.0)
+    axes.set(xlabel="time (s)", ylim=(len(rows) - 0.4, -0.6))
+    for name, tint in used.items():
+        axes.plot([], [], "s", color=tint, ms=7, label=plain(name))
+    _legend(figure, axes)
 
 
 def _happened(record: AircraftRecord, figures: dict[str, Any], offset_s: float) -> dict[str, list[float]]:
@@ -366,29 +383,11 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
         axes = figure.subplots()
         around = np.linspace(0.0, 2.0 * np.pi, 120)
         axes.plot(speed_mps * np.sin(around), speed_mps * np.cos(around), color="#999999", lw=0.9, ls=":")
-        grid = np.linspace(-reach, reach, 9)  # a coarse grid is exact for planes
-        east, north = np.meshgrid(grid, grid)
-        index = 0
-        shown: list[str] = []
-        for space in one.half_spaces:
-            n, e, d = space.normal_ned
-            if n == e == d == 0.0 or np.hypot(n, e) < 1e-6:
-                continue
-            kept = n * north + e * east + d * found[2] - space.least_mps
-            if kept.min() > 0.0 or kept.max() < 0.0:
-                continue
-            tint = shade(index) if space.active else "#b5b5b5"
-            index += space.active
-            axes.contour(east, north, kept, [0.0], colors=[tint], linewidths=1.5 if space.active else 0.8)
-            axes.contourf(east, north, kept, [kept.min(), 0.0], colors=[tint], alpha=0.14)
-            name = space.cause if space.active else "others, not active"
-            if name not in shown and len(shown) < MOST_LINES:
-                shown.append(name)
-                axes.plot([], [], color=tint, label=plain(name))
+        _half_spaces(axes, one, found[2], reach)
         for velocity, words, tint in (
-            (one.decision.velocity_ned_mps, "flown then", "#9a9a9a"),
+            (one.decision.velocity_ned_mps, "own velocity", "#9a9a9a"),
             (one.decision.wanted_ned_mps, "wanted", "#111111"),
-            (found, "found by the law", _LIMIT),
+            (found, "chosen by the law", _LIMIT),
         ):
             axes.annotate(
                 "", velocity[1::-1], (0.0, 0.0), arrowprops={"arrowstyle": "-|>", "color": tint, "lw": 1.8}
@@ -404,6 +403,29 @@ def velocities(one: Manoeuvre, speed_mps: float) -> str | None:
         axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=7.5, frameon=False)
 
     return svg((5.6, 3.6), draw)
+
+
+def _half_spaces(axes: Any, one: Manoeuvre, down_mps: float, reach: float) -> None:
+    """Draw where each half-space forbids a horizontal velocity, at this vertical speed."""
+    grid = np.linspace(-reach, reach, 9)  # a coarse grid is exact for planes
+    east, north = np.meshgrid(grid, grid)
+    index = 0
+    shown: list[str] = []
+    for space in one.half_spaces:
+        n, e, d = space.normal_ned
+        if n == e == d == 0.0 or np.hypot(n, e) < 1e-6:
+            continue
+        kept = n * north + e * east + d * down_mps - space.least_mps
+        if kept.min() > 0.0 or kept.max() < 0.0:
+            continue
+        tint = shade(index) if space.active else "#b5b5b5"
+        index += space.active
+        axes.contour(east, north, kept, [0.0], colors=[tint], linewidths=1.5 if space.active else 0.8)
+        axes.contourf(east, north, kept, [kept.min(), 0.0], colors=[tint], alpha=0.14)
+        name = space.cause if space.active else "others, which do not bound the velocity"
+        if name not in shown and len(shown) < MOST_LINES:
+            shown.append(name)
+            axes.plot([], [], color=tint, label=plain(name))
 
 
 def _legend(figure: Any, axes: Any) -> None:

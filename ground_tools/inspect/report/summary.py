@@ -6,6 +6,7 @@ damaged or missing data.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -76,7 +77,7 @@ def _cut_off(run: Run, offsets: dict[str, float]) -> list[str]:
     if run.summary is not None or (run.manifest or {}).get("what") != RUN:
         return []
     return [
-        f"{record.name}: the companion did not end by itself (killed, hung, power lost), or still runs: "
+        f"{record.name}: the companion did not end normally (killed, hung, power lost), or it still runs; "
         f"nothing is known after {record.facts.end_s + offsets[record.name]:.1f} s"
         for record in run.aircraft
     ]
@@ -96,7 +97,7 @@ def _air(summary: dict[str, Any] | None) -> tuple[list[dict[str, Any]], list[str
     try:
         return [{key: msgspec.convert(row[key], kind) for key, kind in wanted.items()} for row in rows], []
     except (KeyError, TypeError, msgspec.ValidationError):
-        return [], ["summary.json: air: not as a run writes it"]
+        return [], ["summary.json: air: the format is not that of a run"]
 
 
 def _aircraft(record: AircraftRecord, done: tuple[Manoeuvre, ...], offset_s: float) -> dict[str, Any]:
@@ -170,8 +171,18 @@ def _conflicts(
 ) -> list[dict[str, Any]]:
     """Return pairs of the run that came near or were in conflict, and heard aircraft in conflict or with a
     caution or warning. The closest comes first."""
+    rows = [*_pairs_near(run, pairs, done, offsets), *_heard_near(run, done, offsets)]
+    return sorted(rows, key=lambda row: (row["minimum_m"], row["pair"]))
+
+
+def _pairs_near(
+    run: Run,
+    pairs: list[Separation],
+    done: dict[str, tuple[Manoeuvre, ...]],
+    offsets: dict[str, float],
+) -> Iterator[dict[str, Any]]:
+    """Yield the pairs of the run that came near or were in conflict."""
     records = {record.name: record for record in run.aircraft}
-    rows = []
     for pair in pairs:
         if pair.minimum_m is None or pair.minimum_time_s is None:
             continue
@@ -182,22 +193,26 @@ def _conflicts(
         conflicted = any(_in_conflict(record, track) for record, track in seen)
         if not conflicted and pair.minimum_m > NEAR * pair.required_m:
             continue
-        rows.append(
-            {
-                "pair": [pair.first, pair.second],
-                "time_s": pair.minimum_time_s,
-                "minimum_m": pair.minimum_m,
-                "required_m": pair.required_m,
-                "kept": pair.minimum_m >= pair.required_m,
-                "by": "positions",
-                "done": [
-                    _what_was_done(record, track, done[record.name], at_s)
-                    + _taken_to_be(record, track, at_s, pair.minimum_m)
-                    for record, track in seen
-                    for at_s in (pair.minimum_time_s - offsets[record.name],)
-                ],
-            }
-        )
+        yield {
+            "pair": [pair.first, pair.second],
+            "time_s": pair.minimum_time_s,
+            "minimum_m": pair.minimum_m,
+            "required_m": pair.required_m,
+            "kept": pair.minimum_m >= pair.required_m,
+            "by": "positions",
+            "done": [
+                _what_was_done(record, track, done[record.name], at_s)
+                + _taken_to_be(record, track, at_s, pair.minimum_m)
+                for record, track in seen
+                for at_s in (pair.minimum_time_s - offsets[record.name],)
+            ],
+        }
+
+
+def _heard_near(
+    run: Run, done: dict[str, tuple[Manoeuvre, ...]], offsets: dict[str, float]
+) -> Iterator[dict[str, Any]]:
+    """Yield the heard aircraft that were in conflict or with a caution or warning."""
     own = {_identity(record) for record in run.aircraft}
     for record in run.aircraft:
         for track in sorted((record.facts.tracks.keys() | _warned_of(record)) - own):
@@ -207,21 +222,18 @@ def _conflicts(
             if closest is None:
                 continue
             least, at_s, by = closest
-            rows.append(
-                {
-                    "pair": [record.name, track],
-                    "time_s": at_s + offsets[record.name],
-                    "minimum_m": least,
-                    "required_m": None,
-                    "kept": None,
-                    "by": by,
-                    "done": [
-                        _what_was_done(record, track, done[record.name], at_s)
-                        + (_who_flew(record, at_s) if by == _HEARD else "")
-                    ],
-                }
-            )
-    return sorted(rows, key=lambda row: (row["minimum_m"], row["pair"]))
+            yield {
+                "pair": [record.name, track],
+                "time_s": at_s + offsets[record.name],
+                "minimum_m": least,
+                "required_m": None,
+                "kept": None,
+                "by": by,
+                "done": [
+                    _what_was_done(record, track, done[record.name], at_s)
+                    + (_who_flew(record, at_s) if by == _HEARD else "")
+                ],
+            }
 
 
 def _warned_of(record: AircraftRecord) -> set[str]:
@@ -262,7 +274,7 @@ def _who_flew(record: AircraftRecord, at_s: float) -> str:
     for now_s, what in record.facts.rare:
         if isinstance(what, AuthorityChanged) and now_s <= at_s:
             last = what
-    return "" if last is None else f"; {last.state} then: {last.reason}"
+    return "" if last is None else f"; its state was {last.state}: {last.reason}"
 
 
 def _identity(record: AircraftRecord) -> str:
@@ -284,7 +296,7 @@ def _what_was_done(record: AircraftRecord, track: str, done: tuple[Manoeuvre, ..
     ]
     if near:
         ways = "; ".join(
-            f"{'taken out of its mission, ' if one.guarded else ''}"
+            f"{'left its mission: ' if one.guarded else ''}"
             f"{manoeuvres.change(one.strongest.wanted_ned_mps, one.strongest.chosen_ned_mps)} "
             f"for {one.end_s - one.start_s:.1f} s"
             for one in near
@@ -302,12 +314,12 @@ def _taken_to_be(record: AircraftRecord, track: str, at_s: float, distance_m: fl
     seen_m = float(facts.distance_m[row])
     if abs(float(facts.now_s[row]) - at_s) > _SAME_TIME_S or abs(seen_m - distance_m) < _FAR_OFF_M:
         return ""
-    return f" (it took the distance to be {seen_m:.1f} m then)"
+    return f" (it assumed a distance of {seen_m:.1f} m)"
 
 
 def _why_nothing(record: AircraftRecord, track: str, at_s: float) -> str:
     if record.header is None:
-        return "has no companion in its log"
+        return "has no record of a companion"
     config = record.header.config
     if config.flight.use == "watch":
         return "only watched"
@@ -316,5 +328,13 @@ def _why_nothing(record: AircraftRecord, track: str, at_s: float) -> str:
     facts = record.facts.tracks.get(track)
     if facts is None:
         decided = abs(record.facts.decisions.now_s - at_s).min(initial=np.inf) <= _SAME_TIME_S
-        return "did nothing: not seen by its law" if decided else "did nothing: its law did not decide then"
-    return "did nothing about it" if facts.conflict.any() else "did nothing: no conflict for its law"
+        return (
+            "did nothing: its law did not know the other"
+            if decided
+            else "did nothing: its law made no decision at that time"
+        )
+    return (
+        "did nothing although its law saw a conflict"
+        if facts.conflict.any()
+        else "did nothing: its law saw no conflict"
+    )

@@ -74,7 +74,7 @@ def head(figures: dict[str, Any]) -> str:
     return (
         f"{figures['run']}: {len(figures['aircraft'])} aircraft; time line: {figures['clock']}; "
         f"{f'at 0 s: {utc_words(zero)}; ' if zero is not None else ''}"
-        f"distances by {figures['positions'] or 'no positions'}"
+        f"distances from {figures['positions'] or 'no positions'}"
     )
 
 
@@ -93,9 +93,9 @@ def verdicts(figures: dict[str, Any]) -> list[str]:
             f"{least['minimum_time_s']:.2f} s ({least['required_m']:g} m {kept(least['kept'])})"
         )
     elif len(figures["aircraft"]) > 1:
-        found.append("Separation: no two aircraft of this run were known at one time")
+        found.append("Separation: not known, because no two aircraft have positions at the same time")
     else:
-        found.append("Separation: not known with one aircraft alone")
+        found.append("Separation: not known, because the run has one aircraft")
     found += _verdicts_on_remote_id(figures["aircraft"])
     for words, key in (("Manoeuvres", "manoeuvres"), ("Faults and warnings", "faults")):
         found.append(f"{words}: {sum(len(one[key]) for one in figures['aircraft'])}")
@@ -117,11 +117,11 @@ def _verdicts_on_remote_id(aircraft: Sequence[dict[str, Any]]) -> list[str]:
             or any(row["kept"] is False for row in one["remote_id"]["sent"])
         ]
         if broken:
-            found.append(f"Remote ID: floor of region {region} NOT kept by {', '.join(broken)}")
+            found.append(f"Remote ID: minimum rates of region {region} NOT kept by {', '.join(broken)}")
         elif rows:
-            found.append(f"Remote ID: floor of region {region} kept by all {len(members)}")
+            found.append(f"Remote ID: minimum rates of region {region} kept by all {len(members)} aircraft")
         else:
-            found.append(f"Remote ID: region {region} sets no floor for what was sent")
+            found.append(f"Remote ID: region {region} requires no minimum rate for the sent messages")
     return found
 
 
@@ -135,7 +135,7 @@ def damage(figures: dict[str, Any]) -> list[str]:
 def sentences(row: dict[str, Any]) -> list[str]:
     """Describe a manoeuvre: its reason, what was done, the outcome; then each alternative at its start."""
     found = [row[key] for key in ("why", "done", "came") if row[key]]
-    return [*found, *(f"- at its start, {words}" for words in row["instead"])]
+    return [*found, *(f"- alternative at the start: {words}" for words in row["instead"])]
 
 
 Rows = list[list[str]]
@@ -152,13 +152,13 @@ def sections(figures: dict[str, Any]) -> list[tuple[str, Rows]]:
         ("Flights", _flights(aircraft)),
         ("Decisions and alerts", _decisions(aircraft)),
         ("Modes", _spans(aircraft, "modes", "mode")),
-        ("Who flew", _spans(aircraft, "authority", "state", "reason")),
+        ("Authority", _spans(aircraft, "authority", "state", "reason")),
         ("Manoeuvres", _manoeuvres(aircraft)),
         ("Remote ID sent", _sent(aircraft)),
         ("Remote ID heard", _heard(aircraft)),
-        ("Age of information when the law decided", _ages(aircraft)),
-        ("The simulated air, by the run's own summary", _air(figures["air"])),
-        ("Telemetry link (missing by their numbers: lost, or never logged)", _link(aircraft)),
+        ("Age of information at the decisions of the law", _ages(aircraft)),
+        ("Simulated radio channel, from the run's summary", _air(figures["air"])),
+        ("Telemetry link (missing: gaps in the sequence numbers, lost or not logged)", _link(aircraft)),
     ]
     return [(title, rows) for title, rows in found if len(rows) > 1]
 
@@ -195,7 +195,7 @@ def _separations(figures: dict[str, Any]) -> Rows:
         [
             " - ".join(row["pair"]),
             number(row["minimum_time_s"]),
-            number(row["minimum_m"], 2) if row["minimum_m"] is not None else "never known at one time",
+            number(row["minimum_m"], 2) if row["minimum_m"] is not None else "never known at the same time",
             number(row["required_m"]),
             kept(row["kept"]),
         ]
@@ -224,9 +224,9 @@ def _flights(aircraft: Sequence[dict[str, Any]]) -> Rows:
 def _decisions(aircraft: Sequence[dict[str, Any]]) -> Rows:
     """Rows of the aircraft that made decisions or raised alerts."""
     keys = ("decisions", "conflicts", "infeasible", "cautions", "warnings")
-    return [["aircraft", "decisions", "in conflict", "kept not all half-spaces", "cautions", "warnings"]] + [
-        [one["name"], *(str(one[key]) for key in keys)] for one in aircraft if any(one[key] for key in keys)
-    ]
+    return [
+        ["aircraft", "decisions", "in conflict", "without a feasible velocity", "cautions", "warnings"]
+    ] + [[one["name"], *(str(one[key]) for key in keys)] for one in aircraft if any(one[key] for key in keys)]
 
 
 def _each(
@@ -267,8 +267,8 @@ def _link(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _manoeuvres(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = ["from (s)", "to (s)", "because of", "would have come (m)", "in (s)"]
-    head += ["nearest then (m)", "off the path (m)", "other limits", "feasible"]
+    head = ["from (s)", "to (s)", "because of", "predicted closest (m)", "in (s)"]
+    head += ["nearest (m)", "off the path (m)", "other limits", "feasible"]
     return _each(
         head,
         aircraft,
@@ -288,7 +288,16 @@ def _manoeuvres(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _sent(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = ["aircraft", "region", "transport", "message", "sent", "a second", "longest gap (s)", "legal (s)"]
+    head = [
+        "aircraft",
+        "region",
+        "transport",
+        "message",
+        "sent",
+        "per second",
+        "longest gap (s)",
+        "legal limit (s)",
+    ]
     rows = [
         [
             one["name"],
@@ -314,7 +323,16 @@ def _sent(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _heard(aircraft: Sequence[dict[str, Any]]) -> Rows:
-    head = ["from", "transport", "frames", "lost", "silent (s)", "latency: median", "95 %", "worst (s)"]
+    head = [
+        "from",
+        "transport",
+        "frames",
+        "lost",
+        "longest gap (s)",
+        "latency: median (s)",
+        "95 % (s)",
+        "worst (s)",
+    ]
 
     def cells(row: dict[str, Any]) -> list[str]:
         late = row["latency"] or {}
@@ -322,7 +340,7 @@ def _heard(aircraft: Sequence[dict[str, Any]]) -> Rows:
             ", ".join(row["identities"]) or row["address"],
             row["transport"],
             str(row["frames"]),
-            "not known" if row["lost"] is None else f"{row['lost']} of {row['lost_of']}",
+            "unknown" if row["lost"] is None else f"{row['lost']} of {row['lost_of']}",
             number(row["longest_silence_s"], 2),
             *(number(late.get(key), 2) for key in _SHARES),
         ]
@@ -341,7 +359,7 @@ def _ages(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 def _faults(aircraft: Sequence[dict[str, Any]]) -> Rows:
     return _each(
-        ["at (s)", "what", "in words"],
+        ["at (s)", "what", "text"],
         aircraft,
         lambda one: one["faults"],
         lambda row: [number(row["time_s"]), row["what"], row["text"]],
@@ -349,7 +367,7 @@ def _faults(aircraft: Sequence[dict[str, Any]]) -> Rows:
 
 
 def _air(rows: Sequence[dict[str, Any]]) -> Rows:
-    found = [["from", "to", "frames", "delivered", "age: mean (s)", "worst (s)"]]
+    found = [["from", "to", "frames", "delivered", "age: mean (s)", "age: worst (s)"]]
     for row in rows:
         ages = [number(row[key], 2) for key in ("information_age_mean_s", "information_age_max_s")]
         found.append([row["sender"], row["receiver"], str(row["sent"]), str(row["delivered"]), *ages])
@@ -373,4 +391,4 @@ def show_table(console: Console, title: str, rows: Rows) -> None:
         table.add_row(*(Text(plain(cell)) for cell in row), style="bold red" if alarming(row) else "")
     console.print(table)
     if len(rows) > _MOST_ROWS + 1:
-        line(console, f"  {len(rows) - 1 - _MOST_ROWS} more rows: see --json")
+        line(console, f"  {len(rows) - 1 - _MOST_ROWS} more rows are left out; --json prints all")

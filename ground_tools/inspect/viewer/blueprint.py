@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ground_tools.inspect.read.flown import Array, Separation
+from companion.arrays import Floats
+from ground_tools.inspect.read.flown import Separation
+from ground_tools.inspect.viewer.drawing import ENCOUNTER, WHOLE
 from ground_tools.inspect.viewer.scene import Scene
-from ground_tools.inspect.viewer.writer import ENCOUNTER, WHOLE
 
 AUTHORITY, ALERT, MODE = "Authority", "Alert level", "Autopilot mode"
-AIR, CHOICE = "On the air", "Chosen, and by whom"
+AIR, CHOICE = "On the air", "Chosen transports"
 LANES = {AUTHORITY: "authority", ALERT: "alert", MODE: "mode", AIR: "protocol", CHOICE: "choice"}
 """Names of the lane views, and the first part of the entity paths that they show."""
 AGE, RANGE = "Age of information (s)", "Distance to heard traffic (m)"
@@ -33,7 +34,7 @@ _LASTING = ("flown", "path")
 class Look:
     """The sphere that a view shows."""
 
-    centre_ned_m: Array
+    centre_ned_m: Floats
     """(3,)"""
     radius_m: float
 
@@ -106,17 +107,17 @@ def comparison(
     beside = [
         _space(rrb, name, [scene], look) for (name, scene), look in zip(scenes.items(), looks, strict=True)
     ]
-    over = _space(rrb, "One over the other", every, looks[0])
+    over = _space(rrb, "Overlaid", every, looks[0])
     closest = [_path(scene, "separation", "closest two") for scene in every]
     limits = [] if required_m is None else [_path(one, "separation", f"required {required_m:g} m")]
     space = rrb.Tabs(
-        rrb.Vertical(*beside, name="Beside each other"),
+        rrb.Vertical(*beside, name="Side by side"),
         over,
         _map(rrb, every),
         active_tab=0,
     )
     plots = rrb.Tabs(
-        _separation(rrb, one, required_m, closest_m, *closest, *limits, name="Closest two of each run"),
+        _separation(rrb, one, required_m, closest_m, *closest, *limits, name="Closest pair of each run"),
         *(
             _separation(
                 rrb, scene, required_m, closest_m, f"{scene.root}/separation/**", name=f"Pairs: {name}"

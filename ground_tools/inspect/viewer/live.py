@@ -18,19 +18,21 @@ from typing import Any, BinaryIO, TextIO
 import numpy as np
 
 from companion import event_record
+from companion.arrays import Floats
 from companion.errors import ConfigError, PeerDataError
 from companion.event_record import Header, Step
 from ground_tools.inspect.explain.manoeuvres import Starts
-from ground_tools.inspect.read.facts import Array, Facts, Gatherer, gather
+from ground_tools.inspect.read.facts import Facts, Gatherer, gather
 from ground_tools.inspect.read.flown import Path as Flight
 from ground_tools.inspect.read.flown import from_frame, to_ned
 from ground_tools.inspect.read.read_run import NOT_REGULAR, is_regular
 from ground_tools.inspect.viewer.blueprint import blueprint
+from ground_tools.inspect.viewer.drawing import rerun
 from ground_tools.inspect.viewer.palette import colour
 from ground_tools.inspect.viewer.pieces import Note
 from ground_tools.inspect.viewer.scene import Aircraft, Scene
 from ground_tools.inspect.viewer.web import WebViewer
-from ground_tools.inspect.viewer.writer import Writer, rerun
+from ground_tools.inspect.viewer.writer import Writer
 from sitl_mocks.signals import end_signals
 
 PERIOD_S = 0.5
@@ -103,7 +105,7 @@ class Bridge:
         """Facts, by aircraft, known before the scene is made."""
         self._lacking: dict[str, set[str]] = {}
         """Data, by aircraft, that was missing when the scene was made."""
-        self._last: dict[str, Array] = {}
+        self._last: dict[str, Floats] = {}
         """Last position of each aircraft, at which the next part of its path begins."""
         self._begins: dict[str, Starts] = {}
         self._scene: Scene | None = None
@@ -160,7 +162,9 @@ class Bridge:
         try:
             yield from one.steps()
         except PeerDataError as error:
-            self.problems.append(str(error) if one.header is None else f"{error}; shown up to there")
+            self.problems.append(
+                str(error) if one.header is None else f"{error}; the run is shown up to there"
+            )
             self._followed.pop(name).close()
 
     def _lacks(self) -> dict[str, set[str]]:
@@ -235,7 +239,7 @@ class Bridge:
                 note = Note(step.now_s + offset_s, "WARN", f"manoeuvre begins: {words}", True)
                 self._writer.tell(name, note, where[0])
 
-    def _path(self, name: str, fixes: Array, offset_s: float) -> None:
+    def _path(self, name: str, fixes: Floats, offset_s: float) -> None:
         assert self._scene is not None
         assert self._writer is not None
         if not len(fixes):
@@ -286,7 +290,7 @@ def follow(path: Path) -> int:
             try:
                 bridge.look()
                 names = ", ".join(file.name.removesuffix(".events") for file in files)
-                print(f"{names} live at {viewer.url}; on this machine only, until Ctrl-C", flush=True)
+                print(f"showing {names} live at {viewer.url}, on this machine only, until Ctrl-C", flush=True)
                 while not ended:
                     viewer.check()
                     waits = bridge.waits_for
@@ -318,7 +322,7 @@ def _waiting(waits: tuple[str, ...], bridge: Bridge) -> list[str]:
     """
     if bridge.waits_for:
         return [f"waiting for {words}" for words in bridge.waits_for]
-    return [f"shown without {words}, until that comes" for words in bridge.without] if waits else []
+    return [f"shown without {words} until it arrives" for words in bridge.without] if waits else []
 
 
 def _tell(lines: Iterable[str], told: set[str], stream: TextIO) -> None:
@@ -343,7 +347,7 @@ def _records(path: Path, ended: list[int]) -> tuple[list[Path], list[str]]:
             return [path], []
         next(path.iterdir(), None)
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such run folder") from None
+        raise ConfigError(f"{path}: this run folder does not exist") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     give_up_s, told = time.monotonic() + WAIT_S, set[str]()
@@ -366,7 +370,7 @@ def _records(path: Path, ended: list[int]) -> tuple[list[Path], list[str]]:
             if files:
                 return files, odd
         if time.monotonic() > give_up_s:
-            raise ConfigError(f"{path}: {'; '.join(odd) or 'no event record (*.events) is written there'}")
+            raise ConfigError(f"{path}: {'; '.join(odd) or 'the folder has no event record (*.events)'}")
         _tell([f"waiting up to {WAIT_S:g} s for an event record (*.events) in {path}"], told, sys.stdout)
         time.sleep(PERIOD_S)
     return [], []

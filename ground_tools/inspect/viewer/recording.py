@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pymap3d
 
+from companion.arrays import Floats
 from companion.autopilot.encoders import AUTOPILOT_COMPONENT
 from companion.errors import ConfigError
 from companion.event_record import Step
@@ -24,7 +25,6 @@ from companion.geometry import Vec3
 from ground_tools.inspect.explain import manoeuvres
 from ground_tools.inspect.read import align
 from ground_tools.inspect.read.flown import (
-    Array,
     Flown,
     Path,
     Separation,
@@ -40,10 +40,11 @@ from ground_tools.inspect.read.link_health import LinkHealth
 from ground_tools.inspect.read.read_run import AircraftRecord, Run
 from ground_tools.inspect.read.spill import release
 from ground_tools.inspect.viewer.blueprint import Look, blueprint, comparison, nearest_m
+from ground_tools.inspect.viewer.drawing import rerun
 from ground_tools.inspect.viewer.palette import Rgb, colour
 from ground_tools.inspect.viewer.pieces import Note
 from ground_tools.inspect.viewer.scene import Aircraft, Encounter, Scene, first_encounter
-from ground_tools.inspect.viewer.writer import Writer, rerun
+from ground_tools.inspect.viewer.writer import Writer
 
 MAX_PAIRS_DRAWN = 45
 """Most pairs with a line of their own, the closest first. Ten aircraft have 45 pairs."""
@@ -110,7 +111,7 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
     """
     rerun()
     if len(runs) < 2:
-        raise ConfigError("a comparison takes two runs or more")
+        raise ConfigError("a comparison needs at least two runs")
     names = align.names(runs)
     every = [placed(run) for run in runs]
     zeros, zero_words = align.zeros(runs, every)
@@ -124,21 +125,10 @@ def write_comparison(runs: Sequence[Run], path: File) -> None:
             for run, ways, found in zip(runs, every, pairs, strict=True)
         ]
     )
-    shown = [
-        _Shown(
-            run,
-            ways,
-            found,
-            _scene(
-                run,
-                ways,
-                {record.name: colour(index) for record in run.aircraft},
-                encounter,
-                name,
-            ),
-        )
-        for index, (name, run, ways, found) in enumerate(zip(names, runs, every, pairs, strict=True))
-    ]
+    shown = []
+    for index, (name, run, ways, found) in enumerate(zip(names, runs, every, pairs, strict=True)):
+        colours = {record.name: colour(index) for record in run.aircraft}
+        shown.append(_Shown(run, ways, found, _scene(run, ways, colours, encounter, name)))
     looks = [_look(one.ways, one.pairs, encounter) for one in shown]
     required_m = max((pair.required_m for found in pairs for pair in found), default=None)
     plan = comparison(
@@ -171,7 +161,7 @@ def _write_run(stream: Any, shown: _Shown) -> None:
     if ways.paths:
         lat, lon, alt = ways.origin
         start = min(path.time_s[0] for path in ways.paths)
-        words = f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. {words} Distances by {ways.positions}."
+        words = f"Origin {lat:.7f}, {lon:.7f}, {alt:.1f} m. {words} Distances are from {ways.positions}."
     writer.say(start, words)
     for problem in (*shown.run.problems, *ways.problems):
         writer.say(start, problem)
@@ -209,14 +199,20 @@ def _write_link(
         for piece in scene.pieces(time):
             writer.link(name, what, time[piece], values[piece])
     vehicle = next((beat.system_id for _, beat in record.facts.rare if isinstance(beat, Heartbeat)), None)
-    notes = [Note(time, "WARN", "link: the vehicle's clock began anew", True) for time in link.reboots_s]
+    notes = [
+        Note(time, "WARN", "link: the vehicle's clock started again from 0", True) for time in link.reboots_s
+    ]
     for one in link.components:
         who = f"{one.system_id}/{one.component_id}"
         autopilot = (one.system_id, one.component_id) == (vehicle, AUTOPILOT_COMPONENT)
         for begin, long in one.gaps_s:
-            notes.append(Note(begin, "WARN", f"link: nothing from {who} for {long:.1f} s", autopilot))
+            notes.append(
+                Note(begin, "WARN", f"link: nothing was received from {who} for {long:.1f} s", autopilot)
+            )
             if autopilot and one.seconds[-1, 0] > begin:
-                notes.append(Note(begin + long, "INFO", f"link: {who} again after {long:.1f} s", True))
+                notes.append(
+                    Note(begin + long, "INFO", f"link: {who} was received again after {long:.1f} s", True)
+                )
     for _, some in itertools.groupby(sorted(notes, key=_time_of), key=lambda note: scene.piece(note.time_s)):
         found = list(some)
         writer.notes(name, found)
@@ -275,7 +271,7 @@ def _closest_pairs(paths: tuple[Path, ...]) -> tuple[Separation, ...]:
     return tuple(pair for pair in closest(paths) if pair.minimum_m is not None)[:MAX_PAIRS_DRAWN]
 
 
-def _conflicts(run: Run, offsets_s: dict[str, float]) -> Array:
+def _conflicts(run: Run, offsets_s: dict[str, float]) -> Floats:
     """Return the times (n,) at which any aircraft was in conflict with any track."""
     found = [
         record.facts.decisions.now_s[record.facts.decisions.conflict] + offsets_s[record.name]

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.arrays import Floats
 from companion.config import AvoidanceConfig, Config
 from companion.geometry import Vec3
-from ground_tools.inspect.read.flown import Array, Separation
+from ground_tools.inspect.read.flown import Separation
 
 PIECE_S = 600.0
 """Longest piece of the time line that is written at once.
@@ -44,9 +45,9 @@ class Encounter:
     what: str
     """Description of what happens at time 0."""
 
-    def clipped(self, time_s: Array) -> Array:
+    def clipped(self, time_s: Floats) -> Floats:
         """Return times relative to `zero_s`, limited to the encounter's start and end."""
-        inside: Array = np.clip(time_s, self.start_s, self.end_s) - self.zero_s
+        inside: Floats = np.clip(time_s, self.start_s, self.end_s) - self.zero_s
         return inside
 
 
@@ -89,7 +90,7 @@ class Scene:
         one = self.encounter
         return math.floor(time_s / PIECE_S), one is not None and one.start_s <= time_s <= one.end_s
 
-    def pieces(self, time_s: Array) -> list[slice]:
+    def pieces(self, time_s: Floats) -> list[slice]:
         """Return slices of the rows, one for each piece."""
         if not len(time_s):
             return []
@@ -101,7 +102,7 @@ class Scene:
         return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
-def first_encounter(conflicts_s: Array, closest: Separation | None) -> Encounter | None:
+def first_encounter(conflicts_s: Floats, closest: Separation | None) -> Encounter | None:
     """Return the first conflict and all that follow it closely; without conflicts, the closest approach.
 
     Args:

@@ -53,7 +53,7 @@ def serve(recording: Path) -> None:
         ConfigError: rerun is not installed, or its viewer ended by itself.
     """
     with end_signals() as ended, WebViewer(recording) as viewer:
-        print(f"{recording} at {viewer.url}; on this machine only, until Ctrl-C", flush=True)
+        print(f"showing {recording} at {viewer.url}, on this machine only, until Ctrl-C", flush=True)
         while not ended:
             viewer.check()
             time.sleep(_LOOK_S)
@@ -105,7 +105,7 @@ class WebViewer:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
                 return
             time.sleep(_POLL_S)
-        raise ConfigError(f"rerun's web viewer does not serve after {_START_S:g} s")
+        raise ConfigError(f"rerun's web viewer did not start within {_START_S:g} s")
 
     @property
     def pid(self) -> int:
@@ -208,7 +208,9 @@ def _program() -> Path:
     """Return the viewer's executable. `python -m rerun` starts it as a child that outlives its parent."""
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
-        raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'")
+        raise ConfigError(
+            "rerun is not installed; to install it, run in the checkout: pip install -e '.[inspect]'"
+        )
     return Path(found.origin).with_name("rerun")
 
 

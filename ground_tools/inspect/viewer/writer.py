@@ -16,14 +16,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from companion.avoidance.law import VERTICAL_SCALE, separation_m
-from companion.errors import ConfigError
 from companion.event_record import Step
 from companion.events import TrackView
-from ground_tools.inspect.explain.why import HalfSpace
-from ground_tools.inspect.read.flown import Array, Path, Separation, least_in_bins, least_of
+from ground_tools.inspect.read.flown import Path, Separation, least_in_bins, least_of
+from ground_tools.inspect.viewer.drawing import Drawing, rerun
 from ground_tools.inspect.viewer.palette import (
     ALERTS,
     AUTHORITY,
@@ -31,21 +30,14 @@ from ground_tools.inspect.viewer.palette import (
     LIMIT,
     PAIR,
     WANTED,
-    Rgb,
     faded,
     pale,
 )
-from ground_tools.inspect.viewer.pieces import UNKNOWN, Note, Piece, Places, Watch
+from ground_tools.inspect.viewer.pieces import Note, Piece, Places
 from ground_tools.inspect.viewer.scene import Aircraft, Scene
+from ground_tools.inspect.viewer.shapes import ARROW_S, enu, square
+from ground_tools.inspect.viewer.watch import UNKNOWN, Watch
 
-WHOLE = "time"
-ENCOUNTER = "encounter"
-SHOWN_S = 3.0
-"""A position is drawn until the next one, but no longer than this."""
-ARROW_S = 5.0
-"""An arrow is as long as the way at its velocity in this time."""
-SQUARE_M = 6.0
-"""Half the side of the squares that represent half-spaces."""
 OLD_S = 5.0
 """Predictions from information of this age or older are drawn grey."""
 DRAWN_S = 0.2
@@ -57,18 +49,6 @@ MARK_PX = 3.5, 2.5
 AGE_S = 5.0
 """Ages of information are drawn as the maximum in each interval of this length, so that a loss stands out
 from the usual saw-tooth shape."""
-
-HELD_ROWS = 2000
-"""Parts of a line are collected up to this many rows and sent together, because each part that is sent costs
-memory until the end."""
-
-_SHAPES = {
-    "Arrows3D": "vectors",
-    "Ellipsoids3D": "half_sizes",
-    "LineStrips3D": "strips",
-    "Points3D": "positions",
-}
-"""Required component of each archetype, which is sent empty to draw nothing."""
 
 _LEGEND = f"""
 In space, in each aircraft's colour:
@@ -91,51 +71,23 @@ Time line `encounter` holds what lies around the first conflict, `time` the whol
 """
 
 
-def rerun() -> Any:
-    """Import rerun and return the module.
-
-    Raises:
-        ConfigError: rerun is not installed.
-    """
-    try:
-        import pyarrow
-        import rerun as module
-    except ImportError as error:
-        raise ConfigError("rerun is not installed; in the checkout: pip install -e '.[inspect]'") from error
-    # Arrow's own allocator would keep the memory that is freed between pieces.
-    pyarrow.set_memory_pool(pyarrow.system_memory_pool())
-    return module
-
-
 class Writer:
     """Writes one scene into a stream."""
 
     def __init__(self, stream: Any, scene: Scene) -> None:
         self._rr = rerun()
-        self._stream = stream
+        self._draw = Drawing(stream, scene)
         self._scene = scene
         self._aircraft = {one.name: one for one in scene.aircraft}
         self._watches = {one.name: Watch(one, scene.origin) for one in scene.aircraft}
-        self._known: set[str] = set()
-        self._last_ned_m: dict[str, Array] = {}
-        self._held: dict[str, list[tuple[Array, Array]]] = {}
-        """Times and values of lines that are not sent yet, by entity."""
-        self._due: dict[str, tuple[str, float]] = {}
-        """Archetype and time of the last row, by entity. The row is to be removed when it is stale."""
+        self._last_ned_m: dict[str, Floats] = {}
         stream.log("/", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         about = self._rr.TextDocument(_LEGEND, media_type="text/markdown")
-        stream.log(self._entity("about"), about, static=True)
+        stream.log(self._draw.entity("about"), about, static=True)
 
     def settle(self, now_s: float = math.inf) -> None:
-        """Send what is held back, and remove what was drawn last and is stale now.
-
-        Call it without an argument at the end of a run, to remove everything that was drawn last.
-        """
-        for entity in list(self._held):
-            self._send_held(entity)
-        for entity, due in list(self._due.items()):
-            if now_s - due[1] > SHOWN_S:
-                self._blank(entity, *self._due.pop(entity))
+        """Send what is held back, and remove what was drawn last and is stale now (`Drawing.settle`)."""
+        self._draw.settle(now_s)
 
     def say(self, time_s: float, text: str) -> None:
         """Write a line of text about the whole run."""
@@ -155,12 +107,12 @@ class Writer:
         self.notes(name, piece.notes)
         self._markers(one, piece)
 
-    def tell(self, name: str, note: Note, where_ned_m: Array) -> None:
+    def tell(self, name: str, note: Note, where_ned_m: Floats) -> None:
         """Write a note about an aircraft with a marker at its place, for events not found in single steps."""
         self.notes(name, [note])
         self.mark(name, [note], where_ned_m.reshape(1, 3))
 
-    def flown(self, path: Path, latitudes: Array) -> None:
+    def flown(self, path: Path, latitudes: Floats) -> None:
         """Write the next part of the path that an aircraft flew.
 
         Args:
@@ -170,12 +122,12 @@ class Writer:
         rr, rgb = self._rr, self._aircraft[path.name].rgb
         when = path.time_s[:1]
         strip = rr.LineStrips3D.columns(strips=[enu(path.position_ned_m)])
-        entity = self._entity("aircraft", path.name, "flown")
-        self._style(entity, rr.LineStrips3D.from_fields(colors=[rgb], radii=[-1.5]))
-        self._send(entity, when, strip, clip=True)
-        entity = self._entity("map", path.name, "flown")
-        self._style(entity, rr.GeoLineStrings.from_fields(colors=[rgb], radii=[-2.0]))
-        self._send(entity, when, rr.GeoLineStrings.columns(line_strings=[latitudes]), clip=True)
+        entity = self._draw.entity("aircraft", path.name, "flown")
+        self._draw.style(entity, rr.LineStrips3D.from_fields(colors=[rgb], radii=[-1.5]))
+        self._draw.send(entity, when, strip, clip=True)
+        entity = self._draw.entity("map", path.name, "flown")
+        self._draw.style(entity, rr.GeoLineStrings.from_fields(colors=[rgb], radii=[-2.0]))
+        self._draw.send(entity, when, rr.GeoLineStrings.columns(line_strings=[latitudes]), clip=True)
 
     def distances(self, pairs: Sequence[Separation], required_m: float) -> None:
         """Write the next part of every pair's distance, and of the smallest distance of any pair."""
@@ -184,15 +136,15 @@ class Writer:
         for pair in pairs:
             known = ~np.isnan(pair.distance_m)
             time, least = least_in_bins(pair.time_s[known], pair.distance_m[known], DRAWN_S)
-            self._line(("separation", f"{pair.first} - {pair.second}"), time, least, PAIR, 1.0)
+            self._draw.line(("separation", f"{pair.first} - {pair.second}"), time, least, PAIR, 1.0)
         time, least = least_in_bins(*least_of(pairs), DRAWN_S)
         rgb = self._scene.aircraft[0].rgb
-        self._line(("separation", "closest two"), time, least, rgb, 3.0)
+        self._draw.line(("separation", "closest two"), time, least, rgb, 3.0)
         if len(time):
             limit = np.full(2, required_m)
-            self._line(("separation", f"required {required_m:g} m"), time[[0, -1]], limit, LIMIT, 3.0)
+            self._draw.line(("separation", f"required {required_m:g} m"), time[[0, -1]], limit, LIMIT, 3.0)
 
-    def closest(self, pair: Separation, where_ned_m: Array) -> None:
+    def closest(self, pair: Separation, where_ned_m: Floats) -> None:
         """Mark where and when a pair came closest."""
         if pair.minimum_m is None or pair.minimum_time_s is None:
             return
@@ -203,9 +155,9 @@ class Writer:
         self.notes("pairs", [note])
         self.mark("closest", [note], where_ned_m.reshape(1, 3))
 
-    def link(self, name: str, what: str, time_s: Array, values: Array) -> None:
+    def link(self, name: str, what: str, time_s: Floats, values: Floats) -> None:
         """Write a line of one figure of a link's quality."""
-        self._line(("link", f"{name} {what}"), time_s, values, self._aircraft[name].rgb, 1.5)
+        self._draw.line(("link", f"{name} {what}"), time_s, values, self._aircraft[name].rgb, 1.5)
 
     def _own(self, one: Aircraft, piece: Piece) -> None:
         rr, rgb = self._rr, one.rgb
@@ -215,41 +167,45 @@ class Writer:
         if not len(time):
             return
         self._last_ned_m[one.name] = place[-1]
-        self._points(("aircraft", one.name, "own"), time, place, rgb, 1.2, one.name, named=True)
-        entity = self._entity("aircraft", one.name, "volume")
+        self._draw.points(("aircraft", one.name, "own"), time, place, rgb, 1.2, one.name, named=True)
+        entity = self._draw.entity("aircraft", one.name, "volume")
         radius = one.avoidance.conflict_radius_m
         size = (radius, radius, radius / VERTICAL_SCALE)
-        self._style(entity, rr.Ellipsoids3D.from_fields(colors=[rgb], line_radii=[-0.5]))
+        self._draw.style(entity, rr.Ellipsoids3D.from_fields(colors=[rgb], line_radii=[-0.5]))
         sizes = np.tile(np.array(size, np.float32), (len(time), 1))
         columns = rr.Ellipsoids3D.columns(centers=enu(place), half_sizes=sizes)
-        self._send_until_stale(entity, "Ellipsoids3D", time, columns)
+        self._draw.send_until_stale(entity, "Ellipsoids3D", time, columns)
         if len(piece.own_s):
-            entity = self._entity("map", one.name, "own")
-            self._style(entity, rr.GeoPoints.from_fields(colors=[rgb], radii=[-6.0]))
-            self._send(entity, time, rr.GeoPoints.columns(positions=piece.own_geodetic[:, :2]))
-            self._line(("speed", one.name, "flown"), time, piece.speed_mps, rgb, 2.5)
+            entity = self._draw.entity("map", one.name, "own")
+            self._draw.style(entity, rr.GeoPoints.from_fields(colors=[rgb], radii=[-6.0]))
+            self._draw.send(entity, time, rr.GeoPoints.columns(positions=piece.own_geodetic[:, :2]))
+            self._draw.line(("speed", one.name, "flown"), time, piece.speed_mps, rgb, 2.5)
 
     def _decisions(self, one: Aircraft, piece: Piece) -> None:
         time, rgb = piece.decided_s, one.rgb
         if not len(time):
             # Without decisions of a law there may still be velocity setpoints.
-            self._line(("speed", one.name, "chosen"), piece.setpoint_s, piece.setpoint_mps, pale(rgb), 1.5)
+            self._draw.line(
+                ("speed", one.name, "chosen"), piece.setpoint_s, piece.setpoint_mps, pale(rgb), 1.5
+            )
             return
         for what, velocity, shade in (
             ("wanted", piece.wanted_ned_mps, WANTED),
             ("chosen", piece.chosen_ned_mps, rgb),
         ):
-            self._arrows((one.name, what), time, piece.decided_ned_m, velocity, shade)
+            self._draw.arrows((one.name, what), time, piece.decided_ned_m, velocity, shade)
             colour = pale(rgb) if what == "chosen" else WANTED
-            self._line(("speed", one.name, what), time, np.linalg.norm(velocity, axis=1), colour, 1.0)
+            self._draw.line(("speed", one.name, what), time, np.linalg.norm(velocity, axis=1), colour, 1.0)
         if not len(piece.path_s):
             return
         rr = self._rr
-        self._points(("aircraft", one.name, "path point"), piece.path_s, piece.path_ned_m, WANTED, 0.6, "")
-        entity = self._entity("aircraft", one.name, "path")
-        self._style(entity, rr.LineStrips3D.from_fields(colors=[pale(rgb)], radii=[-0.6]))
+        self._draw.points(
+            ("aircraft", one.name, "path point"), piece.path_s, piece.path_ned_m, WANTED, 0.6, ""
+        )
+        entity = self._draw.entity("aircraft", one.name, "path")
+        self._draw.style(entity, rr.LineStrips3D.from_fields(colors=[pale(rgb)], radii=[-0.6]))
         strip = rr.LineStrips3D.columns(strips=[enu(piece.path_ned_m)])
-        self._send(entity, piece.path_s[:1], strip, clip=True)
+        self._draw.send(entity, piece.path_s[:1], strip, clip=True)
 
     def _tracks(self, one: Aircraft, piece: Piece) -> None:
         """Write the tracks' positions as the law predicted them, their ages, and the volumes of those in the
@@ -258,8 +214,8 @@ class Writer:
         if not len(piece.decided_s):
             return
         rr, rgb = self._rr, one.rgb
-        entity = self._entity("aircraft", one.name, "predicted")
-        self._style(entity, rr.Points3D.from_fields(radii=[0.7], show_labels=False))
+        entity = self._draw.entity("aircraft", one.name, "predicted")
+        self._draw.style(entity, rr.Points3D.from_fields(radii=[0.7], show_labels=False))
         columns = rr.Points3D.columns(
             positions=enu(piece.seen_ned_m),
             colors=[faded(rgb, track.age_s / OLD_S) for track in seen],
@@ -267,7 +223,7 @@ class Writer:
         )
         lengths = np.array([len(tracks) for tracks in piece.seen])
         if seen:
-            self._send_until_stale(entity, "Points3D", piece.decided_s, columns, lengths)
+            self._draw.send_until_stale(entity, "Points3D", piece.decided_s, columns, lengths)
         self._in_the_way(one, piece)
         times, own = (np.repeat(rows, lengths, axis=0) for rows in (piece.decided_s, piece.decided_ned_m))
         away = np.linalg.norm(piece.seen_ned_m - own, axis=1)
@@ -278,44 +234,44 @@ class Writer:
             when, ages, distances = np.array(found).T
             name = f"{track_id} at {one.name}"
             at, least = least_in_bins(when, distances, RANGE_S)
-            self._line(("range", name), at, least, rgb, 1.5)
+            self._draw.line(("range", name), at, least, rgb, 1.5)
             at, less = least_in_bins(when, -ages, AGE_S)
-            self._line(("age", name), at, -less, rgb, 1.0)
+            self._draw.line(("age", name), at, -less, rgb, 1.0)
 
     def _in_the_way(self, one: Aircraft, piece: Piece) -> None:
         """Write the volumes of tracks in conflict or with an active half-space, and lines to them."""
         rr = self._rr
         flags = np.array([t.conflict or t.active for tracks in piece.seen for t in tracks], dtype=bool)
-        entity = self._entity("aircraft", one.name, "in the way")
-        if not flags.any() and entity not in self._known:
+        entity = self._draw.entity("aircraft", one.name, "in the way")
+        if not flags.any() and not self._draw.has(entity):
             return
         lengths = np.array([sum(t.conflict or t.active for t in tracks) for tracks in piece.seen])
         found = [t for tracks in piece.seen for t in tracks if t.conflict or t.active]
         places = enu(piece.seen_ned_m[flags])
-        self._style(entity, rr.Ellipsoids3D.from_fields(line_radii=[-0.4], show_labels=False))
+        self._draw.style(entity, rr.Ellipsoids3D.from_fields(line_radii=[-0.4], show_labels=False))
         columns = rr.Ellipsoids3D.columns(
             centers=places,
             half_sizes=np.array([_half_size(one, track) for track in found], np.float32).reshape(-1, 3),
             colors=[pale(one.rgb)] * len(found),
             labels=[_in_words(one, track) for track in found],
         )
-        self._send_until_stale(entity, "Ellipsoids3D", piece.decided_s, columns, lengths)
+        self._draw.send_until_stale(entity, "Ellipsoids3D", piece.decided_s, columns, lengths)
         own = np.repeat(enu(piece.decided_ned_m), lengths, axis=0)
-        lines = self._entity("aircraft", one.name, "sight")
-        self._style(lines, rr.LineStrips3D.from_fields(radii=[-0.8]))
+        lines = self._draw.entity("aircraft", one.name, "sight")
+        self._draw.style(lines, rr.LineStrips3D.from_fields(radii=[-0.8]))
         columns = rr.LineStrips3D.columns(
             strips=np.stack([own, places], axis=1),
             colors=[LIMIT if track.active else pale(LIMIT) for track in found],
         )
-        self._send_until_stale(lines, "LineStrips3D", piece.decided_s, columns, lengths)
+        self._draw.send_until_stale(lines, "LineStrips3D", piece.decided_s, columns, lengths)
 
     def _half_spaces(self, one: Aircraft, piece: Piece) -> None:
         """Write, for each track that bounds the velocity, a square on its plane near the chosen velocity."""
         if not piece.bounds:
             return
         rr = self._rr
-        entity = self._entity("aircraft", one.name, "half-spaces")
-        self._style(entity, rr.LineStrips3D.from_fields(radii=[-1.2], show_labels=False))
+        entity = self._draw.entity("aircraft", one.name, "half-spaces")
+        self._draw.style(entity, rr.LineStrips3D.from_fields(radii=[-1.2], show_labels=False))
         shapes = [
             (square(bound.position_ned_m, bound.velocity_ned_mps, space), f"{space.cause} bounds {one.name}")
             for bound in piece.bounds
@@ -328,23 +284,23 @@ class Writer:
         )
         times = np.array([bound.time_s for bound in piece.bounds])
         lengths = np.array([len(bound.half_spaces) for bound in piece.bounds])
-        self._send_until_stale(entity, "LineStrips3D", times, columns, lengths)
+        self._draw.send_until_stale(entity, "LineStrips3D", times, columns, lengths)
 
     def _heard(self, one: Aircraft, address: str, places: Places) -> None:
         parts = ("aircraft", one.name, "heard", address)
-        self._points(parts, places.time_s, places.position_ned_m, pale(one.rgb), 0.9, places.label)
+        self._draw.points(parts, places.time_s, places.position_ned_m, pale(one.rgb), 0.9, places.label)
         known = ~np.isnan(places.rssi_dbm)
         self.link(one.name, f"hears {address} (dBm)", places.time_s[known], places.rssi_dbm[known])
 
     def _lane(self, lane: str, name: str, states: list[tuple[float, str]]) -> None:
         rr = self._rr
-        entity = self._entity(lane, name)
+        entity = self._draw.entity(lane, name)
         shades = {"authority": AUTHORITY, "alert": ALERTS}.get(lane)
         if shades is not None:
             config = rr.StateConfiguration(values=list(shades), colors=list(shades.values()))
-            self._style(entity, config)
+            self._draw.style(entity, config)
         columns = rr.StateChange.columns(state=[state or UNKNOWN for _, state in states])
-        self._send(entity, np.array([time for time, _ in states]), columns, clip=True)
+        self._draw.send(entity, np.array([time for time, _ in states]), columns, clip=True)
 
     def notes(self, name: str, notes: Sequence[Note]) -> None:
         """Write lines of text about one aircraft, in order. All must be in one piece of the time line."""
@@ -356,7 +312,9 @@ class Writer:
                 text=[": ".join([" ".join(who), note.text] if who else [note.text]) for note in notes],
                 level=[note.level for note in notes],
             )
-            self._send(self._entity("events", name), np.array([note.time_s for note in notes]), columns)
+            self._draw.send(
+                self._draw.entity("events", name), np.array([note.time_s for note in notes]), columns
+            )
 
     def _markers(self, one: Aircraft, piece: Piece) -> None:
         marked = [note for note in piece.notes if note.marked]
@@ -370,146 +328,18 @@ class Writer:
         where = np.column_stack([np.interp(times, path_s, axis) for axis in path.T])
         self.mark(one.name, marked, where)
 
-    def mark(self, name: str, notes: Sequence[Note], where_ned_m: Array) -> None:
+    def mark(self, name: str, notes: Sequence[Note], where_ned_m: Floats) -> None:
         """Mark the places (n, 3) of the notes, in order. All must be in one piece of the time line."""
         rr = self._rr
-        entity = self._entity("markers", name)
-        self._style(entity, rr.Points3D.from_fields(show_labels=False))
+        entity = self._draw.entity("markers", name)
+        self._draw.style(entity, rr.Points3D.from_fields(show_labels=False))
         columns = rr.Points3D.columns(
             positions=enu(where_ned_m),
             colors=[LEVELS[note.level] for note in notes],
             radii=[-MARK_PX[note.level == "INFO"] for note in notes],
             labels=[note.text for note in notes],
         )
-        self._send(entity, np.array([note.time_s for note in notes]), columns)
-
-    def _arrows(
-        self, parts: tuple[str, str], time_s: Array, from_ned_m: Array, velocity: Array, rgb: Rgb
-    ) -> None:
-        rr = self._rr
-        entity = self._entity("aircraft", *parts)
-        self._style(entity, rr.Arrows3D.from_fields(colors=[rgb], radii=[0.5]))
-        columns = rr.Arrows3D.columns(vectors=enu(ARROW_S * velocity), origins=enu(from_ned_m))
-        self._send_until_stale(entity, "Arrows3D", time_s, columns)
-
-    def _line(self, parts: tuple[str, ...], time_s: Array, values: Array, rgb: Rgb, width: float) -> None:
-        if not len(time_s):
-            return
-        entity = self._entity(*parts)
-        named = [self._scene.name] if self._scene.name else []
-        style = self._rr.SeriesLines(colors=[rgb], widths=[width], names=[" ".join([*named, *parts[1:]])])
-        self._style(entity, style)
-        held = self._held.setdefault(entity, [])
-        if held and self._scene.piece(held[-1][0][0])[1] != self._scene.piece(time_s[0])[1]:
-            self._send_held(entity)
-            held = self._held.setdefault(entity, [])
-        held.append((time_s, values))
-        if sum(len(times) for times, _ in held) >= HELD_ROWS:
-            self._send_held(entity)
-
-    def _send_held(self, entity: str) -> None:
-        times, values = (np.concatenate(rows) for rows in zip(*self._held.pop(entity), strict=True))
-        self._send(entity, times, self._rr.Scalars.columns(scalars=values))
-
-    def _points(
-        self,
-        parts: tuple[str, ...],
-        time_s: Array,
-        position_ned_m: Array,
-        rgb: Rgb,
-        radius_m: float,
-        label: str,
-        *,
-        named: bool = False,
-    ) -> None:
-        rr = self._rr
-        entity = self._entity(*parts)
-        labels = [label] if label else None
-        self._style(
-            entity,
-            rr.Points3D.from_fields(colors=[rgb], radii=[radius_m], labels=labels, show_labels=named),
-        )
-        columns = rr.Points3D.columns(positions=enu(position_ned_m))
-        self._send_until_stale(entity, "Points3D", time_s, columns)
-
-    def _send_until_stale(
-        self,
-        entity: str,
-        archetype: str,
-        time_s: Array,
-        columns: Any,
-        lengths: NDArray[np.int64] | None = None,
-    ) -> None:
-        """Send rows that are removed after SHOWN_S unless another row follows, also in a later piece."""
-        due = self._due.pop(entity, None)
-        if due is not None and time_s[0] - due[1] > SHOWN_S:
-            self._blank(entity, *due)
-        each = np.ones(len(time_s), dtype=np.int64) if lengths is None else lengths
-        times, counts = until_stale(time_s, each)
-        self._send(entity, times, columns.partition(counts))
-        self._due[entity] = archetype, float(time_s[-1])
-
-    def _blank(self, entity: str, archetype: str, last_s: float) -> None:
-        empty = {_SHAPES[archetype]: np.zeros((0, 3), np.float32)}
-        columns = getattr(self._rr, archetype).columns(**empty).partition([0])
-        self._send(entity, np.array([last_s + SHOWN_S]), columns)
-
-    def _style(self, entity: str, style: Any) -> None:
-        """Log once what applies to all rows of an entity."""
-        if entity not in self._known:
-            self._known.add(entity)
-            self._stream.log(entity, style, static=True)
-
-    def _send(self, entity: str, time_s: Array, columns: Any, *, clip: bool = False) -> None:
-        """Send rows of one piece of the time line.
-
-        Args:
-            entity: Entity path.
-            time_s: Times of the rows.
-            columns: Their data.
-            clip: Also put rows outside the encounter on its time line, at its ends, because their content
-                stays valid.
-        """
-        rr, one = self._rr, self._scene.encounter
-        times = [rr.TimeColumn(WHOLE, duration=time_s)]
-        if one is not None and (clip or one.start_s <= time_s[0] <= one.end_s):
-            times.append(rr.TimeColumn(ENCOUNTER, duration=one.clipped(time_s)))
-        self._stream.send_columns(entity, times, columns)
-
-    def _entity(self, *parts: str) -> str:
-        escape = self._rr.escape_entity_path_part
-        return "/".join([self._scene.root, *(escape(part) for part in parts)])
-
-
-def until_stale(time_s: Array, lengths: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Add an empty row wherever the next row comes later than SHOWN_S; `lengths` are the points per row."""
-    last = np.append(np.diff(time_s) > SHOWN_S, False)
-    times = np.concatenate([time_s, time_s[last] + SHOWN_S])
-    counts = np.concatenate([lengths, np.zeros(last.sum(), dtype=np.int64)])
-    order = np.argsort(times, kind="stable")
-    return times[order], counts[order]
-
-
-def square(position_ned_m: Array, velocity_ned_mps: Array, space: HalfSpace) -> Array:
-    """Return a line (7, 3) around a square on a half-space's plane, with a tick to the allowed side.
-
-    Velocities are drawn from the own position, as the arrows are.
-    """
-    normal = np.array(space.normal_ned)
-    on_plane = velocity_ned_mps + normal * space.short_mps(tuple(velocity_ned_mps))
-    middle = position_ned_m + ARROW_S * on_plane
-    level = np.cross(normal, (0.0, 0.0, 1.0) if abs(normal[2]) < 0.9 else (1.0, 0.0, 0.0))
-    side = SQUARE_M * level / np.linalg.norm(level)
-    up = np.cross(normal, side)
-    corners = [middle + side + up, middle + side - up, middle - side - up, middle - side + up]
-    return np.array([middle + 0.5 * SQUARE_M * normal, middle, *corners, corners[0]])
-
-
-def enu(position_ned_m: Array) -> NDArray[np.float32]:
-    """Convert NED positions to (n, 3) east, north, up."""
-    return np.column_stack([position_ned_m[:, 1], position_ned_m[:, 0], -position_ned_m[:, 2]]).astype(
-        np.float32
-    )
+        self._draw.send(entity, np.array([note.time_s for note in notes]), columns)
 
 
 def _half_size(one: Aircraft, track: TrackView) -> tuple[float, float, float]:

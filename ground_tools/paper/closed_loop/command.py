@@ -60,34 +60,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=ENCOUNTERS,
         metavar="N",
-        help=f"by each method under each condition (default: {ENCOUNTERS})",
+        help=f"encounters for each method and condition (default: {ENCOUNTERS})",
     )
     group.add_argument("--conditions", nargs="+", choices=CONDITIONS, default=list(CONDITIONS), metavar="C",
-                       help=f"of {', '.join(CONDITIONS)} (default: all)")  # fmt: skip
+                       help=f"conditions out of {', '.join(CONDITIONS)} (default: all)")  # fmt: skip
     group.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS), metavar="M",
-                       help=f"of {', '.join(METHODS)} (default: all)")  # fmt: skip
+                       help=f"methods out of {', '.join(METHODS)} (default: all)")  # fmt: skip
     group.add_argument(
         "--policy",
         type=Path,
         default=_CONFIG / "policies" / "atmc.safetensors",
         metavar="FILE",
-        help=f"what {ATMC} flies with (default: config/policies/atmc.safetensors)",
+        help=f"policy of the method {ATMC} (default: config/policies/atmc.safetensors)",
     )
     group.add_argument(
         "--region",
         type=Path,
         default=_CONFIG / "regions" / "us.toml",
         metavar="FILE",
-        help="whose legal sets are chosen from (default: config/regions/us.toml)",
+        help="region that defines the legal sets (default: config/regions/us.toml)",
     )
     group.add_argument(
         "--crowd",
         type=int,
         default=CROWD,
         metavar="N",
-        help=f"encounters side by side under {DENSE} (default: {CROWD}, some 36 aircraft)",
+        help=f"encounters side by side in the condition {DENSE} (default: {CROWD}, about 36 aircraft)",
     )
-    group.add_argument("--processes", type=int, metavar="N", help="at once (default: one a core)")
+    group.add_argument("--processes", type=int, metavar="N", help="worker processes (default: one per core)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -132,7 +132,7 @@ def _check(args: argparse.Namespace) -> None:
         ("processes", args.processes, 1024),
     ):
         if value is not None and not 1 <= value <= most:
-            raise ConfigError(f"--{key}: {value}: allowed 1 to {most}")
+            raise ConfigError(f"--{key}: {value} is out of range; allowed: 1 to {most}")
 
 
 def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tuple[str, str], Flight]]]:
@@ -149,7 +149,7 @@ def plan(args: argparse.Namespace, folder: Path) -> tuple[Cells, list[tuple[tupl
         try:
             policy = read_policy(wanted)
         except ConfigError as error:
-            raise ConfigError(f"--policy: {error}; --methods without {ATMC} takes none") from error
+            raise ConfigError(f"--policy: {error}; --methods without {ATMC} needs no policy") from error
     cells: Cells = {}
     missing = []
     for condition in args.conditions:
@@ -203,7 +203,7 @@ def _rows(item: tuple[tuple[str, str], Flight]) -> list[Row]:
 def _draw(figure: Any, cells: table.Rows) -> None:
     """Draw three panels: age of information, least separation, and share of encounters with a loss."""
     figure.suptitle(
-        "Closed loop: from the choice of transports to the separation", fontsize=16, fontweight="bold"
+        "Closed loop: choice of transports, age of information, separation", fontsize=16, fontweight="bold"
     )
     methods = list(dict.fromkeys(method for _, method in cells))
     conditions = list(dict.fromkeys(condition for condition, _ in cells))

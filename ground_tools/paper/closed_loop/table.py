@@ -14,7 +14,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from ground_tools.common.intervals import Floats, bootstrap, wilson
+from companion.arrays import Floats
+from ground_tools.common.intervals import bootstrap, wilson
 from ground_tools.paper.closed_loop.flights import ATMC, BEST_SET, METHODS, SEPARATION_M, Row
 
 Interval = tuple[float, float]

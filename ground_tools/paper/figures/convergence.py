@@ -14,13 +14,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from ground_tools.atmc.commands.results import CONVERGENCE, NAMES, UAV_EVERY, Results, Run, read
 from ground_tools.common.figure import drawn
 from ground_tools.paper.report import Comparison, Report, Statement
-
-Floats = NDArray[np.float64]
 
 PUBLISHED_MS: Final = {
     ("madqn", "high"): 1855.28,
@@ -55,9 +53,9 @@ def report(path: Path = CONVERGENCE) -> Report:
         title="Convergence performance of different algorithms, 10 aircraft",
         notes=(
             f"Seeds: {', '.join(f'{NAMES[a]} {len(results.of(a))}' for a in _present(results))}.",
-            f"Converged: from there on within {WITHIN:.0%} of the way from first to last reward, means of 10 "
-            "episodes; asked for each seed.",
-            "An aircraft fails where its reward ends behind the fleet's median by more than that.",
+            "Converged: the reward (mean of 10 episodes) stays nearer to the last reward than "
+            f"{WITHIN:.0%} of the difference between first and last. Statements are checked for each seed.",
+            "An aircraft fails if its reward ends below the fleet's median by more than that.",
             "Delays in ms: policy of the best validation, interquartile mean over seeds, ±: its bootstrap "
             f"error, none for one seed; {results.configurations:,} environments of each size.",
         ),

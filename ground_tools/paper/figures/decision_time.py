@@ -76,9 +76,9 @@ def report(decisions: int, seed: int, folder: Path = POLICIES) -> Report:
         title="Time of one decision aboard (NumPy, one thread)",
         notes=(
             *found.notes,
-            f"Median and 99th percentile (p99) of {decisions:,} decisions, ms, on this machine with what "
-            "else runs on it; p99 busy: processor time alone; ratio: by the published average.",
-            "The paper calls switches rare and gives no number.",
+            f"Median and 99th percentile (p99) of {decisions:,} decisions in ms, on this machine with its "
+            "other load. p99 busy: processor time only. ratio: ours divided by the published average.",
+            "The paper calls switches rare, without a number.",
         ),
         statements=tuple(statements(found.timings)),
         comparisons=tuple(comparisons(found.timings)),
@@ -96,7 +96,7 @@ def statements(timings: Sequence[Timing]) -> list[Statement]:
         if values:
             span = f"{min(values.values()):.3g} to {max(values.values()):.3g} ms"
             checks = {name: ms <= PUBLISHED_MS for name, ms in values.items()}
-            found.append(Statement(f"a decision takes {PUBLISHED_MS} ms, or less: {words}", span, checks))
+            found.append(Statement(f"a decision takes {PUBLISHED_MS} ms or less ({words})", span, checks))
     return found
 
 
@@ -156,7 +156,7 @@ def timed(decisions: int, seed: int, folder: Path = POLICIES) -> Found:
         for neighbours in NEIGHBOURS[policy.metadata.kind]:
             times = times_ms(policy, neighbours, decisions)
             if isinstance(times, Refused):
-                notes.append(f"{path.stem}, {neighbours} neighbours: refused, {times.text}")
+                notes.append(f"{path.stem}, {neighbours} neighbours: the policy was refused, {times.text}")
                 continue
             (median, p99), (_, busy) = np.percentile(times, (50, 99), axis=0).T.tolist()
             timings.append(Timing(path.stem, neighbours, median, p99, busy))
@@ -196,16 +196,16 @@ def times_ms(policy: Policy, neighbours: int, decisions: int) -> list[tuple[floa
 def _switches(data: bytes, path: Path, policy: Policy, seed: int) -> str:
     """Text about how often an aircraft of a flying fleet changes its transports."""
     if not has_torch():
-        return "switches are not counted, torch is not installed"
+        return "switches are not counted, because torch is not installed"
     set_up_torch()
     from ground_tools.atmc.commands.evaluate import Frozen, Question, objective_of, switches_per_minute
 
     objective, actions = objective_of(policy.metadata.objective)
     if policy.metadata.actions != tuple(actions):
-        return "switches are not counted, its actions are not those of its objective"
+        return "switches are not counted, because its actions are not those of its objective"
     question = Question(policy.metadata.objective, uavs=min(UAVS, policy.metadata.neighbours + 1), seed=seed)
     rate = switches_per_minute(question, objective, Frozen(data, str(path)))
-    return f"{rate:.2f} switches a minute of an aircraft, {question.uavs} in flight, all densities"
+    return f"{rate:.2f} switches per minute and aircraft with {question.uavs} in flight, all densities"
 
 
 def _bytes(path: Path) -> bytes:

@@ -28,9 +28,9 @@ def report(study: Study) -> Report:
     return Report(
         title="Average transmission delay across different spatial sizes using fixed protocol modes",
         notes=(
-            "A jump at rate r: delay(r) > delay(r - 1). Everything is asked for each size.",
-            "Fastest and slowest of the three: each at its best rate in that size.",
-            f"{study.samples:,} environments of each size, no shadowing, Wi-Fi in both readings.",
+            "A jump at rate r: delay(r) > delay(r - 1). All statements are checked for each size.",
+            "Fastest and slowest mode: all three at their best rates in that size.",
+            f"{study.samples:,} environments of each size, no shadowing, both Wi-Fi variants.",
         ),
         statements=tuple(statements(study.rows(0.0))),
     )
@@ -59,9 +59,9 @@ def statements(rows: Sequence[Row]) -> list[Statement]:
     for ble4, ble5, wifi in trios(curves):
         trio = (ble4, ble5, wifi)
         for words, wanted, sides_m, slowest in (
-            (f"{wifi.name} fastest in small sizes", wifi, SMALL_M, False),
-            (f"BLE 5 slowest in small sizes ({wifi.name})", ble5, SMALL_M, True),
-            (f"BLE 4 fastest in large sizes ({wifi.name})", ble4, LARGE_M, False),
+            (f"{wifi.name} is fastest in small sizes", wifi, SMALL_M, False),
+            (f"BLE 5 is slowest in small sizes ({wifi.name})", ble5, SMALL_M, True),
+            (f"BLE 4 is fastest in large sizes ({wifi.name})", ble4, LARGE_M, False),
         ):
             found.append(_extreme(words, trio, wanted, sides_m, slowest=slowest))
     return found
@@ -115,7 +115,7 @@ def _smooth(curve: Curve) -> Statement:
 def _best(curve: Curve, published: int) -> Statement:
     best = {side_m: curve.best_rate((side_m,)) for side_m in SIDES_M}
     return Statement(
-        f"{curve.name} fastest at rate {published}",
+        f"{curve.name} is fastest at rate {published}",
         f"fastest at {' or '.join(map(str, sorted(set(best.values()))))}",
         {_at(side_m): rate == published for side_m, rate in best.items()},
     )

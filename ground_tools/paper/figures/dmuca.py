@@ -11,8 +11,8 @@ from collections import Counter
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Integers
 from ground_tools.campaign.cells import LAWS, SEPARATION_M, Law
 from ground_tools.campaign.outcome import COLLISION_M
 from ground_tools.common.intervals import wilson
@@ -23,7 +23,6 @@ from ground_tools.paper.figures.dmuca_flights import (
     IN,
     PAIRS,
     SPEED_MPS,
-    Array,
     Case,
     Table,
     conflicts_in_the_box,
@@ -54,18 +53,18 @@ def report(samples: int, seed: int) -> Report:
     return Report(
         title="DMUCA: separation of five aircraft under random message delays",
         notes=(
-            "Paths: S2, five straight ones of 500 s through a ball of 8 m at 250 s; "
-            f"{SPEED_MPS:g} m/s at most. The paper gives no paths, but a box of {box} m in which they "
-            f"converge: of {flights} draws with crossing points anywhere in it, "
-            f"{conflicts_in_the_box(flights, seed)} come below {SEPARATION_M:g} m, nobody avoiding.",
-            "paper: its law to the letter. It gives no parameters; these kept pairs apart most often of "
+            "Paths: S2, five straight paths of 500 s through a ball of 8 m at 250 s, at most "
+            f"{SPEED_MPS:g} m/s. The paper gives no paths but a box of {box} m in which they converge. Of "
+            f"{flights} draws with crossing points anywhere in the box, "
+            f"{conflicts_in_the_box(flights, seed)} come below {SEPARATION_M:g} m without avoidance.",
+            "paper: the paper's law. The paper gives no parameters; these kept most pairs apart among "
             f"those tried: horizon {paper.horizon_s:g} s, a decision every {paper.period_s:g} s, recovery "
-            f"after {paper.n_noncollide} quiet ones, T {paper.recovery_time_s:g} s. dmuca: ours, which flies "
-            "by default. none: nobody avoids.",
-            "exact: what is sent is true; the paper names no errors. noisy: GNSS errs by "
-            f"{noisy.sigma_m:g} m, sent velocities by {noisy.sigma_mps:g} m/s, and messages are quantised.",
-            f"Statements: asked of each of {flights} flights (seeds from {seed} on), exact. Two and six "
-            "pairs are asked to the letter: to keep more of them apart fails, too.",
+            f"after {paper.n_noncollide} decisions without conflict, T {paper.recovery_time_s:g} s. "
+            "dmuca: our law, the default in flight. none: no avoidance.",
+            "exact: the sent values are true; the paper mentions no errors. noisy: GNSS errors of "
+            f"{noisy.sigma_m:g} m, velocity errors of {noisy.sigma_mps:g} m/s, and quantised messages.",
+            f"Statements are checked for each of {flights} exact flights (seeds from {seed} on). Two and six "
+            "pairs are checked literally, so that keeping more pairs apart also counts as a failure.",
         ),
         statements=tuple(s for law in ("paper", "dmuca") for s in statements(table, law, seed)),
         numbers=(shares(table), pairs(table, seed)),
@@ -77,7 +76,7 @@ def statements(table: Table, law: Law, seed: int) -> list[Statement]:
     least = [table[Case(law, delay_s, "exact")].min(axis=1) for delay_s in DELAYS_S]
     below = [_below(table[Case(law, delay_s, "exact")]) for delay_s in DELAYS_S]
 
-    def asked(words: str, ours: str, holds: NDArray[np.bool_]) -> Statement:
+    def asked(words: str, ours: str, holds: Bools) -> Statement:
         checks = {f"seed {number}": bool(one) for number, one in enumerate(holds, seed)}
         return Statement(f"{NAMES[law]}: {words}", ours, checks)
 
@@ -89,7 +88,7 @@ def statements(table: Table, law: Law, seed: int) -> list[Statement]:
         asked("[2, 3] s: all pairs above 2 m", _least(least[2]), least[2] > COLLISION_M),
         Statement(
             f"{NAMES[law]}: more pairs below 10 m with more delay",
-            ", ".join(f"{mean:.2f}" for mean in means) + " pairs a flight",
+            ", ".join(f"{mean:.2f}" for mean in means) + " pairs per flight",
             {
                 f"from {interval(DELAYS_S[i])} to {interval(DELAYS_S[i + 1])} s": means[i + 1] > means[i]
                 for i in range(len(means) - 1)
@@ -98,16 +97,16 @@ def statements(table: Table, law: Law, seed: int) -> list[Statement]:
     ]
 
 
-def _below(least_m: Array) -> NDArray[np.int64]:
+def _below(least_m: Floats) -> Integers:
     """Number of pairs below the required separation, for each flight."""
     return np.asarray((least_m < SEPARATION_M).sum(axis=1), dtype=np.int64)
 
 
-def _least(least_m: Array) -> str:
+def _least(least_m: Floats) -> str:
     return f"least {least_m.min():.2f} m, median {np.median(least_m):.2f} m"
 
 
-def _counted(below: NDArray[np.int64]) -> str:
+def _counted(below: Integers) -> str:
     """Text that gives, for each number of pairs below the required separation, the number of flights."""
     counts = sorted(Counter(int(count) for count in below).items())
     return ", ".join(f"{pairs}: {flights}" for pairs, flights in counts) + " (pairs: flights)"
@@ -149,9 +148,9 @@ def shares(table: Table) -> Numbers:
         "median_least_m": "median\nm",
     }
     title = (
-        f"{len(table[CASES[0]])} flights: those with all pairs above 10 m; pairs below it in a flight, mean; "
-        "least separation of all and median of each flight's least. 95 %: interval of the share. "
-        "pub.: the paper's one flight"
+        f"{len(table[CASES[0]])} flights: number with all pairs above 10 m, mean number of pairs below 10 m, "
+        "least separation, and median of the flights' least separations. 95 %: interval of the share. "
+        "pub.: the paper's one flight."
     )
     return Numbers(title, columns, tuple(rows))
 
@@ -172,8 +171,8 @@ def pairs(table: Table, seed: int) -> Numbers:
         for index, name in enumerate(PAIR_NAMES)
     ]
     title = (
-        f"The flight of seed {seed}, exact: least separation of each pair in m. Aircraft are numbered as "
-        "drawn; the paper's UAV1-UAV3 (9.75 m at [1, 2] s) and UAV2-UAV3 (9.94 m) are others"
+        f"The flight of seed {seed}, exact: least separation of each pair in m. The aircraft are not those "
+        "of the paper's UAV1-UAV3 (9.75 m at [1, 2] s) and UAV2-UAV3 (9.94 m)."
     )
     return Numbers(title, {"pair": "pair", **heads}, tuple(rows))
 

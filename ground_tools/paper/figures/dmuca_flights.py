@@ -15,9 +15,9 @@ from typing import Final, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from companion.avoidance.kernels import WALL_COLUMNS
+from companion.arrays import Floats
+from companion.avoidance.kernels import NO_WALLS
 from companion.avoidance.law import settings_of
 from companion.avoidance.trajectory import Trajectory
 from companion.config import LimitsConfig
@@ -26,7 +26,6 @@ from ground_tools.campaign.cells import LAWS, SEPARATION_M, WORLDS, Law
 from ground_tools.campaign.world import World
 from sitl_mocks.encounters.scenario import DURATION_S, encounter
 
-Array = NDArray[np.float64]
 Air = Literal["exact", "noisy"]
 
 AIRCRAFT: Final = 5
@@ -63,11 +62,11 @@ CASES: Final = tuple(
     for delay_s in (DELAYS_S if law != "none" else DELAYS_S[:1])
 )
 """All cases. The law "none" has only one delay, because the delay does not affect its flights."""
-Table = dict[Case, Array]
+Table = dict[Case, Floats]
 """Least distances in m, shape (flights, pairs)."""
 
 
-def fly(case: Case, seed: int) -> tuple[Array, Array]:
+def fly(case: Case, seed: int) -> tuple[Floats, Floats]:
     """Fly one flight. If noisy, it equals that of the campaign's cell with the same law, delays and seed.
 
     Returns:
@@ -84,19 +83,18 @@ def fly(case: Case, seed: int) -> tuple[Array, Array]:
         world.row(avoidance.period_s),
         times,
         points,
-        np.zeros((0, WALL_COLUMNS)),
+        NO_WALLS,
         np.array([settings_of(avoidance, limits, path) for path in paths]),
         np.full(AIRCRAFT, float(vehicles.AVOIDS)),
         trace,
-        np.zeros((0, AIRCRAFT, flight.DECIDED_COLUMNS)),
-        np.zeros((0, AIRCRAFT, AIRCRAFT, flight.SEEN_COLUMNS)),
+        flight.new_log(AIRCRAFT),
         np.zeros((AIRCRAFT, AIRCRAFT, outcome.PAIR_ENTRIES)),
         np.zeros(outcome.FLIGHT_ENTRIES),
     )
     return world.step_s * np.arange(1.0, len(trace) + 1.0, dtype=np.float64), trace
 
 
-def gaps(places: Array) -> Array:
+def gaps(places: Floats) -> Floats:
     """Vector from the first to the second aircraft of each pair, shape (steps, pairs, 3).
 
     Args:
@@ -106,7 +104,7 @@ def gaps(places: Array) -> Array:
     return places[:, second] - places[:, first]
 
 
-def least_distances(places: Array) -> Array:
+def least_distances(places: Floats) -> Floats:
     """Least distance of each pair, shape (pairs,), on straight lines between positions.
 
     Args:
@@ -137,7 +135,7 @@ def table_of(samples: int, seed: int, advance: Callable[[], None] = lambda: None
 
 
 @functools.lru_cache(maxsize=2 * len(CASES))
-def _flown(case: Case, flights: int, seed: int) -> Array:
+def _flown(case: Case, flights: int, seed: int) -> Floats:
     return np.array([least_distances(fly(case, one)[1]) for one in range(seed, seed + flights)])
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from companion.arrays import Floats
 from ground_tools.campaign.cells import SEPARATION_M, Law
 from ground_tools.campaign.outcome import COLLISION_M
 from ground_tools.common.figure import drawn
@@ -17,7 +18,6 @@ from ground_tools.paper.figures.dmuca_flights import (
     CASES,
     DELAYS_S,
     Air,
-    Array,
     Case,
     Table,
     fly,
@@ -72,9 +72,9 @@ def draw(samples: int, seed: int, path: Path, advance: Callable[[], None] = lamb
         _all_flights(figure.add_subplot(grid[2, 8:12]), table)
 
 
-def _from_above(axes: Any, law: Law, times: Array, places: Array, seed: int) -> None:
+def _from_above(axes: Any, law: Law, times: Floats, places: Floats, seed: int) -> None:
     """Draw the middle of the paths from above, with the planned paths thin and dashed."""
-    axes.set_title(f"{NAMES[law]}: the middle from above")
+    axes.set_title(f"{NAMES[law]}: the crossing from above")
     near = np.abs(times - CROSSING_S) < 150.0
     marked = near & (np.abs(times % _POINTS_S) < 1e-6)
     for i, planned in enumerate(encounter("S2", AIRCRAFT, seed)):
@@ -92,7 +92,7 @@ def _from_above(axes: Any, law: Law, times: Array, places: Array, seed: int) -> 
     axes.legend(fontsize=10, loc="upper right", framealpha=0.9)
 
 
-def _in_3d(axes: Any, law: Law, times: Array, places: Array) -> None:
+def _in_3d(axes: Any, law: Law, times: Floats, places: Floats) -> None:
     """Draw the whole flight in 3D and mark the positions at the time of the planned crossing."""
     axes.set_title(f"{NAMES[law]}: the whole flight")
     at = int(np.argmin(np.abs(times - CROSSING_S)))
@@ -109,7 +109,7 @@ def _in_3d(axes: Any, law: Law, times: Array, places: Array) -> None:
     axes.legend(fontsize=10, loc="upper left")
 
 
-def _separations(axes: Any, law: Law, times: Array, places: Array) -> None:
+def _separations(axes: Any, law: Law, times: Floats, places: Floats) -> None:
     """Draw the separation of every pair over time."""
     axes.set_title(f"{NAMES[law]}: separation of each pair")
     _lines(axes, times, places)
@@ -122,7 +122,7 @@ def _separations(axes: Any, law: Law, times: Array, places: Array) -> None:
     axes.set_ylabel("separation (m, log scale)")
 
 
-def _closest(axes: Any, law: Law, times: Array, places: Array) -> None:
+def _closest(axes: Any, law: Law, times: Floats, places: Floats) -> None:
     """Draw the separation of every pair around the time of the crossing."""
     axes.set_title(f"{NAMES[law]}: around the crossing")
     _lines(axes, times, places)
@@ -132,7 +132,7 @@ def _closest(axes: Any, law: Law, times: Array, places: Array) -> None:
     axes.legend(fontsize=9, ncols=2, loc="upper right", framealpha=0.9)
 
 
-def _lines(axes: Any, times: Array, places: Array) -> None:
+def _lines(axes: Any, times: Floats, places: Floats) -> None:
     """Draw the separation of each pair and the required separation."""
     distances = np.linalg.norm(gaps(places), axis=2)
     for index, name in enumerate(PAIR_NAMES):

@@ -35,9 +35,9 @@ def report(study: Study) -> Report:
     return Report(
         title="Average system-wide transmission delays of the fixed modes across various airspace densities",
         notes=(
-            "System delay in ms, ±: Monte Carlo standard error; ratio: ours by the published.",
-            "Rate: that of least mean delay over all six sizes, by our numbers.",
-            f"{study.samples:,} environments of each size; sigma 2.449 dB is a variance of 6 dB.",
+            "System delay in ms. ±: Monte Carlo standard error. ratio: ours divided by the published number.",
+            "rate: the rate of least mean delay over all six sizes, by our numbers.",
+            f"{study.samples:,} environments of each size. A sigma of 2.449 dB is a variance of 6 dB.",
         ),
         comparisons=tuple(c for sigma_db in SIGMAS_DB for c in comparisons(study.rows(sigma_db))),
     )

@@ -29,9 +29,9 @@ def report(study: Study) -> Report:
     return Report(
         title="Average packet loss rates across different spatial sizes using fixed protocol modes",
         notes=(
-            "Unchanged: by at most 1 percentage point. Near zero: below 1 %.",
-            "Asked for each rate, or for each size or step of sizes and then at every rate.",
-            f"{study.samples:,} environments of each size, no shadowing, Wi-Fi in both readings.",
+            "Unchanged: a change of at most 1 percentage point. Near zero: below 1 %.",
+            "Statements are checked for each rate, or for each size or step of sizes at every rate.",
+            f"{study.samples:,} environments of each size, no shadowing, both Wi-Fi variants.",
         ),
         statements=tuple(statements(study.rows(0.0))),
     )
@@ -72,7 +72,7 @@ def _unchanged(curve: Curve, sides_m: Sequence[float]) -> Statement:
         losses = [curve.loss(side_m, rate) for side_m in sides_m]
         changes[rate] = max(losses) - min(losses)
     return Statement(
-        f"{curve.name} unchanged in small sizes",
+        f"{curve.name} is unchanged in small sizes",
         f"by up to {100.0 * max(changes.values()):.2f} points",
         {f"rate {rate}": change <= UNCHANGED for rate, change in changes.items()},
     )
@@ -95,7 +95,7 @@ def _falls(curve: Curve, sides_m: Sequence[float], words: str) -> Statement:
 def _near_zero(curve: Curve, sides_m: Sequence[float]) -> Statement:
     largest = {side_m: max(curve.loss(side_m, rate) for rate in curve.rates) for side_m in sides_m}
     return Statement(
-        f"{curve.name} near zero in large sizes",
+        f"{curve.name} is near zero in large sizes",
         f"at most {_percent(list(largest.values()))}",
         {f"{side_m:,g} m": loss < NEAR_ZERO for side_m, loss in largest.items()},
     )
@@ -106,7 +106,7 @@ def _highest(curve: Curve, others: Sequence[Curve], sides_m: Sequence[float]) ->
     beside = " and ".join(other.name for other in others)
     losses = [each.loss(sides_m[0], last) for each in (curve, *others)]
     return Statement(
-        f"{curve.name} above {beside}, small sizes",
+        f"{curve.name} is above {beside} in small sizes",
         f"{_percent(losses)} at {sides_m[0]:,g} m, rate {last}",
         {
             f"{side_m:,g} m": all(

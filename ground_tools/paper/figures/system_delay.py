@@ -75,10 +75,10 @@ def report(samples: int, seed: int, path: Path = CONVERGENCE, policy: Path = SET
             *(one.words for one in learners),
             *absent(results),
             *not_measured(found, policy),
-            f"Learners: policies of the best validation, {results.configurations:,} environments of each "
-            "size; ±: bootstrap error over seeds, none for one seed.",
-            f"The others: {samples:,} environments of each size; ±: Monte Carlo standard error.",
-            "Wi-Fi of all on one channel, sigma 0 dB; rate: that of least mean delay over all six sizes.",
+            f"Learners: the policies of the best validation, {results.configurations:,} environments of each "
+            "size. ±: bootstrap error over seeds; one seed gives none.",
+            f"Other methods: {samples:,} environments of each size. ±: Monte Carlo standard error.",
+            "All Wi-Fi on one channel, sigma 0 dB. rate: the rate of least mean delay over all six sizes.",
         ),
         statements=tuple(statements(table)),
         comparisons=tuple(comparisons(table, learners, found)),
@@ -113,7 +113,7 @@ def statements(table: Table) -> list[Statement]:
         _closeness(table, WIFI_BEACON, "high", "MADQN-ATMC is close to fixed Wi-Fi at high density"),
         _higher(table, ("maddpg", "iac"), 0.0, "MADDPG and IAC are slower than MADQN-ATMC at high density"),
         _higher(
-            table, (BLE5, "random"), NEAR, "BLE 5 and random are significantly slower than it at high density"
+            table, (BLE5, "random"), NEAR, "BLE 5 and random are much slower than MADQN-ATMC at high density"
         ),
         _closeness(table, BLE4, "low", "MADQN-ATMC is near fixed BLE 4 at low density"),
         _faster_than_wifi(table),
@@ -133,7 +133,7 @@ def _lowest(table: Table, density: str, words: str) -> Statement | None:
     least = min(others, key=lambda key: table[key][density].ms)
     return Statement(
         words,
-        f"{mine:,.0f} ms; least of the others {least} {table[least][density].ms:,.0f} ms",
+        f"{mine:,.0f} ms; the best other is {least} with {table[least][density].ms:,.0f} ms",
         {f"against {key}": mine < table[key][density].ms for key in others},
     )
 

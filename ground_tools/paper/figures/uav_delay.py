@@ -47,11 +47,11 @@ def report(samples: int, seed: int, path: Path = CONVERGENCE) -> Report:
         title="Individual transmission delays of 10 UAVs in dynamic airspace density",
         notes=(
             *_missing(results, found),
-            "Delays of one aircraft's messages in ms, mean over all six sizes. A run gives one mean for each "
-            "aircraft: no error is known.",
-            f"Rows of a learner are its run of the best validation: {_seeds(results)}.",
-            f"Fixed modes at their best rates and random: {samples:,} environments of each size.",
-            f"Around: within {AROUND:.0%}. Learners' statements are asked of each seed.",
+            "Delay of each aircraft's messages in ms, mean over all six sizes. A run gives one mean for each "
+            "aircraft, so that the error is unknown.",
+            f"The rows of a learner are from its run of the best validation: {_seeds(results)}.",
+            f"Fixed modes at their best rates, and random: {samples:,} environments of each size.",
+            f"Around: within {AROUND:.0%}. Statements on learners are checked for each seed.",
         ),
         statements=tuple(statements(results, found)),
         comparisons=tuple(comparisons(results, found)),
@@ -69,7 +69,7 @@ def _runs(results: Results, key: str) -> list[Run]:
 
 def _missing(results: Results, found: Sequence[Delays]) -> list[str]:
     words = [
-        f"{NAMES[key]}: no run is kept; it is absent here" for key in LEARNERS if not _runs(results, key)
+        f"{NAMES[key]}: no run is stored, so it is not shown" for key in LEARNERS if not _runs(results, key)
     ]
     return words + ([] if found else not_measured(found))
 
@@ -77,7 +77,7 @@ def _missing(results: Results, found: Sequence[Delays]) -> list[str]:
 def _seeds(results: Results) -> str:
     there = {key: runs for key in LEARNERS if (runs := _runs(results, key))}
     words = [f"{NAMES[key]} seed {best_run(runs).seed} of {len(runs)}" for key, runs in there.items()]
-    return ", ".join(words) or "none is here"
+    return ", ".join(words) or "none is stored"
 
 
 def statements(results: Results, found: Sequence[Delays]) -> list[Statement]:
@@ -105,7 +105,7 @@ def statements(results: Results, found: Sequence[Delays]) -> list[Statement]:
             },
         ),
         Statement(
-            "MADDPG: two UAVs far behind, whichever",
+            "MADDPG: any two UAVs are far behind",
             "; ".join(f"seed {run.seed}: {_named(behind(run))}" for run in maddpg),
             {f"seed {run.seed}": len(behind(run)) == len(_PLACES["maddpg"]) for run in maddpg},
         ),
@@ -121,12 +121,12 @@ def _against_fixed(madqn: Sequence[Run], iac: Sequence[Run], least: float) -> li
     words = "; ".join(f"seed {seed}: {_named(them)}" for seed, them in below.items())
     return [
         Statement(
-            "IAC: only UAVs 2 and 4 below the fixed protocols",
+            "IAC: only UAVs 2 and 4 are below the fixed protocols",
             f"{words} below {least:.0f} ms",
             {f"seed {seed}": tuple(them) == _PLACES["iac"] for seed, them in below.items()},
         ),
         Statement(
-            "MADQN-ATMC: below the fixed protocols for every UAV",
+            "MADQN-ATMC: every UAV is below the fixed protocols",
             f"{_span(madqn)}; best fixed {least:.0f} ms",
             {
                 f"seed {run.seed} UAV {n}": ms < least
@@ -182,7 +182,7 @@ def draw(samples: int, seed: int, path: Path, source: Path = CONVERGENCE) -> Non
     with drawn(path, (14, 7)) as figure:
         results, found = read(source), _others(samples, seed)
         axes = figure.subplots()
-        figure.suptitle("Delay of each aircraft, dynamic density", fontsize=16, fontweight="bold")
+        figure.suptitle("Delay of each aircraft at dynamic density", fontsize=16, fontweight="bold")
         table = _table(results, found)
         width = 0.86 / max(1, len(table))
         for index, (key, name, _, uav_ms) in enumerate(table):

@@ -9,18 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices
 from companion.errors import ConfigError
 from companion.remote_id.transports import WIFI_BEACON
 from sitl_mocks.channel.equations import carrier_sense
 from sitl_mocks.channel.equations.collision import background_survival, survival
 from sitl_mocks.channel.equations.delay import mean_delay_s, terms_of
 from sitl_mocks.channel.equations.half_duplex import log_hearing
-from sitl_mocks.channel.link_budget import Bools, Indices, Links, reached
+from sitl_mocks.channel.link_budget import Links, reached
 from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameters, max_rates
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +86,7 @@ class Evaluation:
             ValueError: an aircraft uses more than one mode, which P0 does not cover.
         """
         if (self.carried.sum(axis=1) > 1).any():
-            raise ValueError("P0 takes one mode for each aircraft")
+            raise ValueError("the method P0 needs exactly one mode per aircraft")
         link, mode = np.nonzero(self.carried)
         sender = self.links.transmitter[link]
         total = np.bincount(sender, self.delay_s[link, mode], minlength=self.links.nodes)
@@ -175,14 +173,16 @@ class Analytic:
         # Another number would be taken for a channel of the next receiver.
         if channels.size and not 0 <= channels.min() <= channels.max() < len(WIFI_CHANNELS):
             raise ValueError(
-                f"wifi_channel: {channels.min()} to {channels.max()}: expected indices 0 to "
+                f"wifi_channel is {channels.min()} to {channels.max()}; expected indices 0 to "
                 f"{len(WIFI_CHANNELS) - 1} into {WIFI_CHANNELS}"
             )
         for index, (mode, largest) in enumerate(zip(MODES, max_rates(self.parameters), strict=True)):
             rates = fleet.rates[:, index]
             if rates.size and not 0 <= rates.min() <= rates.max() <= largest:
-                raise ConfigError(f"{mode}: rates {rates.min()} to {rates.max()}: allowed 0 to {largest}")
+                raise ConfigError(
+                    f"{mode}: rates {rates.min()} to {rates.max()} are out of range; allowed: 0 to {largest}"
+                )
         if busy is not None and busy.shape != (links.nodes, len(MODES)):
             raise ValueError(f"busy has shape {busy.shape}; expected ({links.nodes}, {len(MODES)})")
         if busy is not None and not ((busy >= 0.0) & (busy < 1.0)).all():
-            raise ConfigError("busy: a share outside 0 to below 1")
+            raise ConfigError("busy: a share is out of range; allowed: 0 to less than 1")

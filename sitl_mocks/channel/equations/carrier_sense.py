@@ -30,11 +30,11 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices, Integers
 from companion.remote_id.transports import BLE5, WIFI_BEACON
 from sitl_mocks.channel.equations.delay import TRIES, Terms, mean_delay_s
-from sitl_mocks.channel.link_budget import Bools, Indices, Links
+from sitl_mocks.channel.link_budget import Links
 from sitl_mocks.channel.parameters import (
     MODES,
     OVERLAPPED_CHANNELS,
@@ -43,8 +43,6 @@ from sitl_mocks.channel.parameters import (
     ChannelParameters,
     check_rate,
 )
-
-Floats = NDArray[np.float64]
 
 MEETING: Final = 0.029
 """c: how often two stations that waited for the same busy period collide."""
@@ -292,7 +290,7 @@ def running_terms(rate: int, parameters: ChannelParameters) -> Terms:
     )
 
 
-def _in_first_column(counts: Indices) -> NDArray[np.int64]:
+def _in_first_column(counts: Indices) -> Integers:
     """Numbers of tries of the only kind that Wi-Fi has, shape (counts, TRIES)."""
     table = np.zeros((len(counts), TRIES), np.int64)
     table[:, 0] = counts

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices
 from sitl_mocks.channel.equations.carrier_sense import log_auxiliary_under_wifi, log_survival
-from sitl_mocks.channel.link_budget import Bools, Indices, Links
+from sitl_mocks.channel.link_budget import Links
 from sitl_mocks.channel.parameters import (
     MODES,
     OVERLAPPED_CHANNELS,
@@ -22,7 +22,6 @@ from sitl_mocks.channel.parameters import (
     ChannelParameters,
 )
 
-Floats = NDArray[np.float64]
 _BLE4, _BLE5, _WIFI = range(len(MODES))
 
 

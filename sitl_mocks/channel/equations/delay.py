@@ -21,14 +21,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats, Integers
 from companion.remote_id.transports import BLE4, BLE5
 from sitl_mocks.channel.equations.reception import event_period, matching_packets, meeting_chances, scan_of
 from sitl_mocks.channel.parameters import ChannelParameters, Slots, check_rate
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 Hits = dict[tuple[int, ...], list[float]]
 """Weight and weighted delay (s), by the number of failed tries of each kind and the successful kind."""

@@ -17,9 +17,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.arrays import Floats
 from sitl_mocks.channel.parameters import BleParameters, ChannelParameters
 
-Floats = NDArray[np.float64]
 Pair = tuple[float, float]
 _Spans = Sequence[tuple[float, float]]
 _LEAST = 1e-12

@@ -13,12 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Integers
 from companion.remote_id.transports import BLE4, BLE5
 from sitl_mocks.channel.parameters import ChannelParameters, Slots, check_rate
-
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +122,7 @@ def coincidences(scan: Scan, period: int, horizon: int, wifi_channel: int = 0) -
             meet.
     """
     if period < 1 or (shared := math.gcd(period, scan.cycle)) != 1:
-        why = (
-            "expected at least 1" if period < 1 else f"both are multiples of {shared}, expected coprime ones"
-        )
+        why = "expected at least 1" if period < 1 else f"both are multiples of {shared}; they must be coprime"
         raise ValueError(f"period {period}, scan cycle {scan.cycle} slots: {why}")
     phases = np.arange(scan.cycle, dtype=np.int64)
     found = []

@@ -21,11 +21,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Bools = NDArray[np.bool_]
+from companion.arrays import Bools, Floats, Indices
 
 DIFS_MS: Final = 0.05
 BACKOFF_SLOT_MS: Final = 0.02
@@ -98,7 +95,10 @@ class WifiAccess:
             ValueError: the beacon is wanted before a time up to which everything was decided.
         """
         if beacon.wanted < self._until:
-            raise ValueError(f"beacon {beacon.number}: wanted {beacon.wanted} before {self._until}")
+            raise ValueError(
+                f"beacon {beacon.number}: it is wanted at {beacon.wanted}, but everything before "
+                f"{self._until} is already decided"
+            )
         heapq.heappush(self._wanted, (beacon.wanted, beacon.number, beacon))
 
     def advance(self, until: float) -> list[tuple[int, float | None]]:

@@ -26,8 +26,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices
 from sitl_mocks.channel.air import Outcome, Transmission
 from sitl_mocks.channel.air_links import AirLinks, Kept, mode_of
 from sitl_mocks.channel.packets.access import BACKOFF_SLOT_MS, DIFS_MS, MAX_BACKOFF, Beacon, WifiAccess
@@ -39,8 +39,6 @@ from sitl_mocks.channel.parameters import MODES, SECONDARY_CHANNELS, ChannelPara
 
 MAX_BACKLOG_S = 1.0
 """A radio that is busy for longer than this drops the frame, because its content is out of date."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True)
@@ -107,7 +105,7 @@ class PacketChannel:
         """
         sent_s, sender = transmission.sent_s, transmission.sender
         if sent_s < self._settled_s:
-            raise ValueError(f"sent at {sent_s} s, after the air was settled at {self._settled_s} s")
+            raise ValueError(f"sent at {sent_s} s, but the air is already settled until {self._settled_s} s")
         mode, durations = mode_of(transmission.transport), self._durations
         radios = {name: self._radio(name, sent_s, rng) for name in (sender, *transmission.distance_m)}
         wifi_channel = self._links.wifi_channel(sender, transmission.transport, rng)
@@ -270,7 +268,7 @@ class _Backgrounds(Background):
     def __init__(self, receivers: Sequence[Background]) -> None:
         self._receivers = receivers
 
-    def overlaps(self, mode: NDArray[np.intp], begin: Floats, end: Floats) -> NDArray[np.bool_] | None:
+    def overlaps(self, mode: Indices, begin: Floats, end: Floats) -> Bools | None:
         """See `Background.overlaps`."""
         columns = [receiver.overlaps(mode, begin, end) for receiver in self._receivers]
         met = [column for column in columns if column is not None]

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices
 from sitl_mocks.channel.parameters import MODES, ChannelParameters
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _BLOCK = 256
 
@@ -75,7 +72,7 @@ class Background:
             own = [next(generators) for _ in range(nodes)]
             self._bursts.append([_Bursts(share, burst, start, g) for g in own] if share > 0.0 else None)
 
-    def overlaps(self, mode: NDArray[np.intp], begin: Floats, end: Floats) -> Bools | None:
+    def overlaps(self, mode: Indices, begin: Floats, end: Floats) -> Bools | None:
         """Whether each packet meets a burst on its mode at each receiver, shape (packets, nodes).
 
         The result is None for a band without foreign transmissions. It is not valid for packets that begin

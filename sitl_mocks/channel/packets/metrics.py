@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats, Integers
 from companion.errors import ConfigError
 from sitl_mocks.channel.packets.simulation import Result
-
-Floats = NDArray[np.float64]
 
 _BATCHES = 20
 
@@ -24,7 +22,7 @@ class SampleDelay:
     """Shape (nodes, nodes, 3). NaN where the mode is not carried, inf where no counted sample arrived."""
     standard_error_s: Floats
     """Shape (nodes, nodes, 3); NaN where there is no finite mean."""
-    open_samples: NDArray[np.int64]
+    open_samples: Integers
     """Shape (nodes, nodes, 3): counted samples without an arrival by the end of the run. They enter with the
     time for which they have waited, so the mean is a lower bound if there are any.
     """
@@ -139,7 +137,7 @@ def _sample_times_s(result: Result, node: int, tail_s: float) -> Floats:
     first, period = result.first_sample_s[node], result.gnss_period_s
     count = math.floor((result.duration_s - tail_s - first) / period)
     if count < 1:
-        raise ConfigError(f"tail_s: {tail_s:g}: leaves no sample of a run of {result.duration_s:g} s")
+        raise ConfigError(f"tail_s: {tail_s:g} leaves no sample in a run of {result.duration_s:g} s")
     return np.asarray(first + np.arange(1, count + 1) * period, float)
 
 

@@ -10,16 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices
 from sitl_mocks.channel.link_budget import thresholds_db
 from sitl_mocks.channel.packets.background import Background
 from sitl_mocks.channel.packets.timing import BLE5, WIFI, Assumptions, Durations
 from sitl_mocks.channel.parameters import WIFI_CHANNELS, ChannelParameters
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 
 FIRST_PRIMARY = 37
 FIRST_WIFI = 40
@@ -43,7 +39,6 @@ def _overlap() -> Bools:
     return np.asarray(np.where(mixed, apart < _WIFI_HALF_WIDTH_MHZ, apart == 0.0), bool)
 
 
-CHANNEL_MHZ = _frequencies_mhz()
 CHANNELS_OVERLAP = _overlap()
 """Whether two channels interfere, shape (43, 43)."""
 

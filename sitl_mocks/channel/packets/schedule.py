@@ -6,16 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices
 from sitl_mocks.channel.packets.access import defer
 from sitl_mocks.channel.packets.reception import FIRST_PRIMARY, FIRST_WIFI, Packets
 from sitl_mocks.channel.packets.timing import BLE4, BLE5, WIFI, Assumptions, Durations, coprime_interval
 from sitl_mocks.channel.parameters import SECONDARY_CHANNELS, ChannelParameters
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Bools, Floats, Indices, Integers
 from companion.errors import ConfigError
 from sitl_mocks.channel.packets.background import Background
 from sitl_mocks.channel.packets.reception import (
@@ -25,10 +25,6 @@ from sitl_mocks.channel.packets.reception import (
 from sitl_mocks.channel.packets.schedule import draw_schedule, packets_of, sense_carrier
 from sitl_mocks.channel.packets.timing import WIFI, Assumptions, Durations
 from sitl_mocks.channel.parameters import MODES, WIFI_CHANNELS, ChannelParameters, check_rate
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 
 _CELLS = 1 << 17
 """Maximum of events times nodes that are processed at once. It limits memory."""
@@ -62,9 +58,9 @@ class Result:
     heard_by: Indices
     heard_s: Floats
     """Time at which the message was complete."""
-    hearable: NDArray[np.int64]
+    hearable: Integers
     """Shape (nodes, nodes, 3): number of packets (BLE 5: messages) that reached a listening receiver."""
-    lost: NDArray[np.int64]
+    lost: Integers
     """Shape (nodes, nodes, 3): number of hearable packets lost to other packets or foreign transmissions."""
 
     def arrival_s(self) -> Floats:
@@ -200,11 +196,14 @@ def _check(
         for rate in set(rates[:, mode].tolist()) - {0}:
             check_rate(name, rate, parameters)
     if not rates.any():
-        raise ConfigError("rates: all 0: expected at least one aircraft on a mode")
+        raise ConfigError("rates: all are 0; at least one aircraft must send")
     if not np.isin(wifi_channel, np.arange(len(WIFI_CHANNELS))).all():
         raise ConfigError(
-            f"wifi_channel: allowed 0 to {len(WIFI_CHANNELS) - 1}, for channels {WIFI_CHANNELS}"
+            f"wifi_channel: an index is out of range; allowed: 0 to {len(WIFI_CHANNELS) - 1}, "
+            f"for channels {WIFI_CHANNELS}"
         )
     # The negated comparison also refuses NaN.
     if not parameters.slot_ms / 1000.0 <= duration_s < np.inf:
-        raise ConfigError(f"duration_s: {duration_s:g}: expected a finite value of at least one slot")
+        raise ConfigError(
+            f"duration_s: {duration_s:g} is out of range; allowed: finite values of at least one slot"
+        )

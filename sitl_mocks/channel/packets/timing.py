@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from companion.arrays import Floats, Indices
 from companion.errors import ConfigError
 from sitl_mocks.channel.parameters import BleParameters, ChannelParameters, Slots
 
 BLE4, BLE5, WIFI = range(3)
 """Columns of `parameters.MODES`."""
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _MAX_CLOCK_PPM = 1000.0
 
@@ -61,16 +59,22 @@ class Assumptions:
 
     def __post_init__(self) -> None:
         if self.advertiser not in ("paper", "standard"):
-            raise ConfigError(f"advertiser: {self.advertiser!r}: allowed 'paper', 'standard'")
+            raise ConfigError(f"advertiser: {self.advertiser!r}; allowed: 'paper', 'standard'")
         if self.phases not in ("redrawn", "free"):
-            raise ConfigError(f"phases: {self.phases!r}: allowed 'redrawn', 'free'")
+            raise ConfigError(f"phases: {self.phases!r}; allowed: 'redrawn', 'free'")
         # The negated comparisons also refuse NaN.
         if self.capture_db is not None and not 0.0 <= self.capture_db < math.inf:
-            raise ConfigError(f"capture_db: {self.capture_db:g}: allowed none, or a finite value >= 0")
+            raise ConfigError(
+                f"capture_db: {self.capture_db:g} is out of range; allowed: None, or finite and >= 0"
+            )
         if not 0.0 <= self.clock_ppm <= _MAX_CLOCK_PPM:
-            raise ConfigError(f"clock_ppm: {self.clock_ppm:g}: allowed 0 to {_MAX_CLOCK_PPM:g}")
+            raise ConfigError(
+                f"clock_ppm: {self.clock_ppm:g} is out of range; allowed: 0 to {_MAX_CLOCK_PPM:g}"
+            )
         if self.carrier_sense and self.slotted:
-            raise ConfigError("carrier_sense: not with slotted: backoffs are shorter than a slot")
+            raise ConfigError(
+                "carrier_sense cannot be combined with slotted, because backoffs are shorter than a slot"
+            )
 
 
 PAPER = Assumptions(

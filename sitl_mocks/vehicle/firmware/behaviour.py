@@ -347,4 +347,6 @@ PX4 = Manners(
     cruise_param_scale=1.0,
 )
 
-MANNERS: Mapping[Firmware, Manners] = MappingProxyType({Firmware.ARDUPILOT: ARDUPILOT, Firmware.PX4: PX4})
+MANNERS: Mapping[Firmware, Manners] = MappingProxyType(
+    {manners.firmware: manners for manners in (ARDUPILOT, PX4)}
+)

@@ -245,20 +245,20 @@ def with_quirks(manners: Manners, quirks: Mapping[str, object]) -> Manners:
     for name, value in quirks.items():
         kind = kinds.get(name)
         if kind is None:
-            raise ConfigError(
-                f"quirk {name}: there is none of that name; allowed: {', '.join(sorted(kinds))}"
-            )
+            raise ConfigError(f"quirk {name}: unknown name; allowed: {', '.join(sorted(kinds))}")
         if kind in (VehicleMode, VehicleMode | None) and isinstance(value, str):
             names = {mode.value: mode for mode in manners.custom_modes}
             if value not in names:
-                raise ConfigError(f"quirk {name}: {value!r} is no mode; allowed: {', '.join(names)}")
+                raise ConfigError(
+                    f"quirk {name}: {value!r} is not a mode of this firmware; allowed: {', '.join(names)}"
+                )
             value = names[value]
         number = kind in (float, float | None) and isinstance(value, int) and not isinstance(value, bool)
         plain = kind in (bool, int, float, str, float | None, str | None, VehicleMode, VehicleMode | None)
         fits = plain and (number or isinstance(value, kind)) and not (kind is int and isinstance(value, bool))
         if not fits:
             raise ConfigError(
-                f"quirk {name}: {value!r} is not of its kind ({getattr(kind, '__name__', kind)})"
+                f"quirk {name}: {value!r} has the wrong type; expected {getattr(kind, '__name__', kind)}"
             )
         given[name] = value
     return replace(manners, **given)

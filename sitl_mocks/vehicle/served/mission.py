@@ -13,8 +13,10 @@ from dataclasses import dataclass, field, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.autopilot.lists.list_download import GLOBAL_FRAMES
 from companion.autopilot.wire import MavlinkMessage
 from companion.events import FenceArea, MissionItem
+from companion.geometry import LocalFrame
 from sitl_mocks.vehicle.firmware.behaviour import Manners
 
 MAX_ITEMS = 700
@@ -38,7 +40,6 @@ _PLACED_COMMANDS = NAV_COMMANDS - {
     mavlink.MAV_CMD_NAV_LAND,
     mavlink.MAV_CMD_NAV_DELAY,
 }
-_GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})
 VERTICES = {
     True: mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
     False: mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
@@ -48,7 +49,7 @@ CIRCLES = {
     False: mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION,
 }
 _FENCE_COMMANDS = {mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT, *VERTICES.values(), *CIRCLES.values()}
-_FRAMES = _GLOBAL_FRAMES | {int(mavlink.MAV_FRAME_MISSION)}
+_FRAMES = GLOBAL_FRAMES | {int(mavlink.MAV_FRAME_MISSION)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,18 @@ def stored(item: MissionItem) -> StoredItem:
     x, y = (NO_PLACE if v is None else round(v * 1e7) for v in (item.lat_deg, item.lon_deg))
     z = math.nan if item.alt_m is None else item.alt_m
     return StoredItem(item.command, item.frame, (p1, p2, p3, p4), x, y, z)
+
+
+def home_item(home: LocalFrame) -> StoredItem:
+    """Home as ArduPilot reports it: mission item 0."""
+    return StoredItem(
+        mavlink.MAV_CMD_NAV_WAYPOINT,
+        mavlink.MAV_FRAME_GLOBAL,
+        (0.0, 0.0, 0.0, 0.0),
+        round(home.lat_deg * 1e7),
+        round(home.lon_deg * 1e7),
+        home.alt_m,
+    )
 
 
 def stored_fence(areas: tuple[FenceArea, ...], manners: Manners) -> tuple[StoredItem, ...]:
@@ -198,7 +211,7 @@ class MissionBook:
         head = (*partner, seq, item.frame, item.command, current, item.autocontinue, *item.params)
         if message.get_type() == "MISSION_REQUEST_INT":
             return [mavlink.MAVLink_mission_item_int_message(*head, item.x, item.y, item.z, kind)]
-        scale = 1e-7 if item.frame in _GLOBAL_FRAMES else 1.0
+        scale = 1e-7 if item.frame in GLOBAL_FRAMES else 1.0
         return [mavlink.MAVLink_mission_item_message(*head, item.x * scale, item.y * scale, item.z, kind)]
 
     def _count(
@@ -279,7 +292,7 @@ class MissionBook:
 
 def _from_wire(message: MavlinkMessage) -> StoredItem:
     scale = 1.0 if message.get_type() == "MISSION_ITEM_INT" else 1e7
-    place = message.frame in _GLOBAL_FRAMES
+    place = message.frame in GLOBAL_FRAMES
     x, y = (
         round(v * (scale if place else 1.0)) if math.isfinite(v) else NO_PLACE for v in (message.x, message.y)
     )
@@ -334,7 +347,7 @@ def fault_of(item: StoredItem) -> int | None:
     if item.command < mavlink.MAV_CMD_NAV_LAST and item.command not in NAV_COMMANDS:
         return int(mavlink.MAV_MISSION_UNSUPPORTED)
     if item.command in _PLACED_COMMANDS:
-        if item.frame not in _GLOBAL_FRAMES:
+        if item.frame not in GLOBAL_FRAMES:
             return int(mavlink.MAV_MISSION_UNSUPPORTED_FRAME)
         if not math.isfinite(item.z):
             return int(mavlink.MAV_MISSION_INVALID_PARAM7)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -46,6 +47,22 @@ class ParamBook:
         if self._bytewise and kind != REAL32:
             value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
         return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.names), shown)
+
+    def answer(self, message: MavlinkMessage, due: deque[int]) -> MavlinkMessage | None:
+        """Handle a message of the parameter protocol. Returns the answer for the same link, if there is one.
+
+        Args:
+            due: indices of the parameters that the link is still to send; a request for the list fills it.
+        """
+        match message.get_type():
+            case "PARAM_REQUEST_LIST":
+                due.clear()
+                due.extend(range(len(self.names)))
+            case "PARAM_REQUEST_READ":
+                return self.read(message.param_id, message.param_index)
+            case "PARAM_SET":
+                return self.set(message.param_id, message.param_value)
+        return None
 
     def read(self, name: str, index: int) -> MavlinkMessage | None:
         """Answer PARAM_REQUEST_READ, by index unless it is negative. None means no answer."""

@@ -1,4 +1,4 @@
-"""The heart with a chooser: when it decides, what goes on the air, and what happens when it cannot."""
+"""The core with a chooser: when it decides, what goes on the air, and what happens when it cannot."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def bench(make_bench):
     def build(policy=None, word=None, region=US, radio=ALL, uas_id="OWN", transports=("wifi",), **atmc):
         made = make_bench(use="watch")
         config = msgspec.structs.replace(
-            made.heart.config,
+            made.core.config,
             identity=IdentityConfig(uas_id=uas_id),
             region=region,
-            remote_id=msgspec.structs.replace(made.heart.config.remote_id, transports=transports),
+            remote_id=msgspec.structs.replace(made.core.config.remote_id, transports=transports),
             atmc=AtmcConfig(policy=word, **atmc),
         )
         bench = type(made)(Companion(config, policy))
@@ -83,7 +83,7 @@ def test_without_a_policy_nothing_changes(make_bench, bench):
     plain.extra = [ALL]
     for made in (plain, same):
         made.step(100)
-    assert same.heart.chooser is None
+    assert same.core.chooser is None
     assert plain.log == same.log
     assert not chosen(same)
 
@@ -124,13 +124,13 @@ def test_decisions_fall_at_random_phases(bench, monkeypatch):
     times = {}
     for uas_id in ("A", "B"):
         made = bench(POLICY, uas_id=uas_id, period_s=1.0)
-        look = made.heart.chooser._senses.look
+        look = made.core.chooser._senses.look
 
         def noted(now_s, *rest, uas_id=uas_id, look=look):
             times.setdefault(uas_id, []).append(now_s)
             return look(now_s, *rest)
 
-        monkeypatch.setattr(made.heart.chooser._senses, "look", noted)
+        monkeypatch.setattr(made.core.chooser._senses, "look", noted)
         made.step(1200)
     for found in times.values():
         gaps = np.diff(found)
@@ -157,7 +157,7 @@ OUTSIDE = Bounds(
 )
 def test_without_its_policy_it_flies_on_the_fixed_set(bench, policy, word, words):
     made = bench(policy, word)
-    assert words in made.heart.chooser.trouble
+    assert words in made.core.chooser.trouble
     made.step(100)
     (event,) = chosen(made)
     assert event.by == "fallback"
@@ -208,7 +208,7 @@ def test_too_many_neighbours(bench):
 def test_an_answer_that_is_no_number(bench, monkeypatch):
     made = bench(POLICY)
     monkeypatch.setattr(
-        made.heart.chooser._mind._network, "values", lambda *_: np.full(len(SET_ACTIONS), np.nan)
+        made.core.chooser._mind._network, "values", lambda *_: np.full(len(SET_ACTIONS), np.nan)
     )
     made.step(100)
     assert chosen(made)[-1].by == "fallback"

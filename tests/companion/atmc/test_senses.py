@@ -18,6 +18,7 @@ from companion.traffic.reception import HEARD_S, Reception
 from companion.traffic.tracks import Traffic
 from sitl_mocks.channel.equations.reception import meeting_chances
 from sitl_mocks.channel.parameters import WIFI_CHANNELS, load
+from tests.support.place import HOME
 
 
 def test_the_scan_shares_are_those_of_the_receiver_that_policies_are_trained_for():
@@ -103,8 +104,8 @@ def move(own, now_s):
     own.observe(
         GlobalPosition(
             time_boot_s=now_s,
-            lat_deg=47.397,
-            lon_deg=8.545,
+            lat_deg=HOME.lat_deg,
+            lon_deg=HOME.lon_deg,
             alt_msl_m=400.0,
             height_above_home_m=50.0,
             velocity_ned_mps=(4.0, 0.0, 0.0),

@@ -30,6 +30,7 @@ from companion.remote_id.region import Region
 from companion.traffic.reception import Reception
 from companion.traffic.tracks import Traffic
 from tests.companion.atmc.policies import policy_file
+from tests.support.place import HOME
 
 CONFLICT = NEIGHBOUR_COLUMNS.index("conflict")
 UTC_S = 1_767_225_600.0
@@ -114,8 +115,8 @@ class Scene:
         """The own aircraft is at the origin now."""
         position = GlobalPosition(
             time_boot_s=self.now_s,
-            lat_deg=47.397,
-            lon_deg=8.545,
+            lat_deg=HOME.lat_deg,
+            lon_deg=HOME.lon_deg,
             alt_msl_m=400.0,
             height_above_home_m=50.0,
             velocity_ned_mps=(self.north_mps, 0.0, 0.0),
@@ -223,7 +224,7 @@ def fly(make_bench):
     def build(policy):
         made = make_bench(use="watch")
         config = msgspec.structs.replace(
-            made.heart.config,
+            made.core.config,
             identity=IdentityConfig(uas_id="OWN"),
             region=Region(name="us", transport_sets=(("wifi",), ("ble4", "ble5")), location_period_s=1.0),
             atmc=AtmcConfig(period_s=1.0),
@@ -252,7 +253,7 @@ def cross(made, seconds):
 
 def test_the_policy_is_told_what_is_on_the_air_now(fly, monkeypatch):
     made = fly(policy_file())
-    mind = made.heart.chooser._mind
+    mind = made.core.chooser._mind
     wanted = [SET_ACTIONS.index(action) for action in ((0, 0, 10), (10, 5, 0), (3, 0, 7), (3, 0, 7))]
     told = []
 

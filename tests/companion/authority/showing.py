@@ -1,4 +1,4 @@
-"""Heartbeats, as a vehicle shows them one after the other."""
+"""Heartbeats of a vehicle, one after the other."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Asked(HandBack):
 
 
 def modes_of(shows, *, handback=False, firmware=Firmware.PX4, sought=True):
-    """Of a vehicle that shows this, and is being taken from it."""
+    """Modes of a vehicle that shows these heartbeats while the companion takes it."""
     own = Ownship(heartbeat=beat(shows, firmware=firmware))
     made = OurModes(own, Asked(own) if handback else None)
     if sought:
@@ -41,7 +41,7 @@ def modes_of(shows, *, handback=False, firmware=Firmware.PX4, sought=True):
 
 
 def judged(made, *modes, held=True, firmware=Firmware.PX4):
-    """The first mode that is not ours; None: all are."""
+    """The first mode that the companion did not cause; None if it caused all."""
     found = made.judge(beats(*modes, firmware=firmware), 1.0, held)
     return None if found is None else found.mode
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.authority.table import HOLDING, TRANSITIONS, State, Trigger, next_state
+from tests.support import states
 
 
 @pytest.mark.parametrize("state", State)
@@ -39,3 +40,7 @@ def test_the_pilot_is_judged_before_everything_else():
     everything = frozenset(Trigger)
     for state in HOLDING | {State.FAULT}:
         assert next_state(state, everything) == (State.YIELDED, Trigger.PILOT)
+
+
+def test_the_page_shows_this_table():
+    assert states.page_with_diagram(states.PAGE.read_text()) == states.PAGE.read_text()

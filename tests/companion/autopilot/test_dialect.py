@@ -3,7 +3,10 @@ from __future__ import annotations
 import pytest
 from pymavlink import mavutil
 
-from companion.autopilot.dialect import ARDUPILOT, PX4, Dialect, refusal
+from companion.autopilot.dialect import DIALECTS, FIRMWARES, refusal
+from companion.autopilot.dialects.ardupilot import DIALECT as ARDUPILOT
+from companion.autopilot.dialects.definition import Dialect
+from companion.autopilot.dialects.px4 import DIALECT as PX4
 from companion.events import Firmware, FlightMode
 
 MODES = [FlightMode.EXTERNAL, FlightMode.MISSION, FlightMode.HOLD]
@@ -74,3 +77,8 @@ def test_other_vehicles_are_named_and_refused(firmware: Firmware, vehicle_type: 
 def test_helicopters_fly_on_ardupilot_only() -> None:
     assert refusal(Firmware.ARDUPILOT, 4) is None
     assert "helicopter" in str(refusal(Firmware.PX4, 4))
+
+
+def test_each_firmware_has_its_dialect():
+    assert [dialect.firmware for dialect in DIALECTS.values()] == list(Firmware)
+    assert len(FIRMWARES) == len(DIALECTS), "no two report the same MAV_AUTOPILOT"

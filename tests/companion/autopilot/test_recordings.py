@@ -37,6 +37,7 @@ from companion.events import (
     VehicleTime,
 )
 from companion.remote_id.messages import OperatorId, SelfId
+from tests.support.place import HOME
 
 REPOSITORY = Path(__file__).parents[3]
 THINNED = REPOSITORY / "tests" / "data"
@@ -180,7 +181,7 @@ def test_the_recorded_mission_download_is_understood(name: str, tmp_path: Path) 
         speed_mps=5.0,
         max_climb_mps=2.0,
         max_descent_mps=2.0,
-        start=(47.397, 8.545, 30.0),
+        start=(HOME.lat_deg, HOME.lon_deg, 30.0),
         home_alt_msl_m=400.0,
     )
     assert len(path.waypoint) >= 2

@@ -45,7 +45,7 @@ def framed(raw: bytes) -> Frame:
 
 
 class Peer:
-    """Another holder of a key."""
+    """Another device that holds a key."""
 
     def __init__(self, key: bytes = KEY, system: int = 1, component: int = 1, timestamp: int = START) -> None:
         self.signing = signing(key, timestamp)
@@ -234,7 +234,7 @@ def test_all_that_leaves_is_signed_in_order() -> None:
         (Peer(OTHER_KEY).signed(), "wrongly signed: the autopilot has another key"),
         (
             Peer(timestamp=0).signed(),
-            "dated more than a minute before ours: the autopilot does not hear us, or it is a replay",
+            "more than a minute old: the autopilot does not receive our frames, or it is a replay",
         ),
     ],
     ids=["unsigned", "wrong key", "old"],

@@ -49,13 +49,13 @@ def test_sound_areas(area: FenceArea) -> None:
 
 
 BAD = [
-    (polygon(), "points: 0 of them"),
-    (polygon(*SQUARE[:2]), "points: 2 of them; a polygon has at least 3"),
+    (polygon(), "points: 0 points"),
+    (polygon(*SQUARE[:2]), "points: 2 points; a polygon has at least 3"),
     (polygon((91.0, 8.0), *SQUARE), "points[0]: latitude 91.0: allowed are -90 to 90"),
     (polygon(*SQUARE, (47.0, 180.1)), "points[4]: longitude 180.1"),
     (polygon(*SQUARE, (math.nan, 8.0)), "points[4]: latitude nan"),
     (polygon(*SQUARE, (47.0, math.inf)), "points[4]: longitude inf"),
-    (polygon(*SQUARE, SQUARE[0]), "points[4]: the same place as points[0]; the first corner is not repeated"),
+    (polygon(*SQUARE, SQUARE[0]), "points[4]: the same place as points[0]; do not repeat the first corner"),
     (polygon(*SQUARE[:3], SQUARE[1], SQUARE[3]), "points[3]: the same place as points[1]"),
     (polygon(*SQUARE[:2], (47.01, 13.1)), "points[2]: more than 5 deg from points[0]"),
     (polygon(*SQUARE[:2], (52.1, 8.0)), "points[2]: more than 5 deg"),
@@ -89,7 +89,7 @@ BAD = [
         polygon((47.0, 8.0), (47.01, 8.0), (47.01, 8.01), (47.005, 8.01), (47.005, 8.0)),
         "points: the edge from points[0] to points[1] meets the one from points[3] to points[4]",
     ),
-    (circle(0.0), "radius_m: 0.0: allowed are more than 0"),
+    (circle(0.0), "radius_m: 0.0: allowed: more than 0"),
     (circle(-1.0), "radius_m: -1.0"),
     (circle(math.nan), "radius_m: nan"),
     (circle(math.inf), "radius_m: inf"),
@@ -171,10 +171,13 @@ POINTS = "points = [[47.0, 8.0], [47.01, 8.0], [47.01, 8.01]]"
         ("[area]\ninclusion = true", "area: one table for each area is needed: write [[area]]"),
         ("[[area]]\n" + POINTS, "area[0].inclusion: missing"),
         ("[[area]]\ninclusion = 1\n" + POINTS, "area[0].inclusion: 1: expected true or false"),
-        ("[[area]]\ninclusion = true", "area[0].points: missing; give either it, or center and radius_m"),
+        ("[[area]]\ninclusion = true", "area[0].points: missing; give either points, or center and radius_m"),
         ("[[area]]\ninclusion = true\nradius_m = 3.0", "area[0].points: missing"),
-        ("[[area]]\ninclusion = true\nradius_m = 3.0\n" + POINTS, "area[0].points: give either it"),
-        ("[[area]]\ninclusion = true\ncenter = [47.0, 8.0]", "area[0].radius_m: missing; center needs it"),
+        ("[[area]]\ninclusion = true\nradius_m = 3.0\n" + POINTS, "area[0].points: give either points"),
+        (
+            "[[area]]\ninclusion = true\ncenter = [47.0, 8.0]",
+            "area[0].radius_m: missing; a circle needs center and radius_m",
+        ),
         ("[[area]]\ninclusion = true\ncentre = [47.0, 8.0]", "area[0].centre: unknown key"),
         (
             "[[area]]\ninclusion = true\npoints = [[47.0, 8.0], [47.0]]",
@@ -191,7 +194,7 @@ POINTS = "points = [[47.0, 8.0], [47.01, 8.0], [47.01, 8.01]]"
         ("[[area]]\ninclusion = true\npoints = []", "area[0].points: missing"),
         ("[[area]]\ninclusion = true\npoints = 5", "area[0].points: 5: expected a list"),
         ("[[area]]\ninclusion = true\npoints = [[47.0, nan]]", "area[0].points[0][1]: nan is not a finite"),
-        ("[[area]]\ninclusion = true\npoints = [[47.0, 8.0]]", "area[0].points: 1 of them"),
+        ("[[area]]\ninclusion = true\npoints = [[47.0, 8.0]]", "area[0].points: 1 points"),
         (
             "[[area]]\ninclusion = true\ncenter = [47.0, 8.0]\nradius_m = inf",
             "area[0].radius_m: inf is not a finite",

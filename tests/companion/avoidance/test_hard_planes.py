@@ -10,14 +10,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
-from companion.avoidance.fence_planes import crosses
-from companion.avoidance.hard_planes import in_reach
+from companion.avoidance.kernels import crosses, in_reach
 from companion.avoidance.law import Law, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from ground_tools.campaign import fences
-from tests.companion.avoidance.flying import circle, polygon, room
+from tests.companion.avoidance.flown.flying import circle, polygon, room
 
 LIMITS = LimitsConfig(max_speed_mps=8.0, max_acceleration_mps2=1.5)
 CHANGE = 1.5 * 0.2
@@ -25,12 +25,12 @@ CHANGE = 1.5 * 0.2
 # ---------------------------------------------------------------- the program
 
 
-def ball(rng: np.random.Generator, count: int, middle: Any, radius: float) -> k.Array:
+def ball(rng: np.random.Generator, count: int, middle: Any, radius: float) -> Floats:
     """Points in a ball, half of them on its surface."""
     way = rng.normal(size=(count, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     far = np.minimum(2.0 * rng.random((count, 1)), 1.0) ** (1.0 / 3.0)
-    points: k.Array = np.asarray(middle) + radius * far * way
+    points: Floats = np.asarray(middle) + radius * far * way
     return points
 
 
@@ -47,7 +47,7 @@ def test_the_nearest_in_reach_that_keeps_every_plane(seed: int) -> None:
     planes[: rng.integers(0, 2), :3] = (0.0, 0.0, rng.choice([-1.0, 1.0]))
     planes[:, :3] /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     planes[:, 3] = planes[:, :3] @ before + rng.uniform(-1.0, 0.6, count) * change
-    found, *velocity = in_reach(planes, count, wish, before, change, speed)
+    found, velocity = in_reach(planes, count, k.Vector(*wish), k.Vector(*before), change, speed)
     tried = ball(rng, 4000, before, change)
     good = (tried @ planes[:, :3].T >= planes[:, 3]).all(axis=1) & (np.linalg.norm(tried, axis=1) <= speed)
     assert found or not good.any()
@@ -92,7 +92,7 @@ areas = st.one_of(
 )
 
 
-def decided(fence: k.Array, at: Any, way: Any, others: Any) -> tuple[Law, k.Array]:
+def decided(fence: Floats, at: Any, way: Any, others: Any) -> tuple[Law, Floats]:
     """The first command of a vehicle that flies `way`, its limits a little above that."""
     here = (*at, -50.0)
     law = Law(AvoidanceConfig(), LIMITS, Trajectory([0, 100], [here, (at[0] + 300.0, at[1], -50.0)]), fence)
@@ -103,13 +103,13 @@ def decided(fence: k.Array, at: Any, way: Any, others: Any) -> tuple[Law, k.Arra
 @settings(max_examples=150, deadline=None)
 @given(fence=areas, at=st.tuples(number, number), way=ways, others=heard, seed=st.integers(0, 99))
 def test_a_command_in_reach_that_keeps_every_hard_plane_is_found(
-    fence: k.Array, at: Any, way: Any, others: Any, seed: int
+    fence: Floats, at: Any, way: Any, others: Any, seed: int
 ) -> None:
     before = np.array(way)
     assume(np.linalg.norm(before) < LIMITS.max_speed_mps)
     law, found = decided(fence, at, way, others)
     assert np.linalg.norm(found - before) <= CHANGE * (1.0 + 1e-9)
-    planes = law._planes[: int(law._out[k.R_HARD])]
+    planes = law._work.planes[: law._hard]
     tried = ball(np.random.default_rng(seed), 2000, before, CHANGE)
     good = (tried @ planes[:, :3].T >= planes[:, 3]).all(axis=1)
     good &= np.linalg.norm(tried, axis=1) <= LIMITS.max_speed_mps
@@ -120,14 +120,13 @@ def test_a_command_in_reach_that_keeps_every_hard_plane_is_found(
 @settings(max_examples=150, deadline=None)
 @given(fence=areas, at=st.tuples(number, number), way=ways, others=heard)
 def test_outside_nothing_leads_further_out_that_need_not(
-    fence: k.Array, at: Any, way: Any, others: Any
+    fence: Floats, at: Any, way: Any, others: Any
 ) -> None:
     place = np.array([[*at, -50.0]])
     assume(room(fence, place)[0] < -1e-3)
     assume(math.hypot(*way) < LIMITS.max_speed_mps)
     _, found = decided(fence, at, way, others)
-    rows = [k.nearest_of_wall(wall, *at) for wall in fence]
-    _, n, e = min(rows)
+    _, (n, e) = min(k.nearest_of_wall(k.Wall(*wall), k.Point(*at)) for wall in fence.tolist())
     inward = -n * found[0] - e * found[1]
     if -n * way[0] - e * way[1] + CHANGE > 1e-6:  # zero is in reach
         assert inward >= -1e-6
@@ -137,12 +136,12 @@ def test_outside_nothing_leads_further_out_that_need_not(
 
 @settings(max_examples=300, deadline=None)
 @given(fence=areas, at=st.tuples(number, number), to=st.tuples(number, number))
-def test_a_way_crosses_a_fence_where_its_points_are_on_both_sides(fence: k.Array, at: Any, to: Any) -> None:
+def test_a_way_crosses_a_fence_where_its_points_are_on_both_sides(fence: Floats, at: Any, to: Any) -> None:
     share = np.linspace(0.0, 1.0, 2001)[:, None]
     way = np.hstack([np.array(at) + share * (np.array(to) - np.array(at)), np.full_like(share, -50.0)])
     rooms = room(fence, way)
     assume(rooms[0] > 1e-3)  # it begins on the right side
-    found = any(crosses(wall, *at, *to) for wall in fence)
+    found = any(crosses(k.Wall(*wall), k.Point(*at), k.Point(*to)) for wall in fence.tolist())
     if rooms.min() < -1e-6:
         assert found
     elif rooms.min() > 0.1:  # more than between two of the points

@@ -26,16 +26,17 @@ ORACLE = Path(__file__).parents[2] / "data" / "orca_cases.json.gz"
 
 def half_space(p: Any, v: Any, radius: float = 10.0, tau: float = 20.0, overlap: float = 2.0) -> np.ndarray:
     """n (3) and s."""
-    return np.array(k.half_space(*map(float, p), *map(float, v), radius, tau, overlap))
+    n, s = k.half_space(k.Vector(*map(float, p)), k.Vector(*map(float, v)), radius, tau, overlap)
+    return np.array([*n, s])
 
 
 def solve(
     planes: Any, wish: Any, speed: float = 5.0, hard: int = 0, slack: float = 0.0
 ) -> tuple[bool, np.ndarray]:
     rows = np.array(planes, dtype=float).reshape(-1, 4)
-    out = np.zeros(3)
-    ok = k.solve(rows, hard, len(rows), speed, slack, np.array(wish, dtype=float), np.zeros_like(rows), out)
-    return ok, out
+    towards = k.Vector(*map(float, wish))
+    ok, v = k.solve(rows, hard, len(rows), speed, slack, towards, np.zeros_like(rows))
+    return ok, np.array(v)
 
 
 def unit(v: Any) -> np.ndarray:
@@ -45,7 +46,7 @@ def unit(v: Any) -> np.ndarray:
 def test_warm_up_compiles_everything_that_flies() -> None:
     """After it, a decision with any neighbours compiles nothing more."""
     k.warm_up()
-    flown = (k.decide, k.note_velocity, k.begin, k.path_position, k.path_nearest)
+    flown = (k.decide_plain, k.all_within, k.note_velocity, k.note_track, k.path_position, k.path_nearest)
     compiled = {f: len(f.signatures) for f in flown}
     assert all(compiled.values())
     law = Law(AvoidanceConfig(), LimitsConfig(), Trajectory([0, 9], [(0, 0, -50), (9, 0, -50)]))
@@ -214,11 +215,10 @@ def test_trap_hard_planes_that_are_impossible_together() -> None:
 def test_trap_floor_and_ceiling_never_contradict(acceleration: float, height_m: float) -> None:
     path = Trajectory([0, 9], [(0, 0, 0), (9, 0, 0)])
     law = settings_of(AvoidanceConfig(), LimitsConfig(max_acceleration_mps2=acceleration), path)
-    own = np.zeros(k.OWN_ENTRIES)
-    own[k.O_FLOOR], own[k.O_CEILING] = 0.0, -height_m
-    for down in np.linspace(-height_m - 9.0, 9.0, 91):
-        own[k.O_POSITION + 2] = down
-        least, most = k._down_speeds(own, law)
+    still = k.Vector(0.0, 0.0, 0.0)
+    for down in np.linspace(-height_m - 9.0, 9.0, 91).tolist():
+        own = k.Own(k.Vector(0.0, 0.0, down), still, 0.0, 0.0, 0.0, 0.0, -height_m)
+        least, most = k.down_speeds(own, law)
         assert -2.0 <= least <= most <= 2.0
         assert down < 0.0 or most <= 0.0
         assert down > -height_m or least >= 0.0
@@ -230,7 +230,7 @@ def test_nobody_asks_for_more_than_twice_the_greatest_speed(name: Any) -> None:
     one = Law(AvoidanceConfig(law=name), LimitsConfig(), Trajectory([0, 9], [(0, 0, -50), (9, 0, -50)]))
     inside = Neighbour("a", (30.0, 5.0, -50.0), (-40.0, 0.0, 0.0), 0.0, 5.0, crewed=True)
     one.decide(Situation(1.0, 1.0, (0.0, 0.0, -50.0), (1.0, 0.0, 0.0), 1.5, (inside,)))
-    asked = one._view[0, k.V_PLANE + 3]
+    asked = k.plane_at(one._work.asked[0], 0).least
     assert asked == 10.0 if name == "dmuca" else asked > 20.0
 
 
@@ -254,9 +254,9 @@ def test_u_is_the_way_to_the_boundary(p: Any, v: Any, radius: float, tau: float)
     assert np.linalg.norm(n) == pytest.approx(1.0, abs=1e-9)
     for side, misses in ((1e-3, True), (-1e-3, False)):
         w = np.array(v) + (s + side) * n
-        _, near2 = k.closest(*p, *w.tolist(), tau)
+        _, near2 = k.closest(k.Vector(*p), k.Vector(*w.tolist()), tau)
         assert (math.sqrt(near2) > radius - 1e-6) == misses or abs(math.sqrt(near2) - radius) < 1e-5
-    _, near2 = k.closest(*p, *v, tau)
+    _, near2 = k.closest(k.Vector(*p), k.Vector(*v), tau)
     if abs(s) > 1e-6:
         assert (s > 0.0) == (near2 < radius * radius)
 
@@ -332,9 +332,8 @@ def test_a_crowds_programs_are_solved_to_the_end(seed: int) -> None:
 
 def test_no_kernel_can_allocate() -> None:
     """A compiled loop over aircraft asks the memory for nothing: what would, does not compile."""
-    kernels = [f for f in vars(k).values() if hasattr(f, "targetoptions")]
-    assert len(kernels) > 20
-    assert not any(f.targetoptions["_nrt"] for f in kernels)
+    assert len(k.FUNCTIONS) > 40
+    assert not any(f.targetoptions["_nrt"] for f in k.FUNCTIONS)
     with pytest.raises(TypingError, match="NRT required but not enabled"):
         jit(**k.decide.targetoptions)(lambda: np.zeros(3))()
 
@@ -343,20 +342,19 @@ def test_own_velocity_history() -> None:
     times = np.array([0.0, 1.0, 3.0, 99.0])
     velocities = np.array([[0.0, 0, 0], [2, 0, 0], [2, 4, 0], [9, 9, 9]])
     for t, expected in [(-1, (0, 0, 0)), (0.5, (1, 0, 0)), (2, (2, 2, 0)), (3, (2, 4, 0)), (50, (2, 4, 0))]:
-        assert k.own_velocity_at(times, velocities, 3, float(t)) == pytest.approx(expected)
-    assert k.own_velocity_at(times, velocities, 1, 7.0) == pytest.approx((0, 0, 0))
+        assert k.own_velocity_at(k.History(times, velocities), 3, float(t)) == pytest.approx(expected)
+    assert k.own_velocity_at(k.History(times, velocities), 1, 7.0) == pytest.approx((0, 0, 0))
 
 
 @njit
-def _each(
-    own: Any, others: Any, path: Any, fence: Any, settings: Any, states: Any, times: Any,
-    velocities: Any, work: Any, view: Any, out: Any,
-) -> None:  # fmt: skip
+def _each(others: Any, own: Any, path: Any, fence: Any, settings: Any, state: Any, work: Any) -> Any:
+    decisions = []
     for i in range(len(own)):
-        k.decide(
-            others[i], others.shape[1], own[i], path[0], path[1], fence, settings, states[i],
-            times[i], velocities[i], work[0], work[1], view, out[i],
-        )  # fmt: skip
+        history = k.History(np.zeros(9), np.zeros((9, 3)))
+        decisions.append(
+            k.decide(others[i], others.shape[1], own[i], path, fence, settings, state, history, work)
+        )
+    return decisions
 
 
 def test_a_compiled_loop_over_aircraft_calls_the_same_kernel() -> None:
@@ -364,36 +362,30 @@ def test_a_compiled_loop_over_aircraft_calls_the_same_kernel() -> None:
     fleet, crowd = 20, 6
     path = Trajectory([0, 100], [(0, 0, 0), (200, 0, 0)])
     law = settings_of(AvoidanceConfig(), LimitsConfig(), path)
-    own = np.zeros((fleet, k.OWN_ENTRIES))
-    own[:, :6] = rng.normal(0, 3, (fleet, 6))
-    own[:, k.O_SIGMA], own[:, k.O_PATH_TIME] = 1.5, 2.0
-    own[:, k.O_FLOOR], own[:, k.O_CEILING] = np.inf, -np.inf
-    others = np.ones((fleet, crowd, k.NEIGHBOUR_COLUMNS))
-    others[:, :, k.N_CREWED] = 0.0
+    own = [
+        k.Own(k.Vector(*p), k.Vector(*v), 1.5, 0.0, 2.0, np.inf, -np.inf)
+        for p, v in zip(
+            rng.normal(0, 3, (fleet, 3)).tolist(), rng.normal(0, 3, (fleet, 3)).tolist(), strict=True
+        )
+    ]
+    others = np.ones((fleet, crowd, k.OTHER_COLUMNS))
+    others[:, :, k.Other._fields.index("crewed")] = 0.0
     others[:, :, :6] = rng.normal(0, [40, 40, 15, 3, 3, 1], (fleet, crowd, 6))
-    states = np.zeros((fleet, k.STATE_ENTRIES))
-    times, velocities = np.zeros((fleet, 9)), np.zeros((fleet, 9, 3))
-    work, view = np.zeros((2, k.plane_rows(0, crowd), 4)), np.zeros((crowd, k.VIEW_COLUMNS))
-    together, alone = np.zeros((fleet, k.OUT_ENTRIES)), np.zeros(k.OUT_ENTRIES)
-    for state in states:
-        k.begin(state, law)
-    before = states.copy()
-    fence = np.zeros((0, k.WALL_COLUMNS))
-    _each(own, others, path.arrays, fence, law, states, times, velocities, work, view, together)
+    state, work = k.first_state(law, 0), k.workspace(0, crowd)
+    line = k.Path(*path.arrays)
+    together = _each(others, tuple(own), line, k.NO_WALLS, law, state, work)
     for i in range(fleet):
-        k.decide(
-            others[i], crowd, own[i], *path.arrays, fence, law, before[i], np.zeros(9), np.zeros((9, 3)),
-            *work, view, alone,
-        )  # fmt: skip
-        np.testing.assert_array_equal(alone, together[i])
-        assert 0.0 < np.linalg.norm(alone[:3]) <= 5.0 + 1e-9
+        history = k.History(np.zeros(9), np.zeros((9, 3)))
+        alone = k.decide(others[i], crowd, own[i], line, k.NO_WALLS, law, state, history, work)
+        np.testing.assert_equal(alone, together[i])
+        assert 0.0 < np.linalg.norm(alone.chosen) <= 5.0 + 1e-9
 
 
 def test_uncompiled_gives_the_same_numbers() -> None:
     """The kernels run as plain Python and say the same."""
     program = (
         "import numpy as np\nfrom companion.avoidance import kernels as k\n"
-        "print(repr(tuple(map(float, k.half_space(30., 2., 1., 3., -1., .5, 10., 20., 2.)))))\n"
+        "print(repr(tuple(k.half_space(k.Vector(30., 2., 1.), k.Vector(3., -1., .5), 10., 20., 2.)[0])))\n"
         "k.warm_up()\n"
     )
     out = subprocess.run(
@@ -404,5 +396,5 @@ def test_uncompiled_gives_the_same_numbers() -> None:
         text=True,
         check=True,
     ).stdout
-    here = k.half_space(30.0, 2.0, 1.0, 3.0, -1.0, 0.5, 10.0, 20.0, 2.0)
+    here, _ = k.half_space(k.Vector(30.0, 2.0, 1.0), k.Vector(3.0, -1.0, 0.5), 10.0, 20.0, 2.0)
     assert eval(out) == pytest.approx(here, abs=1e-14)

@@ -223,8 +223,8 @@ def test_mirrored_aircraft_never_choose_the_same_way_out(bearing_deg: int) -> No
             view = Situation(0.0, 0.0, tuple(start), tuple(step), 1.5, [seen])
             chosen.append(np.array(settle(law(path=path), view).chosen_ned_mps))
         p, before, after = places[1] - places[0], speeds[0] - speeds[1], chosen[0] - chosen[1]
-        miss_before = kernels.closest(*p, *before, 60.0)[1]
-        miss_after = kernels.closest(*p, *after, 60.0)[1]
+        miss_before = kernels.closest(kernels.Vector(*p), kernels.Vector(*before), 60.0)[1]
+        miss_after = kernels.closest(kernels.Vector(*p), kernels.Vector(*after), 60.0)[1]
         assert miss_after > miss_before + 1.0
         if trial == 0:  # exactly head-on: both to their own right
             right = np.array([-ahead[1], ahead[0], 0.0])
@@ -293,10 +293,10 @@ def test_history_reaches_back_to_the_oldest_message(rate_hz: int) -> None:
     for step in range(60 * rate_hz + 1):
         one.note_velocity(step / rate_hz, (0.01 * step / rate_hz, 0.0, 0.0))
         if step % (7 * rate_hz) == 0 and step >= 16 * rate_hz:
-            count = int(one._state[kernels.L_HISTORY])
+            count = one._state.samples
             for age in (0.0, 3.0, 15.0):
                 t = step / rate_hz - age
-                n, _, _ = kernels.own_velocity_at(one._times, one._velocities, count, t)
+                n, _, _ = kernels.own_velocity_at(kernels.History(*one._history), count, t)
                 assert n == pytest.approx(0.01 * t, abs=1e-3)
 
 
@@ -388,7 +388,7 @@ def test_nothing_is_compiled_in_flight() -> None:
     """Whatever number types configuration and state have, warm-up has compiled the kernels for them."""
     kernels.warm_up()
     k = kernels
-    compiled = (k.decide, k.note_velocity, k.begin, k.path_position, k.path_nearest)
+    compiled = (k.decide_plain, k.all_within, k.note_velocity, k.path_position, k.path_nearest)
     before = [len(f.signatures) for f in compiled]
     whole = LimitsConfig(max_speed_mps=5, max_climb_mps=2, max_descent_mps=2, max_acceleration_mps2=1)
     path = Trajectory([0, 100], [(0, 0, -50), (100, 0, -50)])

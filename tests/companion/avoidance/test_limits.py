@@ -127,7 +127,7 @@ def test_a_path_that_the_vehicle_cannot_fly_is_refused_in_flight(make_bench) -> 
     bench = make_bench()
     bench.extra.append(SLOW)
     bench.step(100)
-    assert bench.heart.state is State.STANDBY
+    assert bench.core.state is State.STANDBY
     assert not bench.setpoints([c for _, c in bench.log])
     (refused,) = (text for text in texts(bench) if "path refused" in text)
     assert "horizontal speed 3.0" in refused
@@ -141,7 +141,7 @@ def test_what_is_commanded_stays_below_the_vehicles_own_limit(make_bench) -> Non
         bench = make_bench()
         if limit is not None:
             bench.extra.append(told(speed_mps=("WP_SPD", limit)))
-        bench.until(lambda bench=bench: bench.heart.in_control)
+        bench.until(lambda bench=bench: bench.core.in_control)
         bench.step(200)
         speeds = [math.hypot(*c.velocity_ned_mps) for c in bench.setpoints([c for _, c in bench.log])]
         fastest[limit] = max(speeds)
@@ -162,7 +162,7 @@ def test_it_is_said_once_and_again_only_when_it_changes(make_bench) -> None:
     ]
     severities = {c.severity for _, c in bench.log if isinstance(c, Say) and "WP_SPD" in c.text}
     assert severities == {Severity.WARNING}
-    assert bench.heart.state in HOLDING
+    assert bench.core.state in HOLDING
 
 
 # ---------------------------------------------------------------- remarks

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import z3
 
-from companion.avoidance.hard_planes import limit
-from companion.avoidance.kernels import closing
+from companion.avoidance.kernels import Bounds, Vector, closing, limit
 from tests.companion.proving import prove, refute
 
 A, LAG, ROOM, PERIOD, V, W, T, ROOT, ROOT_AFTER = z3.Reals("a lag room period v w t root root_after")
@@ -120,7 +119,7 @@ def test_the_limit_is_the_transcribed_one_and_keeps_its_bounds():
     cuts = set()
     for _ in range(6000):
         wanted, before, change, least, most, speed = drawn(rng)
-        got = limit(wanted, before, change, least, most, speed)
+        got = limit(Vector(*wanted), Vector(*before), Bounds(change, least, most, speed))
         expected, cut = transcribed(wanted, before, change, least, most, speed)
         cuts.add(cut)
         # Under a root, shares for rounding of 1e-9 become 3e-5 of the value.
@@ -209,7 +208,7 @@ def test_where_the_down_bounds_force_it_the_change_exceeds_by_no_more_than_they_
         if asked == 0.0:
             continue
         forced += 1
-        n, e, down = limit(wanted, before, change, least, most, speed)
+        n, e, down = limit(Vector(*wanted), Vector(*before), Bounds(change, least, most, speed))
         assert abs(down - before[2]) <= max(change, asked) * (1.0 + 1e-9)
         if math.hypot(n, e, down) < speed * (1.0 - 1e-9):  # the speed has cut nothing
             assert math.dist((n, e, down), before) <= max(change, asked) * (1.0 + 1e-9)

@@ -13,12 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.arrays import Floats
 from companion.avoidance import kernels as k
 from companion.avoidance.law import Law, LawResult, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
 from companion.geometry import Vec3
-from tests.companion.avoidance.flying import circle, polygon
+from tests.companion.avoidance.flown.flying import circle, polygon
 
 LAWS = ("dmuca", "paper", "none")
 LIMITS = LimitsConfig()
@@ -74,9 +75,9 @@ areas = st.lists(
 )
 
 
-def numbered(fences: list[k.Array]) -> k.Array | None:
+def numbered(fences: list[Floats]) -> Floats | None:
     for number, rows in enumerate(fences):
-        rows[:, k.W_AREA] = number
+        rows[:, k.Wall._fields.index("area")] = number
     return np.vstack(fences) if fences else None
 
 
@@ -125,7 +126,7 @@ class Scene:
     position: Vec3
     velocity: Vec3
     neighbours: tuple[Neighbour, ...]
-    fence: k.Array
+    fence: Floats
     floor: float | None = None
     ceiling: float | None = None
     keep_right: bool = True
@@ -133,7 +134,7 @@ class Scene:
     def law(self, name: Any = "dmuca") -> Law:
         law = Law(AvoidanceConfig(law=name), LIMITS, Trajectory([0, 60, 90], self.path), self.fence)
         if not self.keep_right:
-            law._settings[k.S_RIGHT] = 0.0
+            law._settings = law._settings._replace(right_rad=0.0)
         return law
 
     def decisions(self, name: Any = "dmuca") -> list[LawResult]:
@@ -183,9 +184,10 @@ def image(one: Scene, turn: Callable[[Any], Vec3]) -> Scene:
     """The scene with each of its vectors turned."""
     fence = one.fence.copy()
     for row in fence:
-        row[2], row[3], _ = turn((row[2], row[3], 0.0))
-        if row[k.W_KIND] < k.IN_CIRCLE:
-            row[4], row[5], _ = turn((row[4], row[5], 0.0))
+        wall = k.Wall(*row.tolist())
+        n, e, _ = turn((wall.n, wall.e, 0.0))
+        end_n, end_e, _ = turn((wall.end_n, wall.end_e, 0.0))
+        row[:] = wall._replace(n=n, e=e, end_n=end_n, end_e=end_e)
     return replace(
         one,
         path=tuple(map(turn, one.path)),
@@ -244,9 +246,7 @@ def test_left_and_right_are_mirrored_but_for_keeping_right(seed: int) -> None:
 def test_keeping_right_is_to_the_right() -> None:
     """Its mirrored image is not: in a conflict the wish turns by 0.2 rad, from north to east."""
     others = (Neighbour("a", (50.0, 0.5, 0.0), (-2.0, 0.0, 0.0), 0.0, 1.0),)
-    one = Scene(
-        ((-60, 0, 0), (60, 0, 0), (90, 0, 0)), (0, 0, 0), (2, 0, 0), others, np.zeros((0, k.WALL_COLUMNS))
-    )
+    one = Scene(((-60, 0, 0), (60, 0, 0), (90, 0, 0)), (0, 0, 0), (2, 0, 0), others, k.NO_WALLS)
     left = image(one, lambda v: (v[0], -v[1], v[2]))
     for meeting in (one, left):
         turned = meeting.decisions()[-1].chosen_ned_mps[1]
@@ -260,7 +260,7 @@ def test_keeping_right_is_to_the_right() -> None:
 def same(a: list[LawResult], b: list[LawResult]) -> None:
     """Bit for bit, but for the tracks."""
     for one, other in zip(a, b, strict=True):
-        assert replace(one, tracks=()) == replace(other, tracks=())
+        assert msgspec.structs.replace(one, tracks=()) == msgspec.structs.replace(other, tracks=())
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -293,7 +293,7 @@ def test_a_far_diverging_track_changes_nothing(name: str, track_id: str) -> None
 def test_a_fence_out_of_reach_changes_nothing(name: str) -> None:
     """40 m are out of reach at 5 m/s: 2 m and twice 1.5 m of margin, 5 m of lag, 25 m of braking."""
     for seed in range(SCENES):
-        one = replace(scene(seed), fence=np.zeros((0, k.WALL_COLUMNS)))
+        one = replace(scene(seed), fence=k.NO_WALLS)
         for fence in (
             polygon(k.IN_POLYGON, (50.0, 50.0), (50.0, -50.0), (-50.0, -50.0), (-50.0, 50.0)),
             polygon(k.OUT_OF_POLYGON, (50.0, 50.0), (50.0, -50.0), (90.0, 0.0)),
@@ -324,15 +324,15 @@ def test_two_with_the_same_data_part(seed: int) -> None:
         other = Neighbour("b", tuple(sent.tolist()), tuple(speeds[you].tolist()), age, 1.5, growth_mps=growth)
         result = law.decide(Situation(0.0, 0.0, tuple(start), tuple(step.tolist()), 1.5, [other]))
         assert result.feasible
-        *normal, offset = law._planes[2]
+        *normal, offset = law._work.planes[2]
         normals.append(np.array(normal))
         offsets.append(offset)
-        found.append(law._out[k.R_SOLVED : k.R_SOLVED + 3].copy())
+        found.append(np.array(law._solved))
     np.testing.assert_allclose(normals[0], -normals[1], atol=1e-12)
     relative = found[0] - found[1]
     assert normals[0] @ relative >= sum(offsets) - 1e-9
     radius = 10.0 + 3.8 * math.hypot(math.hypot(1.5, 1.5), 0.3 * age) + max(0.2 * age, growth * (age + 4.0))
     scaled = np.array([1.0, 1.0, 0.85])
     if np.linalg.norm(p * scaled) > radius:
-        _, near2 = k.closest(*(p * scaled), *(relative * scaled), 20.0)
+        _, near2 = k.closest(k.Vector(*(p * scaled)), k.Vector(*(relative * scaled)), 20.0)
         assert math.sqrt(near2) >= radius - 1e-6

@@ -40,11 +40,11 @@ def test_walls_of_polygons_and_circles() -> None:
     areas = [area(True, *SQUARE), area(False, (30.0, 40.0), radius_m=7.0)]
     walls = walls_of(areas, FRAME, path((0, 0), (50, 0)), 0.0)
     expected = [
-        (0, k.IN_POLYGON, -100, -100, -100, 100),
-        (0, k.IN_POLYGON, -100, 100, 100, 100),
-        (0, k.IN_POLYGON, 100, 100, 100, -100),
-        (0, k.IN_POLYGON, 100, -100, -100, -100),
-        (1, k.OUT_OF_CIRCLE, 30, 40, 7, 0),
+        (0, k.IN_POLYGON, -100, -100, -100, 100, 0),
+        (0, k.IN_POLYGON, -100, 100, 100, 100, 0),
+        (0, k.IN_POLYGON, 100, 100, 100, -100, 0),
+        (0, k.IN_POLYGON, 100, -100, -100, -100, 0),
+        (1, k.OUT_OF_CIRCLE, 30, 40, 30, 40, 7),
     ]
     np.testing.assert_allclose(walls, expected, atol=1e-2)
 
@@ -57,11 +57,11 @@ def test_kinds() -> None:
         at = 0.0 if inclusion else 500.0
         areas = [area(inclusion, *SQUARE), area(inclusion, (0.0, 0.0), radius_m=90.0)]
         walls = walls_of(areas, FRAME, path((at, 0), (at, 10)), 0.0)
-        assert walls[:, k.W_KIND].tolist() == [polygon] * 4 + [circle]
+        assert k.Wall(*walls.T).kind.tolist() == [polygon] * 4 + [circle]
 
 
 def test_no_fence() -> None:
-    assert walls_of([], FRAME, path((0, 0), (1, 0)), 1.5).shape == (0, k.WALL_COLUMNS)
+    assert walls_of([], FRAME, path((0, 0), (1, 0)), 1.5).shape == k.NO_WALLS.shape
 
 
 CROSSES = "crosses its border between waypoint[{}] and waypoint[{}]; at least 2.0 m are kept"

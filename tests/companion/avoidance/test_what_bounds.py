@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from companion.avoidance import kernels as k
-from companion.avoidance.law import Law, LawResult, Neighbour, Situation, on_plane
+from companion.avoidance.law import Law, LawResult, Neighbour, Situation
 from companion.avoidance.trajectory import Trajectory
 from companion.config import AvoidanceConfig, LimitsConfig
-from tests.companion.avoidance.flying import circle
+from tests.companion.avoidance.flown.flying import circle
 
 LIMITS = LimitsConfig()
 
@@ -90,4 +90,4 @@ def test_all_that_press_are_active_when_nothing_is_feasible() -> None:
     ],
 )
 def test_on_a_plane_or_beyond(velocity: Any, on: bool) -> None:
-    assert on_plane((1.0, 0.0, 0.0, 3.0), velocity) is on
+    assert k.on_plane(k.Plane(k.Vector(1.0, 0.0, 0.0), 3.0), k.Vector(*map(float, velocity))) is on

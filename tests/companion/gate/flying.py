@@ -20,9 +20,9 @@ from companion.events import (
     LandedState,
 )
 from companion.gate.gate import Gate
-from companion.geometry import LocalFrame, Vec3
+from companion.geometry import Vec3
+from tests.support.place import HOME
 
-HOME = LocalFrame(47.397, 8.545, 400.0)
 EXTERNAL, MISSION, HOLD, STICKS, OTHER = (
     FlightMode.EXTERNAL,
     FlightMode.MISSION,

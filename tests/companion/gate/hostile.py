@@ -45,12 +45,11 @@ from companion.events import (
     VehicleParameters,
 )
 from companion.gate.gate import Gate
-from companion.geometry import LocalFrame
 from tests.companion.gate.oracle import ASKED, FREE, Oracle, Terms, Told
+from tests.support.place import HOME
 
-_HOME = LocalFrame(47.397, 8.545, 400.0)
-_LAT = _HOME.to_geodetic(1.0, 0.0, 0.0)[0] - _HOME.lat_deg
-_LON = _HOME.to_geodetic(0.0, 1.0, 0.0)[1] - _HOME.lon_deg
+_LAT = HOME.to_geodetic(1.0, 0.0, 0.0)[0] - HOME.lat_deg
+_LON = HOME.to_geodetic(0.0, 1.0, 0.0)[1] - HOME.lon_deg
 """Degrees for a metre north, for a metre east: a few hundred metres are flat to a few centimetres."""
 _SETPOINT, _COMMAND = struct.Struct("<I11fHBBB"), struct.Struct("<7fHBBB")
 _MODES = {
@@ -199,7 +198,7 @@ class History:
 
     def _degrees(self, u: float, v: float) -> tuple[float, float]:
         north, east = self.cos * u - self.sin * v, self.sin * u + self.cos * v
-        return _HOME.lat_deg + north * _LAT, _HOME.lon_deg + east * _LON
+        return HOME.lat_deg + north * _LAT, HOME.lon_deg + east * _LON
 
     # ------------------------------------------------------------ what the vehicle says
 

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.autopilot.signing import Signing
 from companion.autopilot.wire import MavlinkReader, MavlinkWriter, message_id_of
-from companion.events import Firmware, Parameter, TwoAutopilots, VehicleParameters
+from companion.events import Firmware, Parameter, TwoAutopilots, VehicleParameters, VehicleTime
 from tests.companion.gate.flying import (
     ARDUPILOT,
     EXTERNAL,
@@ -264,6 +264,15 @@ def test_a_missions_speed_is_one(speed_mps):
     assert one.refused() == [10]
 
 
+@pytest.mark.parametrize(
+    ("kind", "throttle"), [(0.0, -1.0), (2.0, -1.0), (3.0, -1.0), (1.0, 50.0), (1.0, 0.0)]
+)
+def test_a_missions_speed_is_a_ground_speed_and_no_throttle(kind, throttle):
+    one = Flying(config("guard")).airborne(MISSION)
+    assert not one.command(178, kind, 3.0, throttle)
+    assert one.refused() == [10]
+
+
 def test_a_mission_that_is_flown_has_its_own_speed():
     one = Flying(config("fly")).airborne(MISSION)
     assert not one.command(178, 1.0, 3.0, -1.0)
@@ -328,6 +337,19 @@ def test_a_vehicle_that_has_restarted_counts_its_time_anew(taken):
     taken.beat()
     taken.gate.decided(taken.now_s)
     assert taken.flies()
+
+
+def test_after_a_restart_the_last_position_is_not_known_any_more(taken):
+    """By the new clock it would have been measured in the future, and never be too old."""
+    for turn in range(60):
+        taken.now_s += 0.05
+        taken.gate.hear(VehicleTime(time_boot_s=1.0 + 0.05 * turn), taken.now_s)
+        taken.beat()
+        taken.gate.emptied(taken.now_s)
+        taken.gate.decided(taken.now_s)
+    assert not taken.flies()
+    assert taken.refused() == [8]
+    assert taken.asks(HOLD)
 
 
 # ---------------------------------------------------------------- 9: form

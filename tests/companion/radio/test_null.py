@@ -2,7 +2,7 @@
 
 import pytest
 
-from companion.radio.null import NullTransport
+from companion.radio.null.null_radio import NullTransport
 from companion.remote_id.messages import SelfId
 
 MESSAGES = (SelfId(description_type=0, text="test"),)

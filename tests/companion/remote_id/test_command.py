@@ -137,7 +137,7 @@ def test_of_a_torn_pack_the_sound_messages_are_printed_and_the_fault_told(termin
     [
         ("{", "not JSON: incomplete"),
         ("{'type':1}", "not JSON: object keys must be strings (byte 1)"),
-        ("[]", f"[] is no message; allowed: an object such as {remote_id.EXAMPLES[3]}"),
+        ("[]", f"[] is not a message; allowed: an object such as {remote_id.EXAMPLES[3]}"),
         ('{"a":1}', "type: missing; allowed: BasicId, Location, Authentication, SelfId, System, OperatorId"),
         (
             '{"type":"Nope"}',
@@ -145,7 +145,7 @@ def test_of_a_torn_pack_the_sound_messages_are_printed_and_the_fault_told(termin
         ),
         (
             '{"type":"OperatorId","foo":1}',
-            'OperatorId: "foo" is no key of it; allowed: operator_id_type, operator_id',
+            'OperatorId: unknown key "foo"; allowed: operator_id_type, operator_id',
         ),
         (
             '{"type":"OperatorId","operator_id":"A"}',
@@ -169,7 +169,7 @@ def test_of_a_torn_pack_the_sound_messages_are_printed_and_the_fault_told(termin
         ),
         (
             '{"type":"System","operator_lat_deg":0}',
-            "System.operator_lon_deg: missing; allowed: with System.operator_lat_deg, or neither",
+            "System.operator_lon_deg: missing; give it together with System.operator_lat_deg, or neither",
         ),
     ],
 )

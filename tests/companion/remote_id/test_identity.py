@@ -61,11 +61,11 @@ def test_a_serial_number_by_cta_2063_a_is_taken(text: str) -> None:
         ("1596B0000DMUCa01", "character 14 is 'a'"),
         ("1596B0000DMUCÄ01", "character 14 is 'Ä'"),
         ("15960", "5 characters"),
-        ("159600", "character 5 is '0'; by CTA-2063-A it tells"),
+        ("159600", "character 5 is '0'; by CTA-2063-A it is"),
         ("1596G0000DMUCA01", "character 5 is 'G'"),
-        ("1596A0000DMUCA01", "character 5, 'A', tells by CTA-2063-A how many follow it: 10, not 11"),
-        ("1596F0000DMUCA01", "how many follow it: 15, not 11"),
-        ("1596F0000DMUCA0123456", "how many follow it: 15, not 16"),
+        ("1596A0000DMUCA01", "character 5, 'A', means by CTA-2063-A that 10 characters follow, not 11"),
+        ("1596F0000DMUCA01", "15 characters follow, not 11"),
+        ("1596F0000DMUCA0123456", "15 characters follow, not 16"),
     ],
 )
 def test_a_wrong_serial_number_is_refused_where_it_is_wrong(text: str, says: str) -> None:
@@ -156,7 +156,7 @@ def test_any_other_length_is_refused(length: int) -> None:
         ("USA87astrdge12k8-xyz", "characters 1 to 3 are 'USA'"),
         ("fin87astrdge12k8-xyz", "characters 1 to 3 are 'fin'"),
         ("FIN87aStrdge12k8-xyz", "character 7 is 'S'"),
-        ("FIN87astrdge12", "14 characters; needed are 16"),
+        ("FIN87astrdge12", "14 characters; allowed: 16"),
         ("FIN87astrdge12k8-", "0 secret characters"),
         ("FIN87astrdge12k8-xy", "2 secret characters"),
         ("FIN87astrdge12k8-XYZ", "digits and lower-case letters"),
@@ -267,7 +267,7 @@ def test_every_kind_of_identity_can_be_sound(id_type: IdType, uas_id: str) -> No
         ({"uas_id": "A1", "id_type": IdType(9)}, "identity.id_type: 9: allowed are 0 to 4"),
         (
             {"region": Region(), "uas_id": "Ä", "id_type": IdType.NONE},
-            "identity.uas_id: 'Ä': printable ASCII",
+            "identity.uas_id: 'Ä': allowed: printable ASCII",
         ),
         ({"uas_id": "hb.1", "id_type": IdType.CAA_REGISTRATION}, "identity.uas_id: 'hb.1'"),
         ({"registration_id": "ju3"}, "identity.registration_id: 'ju3'"),
@@ -278,8 +278,11 @@ def test_every_kind_of_identity_can_be_sound(id_type: IdType, uas_id: str) -> No
         ({"uas_id": DET[:16], "id_type": IdType.SPECIFIC_SESSION}, "16 bytes; a session id of type 1 has 17"),
         ({"uas_id": "\x01" + UUID, "id_type": IdType.SPECIFIC_SESSION}, "bytes 2 to 5 are 123e4567"),
         ({"operator_id": "FIN87astrdge12k9-xyz"}, "remote_id.operator_id: 'FIN87astrdge12k9'"),
-        ({"region": Region(), "operator_id": "x" * 21}, "remote_id.operator_id: 21 characters; 20 go"),
-        ({"region": Region(), "operator_id": "Jörg"}, "remote_id.operator_id: 'Jörg': printable"),
+        (
+            {"region": Region(), "operator_id": "x" * 21},
+            "remote_id.operator_id: 21 characters; allowed: up to 20",
+        ),
+        ({"region": Region(), "operator_id": "Jörg"}, "remote_id.operator_id: 'Jörg': allowed: printable"),
     ],
 )
 def test_a_wrong_identity_is_refused_by_its_key(identity: dict[str, Any], says: str) -> None:
@@ -288,5 +291,5 @@ def test_a_wrong_identity_is_refused_by_its_key(identity: dict[str, Any], says: 
 
 
 def test_a_text_about_the_flight_must_be_sendable() -> None:
-    with pytest.raises(ValueError, match=re.escape("remote_id.self_id: 'Übung': printable ASCII")):
+    with pytest.raises(ValueError, match=re.escape("remote_id.self_id: 'Übung': allowed: printable ASCII")):
         check_identity(IdentityConfig(uas_id="A1"), RemoteIdConfig(self_id="Übung"), Region())

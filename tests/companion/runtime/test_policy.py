@@ -9,8 +9,9 @@ from companion import config as configuration
 from companion import event_record
 from companion.atmc.policy import MAX_BYTES
 from companion.commands.check import check
-from companion.config import ArduRemoteIdRadio, AtmcConfig, VehicleConfig
+from companion.config import AtmcConfig, VehicleConfig
 from companion.errors import ConfigError
+from companion.radio.arduremoteid.section import ArduRemoteIdRadio
 from companion.remote_id.region import Region
 from companion.runtime.flight import Flight
 from companion.runtime.policy import RUN_FILE, judge_policy, read_policy
@@ -69,7 +70,7 @@ def test_only_other_radios_follow(make_config):
     config = msgspec.structs.replace(
         make_config(), atmc=AtmcConfig(policy="rule"), radio=(ArduRemoteIdRadio(link="tcp:x:1"),)
     )
-    assert "repeats at its own rates" in judge_policy(config)[1]
+    assert "repeats messages at its own rates" in judge_policy(config)[1]
 
 
 @pytest.mark.parametrize(

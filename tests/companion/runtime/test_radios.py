@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from companion.config import Config, EtherRadio, IdentityConfig, NullRadio
+from companion.config import Config, IdentityConfig
 from companion.errors import ConfigError
 from companion.events import RadioState, RemoteIdHeard
+from companion.radio.ether.section import EtherRadio
+from companion.radio.null.section import NullRadio
 from companion.radio.radio import Health
 from companion.remote_id.messages import SelfId
 from companion.runtime import radios

@@ -15,7 +15,7 @@ from companion.commands.check import check
 from companion.config import AvoidanceConfig, Config, RecordConfig, VehicleConfig
 from companion.runtime.flight import Flight
 
-TOLD = "gives nothing back on PX4"
+TOLD = "cannot restore authority on PX4"
 
 
 @pytest.fixture

@@ -16,9 +16,7 @@ from companion.errors import ConfigError
 from companion.events import Settings
 from companion.runtime.flight import Flight
 from companion.runtime.stored_parameters import KeptSettings, read_settings, settings_path
-from tests.companion.runtime.test_flight import Autopilot, Radio, configured, fly, kept_signals, watchdog
-
-__all__ = ["kept_signals", "watchdog"]
+from tests.companion.runtime.flying import Autopilot, Radio, configured, fly
 
 SET = Settings(enable=False, max_speed_mps=3.5)
 
@@ -125,7 +123,7 @@ def test_a_flight_stores_what_is_set_and_the_next_one_begins_with_it(
     settings_path(made).write_bytes(b"{")
     damaged = Flight(made, said.append, dry_run=False)
     assert damaged.onboard.settings == Settings()
-    assert any("damaged" in line and "the configuration's values count" in line for line in said)
+    assert any("damaged" in line and "the configuration applies" in line for line in said)
     damaged._close()
     autopilot.end()
 

@@ -20,21 +20,7 @@ from companion.runtime import clock
 from companion.runtime.flight import Flight
 from companion.runtime.links.open_link import LinkTrouble
 from companion.runtime.record import run_record
-from tests.companion.runtime.test_flight import (
-    KEY,
-    Autopilot,
-    Joined,
-    Radio,
-    configured,
-    fly,
-    heard_of,
-    kept_signals,
-    said,
-    summary,
-    watchdog,
-)
-
-__all__ = ["kept_signals", "said", "watchdog"]
+from tests.companion.runtime.flying import KEY, Autopilot, Joined, Radio, configured, fly, heard_of, summary
 
 NOT_RECORDED = "DMUCA: this flight is not recorded"
 
@@ -126,7 +112,7 @@ def test_a_record_folder_that_cannot_be_made_ends_no_flight(
         lambda: states.append(status.ask(flight._server.path)),
         lambda: until(lambda: flight.radio.broadcasts > 1),
     )
-    assert said.count(f"{told}; the flight goes on") == 1
+    assert said.count(f"{told}; the flight continues") == 1
     assert said.count(f"there is no record: {told.removeprefix('not recording: ')}") == 1
     assert pilot.texts.count(NOT_RECORDED) == (0 if dry_run else 1)
     assert states[0].recorder_error == told.removeprefix("not recording: ")
@@ -151,7 +137,7 @@ def test_whatever_fails_at_the_start_ends_no_flight(flight_to, pilot, said, unti
     monkeypatch.setattr(run_record, at, fails)
     flight = flight_to(pilot)
     fly(flight, lambda: until(lambda: NOT_RECORDED in pilot.texts), goes_on(flight, until))
-    assert heard_of(said, "not recording: the disk's words; the flight goes on")()
+    assert heard_of(said, "not recording: the disk's words; the flight continues")()
 
 
 def test_a_record_that_vanishes_in_flight_ends_no_flight(flight_to, pilot, said, until, monkeypatch):
@@ -165,7 +151,7 @@ def test_a_record_that_vanishes_in_flight_ends_no_flight(flight_to, pilot, said,
         goes_on(flight, until),
     )
     assert pilot.texts.count(NOT_RECORDED) == 1
-    assert heard_of(said, "OWN.events: No such file or directory; the flight goes on")()
+    assert heard_of(said, "OWN.events: No such file or directory; the flight continues")()
     assert not flight.folder.exists()
 
 
@@ -184,7 +170,7 @@ def test_a_disk_that_fills_up_in_flight_ends_no_flight(flight_to, pilot, said, u
         goes_on(flight, until),
     )
     assert pilot.texts.count(NOT_RECORDED) == 1
-    assert heard_of(said, "not recording: No space left on device; the flight goes on")()
+    assert heard_of(said, "not recording: No space left on device; the flight continues")()
     assert heard_of(said, "summary.json: cannot be written: No space left on device")()
 
 
@@ -201,8 +187,8 @@ def test_a_disk_that_hangs_at_the_start_holds_up_no_tick_and_no_end(
         lambda: until(lambda: "DMUCA: the disk is too slow for the record" in pilot.texts),
         goes_on(flight, until),
     )
-    assert heard_of(said, "recording: the disk has not answered for 0.1 s; the flight goes on")()
-    assert heard_of(said, "there is no record: the disk took nothing for 0.1 s at the end")()
+    assert heard_of(said, "recording: the disk has not answered for 0.1 s; the flight continues")()
+    assert heard_of(said, "there is no record: the disk accepted no data for 0.1 s at the end")()
     comes_back.set()
 
 
@@ -237,13 +223,13 @@ def test_settings_that_cannot_be_kept_count_all_the_same(flight_to, said, until,
     pilot = Listening(after=sets)
     (tmp_path / "runs").write_text("a file")
     flight = flight_to(pilot)
-    words = "DMUCA: settings are not kept on the disk"
+    words = "DMUCA: settings cannot be saved to disk"
     fly(flight, lambda: until(lambda: words in pilot.texts), goes_on(flight, until))
     pilot.end()
     assert not flight.onboard.settings.enable
     assert pilot.texts.count(words) == 1
     assert pilot.texts.count("DMUCA: stored settings are not used") == 1
-    assert heard_of(said, f"settings not kept: {tmp_path}/runs: cannot be written: File exists")()
+    assert heard_of(said, f"settings not saved: {tmp_path}/runs: cannot be written: File exists")()
 
 
 def test_a_signing_time_that_cannot_be_kept_ends_no_flight(flight_to, said, until, tmp_path):
@@ -255,11 +241,11 @@ def test_a_signing_time_that_cannot_be_kept_ends_no_flight(flight_to, said, unti
     pilot = Listening()
     pilot._wrap = vehicle.sign
     flight = flight_to(pilot, key=key)
-    words = {"DMUCA: signing time is not kept on the disk", "DMUCA: the last signing time is not known"}
+    words = {"DMUCA: signing time cannot be saved to disk", "DMUCA: the last signing time is unknown"}
     fly(flight, lambda: until(lambda: words <= set(pilot.texts)), goes_on(flight, until))
     pilot.end()
-    assert heard_of(said, f"signing time not kept: {tmp_path}/runs: cannot be written: File exists")()
-    assert heard_of(said, "signing-timestamp: cannot be read: Not a directory; begun at")()
+    assert heard_of(said, f"signing time not saved: {tmp_path}/runs: cannot be written: File exists")()
+    assert heard_of(said, "signing-timestamp: cannot be read: Not a directory; signing starts at")()
 
 
 # ---------------------------------------------------------------- clocks

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from companion.avoidance import compiled
+from companion.avoidance.kernels import compiled
 from companion.runtime.warm import warm_up
 
 
@@ -25,6 +25,7 @@ def test_a_user_without_any_folder_compiles_anew(monkeypatch):
         return lambda function: ("compiled", function)
 
     monkeypatch.setattr(compiled, "njit", without_a_folder)
+    monkeypatch.setattr(compiled, "FUNCTIONS", [])
     assert compiled.compiled(len) == ("compiled", len)
 
 

@@ -8,13 +8,12 @@ from collections.abc import Callable, Sequence
 
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard, TrackFlagged
-from companion.geometry import LocalFrame
 from companion.remote_id.codec import decode, encode
 from companion.remote_id.messages import BasicId, IdType, Location, Message, Status, UaType
 from companion.traffic.plausibility import Flag
 from companion.traffic.tracks import Traffic
+from tests.support.place import HOME
 
-FRAME = LocalFrame(47.397, 8.545, 400.0)
 SEPARATION_M = 47.0
 UTC_OFFSET_S = 1_767_225_600.0
 """A full hour: a timestamp equals the time since then."""
@@ -37,7 +36,7 @@ class Listener:
         self, now_s: float, *messages: Message, address: str = "a", transport: str = "wifi", rssi=None
     ) -> None:
         heard = RemoteIdHeard(transport=transport, address=address, messages=messages, rssi_dbm=rssi)
-        self.traffic.hear(heard, now_s, self.utc_offset_s, FRAME, SEPARATION_M)
+        self.traffic.hear(heard, now_s, self.utc_offset_s, HOME, SEPARATION_M)
         for track in self.traffic.tracks.values():
             self.ever |= track.flags
         self.reports += self.traffic.flagged(now_s)
@@ -57,7 +56,7 @@ def location(motion: Motion, at_s: float, noise: random.Random | None = None, **
         north, east = noise.gauss(north, 3.0), noise.gauss(east, 3.0)
         v_north, v_east = noise.gauss(v_north, 0.5), noise.gauss(v_east, 0.5)
         height = noise.gauss(height, 3.0)
-    lat, lon, _ = FRAME.to_geodetic(north, east, 0.0)
+    lat, lon, _ = HOME.to_geodetic(north, east, 0.0)
     values: dict[str, object] = {
         "status": Status.AIRBORNE,
         "lat_deg": lat,

@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 
 from companion.events import AdsbVehicle
-from companion.geometry import LocalFrame
 from companion.traffic.adsb import BAROMETRIC_M, EXPIRE_S, MOST, AdsbTraffic
+from tests.support.place import HOME
 
-FRAME = LocalFrame(47.397, 8.545, 400.0)
 SEPARATION_M = 47.0
 OWN_DOWN_M = -50.0
 ICAO = 0x4B1234
@@ -17,7 +16,7 @@ STAMP_S = 0.5
 
 
 def report(north_m=1000.0, east_m=0.0, down_m=-50.0, *, geometric=True, **over):
-    lat, lon, alt_msl_m = FRAME.to_geodetic(north_m, east_m, down_m)
+    lat, lon, alt_msl_m = HOME.to_geodetic(north_m, east_m, down_m)
     return AdsbVehicle(
         **{
             "icao": ICAO,
@@ -41,7 +40,7 @@ class Sky:
 
     def take(self, now_s, *reports):
         for one in reports:
-            self.traffic.hear(one, now_s, FRAME, self.separation_m, self.own_ned_m)
+            self.traffic.hear(one, now_s, HOME, self.separation_m, self.own_ned_m)
 
     def at(self, now_s, own_down_m=OWN_DOWN_M):
         return self.traffic.neighbours(now_s, own_down_m)

@@ -14,10 +14,18 @@ from companion.geometry import LocalFrame
 from companion.remote_id.codec import decode
 from companion.remote_id.messages import Authentication, BasicId, IdType, Location, Message, Status, UaType
 from companion.traffic.tracks import Traffic
+from tests.support.place import HOME
 
 UTC_OFFSET_S = 1_767_225_600.0
 FRAMES = 200_000
-PLACES = [(47.397, 8.545), (90.0, 0.0), (-90.0, 180.0), (0.0, 180.0), (0.0, -180.0), (89.9999, -179.9999)]
+PLACES = [
+    (HOME.lat_deg, HOME.lon_deg),
+    (90.0, 0.0),
+    (-90.0, 180.0),
+    (0.0, 180.0),
+    (0.0, -180.0),
+    (89.9999, -179.9999),
+]
 """Own positions: an ordinary one, the poles, the antimeridian."""
 
 
@@ -160,8 +168,8 @@ def lines_run(action, *args) -> int:
 
 def location_at(north_m: float, timestamp_s: float) -> Location:
     return Location(
-        lat_deg=47.397 + north_m / 111_200.0,
-        lon_deg=8.545,
+        lat_deg=HOME.lat_deg + north_m / 111_200.0,
+        lon_deg=HOME.lon_deg,
         speed_mps=5.0,
         direction_deg=90.0,
         timestamp_s=timestamp_s,
@@ -170,13 +178,13 @@ def location_at(north_m: float, timestamp_s: float) -> Location:
 
 def full_table(max_tracks: int) -> tuple[Traffic, LocalFrame]:
     """As many tracks and addresses as the table holds, with the names of splits squatted upon."""
-    traffic, frame = Traffic(TrafficConfig(max_tracks=max_tracks), "OWN"), LocalFrame(47.397, 8.545, 400.0)
+    traffic = Traffic(TrafficConfig(max_tracks=max_tracks), "OWN")
     traffic.note_own(10.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for k in range(max_tracks):
         identity = f"X#{k}" if k % 2 else f"I{k}"
-        hear(traffic, frame, 10.0, identity, location_at(20.0 + 30_000.0 * k / max_tracks, 10.0), f"s{k}")
+        hear(traffic, HOME, 10.0, identity, location_at(20.0 + 30_000.0 * k / max_tracks, 10.0), f"s{k}")
     assert len(traffic.tracks) == max_tracks
-    return traffic, frame
+    return traffic, HOME
 
 
 def hear(traffic, frame, now_s, identity, location, address):

@@ -7,10 +7,10 @@ import pytest
 
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
-from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, SelfId, UaType
 from companion.traffic.reception import HEARD_S, UNKNOWN_RATE, Reception
 from companion.traffic.tracks import Traffic
+from tests.support.place import HOME
 
 TICK_S = 0.05
 
@@ -121,13 +121,12 @@ def test_a_long_silence_is_not_a_loss():
 
 
 def test_every_transport_of_a_track_by_its_locations():
-    frame = LocalFrame(47.397, 8.545, 400.0)
     traffic = Traffic(TrafficConfig(), "OWN")
     name = BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.AEROPLANE, uas_id="X")
 
     def hear(transport, now_s, counter, *messages):
         heard = RemoteIdHeard(transport=transport, address="a", messages=messages, counter=counter)
-        traffic.hear(heard, now_s, 0.0, frame, 47.0)
+        traffic.hear(heard, now_s, 0.0, HOME, 47.0)
 
     hear("ble4", 0.0, 0, name)
     for k in range(200):

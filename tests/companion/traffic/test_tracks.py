@@ -9,12 +9,11 @@ import pytest
 
 from companion.config import TrafficConfig
 from companion.events import RemoteIdHeard
-from companion.geometry import LocalFrame
 from companion.remote_id.messages import BasicId, IdType, Location, UaType
 from companion.traffic.fix import SIGMA_MOST_M, SIGMA_UNKNOWN_M
 from companion.traffic.tracks import Traffic
+from tests.support.place import HOME
 
-FRAME = LocalFrame(47.397, 8.545, 400.0)
 SEPARATION_M = 47.0
 UTC_OFFSET_S = 1_767_225_600.0
 """A full hour: a timestamp equals the time since then."""
@@ -30,7 +29,7 @@ class Listener:
 
     def hear(self, now_s, *messages, address="a", transport="wifi"):
         heard = RemoteIdHeard(transport=transport, address=address, messages=messages)
-        self.traffic.hear(heard, now_s, self.utc_offset_s, FRAME, self.separation_m)
+        self.traffic.hear(heard, now_s, self.utc_offset_s, HOME, self.separation_m)
 
     @property
     def tracks(self):
@@ -42,7 +41,7 @@ def basic(uas_id, id_type=IdType.SERIAL_NUMBER):
 
 
 def location(north_m=100.0, east_m=0.0, timestamp_s=10.0, speed_mps=5.0, direction_deg=90.0, **more):
-    lat, lon, _ = FRAME.to_geodetic(north_m, east_m, 0.0)
+    lat, lon, _ = HOME.to_geodetic(north_m, east_m, 0.0)
     values = {"alt_geodetic_m": 447.0, "vertical_speed_mps": 1.0, "horizontal_accuracy_m": 3.0}
     return Location(
         lat_deg=lat,

@@ -249,14 +249,14 @@ def test_evaluate_prints_one_object(learned, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--uavs", "1"], "--uavs: 1: allowed 2 to"),
+        (["--uavs", "1"], "--uavs: 1 is out of range; allowed: 2 to"),
         (["--uavs", "50"], "trained with up to 10 aircraft"),
         (["--objective", "awareness"], "trained for 'paper'"),
         (["--load", "0.5"], "--load: the paper's objective"),
-        (["--load", "2"], "--load: 2: allowed 0 to 0.95"),
-        (["--samples", "0"], "--samples: 0: allowed 1 and above"),
-        (["--seed", "-1"], "--seed: -1: allowed 0 to 4294967295"),
-        (["--sigma", "99"], "--sigma: 99: allowed 0 to 30"),
+        (["--load", "2"], "--load: 2 is out of range; allowed: 0 to 0.95"),
+        (["--samples", "0"], "--samples: 0 is out of range; allowed: 1 or more"),
+        (["--seed", "-1"], "--seed: -1 is out of range; allowed: 0 to 4294967295"),
+        (["--sigma", "99"], "--sigma: 99 is out of range; allowed: 0 to 30"),
     ],
 )
 def test_what_evaluate_refuses(learned, tmp_path, capsys, options, words):
@@ -269,7 +269,7 @@ def test_what_evaluate_refuses(learned, tmp_path, capsys, options, words):
 def test_a_policy_that_is_none_is_named(tmp_path, capsys):
     path = tmp_path / "p.safetensors"
     assert main(["atmc", "evaluate", "--policy", str(path)]) == 2
-    assert "p.safetensors: No such file" in capsys.readouterr().err
+    assert "p.safetensors: cannot be read: No such file" in capsys.readouterr().err
     path.write_bytes(b"nothing")
     assert main(["atmc", "evaluate", "--policy", str(path)]) == 2
     assert "not a safetensors file" in capsys.readouterr().err

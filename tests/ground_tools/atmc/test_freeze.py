@@ -121,7 +121,7 @@ def test_the_price_of_a_switch_stands_in_the_file(price, folder, tmp_path, asked
 def test_a_price_out_of_bounds_is_refused(price, folder, tmp_path, asked, capsys):
     out = tmp_path / "x.safetensors"
     assert freeze(folder, out, f"--switch-price={price}") == 2
-    words = f"--switch-price: {float(price):g}: allowed 0 to 10\n"
+    words = f"--switch-price: {float(price):g} is out of range; allowed: 0 to 10\n"
     assert capsys.readouterr().err == f"ground-tools: {words}"
     assert not out.exists()
     assert not asked
@@ -147,14 +147,14 @@ def test_a_folder_that_is_no_run_is_refused(missing, folder, tmp_path, asked, ca
     out = tmp_path / "x.safetensors"
     assert freeze(run, out) == 2
     named = "config.toml" if missing == "config.toml" else "policy.safetensors"
-    wanted = rf"ground-tools: {re.escape(str(run / named))}: No such file or directory\n"
+    wanted = rf"ground-tools: {re.escape(str(run / named))}: cannot be read: No such file or directory\n"
     assert re.fullmatch(wanted, capsys.readouterr().err)
     assert not out.exists()
 
 
 def test_a_damaged_policy_and_a_place_that_cannot_be_written_are_named(folder, tmp_path, asked, capsys):
     assert freeze(folder, tmp_path / "nowhere" / "x.safetensors") == 2
-    assert "nowhere/x.safetensors: No such file or directory" in capsys.readouterr().err
+    assert "nowhere/x.safetensors: cannot be written: No such file or directory" in capsys.readouterr().err
     run = tmp_path / "run"
     run.mkdir()
     (run / "config.toml").write_text(FLYING)

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -113,25 +114,44 @@ def test_seeds_side_by_side(config, tmp_path):
     assert [row["reward"] for row in rows(folders[1])] == [row["reward"] for row in rows(alone)]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_stopping_leaves_complete_files(number, config, tmp_path):
-    command = [sys.executable, "-m", "ground_tools.cli", "atmc", "train", "--algorithm", "madqn"]
-    command += ["--config", str(config), "--out", str(tmp_path / "runs"), "--episodes", "100000"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    try:
-        give_up = time.monotonic() + 60.0
-        while not list((tmp_path / "runs").glob("*/metrics.csv")) and time.monotonic() < give_up:
-            time.sleep(0.05)
-        os.kill(process.pid, number)
-        assert process.wait(30) == 130
-    finally:
-        process.kill()
-    assert "--resume" in process.stderr.read()
-    (folder,) = (tmp_path / "runs").iterdir()
+def signalled_while_it_trains(pid: int, number: signal.Signals, root: Path) -> None:
+    """Send the signal when the first rows are written."""
+    give_up = time.monotonic() + 60.0
+    while not list(root.glob("*/metrics.csv")) and time.monotonic() < give_up:
+        time.sleep(0.05)
+    os.kill(pid, number)
+
+
+def goes_on_from_complete_files(root: Path) -> None:
+    (folder,) = root.iterdir()
     done = torch.load(folder / "checkpoint.pt", weights_only=True)["learner"]["done"]
     assert done == len(rows(folder)) > 0
     assert not list(folder.glob("*.new"))
     assert cli.main(["atmc", "train", "--resume", str(folder), "--episodes", str(done + 1)]) == 0
+
+
+def test_stopping_a_process_leaves_complete_files(config, tmp_path):
+    root = tmp_path / "runs"
+    command = [sys.executable, "-m", "ground_tools.cli", "atmc", "train", "--algorithm", "madqn"]
+    command += ["--config", str(config), "--out", str(root), "--episodes", "100000"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        signalled_while_it_trains(process.pid, signal.SIGTERM, root)
+        assert process.wait(30) == 130
+    finally:
+        process.kill()
+    assert "--resume" in process.stderr.read()
+    goes_on_from_complete_files(root)
+
+
+def test_ctrl_c_leaves_complete_files(config, tmp_path, capsys):
+    """In this process: another one would take seconds of CPU time to load PyTorch."""
+    root = tmp_path / "runs"
+    threading.Thread(target=signalled_while_it_trains, args=(os.getpid(), signal.SIGINT, root)).start()
+    code, _ = train(config, root, "--episodes", "100000")
+    assert code == 130
+    assert "--resume" in capsys.readouterr().err
+    goes_on_from_complete_files(root)
 
 
 @pytest.mark.parametrize(
@@ -159,13 +179,16 @@ def test_wrong_keys_are_named(text, words, config, tmp_path, capsys):
     ("options", "words"),
     [
         (["--algorithm", "madqn", "--config", "nowhere.toml"], "nowhere.toml: cannot be read"),
-        (["--algorithm", "madqn", "--seeds", "5-1"], "--seeds: 5-1: expected a range"),
-        (["--algorithm", "madqn", "--seed", "-1"], "--seed: -1: allowed"),
-        (["--algorithm", "madqn", "--seed", "99999999999"], "--seed: 99999999999: allowed 0 to 4294967295"),
-        (["--algorithm", "madqn", "--episodes", "0"], "--episodes: 0: allowed"),
-        (["--algorithm", "madqn", "--seeds", "1-2", "--jobs", "0"], "--jobs: 0: allowed"),
-        (["--resume", "nowhere"], "--resume: nowhere: not the folder of a training run"),
-        (["--resume", "nowhere", "--seed", "1"], "--seed: cannot go with --resume"),
+        (["--algorithm", "madqn", "--seeds", "5-1"], "--seeds: 5-1 is not allowed; allowed: a rising range"),
+        (["--algorithm", "madqn", "--seed", "-1"], "--seed: -1 is out of range; allowed"),
+        (
+            ["--algorithm", "madqn", "--seed", "99999999999"],
+            "--seed: 99999999999 is out of range; allowed: 0 to 4294967295",
+        ),
+        (["--algorithm", "madqn", "--episodes", "0"], "--episodes: 0 is out of range; allowed"),
+        (["--algorithm", "madqn", "--seeds", "1-2", "--jobs", "0"], "--jobs: 0 is out of range; allowed"),
+        (["--resume", "nowhere"], "--resume: nowhere: this is not the folder of a training run"),
+        (["--resume", "nowhere", "--seed", "1"], "--seed cannot be combined with --resume"),
         (["--algorithm", "madqn", "--out", "/proc/x"], "--out: /proc/x: cannot be written"),
     ],
 )
@@ -216,7 +239,7 @@ def test_metrics_that_are_none_are_named(config, tmp_path, capsys):
     _, (folder,) = train(config, tmp_path / "runs", "--episodes", "1")
     (folder / "metrics.csv").write_text("episode\nx\n")
     assert cli.main(["atmc", "train", "--resume", str(folder), "--episodes", "2"]) == 2
-    assert "metrics.csv: not the metrics of a run" in capsys.readouterr().err
+    assert "metrics.csv: this is not the metrics file of a run" in capsys.readouterr().err
 
 
 def test_a_device_that_is_not_there(monkeypatch):
@@ -244,7 +267,8 @@ def test_pytorch_missing_is_said_in_one_line(monkeypatch, capsys):
 
 
 def test_no_command_loads_pytorch_before_it_needs_it():
-    code = "import ground_tools.cli, sys; print('torch' in sys.modules)"
+    modules = ", ".join(module for _, module, _ in cli.COMMANDS)
+    code = f"import {modules}, sys; print('torch' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert found.stdout.strip() == "False"
 
@@ -283,7 +307,7 @@ def test_collected_runs(config, tmp_path, capsys):
         (lambda f: (f / "checkpoint.pt").write_bytes(b"torn"), "checkpoint.pt: cannot be read"),
         (
             lambda f: (f / "manifest.json").write_text('{"algorithm": "set-paper"}'),
-            "a run of set-paper; allowed are those of madqn",
+            "a run of set-paper; allowed: runs of madqn",
         ),
     ],
 )

@@ -48,16 +48,15 @@ def one_by_one(position, velocity, wish, neighbours=10, reach=REACH):
         for j in range(len(position)):
             p, v = position[j] - position[i], velocity[i] - velocity[j]
             if j != i and p[0] * p[0] + p[1] * p[1] + p[2] * p[2] <= reach * reach:
-                urgency = crowd._urgency(*p, *v, RADIUS, HORIZON)
+                urgency = crowd._urgency(k.Vector(*p), k.Vector(*v), RADIUS, HORIZON)
                 near.append((urgency, *position[j], *velocity[j], j))
         planes = np.zeros((neighbours, 4))
         near = sorted(near)[:neighbours]
-        for row, (*_, j) in zip(planes, near, strict=False):
+        for row, (*_, j) in enumerate(near):
             p, v = position[j] - position[i], velocity[i] - velocity[j]
-            nx, ny, nz, s = k.half_space(*p, *v, RADIUS, HORIZON, OVERLAP)
-            vx, vy, vz = velocity[i]
-            row[:] = nx, ny, nz, nx * vx + ny * vy + nz * vz + 0.5 * s
-        k.solve(planes, 0, len(near), SPEED, 0.0, wish[i], np.zeros_like(planes), new[i])
+            n, s = k.half_space(k.Vector(*p), k.Vector(*v), RADIUS, HORIZON, OVERLAP)
+            k.put_plane(planes, row, n, k.dot(n, k.Vector(*velocity[i])) + 0.5 * s)
+        _, new[i] = k.solve(planes, 0, len(near), SPEED, 0.0, k.Vector(*wish[i]), np.zeros_like(planes))
     return new
 
 
@@ -163,22 +162,25 @@ def test_urgency_is_the_time_to_conflict() -> None:
     meeting = 0
     for _ in range(2000):
         p, v = rng.normal(0.0, 5.0, 3), rng.normal(0.0, 3.0, 3)
-        urgency = crowd._urgency(*p, *v, RADIUS, HORIZON)
+        urgency = crowd._urgency(k.Vector(*p), k.Vector(*v), RADIUS, HORIZON)
         if np.linalg.norm(p) <= RADIUS:
             assert urgency <= 0.0
-        elif k.closest(*p, *v, HORIZON)[1] > RADIUS**2:
+        elif k.closest(k.Vector(*p), k.Vector(*v), HORIZON)[1] > RADIUS**2:
             assert urgency == pytest.approx(HORIZON + p @ p)
         else:
             low, high = 0.0, HORIZON
             for _ in range(60):
                 middle = 0.5 * (low + high)
-                low, high = (low, middle) if k.closest(*p, *v, middle)[1] <= RADIUS**2 else (middle, high)
+                low, high = (
+                    (low, middle)
+                    if k.closest(k.Vector(*p), k.Vector(*v), middle)[1] <= RADIUS**2
+                    else (middle, high)
+                )
             assert urgency == pytest.approx(high, abs=1e-6)
             meeting += 1
     assert meeting > 100
-    assert crowd._urgency(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, RADIUS, HORIZON) < crowd._urgency(
-        2.0, 0.0, 0.0, 9.0, 0.0, 0.0, RADIUS, HORIZON
-    )
+    near, far, still, fast = (k.Vector(n, 0.0, 0.0) for n in (1.0, 2.0, 0.0, 9.0))
+    assert crowd._urgency(near, still, RADIUS, HORIZON) < crowd._urgency(far, fast, RADIUS, HORIZON)
 
 
 def test_a_crowd_crosses_a_sphere_and_stays_apart() -> None:
@@ -223,10 +225,10 @@ def test_other_bad_input_is_refused() -> None:
     position[3, 0] = -1.6e7
     with pytest.raises(ValueError, match=r"aircraft 3: .*up to 1.5e\+07 m"):
         step(position, np.zeros((4, 3)), np.zeros((4, 3)))
-    with pytest.raises(ValueError, match=r"velocity has shape \(3, 3\); \(4, 3\) is allowed"):
+    with pytest.raises(ValueError, match=r"velocity has shape \(3, 3\); allowed: \(4, 3\)"):
         step(np.zeros((4, 3)), np.zeros((3, 3)), np.zeros((4, 3)))
     for reach in (0.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match=r"reach_m is .*; above 0 and finite is allowed"):
+        with pytest.raises(ValueError, match=r"reach_m is .*; allowed: finite and more than 0"):
             step(np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 3)), reach=reach)
 
 

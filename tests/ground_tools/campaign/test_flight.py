@@ -20,31 +20,24 @@ EXACT = World(sigma_m=0.0, sigma_mps=0.0, declared_m=0.0, quantised=False, delay
 DMUCA, ALONE = AvoidanceConfig(), AvoidanceConfig(law="none")
 
 
-OPEN = np.zeros((0, k.WALL_COLUMNS))
-
-
-def fly(times, points, world, avoidance=DMUCA, seed=1, function=flight.fly, steps=0, kinds=None):
+def fly(times, points, world, avoidance=DMUCA, seed=1, steps=0, kinds=None):
     paths = [Trajectory(t.tolist(), p.tolist()) for t, p in zip(times, points, strict=True)]
-    settings = np.array([settings_of(avoidance, LimitsConfig(), path) for path in paths])
     kinds = np.zeros(len(paths)) if kinds is None else np.array(kinds, float)
-    settings[kinds != vehicles.AVOIDS, k.S_LAW] = k.NONE
+    settings = [settings_of(avoidance, LimitsConfig(), path) for path in paths]
+    for i in np.flatnonzero(kinds != vehicles.AVOIDS):
+        settings[i] = settings[i]._replace(law=k.NONE)
     trace, result = np.zeros((steps, len(paths), 3)), np.zeros(outcome.FLIGHT_ENTRIES)
-    decided = np.zeros((0, len(paths), flight.DECIDED_COLUMNS))
-    seen = np.zeros((0, len(paths), len(paths), flight.SEEN_COLUMNS))
-    rng = np.random.default_rng(seed)
-    pairs = np.zeros((len(paths), len(paths), outcome.PAIR_ENTRIES))
-    function(
-        rng,
+    flight.fly(
+        np.random.default_rng(seed),
         world.row(avoidance.period_s),
         times,
         points,
-        OPEN,
-        settings,
+        k.NO_WALLS,
+        np.array(settings),
         kinds,
         trace,
-        decided,
-        seen,
-        pairs,
+        flight.new_log(len(paths)),
+        np.zeros((len(paths), len(paths), outcome.PAIR_ENTRIES)),
         result,
     )
     return result, trace
@@ -59,7 +52,7 @@ def straight(*ways):
 # ---------------------------------------------------------------- the law
 
 
-class Heart:
+class Core:
     """Flies every decision of a flight again by `Law`, from situations and neighbours."""
 
     def __init__(self, times, points, avoidance):
@@ -71,58 +64,53 @@ class Heart:
         self.decisions = 0
         self.ages = []
         self._of = {}
-        self._inside = False
 
-    def __call__(self, neighbours, count, own, path_times, path_points, fence, settings, state, *others):
-        out = others[-1]
-        self.decide(neighbours, count, own, path_times, path_points, fence, settings, state, *others)
-        if self._inside:
-            return
-        law = self.laws[self._of.setdefault(state.__array_interface__["data"][0], len(self._of))]
+    def __call__(self, neighbours, count, own, path, *others):
+        decision = self.decide(neighbours, count, own, path, *others)
+        law = self.laws[self._of.setdefault(path.times_s.__array_interface__["data"][0], len(self._of))]
         heard = [
             Neighbour(
                 f"uas-{i}",
-                tuple(row[:3].tolist()),
-                tuple(row[3:6].tolist()),
-                row[k.N_AGE],
-                row[k.N_SIGMA],
-                row[k.N_SIGMA_VELOCITY],
-                row[k.N_GROWTH],
-                row[k.N_SILENT] == 1.0,
-                row[k.N_SHARE],
-                row[k.N_VERTICAL] == 1.0,
-                row[k.N_CREWED] == 1.0,
+                (other.n, other.e, other.d),
+                (other.vn, other.ve, other.vd),
+                other.age_s,
+                other.sigma_m,
+                other.sigma_mps,
+                other.growth_mps,
+                other.silent == 1.0,
+                other.share,
+                other.vertical_known == 1.0,
+                other.crewed == 1.0,
             )
-            for i, row in enumerate(neighbours[:count])
+            for i, other in enumerate(k.Other(*row) for row in neighbours[:count].tolist())
         ]
-        place, velocity = tuple(own[:3].tolist()), tuple(own[3:6].tolist())
-        view = Situation(own[k.O_NOW], own[k.O_PATH_TIME], place, velocity, own[k.O_SIGMA], heard)
-        self._inside = True
+        view = Situation(own.now_s, own.path_time_s, own.position, own.velocity, own.sigma_m, heard)
         result = law.decide(view)
-        self._inside = False
-        assert result.chosen_ned_mps == tuple(out[:3].tolist())
-        assert result.wanted_ned_mps == tuple(out[3:6].tolist())
-        assert (result.feasible, result.conflict) == (out[k.R_FEASIBLE] == 1.0, out[k.R_CONFLICT] == 1.0)
+        assert result.chosen_ned_mps == decision.chosen
+        assert result.wanted_ned_mps == decision.wanted
+        assert (result.feasible, result.conflict) == (decision.feasible, decision.conflict)
         self.decisions += 1
-        self.ages += neighbours[:count, k.N_AGE].tolist()
+        self.ages += [other.age_s for other in heard]
+        return decision
 
 
 @pytest.mark.parametrize("law", ["dmuca", "paper"])
-def test_every_command_is_the_one_that_the_heart_gives(law, monkeypatch):
+def test_every_command_is_the_one_that_the_core_gives(law, monkeypatch):
     """Bit for bit; and the compiled flight is the one that is looked into."""
     avoidance = AvoidanceConfig(law=law)
     times, points = draw("crossing", 3, 5.0, 4)
     world = World(start_s=MEETING_S - 40.0, end_s=MEETING_S + 20.0, delay_s=(1.0, 2.0))
     compiled, _ = fly(times, points, world, avoidance)
-    heart = Heart(times, points, avoidance)
-    monkeypatch.setattr(k, "decide", heart)
-    result, _ = fly(times, points, world, avoidance, function=flight.fly.py_func)
-    assert heart.decisions == 3 * 300
+    core = Core(times, points, avoidance)
+    monkeypatch.setattr(k, "decide", core)
+    monkeypatch.setattr(flight, "_fly", flight._fly.py_func)
+    result, _ = fly(times, points, world, avoidance)
+    assert core.decisions == 3 * 300
     assert result[outcome.F_MANOEUVRES] > 0.0
     assert result == pytest.approx(compiled, rel=1e-9)
     # A second between messages, one to two on the way, and up to 0.2 s until the next decision.
-    assert 1.0 <= min(heart.ages) < 1.2
-    assert 2.5 < max(heart.ages) <= 3.2
+    assert 1.0 <= min(core.ages) < 1.2
+    assert 2.5 < max(core.ages) <= 3.2
 
 
 # ---------------------------------------------------------------- vehicles and air
@@ -214,11 +202,11 @@ def test_generators(name):
 
 
 def test_what_cannot_be_drawn_is_said():
-    with pytest.raises(ValueError, match="allowed are S1, S2, S3, head-on"):
+    with pytest.raises(ValueError, match="allowed: S1, S2, S3, head-on"):
         draw("spiral", 4, 5.0, 1)
     with pytest.raises(ValueError, match="at least 2"):
         draw("wall", 1, 5.0, 1)
-    with pytest.raises(ValueError, match="do not fit 40 m apart"):
+    with pytest.raises(ValueError, match="at least 40 m apart"):
         draw("circle", 60, 1.0, 1)
 
 
@@ -259,18 +247,19 @@ def test_wind_shakes_clocks_age_and_velocities_err(monkeypatch):
     decide = k.decide
 
     def spy(neighbours, count, own, *others):
-        heard.append((own[k.O_VELOCITY], *neighbours[:count, k.N_AGE].tolist()))
-        decide(neighbours, count, own, *others)
+        heard.append((own.velocity.n, *k.Other(*neighbours[:count].T).age_s.tolist()))
+        return decide(neighbours, count, own, *others)
 
     monkeypatch.setattr(k, "decide", spy)
-    fly(*HEAD_ON, replace(SHORT, end_s=20.0, clock_s=0.5), function=flight.fly.py_func, seed=3)
+    monkeypatch.setattr(flight, "_fly", flight._fly.py_func)
+    fly(*HEAD_ON, replace(SHORT, end_s=20.0, clock_s=0.5), seed=3)
     ages = np.array([h[1] for h in heard if len(h) > 1])
     assert ages.min() == 0.0  # a clock that leads: never from the future
     assert ages.max() > 0.9
     own = np.array([h[0] for h in heard])
     heard.clear()
     world = replace(SHORT, end_s=20.0, clock_s=0.5, own_sigma_mps=0.3)
-    fly(*HEAD_ON, world, function=flight.fly.py_func, seed=3)
+    fly(*HEAD_ON, world, seed=3)
     assert np.abs(np.array([h[0] for h in heard])[:2] - own[:2]).max() > 0.02
 
 

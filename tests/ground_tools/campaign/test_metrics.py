@@ -10,7 +10,7 @@ import pytest
 
 from companion.avoidance import kernels as k
 from ground_tools.campaign import cells as campaign
-from ground_tools.campaign import flight, vehicles
+from ground_tools.campaign import vehicles
 from ground_tools.campaign.cells import Cell, Row
 
 AVOIDED = Cell(generator="crossing", aircraft=5, delay_s=(1.0, 2.0), intruders=0.2, intruder="liar")
@@ -27,8 +27,7 @@ def least_distance(trace, i, j):
 
 def recovery(look, i):
     """None: not back at the end."""
-    own, out = look.decided[:, i, : k.OWN_ENTRIES], look.decided[:, i, k.OWN_ENTRIES :]
-    conflicts = own[out[:, k.R_CONFLICT] != 0.0, k.O_NOW]
+    conflicts = look.log.time_s[look.log.conflict[:, i] != 0.0, i]
     if not len(conflicts):
         return 0.0
     begins = look.world.start_s + look.world.step_s * np.arange(len(look.trace))
@@ -50,7 +49,7 @@ def test_pairs_and_recovery_are_those_of_the_flight(cell):
         pairs = [(j, i) for i in range(cell.aircraft) for j in range(i)]
         assert pairs[:4] == [(0, 1), (0, 2), (1, 2), (0, 3)][: len(pairs)]
         near = tuple(n for n, pair in enumerate(pairs) if least_distance(trace, *pair) < 10.0)
-        conflict = look.seen[:, :, :, flight.SEEN_VIEW + k.V_CONFLICT] == 1.0
+        conflict = look.log.views[:, :, :, k.Seen._fields.index("conflict")] == 1.0
         conflict[:, look.kinds != vehicles.AVOIDS] = False
         ever = conflict.any(axis=0)
         assert look.row.lost == near

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -54,28 +53,25 @@ def test_the_record_shows_what_the_law_decides(look, run):
     for i in (1, 2):
         law = Law(look.avoidance, look.limits[i], Trajectory(look.times[i].tolist(), look.points[i].tolist()))
         steps = list(run.aircraft[i].steps())
-        assert len(steps) == len(look.decided) == 1200
-        for step, own, seen in zip(steps, look.decided[:, i].tolist(), look.seen[:, i], strict=True):
-            heard = [
-                Neighbour(
-                    NAMES[j],
-                    tuple(row[1:4]),
-                    tuple(row[4:7]),
-                    row[1 + k.N_AGE],
-                    row[1 + k.N_SIGMA],
-                    row[1 + k.N_SIGMA_VELOCITY],
-                    row[1 + k.N_GROWTH],
-                    row[1 + k.N_SILENT] == 1.0,
-                )
-                for j, row in enumerate(seen.tolist())
-                if j != i and not math.isnan(row[0])
-            ]
+        assert len(steps) == len(look.log.time_s) == 1200
+        for d, step in enumerate(steps):
+            own = flight.Log(*(array[d, i] for array in look.log))
+            heard = []
+            for j in np.flatnonzero(np.isfinite(own.message_s)).tolist():
+                other = k.Other(*own.others[j].tolist())
+                place, velocity = (other.n, other.e, other.d), (other.vn, other.ve, other.vd)
+                errors = other.sigma_m, other.sigma_mps, other.growth_mps
+                if j != i:
+                    heard.append(
+                        Neighbour(NAMES[j], place, velocity, other.age_s, *errors, other.silent == 1.0)
+                    )
+            now, world = float(own.time_s), look.world
             view = Situation(
-                own[k.O_NOW], own[k.O_PATH_TIME], tuple(own[:3]), tuple(own[3:6]), own[k.O_SIGMA], heard,
-                own[k.O_FLOOR], own[k.O_CEILING],
+                now, now, tuple(own.position.tolist()), tuple(own.velocity.tolist()), world.declared_m, heard,
+                -world.floor_m, -world.ceiling_m,
             )  # fmt: skip
             result = law.decide(view)
-            assert step.now_s == own[k.O_NOW]
+            assert step.now_s == now
             assert step.commands[-1] == VelocitySetpoint(velocity_ned_mps=result.chosen_ned_mps)
             for decision in (c for c in step.commands if isinstance(c, Decision)):
                 logged += 1
@@ -124,7 +120,7 @@ def test_separation_and_messages_are_those_of_the_flight(look, run):
 def test_what_is_heard_is_where_it_was_sent(look, run):
     """Of a message: half a quantum of height, and GNSS's error, from the sender's true place."""
     record = run.aircraft[1]
-    new = look.seen[:, 1, 2, flight.SEEN_MESSAGE]
+    new = look.log.message_s[:, 1, 2]
     times = np.unique(new[np.isfinite(new)])
     truth = run.aircraft[2].truth
     at = np.column_stack([np.interp(times, truth[:, 0] - truth[0, 0], axis) for axis in truth[:, 1:].T])
@@ -138,7 +134,7 @@ def test_what_is_heard_is_where_it_was_sent(look, run):
 
 def test_the_worst_are_flown_again_into_folders_that_open(tmp_path, capsys):
     command = ["campaign", "run", "--generator", "crossing", "--aircraft", "3", "--seeds", "1-6",
-               "--intruders", "0.34", "--intruder", "turning", "--json",
+               "--intruders", "0.34", "--intruder", "turning", "--json", "--processes", "1",
                "--worst", "2", "--runs", str(tmp_path)]  # fmt: skip
     assert cli.main(command) == 0
     found = json.loads(capsys.readouterr().out)
@@ -159,11 +155,11 @@ def test_the_worst_are_flown_again_into_folders_that_open(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--worst", "-1"], "--worst: -1: allowed 0 to 1000"),
-        (["--worst", "1", "--aircraft", "60"], "--worst: goes with up to 50 aircraft"),
+        (["--worst", "-1"], "--worst: -1 is out of range; allowed: 0 to 1000"),
+        (["--worst", "1", "--aircraft", "60"], "60 aircraft is too large; allowed: up to 50"),
         (["--worst", "1", "--runs", "/dev/null/here", "--seeds", "1-1"], "--runs: /dev/null/here"),
     ],
 )
 def test_what_is_wrong_is_named(options, words, capsys):
-    assert cli.main(["campaign", "run", "--generator", "S2", *options]) == 2
+    assert cli.main(["campaign", "run", "--generator", "S2", "--processes", "1", *options]) == 2
     assert words in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Flights with two of one identity: the compiled flight's world, the heart's own tracks."""
+"""Flights with two of one identity: the compiled flight's world, the core's own tracks."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def test_its_rows_hang_on_the_tracks_code(tmp_path):
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        (["--worst", "1"], "--worst: goes without"),
-        (["--world", "blackout"], "--world: blackout: goes without"),
+        (["--worst", "1"], "--worst cannot be combined with"),
+        (["--world", "blackout"], "--world blackout cannot be combined with"),
     ],
 )
 def test_what_a_twins_flight_cannot_do(option, message, capsys):

@@ -83,34 +83,37 @@ def test_a_parameter_file_sets_sigma_and_rates(tmp_path):
     assert settings.sigmas_db == (2.0,)
     assert parsed("--parameters", str(path), "--sigma", "0").sigmas_db == (0.0,)
     assert parsed("--parameters", str(path), "--modes", "ble5", "--rates", "12").rates == {"ble5": (12,)}
-    with pytest.raises(ConfigError, match=r"--rates: 4: ble4: rate 4: allowed 1 to 3"):
+    with pytest.raises(ConfigError, match=r"--rates: 4: ble4: rate 4 is out of range; allowed: 1 to 3"):
         parsed("--parameters", str(path), "--rates", "4")
 
 
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (["--rates", "0"], "--rates: 0: ble4: rate 0: allowed 1 to 10"),
-        (["--rates", "11"], "--rates: 11: ble4: rate 11: allowed 1 to 10"),
-        (["--rates", "5-999999999"], "allowed 1 to 10"),
-        (["--rates", "5-2"], "ends before it begins"),
-        (["--rates", "nine"], "--rates: nine: expected whole numbers"),
-        (["--rates", "1.5"], "--rates: 1.5: expected whole numbers"),
-        (["--sides", "-5"], "--sides: -5: allowed: numbers more than 0 and up to 1,000,000"),
-        (["--sides", "0"], "--sides: 0: allowed"),
-        (["--sides", "nan"], "--sides: nan: allowed"),
-        (["--sides", "inf"], "--sides: inf: allowed"),
-        (["--sides", "wide"], "--sides: wide: allowed"),
-        (["--sides", "1,,2"], "an item is empty"),
-        (["--sides", ""], "an item is empty"),
-        (["--sigma", "-1"], "--sigma: -1: allowed: numbers 0 to 30"),
-        (["--sigma", "31"], "--sigma: 31: allowed: numbers 0 to 30"),
-        (["--modes", "lora"], "--modes: lora: allowed: ble4, ble5, wifi"),
-        (["--samples", "1"], "--samples: 1: allowed 2 to 100000"),
-        (["--samples", "100001"], "--samples: 100001: allowed"),
-        (["--seed", "-1"], "--seed: -1: allowed 0 to 4294967295"),
-        (["--uavs", "1"], "--uavs: 1: allowed 2 to 1000"),
-        (["--uavs", "1001"], "--uavs: 1001: allowed"),
+        (["--rates", "0"], "--rates: 0: ble4: rate 0 is out of range; allowed: 1 to 10"),
+        (["--rates", "11"], "--rates: 11: ble4: rate 11 is out of range; allowed: 1 to 10"),
+        (["--rates", "5-999999999"], "allowed: 1 to 10"),
+        (["--rates", "5-2"], "--rates: 5-2: the range must rise"),
+        (["--rates", "nine"], "--rates: nine is not allowed; allowed: whole numbers"),
+        (["--rates", "1.5"], "--rates: 1.5 is not allowed; allowed: whole numbers"),
+        (
+            ["--sides", "-5"],
+            "--sides: -5 is not allowed; allowed: numbers, more than 0 and at most 1,000,000",
+        ),
+        (["--sides", "0"], "--sides: 0 is not allowed"),
+        (["--sides", "nan"], "--sides: nan is not allowed"),
+        (["--sides", "inf"], "--sides: inf is not allowed"),
+        (["--sides", "wide"], "--sides: wide is not allowed"),
+        (["--sides", "1,,2"], "an item of the list is empty"),
+        (["--sides", ""], "an item of the list is empty"),
+        (["--sigma", "-1"], "--sigma: -1 is not allowed; allowed: numbers, 0 to 30"),
+        (["--sigma", "31"], "--sigma: 31 is not allowed; allowed: numbers, 0 to 30"),
+        (["--modes", "lora"], "--modes: lora is unknown; allowed: ble4, ble5, wifi"),
+        (["--samples", "1"], "--samples: 1 is out of range; allowed: 2 to 100000"),
+        (["--samples", "100001"], "--samples: 100001 is out of range"),
+        (["--seed", "-1"], "--seed: -1 is out of range; allowed: 0 to 4294967295"),
+        (["--uavs", "1"], "--uavs: 1 is out of range; allowed: 2 to 1000"),
+        (["--uavs", "1001"], "--uavs: 1001 is out of range"),
         (["--parameters", "/nowhere/p.toml"], "/nowhere/p.toml: cannot be read"),
     ],
 )
@@ -209,12 +212,15 @@ def test_plot_where_nobody_is_in_range(tmp_path):
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (["--sigma", "0", "1"], "--sigma: 2 values: a picture shows one"),
-        (["--sides", *map(str, range(1, 14))], "--sides: 13 values: a picture shows up to 12"),
-        (["--out", "{}/p"], "/p: cannot be written: expected a file name that ends in .png"),
-        (["--out", "{}"], ": cannot be written: expected a file name that ends in .png"),
-        (["--out", "{}/p.jpgg"], "/p.jpgg: cannot be written: expected a file name that ends in .png"),
-        (["--out", "{}/none/p.png"], "/none/p.png: cannot be written: there is no folder "),
+        (["--sigma", "0", "1"], "--sigma: 2 values are too many; allowed in a picture: 1"),
+        (
+            ["--sides", *map(str, range(1, 14))],
+            "--sides: 13 values are too many; allowed in a picture: up to 12",
+        ),
+        (["--out", "{}/p"], "/p: cannot be written: the file name must end in .png"),
+        (["--out", "{}"], ": cannot be written: the file name must end in .png"),
+        (["--out", "{}/p.jpgg"], "/p.jpgg: cannot be written: the file name must end in .png"),
+        (["--out", "{}/none/p.png"], "/none/p.png: cannot be written: the folder "),
         (["--out", "{}/folder.png"], "/folder.png: cannot be written: it is a folder"),
     ],
 )

@@ -128,9 +128,9 @@ def test_what_cannot_be_done_is_said_before_the_simulation(monkeypatch, capsys, 
     for words, what in (
         (
             ["--parameters", str(slow)],
-            f"--parameters: {slow}: ble5.max_rate: 7: this comparison needs 10",
+            f"--parameters: {slow}: ble5.max_rate: 7 is too low; allowed in this comparison: 10",
         ),
-        (["--out", str(tmp_path / "file")], f"--out: {tmp_path / 'file'}: cannot be made"),
+        (["--out", str(tmp_path / "file")], f"--out: {tmp_path / 'file'}: the folder cannot be created"),
         (["--out", str(taken)], "compare.png: cannot be written: it is a folder"),
     ):
         assert main(["channel", "compare", *words]) == 2

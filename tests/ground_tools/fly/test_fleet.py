@@ -66,16 +66,16 @@ ARDUPILOT, PX4 = Firmware.ARDUPILOT, Firmware.PX4
 @pytest.mark.parametrize(
     ("firmware", "mode", "ours", "told", "words"),
     [
-        (ARDUPILOT, "AUTO", {"AUTO"}, [FlightMode.HOLD], "holds at 20.0 m, in BRAKE"),
-        (ARDUPILOT, "GUIDED", {"GUIDED"}, [FlightMode.HOLD], "holds at 20.0 m, in BRAKE"),
-        (ARDUPILOT, "GUIDED", {"AUTO"}, [], "in somebody else's hands, at 20.0 m: left in GUIDED"),
-        (ARDUPILOT, "LOITER", {"AUTO"}, [], "in somebody else's hands, at 20.0 m: left in LOITER"),
-        (ARDUPILOT, "LAND", {"LAND"}, [], "comes down, at 20.0 m: left in LAND"),
-        (ARDUPILOT, "AUTO", set(), [], "not commanded anything"),
-        (PX4, "AUTO.MISSION", {"AUTO.MISSION"}, [FlightMode.HOLD], "holds at 20.0 m, in AUTO.LOITER"),
-        (PX4, "AUTO.LOITER", {"AUTO.MISSION"}, [], "holds at 20.0 m, in AUTO.LOITER"),
-        (PX4, "OFFBOARD", {"AUTO.MISSION"}, [], "in somebody else's hands, at 20.0 m: left in OFFBOARD"),
-        (PX4, "AUTO.RTL", {"AUTO.MISSION"}, [], "comes down, at 20.0 m: left in AUTO.RTL"),
+        (ARDUPILOT, "AUTO", {"AUTO"}, [FlightMode.HOLD], "holds at 20.0 m in BRAKE"),
+        (ARDUPILOT, "GUIDED", {"GUIDED"}, [FlightMode.HOLD], "holds at 20.0 m in BRAKE"),
+        (ARDUPILOT, "GUIDED", {"AUTO"}, [], "flown by somebody else at 20.0 m and was left in GUIDED"),
+        (ARDUPILOT, "LOITER", {"AUTO"}, [], "flown by somebody else at 20.0 m and was left in LOITER"),
+        (ARDUPILOT, "LAND", {"LAND"}, [], "descends at 20.0 m and was left in LAND"),
+        (ARDUPILOT, "AUTO", set(), [], "got no command"),
+        (PX4, "AUTO.MISSION", {"AUTO.MISSION"}, [FlightMode.HOLD], "holds at 20.0 m in AUTO.LOITER"),
+        (PX4, "AUTO.LOITER", {"AUTO.MISSION"}, [], "holds at 20.0 m in AUTO.LOITER"),
+        (PX4, "OFFBOARD", {"AUTO.MISSION"}, [], "flown by somebody else at 20.0 m and was left in OFFBOARD"),
+        (PX4, "AUTO.RTL", {"AUTO.MISSION"}, [], "descends at 20.0 m and was left in AUTO.RTL"),
     ],
 )
 def test_broken_off_in_the_air(firmware, mode, ours, told, words):
@@ -89,7 +89,7 @@ def test_broken_off_in_the_air(firmware, mode, ours, told, words):
 def test_broken_off_on_the_ground():
     vehicle = Made(ARDUPILOT, "GUIDED", on_ground=True)
     vehicle.ours = vehicle.modes.climbing
-    assert fleet_of(vehicle).make_safe() == {"vehicle 1": "is on the ground: disarmed"}
+    assert fleet_of(vehicle).make_safe() == {"vehicle 1": "is on the ground and was disarmed"}
     # Without the 21196 in param 2 that would force it.
     assert vehicle.told == [(ARM_DISARM, 0.0)]
 
@@ -207,7 +207,7 @@ def test_a_companion_may_fly_a_conflict_out():
     with pytest.raises(TimeoutError):
         waiting(vehicle, WAYPOINT, seq=1)
     vehicle.mode = "STABILIZE"
-    assert "is in STABILIZE, not AUTO or GUIDED, by a pilot or a failsafe" in (
+    assert "is in STABILIZE, not AUTO or GUIDED; a pilot or a failsafe changed the mode" in (
         waiting(vehicle, WAYPOINT, seq=1) or ""
     )
 

@@ -14,9 +14,10 @@ from companion.events import MissionItem
 from companion.geometry import LocalFrame
 from ground_tools.fly import missions
 from sitl_mocks.encounters.scenario_file import PathSettings, Scenario, load
+from tests.support.place import HOME
 
 ROOT = Path(__file__).parents[3]
-ORIGIN = (47.397, 8.545, 400.0)
+ORIGIN = (HOME.lat_deg, HOME.lon_deg, HOME.alt_m)
 
 
 def simple(
@@ -57,12 +58,12 @@ def test_a_wpl_file_becomes_items_without_home(tmp_path):
 @pytest.mark.parametrize(
     ("item", "words"),
     [
-        ({"type": "ComplexItem", "complexItemType": "survey"}, "item 2: 'survey' is not understood"),
-        (simple(frame=1), "item 2: command 16: MAV_FRAME 1; allowed are 2 and 0, 3, 5, 6, 10, 11"),
+        ({"type": "ComplexItem", "complexItemType": "survey"}, "item 2: 'survey' is not supported"),
+        (simple(frame=1), "item 2: command 16: MAV_FRAME 1; allowed: 2, 0, 3, 5, 6, 10, 11"),
         (simple(params=[0, 0, 0, 0, None, 8.5, 30]), "item 2: command 16: latitude, longitude or altitude"),
-        (simple(params=[0, 0, 0, 0, 0, 0, 30]), "item 2: command 16: 0, 0 stands for the current position"),
+        (simple(params=[0, 0, 0, 0, 0, 0, 30]), "item 2: command 16: latitude 0, longitude 0 means"),
         (simple(params=[0, 0, 0, 0, 97, 8.5, 30]), "item 2: command 16: latitude 97"),
-        (simple(frame=2), "item 2: command 16: a place in MAV_FRAME 2"),
+        (simple(frame=2), "item 2: command 16: MAV_FRAME 2 has no position"),
         (simple(177, 2, [1, 3, 0, 0, 0, 0, 0]), "item 2: command 177: DO_JUMP"),
         (simple(params=[0, 0, 0]), "item 2: Expected `array` of length 7"),
         ({"type": "SimpleItem", "command": 16}, "item 2: Object missing required field `frame`"),
@@ -94,9 +95,9 @@ def test_a_plan_with_more_than_a_mission_is_refused(tmp_path, parts, words):
     ("rows", "words"),
     [
         ("QGC WPL 120\n", "line 1: 'QGC WPL 120'"),
-        ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n1 0 3 16 0 0 0 0 47 8 x 1\n", "line 3: not a number"),
-        ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n2 0 3 16 0 0 0 0 47 8 30 1\n", "line 3: index 2; "),
-        ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n1 0 3\n", "line 3: 3 fields; allowed is 12"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n1 0 3 16 0 0 0 0 47 8 x 1\n", "line 3: a field is not"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n2 0 3 16 0 0 0 0 47 8 30 1\n", "line 3: index 2 is"),
+        ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n1 0 3\n", "line 3: it has 3 fields; allowed: 12"),
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n1 0 3 16 0 0 0 inf 47 8 30 1\n", "item 1: .* not finite"),
         ("QGC WPL 110\n0 1 0 16 0 0 0 0 47 8 400 1\n", "no item"),
     ],
@@ -110,7 +111,7 @@ def test_a_wpl_row_that_is_not_understood_is_named(tmp_path, rows, words):
 
 def test_what_is_no_text_or_not_there(tmp_path):
     (tmp_path / "m").write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match="byte 0 is no UTF-8"):
+    with pytest.raises(ConfigError, match="byte 0 is not UTF-8"):
         missions.load(tmp_path / "m")
     with pytest.raises(ConfigError, match="cannot be read"):
         missions.load(tmp_path / "nothing")
@@ -179,4 +180,4 @@ def test_speeds_and_counts_are_compared():
     fast = msgspec.structs.replace(slow, params=(1.0, 3.5, -1.0, 0.0), frame=0)
     assert missions.difference([slow], [msgspec.structs.replace(slow, frame=0)]) is None
     assert missions.difference([slow], [fast]) is not None
-    assert "2 items were sent, 1 came back" in missions.difference([slow, slow], [slow])
+    assert "2 items were sent, but 1 came back" in missions.difference([slow, slow], [slow])

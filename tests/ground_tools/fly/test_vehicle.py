@@ -47,6 +47,6 @@ def test_arming_without_an_answer_may_have_armed_it(vehicle, monkeypatch):
 
 def test_an_arming_that_was_refused_has_not_armed_it(vehicle, monkeypatch):
     monkeypatch.setattr(vehicle, "_acknowledged", lambda *_: 2)
-    with pytest.raises(VehicleError, match="COMPONENT_ARM_DISARM refused"):
+    with pytest.raises(VehicleError, match="COMPONENT_ARM_DISARM was refused"):
         vehicle.arm()
     assert not vehicle.armed_by_us

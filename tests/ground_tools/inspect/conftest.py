@@ -33,8 +33,8 @@ from companion.events import (
 )
 from companion.geometry import LocalFrame, Vec3
 from companion.remote_id.messages import Location
+from tests.support.place import HOME
 
-HOME = LocalFrame(47.397, 8.545, 400.0)
 UTC_S = 1_767_225_590.0
 Motion = Callable[[float], Vec3]
 

@@ -1,4 +1,4 @@
-"""Records of real hearts: guarded missions that meet. Parts of records that a test makes itself."""
+"""Records of real cores: guarded missions that meet. Parts of records that a test makes itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from companion.event_record import Header, Step
 from companion.events import AnyCommand, AnyEvent, Decision, Firmware, GlobalPosition, TrackView
 from companion.geometry import Vec3
 from ground_tools.inspect.read.read_run import AircraftRecord, read_run
-from tests.sitl_mocks.guarding import head_on
+from tests.sitl_mocks.onboard.guarding import head_on
+from tests.support.place import HOME
 
 
 @functools.cache
@@ -64,7 +65,7 @@ def decision(
 ) -> Decision:
     """Of one that flies north at 5 m/s, 50 m above the origin."""
     values: dict[str, Any] = {
-        "origin": (47.397, 8.545, 400.0),
+        "origin": (HOME.lat_deg, HOME.lon_deg, HOME.alt_m),
         "position_ned_m": (0.0, 0.0, -50.0),
         "velocity_ned_mps": (5.0, 0.0, 0.0),
         "feasible": True,
@@ -76,8 +77,8 @@ def step(now_s: float, *commands: AnyCommand, events: tuple[AnyEvent, ...] = ())
     """One with a position, so that the record can be drawn."""
     place = GlobalPosition(
         time_boot_s=now_s,
-        lat_deg=47.397 + 4.5e-5 * now_s,
-        lon_deg=8.545,
+        lat_deg=HOME.lat_deg + 4.5e-5 * now_s,
+        lon_deg=HOME.lon_deg,
         alt_msl_m=450.0,
         height_above_home_m=50.0,
         velocity_ned_mps=(5.0, 0.0, 0.0),

@@ -78,7 +78,7 @@ def test_an_air_that_cannot_be_read_is_a_problem_and_no_more(
     assert inspect(run_folder, "--json") == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["air"] == []
-    assert "summary.json: air: not as a run writes it" in figures["problems"]
+    assert "summary.json: air: the format is not that of a run" in figures["problems"]
 
 
 def test_json_is_one_object_a_line(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,7 +122,7 @@ def test_the_title_says_how_it_went(run_folder: Path) -> None:
     before = separations(flown(read_run(run_folder / "unavoided")).paths)
     words = picture.lateness(run)
     assert picture.title(avoided, pairs, before, words) == (
-        "2 aircraft, Remote ID 0.5 to 2 s late: closest 14.1 m with avoidance, 1.4 m without"
+        "2 aircraft, Remote ID delayed by 0.5 to 2 s: closest 14.1 m with avoidance, 1.4 m without"
     )
     assert picture.title(avoided, pairs, [], "") == "2 aircraft: closest 14.1 m with avoidance"
 
@@ -140,7 +140,7 @@ def test_the_picture_says_whose_positions_it_draws(
     made.write_truth(run_folder, "DMUCA001", made.northbound)
     made.write_truth(run_folder, "DMUCA002", made.eastbound(20.0))
     draw(run_folder, "--out", tmp_path / "p.png")
-    assert "distances by true positions and own GNSS positions" in capsys.readouterr().out
+    assert "distances from true positions and own GNSS positions" in capsys.readouterr().out
 
 
 def test_one_aircraft_makes_no_picture(run_folder: Path, tmp_path: Path) -> None:

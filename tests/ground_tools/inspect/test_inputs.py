@@ -57,7 +57,7 @@ def test_an_aircraft_without_a_readable_event_record_is_shown_by_its_tlog(
     write_tlog(run_folder / "DMUCA002.tlog", made, made.eastbound(20.0))
     run = read_run(run_folder)
     assert [(one.name, one.tlog) for one in run.aircraft] == [("DMUCA001", False), ("DMUCA002", True)]
-    assert any("shown by its telemetry log" in problem for problem in run.problems)
+    assert any("the telemetry log is shown instead" in problem for problem in run.problems)
     closest = separations(flown(run).paths)[0]
     assert closest.minimum_m == pytest.approx(20.0 / 2**0.5, abs=0.03)
 
@@ -125,11 +125,11 @@ def test_a_run_that_is_given_twice_is_one(run_folder: Path, tmp_path: Path, made
     link.symlink_to(run_folder)
     run = together([read_run(run_folder), read_run(link)])
     assert [one.name for one in run.aircraft] == ["DMUCA001", "DMUCA002"]
-    assert run.problems == (f"{link}: given more than once: shown once",)
+    assert run.problems == (f"{link}: the run is given more than once and shown once",)
     other = write_tlog(tmp_path / "other.tlog", made, made.eastbound(20.0))
     run = together([read_run(run_folder), read_run(link), read_run(other)])
     assert len(run.aircraft) == 3
-    assert f"{link}: given more than once: shown once" in run.problems
+    assert f"{link}: the run is given more than once and shown once" in run.problems
 
 
 def test_one_aircraft_in_two_files_is_said(run_folder: Path, tmp_path: Path, made: SimpleNamespace) -> None:
@@ -156,12 +156,12 @@ def test_inputs_without_a_time_in_common_are_said(
     path = write_tlog(tmp_path / "later.tlog", made, motion)
     made.utc_s -= 3600.0
     run = together([read_run(run_folder), read_run(path), read_run(tmp_path / "nowhere")])
-    assert [p for p in run.problems if "no time in common" in p] == [
-        "20260101T000000Z-demo: no time in common with the others "
-        "(2025-12-31 23:59:50Z to 2026-01-01 00:00:50Z)",
-        "later: no time in common with the others (2026-01-01 00:59:50Z to 2026-01-01 01:00:50Z)",
+    assert [p for p in run.problems if "does not overlap" in p] == [
+        "20260101T000000Z-demo: the run (2025-12-31 23:59:50Z to 2026-01-01 00:00:50Z) does not overlap with "
+        "the others",
+        "later: the run (2026-01-01 00:59:50Z to 2026-01-01 01:00:50Z) does not overlap with the others",
     ]
-    assert "nowhere: nobody in it knows UTC: it cannot be laid beside the others" in run.problems
+    assert "nowhere: the run is left out because none of its aircraft knows UTC" in run.problems
     assert [one.name for one in run.aircraft] == ["DMUCA001", "DMUCA002", "later"]
 
 
@@ -201,8 +201,8 @@ def test_of_several_inputs_the_good_ones_are_shown(
     assert inspect(run_folder, bad, tmp_path / "none", "--json") == 2
     out, err = capsys.readouterr()
     assert len(json.loads(out)["aircraft"]) == 2
-    assert [line.split(":")[0] for line in err.splitlines()] == ["left out", "left out"]
-    with pytest.raises(ConfigError, match="none of these can be read"):
+    assert [line.split(":")[0] for line in err.splitlines()] == ["skipped", "skipped"]
+    with pytest.raises(ConfigError, match="none of the RUNs can be read"):
         inspect(bad, tmp_path / "none", "--json")
 
 
@@ -216,7 +216,7 @@ def unreadable(folder: Path, kind: str) -> tuple[Path, str]:
         case "folder with a fifo":
             path.mkdir()
             os.mkfifo(path / "a.events")
-            return path, r"a\.events: not a regular file"
+            return path, r"a\.events: this is not a regular file"
         case "link to itself":
             path.symlink_to(path)
             return path, "x: cannot be read: Too many levels"
@@ -230,13 +230,13 @@ def unreadable(folder: Path, kind: str) -> tuple[Path, str]:
             return folder / ("x" * 300), "cannot be read: File name too long"
         case "empty folder":
             path.mkdir()
-            return path, "no event record"
+            return path, "the folder has no event record"
         case "empty file":
             path.write_bytes(b"")
             return path, "it is empty"
         case "gz":
             path.write_bytes(gzip.compress(b"log"))
-            return path, "compressed: unpack it first"
+            return path, "this is a compressed file"
         case "ulg":
             path.write_bytes(b"ULog\x01\x12\x35")
             return path, "a PX4 log"

@@ -162,7 +162,7 @@ def test_a_cell_is_read_again_and_refuses_other_settings(tmp_path):
     again = cell_of(tmp_path, flight(seeds=(9,)), 1)
     assert again.rows == {1: row(1), 2: row(2)}
     other = ChannelParameters(wifi_channels="random")
-    with pytest.raises(ConfigError, match=r"sparse-wifi.jsonl: made with other settings \(channel: "):
+    with pytest.raises(ConfigError, match=r"sparse-wifi.jsonl was made with other settings \(channel: "):
         cell_of(tmp_path, flight(channel=other), 1)
     with pytest.raises(ConfigError, match=r"crowd: 1, now 3"):
         cell_of(tmp_path, flight(), 3)
@@ -220,10 +220,10 @@ def test_two_encounters_from_end_to_end(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (["--encounters", "0"], "--encounters: 0: allowed 1 to"),
-        (["--crowd", "33"], "--crowd: 33: allowed 1 to 32"),
-        (["--processes", "0"], "--processes: 0: allowed 1 to"),
-        (["--seed", "-1"], "--seed: -1: allowed 0 to 4294967295"),
+        (["--encounters", "0"], "--encounters: 0 is out of range; allowed: 1 to"),
+        (["--crowd", "33"], "--crowd: 33 is out of range; allowed: 1 to 32"),
+        (["--processes", "0"], "--processes: 0 is out of range; allowed: 1 to"),
+        (["--seed", "-1"], "--seed: -1 is out of range; allowed: 0 to 4294967295"),
         (["--policy", "/nowhere.safetensors"], "--policy: atmc.policy: /nowhere.safetensors: cannot be read"),
         (["--region", "/nowhere.toml"], "/nowhere.toml: cannot be read"),
     ],
@@ -248,7 +248,7 @@ def test_ctrl_c_leaves_what_is_complete(tmp_path):
     finally:
         process.kill()
     assert process.returncode not in (0, 2)
-    assert b"interrupted" in told
+    assert b"Interrupted" in told
     cell = cell_of(tmp_path / "closed-loop", _as_flown(), 1)
     assert 2 <= len(cell.rows) < 400
 

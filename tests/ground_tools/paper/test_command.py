@@ -118,8 +118,8 @@ def test_fixed_modes_for_people(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (["--samples", "1"], "--samples: 1: allowed 2 to 100000"),
-        (["--seed", "-2"], "--seed: -2: allowed 0 to 4294967295"),
+        (["--samples", "1"], "--samples: 1 is out of range; allowed: 2 to 100000"),
+        (["--seed", "-2"], "--seed: -2 is out of range; allowed: 0 to 4294967295"),
     ],
 )
 def test_wrong_options(tmp_path, capsys, words, what):

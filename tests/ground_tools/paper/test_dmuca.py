@@ -72,7 +72,7 @@ def test_one_flight_that_is_not_as_published(law, other, delay, pair, distance_m
 def test_more_delay_that_does_not_harm():
     rows = (PUBLISHED[0], PUBLISHED[2], PUBLISHED[1])
     (harm,) = [s for s in dmuca.statements(table(rows), "paper", 1) if "more delay" in s.published]
-    assert harm.ours == "0.00, 6.00, 2.00 pairs a flight"
+    assert harm.ours == "0.00, 6.00, 2.00 pairs per flight"
     assert harm.checks == {"from [0, 1] to [1, 2] s": True, "from [1, 2] to [2, 3] s": False}
     (same,) = [s for s in dmuca.statements(table((PUBLISHED[0],) * 3), "paper", 1) if "more" in s.published]
     assert same.verdict == "does not hold"

@@ -120,7 +120,7 @@ def test_what_is_absent_is_not_judged():
     assert not any("MADDPG" in words for words in found)
     assert found["MADQN-ATMC, dynamic: at least 32 % below the best fixed mode"].verdict == "does not hold"
     assert system_delay.statements({}) == []
-    assert "MADDPG: no run is kept; it is absent here" in methods.absent(results(run("madqn")))
+    assert "MADDPG: no run is stored, so it is not shown" in methods.absent(results(run("madqn")))
 
 
 def test_delays_of_aircraft():
@@ -134,8 +134,8 @@ def test_delays_of_aircraft():
     verdicts = {s.published: s.verdict for s in uav_delay.statements(results(*swapped), FIXED)}
     assert verdicts == {
         "MADDPG: UAVs 5 and 6 approximately 200 ms": "holds at 1 of 2",
-        "MADDPG: two UAVs far behind, whichever": "holds",
-        "IAC: only UAVs 2 and 4 below the fixed protocols": "does not hold",
+        "MADDPG: any two UAVs are far behind": "holds",
+        "IAC: only UAVs 2 and 4 are below the fixed protocols": "does not hold",
     }
 
 
@@ -223,4 +223,4 @@ def test_pictures_of_few_and_of_several_seeds(tmp_path):
     madqn = next(c for c in rows if c.labels["mode"] == "madqn" and c.labels["density"] == "dynamic")
     assert madqn.labels["low_ms"] <= madqn.ours_ms <= madqn.labels["high_ms"]
     assert madqn.published_ms == 1050.46
-    assert "IAC: no run is kept" in " ".join(uav_delay.report(3, 1, source).notes)
+    assert "IAC: no run is stored" in " ".join(uav_delay.report(3, 1, source).notes)

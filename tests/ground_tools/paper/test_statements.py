@@ -90,12 +90,12 @@ def test_other_best_rates():
         return 1.0 if (mode, rate) == ("ble4", 7) else delay(mode, side_m, rate)
 
     found = {s.published: s for s in delay_rate.statements(rows_of(changed))}
-    best = found["BLE 4 fastest at rate 9"]
+    best = found["BLE 4 is fastest at rate 9"]
     assert (best.ours, best.holds) == ("fastest at 7", False)
     # And so BLE 4 is the fastest in small sizes too.
-    assert found["Wi-Fi shared fastest in small sizes"].verdict == "does not hold"
-    assert found["Wi-Fi shared fastest in small sizes"].ours == "BLE 4"
-    assert found["BLE 4 fastest in large sizes (Wi-Fi shared)"].holds
+    assert found["Wi-Fi shared is fastest in small sizes"].verdict == "does not hold"
+    assert found["Wi-Fi shared is fastest in small sizes"].ours == "BLE 4"
+    assert found["BLE 4 is fastest in large sizes (Wi-Fi shared)"].holds
 
 
 def test_the_order_of_the_modes():
@@ -104,8 +104,8 @@ def test_the_order_of_the_modes():
         return factor * delay(mode, side_m, rate)
 
     found = {s.published: s for s in delay_rate.statements(rows_of(changed))}
-    assert found["BLE 4 fastest in large sizes (Wi-Fi random)"].verdict == "holds at 2 of 3"
-    slowest = found["BLE 5 slowest in small sizes (Wi-Fi random)"]
+    assert found["BLE 4 is fastest in large sizes (Wi-Fi random)"].verdict == "holds at 2 of 3"
+    slowest = found["BLE 5 is slowest in small sizes (Wi-Fi random)"]
     assert (slowest.verdict, slowest.ours) == ("holds at 2 of 3", "BLE 4 or BLE 5")
 
 
@@ -125,19 +125,19 @@ def test_nobody_in_range_is_said():
     assert found["BLE 4 jumps at rate 5"].ours == "nobody in range"
     assert not found["BLE 4 jumps at rate 5"].holds
     found = {s.published: s for s in packet_loss.statements(rows_of(loss=none))}
-    assert found["BLE 4 near zero in large sizes"].verdict == "holds at 2 of 3"
-    assert found["BLE 4 near zero in large sizes"].ours.endswith("- %")
+    assert found["BLE 4 is near zero in large sizes"].verdict == "holds at 2 of 3"
+    assert found["BLE 4 is near zero in large sizes"].ours.endswith("- %")
 
 
 @pytest.mark.parametrize(
     ("wanted", "mode", "side_m", "factor", "verdict"),
     [
-        ("BLE 5 unchanged in small sizes", "ble5", 500.0, 0.91, "holds at 5 of 10"),
-        ("Wi-Fi shared unchanged in small sizes", "wifi", 1000.0, 0.6, "holds at 2 of 10"),
+        ("BLE 5 is unchanged in small sizes", "ble5", 500.0, 0.91, "holds at 5 of 10"),
+        ("Wi-Fi shared is unchanged in small sizes", "wifi", 1000.0, 0.6, "holds at 2 of 10"),
         ("BLE 4 falls with the size", "ble4", 1000.0, 3.0, "holds at 4 of 5"),
-        ("BLE 4 near zero in large sizes", "ble4", 3000.0, 6.1, "holds at 2 of 3"),
-        ("BLE 5 above BLE 4 and Wi-Fi shared, small sizes", "ble5", 500.0, 0.5, "holds at 2 of 3"),
-        ("BLE 5 above BLE 4 and Wi-Fi random, small sizes", "wifi", 100.0, 2.0, "holds at 2 of 3"),
+        ("BLE 4 is near zero in large sizes", "ble4", 3000.0, 6.1, "holds at 2 of 3"),
+        ("BLE 5 is above BLE 4 and Wi-Fi shared in small sizes", "ble5", 500.0, 0.5, "holds at 2 of 3"),
+        ("BLE 5 is above BLE 4 and Wi-Fi random in small sizes", "wifi", 100.0, 2.0, "holds at 2 of 3"),
         ("BLE 5 falls in large sizes", "ble5", 5000.0, 0.4, "holds at 1 of 2"),
         ("Wi-Fi random falls in large sizes", "wifi", 10000.0, 2.0, "holds at 1 of 2"),
     ],

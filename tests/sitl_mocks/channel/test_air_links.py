@@ -1,4 +1,4 @@
-"""What chance gives names and pairs stays with them."""
+"""Random draws for names and pairs stay constant."""
 
 from __future__ import annotations
 

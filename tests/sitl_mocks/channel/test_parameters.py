@@ -1,4 +1,4 @@
-"""Parameter files: the paper's is the default, bad ones are refused with the key's name and its limit."""
+"""Parameter files: the default is the paper's; errors in a file name the key and its limit."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_period_must_hold_its_events_and_their_collisions(changes, mode, fille
         if rate == fits:
             ChannelParameters(**asked)
         else:
-            with pytest.raises(ValueError, match=f"^{mode}.max_rate: {rate}: expected less than"):
+            with pytest.raises(ValueError, match=f"^{mode}.max_rate: {rate} is too high; allowed: less than"):
                 ChannelParameters(**asked)
 
 
@@ -103,24 +103,39 @@ def test_the_standard_s_file_holds_the_airtimes_of_real_frames():
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("[ble4]\npacket_ms = -0.376", r"ble4.packet_ms: -0.376: expected more than 0"),
-        ("[ble5]\nauxiliary_ms = -1.0", r"ble5.auxiliary_ms: -1: expected more than 0"),
-        ("[wifi]\nswitch_ms = -1.0", r"wifi.switch_ms: -1: expected 0 to"),
-        ("[ble4]\nscan_window_ms = 9.0", r"ble4.scan_window_ms: 9: expected more than 0 and up to 8"),
-        ("[ble5]\npacket_ms = 2.5", r"ble5.packet_ms: 2.5: expected more than 0 and up to 2"),
-        ("[wifi]\nbeacon_ms = 6.5", r"wifi.beacon_ms: 6.5: expected more than 0 and up to 6"),
-        ("[ble5]\nauxiliary_offset_ms = 3.0", r"ble5.auxiliary_offset_ms: 3: expected 3.706 to"),
-        ("[wifi]\nmax_rate = 0", r"wifi.max_rate: 0: expected 1 to 1000"),
-        ("[ble5]\nmax_rate = 200", r"ble5.max_rate: 200: expected less than 120.1"),
-        ("slot_ms = 0.5", r"ble4.packet_ms: 0.376: expected at least one slot"),
-        ("slot_ms = 0.000001", r"ble4.scan_interval_ms: 8: expected up to 0.333333, three times which"),
-        ("[ble5]\nscan_interval_ms = 5e4", r"ble5.scan_interval_ms: 50000: expected up to 41666.7"),
-        ("[wifi]\nswitch_ms = 5e4", r"wifi.scan_ms and switch_ms: 50006: expected up to 41666.7"),
-        ("gnss_period_ms = 0.0", r"gnss_period_ms: 0: expected more than 0"),
+        ("[ble4]\npacket_ms = -0.376", r"ble4.packet_ms: -0.376 is out of range; allowed: more than 0"),
+        ("[ble5]\nauxiliary_ms = -1.0", r"ble5.auxiliary_ms: -1 is out of range; allowed: more than 0"),
+        ("[wifi]\nswitch_ms = -1.0", r"wifi.switch_ms: -1 is out of range; allowed: 0 to"),
+        (
+            "[ble4]\nscan_window_ms = 9.0",
+            r"ble4.scan_window_ms: 9 is out of range; allowed: more than 0, up to 8",
+        ),
+        ("[ble5]\npacket_ms = 2.5", r"ble5.packet_ms: 2.5 is out of range; allowed: more than 0, up to 2"),
+        ("[wifi]\nbeacon_ms = 6.5", r"wifi.beacon_ms: 6.5 is out of range; allowed: more than 0, up to 6"),
+        (
+            "[ble5]\nauxiliary_offset_ms = 3.0",
+            r"ble5.auxiliary_offset_ms: 3 is out of range; allowed: 3.706 to",
+        ),
+        ("[wifi]\nmax_rate = 0", r"wifi.max_rate: 0 is out of range; allowed: 1 to 1000"),
+        ("[ble5]\nmax_rate = 200", r"ble5.max_rate: 200 is too high; allowed: less than 120.1"),
+        ("slot_ms = 0.5", r"ble4.packet_ms: 0.376 is less than one slot"),
+        (
+            "slot_ms = 0.000001",
+            r"ble4.scan_interval_ms: 8 is too long; allowed: up to 0.333333, so that three times",
+        ),
+        (
+            "[ble5]\nscan_interval_ms = 5e4",
+            r"ble5.scan_interval_ms: 50000 is too long; allowed: up to 41666.7",
+        ),
+        ("[wifi]\nswitch_ms = 5e4", r"wifi.scan_ms and switch_ms: 50006 is too long; allowed: up to 41666.7"),
+        ("gnss_period_ms = 0.0", r"gnss_period_ms: 0 is out of range; allowed: more than 0"),
         ('wifi_channels = "all"', r"wifi_channels: 'all': allowed are 'shared', 'random'"),
-        ("[propagation]\nexponent = 0.0", r"propagation.exponent: 0: expected 1 to 10"),
-        ("[propagation]\nshadowing_sigma_db = -1.0", r"propagation.shadowing_sigma_db: -1: expected 0 to 30"),
-        ("[background]\nwifi = 1.0", r"background.wifi: 1: expected 0 to 0.999"),
+        ("[propagation]\nexponent = 0.0", r"propagation.exponent: 0 is out of range; allowed: 1 to 10"),
+        (
+            "[propagation]\nshadowing_sigma_db = -1.0",
+            r"propagation.shadowing_sigma_db: -1 is out of range; allowed: 0 to 30",
+        ),
+        ("[background]\nwifi = 1.0", r"background.wifi: 1 is out of range; allowed: 0 to 0.999"),
         ("[ble4]\nburst_ms = 1.0", r"ble4.burst_ms: unknown key"),
         ("[ble4]\nsensitivity_dbm = nan", r"ble4.sensitivity_dbm: nan is not a finite number"),
     ],
@@ -134,11 +149,11 @@ def test_bad_files_are_refused(tmp_path, text, expected):
 
 
 def test_bad_values_from_code_are_refused_too():
-    with pytest.raises(ValueError, match="scan_window_ms: 9: expected more than 0 and up to 8"):
+    with pytest.raises(ValueError, match="scan_window_ms: 9 is out of range; allowed: more than 0, up to 8"):
         BleParameters(scan_window_ms=9.0)
-    with pytest.raises(ValueError, match="beacon_ms: nan: expected more than 0"):
+    with pytest.raises(ValueError, match="beacon_ms: nan is out of range; allowed: more than 0"):
         WifiParameters(beacon_ms=math.nan)
-    with pytest.raises(ValueError, match="burst_ms: 0: expected more than 0"):
+    with pytest.raises(ValueError, match="burst_ms: 0 is out of range; allowed: more than 0"):
         BackgroundLoad(burst_ms=0.0)
     with pytest.raises(ValueError, match="slot_ms"):
         msgspec.structs.replace(ChannelParameters(), slot_ms=-1.0)
@@ -148,5 +163,5 @@ def test_rates():
     p = ChannelParameters()
     check_rate("ble4", 10, p)
     for rate in (0, 11):
-        with pytest.raises(ConfigError, match=f"ble4: rate {rate}: allowed 1 to 10"):
+        with pytest.raises(ConfigError, match=f"ble4: rate {rate} is out of range; allowed: 1 to 10"):
             check_rate("ble4", rate, p)

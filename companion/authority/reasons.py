@@ -1,0 +1,89 @@
+"""Says in words why the authority moved from one state to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.authority.handback import HandBack
+from companion.authority.readiness import mode_name
+from companion.authority.table import Trigger
+from companion.avoidance.law import LawResult
+from companion.events import Heartbeat
+from companion.ownship import Ownship
+
+_REASONS = {
+    Trigger.RELEASE: "vehicle disarmed or on the ground",
+    Trigger.REARM: "authority given anew",
+    Trigger.HEALTHY: "own state fit again",
+    Trigger.WATCH: "guarding the mission that the vehicle flies",
+    Trigger.LEFT: "which vehicle is ours is not known",
+    Trigger.CLEAR: "no conflict",
+    Trigger.AWAY: "off the timed path",
+    Trigger.REGAINED: "back on the timed path",
+}
+"""Reason texts of the triggers that have only one."""
+
+
+@dataclass
+class Refused:
+    """Texts of what was refused since the last step; None where nothing was."""
+
+    mode: str | None = None
+    """The vehicle did not enter our mode."""
+    fault: str | None = None
+    """The gate refused a command, as a fault of ours."""
+    lost: str | None = None
+    """The gate refused a command because authority was lost."""
+
+
+class Reasons:
+    """The words for each trigger."""
+
+    def __init__(self, own: Ownship, handback: HandBack | None) -> None:
+        self._own = own
+        self._handback = handback
+
+    def of(
+        self,
+        now_s: float,
+        trigger: Trigger,
+        seen: Heartbeat | None,
+        unfit: str | None,
+        result: LawResult | None,
+        refused: Refused,
+    ) -> str:
+        """Reason, in words, why a trigger moved the authority.
+
+        Args:
+            seen: heartbeat that caused the trigger.
+            unfit: why nothing may be commanded.
+            result: decision of the law that caused the trigger.
+            refused: what was refused since the last step.
+        """
+        handback = self._handback
+        match trigger:
+            case Trigger.PILOT:
+                return self._what_the_pilot_did(now_s, seen, refused.lost)
+            case Trigger.UNFIT:
+                return unfit or f"mode not entered: {refused.mode}"
+            case Trigger.READY:
+                return f"taking the vehicle from mode {mode_name(self._own.heartbeat)}"
+            case Trigger.LEFT if seen is not None:
+                return f"the mission was left for mode {mode_name(seen)}"
+            case Trigger.RESUMED if handback is not None:
+                return handback.how(now_s)
+            case Trigger.ENDED:
+                return f"the mission came to its end as it was given back, in mode {mode_name(seen)}"
+            case Trigger.CHANGED if handback is not None:
+                return handback.why_not
+            case Trigger.CONFLICT if result is not None:
+                return "conflict with " + ", ".join(t.track_id for t in result.tracks if t.conflict)
+        return _REASONS[trigger]
+
+    def _what_the_pilot_did(self, now_s: float, seen: Heartbeat | None, lost: str | None) -> str:
+        if seen is None:
+            return lost or "the pilot moves the sticks"
+        changed = f"mode changed to {mode_name(seen)}"
+        if self._handback is not None and self._handback.ends_in_hold(seen, now_s):
+            return f"{changed} as the mission was given back: by its end, or by the pilot"
+        return f"{changed}, not by us"

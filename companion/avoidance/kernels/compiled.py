@@ -1,0 +1,52 @@
+"""Compiles the kernels with numba: in double precision, without numba's memory runtime, and with a cache.
+
+numba's cache checks only the file of the called function, but the kernels are in several files that call each
+other. Therefore each state of all these files together has its own cache folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from numba import config, njit
+
+Function = TypeVar("Function")
+SOURCES = tuple(sorted(Path(__file__).parent.glob("*.py")))
+"""All source files of kernels."""
+FUNCTIONS: list[Any] = []
+"""All compiled functions of the kernels, for whoever has to treat their caches."""
+_STATE = hashlib.sha256(b"".join(path.read_bytes() for path in SOURCES)).hexdigest()[:12]
+# Without numba's memory runtime (NRT), functions that allocate do not compile, and array references are not
+# counted.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+
+
+def compiled(function: Function) -> Function:
+    """The function, compiled at its first call or loaded from the cache.
+
+    The cache is in the folder that NUMBA_CACHE_DIR names or else next to the source; if that is not usable,
+    in ~/.cache/dmuca. If no folder is usable, everything is compiled again at every start.
+    """
+    made = _made(function)
+    FUNCTIONS.append(made)
+    return made
+
+
+def _made(function: Function) -> Function:
+    held = vars(config)["CACHE_DIR"]
+    beside = [Path(held)] if held else [Path(__file__).with_name("__pycache__")]
+    for folder in (*beside, Path("~/.cache/dmuca").expanduser()):
+        vars(config)["CACHE_DIR"] = str(folder / _STATE)
+        try:
+            made: Any = njit(cache=True, **_OPTIONS)(function)
+        except RuntimeError:  # no folder is usable for the cache
+            break
+        finally:
+            vars(config)["CACHE_DIR"] = held
+        stats = getattr(made, "stats", None)
+        # If the folder is not usable, numba falls back to others that do not distinguish the states.
+        if stats is None or Path(stats.cache_path).is_relative_to(folder):
+            return cast(Function, made)
+    return cast(Function, njit(cache=False, **_OPTIONS)(function))

@@ -1,0 +1,334 @@
+"""Other aircraft: what their past says of them, where they are now, and the plane that each of them asks
+for."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from companion.arrays import Floats
+from companion.avoidance.kernels.compiled import compiled
+from companion.avoidance.kernels.programs import half_space
+from companion.avoidance.kernels.settings import DEMAND, PAPER, Own, Settings
+from companion.avoidance.kernels.timelines import History, own_velocity_at
+from companion.avoidance.kernels.vectors import (
+    PLANE_COLUMNS,
+    Plane,
+    Triple,
+    Vector,
+    along,
+    closest,
+    dot,
+    length,
+    minus,
+    put_plane,
+)
+
+NEWS_S = 0.9
+"""Least time between two messages that are compared to judge a track's past."""
+GROWTH_MEMORY_S = 40.0
+"""Time constant with which the growth of a track fades."""
+GROWTH_MOST_MPS = 3.0
+GROWTH_AHEAD_S = 4.0
+"""The growth of a track applies to the time from its message to this long after now."""
+SILENT_S, SILENT_GAPS = 2.0, 1.5
+"""A track may have stopped if nothing was received for SILENT_S plus SILENT_GAPS times its longest recent gap
+(at least 1 s). With one message a second, delays that differ by a second already make gaps of 2 s."""
+GAP_MEMORY_S = 60.0
+"""Time constant with which the longest gap of a track fades."""
+STOPS_S = 1.0
+"""A silent track is assumed to stand where it would have been this long after its last message."""
+
+
+class Past(NamedTuple):
+    """Memory of `note_track` for a track: its last message, and what it has shown; NED, m and m/s."""
+
+    time_s: float
+    n: float
+    e: float
+    d: float
+    vn: float
+    ve: float
+    vd: float
+    growth_mps: float
+    """How fast it deviates from its predictions."""
+    gap_s: float
+    """Longest time between two messages lately."""
+
+
+NO_PAST = Past(-math.inf, *[0.0] * 8)
+"""Memory before the first message."""
+
+
+class Other(NamedTuple):
+    """Another aircraft as it was last received; its row in a table of neighbours. NED, m and m/s."""
+
+    n: float
+    """Position at the message's own time."""
+    e: float
+    d: float
+    vn: float
+    ve: float
+    vd: float
+    age_s: float
+    """Age of the message."""
+    sigma_m: float
+    """Error of the position for each horizontal axis."""
+    sigma_mps: float
+    """Error of the velocity for each axis."""
+    growth_mps: float
+    """`Past.growth_mps`."""
+    silent: float
+    """1: not received for so long that it may have stopped."""
+    share: float
+    """Our share of the velocity change that avoids it, 0.5 to 1."""
+    vertical_known: float
+    """1: its height is known."""
+    crewed: float
+    """1: crewed traffic, with its own separations."""
+
+
+class Seen(NamedTuple):
+    """What a decision says of a neighbour; its row in the table of reports."""
+
+    n: float
+    """Position predicted for now, NED, m."""
+    e: float
+    d: float
+    radius_m: float
+    """Radius of the volume to keep clear of."""
+    conflict: float
+    """1: flying the wanted velocity would enter the volume."""
+    time_s: float
+    """Time to the closest approach at the wanted velocity."""
+    distance_m: float
+    """Distance then."""
+    active: float
+    """1: one of its planes bounds the velocity that the law found."""
+
+
+class Volume(NamedTuple):
+    """What to keep clear of around another aircraft: a ball, once vertical distances are scaled."""
+
+    radius: float
+    scale: float
+    horizon_s: float
+
+
+class Relative(NamedTuple):
+    """Another aircraft beside the own one; NED, m and m/s."""
+
+    away: Vector
+    """Its position minus ours."""
+    velocity: Vector
+    own: Vector
+    """Own velocity that counts towards it."""
+    closing_d: float
+    """Own down speed minus its own; 0 if its height is unknown."""
+
+
+@compiled
+def note_track(
+    past: tuple[float, ...], t: float, position: Triple, velocity: Triple, sigma_m: float
+) -> tuple[float, ...]:
+    """Learn from a new message how fast a track deviates from its own predictions.
+
+    A neighbour that manoeuvres is not where its last message predicts. The distance between a message and the
+    prediction from the one before, minus what noise explains, divided by the time between them, is a speed.
+    The growth is twice the largest such speed lately, halved every 28 s.
+
+    Args:
+        past: the fields of a `Past`, as a plain tuple.
+        t: the message's own time, s; a message less than NEWS_S after the one remembered is ignored.
+        position, velocity: of the message, NED, m and m/s.
+        sigma_m: declared error of the position for each axis.
+
+    Returns:
+        The fields of the new `Past`.
+    """
+    time_s, n, e, d, vn, ve, vd, growth, gap = past
+    passed = t - time_s
+    if not passed >= NEWS_S:
+        return time_s, n, e, d, vn, ve, vd, growth, gap
+    if passed < math.inf:
+        away = math.sqrt(
+            (position[0] - n - passed * vn) ** 2
+            + (position[1] - e - passed * ve) ** 2
+            + (position[2] - d - passed * vd) ** 2
+        )
+        noise = 0.35 * (max(sigma_m, 1.0) + passed)
+        news = min(2.0 * max(away - noise, 0.0) / passed, GROWTH_MOST_MPS)
+        growth = max(growth * math.exp(-passed / GROWTH_MEMORY_S), news)
+        gap = max(gap * math.exp(-passed / GAP_MEMORY_S), passed)
+    return (
+        t, position[0], position[1], position[2], velocity[0], velocity[1], velocity[2], growth, gap
+    )  # fmt: skip
+
+
+@compiled
+def silent_after(gap_s: float) -> float:
+    """Time (s) since the last reception from which a track counts as silent.
+
+    Args:
+        gap_s: `Past.gap_s`.
+    """
+    return SILENT_S + SILENT_GAPS * max(gap_s, 1.0)
+
+
+@compiled
+def other_at(neighbours: Floats, row: int) -> Other:
+    """A row of a table of neighbours."""
+    r = neighbours[row]
+    return Other(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11], r[12], r[13])
+
+
+@compiled
+def put_other(neighbours: Floats, row: int, other: Other) -> None:
+    """Write a row of a table of neighbours."""
+    r = neighbours[row]
+    r[0], r[1], r[2], r[3], r[4], r[5] = other.n, other.e, other.d, other.vn, other.ve, other.vd
+    r[6], r[7], r[8], r[9] = other.age_s, other.sigma_m, other.sigma_mps, other.growth_mps
+    r[10], r[11], r[12], r[13] = other.silent, other.share, other.vertical_known, other.crewed
+
+
+@compiled
+def seen_at(seen: Floats, row: int) -> Seen:
+    """A row of a table of reports."""
+    r = seen[row]
+    return Seen(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7])
+
+
+@compiled
+def past_at(pasts: Floats, row: int) -> Past:
+    """A row of a table of pasts."""
+    r = pasts[row]
+    return Past(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8])
+
+
+@compiled
+def put_past(pasts: Floats, row: int, past: tuple[float, ...]) -> None:
+    """Write a row of a table of pasts: the fields of a `Past`."""
+    r = pasts[row]
+    r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8] = past
+
+
+@compiled
+def all_within(table: Floats, count: int, most: float) -> bool:
+    """Whether all entries of the first `count` rows have magnitudes up to `most`; False if one is NaN."""
+    for row in range(count):
+        for column in range(table.shape[1]):
+            if not abs(table[row, column]) <= most:
+                return False
+    return True
+
+
+@compiled
+def volume_of(other: Other, own: Own, settings: Settings) -> Volume:
+    """The volume of a neighbour.
+
+    Its radius is the separation plus two margins. The first is `sigmas` standard deviations of the present
+    relative position (from both positions, and from the sent velocity over the age). The second is the error
+    since the message due to the resolution of sent velocities or, if that is more, to the track's manoeuvres.
+    """
+    radius, scale, horizon = settings.radius_m, settings.vertical, settings.horizon_s
+    if other.crewed != 0.0:
+        radius, scale = settings.crewed_m, settings.crewed_vertical
+        horizon = settings.crewed_horizon_s
+    drift = other.sigma_mps * other.age_s
+    sigma = math.sqrt(own.sigma_m**2 + other.sigma_m**2 + drift * drift)
+    growth = settings.growth * other.growth_mps
+    radius += max(settings.least_margin_m, settings.sigmas * sigma)
+    radius += max(settings.quantum_mps * other.age_s, growth * (other.age_s + GROWTH_AHEAD_S))
+    return Volume(radius, scale, horizon)
+
+
+@compiled
+def _enters(away: Vector, velocity: Vector, volume: Volume, look_s: float) -> bool:
+    """Whether a relative motion (`closest`) enters a volume within a time."""
+    scaled = Vector(away.n, away.e, volume.scale * away.d)
+    _, near2 = closest(scaled, Vector(velocity.n, velocity.e, volume.scale * velocity.d), look_s)
+    return near2 < volume.radius * volume.radius
+
+
+@compiled
+def _plane_of(rel: Relative, volume: Volume, overlap_s: float, share: float, most: float) -> Plane:
+    """The plane of one neighbour, built where its volume is a ball and mapped back.
+
+    It requires at most `most` m/s; otherwise a neighbour whose large volume we are in would outweigh all
+    others.
+    """
+    scale, own = volume.scale, rel.own
+    normal, s = half_space(
+        Vector(rel.away.n, rel.away.e, scale * rel.away.d),
+        Vector(own.n - rel.velocity.n, own.e - rel.velocity.e, scale * rel.closing_d),
+        volume.radius, volume.horizon_s, overlap_s,
+    )  # fmt: skip
+    mapped = Vector(normal.n, normal.e, normal.d * scale)
+    size = length(mapped)
+    least = min((dot(mapped, own) + share * s) / size, most)
+    return Plane(Vector(mapped.n / size, mapped.e / size, mapped.d / size), least)
+
+
+@compiled
+def _put_asked(asked: Floats, row: int, which: int, plane: Plane, planes: Floats, at: int) -> None:
+    put_plane(planes, at, plane.normal, plane.least)
+    put_plane(asked[row], which, plane.normal, plane.least)
+
+
+@compiled
+def neighbour_planes(
+    neighbours: Floats, count: int, own: Own, wanted: Vector, settings: Settings, history: History,
+    samples: int, planes: Floats, first: int, seen: Floats, asked: Floats,
+) -> tuple[int, bool]:  # fmt: skip
+    """Predict the neighbours, report on them, and write their planes from row `first` on.
+
+    Args:
+        neighbours, count: table of neighbours, and how many of its rows count.
+        wanted: the wanted velocity, tested for conflict, m/s.
+        history, samples: own velocities. A plane uses the one at the time of the neighbour's sample.
+        planes: table of planes; written.
+        seen: table of reports (`Seen`), without `active`; written.
+        asked: shape (at least count, 2, 4): plane of each neighbour, and plane for the place where a silent
+            track may have stopped (0 if there is none); written.
+
+    Returns:
+        The row after the planes, and whether there is a conflict.
+    """
+    conflict, at = False, first + count
+    most = DEMAND * settings.speed_mps if settings.law != PAPER else math.inf
+    for j in range(count):
+        other = other_at(neighbours, j)
+        level, age = other.vertical_known == 0.0, other.age_s
+        volume = volume_of(other, own, settings)
+        velocity = Vector(other.vn, other.ve, other.vd)
+        away = minus(along(Vector(other.n, other.e, other.d), age, velocity), own.position)
+        then = own_velocity_at(history, samples, own.now_s - age)
+        closing_d, wish = then.d - velocity.d, minus(wanted, velocity)
+        if level:  # an unknown height must not be passed above or below
+            away, closing_d, wish = Vector(away.n, away.e, 0.0), 0.0, Vector(wish.n, wish.e, 0.0)
+        look_s = max(settings.look_s, volume.horizon_s)
+        breaks = _enters(away, wish, volume, look_s)
+        t, near2 = closest(away, wish, 1e6)
+        relative = Relative(away, velocity, then, closing_d)
+        plane = _plane_of(relative, volume, settings.overlap_s, other.share, most)
+        _put_asked(asked, j, 0, plane, planes, first + j)
+        for column in range(PLANE_COLUMNS):
+            asked[j, 1, column] = 0.0
+        if settings.growth != 0.0 and other.silent != 0.0:
+            # An aircraft that falls silent in flight may have lost its GNSS after its last message, and
+            # stopped.
+            stood = along(away, -(age - STOPS_S), velocity)
+            wish, closing_d = wanted, own.velocity.d
+            if level:
+                stood, wish, closing_d = Vector(stood.n, stood.e, 0.0), Vector(wish.n, wish.e, 0.0), 0.0
+            breaks = breaks or _enters(stood, wish, volume, look_s)
+            relative = Relative(stood, Vector(0.0, 0.0, 0.0), own.velocity, closing_d)
+            plane = _plane_of(relative, volume, settings.overlap_s, other.share, most)
+            _put_asked(asked, j, 1, plane, planes, at)
+            at += 1
+        conflict = conflict or breaks
+        seen[j, 0], seen[j, 1] = own.position.n + away.n, own.position.e + away.e
+        seen[j, 2] = own.position.d + away.d
+        seen[j, 3], seen[j, 4] = volume.radius, 1.0 if breaks else 0.0
+        seen[j, 5], seen[j, 6] = t, math.sqrt(near2)
+    return at, conflict

@@ -1,0 +1,13 @@
+"""The two kinds of values that the core exchanges with everything around it: events and commands."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Event(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
+    """An input of the core."""
+
+
+class Command(msgspec.Struct, frozen=True, tag=True, kw_only=True, omit_defaults=True):
+    """An output of the core."""

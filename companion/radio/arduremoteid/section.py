@@ -1,0 +1,35 @@
+"""Configuration of a module with ArduRemoteID firmware."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from companion.address_forms import LINK_FORMS, check_form
+from companion.radio.section import RadioSection
+
+
+class ArduRemoteIdRadio(RadioSection, frozen=True, tag="arduremoteid"):
+    """A module with ArduRemoteID firmware on its own MAVLink link."""
+
+    driver = "companion.radio.arduremoteid.module_radio:open_radio"
+    at_own_rates = "a module with ArduRemoteID"
+    link: str
+    """Link to the module, in the form of vehicle.link, such as serial:/dev/ttyACM0:57600."""
+    system_id: Annotated[int, Meta(ge=1, le=255)] = 1
+    """MAVLink system ID of the vehicle. The module adopts the first one that it hears."""
+
+    def check(self, name: str) -> None:
+        """Check the form of the link."""
+        check_form(self.link, LINK_FORMS, f"{name}.link")
+
+    def remark(self, system_id: int) -> str | None:
+        """A warning if the module is configured with the system ID of another vehicle."""
+        if self.system_id == system_id:
+            return None
+        return (
+            f".system_id: {self.system_id}, but the vehicle is system {system_id}: the module adopts "
+            "the first system id that it hears, and its ARM_STATUS then goes to vehicle "
+            f"{self.system_id}"
+        )

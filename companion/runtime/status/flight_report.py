@@ -1,0 +1,154 @@
+"""What a flight tells about itself: its status line, the live status, and the summary at its end."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from companion import __version__
+from companion.adjustable_parameters import SWITCHED_OFF
+from companion.authority.table import HOLDING, State
+from companion.autopilot.signing import Signing
+from companion.config import Config
+from companion.events import Decision
+from companion.radio.radio import Health
+from companion.runtime.lateness import Lateness
+from companion.runtime.links.kept_link import KeptLink
+from companion.runtime.radios import Radios
+from companion.runtime.record.run_record import RunRecord
+from companion.runtime.refusals import Refusals
+from companion.runtime.status.console import Voice
+from companion.runtime.status.live_state import core_status
+from companion.runtime.status.status_socket import Status
+from companion.runtime.status.troubles import Troubles
+from companion.system import CompanionSystem
+
+_DECIDED_S = 2.0
+"""How long the law's last decision is shown in the live status."""
+
+
+@dataclass(frozen=True)
+class LoopCounts:
+    """How the flight loop has kept its time."""
+
+    ticks: int
+    late_ticks: int
+    """Deadlines that were missed."""
+    stalls: int
+    """Times at which the process or its computer stood still."""
+
+
+@dataclass
+class FlightReport:
+    """Reads the parts of one flight; changes none of them."""
+
+    config: Config
+    dry_run: bool
+    began_s: float
+    onboard: CompanionSystem
+    link: KeptLink
+    radio: Radios
+    signing: Signing | None
+    record: RunRecord
+    voice: Voice
+    troubles: Troubles
+    refused: Refusals
+    lateness: Lateness
+    lines: Sequence[str]
+    """Latest console lines, the newest at the end."""
+    decision: Decision | None = None
+    """The law's latest decision."""
+    decided_s: float = 0.0
+
+    def line(self, now_s: float, late_ticks: int) -> str:
+        """Status line: state of authority, what is heard, what is wrong."""
+        core, health = self.onboard.core, self.radio.health(now_s)
+        mode = core.own.mode.value if core.own.mode is not None else "unknown"
+        unfit = core.own.unfit(now_s, self.config.vehicle.stale_after_s)
+        doing = core.state.value
+        if core.state is State.STANDBY and (waits_for := core.waits_for(now_s)) is not None:
+            doing = f"standby: {waits_for}"
+        return (
+            f"{doing}; vehicle mode {mode}, {'armed' if core.own.armed else 'disarmed'}; "
+            f"{unfit or 'own state valid'}; {len(core.traffic.tracks)} tracks; radio: {health.text}; "
+            f"frames sent {health.frames_sent}, heard {health.frames_heard}; "
+            f"late ticks {late_ticks}{self._wrong(now_s)}"
+        )
+
+    def _wrong(self, now_s: float) -> str:
+        """Part of the status line: what is wrong outside the core and the radios."""
+        text = "" if self.link.up else "; link down"
+        disbelief = self.onboard.link.disbelief(now_s)
+        text += "" if disbelief is None else f"; {disbelief}"
+        broadcaster = self.onboard.core.broadcaster
+        if self.config.has_radio or self.config.region.transport_sets:
+            text += "".join(f"; {words}" for words in (broadcaster.trouble, broadcaster.lacking) if words)
+        if self.refused.count:
+            text += f"; {self.refused.count} broadcasts refused"
+        text += "" if self.onboard.settings.enable else f"; {SWITCHED_OFF}"
+        return text + "".join(f"; {trouble}" for trouble in self.troubles.texts)
+
+    def summary(self, health: Health, loop: LoopCounts) -> dict[str, object]:
+        """Content of `summary.json`."""
+        trouble, signing = self.link.trouble, self.signing
+        return {
+            "ticks": loop.ticks,
+            "late_ticks": loop.late_ticks,
+            "stalls": loop.stalls,
+            "tick_lateness_ms": {
+                "median": self.lateness.percentile_s(50.0) * 1e3,
+                "p99": self.lateness.percentile_s(99.0) * 1e3,
+                "worst": self.lateness.worst_s * 1e3,
+            },
+            "state": self.onboard.core.state.value,
+            "frames_sent": health.frames_sent,
+            "frames_heard": health.frames_heard,
+            "bad_frames": health.bad_frames,
+            "broadcasts_refused": self.refused.count,
+            "broadcast_errors": sorted(self.refused.texts),
+            "link_losses": trouble.losses,
+            "link_errors": trouble.errors,
+            "link_sends_dropped": trouble.dropped,
+            "link_discarded": trouble.discarded,
+            "gate_refused": dict(self.onboard.gate.counts),
+            "signing": None if signing is None else dataclasses.asdict(signing.counts),
+            "lines_dropped": self.voice.dropped,
+            "records_dropped": self.record.dropped,
+            "recorder_error": self.record.error,
+            "runs_deleted": self.record.deleted,
+        }
+
+    def live(self, now_s: float, loop: LoopCounts) -> Status:
+        """Live state, as `companion status` shows it."""
+        core, health, trouble = self.onboard.core, self.radio.health(now_s), self.link.trouble
+        flies = core.state in HOLDING and now_s - self.decided_s <= _DECIDED_S
+        vehicle = self.onboard.link.vehicle
+        return Status(
+            aircraft=self.config.identity.name,
+            software=__version__,
+            dry_run=self.dry_run,
+            up_s=now_s - self.began_s,
+            vehicle=None if vehicle is None else str(vehicle),
+            link=self.config.vehicle.link,
+            link_up=self.link.up,
+            link_losses=trouble.losses,
+            link_dropped=trouble.dropped,
+            link_errors=trouble.errors,
+            radio=health.text,
+            radio_ok=health.ok,
+            rates={} if self.dry_run else dict(core.broadcaster.rates),
+            frames_sent=health.frames_sent,
+            frames_heard=health.frames_heard,
+            bad_frames=health.bad_frames,
+            broadcasts_refused=self.refused.count,
+            ticks=loop.ticks,
+            late_ticks=loop.late_ticks,
+            worst_tick_ms=self.lateness.worst_s * 1e3,
+            folder=None if self.record.folder is None else str(self.record.folder),
+            recorder_error=self.record.error,
+            records_dropped=self.record.dropped,
+            troubles=self.troubles.texts,
+            said=tuple(self.lines),
+            **core_status(core, now_s, self.decision if flies else None),
+        )

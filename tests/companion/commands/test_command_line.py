@@ -1,0 +1,71 @@
+"""What the commands share, in a process of its own: standard streams that are closed or cannot be written."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from companion.commands.entry_point import start
+
+PROGRAM = """
+import faulthandler, json, os, sys
+from companion.commands.entry_point import parser_of, run_command
+
+def work(arguments):
+    faulthandler.dump_traceback_later(30.0)
+    faulthandler.cancel_dump_traceback_later()
+    with open(sys.argv[1], "w") as opened:
+        opened.write(str(opened.fileno()))
+    print("said", flush=True)
+    print("complained", file=sys.stderr, flush=True)
+    return 3
+
+parser = parser_of("program", "", "")
+parser.set_defaults(run=work)
+sys.exit(run_command(parser, []))
+"""
+
+
+def run(tmp_path, redirections, *, unbuffered=False):
+    """Exit code and complaints of the program; the number of the first file that it opened."""
+    opened = tmp_path / "opened"
+    python = [sys.executable, *(["-u"] if unbuffered else []), "-c", PROGRAM, str(opened)]
+    shell = ["sh", "-c", f'exec "$@" {redirections}', "sh", *python]
+    done = subprocess.run(shell, capture_output=True, text=True, timeout=60, check=False)
+    return done.returncode, done.stderr, int(opened.read_text())
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&-", "<&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_are_done_without(tmp_path, closed):
+    code, complaint, number = run(tmp_path, closed)
+    assert code == 3
+    assert complaint == ("" if "2>&-" in closed else "complained\n")
+    # A link with the number of stderr would be sent what is printed.
+    assert number > 2
+
+
+@pytest.mark.parametrize("unbuffered", [False, True])
+def test_a_full_disk_is_said_in_one_line(tmp_path, unbuffered):
+    _, complaint, _ = run(tmp_path, ">/dev/full", unbuffered=unbuffered)
+    assert complaint == "program: output cannot be written: No space left on device\n"
+
+
+def test_ctrl_c_while_modules_are_imported_ends_quietly(tmp_path, monkeypatch):
+    (tmp_path / "slow_to_import.py").write_text("raise KeyboardInterrupt")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert start("slow_to_import") == 130
+
+
+def test_each_installed_command_is_there(monkeypatch, capsys):
+    scripts = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["scripts"]
+    assert set(scripts) == {"companion", "ground-tools", "sitl-mocks"}
+    for name, where in scripts.items():
+        monkeypatch.setattr(sys, "argv", [name, "--help"])
+        with pytest.raises(SystemExit, match="0"):
+            EntryPoint(name, where, "console_scripts").load()()
+        assert f"usage: {name} " in capsys.readouterr().out

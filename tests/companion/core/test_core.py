@@ -1,0 +1,639 @@
+"""The core: who flies, when setpoints leave, what goes on the air."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+
+from companion.authority.table import HOLDING, State
+from companion.core import Companion
+from companion.events import (
+    AuthorityChanged,
+    Broadcast,
+    Firmware,
+    FlightMode,
+    Landed,
+    MissionCurrent,
+    ModeRefused,
+    RadioState,
+    RemoteIdHeard,
+    Say,
+    SetMode,
+    TwoAutopilots,
+    VelocitySetpoint,
+)
+from companion.remote_id import codec
+from companion.remote_id.messages import BasicId, IdType, Location, Status, UaType
+from companion.replay import on_air
+from tests.companion.conftest import Bench, config, mission
+from tests.support.place import HOME
+
+UTC_AT_ZERO_S = 1_767_225_600.0
+UTC_IN_HOUR_S = UTC_AT_ZERO_S % 3600.0
+"""Of the bench's time 0."""
+
+
+def intruder(bench, north_m, speed_mps, *, uas_id="OTHER", east_m=0.0, timestamp_s=None):
+    """A head-on aircraft as heard: `north_m` ahead of the bench's origin, flying south."""
+    stamp = (UTC_IN_HOUR_S + bench.now_s) % 3600.0 if timestamp_s is None else timestamp_s
+    return RemoteIdHeard(
+        transport="wifi",
+        address=uas_id,
+        messages=(
+            BasicId(id_type=IdType.SERIAL_NUMBER, ua_type=UaType.HELICOPTER_OR_MULTIROTOR, uas_id=uas_id),
+            Location(
+                status=Status.AIRBORNE,
+                lat_deg=HOME.lat_deg + north_m / 111_194.9,
+                lon_deg=HOME.lon_deg + east_m / 75_300.0,
+                alt_geodetic_m=497.0,
+                direction_deg=180.0,
+                speed_mps=speed_mps,
+                vertical_speed_mps=0.0,
+                horizontal_accuracy_m=3.0,
+                timestamp_s=round(math.floor(stamp * 10) / 10, 1),
+            ),
+        ),
+    )
+
+
+@pytest.fixture
+def flying(make_bench):
+    """A bench whose core holds the vehicle and whose vehicle is in the external mode."""
+    bench = make_bench()
+    bench.until(lambda: bench.core.state is State.GUARDING and bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    return bench
+
+
+def changes(commands):
+    return [c for c in commands if isinstance(c, AuthorityChanged)]
+
+
+def test_takes_a_ready_vehicle_streams_before_asking_and_flies_the_path(make_bench):
+    bench = make_bench()
+    bench.until(lambda: any(isinstance(c, SetMode) for _, c in bench.log))
+    first_mode = next(t for t, c in bench.log if isinstance(c, SetMode))
+    first_setpoint = next(t for t, c in bench.log if isinstance(c, VelocitySetpoint))
+    # PX4 enters OFFBOARD only while setpoints already stream.
+    assert first_mode - first_setpoint >= 0.4
+    bench.step(100)
+    north, east, down = bench.setpoints()[-1].velocity_ned_mps
+    assert north > 2.5
+    assert abs(east) < 0.1
+    assert abs(down) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "value"),
+    [
+        ("armed", False),
+        ("landed", Landed.ON_GROUND),
+        ("landed", Landed.TAKEOFF),
+        ("mode", FlightMode.OTHER),
+        ("fix_type", 2),
+        ("stuck_position", True),
+    ],
+)
+def test_a_vehicle_that_is_not_ready_is_not_taken(make_bench, change, value):
+    bench = make_bench()
+    setattr(bench, change, value)
+    commands = bench.step(100)
+    assert bench.core.state is State.STANDBY
+    assert not bench.setpoints(commands)
+    assert not any(isinstance(c, SetMode) for c in commands)
+
+
+def test_watch_never_commands(make_bench):
+    bench = make_bench(use="watch")
+    commands = bench.step(200)
+    assert not bench.setpoints(commands)
+    assert not any(isinstance(c, SetMode) for c in commands)
+    assert any(isinstance(c, Broadcast) for c in commands)
+
+
+def test_the_pilot_wins_at_once_and_for_good(flying):
+    flying.mode = FlightMode.OTHER
+    assert not flying.setpoints(flying.step())
+    assert flying.core.state is State.YIELDED
+    flying.mode = FlightMode.EXTERNAL
+    assert not flying.setpoints(flying.step(200))
+    assert flying.core.state is State.YIELDED
+
+
+def test_the_pilot_who_lands_and_disarms_gives_authority_back(flying):
+    flying.mode = FlightMode.OTHER
+    flying.step(5)
+    flying.landed, flying.armed = Landed.ON_GROUND, False
+    flying.step(5)
+    assert flying.core.state is State.STANDBY
+    flying.landed, flying.armed, flying.mode = Landed.IN_AIR, True, FlightMode.HOLD
+    flying.until(lambda: flying.core.state is State.GUARDING)
+
+
+def test_rearm_by_mode_needs_the_pilot_to_select_the_external_mode(make_bench):
+    bench = make_bench(rearm="mode")
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    bench.mode = FlightMode.HOLD
+    bench.step(100)
+    assert bench.core.state is State.YIELDED
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(2)
+    assert bench.core.state in HOLDING
+
+
+@pytest.mark.parametrize("steps", [20, 21, 22, 23])
+def test_what_was_decided_before_the_pilot_flew_is_not_flown_after(make_bench, steps):
+    bench = make_bench(rearm="mode")
+    bench.until(lambda: bench.core.in_control)
+    bench.step(steps)
+    assert bench.setpoints()[0].velocity_ned_mps[1] == pytest.approx(0.0, abs=1e-3)
+    bench.mode = FlightMode.OTHER
+    bench.step(20)
+    bench.mode, bench.east_m = FlightMode.EXTERNAL, 5.0
+    bench.until(lambda: bench.core.state in HOLDING)
+    assert bench.setpoints()[0].velocity_ned_mps[1] < -0.01
+
+
+def test_rearm_never_survives_a_landing(make_bench):
+    bench = make_bench(rearm="never")
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    bench.mode = FlightMode.HOLD
+    bench.step(5)
+    bench.armed = False
+    bench.step(5)
+    bench.armed = True
+    bench.step(100)
+    assert bench.core.state is State.YIELDED
+
+
+@pytest.mark.parametrize(
+    ("change", "value", "within_s"),
+    [("stuck_position", True, 1.2), ("silent", True, 1.2), ("fix_type", 1, 0.1)],
+)
+def test_a_stale_own_state_ends_the_setpoints(flying, change, value, within_s):
+    setattr(flying, change, value)
+    flying.step(round(within_s / 0.05))
+    assert flying.core.state is State.FAULT
+    assert not flying.setpoints(flying.step(100))
+
+
+def test_a_fault_that_has_gone_leads_through_standby(flying):
+    flying.stuck_position = True
+    flying.step(40)
+    flying.stuck_position = False
+    flying.until(lambda: flying.core.state in HOLDING)
+    states = [c.state for c in changes([c for _, c in flying.log])]
+    assert states[states.index("fault") :][:3] == ["fault", "standby", "guarding"]
+
+
+def test_a_late_loop_commands_nothing_in_that_step(flying):
+    assert not flying.setpoints(flying.step(gap_s=0.6))
+    assert flying.setpoints(flying.step())
+    assert not flying.setpoints(flying.step(gap_s=1.2))
+    assert flying.core.state is State.FAULT
+
+
+def test_a_start_in_flight_takes_nothing_until_the_vehicle_has_been_down(make_bench):
+    bench = make_bench(take_in_flight=False)
+    bench.step(100)
+    assert bench.core.state is State.STANDBY
+    bench.landed, bench.armed = Landed.ON_GROUND, False
+    bench.step(10)
+    bench.landed, bench.armed = Landed.IN_AIR, True
+    bench.until(lambda: bench.core.state is State.GUARDING)
+
+
+@pytest.mark.parametrize(
+    ("mode", "taken"),
+    [
+        (FlightMode.HOLD, False),
+        (FlightMode.OTHER, False),
+        (FlightMode.EXTERNAL, True),
+        (FlightMode.MISSION, True),
+    ],
+)
+def test_ardupilot_is_never_taken_from_loiter_or_brake(make_bench, mode, taken):
+    bench = make_bench()
+    bench.firmware, bench.mode = Firmware.ARDUPILOT, mode
+    bench.step(100)
+    assert (bench.core.state in HOLDING) is taken
+
+
+def test_another_hold_mode_while_asking_is_the_pilot(make_bench):
+    """LOITER and BRAKE are both HOLD; going from one to the other is the pilot's act."""
+    bench = make_bench()
+    bench.obeys = False
+    bench.until(lambda: bench.core.state is State.GUARDING)
+    bench.custom_mode = 17
+    bench.step()
+    assert bench.core.state is State.YIELDED
+    bench.extra = [ModeRefused(mode=FlightMode.EXTERNAL, reason="went to another mode")]
+    assert not bench.setpoints(bench.step(400))
+    assert bench.core.state is State.YIELDED
+
+
+def test_too_far_from_the_path_is_not_taken_and_said_once(make_bench):
+    bench = make_bench(start_within_m=50.0)
+    bench.east_m = 80.0
+    said = [c.text for c in bench.step(400) if isinstance(c, Say)]
+    assert bench.core.state is State.STANDBY
+    assert said == ["DMUCA: path refused: vehicle is not within 50 m of the path's point"]
+    bench.east_m = 20.0
+    bench.until(lambda: bench.core.state in HOLDING)
+    bench.step(10)
+    assert bench.core.state is State.RECOVERING
+
+
+def test_a_loop_that_is_always_late_is_a_fault_not_a_guard(flying):
+    commands = flying.step(8, gap_s=0.3)
+    assert not flying.setpoints(commands)
+    assert flying.core.state is State.FAULT
+
+
+def test_the_path_clock_waits_for_the_vehicle_to_obey(make_bench):
+    bench = make_bench()
+    bench.obeys = False
+    bench.step(60)
+    assert bench.core.state in HOLDING
+    assert bench.core.plan.course.path_time_s(bench.now_s) == 0.0
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(21)
+    assert bench.core.plan.course.path_time_s(bench.now_s) == pytest.approx(1.0, abs=0.1)
+
+
+def test_given_back_in_flight_the_path_goes_on_from_its_nearest_point(make_bench):
+    bench = make_bench(rearm="mode")
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(5)
+    bench.mode = FlightMode.HOLD
+    bench.step(200)
+    for k in range(100):
+        bench.north_m = 3.0 * k
+        bench.step()
+    bench.mode = FlightMode.EXTERNAL
+    bench.step(3)
+    assert bench.core.state in HOLDING
+    assert bench.core.plan.course.path_time_s(bench.now_s) == pytest.approx(99.0, abs=1.0)
+
+
+def test_the_path_clock_starts_anew_with_each_flight(flying):
+    flying.step(600)
+    flying.landed, flying.armed, flying.mode = Landed.ON_GROUND, False, FlightMode.HOLD
+    flying.step(20)
+    flying.landed, flying.armed = Landed.IN_AIR, True
+    flying.until(lambda: flying.core.state is State.GUARDING)
+    assert flying.core.plan.course.path_time_s(flying.now_s) == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_corrected_utc_moves_neither_age_nor_path_time(make_bench):
+    start = UTC_AT_ZERO_S - 10.0
+    bench = make_bench(start="utc", start_utc_s=start)
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    before = bench.core.plan.course.path_time_s(bench.now_s)
+    assert before == pytest.approx(10.0 + bench.now_s, abs=0.1)
+    bench.utc_error_s = -18.0
+    bench.step(20)
+    assert bench.core.state in HOLDING
+    assert bench.core.plan.course.path_time_s(bench.now_s) == pytest.approx(before + 1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("what", ["jump", "reboot"])
+def test_a_jump_or_a_reboot_in_flight_is_a_fault(flying, what):
+    if what == "jump":
+        flying.north_m += 3000.0
+    else:
+        flying.boot_offset_s -= 90.0
+    assert not flying.setpoints(flying.step())
+    assert flying.core.state is State.FAULT
+
+
+def test_home_that_moves_in_flight_moves_neither_path_nor_ceiling(make_bench):
+    bench = make_bench()
+    limits = msgspec.structs.replace(bench.core.config.limits, ceiling_height_m=60.0, floor_height_m=20.0)
+    bench = type(bench)(Companion(msgspec.structs.replace(bench.core.config, limits=limits)))
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.step(40)
+    bench.height_m = 150.0
+    for _ in range(100):
+        bench.step()
+        assert abs(bench.setpoints()[-1].velocity_ned_mps[2]) < 0.05
+
+
+def test_own_state_at_the_edges_of_the_messages_never_raises(make_bench):
+    bench = make_bench(use="watch")
+    for lat, lon in ((89.9999999, 0.0), (47.0, 179.9999999), (-47.0, -180.0)):
+        for velocity in ((300.0, 300.0, -90.0), (-20.0, 20.0, 20.0)):
+            bench.core.own.position = None
+            bench.lat_deg, bench.lon_deg, bench.velocity_ned_mps = lat, lon, velocity
+            for broadcast in bench.step(60):
+                if isinstance(broadcast, Broadcast):
+                    for message in broadcast.messages:
+                        codec.encode(message)
+
+
+def test_utc_before_2019_is_not_put_into_a_system_message(make_bench):
+    bench = make_bench(use="watch")
+    bench.landed, bench.armed, bench.utc_error_s = Landed.ON_GROUND, False, -3.2e8
+    broadcasts = [c for c in bench.step(60) if isinstance(c, Broadcast)]
+    assert broadcasts
+    for broadcast in broadcasts:
+        assert broadcast.messages[2].timestamp_utc_s is None
+        codec.encode(broadcast.messages[2])
+
+
+@pytest.mark.parametrize("home_m", [0.0, 50.0])
+def test_a_vehicle_on_the_ground_is_released(flying, home_m):
+    """Armed, it is believed after a while, on a hill after a longer one."""
+    flying.landed, flying.height_m = Landed.ON_GROUND, home_m
+    least_s = 10.0 if home_m else 1.5
+    assert len(flying.setpoints(flying.step(round(least_s / 0.05)))) == round(least_s / 0.05)
+    assert not flying.setpoints(flying.step())
+    assert flying.core.state is State.STANDBY
+
+
+def test_a_vehicle_that_disarms_is_released_at_once(flying):
+    flying.armed = False
+    assert not flying.setpoints(flying.step())
+    assert flying.core.state is State.STANDBY
+
+
+@pytest.mark.parametrize(("seconds", "speed_mps"), [(1.0, 0.0), (8.0, 0.0), (60.0, 3.0)])
+def test_a_false_landing_in_flight_ends_nothing(flying, seconds, speed_mps):
+    flying.height_m = 0.0 if seconds == 1.0 else 50.0
+    flying.velocity_ned_mps = (speed_mps, 0.0, 0.0)
+    law = flying.core.plan.course.law
+    flying.landed = Landed.ON_GROUND
+    count = round(seconds / 0.05)
+    assert len(flying.setpoints(flying.step(count))) == count
+    flying.landed = Landed.IN_AIR
+    flying.step(20)
+    assert flying.core.state in HOLDING
+    assert flying.core.plan.course.law is law
+    assert flying.core.own.takeoff is None
+
+
+def test_a_refused_mode_is_a_fault_and_is_asked_again_later(make_bench):
+    bench = make_bench()
+    bench.obeys = False
+    bench.until(lambda: any(isinstance(c, SetMode) for _, c in bench.log))
+    bench.extra = [ModeRefused(mode=FlightMode.EXTERNAL, reason="denied by the vehicle")]
+    bench.step()
+    assert bench.core.state is State.FAULT
+    assert "denied" in changes([c for _, c in bench.log])[-1].reason
+    asked = sum(isinstance(c, SetMode) for c in bench.step(100))
+    assert asked == 0
+    bench.obeys = True
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+
+
+def test_head_on_traffic_is_avoided_then_the_path_is_regained(flying):
+    apart, position = [], 300.0
+    for tick in range(1600):
+        if tick % 20 == 0:
+            flying.extra.append(intruder(flying, position, 3.0))
+        flying.step()
+        velocity = flying.setpoints()[-1].velocity_ned_mps
+        flying.north_m += 0.05 * velocity[0]
+        flying.east_m += 0.05 * velocity[1]
+        flying.velocity_ned_mps = (velocity[0], velocity[1], 0.0)
+        position -= 0.05 * 3.0
+        apart.append(math.hypot(position - flying.north_m, flying.east_m))
+    states = [c.state for c in changes([c for _, c in flying.log])]
+    assert "avoiding" in states
+    assert min(apart) > 10.0
+    assert abs(flying.east_m) < 5.0
+    assert states[-1] == "guarding"
+
+
+def test_two_benches_with_the_same_events_command_the_same(make_bench):
+    a, b = make_bench(), make_bench()
+    for tick in range(300):
+        if tick % 20 == 0:
+            for bench in (a, b):
+                bench.extra.append(intruder(bench, 200.0 - 0.15 * tick, 3.0))
+        assert a.step() == b.step()
+
+
+def test_broadcast_rate_and_content(flying):
+    commands = flying.step(200)
+    broadcasts = [c for c in commands if isinstance(c, Broadcast)]
+    assert len(broadcasts) == 10
+    _, location, system = broadcasts[0].messages
+    assert location.alt_geodetic_m == pytest.approx(497.0)
+    assert location.height_m == pytest.approx(50.0)
+    assert location.timestamp_s == pytest.approx((UTC_IN_HOUR_S + flying.now_s) % 3600.0, abs=11.0)
+    assert system.operator_lat_deg is None
+
+
+def test_a_lost_own_position_is_broadcast_as_a_failure_not_as_silence(flying):
+    flying.stuck_position = True
+    flying.step(40)
+    broadcast = next(c for c in flying.step(40) if isinstance(c, Broadcast))
+    location = broadcast.messages[1]
+    assert location.status is Status.REMOTE_ID_SYSTEM_FAILURE
+    assert location.lat_deg is None
+
+
+def test_own_echo_is_not_traffic(flying):
+    broadcast = next(c for c in flying.step(40) if isinstance(c, Broadcast))
+    messages = tuple(on_air(m) if isinstance(m, Location) else m for m in broadcast.messages)
+    flying.extra = [RemoteIdHeard(transport="wifi", address="02:00", messages=messages)]
+    flying.step()
+    assert not flying.core.traffic.tracks
+    assert flying.core.traffic.counts.own_echo == 1
+    stranger = intruder(flying, 400.0, 3.0, uas_id="OWN")
+    flying.extra = [stranger]
+    flying.step()
+    assert len(flying.core.traffic.tracks) == 1
+
+
+def test_own_ble4_frames_come_back_before_their_name(flying):
+    """A second receiver of ours hears the Location of BLE 4 before it has heard a Basic ID."""
+    broadcast = next(c for c in flying.step(40) if isinstance(c, Broadcast))
+    location = next(on_air(m) for m in broadcast.messages if isinstance(m, Location))
+    own = "c2:00:00:00:00:01"
+    flying.extra = [RadioState(can_send=("wifi",), own_addresses=(own,))]
+    flying.step()
+    flying.extra = [RemoteIdHeard(transport="ble4", address=own, messages=(location,))]
+    flying.step()
+    assert not flying.core.traffic.tracks
+    flying.extra = [RemoteIdHeard(transport="ble4", address="c2:00:00:00:00:02", messages=(location,))]
+    flying.step()
+    assert len(flying.core.traffic.tracks) == 1
+    away = msgspec.structs.replace(location, lat_deg=location.lat_deg + 0.003)
+    flying.extra = [RemoteIdHeard(transport="ble4", address=own, messages=(away,))]
+    flying.step()
+    assert len(flying.core.traffic.tracks) == 2
+
+
+def test_an_own_frame_without_a_time_may_come_back_late(flying):
+    flying.velocity_ned_mps = (20.0, 0.0, 0.0)
+    own = "c2:00:00:00:00:01"
+    flying.extra = [RadioState(can_send=("wifi",), own_addresses=(own,))]
+    sent = None
+    for _ in range(60):
+        flying.north_m += 1.0
+        for command in flying.step():
+            if isinstance(command, Broadcast):
+                sent = sent or (flying.now_s, command)
+    while flying.now_s < sent[0] + 1.0:
+        flying.north_m += 1.0
+        flying.step()
+    messages = tuple(
+        msgspec.structs.replace(on_air(m), timestamp_s=None) if isinstance(m, Location) else m
+        for m in sent[1].messages
+    )
+    flying.extra = [RemoteIdHeard(transport="wifi", address=own, messages=messages)]
+    flying.step()
+    assert not flying.core.traffic.tracks
+
+
+def test_time_running_backwards_is_our_bug(flying):
+    with pytest.raises(ValueError, match="after one at"):
+        flying.core.step(flying.now_s - 1.0, [])
+
+
+# ---------------------------------------------------------------- the vehicle's mission, given back
+
+
+def test_a_mission_that_is_still_the_same_is_flown_on(on_mission):
+    assert on_mission.core.state is State.YIELDED
+    on_mission.mode = FlightMode.EXTERNAL
+    on_mission.step(5)
+    assert on_mission.core.state in HOLDING
+    assert on_mission.core.plan.course.path_time_s(on_mission.now_s) == pytest.approx(199.0 / 3.0, abs=1.0)
+
+
+def test_a_mission_that_the_pilot_changed_is_not_resumed(on_mission):
+    on_mission.mission = on_mission.mission[:1]
+    on_mission.mode = FlightMode.EXTERNAL
+    said = [c.text for c in on_mission.step(600) if isinstance(c, Say)]
+    assert on_mission.core.state is State.STANDBY
+    assert sum("mission was changed" in text for text in said) == 1
+    # The pilot flies it from MISSION: it is taken from there.
+    on_mission.mode = FlightMode.MISSION
+    on_mission.extra = [MissionCurrent(seq=0)]
+    on_mission.until(lambda: on_mission.core.state in HOLDING)
+    end = on_mission.core.plan.course.law.trajectory.points_ned_m[-1]
+    assert end[0] == pytest.approx(300.0, abs=1.0)
+
+
+def test_a_changed_mission_is_flown_after_a_landing(on_mission):
+    on_mission.mission = on_mission.mission[:1]
+    on_mission.mode = FlightMode.EXTERNAL
+    on_mission.step(100)
+    on_mission.landed, on_mission.armed, on_mission.mode = Landed.ON_GROUND, False, FlightMode.HOLD
+    on_mission.step(20)
+    on_mission.landed, on_mission.armed = Landed.IN_AIR, True
+    on_mission.until(lambda: on_mission.core.state in HOLDING)
+
+
+def test_a_path_that_waits_for_long_is_told_of(flying):
+    """The vehicle does not move, whatever it is told."""
+    said = [(t, c.text) for t, c in flying.log if isinstance(c, Say)]
+    assert not any("late" in text for _, text in said)
+    flying.log.clear()
+    flying.step(round(120.0 / 0.05))
+    late = flying.core.plan.course.late_s
+    assert late > 60.0
+    told = [c.text for _, c in flying.log if isinstance(c, Say) and "late" in c.text]
+    assert len(told) == int(late / 30.0)
+    assert told[0].startswith("DMUCA: path 30 s late")
+    assert flying.core.plan.course.path_time_s(flying.now_s) - late < 60.0
+
+
+def test_a_ceiling_below_the_default_floor_takes_the_floor_with_it(make_bench, make_config):
+    """No floor is given: the one that is taken stays below a low ceiling."""
+    made, bench = make_config(), make_bench()
+    limits = msgspec.structs.replace(made.limits, ceiling_height_m=10.0)
+    bench.core = Companion(msgspec.structs.replace(made, limits=limits))
+    bench.until(lambda: bench.mode is FlightMode.EXTERNAL)
+    bench.extra = [intruder(bench, 120.0, 3.0)]
+    bench.step(200)
+    assert bench.core.state in HOLDING
+    assert bench.core.plan.course.floor_height_m(bench.core.config.limits) == 5.0
+
+
+def test_a_mission_that_the_vehicle_flew_on_meanwhile_is_planned_anew():
+    """Taken in vain: its path begins where the vehicle is no more."""
+    made = msgspec.structs.replace(config(trajectory="mission", mission_speed_mps=3.0), path=None)
+    bench = Bench(Companion(made), mission=mission(300.0, 900.0), mode=FlightMode.MISSION)
+    bench.extra.append(MissionCurrent(seq=0))
+    bench.obeys = False
+    bench.until(lambda: bench.core.state is State.GUARDING)
+    bench.silent = True
+    bench.step(40)
+    assert bench.core.state is State.FAULT
+    bench.silent = False
+    bench.north_m = 250.0
+    bench.until(lambda: bench.core.state is State.GUARDING)
+    assert bench.core.plan.near(bench.core.own, bench.now_s)
+
+
+# ------------------------------------------------------------ whose vehicle it is
+
+TWO = TwoAutopilots(reason="two autopilots on this link (systems 1 and 2): set vehicle.system_id")
+
+
+def said(bench):
+    return [c.text for _, c in bench.log if isinstance(c, Say) and "two autopilots" in c.text]
+
+
+def test_a_vehicle_that_may_be_a_neighbours_is_not_taken(make_bench):
+    bench = make_bench()
+    bench.extra.append(TWO)
+    bench.step(600)
+    assert bench.core.state is State.STANDBY
+    assert bench.core.waits_for(bench.now_s) == TWO.reason
+    assert not [c for _, c in bench.log if isinstance(c, SetMode | VelocitySetpoint)]
+    assert said(bench) == [f"DMUCA: {TWO.reason}"]
+
+
+def test_a_vehicle_that_is_only_watched_shows_it_too(make_bench):
+    bench = make_bench(use="watch")
+    bench.extra.append(TWO)
+    bench.step()
+    assert bench.core.waits_for(bench.now_s) == TWO.reason
+
+
+def test_a_second_autopilot_does_not_end_an_avoidance_nor_is_the_vehicle_taken_again(flying):
+    for k in range(3):
+        flying.extra.append(intruder(flying, 60.0 - 3.0 * k, 3.0))
+        flying.step(20)
+    assert flying.core.state is State.AVOIDING
+    flying.extra.append(TWO)
+    before = len(flying.log)
+    for _ in range(400):
+        (setpoint,) = flying.setpoints(flying.step())
+        assert flying.core.state in HOLDING
+        flying.north_m += 0.05 * setpoint.velocity_ned_mps[0]
+        flying.east_m += 0.05 * setpoint.velocity_ned_mps[1]
+    assert not [c for _, c in flying.log[before:] if isinstance(c, SetMode)]
+    assert said(flying) == [f"DMUCA: {TWO.reason}"]
+    # A fault ends it: from there the vehicle is not taken again.
+    flying.fix_type = 0
+    flying.step()
+    assert flying.core.state is State.FAULT
+    flying.fix_type = 3
+    flying.step(400)
+    assert flying.core.state is State.STANDBY
+    assert flying.core.waits_for(flying.now_s) == TWO.reason
+
+
+def test_a_vehicle_that_is_not_configured_is_taken_once_others_would_have_been_heard(make_bench):
+    """The second autopilot's first heartbeat may come a second after the first one's."""
+    took_s = []
+    for system_id in (0, 1):
+        bench = make_bench()
+        vehicle = msgspec.structs.replace(bench.core.config.vehicle, system_id=system_id)
+        bench.core = Companion(msgspec.structs.replace(bench.core.config, vehicle=vehicle))
+        bench.step()
+        assert ("other autopilots" in (bench.core.waits_for(bench.now_s) or "")) is (system_id == 0)
+        bench.until(lambda b=bench: b.core.state is State.GUARDING)
+        took_s.append(bench.now_s)
+    assert took_s[1] < 1.0
+    assert 3.0 <= took_s[0] < 4.0

@@ -1,0 +1,109 @@
+"""The router's end of a companion's link: a TCP stream that is half-open, and one that is read slowly."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import select
+import selectors
+import socket
+import struct
+import termios
+import time
+
+import pytest
+
+from sitl_mocks.examinations.companion_ends import TcpEnd
+from sitl_mocks.examinations.modelled_link import Weather
+
+CALM = Weather()
+PATIENCE_S = 30.0
+
+
+def until(happens, what="it"):
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not (found := happens()):
+        assert time.monotonic() < give_up_s, f"{what} did not happen"
+        time.sleep(0.005)
+    return found
+
+
+def unacknowledged(sock):
+    return struct.unpack("i", fcntl.ioctl(sock, termios.TIOCOUTQ, b"\0" * 4))[0]
+
+
+@pytest.fixture
+def end():
+    with contextlib.closing(selectors.DefaultSelector()) as selector:
+        found = TcpEnd(selector)
+        yield found
+        found.close()
+
+
+def connect(end):
+    sock = socket.create_connection(("127.0.0.1", int(end.name.rsplit(":", 1)[1])), timeout=PATIENCE_S)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    before = end.connections
+    until(lambda: end.read(0.0, CALM) or end.connections > before, "a connection")
+    return sock
+
+
+def test_a_half_open_stream_acknowledges_nothing_and_does_not_learn_of_a_reset(end):
+    companion = connect(end)
+    cut = Weather(up_stands=True)
+    end.read(1.0, cut)
+    assert not end.confirms
+    companion.send(b"lost")
+    assert unacknowledged(companion) == 4
+    companion.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    companion.close()  # resets the connection
+    assert end.read(2.0, cut) == []
+    assert end.connected
+    end.read(3.0, CALM)
+    assert end.confirms
+    end.write(b"to nobody")
+    until(lambda: not (end.read(4.0, CALM) or end.connected), "the end of the old connection")
+    with connect(end) as again:
+        again.send(b"heard")
+        assert until(lambda: end.read(5.0, CALM))[0].data == b"heard"
+
+
+def test_a_short_cut_delays_what_was_sent(end):
+    with connect(end) as companion:
+        end.read(1.0, Weather(up_stands=True))
+        companion.send(b"late")
+        end.read(1.1, CALM)
+        assert until(lambda: end.read(1.2, CALM))[0].data == b"late"
+
+
+def test_a_slow_stream_is_read_at_its_rate_and_holds_the_companion_up(end):
+    slow = Weather(rate_bps=8000.0)
+    with connect(end) as companion:
+        companion.setblocking(False)
+        end.read(10.0, slow)
+        assert end.polled
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(100_000):
+                companion.send(bytes(65))
+        assert select.select([], [companion], [], 0.0)[1] == []
+        end.read(10.0, slow)
+        (left,) = end.read(10.1, slow)
+        assert len(left.data) == pytest.approx(80, abs=1)  # 800 bytes a second
+        assert left.at_s == pytest.approx(10.0)
+        assert left.waited_s == pytest.approx(0.1)
+        end.read(10.2, CALM)
+        assert not end.polled
+
+
+def test_time_in_a_slow_far_end_is_told_apart_from_time_in_the_companion(end):
+    slow = Weather(rate_bps=8000.0)
+    with connect(end) as companion:
+        end.read(9.99, CALM)
+        companion.send(bytes(100))
+        first = until(lambda: end.read(10.01, slow))
+        (rest,) = end.read(12.0, slow)
+        assert first[0].waited_s == 0.0
+        assert rest.at_s == pytest.approx(10.01)
+        assert rest.at_s + rest.waited_s == pytest.approx(12.0)
+        assert len(first[0].data) == pytest.approx(16, abs=1)  # 800 bytes a second for 0.02 s
+        assert len(first[0].data) + len(rest.data) == 100
