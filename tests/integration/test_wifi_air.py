@@ -532,7 +532,7 @@ def test_a_hostapd_that_dies_and_returns(hostapd: Hostapd) -> None:
     radio.broadcast("wifi", FULL, 1.0)
     health = radio.health(1.0)
     assert (health.ok, health.can_send) == (False, frozenset())
-    assert "is hostapd running" in health.text
+    assert "check that hostapd runs" in health.text
     hostapd.start()
     seconds = itertools.count(2.0, 0.1)
     until(lambda: radio.heard(next(seconds)) or radio.health(0.0).ok, "the recovery")
