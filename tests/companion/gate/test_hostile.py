@@ -1,19 +1,27 @@
-"""Anything at all wants to leave through the gate: a small part of the campaign, and what it can see."""
+"""A small part of the campaign of hostile programs, and what its oracle can find."""
 
 from __future__ import annotations
 
 import pytest
 
+from companion.gate.gate import Gate
 from companion.gate.rules import Rule
-from tests.companion.gate import hostile
-from tests.companion.gate.weakened import LACKING, HearsNoSilence, Weakened
+from tests.companion.gate.hostile import campaign as hostile
+from tests.companion.gate.hostile.system_history import SystemHistory
+from tests.companion.gate.hostile.weakened import (
+    LACKING,
+    CountsRepeatedAnswers,
+    HearsNoSilence,
+    IgnoresBacklogs,
+    Weakened,
+)
 
 
 def test_no_rule_is_broken():
     block = hostile.run_block(seed=1, first=0, count=250, commands=100)
     assert block.broken == []
     assert block.commands > 25_000
-    assert block.setpoints > 5_000
+    assert block.setpoints > 4_000
     assert block.requests > 300
     assert block.slowed > 10
     assert block.near > 5
@@ -41,6 +49,24 @@ def test_a_gate_that_hears_no_silence_is_found():
     assert "current" in {name for _, name, _ in block.broken}
 
 
+def test_no_rule_is_broken_through_a_whole_companion():
+    block = hostile.run_block(1, 0, 120, 100, kind=SystemHistory)
+    assert block.broken == []
+    assert block.commands > 12_000
+    assert block.setpoints > 1_500
+    assert block.requests > 80
+    assert set(block.refused) == {rule.value.name for rule in Rule}
+
+
+@pytest.mark.parametrize(("weak", "number"), [(CountsRepeatedAnswers, 244), (IgnoresBacklogs, 270)])
+def test_a_companion_that_tells_its_gate_something_wrong_is_found(weak, number):
+    def found(gate):
+        return {name for _, name, _ in hostile.run_block(1, number, 1, 100, gate, SystemHistory).broken}
+
+    assert found(weak) == {"current"}
+    assert found(Gate) == set()
+
+
 def test_without_any_gate_every_rule_is_broken():
     class NoGate(Weakened):
         def release(self, data, now_s):
@@ -59,7 +85,9 @@ def test_the_command_gives_a_verdict(capsys, monkeypatch):
     assert hostile.main(["--histories", "4", "--commands", "20", "--jobs", "1"]) == 0
     assert "no rule broken" in capsys.readouterr().out
     monkeypatch.setattr(
-        hostile, "run_block", lambda *_: hostile.Block(histories=1, commands=1, broken=[(9, "age", "old")])
+        hostile,
+        "run_block",
+        lambda *_, **__: hostile.Block(histories=1, commands=1, broken=[(9, "age", "old")]),
     )
     assert hostile.main(["--history", "9"]) == 1
     assert "BROKEN: history 9: age: old" in capsys.readouterr().out

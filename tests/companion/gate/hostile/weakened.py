@@ -1,5 +1,6 @@
-"""Gates that lack one rule each, made from the gate by its public face alone: it is told what is not so, or
-what it refuses leaves all the same. The oracle must see every one of them."""
+"""Gates that lack one rule each. They are built on the gate's public methods: the gate is told something
+untrue, or what it refuses passes all the same. The oracle must find every one of them.
+"""
 
 from __future__ import annotations
 
@@ -254,6 +255,21 @@ class KnowsNoFence(Weakened):
 class NeedsNoAnswer(Weakened):
     def answered(self, asked_s: float, now_s: float) -> None:
         pass
+
+
+class CountsRepeatedAnswers(Gate):
+    """Takes an answer for a new message of the vehicle each time that it is reported."""
+
+    def answered(self, asked_s: float, now_s: float) -> None:
+        self._note_heard(now_s)
+        super().answered(asked_s, now_s)
+
+
+class IgnoresBacklogs(Gate):
+    """Takes every read of the input for complete."""
+
+    def behind(self) -> None:
+        self.emptied(self._heard_s)
 
 
 LACKING: dict[str, Callable[[Config], Weakened]] = {

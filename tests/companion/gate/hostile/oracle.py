@@ -1,7 +1,8 @@
-"""What has left the gate, judged by the whole history. Written from docs/gate.md, without the gate's code.
+"""Judges what has passed the gate by the whole history. It was written from docs/gate.md, without the gate's
+code.
 
-It is told what the gate is told, in plain numbers, and besides where the walls are in the fence's own axes.
-What it finds is listed in `found` as (name of the rule, words).
+It knows what the vehicle has said, in plain numbers, and also where the walls are in the fence's own axes.
+The list `found` holds what it finds, as pairs of a rule's name and a text.
 """
 
 from __future__ import annotations
@@ -24,21 +25,21 @@ _C = struct.Struct("<7fHBBB")
 
 @dataclass
 class Told:
-    """A position as it was told: in the fence's axes, with its true time."""
+    """A reported position in the fence's axes, with the true time of its measurement."""
 
     measured_s: float
     boot_s: float
     place: tuple[float, float]
     height: float
     velocity: tuple[float, float, float]
-    """Along the axes, and down."""
+    """Along the fence's axes, and down."""
     north_east: tuple[float, float]
     """The same velocity, north and east."""
 
 
 @dataclass
 class Terms:
-    """What a companion may do."""
+    """Configuration and limits that bound a companion."""
 
     use: str
     rearm: str
@@ -53,23 +54,23 @@ class Terms:
     floor: float | None
     ceiling: float | None
     turn: float
-    """Of the fence's first axis from north (rad)."""
+    """Direction of the fence's first axis, from north (rad)."""
     walls: tuple[float, float, float, float] | None = None
-    """Least and most along the first axis, and along the second."""
+    """Least and greatest coordinate along the first axis, then along the second (m)."""
 
 
 @dataclass
 class Oracle:
-    """One history."""
+    """Oracle of one history."""
 
     terms: Terms
     found: list[tuple[str, str]] = field(default_factory=list)
     setpoints: int = 0
     requests: int = 0
     slowed: int = 0
-    """Setpoints that were too fast for a wall, and slowed down."""
+    """Number of setpoints that were too fast for a wall and slowed the vehicle down."""
     late_mps: float = 0.0
-    """The fastest of them that came after a pause, in which the vehicle flew on."""
+    """Greatest speed of those that came after a pause in which the vehicle flew on."""
 
     def __post_init__(self) -> None:
         self.most, self.now_s = self.terms, -math.inf
@@ -80,18 +81,22 @@ class Oracle:
         self.mode_s = -math.inf
         self.kinds = ARDUPILOT if self.terms.firmware == "ardupilot" else PX4
         self.enabled, self.two = True, False
-        # Currency: a counter of what happened, the end of the last gap, the last message with a mode.
+        # Currency: a counter of events, and its values at the last gap and the last mode.
         self.turn, self.gap_ended, self.mode_turn = 0, 0, -1
         self.emptied_s = self.said_s = -math.inf
         self.decided_s = -math.inf
         self.asked_at: float | None = None
-        """When the newest question was asked that was answered."""
+        """When the newest answered question was asked."""
         self.answer_s = -math.inf
-        """When an answer came that nothing has left behind."""
+        """When an answer came that no command has used yet."""
         self.grounded_s: float | None = None
         self.down = self.terms.take_in_flight
         self.position: Told | None = None
+        self.boot_s = self.clock_s = -math.inf
+        self.written_s: float | None = None
+        """When the newest message with the vehicle's clock was written. `clock_s`: when one last arrived."""
         self.least_s = math.inf
+        """Least delay of such a message."""
         self.shut_s = -math.inf
         self.last: tuple[float, float, float] | None = None  # time, north, east
         self.changes: list[tuple[float, float]] = []
@@ -105,10 +110,10 @@ class Oracle:
         self.asked: dict[int, float] = {}
         self.entered: set[int] = set()
         self.newest: int | None = None
-        """The mode that was asked for last."""
+        """The mode that was requested last."""
         self.commanded_s = -math.inf
 
-    # ------------------------------------------------------------ what is told
+    # ------------------------------------------------------------ messages of the vehicle
 
     def heartbeat(self, system: int, custom: int, armed: bool, now_s: float) -> None:
         self._said(now_s)
@@ -120,7 +125,7 @@ class Oracle:
         self._mode(custom, now_s)
 
     def _said(self, now_s: float) -> None:
-        """The vehicle has said something: a mode may have been lost in a silence before it."""
+        """The vehicle has sent something. A mode may have been lost in a silence before it."""
         if now_s - self.said_s > 0.5:
             self.turn += 1
             self.gap_ended = self.turn
@@ -187,14 +192,26 @@ class Oracle:
             self._let_go()
 
     def told(self, position: Told, now_s: float) -> None:
+        """The vehicle has reported its position."""
         self._said(now_s)
-        if self.position is not None:
-            if position.boot_s < self.position.boot_s - 1.0:
-                self.least_s = math.inf
-            elif position.boot_s < self.position.boot_s:
-                return
-        self.least_s = min(self.least_s, now_s - position.measured_s)
-        self.position = position
+        self._stamped(position.measured_s, position.boot_s, now_s)
+        if self.position is None or position.boot_s >= self.position.boot_s:
+            self.position = position
+
+    def clock(self, measured_s: float, boot_s: float, now_s: float) -> None:
+        """The vehicle has sent another message with its clock, which it wrote at `measured_s`."""
+        self._said(now_s)
+        self._stamped(measured_s, boot_s, now_s)
+
+    def _stamped(self, measured_s: float, boot_s: float, now_s: float) -> None:
+        if boot_s < self.boot_s - 1.0:
+            self.least_s, self.boot_s, self.position = math.inf, -math.inf, None
+        elif self.written_s is not None and boot_s - measured_s > self.boot_s - self.written_s + 0.5:
+            self.least_s = math.inf  # The clock has jumped ahead.
+        if boot_s >= self.boot_s:
+            self.boot_s, self.written_s = boot_s, measured_s
+        self.least_s = min(self.least_s, now_s - measured_s)
+        self.clock_s = now_s
         if self.late(now_s):
             self.turn += 1
             self.gap_ended = self.turn
@@ -213,15 +230,15 @@ class Oracle:
         self._said(now_s)
         if self.asked_at is None or asked_s > self.asked_at:
             self.asked_at = asked_s
-            if now_s - asked_s <= 0.25:
+            if now_s - asked_s <= 0.25 + 1e-6:  # The question carries its time in nanoseconds.
                 self.answer_s = now_s
 
     def late(self, now_s: float) -> bool:
-        """What the vehicle tells now waited on the way, by its own clock."""
+        """Whether messages that arrive now have waited on the way, by the vehicle's clock."""
         longest_s = max(0.5, 0.5 * self.terms.stale_s) + 0.02
-        if self.position is None:
+        if self.written_s is None or now_s - self.clock_s > 9.9:
             return False
-        return longest_s < now_s - self.position.measured_s - self.least_s < 9.9
+        return now_s - self.written_s - self.least_s > longest_s
 
     def emptied(self, now_s: float) -> None:
         self.turn += 1
@@ -233,10 +250,10 @@ class Oracle:
         self.turn += 1
         self.emptied_s = -math.inf
 
-    # ------------------------------------------------------------ what has left
+    # ------------------------------------------------------------ what has passed
 
     def judge(self, offered: list[bytes], whole: list[bool], out: bytes, now_s: float) -> None:
-        """What was offered, frame by frame, which of it is whole, and what has left of it."""
+        """Judge `out`, which has passed, against the frames that were offered and whether each is whole."""
         at, answer_s = 0, self.answer_s
         for frame, is_whole in zip(offered, whole, strict=True):
             left = out.startswith(frame, at)
@@ -258,13 +275,13 @@ class Oracle:
         self.found.append((rule, words))
 
     def _commands(self, frame: bytes) -> bool:
-        """A setpoint, a mode or a speed."""
+        """Whether a frame is a setpoint, a mode request or a speed."""
         number = int.from_bytes(frame[7:10], "little")
         payload = frame[10 : 10 + frame[1]].ljust(33, b"\0")
         return number == 84 or (number == 76 and _C.unpack(payload[:33])[7] in (176, 178))
 
     def _is_wrong(self, frame: bytes) -> bool:
-        """Surely a fault of the program above, and not too early or too late."""
+        """Whether a frame is certainly a fault of the program above, and not only early or late."""
         number = int.from_bytes(frame[7:10], "little")
         return number not in FREE and number not in (76, 84)
 
@@ -408,7 +425,7 @@ class Oracle:
                 self._broken("change", f"{(north, east)} at {(n, e)}")
             return
         self.changes.append((self.last[0], math.hypot(north - self.last[1], east - self.last[2])))
-        # Whatever stretch of time one looks at: what it changed by is at most what it and a second allow.
+        # Over any interval, the changes add up to at most what the interval plus one second allows.
         total, most = 0.0, -math.inf
         for since_s, change in reversed(self.changes[-60:]):
             total += change
@@ -446,7 +463,7 @@ class Oracle:
                 self._broken("fence", f"{outward} m/s further out, {away} m")
             return
         if min(high_u - pu, pu - low_u, high_v - pv, pv - low_v) < slack:
-            return  # on the wall: inside or outside, where the other walls do not count
+            return  # The position is on the wall, and outside of it the other walls do not count.
         for room, towards, flown in (
             (high_u - pu, u, fu),
             (pu - low_u, -u, -fu),
