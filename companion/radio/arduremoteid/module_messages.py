@@ -56,6 +56,17 @@ _LOST_FRAMES: Final = 8
 """Frames that may be lost at once. A greater step of the sequence number counts as a restart."""
 _FRAMES_PER_S: Final = 4
 _REORDERED: Final = 248
+ARM_STATUS_WORDS: Final = {
+    "LOC": "Location",
+    "SYS": "System",
+    "ID": "Basic ID",
+    "ID_1": "Basic ID",
+    "ID_2": "second Basic ID",
+    "SELF_ID": "Self ID",
+    "OP_ID": "Operator ID",
+    "OP_LOC": "operator position",
+}
+"""Meaning of the words in the firmware's ARM_STATUS."""
 
 
 class Module:

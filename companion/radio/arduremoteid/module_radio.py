@@ -21,7 +21,12 @@ import msgspec
 
 from companion.errors import ConfigError
 from companion.events import RemoteIdHeard
-from companion.radio.arduremoteid.module_messages import PARAMETERS, SILENT_AFTER_S, Module
+from companion.radio.arduremoteid.module_messages import (
+    ARM_STATUS_WORDS,
+    PARAMETERS,
+    SILENT_AFTER_S,
+    Module,
+)
 from companion.radio.arduremoteid.section import ArduRemoteIdRadio
 from companion.radio.radio import ByteLink, Health, RadioContext
 from companion.remote_id.mavlink import COMPONENT_ID, encode_odid
@@ -56,17 +61,6 @@ _SETTLE_S: Final = 4.0
 """The module's refusal is ignored for this long after the first broadcast."""
 _FORCE_ARM_OK: Final = 1
 _DONT_SAVE_BASIC_ID: Final = 2
-_WORDS: Final = {
-    "LOC": "Location",
-    "SYS": "System",
-    "ID": "Basic ID",
-    "ID_1": "Basic ID",
-    "ID_2": "second Basic ID",
-    "SELF_ID": "Self ID",
-    "OP_ID": "Operator ID",
-    "OP_LOC": "operator position",
-}
-"""Meaning of the words in the firmware's ARM_STATUS."""
 _EMPTY: Final[dict[type[Message], Message]] = {
     SelfId: SelfId(description_type=0, text=""),
     OperatorId: OperatorId(operator_id_type=0, operator_id=""),
@@ -401,7 +395,7 @@ class ArduRemoteIdTransport:
         arm = self._module.arm
         if arm is None or now_s - arm[0] > SILENT_AFTER_S:
             return "module sends no ARM_STATUS"
-        words = [_WORDS[token] for token in arm[2].split() if token in _WORDS]
+        words = [ARM_STATUS_WORDS[token] for token in arm[2].split() if token in ARM_STATUS_WORDS]
         return f"module refuses: {arm[2]}" + (f" ({', '.join(dict.fromkeys(words))})" if words else "")
 
     def _named(self, transports: frozenset[str]) -> str:

@@ -15,6 +15,7 @@ import dpkt
 import pytest
 
 from companion.commands import remote_id
+from companion.commands.remote_id import message_json
 from companion.remote_id.codec import encode_pack
 from companion.remote_id.frames import build_beacon, build_nan_sync_beacon
 from companion.remote_id.messages import BasicId, IdType, Location, SelfId, UaType
@@ -67,13 +68,13 @@ def test_encode_and_decode_are_each_others_inverse(terminal: Terminal) -> None:
 def test_every_example_of_the_help_is_encoded_and_comes_back(
     terminal: Terminal, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    examples = "\n".join(remote_id.EXAMPLES)
+    examples = "\n".join(message_json.EXAMPLES)
     assert terminal.run("encode", stdin=examples) == 0
     assert [line[0] for line in terminal.out] == list("012345")
     encoded = terminal.out
     assert terminal.run("decode", stdin="\n".join(encoded)) == 0
     assert [json.loads(line)["type"] for line in terminal.out] == [
-        json.loads(example)["type"] for example in remote_id.EXAMPLES
+        json.loads(example)["type"] for example in message_json.EXAMPLES
     ]
     assert terminal.run("encode", stdin="\n".join(terminal.out)) == 0
     assert terminal.out == encoded
@@ -81,7 +82,7 @@ def test_every_example_of_the_help_is_encoded_and_comes_back(
         terminal.run("encode", "--help")
     assert stop.value.code == 0
     shown = capsys.readouterr().out
-    assert all(example in shown for example in remote_id.EXAMPLES)
+    assert all(example in shown for example in message_json.EXAMPLES)
 
 
 @pytest.mark.parametrize("id_type", [3, 4])
@@ -137,7 +138,7 @@ def test_of_a_torn_pack_the_sound_messages_are_printed_and_the_fault_told(termin
     [
         ("{", "not JSON: incomplete"),
         ("{'type':1}", "not JSON: object keys must be strings (byte 1)"),
-        ("[]", f"[] is not a message; allowed: an object such as {remote_id.EXAMPLES[3]}"),
+        ("[]", f"[] is not a message; allowed: an object such as {message_json.EXAMPLES[3]}"),
         ('{"a":1}', "type: missing; allowed: BasicId, Location, Authentication, SelfId, System, OperatorId"),
         (
             '{"type":"Nope"}',
